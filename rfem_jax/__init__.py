@@ -1,0 +1,42 @@
+"""Differentiable simulation of flexible mechanisms with assembly errors.
+
+    load_study / Mechanism(...)          description   what the user states
+        |
+    discretise -> Model                  mechanics     rigid finite elements, closed start
+        |  assembly_errors({...})                      how it is wrong
+    assemble -> state, preload
+        |
+    simulate(drive, method) -> Run       simulation    motion, loads in all joints, balances
+        |
+    tables, pictures, files              report        the command `rfem-jax`
+
+Everything computes in float64: call `jax.config.update("jax_enable_x64", True)` first.  Names are
+loaded when they are first used, so importing the package is instant.
+"""
+
+from importlib import import_module
+
+_ROOMS = {
+    "description": (
+        "Case Circle GivenSection InputError Joint Link Material Mechanism Method MomentFunction "
+        "MomentRamp MomentTable PointMass PrescribedFunction PrescribedRate PrescribedTable "
+        "Rectangle Study Tube load_study"
+    ),
+    "mechanics": (
+        "AssemblyErrors Coordinates Model State STATUS assemble assembly_errors describe discretise"
+    ),
+    "simulation": "Run check_step largest_stable_step run_cases simulate",
+}
+_ROOM_OF = {name: room for room, names in _ROOMS.items() for name in names.split()}
+
+__all__ = sorted(_ROOM_OF)
+
+
+def __getattr__(name: str):
+    if name not in _ROOM_OF:
+        raise AttributeError(f"module 'rfem_jax' has no attribute {name!r}")
+    return getattr(import_module(f"rfem_jax.{_ROOM_OF[name]}"), name)
+
+
+def __dir__():
+    return __all__

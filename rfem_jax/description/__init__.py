@@ -1,0 +1,61 @@
+"""What the user states: materials, sections, links, joints, the mechanism, its drive, a study.
+
+Place in the pipeline: the first room; imports nothing of the others. Everything is checked where it
+enters and converted to SI floats.
+"""
+
+from rfem_jax.description.drives import (
+    MomentDrive,
+    MomentFunction,
+    MomentRamp,
+    MomentTable,
+    PrescribedDrive,
+    PrescribedFunction,
+    PrescribedRate,
+    PrescribedTable,
+)
+from rfem_jax.description.errors import InputError, nearest
+from rfem_jax.description.joints import Joint
+from rfem_jax.description.links import Link, PointMass
+from rfem_jax.description.materials import Material
+from rfem_jax.description.mechanism import Mechanism
+from rfem_jax.description.methods import Method
+from rfem_jax.description.sections import (
+    Circle,
+    GivenSection,
+    Rectangle,
+    Section,
+    SectionProperties,
+    Tube,
+)
+from rfem_jax.description.study import Case, Study, load_study
+from rfem_jax.description.units import quantity
+
+__all__ = [
+    "Case",
+    "Circle",
+    "GivenSection",
+    "InputError",
+    "Joint",
+    "Link",
+    "Material",
+    "Mechanism",
+    "Method",
+    "MomentDrive",
+    "MomentFunction",
+    "MomentRamp",
+    "MomentTable",
+    "PointMass",
+    "PrescribedDrive",
+    "PrescribedFunction",
+    "PrescribedRate",
+    "PrescribedTable",
+    "Rectangle",
+    "Section",
+    "SectionProperties",
+    "Study",
+    "Tube",
+    "load_study",
+    "nearest",
+    "quantity",
+]

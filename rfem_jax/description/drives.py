@@ -1,0 +1,355 @@
+"""Drives: a moment on a joint, or a prescribed angle of a joint, as functions of time.
+
+Place in the pipeline: stated in a study; `mechanics` and `simulation` evaluate them inside compiled
+code (jit, vmap, forward and reverse differentiation).
+
+A drive may jump at its breakpoints, which are static (they divide the run into integrations).
+Pieces are chosen by `phase`, the number of breakpoints passed, never by comparing t with a jump.
+Values are float64 JAX arrays: new values do not compile anew.
+
+Symbols: t [s]; moment [N m] about +y of the joint; angle turned since the start [rad], rate
+[rad/s], acceleration [rad/s^2]. Source: MODEL.md section 6, equation (21).
+"""
+
+import abc
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.tree_util import Partial
+from jaxtyping import Array, Float
+from scipy.interpolate import CubicSpline
+
+from rfem_jax.description.errors import InputError, require_name, subject
+from rfem_jax.description.units import non_negative_quantity, positive_quantity, quantity, sequence
+
+Scalar = Float[Array, ""]
+
+
+class MomentDrive(eqx.Module):
+    """A given moment on a joint."""
+
+    joint: eqx.AbstractVar[str]
+
+    @abc.abstractmethod
+    def breakpoints(self) -> tuple[float, ...]:
+        """Return the times [s] > 0 at which the moment jumps, increasing."""
+
+    @abc.abstractmethod
+    def moment(self, t, phase) -> Scalar:
+        """Return the moment [N m] about +y at the time t, in the piece `phase` (int, from 0)."""
+
+
+class PrescribedDrive(eqx.Module):
+    """A given angle of a joint; the moment that enforces it is a result."""
+
+    joint: eqx.AbstractVar[str]
+
+    @abc.abstractmethod
+    def breakpoints(self) -> tuple[float, ...]:
+        """Return the times [s] > 0 at which a derivative jumps, increasing."""
+
+    @abc.abstractmethod
+    def turn(self, t, phase) -> tuple[Scalar, Scalar, Scalar]:
+        """Return (angle turned since the start, rate, acceleration) at t in the piece `phase`."""
+
+
+class MomentRamp(MomentDrive):
+    """M = moment * t / rise_time up to rise_time, then 0; equation (21).
+
+    Args:
+        joint: the joint's name.
+        moment: [N m], reached at rise_time.
+        rise_time: [s], > 0.
+    """
+
+    joint: str = eqx.field(static=True)
+    peak: Scalar
+    rise_time: float = eqx.field(static=True)
+
+    def __init__(self, joint, moment, rise_time):
+        self.joint = _joint_name(joint)
+        self.peak = _leaf(moment, "moment", "moment")
+        self.rise_time = positive_quantity(rise_time, "time", "rise_time")
+
+    def breakpoints(self):
+        return (self.rise_time,)
+
+    def moment(self, t, phase):
+        return jnp.where(_phase(phase) == 0, self.peak * (t / self.rise_time), 0.0)
+
+
+class MomentTable(MomentDrive):
+    """A moment given at times, linear in between, zero after the last time.
+
+    Args:
+        joint: the joint's name.
+        times: [s], from 0, not decreasing; a time given twice is a jump.
+        moments: [N m], as many as times.
+    """
+
+    joint: str = eqx.field(static=True)
+    values: Float[Array, " n"]
+    times: tuple[float, ...] = eqx.field(static=True)
+
+    def __init__(self, joint, times, moments):
+        self.joint = _joint_name(joint)
+        self.times = _table_times(times, strictly=False)
+        self.values = _column(moments, "moment", "moments", len(self.times))
+
+    def _jump_rows(self) -> tuple[int, ...]:
+        return tuple(i for i in range(1, len(self.times)) if self.times[i] == self.times[i - 1])
+
+    def breakpoints(self):
+        return (*(self.times[row] for row in self._jump_rows()), self.times[-1])
+
+    def moment(self, t, phase):
+        phase = _phase(phase)
+        times, rows = jnp.asarray(self.times), self._jump_rows()
+        first = jnp.asarray((0, *rows), jnp.int32)[phase]
+        last = jnp.asarray((*(row - 1 for row in rows), len(self.times) - 1), jnp.int32)[phase]
+        piece = jnp.clip(jnp.searchsorted(times, t, side="right") - 1, first, last - 1)
+        fraction = (t - times[piece]) / (times[piece + 1] - times[piece])
+        value = self.values[piece] + fraction * (self.values[piece + 1] - self.values[piece])
+        return jnp.where(phase <= len(rows), value, 0.0)
+
+
+class MomentFunction(MomentDrive):
+    """A moment given by a Python function written in JAX.
+
+    Args:
+        joint: the joint's name.
+        function: (t [s], phase) -> moment [N m], a float64 scalar; smooth within a phase. An
+            `equinox.Module` with `__call__` may hold parameters to differentiate.
+        breakpoints: times [s] > 0 at which the moment jumps, increasing.
+    """
+
+    joint: str = eqx.field(static=True)
+    function: Callable
+    times: tuple[float, ...] = eqx.field(static=True)
+
+    def __init__(self, joint, function, breakpoints=()):
+        self.joint = _joint_name(joint)
+        self.times = _breakpoints(breakpoints)
+        self.function = _as_tree(function)
+        _check_scalar(self.function, with_phase=True)
+
+    def breakpoints(self):
+        return self.times
+
+    def moment(self, t, phase):
+        return self.function(jnp.asarray(t, jnp.float64), _phase(phase))
+
+
+class PrescribedRate(PrescribedDrive):
+    """A rate that rises smoothly to a constant: rate * (3 x^2 - 2 x^3), x = t / rise_time <= 1.
+
+    Args:
+        joint: the joint's name.
+        rate: [rad/s] about +y.
+        rise_time: [s], >= 0; 0 moves at the full rate from the start.
+    """
+
+    joint: str = eqx.field(static=True)
+    rate: Scalar
+    rise_time: float = eqx.field(static=True)
+
+    def __init__(self, joint, rate, rise_time=0.0):
+        self.joint = _joint_name(joint)
+        self.rate = _leaf(rate, "rate", "rate")
+        self.rise_time = non_negative_quantity(rise_time, "time", "rise_time")
+
+    def breakpoints(self):
+        return (self.rise_time,) if self.rise_time > 0.0 else ()
+
+    def turn(self, t, phase):
+        if self.rise_time == 0.0:
+            return self.rate * t, self.rate + 0.0 * t, 0.0 * self.rate * t
+        x = t / self.rise_time
+        rising = _phase(phase) == 0
+        angle = jnp.where(rising, self.rise_time * x**3 * (1.0 - x / 2.0), t - self.rise_time / 2.0)
+        rate = jnp.where(rising, x**2 * (3.0 - 2.0 * x), 1.0)
+        acceleration = jnp.where(rising, 6.0 * x * (1.0 - x) / self.rise_time, 0.0)
+        return self.rate * angle, self.rate * rate, self.rate * acceleration
+
+
+class PrescribedTable(PrescribedDrive):
+    """Angles turned, given at times and joined by a cubic spline (C2, "not-a-knot" ends).
+
+    Args:
+        joint: the joint's name.
+        times: [s], increasing from 0; at least two.
+        angles: angles turned [rad], as many as times, the first 0.
+    """
+
+    joint: str = eqx.field(static=True)
+    knots: Float[Array, " n"]
+    coefficients: Float[Array, "4 n-1"]
+    end: float = eqx.field(static=True)
+
+    def __init__(self, joint, times, angles):
+        self.joint = _joint_name(joint)
+        times = _table_times(times, strictly=True)
+        angles = np.asarray(_column(angles, "angle", "angles", len(times)))
+        if angles[0] != 0.0:
+            raise InputError(
+                f"Argument `angles` must start with 0, but starts with {angles[0]}; give the "
+                "angles turned since the start."
+            )
+        spline = CubicSpline(times, angles)
+        self.knots = jnp.asarray(times)
+        self.coefficients = jnp.asarray(spline.c)
+        self.end = times[-1]
+
+    def breakpoints(self):
+        return ()
+
+    def turn(self, t, phase):
+        last = self.knots.shape[0] - 2
+        piece = jnp.clip(jnp.searchsorted(self.knots, t, side="right") - 1, 0, last)
+        a, b, c, d = self.coefficients[:, piece]
+        x = t - self.knots[piece]
+        angle = ((a * x + b) * x + c) * x + d
+        return angle, (3.0 * a * x + 2.0 * b) * x + c, 6.0 * a * x + 2.0 * b
+
+
+class PrescribedFunction(PrescribedDrive):
+    """Angle turned as a Python function written in JAX; its derivatives are taken by JAX.
+
+    Args:
+        joint: the joint's name.
+        function: t [s] -> angle turned [rad], a float64 scalar, 0 at t = 0 and twice
+            differentiable; with breakpoints it is called as function(t, phase) instead.
+        breakpoints: times [s] > 0 at which a derivative jumps, increasing.
+    """
+
+    joint: str = eqx.field(static=True)
+    function: Callable
+    times: tuple[float, ...] = eqx.field(static=True)
+
+    def __init__(self, joint, function, breakpoints=()):
+        self.joint = _joint_name(joint)
+        self.times = _breakpoints(breakpoints)
+        self.function = _as_tree(function)
+        _check_scalar(self.function, with_phase=bool(self.times))
+        start = self._angle(jnp.zeros((), jnp.float64), 0)
+        if not isinstance(start, jax.core.Tracer) and not abs(float(start)) <= 1e-12:
+            raise InputError(
+                f"Argument `function` must be 0 at t = 0, but was {float(start)}; return the angle "
+                "turned since the start."
+            )
+
+    def breakpoints(self):
+        return self.times
+
+    def _angle(self, t, phase):
+        return self.function(t, phase) if self.times else self.function(t)
+
+    def turn(self, t, phase):
+        t, phase = jnp.asarray(t, jnp.float64), _phase(phase)
+        one = jnp.ones_like(t)
+
+        def angle_and_rate(time):
+            return jax.jvp(lambda s: self._angle(s, phase), (time,), (one,))
+
+        (angle, rate), (_, acceleration) = jax.jvp(angle_and_rate, (t,), (one,))
+        return angle, rate, acceleration
+
+
+def _phase(phase):
+    return jnp.asarray(phase, jnp.int32)
+
+
+def _joint_name(joint) -> str:
+    if not jax.config.jax_enable_x64:
+        raise InputError(
+            "A drive must be built in double precision, but JAX is set to single precision; paste "
+            'jax.config.update("jax_enable_x64", True) at the start of your program.'
+        )
+    return require_name(joint, "`joint` of the drive")
+
+
+def _leaf(value, dimension: str, where: str) -> Scalar:
+    """A float64 scalar array; a traced value stays traced, so that it can be differentiated."""
+    if isinstance(value, jax.core.Tracer):
+        if value.shape != () or value.dtype != jnp.float64:
+            raise InputError(
+                f"{subject(where)} must be a float64 scalar, but has the type {value.dtype} and "
+                f"the shape {value.shape}; convert it first."
+            )
+        return value
+    return jnp.asarray(quantity(value, dimension, where), jnp.float64)
+
+
+def _column(values, dimension: str, where: str, length: int) -> Float[Array, " n"]:
+    if isinstance(values, jax.core.Tracer) and values.dtype == jnp.float64 and values.ndim == 1:
+        column = values
+    else:
+        column = jnp.asarray(sequence(values, dimension, where), jnp.float64)
+    if column.shape[0] != length:
+        raise InputError(
+            f"{subject(where)} must have as many entries as `times` ({length}), but has "
+            f"{column.shape[0]}; give one for each time."
+        )
+    return column
+
+
+def _table_times(times, strictly: bool) -> tuple[float, ...]:
+    times = sequence(times, "time", "times")
+    if len(times) < 2 or times[0] != 0.0:
+        raise InputError(
+            f"Argument `times` must hold at least two times, the first 0, but was {list(times)}; "
+            "start the table at t = 0."
+        )
+    steps = np.diff(times)
+    if np.any(steps < 0.0) or (strictly and np.any(steps == 0.0)):
+        raise InputError(
+            f"Argument `times` must be increasing, but {times[int(np.argmin(steps)) + 1]} follows "
+            f"{times[int(np.argmin(steps))]}; sort the table and remove repeated times."
+        )
+    repeated = steps == 0.0
+    if np.any(repeated[1:] & repeated[:-1]) or (repeated.size and (repeated[0] or repeated[-1])):
+        raise InputError(
+            "Argument `times` must repeat a time (a jump) only once and neither the first nor the "
+            "last time, but does; remove the superfluous rows (the moment is 0 after the last)."
+        )
+    return times
+
+
+def _breakpoints(times) -> tuple[float, ...]:
+    times = sequence(times, "time", "breakpoints")
+    if any(later <= earlier for earlier, later in zip((0.0, *times), times)):
+        raise InputError(
+            f"Argument `breakpoints` must be increasing times above 0, but was {list(times)}; "
+            "sort them and leave out 0."
+        )
+    return times
+
+
+def _as_tree(function):
+    """A function as a pytree: an equinox Module keeps its leaves, a plain function is static."""
+    if not callable(function):
+        raise InputError(
+            f"Argument `function` must be a function of time, but was {function!r}; "
+            "pass for example lambda t: 0.6 * t."
+        )
+    return function if isinstance(function, (eqx.Module, Partial)) else Partial(function)
+
+
+def _check_scalar(function, with_phase: bool) -> None:
+    t, phase = jax.ShapeDtypeStruct((), jnp.float64), jax.ShapeDtypeStruct((), jnp.int32)
+    signature = "(t, phase)" if with_phase else "(t)"
+    try:
+        result = eqx.filter_eval_shape(function, *((t, phase) if with_phase else (t,)))
+    except Exception as error:
+        raise InputError(
+            f"Argument `function` must be callable as function{signature} in JAX, but raised "
+            f"{type(error).__name__}: {error}; use jax.numpy and these arguments."
+        ) from error
+    if getattr(result, "shape", None) != () or result.dtype != jnp.float64:
+        raise InputError(
+            f"Argument `function` must return a float64 scalar, but returned {result}; "
+            "return one jax.numpy value."
+        )

@@ -1,0 +1,53 @@
+"""Which assembly errors exist: their names, dimensions and what they mean.
+
+Place in the pipeline: `mechanism` lists the names of its errors, `study` checks those of its cases,
+`mechanics` turns them into transforms.
+
+Names: JOINT.delta_x, .delta_z [rad], .d_x, .d_y, .d_z [m] displace the joint's seat in its parent;
+JOINT.child.delta_x ... the bore in the child; JOINT.pin_tilt_x, .pin_tilt_z [rad] tilt one pin in
+both links (nothing stressed at the start angle); LINK.length [m]; LINK.twist [rad].
+Source: MODEL.md section 1, equation (8).
+"""
+
+from rfem_jax.description.errors import InputError, suggestion
+
+_SEAT = {
+    "delta_x": "angle",
+    "delta_z": "angle",
+    "d_x": "length",
+    "d_y": "length",
+    "d_z": "length",
+}
+JOINT_ERRORS = {
+    **_SEAT,
+    **{f"child.{component}": dimension for component, dimension in _SEAT.items()},
+    "pin_tilt_x": "angle",
+    "pin_tilt_z": "angle",
+}
+LINK_ERRORS = {"length": "length", "twist": "angle"}
+_KNOWN = {**JOINT_ERRORS, **LINK_ERRORS}
+
+
+def error_dimension(name: str) -> str:
+    """Return "angle" or "length" for the error `name`, such as "D.delta_x" or "coupler.length".
+
+    Raises:
+        InputError: the part after the joint's or link's name is no error's name.
+    """
+    owner, dot, component = name.partition(".") if isinstance(name, str) else ("", "", "")
+    if not (owner and dot):
+        raise InputError(
+            "Argument `name` of an error must be a joint or a link, a dot and the kind of error, "
+            f'but was {name!r}; write for example "D.delta_x" or "coupler.length".'
+        )
+    if component not in _KNOWN:
+        raise InputError(
+            "Argument `name` of an error must end in a known kind of error, but "
+            f"`{component}` in `{name}` is none; {suggestion(component, _KNOWN)}"
+        )
+    return _KNOWN[component]
+
+
+def error_unit(name: str) -> str:
+    """Return the SI unit, "rad" or "m", of the error `name`; raises as `error_dimension`."""
+    return "rad" if error_dimension(name) == "angle" else "m"

@@ -1,0 +1,90 @@
+"""InputError, the one exception for bad input, and the wording its sentences share.
+
+Place in the pipeline: used by every room; imports nothing of the library.
+
+Every refusal is one sentence of the form "Argument `x` must ..., but ...", and the fix.
+"""
+
+from contextlib import contextmanager
+from difflib import get_close_matches
+
+
+class InputError(ValueError):
+    """What the user stated cannot be used; the message says where, why, and how to fix it."""
+
+
+def subject(where: str) -> str:
+    """Return the start of a message: "Argument `where`".
+
+    `where` is the argument's name, or a phrase that already holds its name in backticks
+    (such as "`length` of link `crank`").
+    """
+    return f"Argument {where}" if "`" in where else f"Argument `{where}`"
+
+
+def nearest(name, known) -> str | None:
+    """Return the entry of `known` (strings) that looks most like `name`, or None."""
+    by_lower_case = {str(entry).lower(): str(entry) for entry in known}
+    found = get_close_matches(str(name).lower(), list(by_lower_case), n=1, cutoff=0.5)
+    return by_lower_case[found[0]] if found else None
+
+
+def suggestion(name, known) -> str:
+    """Return "did you mean `x`?", or the list of what is known where nothing is near."""
+    known = [str(entry) for entry in known]
+    match = nearest(name, known)
+    if match is not None:
+        return f"did you mean `{match}`?"
+    if not known:
+        return "there is none to choose from."
+    shown = ", ".join(f"`{entry}`" for entry in known[:20])
+    return f"known are {shown}{' and more' if len(known) > 20 else ''}."
+
+
+def require_name(name, where: str, reserved=()) -> str:
+    """Return `name` if it is a word of letters, digits, "_" and "-"; else raise InputError.
+
+    Names become parts of error names ("D.delta_x") and of columns, hence no dots or spaces.
+    """
+    if not isinstance(name, str):
+        raise InputError(f"{subject(where)} must be a string, but was {name!r}; put it in quotes.")
+    plain = name.replace("_", "").replace("-", "")
+    if not (plain.isascii() and plain.isalnum()):
+        raise InputError(
+            f"{subject(where)} must consist of letters, digits, \"_\" and \"-\", but was {name!r}; "
+            "choose a plain word such as \"crank\"."
+        )
+    if name in reserved:
+        raise InputError(
+            f"{subject(where)} must not be a reserved word, but was `{name}`; choose another name."
+        )
+    return name
+
+
+def require_choice(value, choices, where: str) -> str:
+    """Return `value` if it is one of the strings `choices`; else raise InputError."""
+    if not (isinstance(value, str) and value in choices):
+        listed = ", ".join(f'"{choice}"' for choice in choices)
+        raise InputError(
+            f"{subject(where)} must be one of {listed}, but was {value!r}; "
+            f"{suggestion(value, choices)}"
+        )
+    return value
+
+
+def require_flag(value, where: str) -> bool:
+    """Return `value` if it is True or False; else raise InputError."""
+    if not isinstance(value, bool):
+        raise InputError(
+            f"{subject(where)} must be true or false, but was {value!r}; write it without quotes."
+        )
+    return value
+
+
+@contextmanager
+def located(place: str):
+    """Prefix the message of an InputError raised inside with `place` (a table of a study file)."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{place}: {error}") from None

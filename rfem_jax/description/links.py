@@ -1,0 +1,148 @@
+"""Links: rigid bodies or flexible beams along their local x axis, with point masses on them.
+
+Place in the pipeline: a mechanism is links joined by joints; `mechanics` divides a flexible link
+into rigid finite elements (rfes).
+
+Symbols: length L [m], from joint to joint; rfes n [1], m = n - 1 spring-damping elements per link.
+Source: MODEL.md sections 1 and 2.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rfem_jax.description.errors import InputError, require_flag, require_name
+from rfem_jax.description.materials import Material
+from rfem_jax.description.sections import (
+    Circle,
+    GivenSection,
+    Rectangle,
+    Section,
+    SectionProperties,
+    Tube,
+    require_triangle,
+)
+from rfem_jax.description.units import non_negative_quantity, positive_quantity, quantity, vector
+
+
+@dataclass(frozen=True)
+class PointMass:
+    """A mass fixed on a link (a bearing, a pin).
+
+    Args:
+        mass: [kg], > 0.
+        position: (x, y, z) [m] in the link frame; a single number x means on the axis.
+        inertia: principal moments of inertia about the link's axes through its centre [kg m^2].
+    """
+
+    mass: float
+    position: tuple[float, float, float]
+    inertia: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def __post_init__(self):
+        mass = positive_quantity(self.mass, "mass", "`mass` of a point mass")
+        where = "`position` of a point mass"
+        if isinstance(self.position, str) or np.ndim(self.position) == 0:
+            position = (quantity(self.position, "length", where), 0.0, 0.0)
+        else:
+            position = vector(self.position, "length", where)
+        where = "`inertia` of a point mass"
+        inertia = vector(self.inertia, "moment_of_inertia", where)
+        for entry in inertia:
+            non_negative_quantity(entry, "moment_of_inertia", where)
+        require_triangle(inertia, where)
+        object.__setattr__(self, "mass", mass)
+        object.__setattr__(self, "position", position)
+        object.__setattr__(self, "inertia", inertia)
+
+
+@dataclass(frozen=True)
+class Link:
+    """A rigid or flexible link; its frame has x along the beam and its origin at its start.
+
+    Args:
+        name: a word, other than "base".
+        length: L [m], > 0.
+        section: Rectangle, Circle, Tube or GivenSection (a rigid link needs it for its mass).
+        material: a Material; None with a GivenSection.
+        rigid: True makes the link one rigid body.
+        rfes: number n of rigid finite elements of a flexible link; 1 is the same as rigid.
+        point_masses: PointMass objects on the link.
+    Raises:
+        InputError: a value is out of range or of the wrong kind.
+    """
+
+    name: str
+    length: float
+    section: Section
+    material: Material | None = None
+    rigid: bool = False
+    rfes: int = 5
+    point_masses: tuple[PointMass, ...] = ()
+
+    def __post_init__(self):
+        require_name(self.name, "`name` of a link", reserved=("base",))
+        of = f"of link `{self.name}`"
+        length = positive_quantity(self.length, "length", f"`length` {of}")
+        object.__setattr__(self, "length", length)
+        if not isinstance(self.section, (Rectangle, Circle, Tube, GivenSection)):
+            raise InputError(
+                f"Argument `section` {of} must be a Rectangle, Circle, Tube or GivenSection, "
+                f"but was {self.section!r}; give a rigid link one too, for its mass."
+            )
+        self._check_material(of)
+        require_flag(self.rigid, f"`rigid` {of}")
+        whole = isinstance(self.rfes, (int, np.integer)) and not isinstance(self.rfes, bool)
+        if not whole or self.rfes < 1:
+            raise InputError(
+                f"Argument `rfes` {of} must be a whole number of at least 1, but was "
+                f"{self.rfes!r}; 5 is usual, 1 makes the link rigid."
+            )
+        object.__setattr__(self, "rfes", int(self.rfes))
+        object.__setattr__(self, "point_masses", self._checked_point_masses(of))
+
+    def _check_material(self, of: str) -> None:
+        if isinstance(self.section, GivenSection):
+            if self.material is not None:
+                raise InputError(
+                    f"Argument `material` {of} must be left out where the section gives its own "
+                    "stiffnesses, but a material was given; remove it."
+                )
+        elif not isinstance(self.material, Material):
+            raise InputError(
+                f"Argument `material` {of} must be a Material, but was {self.material!r}; "
+                "a section needs one for its stiffness and its mass."
+            )
+
+    def _checked_point_masses(self, of: str) -> tuple[PointMass, ...]:
+        given = self.point_masses
+        if not isinstance(given, (tuple, list)) or any(
+            not isinstance(entry, PointMass) for entry in given
+        ):
+            raise InputError(
+                f"Argument `point_masses` {of} must be a list of PointMass, but was {given!r}; "
+                "write for example [PointMass(0.05, 0.12)]."
+            )
+        for entry in given:
+            if self.flexible and not 0.0 <= entry.position[0] <= self.length * (1.0 + 1e-12):
+                raise InputError(
+                    f"Argument `point_masses` {of} must lie on the flexible link "
+                    f"(x from 0 to {self.length} m), but one has x = {entry.position[0]} m; "
+                    "move it, or make the link rigid."
+                )
+        return tuple(given)
+
+    @property
+    def elements(self) -> int:
+        """Number of rigid finite elements; 1 for a rigid link."""
+        return 1 if self.rigid else self.rfes
+
+    @property
+    def flexible(self) -> bool:
+        """True if the link has spring-damping elements (two rfes or more)."""
+        return self.elements > 1
+
+    @property
+    def properties(self) -> SectionProperties:
+        """Stiffnesses, inertias and damping per unit length."""
+        return self.section.properties(self.material)

@@ -1,0 +1,221 @@
+"""Mechanism: links joined by hinges to a tree that starts at the base, closed by cut joints.
+
+Place in the pipeline: the whole of what is built, without errors and drive; `mechanics` discretises
+it. Everything is checked at construction.
+
+Symbols: gravity [m/s^2] in the global frame, whose X-Z plane is the plane of the nominal motion.
+Source: MODEL.md section 1.
+"""
+
+from dataclasses import dataclass
+
+from rfem_jax.description.error_catalogue import JOINT_ERRORS, LINK_ERRORS, error_unit
+from rfem_jax.description.errors import InputError, require_choice, subject, suggestion
+from rfem_jax.description.joints import Joint
+from rfem_jax.description.links import Link
+from rfem_jax.description.units import vector
+
+_ROUNDING = 1e-12  # a position at the end of a link may exceed its length by rounding
+
+
+@dataclass(frozen=True)
+class Mechanism:
+    """Links and joints, checked to form a tree with cut joints.
+
+    Args:
+        links: Link objects, at least one.
+        joints: Joint objects; each link is the child of exactly one that is not cut.
+        gravity: (x, y, z) [m/s^2] in the global frame.
+        redundant_reactions: what to do where joint loads are not unique (rigid loops with parallel
+            axes): "refuse", or "minimum_norm" for the solution of least norm.
+        driven_joint: the joint of the tree that a drive acts on and that assembly holds at its
+            start angle; None = none (a study sets it from its drive).
+    Raises:
+        InputError: names clash or are unknown, a link is not connected, a loop is not cut, or a
+            joint lies off a flexible link.
+    """
+
+    links: tuple[Link, ...]
+    joints: tuple[Joint, ...]
+    gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
+    redundant_reactions: str = "refuse"
+    driven_joint: str | None = None
+
+    def __post_init__(self):
+        object.__setattr__(self, "links", _unique(self.links, Link, "links"))
+        object.__setattr__(self, "joints", _unique(self.joints, Joint, "joints"))
+        object.__setattr__(self, "gravity", vector(self.gravity, "acceleration", "gravity"))
+        require_choice(self.redundant_reactions, ("refuse", "minimum_norm"), "redundant_reactions")
+        if not self.links:
+            raise InputError("Argument `links` must hold at least one link, but is empty; add one.")
+        self._check_references()
+        self._check_tree()
+        for joint in self.joints:
+            self._check_positions(joint)
+        self._check_driven_joint()
+
+    def link(self, name: str) -> Link:
+        """Return the link `name`; raises InputError with the nearest name if there is none."""
+        return _find(self.links, name, "link")
+
+    def joint(self, name: str) -> Joint:
+        """Return the joint `name`; raises InputError with the nearest name if there is none."""
+        return _find(self.joints, name, "joint")
+
+    @property
+    def tree_joints(self) -> tuple[Joint, ...]:
+        """The joints that are not cut, one per link, parents first, else in the order of links."""
+        return _sorted_tree(self.links, self._parent_joints())
+
+    @property
+    def cut_joints(self) -> tuple[Joint, ...]:
+        """The joints that close loops, in the order given."""
+        return tuple(joint for joint in self.joints if joint.cut)
+
+    @property
+    def error_names(self) -> tuple[str, ...]:
+        """All names of errors of this mechanism: those of the joints, then those of the links."""
+        joints = (f"{joint.name}.{error}" for joint in self.joints for error in JOINT_ERRORS)
+        links = (f"{link.name}.{error}" for link in self.links for error in LINK_ERRORS)
+        return (*joints, *links)
+
+    def error_unit(self, name: str) -> str:
+        """Return "rad" or "m"; raises InputError if this mechanism has no error `name`."""
+        self.require_error(name)
+        return error_unit(name)
+
+    def require_error(self, name: str, where: str = "name") -> None:
+        """Raise InputError with the nearest name unless `name` is one of `error_names`."""
+        if name not in self.error_names:
+            raise InputError(
+                f"{subject(where)} must be an error of this mechanism, but `{name}` is none; "
+                f"{suggestion(name, self.error_names)}"
+            )
+
+    def _parent_joints(self) -> dict[str, Joint]:
+        return {joint.child: joint for joint in self.joints if not joint.cut}
+
+    def _check_references(self) -> None:
+        names = [link.name for link in self.links]
+        for joint in self.joints:
+            for side, known in (("parent", ["base", *names]), ("child", names)):
+                name = getattr(joint, side)
+                if name not in known:
+                    raise InputError(
+                        f"Argument `{side}` of joint `{joint.name}` must be "
+                        f"{'the base or ' if side == 'parent' else ''}a link of the mechanism, but "
+                        f"there is no link `{name}`; {suggestion(name, known)}"
+                    )
+
+    def _check_tree(self) -> None:
+        """Each link hangs on exactly one joint of the tree, and on the base in the end."""
+        parents: dict[str, Joint] = {}
+        for joint in (joint for joint in self.joints if not joint.cut):
+            other = parents.setdefault(joint.child, joint)
+            if other is not joint:
+                raise InputError(
+                    f"Argument `joints` must reach link `{joint.child}` on one way only, but the "
+                    f"joints `{other.name}` and `{joint.name}` both have it as their child: a "
+                    "closed loop; declare one joint of the loop cut = true."
+                )
+        for link in self.links:
+            if link.name not in parents:
+                self._refuse_unconnected(link)
+        for link in self.links:
+            _check_reaches_base(link.name, parents)
+
+    def _refuse_unconnected(self, link: Link) -> None:
+        touching = [joint for joint in self.joints if link.name in (joint.parent, joint.child)]
+        cut = [joint.name for joint in touching if joint.cut and joint.child == link.name]
+        if cut:
+            fix = f"it is the child of the cut joint `{cut[0]}` only; leave that joint uncut"
+        elif touching:
+            fix = f"it is only the parent of joint `{touching[0].name}`; join it to its own parent"
+        else:
+            fix = f'add a joint with child = "{link.name}"'
+        raise InputError(
+            "Argument `joints` must connect every link to the base, but link "
+            f"`{link.name}` is not the child of any joint of the tree; {fix}."
+        )
+
+    def _check_driven_joint(self) -> None:
+        if self.driven_joint is not None and self.joint(self.driven_joint).cut:
+            raise InputError(
+                "Argument `driven_joint` must be a joint of the tree, but "
+                f"`{self.driven_joint}` is cut; cut another joint of the loop."
+            )
+
+    def _check_positions(self, joint: Joint) -> None:
+        parent = None if joint.parent == "base" else self.link(joint.parent)
+        child = self.link(joint.child)
+        for link, field in ((parent, "position"), (child, "child_position")):
+            position = getattr(joint, field)
+            if link is None or position is None or not link.flexible:
+                continue
+            if not 0.0 <= position[0] <= link.length * (1.0 + _ROUNDING):
+                raise InputError(
+                    f"Argument `{field}` of joint `{joint.name}` must lie on the flexible link "
+                    f"`{link.name}` (x from 0 to {link.length} m), but has x = {position[0]} m; "
+                    "move it, or make the link rigid."
+                )
+        if joint.cut or not child.flexible or joint.child_position is None:
+            return
+        first = child.length / (2 * (child.elements - 1))
+        if joint.child_position[0] > first * (1.0 + _ROUNDING):
+            raise InputError(
+                f"Argument `child_position` of joint `{joint.name}` must lie on the first rigid "
+                f"finite element of the flexible link `{child.name}` (x up to {first:.6g} m), but "
+                f"has x = {joint.child_position[0]} m; let the link start at the joint, or make "
+                "the joint the cut one of its loop."
+            )
+
+
+def _unique(entries, kind, where: str) -> tuple:
+    if not isinstance(entries, (list, tuple)) or any(not isinstance(e, kind) for e in entries):
+        raise InputError(
+            f"Argument `{where}` must be a list of {kind.__name__} objects, but was {entries!r}; "
+            f"write [{kind.__name__}(...), ...]."
+        )
+    seen = set()
+    for entry in entries:
+        if entry.name in seen:
+            raise InputError(
+                f"Argument `{where}` must have unique names, but `{entry.name}` occurs twice; "
+                "rename one."
+            )
+        seen.add(entry.name)
+    return tuple(entries)
+
+
+def _find(entries, name: str, kind: str):
+    for entry in entries:
+        if entry.name == name:
+            return entry
+    raise InputError(
+        f"Argument `name` must be a {kind} of the mechanism, but `{name}` is none; "
+        f"{suggestion(name, [entry.name for entry in entries])}"
+    )
+
+
+def _check_reaches_base(name: str, parents: dict[str, Joint]) -> None:
+    seen = [name]
+    while name != "base":
+        name = parents[name].parent
+        if name in seen:
+            loop = " -> ".join((*seen[seen.index(name) :], name))
+            raise InputError(
+                f"Argument `joints` must connect every link to the base, but the links {loop} only "
+                "hang on each other: a closed loop; declare one joint of the loop cut = true and "
+                "join one of its links to the base."
+            )
+        seen.append(name)
+
+
+def _sorted_tree(links, parents: dict[str, Joint]) -> tuple[Joint, ...]:
+    placed, ordered, waiting = {"base"}, [], [link.name for link in links]
+    while waiting:
+        name = next(name for name in waiting if parents[name].parent in placed)
+        waiting.remove(name)
+        placed.add(name)
+        ordered.append(parents[name])
+    return tuple(ordered)

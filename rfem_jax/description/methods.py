@@ -1,0 +1,107 @@
+"""Method: the name of an integration method and its settings.
+
+Place in the pipeline: stated in a study; `simulation` turns it into a solver.
+
+Symbols: step h [s]; rtol, atol [1] relative and absolute tolerance of adaptive steps; stabilisation
+[1] dimensionless Baumgarte gain; accuracy [1] relative accuracy asked of the method "auto".
+Source: MODEL.md sections 4 and 6.
+"""
+
+from dataclasses import dataclass
+
+from rfem_jax.description.errors import InputError, require_choice
+from rfem_jax.description.units import non_negative_quantity, positive_quantity
+
+OWN_METHODS = ("rk4", "leapfrog")  # fixed step
+ADAPTIVE_METHODS = ("tsit5", "dopri5", "dopri8", "bosh3", "heun", "midpoint", "ralston")
+FIXED_METHODS = (*OWN_METHODS, "euler")
+METHODS = (*OWN_METHODS, *ADAPTIVE_METHODS, "euler", "auto")
+
+
+@dataclass(frozen=True)
+class Method:
+    """An integration method; numbers in SI or strings with a unit.
+
+    Args:
+        name: "rk4" (classical Runge-Kutta 4), "leapfrog", a diffrax explicit solver by its
+            lower-case name, or "auto".
+        step: h [s], > 0; needed by "rk4", "leapfrog" and "euler". The other diffrax solvers take
+            either a step (fixed) or both tolerances (adaptive).
+        rtol, atol: tolerances, > 0.
+        stabilisation: Baumgarte gain, >= 0; None = the default, 0 = none.
+        accuracy: > 0, < 1; for "auto" only, which chooses step and tolerances itself.
+    Raises:
+        InputError: an unknown name, a value out of range, or settings that do not fit the method.
+    """
+
+    name: str = "rk4"
+    step: float | None = None
+    rtol: float | None = None
+    atol: float | None = None
+    stabilisation: float | None = None
+    accuracy: float | None = None
+
+    def __post_init__(self):
+        require_choice(self.name, METHODS, "`name` of the method")
+        self._set("step", positive_quantity, "time")
+        self._set("rtol", positive_quantity, "none")
+        self._set("atol", positive_quantity, "none")
+        self._set("stabilisation", non_negative_quantity, "none")
+        self._set("accuracy", positive_quantity, "none")
+        tolerances = self.rtol is not None or self.atol is not None
+        if self.name == "auto":
+            self._check_auto(tolerances)
+            return
+        if self.accuracy is not None:
+            raise InputError(
+                'Argument `accuracy` must be left out unless the method is "auto", but the method '
+                f'is "{self.name}"; remove it, or use method = "auto".'
+            )
+        if self.name in FIXED_METHODS and tolerances:
+            raise InputError(
+                f'Arguments `rtol` and `atol` must be left out with the method "{self.name}", '
+                'whose step is fixed, but were given; remove them, or use for example "dopri8".'
+            )
+        if self.name in FIXED_METHODS and self.step is None:
+            raise InputError(
+                f'Argument `step` must be given for the method "{self.name}", but is missing; '
+                "add for example step = 1e-5."
+            )
+        if self.name in ADAPTIVE_METHODS:
+            self._check_adaptive(tolerances)
+
+    @property
+    def adaptive(self) -> bool:
+        """True if the method chooses its steps from tolerances."""
+        return self.rtol is not None
+
+    def _check_auto(self, tolerances: bool) -> None:
+        if self.step is not None or tolerances:
+            raise InputError(
+                'Arguments `step`, `rtol` and `atol` must be left out with the method "auto", '
+                "which chooses them, but were given; remove them, or name the method."
+            )
+        if self.accuracy is not None and self.accuracy >= 1.0:
+            raise InputError(
+                f"Argument `accuracy` must be less than 1, but was {self.accuracy}; it is a "
+                "relative error, such as 1e-4."
+            )
+
+    def _check_adaptive(self, tolerances: bool) -> None:
+        if self.step is not None and tolerances:
+            raise InputError(
+                f'Argument `step` of the method "{self.name}" must be given or else `rtol` and '
+                "`atol`, but both are; keep the step for fixed steps, the tolerances for adaptive "
+                "ones."
+            )
+        if self.step is None and (self.rtol is None or self.atol is None):
+            raise InputError(
+                f'Argument `step` of the method "{self.name}" must be given or else both `rtol` '
+                "and `atol`, but neither is complete; add for example rtol = 1e-8 and atol = 1e-10."
+            )
+
+    def _set(self, field, convert, dimension):
+        value = getattr(self, field)
+        if value is not None:
+            value = convert(value, dimension, f"`{field}` of the method")
+            object.__setattr__(self, field, value)

@@ -1,0 +1,257 @@
+"""Cross sections of links and what they give per unit length.
+
+Place in the pipeline: links hold a section and a material; `mechanics` reads `SectionProperties`.
+
+Axes of a section: y along the hinge axis, z in the plane of motion. Symbols: A [m^2] area; I_y
+[m^4] second moment for bending in the plane of motion (about y), I_z out of it (about z); J_t [m^4]
+torsion constant; kappa [1] shear factor (effective shear stiffness = G A / kappa).
+Source: MODEL.md section 2; G. R. Cowper, J. Appl. Mech. 33 (1966) 335-340 (tube, nu = 0).
+"""
+
+import math
+from dataclasses import dataclass, fields
+
+from rfem_jax.description.errors import InputError
+from rfem_jax.description.materials import Material
+from rfem_jax.description.units import non_negative_quantity, positive_quantity
+
+
+@dataclass(frozen=True)
+class SectionProperties:
+    """Stiffnesses, inertias and damping per unit length of a link.
+
+    axial EA [N]; shear_y, shear_z G A / kappa [N]; torsion G J_t [N m^2]; bending_y E I_y and
+    bending_z E I_z [N m^2]; line_density rho A [kg/m]; rotary_x, rotary_y, rotary_z
+    rho (I_y + I_z), rho I_y, rho I_z [kg m]; damping eta [s].
+    """
+
+    axial: float
+    shear_y: float
+    shear_z: float
+    torsion: float
+    bending_y: float
+    bending_z: float
+    line_density: float
+    rotary_x: float
+    rotary_y: float
+    rotary_z: float
+    damping: float
+
+
+class _Shape:
+    """A homogeneous section of known geometry; subclasses give area, I_y, I_z, J_t and kappa."""
+
+    def properties(self, material: Material) -> SectionProperties:
+        """Return the properties per unit length of this section made of `material`."""
+        if not isinstance(material, Material):
+            raise InputError(
+                f"Argument `material` must be a Material for a {type(self).__name__} section, "
+                f"but was {material!r}; give the link a material, or use a section of given "
+                "stiffnesses."
+            )
+        stiffness, rigidity = material.youngs_modulus, material.modulus_of_rigidity
+        density = material.density
+        shear = rigidity * self.area / self.shear_factor
+        return SectionProperties(
+            axial=stiffness * self.area,
+            shear_y=shear,
+            shear_z=shear,
+            torsion=rigidity * self.torsion_constant,
+            bending_y=stiffness * self.second_moment_y,
+            bending_z=stiffness * self.second_moment_z,
+            line_density=density * self.area,
+            rotary_x=density * (self.second_moment_y + self.second_moment_z),
+            rotary_y=density * self.second_moment_y,
+            rotary_z=density * self.second_moment_z,
+            damping=material.damping,
+        )
+
+
+@dataclass(frozen=True)
+class Rectangle(_Shape):
+    """A solid rectangle.
+
+    Args:
+        width: b [m], along y (the hinge axis), > 0.
+        height: h [m], along z (in the plane of motion), > 0.
+        shear_factor: kappa [1], > 0; 1.2 is the static value.
+    """
+
+    width: float
+    height: float
+    shear_factor: float = 1.2
+
+    def __post_init__(self):
+        _set(self, "width", positive_quantity, "length")
+        _set(self, "height", positive_quantity, "length")
+        _set(self, "shear_factor", positive_quantity, "none")
+
+    @property
+    def area(self) -> float:
+        return self.width * self.height
+
+    @property
+    def second_moment_y(self) -> float:
+        return self.width * self.height**3 / 12.0
+
+    @property
+    def second_moment_z(self) -> float:
+        return self.height * self.width**3 / 12.0
+
+    @property
+    def torsion_constant(self) -> float:
+        """J_t = a c^3 (1/3 - 0.21 (c/a) (1 - c^4 / (12 a^4))), a >= c [m^4].
+
+        Against the exact series: 0.2 % for a square and for a >= 1.5 c, 0.5 % in between (at
+        a = 1.14 c); a GivenSection may use the series.
+        """
+        long, short = max(self.width, self.height), min(self.width, self.height)
+        ratio = short / long
+        return long * short**3 * (1.0 / 3.0 - 0.21 * ratio * (1.0 - ratio**4 / 12.0))
+
+
+@dataclass(frozen=True)
+class Circle(_Shape):
+    """A solid circle of `diameter` [m]; shear_factor kappa = 10/9 is the static value."""
+
+    diameter: float
+    shear_factor: float = 10.0 / 9.0
+
+    def __post_init__(self):
+        _set(self, "diameter", positive_quantity, "length")
+        _set(self, "shear_factor", positive_quantity, "none")
+
+    @property
+    def area(self) -> float:
+        return math.pi * self.diameter**2 / 4.0
+
+    @property
+    def second_moment_y(self) -> float:
+        return math.pi * self.diameter**4 / 64.0
+
+    @property
+    def second_moment_z(self) -> float:
+        return self.second_moment_y
+
+    @property
+    def torsion_constant(self) -> float:
+        return 2.0 * self.second_moment_y
+
+
+@dataclass(frozen=True)
+class Tube(_Shape):
+    """A circular tube.
+
+    Args:
+        outer_diameter: [m], > 0.
+        wall: thickness [m], > 0 and less than half of the outer diameter.
+        shear_factor: kappa [1], > 0; None takes Cowper's value for nu = 0,
+            7/6 + (10/3) r^2 / (1 + r^2)^2 with r = inner / outer diameter (2 for a thin wall).
+    """
+
+    outer_diameter: float
+    wall: float
+    shear_factor: float | None = None
+
+    def __post_init__(self):
+        _set(self, "outer_diameter", positive_quantity, "length")
+        _set(self, "wall", positive_quantity, "length")
+        if self.wall >= self.outer_diameter / 2.0:
+            raise InputError(
+                "Argument `wall` of Tube must be less than half of the outer diameter "
+                f"({self.outer_diameter / 2.0} m), but was {self.wall} m; reduce it, or use Circle."
+            )
+        if self.shear_factor is None:
+            square = (self.inner_diameter / self.outer_diameter) ** 2
+            factor = 7.0 / 6.0 + (10.0 / 3.0) * square / (1.0 + square) ** 2
+            object.__setattr__(self, "shear_factor", factor)
+        _set(self, "shear_factor", positive_quantity, "none")
+
+    @property
+    def inner_diameter(self) -> float:
+        return self.outer_diameter - 2.0 * self.wall
+
+    @property
+    def area(self) -> float:
+        return math.pi * self.wall * (self.outer_diameter - self.wall)
+
+    @property
+    def second_moment_y(self) -> float:
+        return self.area * (self.outer_diameter**2 + self.inner_diameter**2) / 16.0
+
+    @property
+    def second_moment_z(self) -> float:
+        return self.second_moment_y
+
+    @property
+    def torsion_constant(self) -> float:
+        return 2.0 * self.second_moment_y
+
+
+@dataclass(frozen=True)
+class GivenSection:
+    """A section given by its own stiffnesses and inertias per unit length; takes no material.
+
+    Args:
+        axial_stiffness: EA [N].
+        shear_stiffness_y, shear_stiffness_z: effective GA_y, GA_z [N], shear factor included.
+        torsion_stiffness: GJ [N m^2].
+        bending_stiffness_y, bending_stiffness_z: EI_y (in the plane of motion), EI_z [N m^2].
+        line_density: rho A [kg/m].
+        rotary_inertia_x, rotary_inertia_y, rotary_inertia_z: rho I [kg m] about the axes; for a
+            real section x = y + z.
+        damping: eta [s], >= 0.
+    Raises:
+        InputError: a value is out of range, or the rotary inertias belong to no body.
+    """
+
+    axial_stiffness: float
+    shear_stiffness_y: float
+    shear_stiffness_z: float
+    torsion_stiffness: float
+    bending_stiffness_y: float
+    bending_stiffness_z: float
+    line_density: float
+    rotary_inertia_x: float
+    rotary_inertia_y: float
+    rotary_inertia_z: float
+    damping: float = 0.0
+
+    def __post_init__(self):
+        for field in ("axial_stiffness", "shear_stiffness_y", "shear_stiffness_z"):
+            _set(self, field, positive_quantity, "axial_stiffness")
+        for field in ("torsion_stiffness", "bending_stiffness_y", "bending_stiffness_z"):
+            _set(self, field, positive_quantity, "bending_stiffness")
+        _set(self, "line_density", positive_quantity, "line_density")
+        for axis in "xyz":
+            _set(self, f"rotary_inertia_{axis}", positive_quantity, "rotary_inertia")
+        _set(self, "damping", non_negative_quantity, "time")
+        inertias = self.rotary_inertia_x, self.rotary_inertia_y, self.rotary_inertia_z
+        require_triangle(inertias, "`rotary_inertia_x`, `_y` and `_z` of GivenSection")
+
+    def properties(self, material: None = None) -> SectionProperties:
+        """Return the given values; `material` must be None."""
+        if material is not None:
+            raise InputError(
+                "Argument `material` must be left out for a section of given stiffnesses, "
+                f"but was {material!r}; remove it (the section holds the density and the damping)."
+            )
+        return SectionProperties(*(getattr(self, field.name) for field in fields(self)))
+
+
+Section = Rectangle | Circle | Tube | GivenSection
+
+
+def require_triangle(inertias, where: str) -> None:
+    """Raise InputError unless no principal inertia exceeds the sum of the two others."""
+    largest = max(inertias)
+    if largest > (sum(inertias) - largest) * (1.0 + 1e-9):
+        raise InputError(
+            f"Argument {where} must be the inertia of a real body (none larger than the sum of the "
+            f"two others), but was {tuple(inertias)}; correct the largest."
+        )
+
+
+def _set(section, field, convert, dimension):
+    where = f"`{field}` of {type(section).__name__}"
+    object.__setattr__(section, field, convert(getattr(section, field), dimension, where))

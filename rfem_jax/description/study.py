@@ -1,0 +1,235 @@
+"""Study: a mechanism, its drive, how it is simulated, and the cases of assembly errors to compare.
+
+Place in the pipeline: what `load_study` makes of a study file (TOML) or a user states in Python;
+`report` runs it.
+
+Symbols: duration, save_every [s]; errors of a case in m and rad (`error_catalogue`).
+"""
+
+from dataclasses import dataclass, replace, field
+from pathlib import Path
+
+from rfem_jax.description.drives import MomentDrive, PrescribedDrive, PrescribedTable
+from rfem_jax.description.error_catalogue import error_dimension
+from rfem_jax.description.errors import InputError, located, suggestion
+from rfem_jax.description.mechanism import Mechanism
+from rfem_jax.description.methods import Method
+from rfem_jax.description.study_reader import read_drive, read_mechanism, read_simulation
+from rfem_jax.description.tables import checked_list, checked_table, named_place, read_toml
+from rfem_jax.description.units import positive_quantity, quantity
+
+# Tables of tolerance studies; each gets its reader in `load_study` together with its feature.
+RESERVED_TABLES = ("tolerances", "sensitivity", "monte_carlo", "worst_case", "allocation")
+_ROUNDING = 1.0 + 1e-9  # 0.5 / 1e-3 and the like must not fail by rounding
+
+
+@dataclass(frozen=True)
+class Case:
+    """One set of assembly errors.
+
+    Args:
+        name: letters, digits, "_", "-" and "." (it becomes a file's name).
+        errors: {name: value}, values in m or rad, or strings with a unit; errors not named are 0.
+    Raises:
+        InputError: the name makes no file name, or an error's name or value is wrong.
+    """
+
+    name: str
+    errors: dict[str, float] = field(default_factory=dict)
+
+    def __post_init__(self):
+        _require_file_name(self.name)
+        if not isinstance(self.errors, dict):
+            raise InputError(
+                f"Argument `errors` of case `{self.name}` must be a table of names and values, but "
+                f'was {self.errors!r}; write for example {{ "D.delta_x" = "0.5 deg" }}.'
+            )
+        of = f"of case `{self.name}`"
+        with located(f"Case `{self.name}`"):
+            dimensions = {name: error_dimension(name) for name in self.errors}
+        values = {
+            name: quantity(self.errors[name], dimension, f"`{name}` {of}")
+            for name, dimension in dimensions.items()
+        }
+        object.__setattr__(self, "errors", values)
+
+
+@dataclass(frozen=True)
+class Study:
+    """A complete study, checked as a whole.
+
+    Args:
+        title: one line.
+        mechanism: a Mechanism.
+        drive: a moment or prescribed drive on a joint of the tree, or None.
+        duration: [s], > 0.
+        method: a Method.
+        save_every: interval [s] between saved times, or None for the simulation's default.
+        cases: Case objects with unique names; none means one case "nominal" without errors.
+        path: the file it was read from.
+        note: what a reader of the results must know; shown with every table and picture.
+    Raises:
+        InputError: parts do not fit each other.
+    """
+
+    title: str
+    mechanism: Mechanism
+    drive: MomentDrive | PrescribedDrive | None
+    duration: float
+    method: Method
+    save_every: float | None = None
+    cases: tuple[Case, ...] = ()
+    path: Path | None = None
+    note: str = ""
+
+    def __post_init__(self):
+        self._check_kinds()
+        duration = positive_quantity(self.duration, "time", "duration")
+        object.__setattr__(self, "duration", duration)
+        if self.save_every is not None:
+            saving = positive_quantity(self.save_every, "time", "save_every")
+            object.__setattr__(self, "save_every", saving)
+        object.__setattr__(self, "cases", tuple(self.cases) or (Case("nominal"),))
+        self._check_times()
+        self._check_drive()
+        self._check_cases()
+
+    def case(self, name: str) -> Case:
+        """Return the case `name`; raises InputError with the nearest name if there is none."""
+        for case in self.cases:
+            if case.name == name:
+                return case
+        known = [case.name for case in self.cases]
+        raise InputError(
+            f"Argument `name` must be a case of the study, but `{name}` is none; "
+            f"{suggestion(name, known)}"
+        )
+
+    def _check_kinds(self) -> None:
+        drives = (MomentDrive, PrescribedDrive, type(None))
+        kinds = {"title": str, "note": str, "mechanism": Mechanism, "drive": drives, "method": Method}
+        for name, kind in kinds.items():
+            if not isinstance(getattr(self, name), kind):
+                wanted = {"title": "string", "drive": "drive or None"}.get(name, name.title())
+                raise InputError(
+                    f"Argument `{name}` of a study must be a {wanted}, but was "
+                    f"{getattr(self, name)!r}; pass one."
+                )
+        if not isinstance(self.cases, (list, tuple)) or any(
+            not isinstance(case, Case) for case in self.cases
+        ):
+            raise InputError(
+                f"Argument `cases` must be a list of Case objects, but was {self.cases!r}; "
+                'write [Case("P1"), ...].'
+            )
+
+    def _check_times(self) -> None:
+        step, saving = self.method.step, self.save_every
+        if step is not None and step > self.duration * _ROUNDING:
+            raise InputError(
+                f"Argument `step` must not exceed the duration ({self.duration} s), but was {step} "
+                "s; reduce it."
+            )
+        if saving is not None and saving > self.duration * _ROUNDING:
+            raise InputError(
+                f"Argument `save_every` must not exceed the duration ({self.duration} s), but was "
+                f"{saving} s; reduce it."
+            )
+        if saving is not None and step is not None and saving < step / _ROUNDING:
+            raise InputError(
+                f"Argument `save_every` must not be less than the step ({step} s), but was "
+                f"{saving} s; saved times are ends of steps: increase it or reduce the step."
+            )
+
+    def _check_drive(self) -> None:
+        if self.drive is None:
+            return
+        tree = [joint.name for joint in self.mechanism.tree_joints]
+        if self.drive.joint not in tree:
+            cut = self.drive.joint in [joint.name for joint in self.mechanism.cut_joints]
+            reason = "is a cut joint" if cut else "is none"
+            fix = "cut another joint of the loop." if cut else suggestion(self.drive.joint, tree)
+            raise InputError(
+                "Argument `joint` of the drive must be a joint of the tree, but "
+                f"`{self.drive.joint}` {reason}; {fix}"
+            )
+        # The model holds the driven joint at assembly, so it has to know which one that is.
+        driven = replace(self.mechanism, driven_joint=self.drive.joint)
+        object.__setattr__(self, "mechanism", driven)
+        end = self.drive.end if isinstance(self.drive, PrescribedTable) else self.duration
+        if end * _ROUNDING < self.duration:
+            raise InputError(
+                f"Argument `times` of the drive must reach the duration ({self.duration} s), but "
+                f"ends at {end} s; add later times or reduce the duration."
+            )
+
+    def _check_cases(self) -> None:
+        seen = set()
+        for case in self.cases:
+            # Names of files: "p1" and "P1" are one file on some machines.
+            if case.name.lower() in seen:
+                raise InputError(
+                    "Argument `cases` must have unique names (upper and lower case count as "
+                    f"equal), but `{case.name}` occurs twice; rename one."
+                )
+            seen.add(case.name.lower())
+            for name in case.errors:
+                self.mechanism.require_error(name, f"`errors` of case `{case.name}`")
+
+
+def load_study(path) -> Study:
+    """Read a study file.
+
+    Args:
+        path: of a TOML file.
+    Raises:
+        InputError: the file cannot be read or anything in it is wrong: one sentence that says
+            where and how to correct it.
+    """
+    path = Path(path)
+    content = read_toml(path)
+    with located(f"Study file `{path}`"):
+        _refuse_reserved(content)
+        keys = ("mechanism", "simulation"), ("title", "note", "drive", "cases")
+        checked_table(content, "The top level", *keys)
+        duration, method, save_every = read_simulation(content["simulation"])
+        return Study(
+            title=content.get("title", path.stem),
+            mechanism=read_mechanism(content["mechanism"]),
+            drive=read_drive(content["drive"]) if "drive" in content else None,
+            duration=duration,
+            method=method,
+            save_every=save_every,
+            cases=_read_cases(content.get("cases", [])),
+            path=path,
+            note=content.get("note", ""),
+        )
+
+
+def _refuse_reserved(content: dict) -> None:
+    for name in RESERVED_TABLES:
+        if name in content:
+            raise InputError(
+                f"The top level must not have the table `{name}` yet, but it does; this version "
+                "simulates cases only: remove the table."
+            )
+
+
+def _read_cases(entries) -> list[Case]:
+    header, cases = "[[cases]]", []
+    for number, entry in enumerate(checked_list(entries, header), start=1):
+        place = named_place(header, entry, number)
+        checked_table(entry, place, ("name",), ("errors",))
+        cases.append(Case(entry["name"], entry.get("errors", {})))
+    return cases
+
+
+def _require_file_name(name) -> None:
+    allowed = isinstance(name, str) and all(
+        letter.isascii() and (letter.isalnum() or letter in "_-.") for letter in name
+    )
+    if not allowed or not name or not name[0].isalnum() or name[-1] == ".":
+        raise InputError(
+            "Argument `name` of a case must consist of letters, digits, \"_\", \"-\" and \".\" and "
+            f"start with a letter or a digit, but was {name!r}; it is used as a file name."
+        )

@@ -1,0 +1,83 @@
+"""Tables of a study file: the keys they may and must have.
+
+Place in the pipeline: `study_reader` and `study` read every table of the TOML through here, so that
+no key is ever ignored.
+"""
+
+import tomllib
+from pathlib import Path
+
+from rfem_jax.description.errors import InputError, suggestion
+
+
+def read_toml(path: Path) -> dict:
+    """Return the content of the TOML file `path`.
+
+    Raises:
+        InputError: the file is missing, unreadable, or no valid TOML (with line and column).
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise InputError(
+            f"Argument `path` must be a study file, but there is no file `{path}`; "
+            "correct the path."
+        ) from None
+    except OSError as error:
+        raise InputError(
+            f"Argument `path` must be a readable file, but `{path}` is not ({error.strerror}); "
+            "give the path of a study file in TOML."
+        ) from None
+    except UnicodeDecodeError as error:
+        raise InputError(
+            f"Study file `{path}` must be UTF-8 text, but byte {error.start} is not; "
+            "save it again as UTF-8."
+        ) from None
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(
+            f"Study file `{path}` must be valid TOML, but: {error}; correct this line (strings and "
+            "numbers with units stand in quotes)."
+        ) from None
+
+
+def checked_table(data, place: str, required=(), optional=()) -> dict:
+    """Return `data` if it is a table with all `required` and no other than `optional` keys.
+
+    Args:
+        data: what stands in the file.
+        place: the table's header, for the message, such as "[simulation]".
+    Raises:
+        InputError: not a table, an unknown key (with the nearest known one), a missing key.
+    """
+    if not isinstance(data, dict):
+        raise InputError(f"{place} must be a table, but was {data!r}; write it as {place}.")
+    for key in data:
+        if key not in (*required, *optional):
+            raise InputError(
+                f"{place} must have known keys only, but has `{key}`; "
+                f"{suggestion(key, (*required, *optional))}"
+            )
+    for key in required:
+        if key not in data:
+            raise InputError(
+                f"{place} must have the key `{key}`, but it is missing; add `{key}` there."
+            )
+    return data
+
+
+def checked_list(data, place: str) -> list:
+    """Return `data` if it is a list of tables; `place` is its header, such as "[[cases]]"."""
+    if not isinstance(data, list) or any(not isinstance(entry, dict) for entry in data):
+        raise InputError(
+            f"{place} must be a list of tables, but was {data!r}; start each with {place} "
+            "in double brackets."
+        )
+    return data
+
+
+def named_place(header: str, entry: dict, number: int) -> str:
+    """Return the header of one table of a list with its name, or its number without one."""
+    name = entry.get("name")
+    return f"{header} `{name}`" if isinstance(name, str) else f"{header} number {number}"

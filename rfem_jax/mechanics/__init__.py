@@ -1,0 +1,32 @@
+"""One instant: discretisation, errors, kinematics, dynamics, closure, joint loads; static assembly.
+
+    model, discretisation      description -> Model
+    realisation                + AssemblyErrors -> constants of the equations of motion
+    kinematics                 + State -> positions and velocities
+    elasticity, closure        forces of the sdes; constraints of the cut joints
+    dynamics                   accelerations by the recursive formulation
+    reference_formulation      the same, dense and literal, to test against
+    loads                      joint loads, energies, balances
+    statics                    assembled start state and preload
+"""
+
+from rfem_jax.mechanics.discretisation import Structure, describe, discretise
+from rfem_jax.mechanics.model import Coordinates, Model, State
+from rfem_jax.mechanics.realisation import AssemblyErrors, assembly_errors
+from rfem_jax.mechanics.statics import Assembled, Load, assemble
+from rfem_jax.mechanics.status import STATUS
+
+__all__ = [
+    "STATUS",
+    "Assembled",
+    "AssemblyErrors",
+    "Coordinates",
+    "Load",
+    "Model",
+    "State",
+    "Structure",
+    "assemble",
+    "assembly_errors",
+    "describe",
+    "discretise",
+]

@@ -1,0 +1,34 @@
+"""Centre lines of the links in space, for pictures.
+
+Place in the pipeline: realisation + coordinates -> **centre lines** -> report.
+"""
+
+import jax.numpy as jnp
+from jax import Array
+
+from rfem_jax.mechanics import loads
+from rfem_jax.mechanics.kinematics import motion, node_frames
+from rfem_jax.mechanics.model import Coordinates, Model
+from rfem_jax.mechanics.realisation import Realisation
+
+
+def centre_lines(
+    model: Model, realised: Realisation, position: Coordinates
+) -> dict[str, Array]:
+    """Points (P, 3) [m] in global axes along every link: its origin, the middles of its rfes, its
+    end."""
+    topology = realised.topology
+    now = motion(realised, loads.static_state(position))
+    rotation, point = node_frames(realised, now)
+    lines = {}
+    for l, (name, (a, b)) in enumerate(zip(topology.links, topology.ranges)):
+        first, last = topology.n_links + a, topology.n_links + b
+        if a == b:
+            end = point[:, l] + 2.0 * realised.beam_middle[l] * rotation[:, 0, l]
+            lines[name] = jnp.stack([point[:, l], end])
+            continue
+        # The last rfe is half as long as the others: its end is half a segment behind its middle.
+        tip = point[:, last - 1] + realised.beam_middle[l] * rotation[:, 0, last - 1]
+        inner = point[:, first:last]
+        lines[name] = jnp.concatenate([point[:, l : l + 1], inner, tip[:, None]], axis=1).T
+    return lines

@@ -1,0 +1,268 @@
+"""The discretised mechanism: `Model`, its static `Topology`, and the state's coordinates.
+
+Place in the pipeline: description -> **model** -> realisation (errors applied) -> kinematics.
+
+A *node* is a rigid body: -1 is the base, 0 .. links-1 are the rfes 0 (one a link, whose frame is the
+link frame {p,0}), and links + k is the free rfe k.  All free rfes of all links stand in one array
+axis, link by link, so that one operation treats them together.
+
+Symbols: n_links L, n_rfes N (free rfes), n_joints J = L tree joints (joint l carries link l), then
+the cut joints.  Arrays are components first (see `algebra`).
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Float
+
+from rfem_jax.description.errors import InputError
+
+BASE = -1
+
+
+class Coordinates(eqx.Module):
+    """Joint angles [rad] and the six coordinates (x, y, z, phi_x, phi_y, phi_z) [m, rad] of every
+    free rfe relative to its link frame; also used for their rates and accelerations."""
+
+    angles: Float[Array, "links *batch"]
+    elastic: Float[Array, "6 rfes *batch"]
+
+
+class State(eqx.Module):
+    """Where the mechanism is now: coordinates and their rates."""
+
+    position: Coordinates
+    velocity: Coordinates
+
+
+class Topology(NamedTuple):
+    """What is connected to what; hashable, the static part of a model.
+
+    links: names, parents before children; joints: tree joints in the order of their links, then cut
+    joints; joint_order: names as the user listed them; parents, children: node of each joint's two
+    sides; elements: rfes of each link (1 = rigid); driven: index of the driven tree joint or None;
+    masses: node of each point mass; minimum_norm: redundant reactions are resolved by least norm.
+    """
+
+    links: tuple[str, ...]
+    joints: tuple[str, ...]
+    joint_order: tuple[str, ...]
+    error_names: tuple[str, ...]
+    parents: tuple[int, ...]
+    children: tuple[int, ...]
+    parent_at_end: tuple[bool, ...]
+    child_at_end: tuple[bool, ...]
+    elements: tuple[int, ...]
+    driven: int | None
+    masses: tuple[int, ...]
+    minimum_norm: bool
+
+    @property
+    def n_links(self) -> int:
+        return len(self.links)
+
+    @property
+    def n_cuts(self) -> int:
+        return len(self.joints) - len(self.links)
+
+    @property
+    def n_rfes(self) -> int:
+        return sum(n - 1 for n in self.elements)
+
+    @property
+    def cuts(self) -> range:
+        """Indices of the cut joints."""
+        return range(self.n_links, len(self.joints))
+
+    @property
+    def ranges(self) -> tuple[tuple[int, int], ...]:
+        """First and past-the-last free rfe of every link."""
+        stops = np.cumsum([n - 1 for n in self.elements])
+        return tuple((int(b) - n + 1, int(b)) for b, n in zip(stops, self.elements))
+
+    @property
+    def link_of_rfe(self) -> np.ndarray:
+        return np.repeat(np.arange(self.n_links), [n - 1 for n in self.elements])
+
+    @property
+    def carriers(self) -> tuple[int, ...]:
+        """Free rfes that carry a joint: the roots of the islands of hinged bodies."""
+        nodes = self.parents + self.children[self.n_links :]
+        return tuple(sorted({node - self.n_links for node in nodes if node >= self.n_links}))
+
+    def link_of(self, node: int) -> int:
+        """Link that a node belongs to."""
+        return node if node < self.n_links else int(self.link_of_rfe[node - self.n_links])
+
+    def joint(self, name: str) -> int:
+        """Index of a joint by its name."""
+        if name not in self.joints:
+            raise InputError(f"Argument `joint` must be one of {self.joints}, but is {name!r}.")
+        return self.joints.index(name)
+
+
+class Model(eqx.Module):
+    """What the mechanism is: nominal numbers of a discretised mechanism (SI units).
+
+    section rows: EA, GA_y, GA_z, GJ, EI_y, EI_z, rho A, rho I_x, rho I_y, rho I_z, damping [s].
+    Frames of a joint on its two sides (F and F_c) are relative to the node's frame: the link frame
+    for rfe 0, the frame at the segment's middle for a free rfe.
+    """
+
+    topology: Topology = eqx.field(static=True)
+    length: Float[Array, "links"]
+    section: Float[Array, "11 links"]
+    parent_rotation: Float[Array, "3 3 joints"]
+    parent_position: Float[Array, "3 joints"]
+    child_rotation: Float[Array, "3 3 joints"]
+    child_position: Float[Array, "3 joints"]
+    point_mass: Float[Array, "masses"]
+    point_position: Float[Array, "3 masses"]
+    point_inertia: Float[Array, "3 masses"]
+    start_angles: Float[Array, "links"]
+    cut_angles: Float[Array, "cuts"]
+    gravity: Float[Array, "3"]
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """All joints in the order of the description."""
+        return self.topology.joint_order
+
+    @property
+    def link_names(self) -> tuple[str, ...]:
+        """All links, parents before children."""
+        return self.topology.links
+
+    @property
+    def driven_joint(self) -> str | None:
+        """Name of the joint that the drive acts on."""
+        driven = self.topology.driven
+        return None if driven is None else self.topology.joints[driven]
+
+    def start_coordinates(self) -> Coordinates:
+        """Nominal start: closed geometry, undeformed links."""
+        elastic = jnp.zeros((6, self.topology.n_rfes))
+        return Coordinates(self.start_angles, elastic)
+
+
+def rfe_fractions(elements: int) -> tuple[np.ndarray, np.ndarray]:
+    """Lengths and middles of a link's rfes as fractions of its length (secondary division)."""
+    if elements == 1:
+        return np.ones(1), np.full(1, 0.5)
+    m = elements - 1
+    edges = np.concatenate([[0.0], (np.arange(m) + 0.5) / m, [1.0]])
+    return np.diff(edges), 0.5 * (edges[1:] + edges[:-1])
+
+
+def build_model(mechanism, elements: dict[str, int]) -> Model:
+    """Arrays of a mechanism whose links have the given numbers of rfes.
+
+    The start angles are the description's approximate ones; `discretise` closes the loops.
+    """
+    links = _links_in_tree_order(mechanism)
+    index = {link.name: i for i, link in enumerate(links)}
+    counts = tuple(elements[link.name] for link in links)
+    first = np.concatenate([[0], np.cumsum([n - 1 for n in counts])])
+
+    def locate(link_index: int, position) -> tuple[int, np.ndarray]:
+        """Node that holds a point of a link, and the point in the node's frame."""
+        link, n = links[link_index], counts[link_index]
+        _, middles = rfe_fractions(n)
+        edge = np.clip(position[0] / link.length * (n - 1) + 0.5, 0, n - 1)
+        i = 0 if n == 1 else int(min(edge, n - 1))
+        if i == 0:
+            return link_index, np.asarray(position)
+        return (
+            len(links) + int(first[link_index]) + i - 1,
+            np.asarray(position) - [middles[i] * link.length, 0.0, 0.0],
+        )
+
+    def attach(owner: str, position, at_end: bool):
+        if owner == "base":
+            return BASE, np.asarray((0.0, 0.0, 0.0) if position is None else position), False
+        link = links[index[owner]]
+        if position is None:
+            position = (link.length if at_end else 0.0, 0.0, 0.0)
+        ends_there = abs(position[0] - link.length) <= 1e-12 * link.length
+        return *locate(index[owner], position), ends_there
+
+    tree = {joint.child: joint for joint in mechanism.joints if not joint.cut}
+    joints = [tree[link.name] for link in links] + [j for j in mechanism.joints if j.cut]
+    parents = [attach(j.parent, j.position, True) for j in joints]
+    children = [attach(j.child, j.child_position, j.cut) for j in joints]
+    for joint, (node, _, _) in zip(joints[: len(links)], children):
+        if node >= len(links):
+            raise InputError(
+                f"Argument `child_position` of joint {joint.name!r} must lie on the first rigid "
+                f"finite element of link {joint.child!r}, but is {joint.child_position}: a tree "
+                "joint carries its link there. Swap the link's ends or cut this joint instead."
+            )
+    masses = [(i, mass) for i, link in enumerate(links) for mass in link.point_masses]
+    held = [locate(i, mass.position) for i, mass in masses]
+    driven = mechanism.driven_joint
+    topology = Topology(
+        links=tuple(link.name for link in links),
+        joints=tuple(j.name for j in joints),
+        joint_order=tuple(j.name for j in mechanism.joints),
+        error_names=tuple(mechanism.error_names),
+        parents=tuple(p[0] for p in parents),
+        children=tuple(c[0] for c in children),
+        parent_at_end=tuple(p[2] for p in parents),
+        child_at_end=tuple(c[2] for c in children),
+        elements=counts,
+        driven=None if driven is None else [j.name for j in joints].index(driven),
+        masses=tuple(node for node, _ in held),
+        minimum_norm=mechanism.redundant_reactions == "minimum_norm",
+    )
+
+    def columns(rows, width):
+        return jnp.asarray(np.array(rows, dtype=float).reshape(-1, width).T)
+
+    def rotations(orientations):
+        return jnp.asarray(np.stack([_orientation(o) for o in orientations], axis=-1))
+
+    return Model(
+        topology=topology,
+        length=jnp.asarray([link.length for link in links]),
+        section=columns([_section_row(link) for link in links], 11),
+        parent_rotation=rotations([j.orientation for j in joints]),
+        parent_position=columns([p[1] for p in parents], 3),
+        child_rotation=rotations([j.child_orientation for j in joints]),
+        child_position=columns([c[1] for c in children], 3),
+        point_mass=jnp.asarray(np.array([mass.mass for _, mass in masses], dtype=float)),
+        point_position=columns([point for _, point in held], 3),
+        point_inertia=columns([mass.inertia for _, mass in masses], 3),
+        start_angles=jnp.asarray([float(j.angle or 0.0) for j in joints[: len(links)]]),
+        cut_angles=jnp.zeros(len(joints) - len(links)),
+        gravity=jnp.asarray(mechanism.gravity, dtype=float),
+    )
+
+
+def _links_in_tree_order(mechanism):
+    parent = {j.child: j.parent for j in mechanism.joints if not j.cut}
+
+    def depth(name):
+        return 0 if parent[name] == "base" else 1 + depth(parent[name])
+
+    return sorted(mechanism.links, key=lambda link: depth(link.name))
+
+
+def _section_row(link):
+    p = link.section.properties(link.material)
+    return [
+        *(p.axial, p.shear_y, p.shear_z, p.torsion, p.bending_y, p.bending_z),
+        *(p.line_density, p.rotary_x, p.rotary_y, p.rotary_z, p.damping),
+    ]
+
+
+def _orientation(angles) -> np.ndarray:
+    """R = R_z R_y R_x of three angles about x, y, z."""
+    cx, cy, cz = np.cos(angles)
+    sx, sy, sz = np.sin(angles)
+    rx = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
+    ry = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
+    rz = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
+    return rz @ ry @ rx

@@ -1,0 +1,240 @@
+"""Assembly errors, and the model realised with them.
+
+Place in the pipeline: model + errors -> **realisation** -> kinematics, dynamics, loads.
+
+`AssemblyErrors` says how the mechanism is wrong (all zero: perfect); `realise` turns model and
+errors into the constants of the equations of motion: joint frames (MODEL equation (8), generalised
+to every joint and both its sides), masses, inertias, stiffnesses.  Everything that does not change
+in time is computed here, once a simulation.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Float
+
+from rfem_jax.description.errors import InputError, suggestion
+from rfem_jax.description.units import quantity
+from rfem_jax.mechanics import algebra
+from rfem_jax.mechanics.model import BASE, Model, Topology, rfe_fractions
+
+COMPONENTS = ("delta_x", "delta_z", "d_x", "d_y", "d_z")
+
+
+class AssemblyErrors(eqx.Module):
+    """How the mechanism is wrong: deviations from the nominal, all zero by default.
+
+    seat, bore: (delta_x, delta_z [rad], d_x, d_y, d_z [m]) of every joint in its parent and child;
+    pin: tilts [rad] about x and z of a crooked pin, on both sides at once;
+    length [m] and twist [rad] of every link.
+    """
+
+    seat: Float[Array, "5 joints"]
+    bore: Float[Array, "5 joints"]
+    pin: Float[Array, "2 joints"]
+    length: Float[Array, "links"]
+    twist: Float[Array, "links"]
+
+
+def assembly_errors(model: Model, values: dict | None = None) -> AssemblyErrors:
+    """The errors with the given names, every other one zero.
+
+    **Arguments:** `values`: name -> number in rad or m, array scalar (traced or not), or a string
+    with a unit; names as "D.delta_x", "D.d_y", "C.child.delta_z", "C.pin_tilt_x", "coupler.length".
+
+    **Raises:** `InputError` for a name that the model does not have.
+    """
+    topology = model.topology
+    n_joints, n_links = len(topology.joints), topology.n_links
+    parts = {
+        "seat": jnp.zeros((5, n_joints)),
+        "bore": jnp.zeros((5, n_joints)),
+        "pin": jnp.zeros((2, n_joints)),
+        "length": jnp.zeros(n_links),
+        "twist": jnp.zeros(n_links),
+    }
+    for name, value in (values or {}).items():
+        part, place = _locate(topology, name)
+        if isinstance(value, str):
+            value = quantity(value, error_dimension(name), f"error {name!r}")
+        parts[part] = parts[part].at[place].set(value)
+    return AssemblyErrors(**parts)
+
+
+def error_dimension(name: str) -> str:
+    """Dimension of a named error: "angle" or "length"."""
+    return "angle" if name.split(".")[-1] in _ANGLES else "length"
+
+
+_ANGLES = ("delta_x", "delta_z", "pin_tilt_x", "pin_tilt_z", "twist")
+
+
+def _locate(topology: Topology, name: str):
+    if name not in topology.error_names:
+        raise InputError(
+            f"Argument `errors` must name errors of the model, but has {name!r}; "
+            f"{suggestion(name, topology.error_names)}"
+        )
+    owner, *middle, kind = name.split(".")
+    if kind in ("length", "twist"):
+        return kind, topology.links.index(owner)
+    joint = topology.joints.index(owner)
+    if kind.startswith("pin_tilt"):
+        return "pin", (("pin_tilt_x", "pin_tilt_z").index(kind), joint)
+    return ("bore" if middle else "seat"), (COMPONENTS.index(kind), joint)
+
+
+class Realisation(eqx.Module):
+    """The constants of the equations of motion of one mechanism with its errors.
+
+    seat_*, bore_*: frames of the joints relative to the parent's and the child's node (F E, F_c E_c);
+    mass, centre, inertia: of all nodes, centre of mass and central inertia in the node's own axes,
+    relative to its reference point (link origin for rfe 0, middle of the segment for free rfes);
+    inverse_inertia: of the free rfes;
+    rest: x of the free rfes' middles in the link frame [m];
+    stiffness: (6, N) of the sde before each free rfe (du, dphi) [N/m, N m/rad]; damping: its time
+    constant eta [s]; lever_left, lever_right: x of the sde from its two rfes' middles [m];
+    beam_middle: x of the middle of every rfe 0 [m]; datum: the first base joint's nominal place, the
+    zero level of gravity's energy.
+    """
+
+    topology: Topology = eqx.field(static=True)
+    seat_rotation: Float[Array, "3 3 joints"]
+    seat_position: Float[Array, "3 joints"]
+    bore_rotation: Float[Array, "3 3 joints"]
+    bore_position: Float[Array, "3 joints"]
+    mass: Float[Array, "nodes"]
+    centre: Float[Array, "3 nodes"]
+    inertia: Float[Array, "3 3 nodes"]
+    inverse_inertia: Float[Array, "3 3 rfes"]
+    rest: Float[Array, "rfes"]
+    stiffness: Float[Array, "6 rfes"]
+    damping: Float[Array, "rfes"]
+    lever_left: Float[Array, "rfes"]
+    lever_right: Float[Array, "rfes"]
+    beam_middle: Float[Array, "links"]
+    gravity: Float[Array, "3"]
+    datum: Float[Array, "3"]
+
+
+def realise(model: Model, errors: AssemblyErrors) -> Realisation:
+    """Apply the errors to the model."""
+    with jax.named_scope("realise"):
+        topology = model.topology
+        length = model.length + errors.length
+        scale = length / model.length
+        seat = _side(
+            model.parent_rotation, model.parent_position, errors.seat, topology.parents,
+            topology.parent_at_end, scale, errors.twist, topology,
+        )
+        bore = _side(
+            model.child_rotation, model.child_position, errors.bore, topology.children,
+            topology.child_at_end, scale, errors.twist, topology,
+        )
+        pin = algebra.product(
+            algebra.rotation_z(errors.pin[1]), algebra.rotation_x(errors.pin[0])
+        )
+        turn = algebra.rotation_y(jnp.concatenate([model.start_angles, model.cut_angles]))
+        pin_in_child = algebra.product(algebra.transpose(turn), algebra.product(pin, turn))
+        mass, centre, inertia = _bodies(model, length, scale)
+        n = topology.n_links
+        return Realisation(
+            topology=topology,
+            seat_rotation=algebra.product(seat[0], pin),
+            seat_position=seat[1],
+            bore_rotation=algebra.product(bore[0], pin_in_child),
+            bore_position=bore[1],
+            mass=mass,
+            centre=centre,
+            inertia=inertia,
+            inverse_inertia=algebra.invert_positive(inertia[:, :, n:]),
+            beam_middle=length * np.array([rfe_fractions(n)[1][0] for n in topology.elements]),
+            gravity=model.gravity,
+            datum=model.parent_position[:, topology.parents.index(BASE)],
+            **_spring_damping_elements(model, length),
+        )
+
+
+def _side(rotation, position, error, nodes, at_end, scale, twist, topology):
+    """Frames of all joints on one side: nominal frame, stretched and twisted link, error."""
+    link = np.array([0 if node < 0 else topology.link_of(node) for node in nodes])
+    on_link = np.array([node >= 0 for node in nodes])
+    stretch = jnp.where(on_link, scale[link], 1.0)
+    position = jnp.concatenate([position[:1] * stretch[None], position[1:]])
+    twisted = algebra.rotation_x(jnp.where(on_link & np.array(at_end), twist[link], 0.0))
+    rotation = algebra.product(twisted, rotation)
+    tilt = algebra.product(algebra.rotation_z(error[1]), algebra.rotation_x(error[0]))
+    return algebra.product(rotation, tilt), position + algebra.apply(rotation, error[2:])
+
+
+def _bodies(model: Model, length, scale):
+    """Mass, centre of mass and central inertia of all nodes, point masses included."""
+    topology = model.topology
+    n_links, nodes = topology.n_links, topology.n_links + topology.n_rfes
+    link, share, middle = _node_fractions(topology)
+    extent = share * length[link]
+    density, rotary = model.section[6][link], model.section[7:10][:, link]
+    mass = density * extent
+    slender = jnp.asarray(np.array([0.0, 1.0, 1.0]))[:, None] * (mass * extent**2 / 12.0)[None]
+    own = slender + rotary * extent[None]
+    is_root = np.arange(nodes) < n_links
+    axial = jnp.where(is_root, middle * length[link], 0.0)
+    beam_centre = _along_x(axial)
+
+    holder = np.array(topology.masses, dtype=int)
+    holder_link = np.array([topology.link_of(node) for node in topology.masses], dtype=int)
+    point = jnp.concatenate(
+        [model.point_position[:1] * scale[holder_link][None], model.point_position[1:]]
+    )
+    total = mass.at[holder].add(model.point_mass)
+    moment = mass[None] * beam_centre
+    centre = moment.at[:, holder].add(model.point_mass[None] * point) / total[None]
+
+    def steiner(m, r):
+        identity = jnp.asarray(algebra.IDENTITY)[:, :, None]
+        return m[None, None] * (algebra.dot(r, r)[None, None] * identity - r[:, None] * r[None])
+
+    def diagonal(entries):
+        return jnp.asarray(algebra.IDENTITY)[:, :, None] * entries[:, None]
+
+    inertia = diagonal(own) + steiner(mass, beam_centre - centre)
+    added = diagonal(model.point_inertia) + steiner(model.point_mass, point - centre[:, holder])
+    return total, centre, inertia.at[:, :, holder].add(added)
+
+
+def _node_fractions(topology: Topology):
+    """Link, share of its length and middle of every node, in the order of the nodes."""
+    fractions = [rfe_fractions(n) for n in topology.elements]
+    link = np.concatenate([np.arange(topology.n_links), topology.link_of_rfe])
+    share, middle = (
+        np.concatenate([[f[k][0] for f in fractions], *[f[k][1:] for f in fractions]])
+        for k in (0, 1)
+    )
+    return link.astype(int), share, middle
+
+
+def _spring_damping_elements(model: Model, length) -> dict:
+    """Stiffness, damping and lever arms of the sde before every free rfe (MODEL section 2)."""
+    topology = model.topology
+    link = topology.link_of_rfe.astype(int)
+    count = np.array(topology.elements, dtype=float)[link] - 1.0
+    index = np.concatenate([np.arange(n - 1) for n in topology.elements]).astype(int)
+    middles = [rfe_fractions(n)[1] for n in topology.elements]
+    left = np.concatenate([x[:-1] for x in middles]) if middles else np.zeros(0)
+    right = np.concatenate([x[1:] for x in middles]) if middles else np.zeros(0)
+    place = (index + 0.5) / np.maximum(count, 1.0)
+    extent = length[link]
+    return {
+        "rest": right * extent,
+        "stiffness": model.section[:6][:, link] * (count / extent)[None],
+        "damping": model.section[10][link],
+        "lever_left": (place - left) * extent,
+        "lever_right": (place - right) * extent,
+    }
+
+
+def _along_x(values):
+    zero = jnp.zeros_like(values)
+    return jnp.stack([values, zero, zero])

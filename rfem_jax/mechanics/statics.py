@@ -1,0 +1,189 @@
+"""Static assembly: the equilibrium in which the mechanism is put together, and its preload.
+
+Place in the pipeline: model, errors -> **statics** -> start state of a simulation.
+
+With errors the links are bent to close the loops (MODEL section 5): the stationary point of springs
++ gravity subject to the closure equations, some joints held.  Newton's method on the Lagrangian
+V - lambda . Phi, differentiated by the implicit function theorem; unknowns and residuals are scaled
+by a length and a force of the mechanism, so that one tolerance fits all.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import lineax as lx
+import optimistix as optx
+from jax import Array
+from jax.flatten_util import ravel_pytree
+
+from rfem_jax.description.errors import InputError, suggestion
+from rfem_jax.mechanics import loads
+from rfem_jax.mechanics.closure import closures
+from rfem_jax.mechanics.dynamics import Accelerations, DriveInput
+from rfem_jax.mechanics.kinematics import motion
+from rfem_jax.mechanics.model import Coordinates, Model, State
+from rfem_jax.mechanics.realisation import AssemblyErrors, Realisation, realise
+from rfem_jax.mechanics.status import NOT_ASSEMBLED, OK, WRONG_SIDE
+
+TOLERANCE = 1e-10
+MAX_ITERATIONS = 50
+
+
+class Load(NamedTuple):
+    """Force [N] and moment [N m] (..., 3) of one joint in its hinge frame."""
+
+    force: Array
+    moment: Array
+
+
+class Assembled(NamedTuple):
+    """A mechanism put together: state at rest, preload of every joint, status code."""
+
+    state: State
+    preload: dict[str, Load]
+    status: Array
+
+
+def assemble(
+    model: Model, errors: AssemblyErrors, hold: dict[str, Array] | None = None
+) -> Assembled:
+    """Put the mechanism together: static equilibrium with some joints held.
+
+    **Arguments:** `hold`: joint name -> angle [rad]; None holds the driven joint at its start angle,
+    {} holds nothing.
+
+    **Returns:** state (velocities zero), preload (gravity and holding moment included) and status
+    (0 = ok; see `STATUS`). Differentiable with respect to errors and held angles.
+
+    **Raises:** `InputError` if `hold` names a joint that is not a joint of the tree.
+    """
+    realised = realise(model, errors)
+    position, multipliers, status = equilibrium(model, realised, held_angles(model, hold))
+    state = loads.static_state(position)
+    return Assembled(state, named(model, static_loads(model, realised, state, multipliers)), status)
+
+
+def held_angles(model: Model, hold: dict[str, Array] | None) -> dict[int, Array]:
+    """Link index -> held angle, checked."""
+    topology = model.topology
+    if hold is None:
+        driven = topology.driven
+        return {} if driven is None else {driven: model.start_angles[driven]}
+    tree = topology.joints[: topology.n_links]
+    for name in hold:
+        if name not in tree:
+            raise InputError(
+                f"Argument `hold` must name joints of the tree, but has {name!r}; "
+                f"{suggestion(name, tree)}"
+            )
+    return {tree.index(name): jnp.asarray(angle) for name, angle in hold.items()}
+
+
+def equilibrium(model: Model, realised: Realisation, held: dict[int, Array]):
+    """Coordinates, multipliers (5 cuts,) [N] and status of the static equilibrium."""
+    topology = model.topology
+    scale = length_scale(model)
+    force_scale = _force_scale(model, realised)
+    start, unravel = ravel_pytree(model.start_coordinates())
+    n_constraints = 5 * topology.n_cuts
+    indices = tuple(held)
+
+    def lagrangian(unknowns, realised):
+        position = unravel(unknowns[: start.size] * scale)
+        state = loads.static_state(position)
+        cuts = closures(realised, motion(realised, state), scale)
+        parts = loads.energies(realised, state)
+        potential = (parts.elastic + parts.gravity) / (force_scale * scale)
+        if not cuts:
+            return potential
+        residual = jnp.concatenate([cut.residual for cut in cuts]) / scale
+        return potential - jnp.dot(unknowns[start.size :], residual)
+
+    def residual(unknowns, args):
+        realised, angles = args
+        out = jax.grad(lagrangian)(unknowns, realised)
+        for index, angle in zip(indices, angles):
+            out = out.at[index].set(unknowns[index] - angle / scale)
+        return out
+
+    guess = jnp.concatenate([start / scale, jnp.zeros(n_constraints)])
+    for index, angle in held.items():
+        guess = guess.at[index].set(angle / scale)
+    linear = lx.SVD(rcond=1e-9) if topology.minimum_norm else lx.LU()
+    solution = optx.root_find(
+        residual,
+        optx.Newton(rtol=TOLERANCE, atol=TOLERANCE, linear_solver=linear),
+        guess,
+        args=(realised, tuple(held.values())),
+        max_steps=MAX_ITERATIONS,
+        throw=False,
+        adjoint=optx.ImplicitAdjoint(linear_solver=linear),
+    )
+    position = unravel(solution.value[: start.size] * scale)
+    found = solution.result == optx.RESULTS.successful
+    found = found & jnp.all(jnp.isfinite(solution.value))
+    now = motion(realised, loads.static_state(position))
+    right_side = jnp.ones((), bool)
+    for cut in closures(realised, now, scale):
+        right_side = right_side & (cut.alignment > 0.0)
+    status = jnp.where(found, jnp.where(right_side, OK, WRONG_SIDE), NOT_ASSEMBLED)
+    return position, solution.value[start.size :] * force_scale, status.astype(jnp.int32)
+
+
+def static_loads(
+    model: Model, realised: Realisation, state: State, multipliers: Array
+) -> loads.JointLoads:
+    """Joint loads at rest, the moment that holds a joint included."""
+    now = motion(realised, state)
+    nodes = realised.mass.shape[0]
+    at_rest = Accelerations(
+        coordinates=jax.tree.map(jnp.zeros_like, state.position),
+        multipliers=multipliers,
+        stabilising=jnp.zeros_like(multipliers),
+        angular=jnp.zeros((3, nodes)),
+        linear=jnp.zeros((3, nodes)),
+        motion=now,
+        closures=closures(realised, now, length_scale(model)),
+    )
+    return loads.joint_loads(realised, at_rest, DriveInput())
+
+
+def named(model: Model, joint_loads: loads.JointLoads) -> dict[str, Load]:
+    """Loads by the names of the joints, in the order of the description."""
+    order = [(name, model.topology.joints.index(name)) for name in model.joint_names]
+    return {
+        name: Load(joint_loads.force[:, j], joint_loads.moment[:, j]) for name, j in order
+    }
+
+
+def quasi_static_rates(
+    model: Model, realised: Realisation, held: dict[int, Array], driven_rate: Array
+) -> Coordinates:
+    """Rates of the coordinates when the driven joint moves at a rate through equilibria: the
+    derivative of the static equilibrium along the driven angle, times the rate."""
+    driven = model.topology.driven
+
+    def along(angle):
+        return equilibrium(model, realised, {**held, driven: angle})[0]
+
+    angle = jnp.asarray(held[driven])
+    return jax.jvp(along, (angle,), (jnp.asarray(driven_rate),))[1]
+
+
+def length_scale(model: Model) -> Array:
+    """The longest nominal link [m]."""
+    return jnp.max(model.length)
+
+
+def _force_scale(model: Model, realised: Realisation) -> Array:
+    """A force [N] of the mechanism: its bending stiffness over a length squared, or its weight."""
+    bending = [
+        model.section[4, l] / model.length[l] ** 2
+        for l, n in enumerate(model.topology.elements)
+        if n > 1
+    ]
+    if bending:
+        return jax.lax.stop_gradient(jnp.max(jnp.stack(bending)))
+    weight = jnp.sum(realised.mass) * jnp.linalg.norm(model.gravity)
+    return jax.lax.stop_gradient(weight + jnp.sum(realised.mass))

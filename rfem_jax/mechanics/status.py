@@ -1,0 +1,48 @@
+"""What can happen to one assembly or one run: failure is data, so that a batch goes on.
+
+Codes are int32 scalars in traced code; `STATUS[code]` has the short name (as in results.json) and
+the full message.  The largest code is not the worst: the first failure of a run is kept.
+"""
+
+from typing import NamedTuple
+
+
+class Status(NamedTuple):
+    """A short name and what it means: what happened, the usual cause, other causes."""
+
+    name: str
+    message: str
+
+
+OK, NOT_ASSEMBLED, WRONG_SIDE, DIVERGED, DRIFTED, STEPS_EXHAUSTED = range(6)
+
+STATUS: tuple[Status, ...] = (
+    Status("ok", "The run is complete and passed its checks."),
+    Status(
+        "not_assembled",
+        "No static equilibrium was found for the start. Usually an error is so large that the links "
+        "deflect beyond the linear spring-damping elements; a wrong start angle or a missing hold "
+        "does the same.",
+    ),
+    Status(
+        "wrong_side",
+        "A cut joint closed with its two hinge axes antiparallel. Usually a start angle is on the "
+        "wrong branch; turn the child's frame by 180 deg if this is how the joint is built.",
+    ),
+    Status(
+        "diverged",
+        "The motion left the finite numbers. Usually the step is too large for stability "
+        "(`rfem-jax check` prints the largest stable one); a link that folds beyond 90 deg does the "
+        "same.",
+    ),
+    Status(
+        "drifted",
+        "A cut joint opened by more than a millionth of the longest link. Usually the step is too "
+        "large; too weak a stabilisation does the same.",
+    ),
+    Status(
+        "steps_exhausted",
+        "The adaptive method used up its steps. Usually the motion is stiffer than the method can "
+        "follow; use a fixed step or looser tolerances.",
+    ),
+)

@@ -1,0 +1,182 @@
+"""Pictures of a study as PNG files, after the paper's Figs. 7 to 12 and two more.
+
+Place in the pipeline: after `summary`; needs matplotlib (the extra `plots`), which draws without
+a screen and whose global settings stay as they are. Times s, angles rad, forces N, moments N m,
+energies J, lengths m; force components in the hinge frame (y along the hinge).
+"""
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+
+from rfem_jax.report.files import replacing
+from rfem_jax.report.quantities import (
+    MAX_AXIAL_FORCE,
+    MAX_NORMAL_FORCE,
+    PRELOAD_FORCE,
+    PRELOAD_MOMENT,
+    RMS_FORCE,
+    RMS_MOMENT,
+)
+from rfem_jax.report.shapes import assembly_figure
+from rfem_jax.report.style import SETTINGS, add_legend, add_titles, bar_style, line_style
+from rfem_jax.report.summary import joint_names, reference_case, total_energy
+
+
+def history_figure(study, histories, heading, label) -> Figure:
+    """Curves of one quantity for all cases, and below them their differences from a reference.
+
+    Arguments: histories, {case: (times (T,) s, values (T,))}; heading, what is shown; label, the
+    axis name with its unit. The reference is the case without errors (else the first).
+    """
+    reference = reference_case(study)
+    others = [case for case in histories if case != reference]
+    panels = 2 if others else 1
+    figure = Figure(figsize=(7.2, 3.4 + 2.2 * (panels - 1)), layout="constrained")
+    heights = [1.6, 1.0][:panels]
+    axes = figure.subplots(panels, 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
+    for index, (case, (times, values)) in enumerate(histories.items()):
+        axes[0].plot(times, values, label=case, **line_style(index, len(times)))
+        base_times, base = histories[reference]
+        if case != reference:
+            # Adaptive runs save at times of their own.
+            difference = values - np.interp(times, base_times, base)
+            axes[1].plot(times, difference, **line_style(index, len(times)))
+    axes[0].set_ylabel(label)
+    add_legend(axes[0])
+    if others:
+        name, unit = label.rsplit(",", 1)
+        axes[1].set_ylabel(f"difference\nfrom {reference},{unit}")
+    axes[-1].set_xlabel("time, s")
+    add_titles(figure, heading, study)
+    return figure
+
+
+def component_figure(study, runs, summaries, joint) -> Figure:
+    """Force components in `joint` without and with errors (the paper's Fig. 12).
+
+    Shows the reference case, the case with the largest RMS force in the joint and the last one.
+    """
+    reference = reference_case(study)
+    others = [case.name for case in study.cases if case.name != reference]
+    loads = {case: summaries[case]["joints"][joint]["rms_force"] for case in others}
+    shown = [reference]
+    if others:
+        worst = max(others, key=lambda case: np.nan_to_num(loads[case], nan=-1.0))
+        shown += [case for case in others if case in (worst, others[-1])]
+    figure = Figure(figsize=(7.2, 7.2), layout="constrained")
+    axes = figure.subplots(3, 1, sharex=True)
+    order = [case.name for case in study.cases]
+    names = ("(a) x, across the hinge", "(b) y, along the hinge", "(c) z, across the hinge")
+    for case in shown:
+        times = np.asarray(runs[case].times)
+        label = f"{case}, {'with' if any(summaries[case]['errors'].values()) else 'no'} errors"
+        force = np.asarray(runs[case].loads[joint].force)
+        for axis in range(3):
+            style = line_style(order.index(case), len(times))
+            axes[axis].plot(times, force[:, axis], label=label, **{**style, "linewidth": 0.9})
+    for axis, name in zip(axes, names, strict=True):
+        axis.set_title(name, loc="left")
+        axis.set_ylabel("force, N")
+    add_legend(axes[0])
+    axes[-1].set_xlabel("time, s")
+    add_titles(figure, f"Force in joint {joint}, hinge frame, on the child link", study)
+    return figure
+
+
+def bars_figure(study, summaries, panels, heading) -> Figure:
+    """Grouped bars, one panel per quantity: joints side by side, one bar per case.
+
+    Arguments: panels, two or more (quantity, title); a list of components is shown by its
+    resultant. A value that does not exist is marked "n/a".
+    """
+    names, cases = joint_names(study), list(summaries)
+    width = 0.84 / len(cases)
+    wide = min(max(7.2, 0.17 * len(cases) * len(names) + 2.0), 24.0)
+    figure = Figure(figsize=(wide, 2.9 * len(panels) + 0.9), layout="constrained")
+    all_axes = figure.subplots(len(panels), 1, squeeze=False)[:, 0]
+    for letter, axes, (quantity, title) in zip("abcdef", all_axes, panels, strict=False):
+        for index, case in enumerate(cases):
+            joints = summaries[case]["joints"]
+            values = np.array([np.linalg.norm(joints[name][quantity.name]) for name in names])
+            places = np.arange(len(names)) + (index - (len(cases) - 1) / 2) * width
+            heights = np.where(np.isfinite(values), values, 0.0)
+            axes.bar(places, heights, width, label=case, **bar_style(index))
+            for place in places[~np.isfinite(values)]:
+                axes.text(place, 0.0, " n/a", rotation=90, ha="center", va="bottom", fontsize=7)
+        axes.set_xticks(np.arange(len(names)), names)
+        axes.tick_params(axis="x", length=0)
+        axes.grid(visible=False, axis="x")
+        axes.set_xlabel("joint")
+        kind = quantity.name.rsplit("_", 1)[-1]
+        axes.set_ylabel(f"{kind}, {quantity.unit}")
+        axes.set_title(f"({letter}) {title}", loc="left")
+    add_legend(all_axes[0])
+    add_titles(figure, heading, study)
+    return figure
+
+
+def _histories(study, runs, values) -> dict:
+    return {
+        case.name: (np.asarray(runs[case.name].times), np.asarray(values(runs[case.name])))
+        for case in study.cases
+    }
+
+
+def _motion_figures(study, runs) -> dict[str, Figure]:
+    """Angle and rate of the driven joint (none without a drive)."""
+    if study.drive is None:
+        return {}
+    joint = study.drive.joint
+    of_joint = f"of joint {joint} ({study.mechanism.joint(joint).child})"
+    angles = _histories(study, runs, lambda run: run.angle)
+    rates = _histories(study, runs, lambda run: run.rate)
+    return {
+        "angle": history_figure(study, angles, f"Angle {of_joint}", "angle, rad"),
+        "rate": history_figure(study, rates, f"Rate {of_joint}", "rate, rad/s"),
+    }
+
+
+def draw_figures(study, runs, summaries) -> dict[str, Figure]:
+    """All pictures of a study, {file name without ending: figure}.
+
+    Arguments: study as loaded; runs, {case: run of NumPy arrays}; summaries from
+    `rfem_jax.report.summary.summarise`.
+    """
+    with rc_context(SETTINGS):
+        figures = _motion_figures(study, runs)
+        figures["energy"] = history_figure(
+            study,
+            _histories(study, runs, total_energy),
+            "Total mechanical energy (kinetic + elastic + gravity)",
+            "energy, J",
+        )
+        maxima = ((MAX_AXIAL_FORCE, "Maximum axial force"),)
+        maxima += ((MAX_NORMAL_FORCE, "Maximum normal force"),)
+        figures["maximum_forces"] = bars_figure(
+            study, summaries, maxima, "Maximum forces in the joints"
+        )
+        means = ((RMS_FORCE, "RMS resultant force"), (RMS_MOMENT, "RMS resultant moment"))
+        figures["rms_loads"] = bars_figure(
+            study, summaries, means, "Root mean square of the loads in the joints"
+        )
+        preloads = ((PRELOAD_FORCE, "Preload force"), (PRELOAD_MOMENT, "Preload moment"))
+        heading = "Preload in the joints at the start (weight and holding moment included)"
+        figures["preload"] = bars_figure(study, summaries, preloads, heading)
+        first = next(joint for joint in study.mechanism.joints if joint.parent == "base")
+        figures["base_joint_force"] = component_figure(study, runs, summaries, first.name)
+        figures["assembly"] = assembly_figure(study, runs)
+    return figures
+
+
+def write_figures(folder, study, runs, summaries) -> list[Path]:
+    """Draw all pictures and write them into `folder` as PNG (200 dpi); returns their paths."""
+    written = []
+    for name, figure in draw_figures(study, runs, summaries).items():
+        path = Path(folder) / f"{name}.png"
+        with rc_context(SETTINGS), replacing(path) as temporary:
+            figure.savefig(temporary, format="png")
+        written.append(path)
+    return written

@@ -1,0 +1,128 @@
+"""What a study says, in words and tables: the text of the command `check`.
+
+Place in the pipeline: after `rfem_jax.mechanics.describe`. Lengths m, masses kg; angles in degrees
+and errors in degrees and millimetres, as people state them.
+"""
+
+import math
+import re
+from dataclasses import fields
+
+from rfem_jax.report.tables import format_table, title_text
+
+
+def format_error(name, value, unit) -> str:
+    """One assembly error as people state it, "D.delta_x = 0.5 deg"; `unit` is "rad" or "m"."""
+    if unit == "rad":
+        return f"{name} = {math.degrees(value):.6g} deg"
+    return f"{name} = {1e3 * value:.6g} mm"
+
+
+def _errors_text(mechanism, case) -> str:
+    errors = [format_error(*item, mechanism.error_unit(item[0])) for item in case.errors.items()]
+    return "; ".join(errors) or "none"
+
+
+def section_text(section) -> str:
+    """Shape of a section with its dimensions in mm."""
+    shape = type(section).__name__
+    if shape == "GivenSection":
+        return "given stiffnesses"
+    sizes = [
+        f"{field.name.replace('_', ' ')} {1e3 * getattr(section, field.name):.6g} mm"
+        for field in fields(section)
+        if field.name != "shear_factor"
+    ]
+    return ", ".join([shape.lower(), *sizes])
+
+
+def link_rows(mechanism) -> list[list[str]]:
+    """One row per link: name, length, mass with point masses, rfes, section."""
+    rows = []
+    for link in mechanism.links:
+        mass = link.properties.line_density * link.length
+        mass += sum(point.mass for point in link.point_masses)
+        rfes = "rigid" if link.elements == 1 else str(link.elements)
+        points = str(len(link.point_masses) or "-")
+        shape = section_text(link.section)
+        rows.append([link.name, f"{link.length:.6g}", f"{mass:.6g}", rfes, points, shape])
+    return rows
+
+
+def joint_rows(study) -> list[list[str]]:
+    """One row per joint: name, parent, child, start angle, what is special about it."""
+    driven = None if study.drive is None else study.drive.joint
+    rows = []
+    for joint in study.mechanism.joints:
+        angle = "-" if joint.cut else f"{math.degrees(joint.angle or 0.0):.6g}"
+        marks = [
+            word for word, holds in (("cut", joint.cut), ("driven", joint.name == driven)) if holds
+        ]
+        rows.append([joint.name, joint.parent, joint.child, angle, ", ".join(marks) or "-"])
+    return rows
+
+
+def _drive_text(drive) -> str:
+    """Kind of a drive in words ("MomentRamp" is "moment ramp"), its joint, its scalar numbers."""
+    if drive is None:
+        return "none"
+    words = re.sub(r"(?<!^)(?=[A-Z])", " ", type(drive).__name__).lower()
+    values = {field.name: getattr(drive, field.name) for field in fields(drive)}
+    numbers = [
+        f"{name.replace('_', ' ')} {float(value):g}"
+        for name, value in values.items()
+        if isinstance(value, float) or getattr(value, "shape", None) == ()
+    ]
+    return f"{words} on joint {drive.joint}" + (
+        f" (SI: {', '.join(numbers)})" if numbers else ""
+    )
+
+
+def _method_text(study) -> str:
+    options = {
+        field.name: getattr(study.method, field.name)
+        for field in fields(study.method)
+        if field.name != "name" and getattr(study.method, field.name) is not None
+    }
+    words = [study.method.name, *(f"{name} = {value:g}" for name, value in options.items())]
+    return ", ".join(words)
+
+
+def count_lines(mechanism, description) -> list[str]:
+    """Coordinates, constraints, rank, mobility and redundancy, a sentence each."""
+    lines = [
+        f"Coordinates: {description.coordinates}; constraint equations at the cut joints: "
+        f"{description.constraints}, of rank {description.rank}.",
+        f"Mobility: {description.mobility} with flexible links, "
+        f"{description.rigid_mobility} if all links were rigid.",
+    ]
+    if not description.redundant:
+        return [*lines, "No redundant constraints: all joint reactions are unique."]
+    lines.append("Redundant constraints: the joint reactions are not unique.")
+    if mechanism.redundant_reactions == "minimum_norm":
+        return [*lines, "The smallest ones (minimum norm) are reported, as the study asks."]
+    return [*lines, 'Make a link flexible, or choose redundant_reactions = "minimum_norm".']
+
+
+def study_text(study, description) -> str:
+    """Everything the command `check` prints, but the stable step.
+
+    Arguments: study as loaded; description from `rfem_jax.mechanics.describe(model)`.
+    """
+    mechanism = study.mechanism
+    link_header = ["link", "length, m", "mass, kg", "rfes", "point masses", "section"]
+    joint_header = ["joint", "parent", "child", "start angle, deg", "remarks"]
+    cases = [[case.name, _errors_text(mechanism, case)] for case in study.cases]
+    gravity = ", ".join(f"{value:g}" for value in mechanism.gravity)
+    save = "by default" if study.save_every is None else f"every {study.save_every:g} s"
+    return "\n\n".join(
+        [
+            title_text(study),
+            format_table(link_header, link_rows(mechanism), words=(0, 5)),
+            format_table(joint_header, joint_rows(study), words=(0, 1, 2, 4)),
+            "\n".join([*count_lines(mechanism, description), f"Gravity: {gravity} m/s^2."]),
+            f"Drive: {_drive_text(study.drive)}.\n"
+            f"Simulation: {study.duration:g} s with {_method_text(study)}; saved {save}.",
+            format_table(["case", "assembly errors"], cases, words=(0, 1)),
+        ]
+    )

@@ -1,0 +1,92 @@
+"""Names, units and labels of everything that is reported.
+
+Place in the pipeline: read by `summary`, `tables`, `files` and `figures`, so that a quantity is
+called the same, and has the same unit, in the terminal, in `results.json`, in the CSV files and
+in the pictures. SI units and radians throughout.
+"""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A reported quantity: `name` in files, `unit`, `label` for people, `description`."""
+
+    name: str
+    unit: str
+    label: str
+    description: str
+
+    @property
+    def title(self) -> str:
+        """Label with unit, as table headings and axis names show it."""
+        return f"{self.label}, {self.unit}" if self.unit else self.label
+
+
+RMS_FORCE = Quantity(
+    "rms_force", "N", "RMS resultant force", "root of the mean square over the whole run"
+)
+RMS_MOMENT = Quantity(
+    "rms_moment", "N m", "RMS resultant moment", "root of the mean square over the whole run"
+)
+MAX_AXIAL_FORCE = Quantity(
+    "max_axial_force", "N", "Maximum axial force", "largest |force along the hinge| of the run"
+)
+MAX_NORMAL_FORCE = Quantity(
+    "max_normal_force", "N", "Maximum normal force", "largest resultant across the hinge of the run"
+)
+JOINT_METRICS = (RMS_FORCE, RMS_MOMENT, MAX_AXIAL_FORCE, MAX_NORMAL_FORCE)
+
+PRELOAD_FORCE = Quantity(
+    "preload_force", "N", "Preload force", "force at the start, x y z of the hinge frame"
+)
+PRELOAD_MOMENT = Quantity(
+    "preload_moment", "N m", "Preload moment", "moment at the start, x y z of the hinge frame"
+)
+PRELOADS = (PRELOAD_FORCE, PRELOAD_MOMENT)
+
+ANGLE_END = Quantity("angle_end", "rad", "Angle at end", "the driven joint's own coordinate")
+RATE_END = Quantity("rate_end", "rad/s", "Rate at end", "rate of the driven joint's coordinate")
+DRIVEN_JOINT = (ANGLE_END, RATE_END)
+
+BALANCES = (
+    Quantity(
+        "energy_balance_error",
+        "",
+        "Energy balance",
+        "largest change of total - work + dissipation, divided by the largest |energy|",
+    ),
+    Quantity(
+        "closure_drift", "m", "Drift", "largest distance of the two centres of a cut joint"
+    ),
+    Quantity(
+        "closure_drift_angle", "rad", "Drift angle", "largest residual of the axis equations"
+    ),
+    Quantity(
+        "momentum_balance_error",
+        "",
+        "Momentum balance",
+        "base reactions + gravity + drive - d/dt momentum, divided by the largest load",
+    ),
+    Quantity(
+        "stabilisation_share",
+        "",
+        "Baumgarte share",
+        "largest Baumgarte part of the multipliers, divided by the largest multiplier",
+    ),
+)
+
+ENERGIES = (
+    Quantity("kinetic", "J", "Kinetic energy", "of all links"),
+    Quantity("elastic", "J", "Elastic energy", "of the flexible links"),
+    Quantity("gravity", "J", "Gravity energy", "potential energy of weight"),
+    Quantity("total", "J", "Total mechanical energy", "kinetic + elastic + gravity"),
+    Quantity("work", "J", "Work of the drive", "done since the start"),
+    Quantity("dissipation", "J", "Dissipated energy", "lost in material damping since the start"),
+)
+
+
+def units() -> dict[str, str]:
+    """Unit of every number in `results.json` by its name ("1" where it has no dimension)."""
+    listed = (*JOINT_METRICS, *PRELOADS, *DRIVEN_JOINT, *BALANCES)
+    return {quantity.name: quantity.unit or "1" for quantity in listed}

@@ -1,0 +1,154 @@
+"""Picture of the assembled mechanism: centre lines in 3D with deflections exaggerated.
+
+Place in the pipeline: called by `figures`. `run.centre_lines[LINK]` (P, 3) m are the links at the
+start of the run, `run.nominal_lines[LINK]` (P, 3) m those of the perfect, undeformed mechanism;
+what is drawn is nominal + factor * (assembled - nominal).
+"""
+
+import math
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from rfem_jax.report.style import CASE_COLOURS, LINE_STYLES, add_titles
+
+_MOST_PANELS = 6
+_SHARE = 0.2
+
+
+def round_factor(value) -> float:
+    """Largest of 1, 2, 5, 10, 20, 50, ... that is not above `value`; at least 1."""
+    if not math.isfinite(value) or value <= 1.0:
+        return 1.0
+    power = 10.0 ** math.floor(math.log10(value))
+    step = max(step for step in (1.0, 2.0, 5.0) if step * power <= value * (1.0 + 1e-12))
+    return step * power
+
+
+def largest_deflection(run) -> float:
+    """Largest distance of an assembled from its nominal point, m (NaN for a failed run)."""
+    lines = run.nominal_lines
+    return max(
+        float(np.linalg.norm(np.asarray(run.centre_lines[link]) - lines[link], axis=1).max())
+        for link in lines
+    )
+
+
+def exaggeration(runs) -> float:
+    """Factor that makes the largest deflection a fifth of the mechanism's size at most."""
+    deflections = [largest_deflection(run) for run in runs.values()]
+    deflection = max((value for value in deflections if math.isfinite(value)), default=0.0)
+    first = next(iter(runs.values()))
+    points = np.concatenate([np.asarray(line) for line in first.nominal_lines.values()])
+    size = float(np.linalg.norm(np.ptp(points, axis=0)))
+    # Below a millionth of the size there is nothing to see but rounding.
+    return round_factor(_SHARE * size / deflection) if deflection > 1e-6 * size else 1.0
+
+
+def exaggerated_lines(run, factor) -> dict[str, np.ndarray]:
+    """Centre lines of one run with deflections times `factor`, {link: (P, 3) m}."""
+    lines = {}
+    for link, nominal in run.nominal_lines.items():
+        nominal = np.asarray(nominal)
+        lines[link] = nominal + factor * (np.asarray(run.centre_lines[link]) - nominal)
+    return lines
+
+
+def joint_point(mechanism, joint, lines) -> np.ndarray:
+    """Where `joint` sits on the centre line of its child link, (3,) m."""
+    length = mechanism.link(joint.child).length
+    if joint.child_position is not None:
+        share = joint.child_position[0] / length
+    else:
+        share = 1.0 if joint.cut else 0.0
+    line = lines[joint.child]
+    places = np.linspace(0.0, 1.0, len(line))
+    return np.array([np.interp(share, places, line[:, axis]) for axis in range(3)])
+
+
+def _limits(study, runs, factor) -> tuple[np.ndarray, np.ndarray]:
+    """Lower and upper corner (3,) of a box around all that is drawn, no side too thin."""
+    points = [np.asarray(line) for run in runs.values() for line in run.nominal_lines.values()]
+    points += [line for run in runs.values() for line in exaggerated_lines(run, factor).values()]
+    points = np.concatenate(points)
+    points = points[np.isfinite(points).all(axis=1)]
+    low, high = points.min(axis=0), points.max(axis=0)
+    middle, half = (low + high) / 2.0, 0.55 * (high - low)
+    half = np.maximum(half, 0.35 * half.max())
+    return middle - half, middle + half
+
+
+def _draw_mechanism(axes, mechanism, run, factor) -> None:
+    """Nominal lines thin and grey, assembled lines thick, joints with their names."""
+    lines = exaggerated_lines(run, factor)
+    for index, link in enumerate(lines):
+        nominal = np.asarray(run.nominal_lines[link])
+        label = "perfect mechanism" if index == 0 else None
+        axes.plot(*nominal.T, color="#808080", linestyle=":", linewidth=1.2, label=label)
+        style = LINE_STYLES[index % len(LINE_STYLES)]
+        colour = CASE_COLOURS[(index + 1) % len(CASE_COLOURS)]
+        axes.plot(*lines[link].T, color=colour, linestyle=style, linewidth=2.2, label=link)
+        # Thin rungs from the perfect to the assembled line show the direction of the deflection.
+        for start, end in zip(nominal[::2], lines[link][::2], strict=True):
+            axes.plot(*np.stack([start, end], axis=1), color=colour, linewidth=0.5)
+    for joint in mechanism.joints:
+        point = joint_point(mechanism, joint, lines)
+        marker, size = ("^", 7) if joint.parent == "base" else ("o", 5)
+        axes.plot(*point[:, None], marker=marker, markersize=size, color="black", mfc="white")
+        if np.isfinite(point).all():
+            axes.text(*point, f"  {joint.name}", fontsize=9, weight="bold")
+
+
+def _format_axes(axes, low, high) -> None:
+    for axis, letter, lower, upper in zip("xyz", "XYZ", low, high, strict=True):
+        axes.set(**{f"{axis}lim": (lower, upper), f"{axis}label": f"{letter}, m"})
+        getattr(axes, f"{axis}axis").set_major_locator(MaxNLocator(3))
+    axes.set_box_aspect(high - low, zoom=0.95)
+    axes.view_init(elev=22.0, azim=-48.0)
+    axes.tick_params(labelsize=7, pad=0)
+
+
+def _deflection_text(run) -> str:
+    deflection = largest_deflection(run)
+    if not math.isfinite(deflection):
+        return "not assembled"
+    return f"largest deflection {1e3 * deflection:.3g} mm"
+
+
+def assembly_figure(study, runs) -> Figure:
+    """The assembled mechanism at the start, nominal and assembled, one panel per case.
+
+    All panels have the same factor, which the title names. Of more than six cases those with the
+    largest deflections are shown.
+    """
+    deflections = {name: np.nan_to_num(largest_deflection(run)) for name, run in runs.items()}
+    kept = sorted(deflections, key=deflections.get, reverse=True)[:_MOST_PANELS]
+    shown = {name: runs[name] for name in runs if name in kept}
+    factor = exaggeration(shown)
+    low, high = _limits(study, shown, factor)
+    columns = min(len(shown), 3)
+    rows = -(-len(shown) // columns)
+    width, height = max(3.9 * columns, 6.0), 3.7 * rows + 1.9
+    figure = Figure(figsize=(width, height))
+    for index, (case, run) in enumerate(shown.items()):
+        axes = figure.add_subplot(rows, columns, index + 1, projection="3d", facecolor="none")
+        _draw_mechanism(axes, study.mechanism, run, factor)
+        _format_axes(axes, low, high)
+        axes.set_title(f"{case}: {_deflection_text(run)}", y=1.0)
+    # Layout by hand: the automatic one knows neither labels nor legends of 3D axes.
+    figure.subplots_adjust(
+        left=0.02, right=0.96, bottom=1.1 / height, top=1.0 - 0.8 / height, wspace=0.08, hspace=0.1
+    )
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(
+        handles,
+        labels,
+        loc="lower center",
+        bbox_to_anchor=(0.5, 0.55 / height),
+        ncols=min(len(labels), int(1.5 * columns) + 2),
+        handlelength=4,
+    )
+    heading = f"Assembled mechanism at the start, deflections exaggerated {factor:g} times"
+    add_titles(figure, heading, study)
+    return figure

@@ -1,0 +1,97 @@
+"""How pictures look: colours, line styles, markers and hatches that survive print.
+
+Place in the pipeline: used by `figures`. A case is told apart by colour *and* line style *and*
+marker (bars: colour and hatch), so that pictures read in black and white and for the
+colour-blind. Colours: M. Okabe, K. Ito, "Color universal design" (2008).
+"""
+
+import textwrap
+
+from rfem_jax.report.summary import study_note
+
+CASE_COLOURS = ("#000000", "#D55E00", "#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9")
+LINE_STYLES = (
+    *("-", "--", "-.", (0, (1, 1.2))),
+    *((0, (6, 1.5, 1, 1.5, 1, 1.5)), (0, (9, 3)), (0, (3, 1, 3, 1, 1, 1))),
+)
+MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+HATCHES = ("", "////", "....", "xxxx", "\\\\\\\\", "oo", "++")
+BAR_COLOURS = ("#4D4D4D", "#F3B48B", "#8CBFE0", "#FBE3A6", "#8AD3BD", "#E8C5D8", "#CFE8F7")
+
+SETTINGS = {
+    "font.size": 9.5,
+    "axes.titlesize": 10.5,
+    "axes.labelsize": 10,
+    "figure.titlesize": 12,
+    "legend.fontsize": 9,
+    "legend.framealpha": 0.9,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#D9D9D9",
+    "grid.linewidth": 0.6,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.formatter.useoffset": False,
+    "hatch.linewidth": 0.7,
+    "savefig.dpi": 200,
+    "savefig.facecolor": "white",
+}
+
+
+def line_style(index, points) -> dict:
+    """Arguments of `Axes.plot` for case number `index` and a curve of `points` points.
+
+    Markers are sparse and start at another place for each case, so that curves that lie on each
+    other all show.
+    """
+    kind = index % len(CASE_COLOURS)
+    every = max(points // 8, 1)
+    first = (every * (2 * kind + 1)) // (2 * len(CASE_COLOURS))
+    return {
+        "color": CASE_COLOURS[kind],
+        # After one round of colours the line styles shift, so that pairs do not repeat.
+        "linestyle": LINE_STYLES[(index + index // len(CASE_COLOURS)) % len(LINE_STYLES)],
+        "marker": MARKERS[kind],
+        "markevery": (min(first, points - 1), every),
+        "markersize": 4.5,
+        "markerfacecolor": "white",
+        "linewidth": 1.3,
+    }
+
+
+def bar_style(index) -> dict:
+    """Arguments of `Axes.bar` for case number `index`."""
+    kind = index % len(BAR_COLOURS)
+    return {
+        "color": BAR_COLOURS[kind],
+        "hatch": HATCHES[(index + index // len(HATCHES)) % len(HATCHES)],
+        "edgecolor": "black",
+        "linewidth": 0.6,
+    }
+
+
+def add_legend(axes) -> None:
+    """Put the legend of the cases above the axes (and their title), where no curve runs."""
+    _, labels = axes.get_legend_handles_labels()
+    # About 12 characters fit into an inch; the sample and the gaps take as much as nine.
+    columns = int(12 * axes.figure.get_figwidth() / (9 + max(map(len, labels))))
+    axes.legend(
+        title="case",
+        loc="lower right",
+        bbox_to_anchor=(1.0, 1.0),
+        ncols=min(max(columns, 1), len(labels)),
+        borderaxespad=2.0 if axes.get_title(loc="left") else 0.3,
+        frameon=False,
+        handlelength=3,
+        columnspacing=1.5,
+    )
+
+
+def add_titles(figure, heading, study) -> None:
+    """Put `heading` and the study's title above the figure, the study's note below it."""
+    width = figure.get_figwidth()
+    lines = textwrap.wrap(heading, int(11 * width)) + textwrap.wrap(study.title, int(11 * width))
+    figure.suptitle("\n".join(lines))
+    note = textwrap.fill(study_note(study), int(15 * width))
+    if note:
+        figure.supxlabel(note, fontsize=7.5, color="#404040")

@@ -1,0 +1,75 @@
+"""The numbers of a study, picked out of its runs once for tables, files and bar charts.
+
+Place in the pipeline: after `rfem_jax.simulation.run_cases`; what it returns is the `cases` part
+of `results.json` with NaN still in it.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from rfem_jax.report.quantities import BALANCES, DRIVEN_JOINT, JOINT_METRICS
+
+
+def joint_names(study) -> tuple[str, ...]:
+    """Names of all joints, cut ones included, in the order of the description."""
+    return tuple(joint.name for joint in study.mechanism.joints)
+
+
+def study_note(study) -> str:
+    """What a reader must know about the study's data, or "" (a study may carry a `note`)."""
+    return getattr(study, "note", None) or ""
+
+
+def total_energy(run) -> np.ndarray:
+    """Kinetic + elastic + gravity energy of one run, (T,) J."""
+    energy = run.energy
+    return np.asarray(energy.kinetic) + np.asarray(energy.elastic) + np.asarray(energy.gravity)
+
+
+def summarise_run(study, run) -> dict[str, Any]:
+    """Metrics, preload, end of the driven joint and balances of one run (numbers, SI)."""
+    joints = {}
+    for name in joint_names(study):
+        row = {q.name: float(getattr(run.metrics, q.name)[name]) for q in JOINT_METRICS}
+        row["preload_force"] = [float(v) for v in np.asarray(run.preload[name].force)]
+        row["preload_moment"] = [float(v) for v in np.asarray(run.preload[name].moment)]
+        joints[name] = row
+    driven = study.drive is not None
+    ends = {
+        q.name: float(getattr(run.driven_joint, q.name)) if driven else float("nan")
+        for q in DRIVEN_JOINT
+    }
+    balances = {q.name: float(getattr(run, q.name)) for q in BALANCES}
+    return {"joints": joints, "driven_joint": ends, **balances}
+
+
+def summarise(study, runs, statuses) -> dict[str, dict[str, Any]]:
+    """Summary of every case.
+
+    Arguments:
+        study: the study as loaded (`.cases`, `.mechanism`, `.drive`).
+        runs: {case name: run of NumPy arrays}.
+        statuses: {case name: (short name, full message)}; the short name of success is "ok".
+
+    Returns {case name: {"status", "message", "errors", "joints", "driven_joint", balances}} in
+    the order of the study; numbers are floats in SI units, NaN where a run has no value.
+    """
+    summaries = {}
+    for case in study.cases:
+        status, message = statuses[case.name]
+        summaries[case.name] = {
+            "status": status,
+            "message": message,
+            "errors": {name: float(value) for name, value in case.errors.items()},
+            **summarise_run(study, runs[case.name]),
+        }
+    return summaries
+
+
+def reference_case(study) -> str:
+    """Name of the case the others are compared with: the first one without errors, or the first."""
+    for case in study.cases:
+        if not any(case.errors.values()):
+            return case.name
+    return study.cases[0].name

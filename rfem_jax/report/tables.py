@@ -1,0 +1,126 @@
+"""Plain-text tables for the terminal: the results of a run, and how a table is laid out.
+
+Place in the pipeline: `results_text` after `summary` (command `run`); `overview` lays out its
+tables with `format_table`. SI units, named in every heading.
+"""
+
+import math
+import textwrap
+
+from rfem_jax.report.quantities import BALANCES, DRIVEN_JOINT, JOINT_METRICS
+from rfem_jax.report.summary import joint_names, study_note
+
+_WIDTH = 96
+
+
+def format_table(header, rows, words=(0,)) -> str:
+    """Align columns under `header`: columns of words to the left, of numbers to the right.
+
+    Arguments: header, a sequence of strings; rows, sequences of as many strings; words, the
+    indices of the columns of words.
+    """
+    table = [tuple(header), *(tuple(row) for row in rows)]
+    widths = [max(len(row[column]) for row in table) for column in range(len(header))]
+    lines = []
+    for row in table:
+        cells = [
+            cell.ljust(width) if column in words else cell.rjust(width)
+            for column, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ]
+        lines.append("  ".join(cells).rstrip())
+    lines.insert(1, "-" * (sum(widths) + 2 * (len(widths) - 1)))
+    return "\n".join(lines)
+
+
+def format_numbers(values, digits=6) -> list[str]:
+    """Write numbers with the same decimals, `digits` significant ones in the largest; NaN is "-".
+
+    One scale for all, so that columns compare at a glance; a number that is not zero but would
+    look like it is written with an exponent.
+    """
+    finite = [abs(value) for value in values if math.isfinite(value)]
+    largest = max(finite, default=0.0)
+    if largest > 0.0 and not 1e-3 <= largest < 1e7:
+        return [f"{value:.2e}" if math.isfinite(value) else "-" for value in values]
+    decimals = digits if largest == 0.0 else digits - 1 - math.floor(math.log10(largest))
+    decimals = min(max(decimals, 0), digits)
+    # Rounding noise next to numbers of order one (a moment that symmetry makes zero) is zero.
+    smallest = 0.5 * 10.0**-decimals
+    texts = []
+    for value in values:
+        if not math.isfinite(value):
+            texts.append("-")
+        elif 1e-9 * largest < abs(value) < smallest:
+            texts.append(f"{value:.1e}")
+        else:
+            texts.append(f"{0.0 if abs(value) < smallest else value:.{decimals}f}")
+    return texts
+
+
+def joint_table(summaries, names, quantity) -> str:
+    """One metric for all cases (rows) and joints (columns)."""
+    cases = list(summaries)
+    values = [summaries[case]["joints"][name][quantity.name] for case in cases for name in names]
+    texts = format_numbers(values)
+    rows = [
+        [case, *texts[len(names) * row : len(names) * (row + 1)]] for row, case in enumerate(cases)
+    ]
+    blocks = [
+        format_table(
+            ["case", *names[first : first + 8]],
+            [[row[0], *row[1 + first : 9 + first]] for row in rows],
+        )
+        for first in range(0, len(names), 8)
+    ]
+    return "\n".join([f"{quantity.title}  ({quantity.description})", *blocks])
+
+
+def driven_joint_table(study, summaries) -> str:
+    """End of the driven joint (where there is one) and status of all cases."""
+    header, columns = ["case", "status"], [list(summaries)]
+    columns.append([one["status"] for one in summaries.values()])
+    if study.drive is not None:
+        for quantity in DRIVEN_JOINT:
+            header.append(quantity.title)
+            values = [one["driven_joint"][quantity.name] for one in summaries.values()]
+            columns.append(format_numbers(values, digits=8))
+    table = format_table(header, zip(*columns, strict=True), words=(0, 1))
+    return table if study.drive is None else f"Driven joint {study.drive.joint}\n{table}"
+
+
+def balance_table(summaries) -> str:
+    """Balances of all cases, with what each of them means."""
+    header = ["case", *(quantity.title for quantity in BALANCES)]
+    rows = [
+        [case, *(_exponent(one[quantity.name]) for quantity in BALANCES)]
+        for case, one in summaries.items()
+    ]
+    meanings = [f"  {quantity.label}: {quantity.description}" for quantity in BALANCES]
+    return "\n".join(["Balances", format_table(header, rows), *meanings])
+
+
+def _exponent(value) -> str:
+    return f"{value:.1e}" if math.isfinite(value) else "-"
+
+
+def results_text(study, summaries) -> str:
+    """Everything the command `run` prints about its results.
+
+    Arguments: study as loaded; summaries from `rfem_jax.report.summary.summarise`.
+    """
+    names = joint_names(study)
+    parts = [title_text(study)]
+    parts += [joint_table(summaries, names, quantity) for quantity in JOINT_METRICS]
+    parts += [balance_table(summaries), driven_joint_table(study, summaries)]
+    failed = [
+        f"Case {case}: {one['message']}" for case, one in summaries.items() if one["status"] != "ok"
+    ]
+    if failed:
+        parts.append("\n".join(failed))
+    return "\n\n".join(parts)
+
+
+def title_text(study) -> str:
+    """Title of the study, underlined, and its note."""
+    lines = [study.title, "=" * len(study.title)]
+    return "\n".join([*lines, *textwrap.wrap(study_note(study), _WIDTH)])

@@ -1,0 +1,90 @@
+"""All cases of a study as one batch, in pieces of time so that progress is seen.
+
+Place in the pipeline: study -> **cases** -> report.
+"""
+
+import functools
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rfem_jax.mechanics.discretisation import discretise
+from rfem_jax.mechanics.model import Model
+from rfem_jax.mechanics.realisation import assembly_errors
+from rfem_jax.simulation import integration
+from rfem_jax.simulation.run import Run, one_of
+from rfem_jax.simulation.time_grid import TimeGrid
+
+PIECES = 20
+
+
+def run_cases(
+    study, progress: Callable[[float], None] | None = None, model: Model | None = None
+) -> tuple[Model, dict[str, Run]]:
+    """Simulate all cases of a study together.
+
+    **Arguments:** `progress` is called with the fraction of simulated time; `model`: the study's
+    mechanism if it is discretised already.
+
+    **Returns:** the model, and a run (NumPy arrays) for every case.
+    """
+    model = discretise(study.mechanism) if model is None else model
+    errors = [assembly_errors(model, case.errors) for case in study.cases]
+    errors = jax.tree.map(lambda *leaves: jnp.stack(leaves), *errors)
+    grid, steps = integration.grid_for(study.drive, study.duration, study.method, study.save_every)
+    prepared, carry = _prepare(model, errors, study.drive, grid)
+    records = []
+    for piece in _pieces(grid):
+        carry, record = _advance(
+            model, prepared.realised, study.drive, carry, piece, study.method, steps
+        )
+        records.append(jax.tree.map(np.asarray, record))
+        if progress is not None:
+            progress(float((piece.starts + piece.lengths)[-1] / study.duration))
+    count = len(grid.starts)
+    record = jax.tree.map(lambda *parts: np.concatenate(parts, axis=1)[:, :count], *records)
+    runs = _conclude(model, prepared, carry, record, grid)
+    return model, {case.name: one_of(runs, i) for i, case in enumerate(study.cases)}
+
+
+def _pieces(grid: TimeGrid):
+    """The grid in pieces of equal size (one compiled program); the last one is filled up with
+    intervals of length zero, which change nothing."""
+    count = len(grid.starts)
+    size = -(-count // PIECES)
+    for first in range(0, count, size):
+        piece = TimeGrid(*(part[first : first + size] for part in grid))
+        missing = size - len(piece.starts)
+        end = piece.starts[-1] + piece.lengths[-1]
+        yield TimeGrid(
+            np.append(piece.starts, np.full(missing, end)),
+            np.append(piece.lengths, np.zeros(missing)),
+            np.append(piece.phases, np.full(missing, piece.phases[-1])).astype(np.int32),
+        )
+
+
+@eqx.filter_jit
+def _prepare(model, errors, drive, grid):
+    def one(errors):
+        prepared = integration.prepare(model, errors, drive, None)
+        return prepared, integration.start_carry(prepared, grid)
+
+    return jax.vmap(one)(errors)
+
+
+@eqx.filter_jit
+def _advance(model, realised, drive, carry, grid, method, steps):
+    advance = functools.partial(integration.advance, model)
+    return jax.vmap(
+        lambda realised, carry: advance(realised, drive, carry, grid, method, steps, None)
+    )(realised, carry)
+
+
+@eqx.filter_jit
+def _conclude(model, prepared, carry, record, grid):
+    return jax.vmap(
+        lambda prepared, carry, record: integration.conclude(model, prepared, carry, record, grid)
+    )(prepared, carry, record)

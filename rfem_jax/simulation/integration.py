@@ -1,0 +1,376 @@
+"""Simulation of one mechanism with its errors: assembly, integration, loads, balances.
+
+Place in the pipeline: model, errors, drive, method -> **simulate** -> Run.
+
+    prepare   errors -> constants, start state, preload
+    advance   the intervals of the time grid, one compiled body for all
+    conclude  metrics, balances, status
+
+A fixed-step method is a scan over the steps of a diffrax solver, checkpointed by interval: it takes
+every transform (jit, vmap, forward, reverse, Hessian).  An adaptive method solves each interval by
+`diffrax.diffeqsolve`, so that saved times and the drive's jumps are ends of steps.
+"""
+
+from typing import NamedTuple
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from rfem_jax.description.drives import MomentDrive, PrescribedDrive
+from rfem_jax.description.errors import InputError
+from rfem_jax.description.methods import Method
+from rfem_jax.mechanics import loads
+from rfem_jax.mechanics.centre_lines import centre_lines
+from rfem_jax.mechanics.discretisation import require_double_precision
+from rfem_jax.mechanics.dynamics import Stabilisation
+from rfem_jax.mechanics.model import Model, State
+from rfem_jax.mechanics.realisation import AssemblyErrors, Realisation, assembly_errors, realise
+from rfem_jax.mechanics.statics import (
+    Load,
+    equilibrium,
+    held_angles,
+    length_scale,
+    named,
+    quasi_static_rates,
+    static_loads,
+)
+from rfem_jax.mechanics.status import DIVERGED, DRIFTED, OK, STEPS_EXHAUSTED
+from rfem_jax.simulation import equations
+from rfem_jax.simulation.equations import Conditions, Trajectory
+from rfem_jax.simulation.run import DrivenJoint, Energy, Metrics, Run
+from rfem_jax.simulation.solvers import PeakTracking, make_solver
+from rfem_jax.simulation.time_grid import TimeGrid, time_grid
+
+STABILISATION = 0.02
+ADAPTIVE_STABILISATION_RATE = 1e3
+DRIFT_LIMIT = 1e-6
+MAX_ADAPTIVE_STEPS = 100_000
+
+
+class Prepared(NamedTuple):
+    """A mechanism put together: constants, start state, joint loads at rest, assembly status."""
+
+    realised: Realisation
+    state: State
+    preload: loads.JointLoads
+    status: Array
+
+
+class Carry(NamedTuple):
+    """What goes from interval to interval."""
+
+    trajectory: Trajectory
+    peaks: Array
+    exhausted: Array
+    last_step: Array
+
+
+class Record(NamedTuple):
+    """What is recorded at the end of every interval."""
+
+    angles: Array
+    rates: Array
+    drive_moment: Array
+    loads: loads.JointLoads
+    energy: Energy
+    drift: Array
+    drift_angle: Array
+    momentum_residual: Array
+    largest_load: Array
+    hinge_residual: Array
+    stabilising: Array
+    multiplier: Array
+
+
+def simulate(
+    model: Model,
+    errors: AssemblyErrors | None = None,
+    *,
+    drive: MomentDrive | PrescribedDrive | None,
+    duration: float,
+    method: Method,
+    save_every: float | None = None,
+    start: State | None = None,
+    adjoint: diffrax.AbstractAdjoint | None = None,
+) -> Run:
+    """Assemble a mechanism with its errors and simulate its motion.
+
+    **Arguments:** `errors` from `assembly_errors` (None: perfect); `drive`: moment or prescribed
+    angle, or None; `duration` [s]; `method`; `save_every` [s]: interval of saved times (None: 500
+    intervals); `start`: replaces the static assembly (the preload is then unknown, NaN);
+    `adjoint`: diffrax's adjoint for adaptive methods only (None: forward mode; give
+    `diffrax.RecursiveCheckpointAdjoint()` for reverse mode).
+
+    **Returns:** `Run`.  Works under jit, vmap, jacfwd; with fixed-step methods also grad, jacrev and
+    Hessians (memory in reverse mode: one trajectory state an interval, and the steps of one interval).
+
+    **Raises:** `InputError`; what happens to a run is in its status, never raised.
+    """
+    require_double_precision()
+    grid, steps = grid_for(drive, duration, method, save_every)
+    errors = assembly_errors(model) if errors is None else errors
+    return _simulate(model, errors, drive, grid, start, method, steps, adjoint)
+
+
+def grid_for(drive, duration, method: Method, save_every) -> tuple[TimeGrid, int]:
+    """Time grid and steps an interval of a method."""
+    if method.adaptive and method.step is not None:
+        raise InputError("Argument `method` must have a step or tolerances, but has both.")
+    jumps = () if drive is None else drive.breakpoints()
+    return time_grid(duration, method.step, save_every, jumps)
+
+
+@eqx.filter_jit
+def _simulate(model, errors, drive, grid, start, method, steps, adjoint):
+    prepared = prepare(model, errors, drive, start)
+    carry = start_carry(prepared, grid)
+    carry, record = advance(model, prepared.realised, drive, carry, grid, method, steps, adjoint)
+    return conclude(model, prepared, carry, record, grid)
+
+
+def prepare(model: Model, errors: AssemblyErrors, drive, start: State | None) -> Prepared:
+    """Put the mechanism together, or take the given start."""
+    with jax.named_scope("assembly"):
+        realised = realise(model, errors)
+        joints = len(model.topology.joints)
+        if start is not None:
+            unknown = jnp.full((3, joints), jnp.nan)
+            preload = loads.JointLoads(unknown, unknown)
+            return Prepared(realised, start, preload, jnp.asarray(OK, jnp.int32))
+        drive = equations.with_start_angle(model, drive)
+        held = held_angles(model, None)
+        first = equations.drive_input(drive, jnp.zeros(()), jnp.asarray(0, jnp.int32))
+        if first.turn is not None:
+            held = {model.topology.driven: first.turn[0]}
+        position, multipliers, status = equilibrium(model, realised, held)
+        state = loads.static_state(position)
+        preload = static_loads(model, realised, state, multipliers)
+        if first.turn is not None:
+            rates = quasi_static_rates(model, realised, held, first.turn[1])
+            state = State(position, rates)
+        return Prepared(realised, state, preload, status)
+
+
+def start_carry(prepared: Prepared, grid: TimeGrid) -> Carry:
+    """The carry before the first interval."""
+    joints = prepared.preload.force.shape[1]
+    return Carry(
+        trajectory=equations.start_trajectory(prepared.state, joints),
+        peaks=jnp.zeros((2, joints)),
+        exhausted=jnp.zeros((), bool),
+        last_step=jnp.asarray(1e-7),
+    )
+
+
+def advance(model, realised, drive, carry, grid: TimeGrid, method: Method, steps, adjoint):
+    """Integrate over the intervals of a grid; returns the carry and a `Record` of each end."""
+    drive = equations.with_start_angle(model, drive)
+    stabilisation = stabilisation_of(model, method)
+    solver = PeakTracking(make_solver(method), equations.peaks)
+
+    def interval(carry, entry):
+        start, length, phase = entry
+        conditions = Conditions(realised, drive, phase, stabilisation)
+        if method.adaptive:
+            carry = _adaptive(solver, carry, start, length, conditions, method, adjoint)
+        else:
+            carry = _fixed(solver, carry, start, length, steps, conditions)
+        record, seen = _observe(model, start + length, carry.trajectory, conditions)
+        return carry._replace(peaks=jnp.maximum(carry.peaks, seen)), record
+
+    grid = TimeGrid(*(jnp.asarray(part) for part in grid))
+    return jax.lax.scan(jax.checkpoint(interval), carry, grid)
+
+
+def _field(t, y, conditions):
+    trajectory, peaks = y
+    rate = equations.right_hand_side(t, trajectory, conditions)
+    return rate, jax.tree.map(jnp.zeros_like, peaks)
+
+
+def _fixed(solver, carry: Carry, start, length, steps, conditions) -> Carry:
+    """The steps of one interval with equal length."""
+    terms = diffrax.ODETerm(_field)
+    h = length / steps
+
+    def step(state, index):
+        y, solver_state = state
+        t0 = start + h * index
+        y, _, _, solver_state, _ = solver.step(
+            terms, t0, t0 + h, y, conditions, solver_state, jnp.asarray(False)
+        )
+        return (y, solver_state), None
+
+    y = (carry.trajectory, carry.peaks)
+    memory = solver.init(terms, start, start + h, y, conditions)
+    (y, _), _ = jax.lax.scan(step, (y, memory), jnp.arange(steps, dtype=jnp.float64))
+    return carry._replace(trajectory=y[0], peaks=y[1])
+
+
+def _adaptive(solver, carry: Carry, start, length, conditions, method, adjoint) -> Carry:
+    """One interval with steps from the error control."""
+    moving = length > 0.0
+    end = start + jnp.where(moving, length, 1.0)
+    y = (carry.trajectory, carry.peaks)
+    solution = diffrax.diffeqsolve(
+        diffrax.ODETerm(_field),
+        solver,
+        t0=start,
+        t1=end,
+        dt0=jnp.minimum(carry.last_step, end - start),
+        y0=y,
+        args=conditions,
+        stepsize_controller=diffrax.PIDController(rtol=method.rtol, atol=method.atol),
+        saveat=diffrax.SaveAt(t1=True),
+        adjoint=diffrax.ForwardMode() if adjoint is None else adjoint,
+        max_steps=MAX_ADAPTIVE_STEPS,
+        throw=False,
+    )
+    end_state = jax.tree.map(lambda a, b: jnp.where(moving, a[-1], b), solution.ys, y)
+    failed = moving & (solution.result != diffrax.RESULTS.successful)
+    accepted = jnp.maximum(solution.stats["num_accepted_steps"], 1).astype(jnp.float64)
+    step = jnp.where(moving, jax.lax.stop_gradient(length / accepted), carry.last_step)
+    return Carry(end_state[0], end_state[1], carry.exhausted | failed, step)
+
+
+def stabilisation_of(model: Model, method: Method) -> Stabilisation:
+    """Baumgarte's gains of a method, tied to its step: rate = stabilisation / step, critically
+    damped; adaptive methods use a fixed rate."""
+    share = STABILISATION if method.stabilisation is None else method.stabilisation
+    rate = share / STABILISATION * ADAPTIVE_STABILISATION_RATE
+    if method.step is not None:
+        rate = share / method.step
+    return Stabilisation(2.0 * rate, rate**2, length_scale(model))
+
+
+def _observe(model: Model, t, trajectory: Trajectory, conditions: Conditions):
+    """Record of one instant, and its squared axial and normal forces."""
+    with jax.named_scope("observation"):
+        topology, realised = model.topology, conditions.realised
+        state, drive, result, joint = equations.at_instant(t, trajectory, conditions)
+        parts = loads.energies(realised, state)
+        force, moment = loads.momentum_residual(realised, state, result)
+        arms = jnp.stack(
+            [link.hinge_centre for link in result.motion.links]
+            + [cut.centre for cut in result.closures],
+            axis=1,
+        )
+        largest_force = jnp.sqrt(jnp.max(jnp.sum(joint.force**2, axis=0)))
+        largest_moment = jnp.sqrt(jnp.max(jnp.sum(joint.moment**2, axis=0)))
+        largest_moment = largest_moment + largest_force * jnp.max(jnp.abs(arms))
+        drift, drift_angle = _drift(result.closures, length_scale(model))
+        passive = np.ones(len(topology.joints))
+        if drive.turn is not None:
+            passive[topology.driven] = 0.0
+        integrals = trajectory.integrals
+        axial, normal, _ = equations.squares(joint)
+        record = Record(
+            angles=state.position.angles,
+            rates=state.velocity.angles,
+            drive_moment=equations.drive_moment(topology, drive, joint),
+            loads=joint,
+            energy=Energy(*parts, integrals.work, integrals.dissipation),
+            drift=drift,
+            drift_angle=drift_angle,
+            momentum_residual=jnp.stack([jnp.max(jnp.abs(force)), jnp.max(jnp.abs(moment))]),
+            largest_load=jnp.stack([largest_force, largest_moment]),
+            hinge_residual=jnp.max(jnp.abs(joint.moment[1]) * jnp.asarray(passive)),
+            stabilising=jnp.max(jnp.abs(result.stabilising), initial=0.0),
+            multiplier=jnp.max(jnp.abs(result.multipliers), initial=0.0),
+        )
+        return record, jnp.stack([axial, normal])
+
+
+def _drift(cuts, scale):
+    """Largest distance [m] of two joint centres, and largest axis equation [rad]."""
+    if not cuts:
+        return jnp.zeros(()), jnp.zeros(())
+    residuals = jnp.stack([cut.residual for cut in cuts])
+    distance = equations.guarded_root(jnp.max(jnp.sum(residuals[:, :3] ** 2, axis=1)))
+    return distance, jnp.max(jnp.abs(residuals[:, 3:])) / scale
+
+
+def conclude(model: Model, prepared: Prepared, carry: Carry, record: Record, grid) -> Run:
+    """Metrics, balances and status from the last carry and all records."""
+    times = jnp.asarray(grid.starts + grid.lengths)
+    driven = model.topology.driven
+    energy = record.energy
+    balance = energy.total - energy.work + energy.dissipation
+    error = jnp.max(jnp.abs(balance - balance[0])) / _safe(jnp.max(jnp.abs(energy.total)))
+    drift = jnp.max(record.drift)
+    relative = jnp.max(record.momentum_residual, axis=0) / _safe(jnp.max(record.largest_load, axis=0))
+    nothing = jnp.zeros_like(times)
+    angle = nothing if driven is None else record.angles[:, driven]
+    rate = nothing if driven is None else record.rates[:, driven]
+    return Run(
+        times=times,
+        angle=angle,
+        rate=rate,
+        drive_moment=record.drive_moment,
+        angles={name: record.angles[:, l] for l, name in enumerate(_tree_joints(model))},
+        loads={
+            name: Load(record.loads.force[:, :, j], record.loads.moment[:, :, j])
+            for name, j in _joints(model)
+        },
+        preload=named(model, prepared.preload),
+        energy=energy,
+        metrics=metrics_of(model, carry, times[-1]),
+        driven_joint=DrivenJoint(angle[-1], rate[-1]),
+        energy_balance_error=error,
+        closure_drift=drift,
+        closure_drift_angle=jnp.max(record.drift_angle),
+        momentum_balance_error=jnp.max(relative),
+        hinge_moment_error=jnp.max(record.hinge_residual) / _safe(jnp.max(record.largest_load[:, 1])),
+        stabilisation_share=jnp.max(record.stabilising) / _safe(jnp.max(record.multiplier)),
+        status=_status(model, prepared, carry, error, drift),
+        centre_lines=centre_lines(model, prepared.realised, prepared.state.position),
+        nominal_lines=centre_lines(
+            model, realise(model, assembly_errors(model)), model.start_coordinates()
+        ),
+    )
+
+
+def metrics_of(model: Model, carry: Carry, duration) -> Metrics:
+    """Mean squares, RMS values and maxima by joint."""
+    integrals = carry.trajectory.integrals
+    force = (integrals.axial_square + integrals.normal_square) / duration
+    moment = integrals.moment_square / duration
+    highest = equations.guarded_root(carry.peaks)
+
+    def by_name(values):
+        return {name: values[j] for name, j in _joints(model)}
+
+    return Metrics(
+        mean_square_force=by_name(force),
+        mean_square_moment=by_name(moment),
+        rms_force=by_name(equations.guarded_root(force)),
+        rms_moment=by_name(equations.guarded_root(moment)),
+        max_axial_force=by_name(highest[0]),
+        max_normal_force=by_name(highest[1]),
+    )
+
+
+def _status(model, prepared: Prepared, carry: Carry, error, drift):
+    finite = jnp.isfinite(error) & jnp.all(jnp.isfinite(carry.peaks))
+    for leaf in jax.tree.leaves(carry.trajectory):
+        finite = finite & jnp.all(jnp.isfinite(leaf))
+    code = jnp.where(drift < DRIFT_LIMIT * length_scale(model), OK, DRIFTED)
+    code = jnp.where(carry.exhausted, STEPS_EXHAUSTED, code)
+    code = jnp.where(finite, code, DIVERGED)
+    return jnp.where(prepared.status == OK, code, prepared.status).astype(jnp.int32)
+
+
+def _safe(value):
+    return jnp.where(value > 0.0, value, 1.0)
+
+
+def _tree_joints(model):
+    return model.topology.joints[: model.topology.n_links]
+
+
+def _joints(model):
+    return [(name, model.topology.joints.index(name)) for name in model.joint_names]

@@ -1,0 +1,60 @@
+"""Methods: names, settings that fit, refusals."""
+
+import diffrax
+import pytest
+
+from rfem_jax.description import Method
+from rfem_jax.description.methods import ADAPTIVE_METHODS, METHODS
+
+
+@pytest.mark.parametrize("name", ADAPTIVE_METHODS)
+def test_adaptive_methods_are_explicit_solvers_of_diffrax_with_an_error_estimate(name):
+    (solver,) = [kind for key, kind in vars(diffrax).items() if key.lower() == name]
+    assert issubclass(solver, diffrax.AbstractAdaptiveSolver)
+    assert not issubclass(solver, diffrax.AbstractImplicitSolver)
+    adaptive = Method(name, rtol=1e-8, atol="1e-8 %")
+    assert adaptive.adaptive and adaptive.atol == pytest.approx(1e-10)
+    assert not Method(name, step=1e-5).adaptive
+
+
+def test_fixed_methods():
+    assert Method("rk4", step="10 us").step == 1e-5
+    assert Method("leapfrog", step=1e-6, stabilisation=0).stabilisation == 0.0
+    assert Method("euler", step=1e-6).stabilisation is None
+    assert Method("auto", accuracy=1e-4).accuracy == 1e-4
+    assert Method("auto").accuracy is None
+
+
+def test_no_other_name_is_known(refused):
+    for name in METHODS:
+        with refused("`name` of the method", f"`{name}`?"):
+            Method(name + "x", step=1e-5)
+    with refused("`name` of the method"):
+        Method(4, step=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("settings", "pieces"),
+    [
+        ({}, ("`step`", '"rk4"', "missing")),
+        ({"name": "leapfrog"}, ("`step`", "missing")),
+        ({"name": "euler"}, ("`step`", "missing")),
+        ({"step": 0.0}, ("`step`", "greater than 0")),
+        ({"step": "1 mm"}, ("`step`", "time")),
+        ({"step": 1e-5, "rtol": 1e-8}, ("`rtol`", "left out")),
+        ({"step": 1e-5, "accuracy": 1e-3}, ("`accuracy`", '"auto"')),
+        ({"step": 1e-5, "stabilisation": -1}, ("`stabilisation`", "negative")),
+        ({"name": "dopri8"}, ("`rtol`", "`atol`")),
+        ({"name": "dopri8", "rtol": 1e-8}, ("`atol`",)),
+        ({"name": "dopri8", "rtol": 1e-8, "atol": 0}, ("`atol`", "greater than 0")),
+        ({"name": "dopri8", "rtol": -1, "atol": 1e-8}, ("`rtol`", "greater than 0")),
+        ({"name": "dopri8", "rtol": 1e-8, "atol": 1e-8, "step": 1e-5}, ("both are",)),
+        ({"name": "auto", "step": 1e-5}, ("`step`", "left out")),
+        ({"name": "auto", "rtol": 1e-5}, ("`rtol`", "left out")),
+        ({"name": "auto", "accuracy": 2.0}, ("`accuracy`", "less than 1")),
+        ({"name": "auto", "accuracy": 0.0}, ("`accuracy`", "greater than 0")),
+    ],
+)
+def test_settings_that_do_not_fit_are_refused(refused, settings, pieces):
+    with refused(*pieces):
+        Method(**settings)

@@ -1,0 +1,170 @@
+"""A small study and synthetic runs with known numbers: reports are tested without simulating."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from rfem_jax.description import load_study
+
+STUDY = """
+title = "Test four-bar"
+
+[mechanism]
+gravity = [0.0, 0.0, -9.81]
+[mechanism.materials.steel]
+youngs_modulus = "210 GPa"
+poisson_ratio = 0.3
+density = 7850.0
+[mechanism.sections.bar]
+shape = "rectangle"
+width = "10 mm"
+height = "20 mm"
+
+[[mechanism.links]]
+name = "crank"
+length = 0.12
+section = "bar"
+material = "steel"
+rigid = true
+[[mechanism.links]]
+name = "coupler"
+length = 0.30
+section = "bar"
+material = "steel"
+rfes = 5
+point_masses = [{ mass = 0.1, position = 0.15 }]
+[[mechanism.links]]
+name = "rocker"
+length = 0.30
+section = "bar"
+material = "steel"
+rfes = 5
+
+[[mechanism.joints]]
+name = "A"
+parent = "base"
+child = "crank"
+angle = "-90 deg"
+[[mechanism.joints]]
+name = "B"
+parent = "crank"
+child = "coupler"
+angle = "54.4 deg"
+[[mechanism.joints]]
+name = "D"
+parent = "base"
+child = "rocker"
+position = [0.3, 0.0, 0.0]
+angle = "-100.8 deg"
+[[mechanism.joints]]
+name = "C"
+parent = "coupler"
+child = "rocker"
+cut = true
+
+[drive]
+joint = "A"
+kind = "moment_ramp"
+moment = 1.5
+rise_time = 0.1
+
+[simulation]
+duration = 0.5
+method = "rk4"
+step = 1e-5
+save_every = 0.05
+
+[[cases]]
+name = "P1"
+[[cases]]
+name = "P2"
+errors = { "D.delta_x" = "0.5 deg" }
+[[cases]]
+name = "P3"
+errors = { "D.d_y" = "0.5 mm", "coupler.length" = "-0.1 mm" }
+"""
+
+JOINTS = ("A", "B", "D", "C")
+NOMINAL = {
+    "crank": ((0.0, 0.0, 0.0), (0.0, 0.0, 0.12)),
+    "coupler": ((0.0, 0.0, 0.12), (0.244, 0.0, 0.295)),
+    "rocker": ((0.3, 0.0, 0.0), (0.244, 0.0, 0.295)),
+}
+
+
+def joint_vector(size, number):
+    """(11, 3) loads whose components are easy to tell apart: size * (1, 2, 3) + number."""
+    return size * np.array([1.0, 2.0, 3.0]) + number + np.zeros((11, 3))
+
+
+def synthetic_run(size, status=0):
+    """A run in the form of `rfem_jax.simulation.Run`; `size` scales what errors cause."""
+    times = np.linspace(0.0, 0.5, 11)
+    numbered = tuple(enumerate(JOINTS))
+    loads = {
+        joint: SimpleNamespace(
+            force=joint_vector(size, number), moment=0.1 * joint_vector(size, number)
+        )
+        for number, joint in numbered
+    }
+    preload = {
+        joint: SimpleNamespace(force=load.force[0], moment=load.moment[0])
+        for joint, load in loads.items()
+    }
+    nominal = {link: np.linspace(*ends, 9) for link, ends in NOMINAL.items()}
+    bend = np.linspace(0.0, 1e-3, 9)[:, None] * np.array([0.0, 1.0, 0.0])
+    metrics = {
+        name: {joint: factor * (number + 1.0) * size for number, joint in numbered}
+        for name, factor in (
+            ("rms_force", 1.0),
+            ("rms_moment", 0.1),
+            ("max_axial_force", 2.0),
+            ("max_normal_force", 3.0),
+        )
+    }
+    return SimpleNamespace(
+        times=times,
+        angle=-1.5 + 20.0 * times + 0.01 * size * times,
+        rate=20.0 + 0.0 * times,
+        drive_moment=np.where(times <= 0.1, 15.0 * times, 0.0),
+        loads=loads,
+        preload=preload,
+        energy=SimpleNamespace(
+            kinetic=times, elastic=0.5 * times, gravity=-0.25 * times, work=times, dissipation=times
+        ),
+        metrics=SimpleNamespace(**metrics),
+        driven_joint=SimpleNamespace(angle_end=8.5 + 0.005 * size, rate_end=20.0),
+        energy_balance_error=1e-7,
+        closure_drift=2e-12,
+        closure_drift_angle=3e-12,
+        momentum_balance_error=4e-12,
+        stabilisation_share=5e-6,
+        status=np.int32(status),
+        centre_lines={
+            link: line + (0.0 if link == "crank" else size) * bend for link, line in nominal.items()
+        },
+        nominal_lines=nominal,
+    )
+
+
+@pytest.fixture
+def study_file(tmp_path):
+    path = tmp_path / "study.toml"
+    path.write_text(STUDY, encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def study(study_file):
+    return load_study(study_file)
+
+
+@pytest.fixture
+def runs():
+    return {"P1": synthetic_run(0.0), "P2": synthetic_run(2.0), "P3": synthetic_run(1.0)}
+
+
+@pytest.fixture
+def statuses():
+    return {name: ("ok", "The run is complete.") for name in ("P1", "P2", "P3")}

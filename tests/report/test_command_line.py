@@ -1,0 +1,238 @@
+"""The command: exit codes, one sentence per mistake, what is written; simulation replaced."""
+
+import ast
+import io
+import os
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+
+import pytest
+
+from rfem_jax.description import InputError
+from rfem_jax.report import command_line
+from rfem_jax.report.command_line import Progress, main, user_cache_folder
+
+STATUS = {0: ("ok", "The run is complete."), 3: ("diverged", "The run diverged; reduce the step.")}
+
+
+@pytest.fixture
+def rooms(monkeypatch, runs):
+    """Stand-ins for mechanics and simulation; what they do can be changed by a test."""
+    mechanics, simulation = ModuleType("mechanics"), ModuleType("simulation")
+    counts = {"coordinates": 51, "constraints": 5, "rank": 5, "mobility": 46, "rigid_mobility": 1}
+    mechanics.discretise = lambda mechanism: SimpleNamespace(mechanism=mechanism)
+    mechanics.describe = lambda model: SimpleNamespace(**counts, redundant=False)
+    simulation.STATUS = STATUS
+    simulation.check_step = lambda model, method: 1.94e-5
+
+    def run_cases(study, progress):
+        progress(1.0)
+        return None, {case.name: runs[case.name] for case in study.cases}
+
+    simulation.run_cases = run_cases
+    monkeypatch.setitem(sys.modules, "rfem_jax.mechanics", mechanics)
+    monkeypatch.setitem(sys.modules, "rfem_jax.simulation", simulation)
+    monkeypatch.setattr(command_line, "set_up_jax", lambda: None)
+    return SimpleNamespace(mechanics=mechanics, simulation=simulation)
+
+
+def refuse(*_, **__):
+    raise InputError("Argument `step` must be at most 1.9e-05 s, but is\n 1e-3 s; reduce it.")
+
+
+def one_sentence(capsys):
+    """The only line on standard error."""
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 1, lines
+    return lines[0]
+
+
+def test_run_prints_and_writes_everything(rooms, runs, study_file, tmp_path, capsys):
+    out = tmp_path / "deep" / "results"
+    assert main(["run", str(study_file), "--out", str(out)]) == 0
+    names = {path.name for path in out.iterdir()}
+    assert {"results.json", "P1.csv", "P2.csv", "P3.csv"} <= names
+    assert {"angle.png", "assembly.png"} <= names
+    captured = capsys.readouterr()
+    assert "RMS resultant force, N" in captured.out
+    assert "12 files written" in captured.out
+    assert "Simulating 3 cases: 100 %" in captured.err
+
+
+def test_a_failed_case_is_exit_code_3_and_is_written(rooms, runs, study_file, tmp_path, capsys):
+    runs["P2"].status = 3
+    assert main(["run", str(study_file), "--out", str(tmp_path)]) == 3
+    assert '"status": "diverged"' in (tmp_path / "results.json").read_text(encoding="utf-8")
+    assert (tmp_path / "P2.csv").exists()
+    assert "Case P2: The run diverged; reduce the step." in capsys.readouterr().out
+
+
+def test_check_prints_what_was_understood(rooms, study_file, capsys):
+    rooms.simulation.run_cases = None
+    assert main(["check", str(study_file)]) == 0
+    text = capsys.readouterr().out
+    assert "Test four-bar" in text
+    assert "Coordinates: 51" in text
+    assert "Largest stable step of rk4: 1.94e-05 s." in text
+
+
+def test_check_of_an_adaptive_method(rooms, study_file, capsys):
+    rooms.simulation.check_step = lambda model, method: None
+    assert main(["check", str(study_file)]) == 0
+    assert "Largest stable step of rk4: chosen by the method." in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("command", [["check"], ["run", "--out", "unused"]])
+def test_a_step_that_is_too_large_is_refused(rooms, study_file, command, capsys, monkeypatch):
+    monkeypatch.chdir(study_file.parent)
+    rooms.simulation.check_step = refuse
+    rooms.simulation.run_cases = None
+    assert main([*command, str(study_file)]) == 2
+    assert one_sentence(capsys) == (
+        "Argument `step` must be at most 1.9e-05 s, but is 1e-3 s; reduce it."
+    )
+    assert not Path("unused").exists()
+
+
+def test_wrong_study_files(rooms, study_file, tmp_path, capsys):
+    assert main(["check", str(tmp_path / "missing.toml")]) == 2
+    assert "missing.toml" in one_sentence(capsys)
+    text = study_file.read_text(encoding="utf-8").replace("D.delta_x", "D.delta_q")
+    study_file.write_text(text, encoding="utf-8")
+    assert main(["check", str(study_file)]) == 2
+    assert "D.delta_q" in one_sentence(capsys)
+
+
+def test_a_folder_that_cannot_be_made_is_refused_before_simulating(
+    rooms, study_file, tmp_path, capsys
+):
+    rooms.simulation.run_cases = None
+    (tmp_path / "file").write_text("", encoding="utf-8")
+    assert main(["run", str(study_file), "--out", str(tmp_path / "file" / "results")]) == 2
+    assert "`--out` must be a folder" in one_sentence(capsys)
+
+
+def test_a_full_disk_is_one_sentence(rooms, study_file, tmp_path, capsys, monkeypatch):
+    def fail(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("rfem_jax.report.files.write_files", fail)
+    assert main(["run", str(study_file), "--out", str(tmp_path)]) == 2
+    assert "No space left on device" in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_an_interruption_is_130(rooms, study_file, tmp_path, capsys):
+    def interrupt(study, progress):
+        raise KeyboardInterrupt
+
+    rooms.simulation.run_cases = interrupt
+    assert main(["run", str(study_file), "--out", str(tmp_path)]) == 130
+    error = capsys.readouterr().err
+    assert error.splitlines()[-1].startswith("Interrupted")
+    assert "Traceback" not in error
+
+
+def test_a_fault_of_the_program_is_not_hidden(rooms, study_file):
+    rooms.simulation.check_step = lambda model, method: 1 / 0
+    with pytest.raises(ZeroDivisionError):
+        main(["check", str(study_file)])
+
+
+@pytest.mark.parametrize(
+    "arguments", [[], ["simulate"], ["run", "study.toml"], ["check"], ["check", "a", "--fast"]]
+)
+def test_a_wrong_call_is_one_sentence(arguments, capsys):
+    assert main(arguments) == 2
+    assert "--help" in one_sentence(capsys)
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["run", "--help"], ["check", "--help"]])
+def test_help(arguments, capsys):
+    assert main(arguments) == 0
+    text = capsys.readouterr().out
+    assert text.startswith("usage: rfem-jax")
+    assert "run" in arguments or "--out" not in text
+
+
+def test_without_matplotlib_the_rest_is_written(rooms, study_file, tmp_path, capsys, monkeypatch):
+    out = tmp_path / "results"
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    assert main(["run", str(study_file), "--out", str(out)]) == 0
+    names = sorted(path.name for path in out.iterdir())
+    assert names == ["P1.csv", "P2.csv", "P3.csv", "results.json"]
+    assert 'pip install "rfem_jax[plots]"' in capsys.readouterr().out
+
+
+def test_the_module_imports_nothing_heavy_at_its_top():
+    tree = ast.parse(Path(command_line.__file__).read_text(encoding="utf-8"))
+    names = set()
+    for node in tree.body:
+        if isinstance(node, ast.Import):
+            names |= {alias.name.split(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            names.add(node.module.split(".")[0])
+    assert names <= set(sys.stdlib_module_names)
+
+
+def settings_in_a_new_process(tmp_path, **environment):
+    """Double precision and cache folder that `set_up_jax` leaves behind."""
+    code = (
+        "from rfem_jax.report.command_line import set_up_jax; import jax; set_up_jax(); "
+        "print(jax.config.jax_enable_x64, jax.config.jax_compilation_cache_dir)"
+    )
+    base = {key: value for key, value in os.environ.items() if not key.startswith("JAX_")}
+    homes = dict.fromkeys(("HOME", "XDG_CACHE_HOME", "LOCALAPPDATA"), str(tmp_path))
+    answer = subprocess.run(
+        [sys.executable, "-c", code],
+        env={**base, **homes, **environment, "JAX_PLATFORMS": "cpu"},
+        cwd=Path(command_line.__file__).parents[2],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return answer.stdout.split()
+
+
+def test_jax_is_set_up_with_a_cache_in_the_users_folder(tmp_path):
+    double, folder = settings_in_a_new_process(tmp_path)
+    assert double == "True"
+    assert Path(folder).is_relative_to(tmp_path)
+    assert Path(folder).is_dir()
+
+
+def test_the_user_can_choose_the_cache(tmp_path):
+    chosen = str(tmp_path / "chosen")
+    assert settings_in_a_new_process(tmp_path, JAX_COMPILATION_CACHE_DIR=chosen)[1] == chosen
+
+
+def test_the_cache_folder_is_the_platforms(monkeypatch):
+    monkeypatch.setattr(sys, "platform", "linux")
+    monkeypatch.setenv("XDG_CACHE_HOME", "/somewhere/cache")
+    assert user_cache_folder() == Path("/somewhere/cache/rfem_jax")
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    assert user_cache_folder() == Path.home() / ".cache" / "rfem_jax"
+
+
+def test_progress_in_a_log_is_a_line_per_quarter():
+    stream = io.StringIO()
+    progress = Progress("Simulating", stream)
+    for percent in (0, 10, 26, 30, 24, 99, 100, 100):
+        progress(percent / 100.0)
+    progress.close()
+    lines = stream.getvalue().splitlines()
+    assert lines[0] == "Simulating: compiling ..."
+    assert [line.split()[1] for line in lines[1:]] == ["26", "99", "100"]
+
+
+def test_progress_on_a_terminal_rewrites_its_line():
+    stream = io.StringIO()
+    stream.isatty = lambda: True
+    progress = Progress("Simulating", stream)
+    progress(0.5)
+    progress.close()
+    text = stream.getvalue()
+    assert text.count("\r") == 2
+    assert text.count("\n") == 1
+    assert "50 %" in text

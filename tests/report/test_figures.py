@@ -1,0 +1,146 @@
+"""Pictures: all are there, none is blank, and they show the numbers they should."""
+
+import numpy as np
+import pytest
+from scipy.ndimage import label
+
+pytest.importorskip("matplotlib", reason="pictures need the extra `plots`")
+
+import matplotlib  # noqa: E402
+from matplotlib.image import imread  # noqa: E402
+
+from rfem_jax.report.figures import draw_figures, write_figures  # noqa: E402
+from rfem_jax.report.shapes import exaggerated_lines, exaggeration, round_factor  # noqa: E402
+from rfem_jax.report.style import bar_style, line_style  # noqa: E402
+from rfem_jax.report.summary import summarise  # noqa: E402
+
+NAMES = {
+    *("angle", "rate", "energy", "maximum_forces", "rms_loads", "preload"),
+    *("base_joint_force", "assembly"),
+}
+
+
+@pytest.fixture
+def figures(study, runs, statuses):
+    return draw_figures(study, runs, summarise(study, runs, statuses))
+
+
+def texts(figure):
+    """All words of a figure: titles, axis names, legends and captions."""
+    return " ".join(item.get_text() for item in figure.findobj(matplotlib.text.Text))
+
+
+def bars(figure, panel):
+    """Heights of the bars of one panel, {case: one per joint}."""
+    axes = figure.axes[panel]
+    return {one.get_label(): [bar.get_height() for bar in one] for one in axes.containers}
+
+
+def test_all_pictures_are_written_and_none_is_blank(tmp_path, study, runs, statuses):
+    paths = write_figures(tmp_path, study, runs, summarise(study, runs, statuses))
+    assert {path.stem for path in paths} == NAMES
+    for path in paths:
+        picture = imread(path)[..., :3]
+        assert picture.shape[1] >= 1000, path
+        dark = (picture < 0.9).any(axis=2)
+        assert 0.005 < dark.mean() < 0.6, path
+        assert label(dark)[1] > 50, path
+    assert not list(tmp_path.glob("*.part"))
+
+
+def test_every_picture_has_a_title_and_units(figures):
+    for name, unit in (
+        ("angle", "angle, rad"),
+        ("rate", "rate, rad/s"),
+        ("energy", "energy, J"),
+        ("maximum_forces", "force, N"),
+        ("rms_loads", "moment, N m"),
+        ("preload", "moment, N m"),
+        ("base_joint_force", "force, N"),
+        ("assembly", "Z, m"),
+    ):
+        words = texts(figures[name])
+        assert "Test four-bar" in words, name
+        assert unit in words, name
+
+
+def test_the_note_is_the_caption_of_every_picture(study, runs, statuses):
+    object.__setattr__(study, "note", "Substitute data.")
+    for name, figure in draw_figures(study, runs, summarise(study, runs, statuses)).items():
+        assert "Substitute data." in texts(figure), name
+
+
+def test_curves_and_their_differences(figures, runs):
+    upper, lower = figures["angle"].axes
+    curves = {line.get_label(): line.get_ydata() for line in upper.lines}
+    np.testing.assert_array_equal(curves["P2"], runs["P2"].angle)
+    np.testing.assert_allclose(lower.lines[0].get_ydata(), 0.02 * runs["P2"].times, atol=1e-14)
+    assert "from P1" in lower.get_ylabel()
+
+
+def test_bars_show_the_metrics_and_resultants(figures):
+    assert bars(figures["rms_loads"], 0)["P2"] == [2.0, 4.0, 6.0, 8.0]
+    assert bars(figures["rms_loads"], 1)["P3"] == pytest.approx([0.1, 0.2, 0.3, 0.4])
+    assert bars(figures["maximum_forces"], 0)["P2"] == [4.0, 8.0, 12.0, 16.0]
+    assert bars(figures["maximum_forces"], 1)["P2"] == [6.0, 12.0, 18.0, 24.0]
+    resultant = np.linalg.norm([2.0, 4.0, 6.0])
+    assert bars(figures["preload"], 0)["P2"][0] == pytest.approx(resultant)
+
+
+def test_force_components_without_and_with_errors(figures, runs):
+    panels = figures["base_joint_force"].axes
+    assert [line.get_label().split(",")[0] for line in panels[0].lines] == ["P1", "P2", "P3"]
+    np.testing.assert_array_equal(panels[1].lines[1].get_ydata(), runs["P2"].loads["A"].force[:, 1])
+
+
+def test_a_failed_case_is_marked_and_does_not_break_pictures(tmp_path, study, runs, statuses):
+    run = runs["P2"]
+    run.angle[3:] = np.nan
+    for values in vars(run.metrics).values():
+        values.update(dict.fromkeys(values, float("nan")))
+    for joint in run.preload:
+        run.preload[joint].force[:] = np.nan
+        run.preload[joint].moment[:] = np.nan
+        run.loads[joint].force[3:] = np.nan
+    run.centre_lines = {link: line * np.nan for link, line in run.centre_lines.items()}
+    paths = write_figures(tmp_path, study, runs, summarise(study, runs, statuses))
+    assert {path.stem for path in paths} == NAMES
+    figures = draw_figures(study, runs, summarise(study, runs, statuses))
+    assert texts(figures["rms_loads"]).count("n/a") == 8
+    assert "not assembled" in texts(figures["assembly"])
+
+
+def test_a_single_case_without_a_drive(study, runs, statuses):
+    object.__setattr__(study, "drive", None)
+    object.__setattr__(study, "cases", study.cases[:1])
+    runs = {"P1": runs["P1"]}
+    figures = draw_figures(study, runs, summarise(study, runs, statuses))
+    assert set(figures) == NAMES - {"angle", "rate"}
+    assert len(figures["energy"].axes) == 1
+
+
+def test_the_exaggeration_factor(runs):
+    assert [round_factor(value) for value in (0.3, 1.0, 1.99, 5.0, 49.0, 50.0, 730.0)] == [
+        *(1.0, 1.0, 1.0, 5.0, 20.0, 50.0, 500.0)
+    ]
+    factor = exaggeration(runs)
+    # 2 mm of deflection and a mechanism of 0.42 m: a fifth of it is 42 times the deflection.
+    assert factor == 20.0
+    lines = exaggerated_lines(runs["P2"], factor)
+    np.testing.assert_allclose(lines["rocker"][-1], [0.244, 0.04, 0.295])
+    assert exaggeration({"P1": runs["P1"]}) == 1.0
+
+
+def test_the_title_names_the_factor(figures):
+    assert "deflections exaggerated 20 times" in texts(figures["assembly"])
+
+
+def test_cases_differ_by_more_than_colour():
+    lines = [line_style(index, 100) for index in range(20)]
+    assert len({(str(one["linestyle"]), one["marker"]) for one in lines}) == 20
+    hatches = [(bar_style(index)["hatch"], bar_style(index)["color"]) for index in range(20)]
+    assert len(set(hatches)) == 20
+
+
+def test_global_settings_of_matplotlib_stay(figures):
+    assert matplotlib.rcParams["savefig.dpi"] == matplotlib.rcParamsDefault["savefig.dpi"]

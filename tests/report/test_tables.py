@@ -1,0 +1,118 @@
+"""Tables of the terminal: alignment, numbers, names and units, what is said about failures."""
+
+from types import SimpleNamespace
+
+import numpy as np
+
+from rfem_jax.report.overview import format_error, section_text, study_text
+from rfem_jax.report.summary import summarise
+from rfem_jax.report.tables import format_numbers, format_table, results_text
+
+COUNTS = {"coordinates": 51, "constraints": 5, "rank": 5, "mobility": 46, "rigid_mobility": 1}
+
+
+def test_columns_are_aligned():
+    text = format_table(["case", "A"], [["P1", "1.0"], ["long name", "10.0"]])
+    assert text.splitlines() == [
+        "case          A",
+        "---------------",
+        "P1          1.0",
+        "long name  10.0",
+    ]
+
+
+def test_numbers_share_their_decimals():
+    assert format_numbers([41.46875, 1.0, 0.0]) == ["41.4688", "1.0000", "0.0000"]
+    assert format_numbers([float("nan"), 2.0]) == ["-", "2.00000"]
+    assert format_numbers([0.0, 0.0]) == ["0.000000", "0.000000"]
+
+
+def test_small_numbers_are_not_shown_as_zero_but_rounding_is():
+    assert format_numbers([1000.0, 1e-4]) == ["1000.00", "1.0e-04"]
+    assert format_numbers([1000.0, -1e-12]) == ["1000.00", "0.00"]
+    assert format_numbers([2.5e-9, 1e-9]) == ["2.50e-09", "1.00e-09"]
+
+
+def test_results_name_every_metric_with_its_unit(study, runs, statuses):
+    text = results_text(study, summarise(study, runs, statuses))
+    for heading in (
+        "RMS resultant force, N",
+        "RMS resultant moment, N m",
+        "Maximum axial force, N",
+        "Maximum normal force, N",
+        "Angle at end, rad",
+        "Rate at end, rad/s",
+        "Drift, m",
+    ):
+        assert heading in text
+    block = text.split("RMS resultant force, N")[1].splitlines()
+    assert block[1].split() == ["case", "A", "B", "D", "C"]
+    assert block[4].split() == ["P2", "2.00000", "4.00000", "6.00000", "8.00000"]
+    assert max(map(len, text.splitlines())) <= 100
+
+
+def test_many_joints_are_broken_into_blocks(study, runs, statuses):
+    summaries = summarise(study, runs, statuses)
+    names = [f"J{number}" for number in range(11)]
+    row = summaries["P1"]["joints"]["A"]
+    for summary in summaries.values():
+        summary["joints"] = dict.fromkeys(names, row)
+    joints = tuple(SimpleNamespace(name=name) for name in names)
+    wide = SimpleNamespace(
+        title="wide", mechanism=SimpleNamespace(joints=joints), drive=None, cases=study.cases
+    )
+    text = results_text(wide, summaries)
+    assert "J10" in text
+    assert max(map(len, text.splitlines())) <= 100
+
+
+def test_a_failed_case_says_why(study, runs, statuses):
+    statuses["P2"] = ("diverged", "The run diverged at 0.2 s; reduce the step.")
+    text = results_text(study, summarise(study, runs, statuses))
+    assert "Case P2: The run diverged at 0.2 s; reduce the step." in text
+    assert "Case P1" not in text
+
+
+def test_the_note_of_a_study_is_shown(study, runs, statuses):
+    object.__setattr__(study, "note", "A substitute for the lost data.")
+    text = results_text(study, summarise(study, runs, statuses))
+    assert "A substitute for the lost data." in text
+
+
+def test_the_overview_says_what_was_understood(study):
+    text = study_text(study, SimpleNamespace(**COUNTS, redundant=False))
+    words = {line.split()[0]: line.split() for line in text.splitlines() if line}
+    assert words["crank"][1:4] == ["0.12", "0.1884", "rigid"]
+    # 0.3 m of steel, 10 mm x 20 mm, and a point mass of 0.1 kg.
+    assert words["coupler"][1:5] == ["0.3", "0.571", "5", "1"]
+    assert words["A"] == ["A", "base", "crank", "-90", "driven"]
+    assert words["C"] == ["C", "coupler", "rocker", "-", "cut"]
+    assert "Coordinates: 51; constraint equations at the cut joints: 5, of rank 5." in text
+    assert "No redundant constraints" in text
+    assert "moment ramp on joint A (SI: peak 1.5, rise time 0.1)" in text
+    assert "rk4, step = 1e-05" in text
+    assert "P2    D.delta_x = 0.5 deg" in text
+    assert "P3    D.d_y = 0.5 mm; coupler.length = -0.1 mm" in text
+    assert "P1    none" in text
+
+
+def test_redundant_reactions_are_reported(study):
+    text = study_text(study, SimpleNamespace(**COUNTS, redundant=True))
+    assert "not unique" in text
+    assert 'redundant_reactions = "minimum_norm"' in text
+    object.__setattr__(study.mechanism, "redundant_reactions", "minimum_norm")
+    text = study_text(study, SimpleNamespace(**COUNTS, redundant=True))
+    assert "minimum norm" in text
+
+
+def test_a_study_without_a_drive(study, runs, statuses):
+    object.__setattr__(study, "drive", None)
+    assert "Drive: none." in study_text(study, SimpleNamespace(**COUNTS, redundant=False))
+    assert "Angle at end" not in results_text(study, summarise(study, runs, statuses))
+
+
+def test_errors_and_sections_in_the_units_of_people(study):
+    assert format_error("D.delta_z", np.pi / 360.0, "rad") == "D.delta_z = 0.5 deg"
+    assert format_error("coupler.length", 2.5e-4, "m") == "coupler.length = 0.25 mm"
+    section = study.mechanism.links[0].section
+    assert section_text(section) == "rectangle, width 10 mm, height 20 mm"
