@@ -122,7 +122,8 @@ def _jacobian(model: Model):
     slope = jax.jacfwd(lambda position: _constraints(model, position)[0])(
         model.start_coordinates()
     )
-    elastic = jnp.moveaxis(slope.elastic, 1, 2).reshape(slope.elastic.shape[0], -1)
+    elastic = jnp.moveaxis(slope.elastic, 1, 2)
+    elastic = elastic.reshape(elastic.shape[0], 6 * model.topology.n_rfes)
     weights = jnp.tile(jnp.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]), model.topology.n_rfes)
     lengths = length_scale(model) * weights + (1.0 - weights)
     return jnp.concatenate([slope.angles, elastic * lengths[None]], axis=1)

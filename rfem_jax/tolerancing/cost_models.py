@@ -1,0 +1,120 @@
+"""Cost models: what a tolerance costs.
+
+Place in the pipeline: input of an allocation. A cost model is any callable of one half-width
+t [rad or m] that returns a cost (in any currency), decreasing in t; the total is the sum over
+errors. Each error may have a model of its own.
+
+    Reciprocal          c(t) = fixed + factor / t
+    ReciprocalSquared   c(t) = fixed + factor / t^2
+    Exponential         c(t) = fixed + factor exp(-rate t)
+
+Symbols: fixed [cost], factor [cost times the unit of t, of t^2, or cost], rate [1/unit of t].
+Source: M. Hallmann, B. Schleich, S. Wartzack, From tolerance allocation to tolerance-cost
+optimization, Int. J. Adv. Manuf. Technol. 107 (2020) 4859-4912, section on tolerance-cost
+functions.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+import numpy as np
+
+from rfem_jax.description.errors import InputError
+from rfem_jax.tolerancing.evaluation import check_known
+
+
+def _check(positive, where):
+    for name, value in positive.items():
+        if not (np.isfinite(value) and value > 0):
+            raise InputError(
+                f"Argument `{name}` of {where} must be positive, but it is {value}; a cost that "
+                f"does "
+                "not fall with the tolerance has no cheapest one."
+            )
+
+
+@dataclass(frozen=True)
+class Reciprocal:
+    """c(t) = fixed + factor / t."""
+
+    factor: float = 1.0
+    fixed: float = 0.0
+
+    def __post_init__(self):
+        _check({"factor": self.factor}, "Reciprocal")
+
+    def __call__(self, t):
+        return self.fixed + self.factor / t
+
+
+@dataclass(frozen=True)
+class ReciprocalSquared:
+    """c(t) = fixed + factor / t^2."""
+
+    factor: float = 1.0
+    fixed: float = 0.0
+
+    def __post_init__(self):
+        _check({"factor": self.factor}, "ReciprocalSquared")
+
+    def __call__(self, t):
+        return self.fixed + self.factor / (t * t)
+
+
+@dataclass(frozen=True)
+class Exponential:
+    """c(t) = fixed + factor exp(-rate t)."""
+
+    factor: float
+    rate: float
+    fixed: float = 0.0
+
+    def __post_init__(self):
+        _check({"factor": self.factor, "rate": self.rate}, "Exponential")
+
+    def __call__(self, t):
+        return self.fixed + self.factor * jnp.exp(-self.rate * t)
+
+
+COST_MODELS = {
+    "reciprocal": Reciprocal,
+    "reciprocal_squared": ReciprocalSquared,
+    "exponential": Exponential,
+}
+
+
+def assign_costs(cost, names):
+    """One cost model per name: from one model for all, or from a mapping name -> model.
+
+    Returns a tuple of callables in the order of `names`. Raises InputError if one is missing or is
+    not callable.
+    """
+    if isinstance(cost, Mapping):
+        check_known(cost, names, "cost")
+        missing = [name for name in names if name not in cost]
+        if missing:
+            raise InputError(
+                f"Argument `cost` must have a model for every error with bounds, but "
+                f"`{missing[0]}` "
+                "has none; add it, or give one model for all."
+            )
+        models = tuple(cost[name] for name in names)
+    else:
+        models = (cost,) * len(names)
+    for name, model in zip(names, models, strict=True):
+        if not callable(model):
+            raise InputError(
+                f"Argument `cost` must be a callable of one tolerance (or a mapping of them), "
+                f"but for "
+                f"`{name}` it is {model!r}; use Reciprocal(factor) for example."
+            )
+    return models
+
+
+def total_cost(models, tolerances):
+    """Sum of the costs of tolerances (k,), a scalar; traced and differentiable."""
+    return sum(
+        (jnp.asarray(model(tolerances[i]), jnp.float64) for i, model in enumerate(models)),
+        start=jnp.zeros(()),
+    )

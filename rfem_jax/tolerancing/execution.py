@@ -1,0 +1,152 @@
+"""Running many samples: lanes, devices, processes, chunks.
+
+Place in the pipeline: between the Monte Carlo study and the problem.
+
+    launch   lanes samples on each local device: one compiled program, whatever the batch
+    chunk    `batch` samples, the unit that is stored; the last launch of a chunk is filled up
+    process  chunk c belongs to process c modulo their number (JAX's distributed runtime)
+
+Every launch has the same shape and a device sees only its own lanes (`shard_map`: no loop waits for
+another device), so that a sample's numbers do not depend on batch, devices or processes, to the
+last bit. Processes share nothing but the folder of chunks: each computes its own chunks with local
+programs and then waits for the files of the others.
+
+Symbols: N samples, d coordinates, m metrics; points (N, d) of the unit cube, errors (N, d) [rad or
+m], values (N, m) [units of the metrics], status (N,) int32.
+Source: none; the layout is this library's own.
+"""
+
+import hashlib
+import re
+import time
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+
+from rfem_jax.description.errors import InputError
+from rfem_jax.tolerancing.progress import Progress
+
+LANES = {"cpu": 16}  # enough for a core's vector units; little waste on samples that run long
+LANES_ELSEWHERE = 256
+POLL = 0.05  # s
+PATIENCE = 3600.0  # s without a new chunk of another process
+
+
+def default_lanes():
+    """Samples that a device computes at once unless the user says otherwise."""
+    return LANES.get(jax.default_backend(), LANES_ELSEWHERE)
+
+
+@eqx.filter_jit
+def _launch(problem, tolerances, points, mesh):
+    """Errors, values and status of points (devices * lanes, d), sharded over the mesh; traced."""
+    dynamic, static = eqx.partition((problem, tolerances), eqx.is_array)
+
+    def sample(dynamic, point):
+        problem, tolerances = eqx.combine(dynamic, static)
+        errors = tolerances.errors(point)
+        values, status = problem(errors)
+        stacked = jnp.stack([jnp.asarray(values[m.name], jnp.float64) for m in problem.metrics])
+        drawn = jnp.stack([errors[name] for name in tolerances.names])
+        return drawn, stacked, jnp.asarray(status, jnp.int32)
+
+    # Device-varying types are not checked: solvers from outside do not annotate their loops.
+    over_samples = PartitionSpec("samples")
+    return jax.shard_map(
+        jax.vmap(sample, in_axes=(None, 0)),
+        mesh=mesh,
+        in_specs=(PartitionSpec(), over_samples),
+        out_specs=over_samples,
+        check_vma=False,
+    )(dynamic, points)
+
+
+def evaluate(problem, tolerances, points, lanes):
+    """Evaluate points (N, d) on all local devices, launch by launch.
+
+    Returns: {"errors": (N, d), "values": (N, m), "status": (N,)}, NumPy.
+    """
+    mesh = Mesh(np.array(jax.local_devices()), ("samples",))
+    sharding = NamedSharding(mesh, PartitionSpec("samples"))
+    width, count = lanes * mesh.size, len(points)
+    fill = np.repeat(points[-1:], -count % width, axis=0)
+    points = np.concatenate([points, fill])
+    parts = []
+    for first in range(0, len(points), width):
+        block = jax.device_put(points[first : first + width], sharding)
+        parts.append(jax.device_get(_launch(problem, tolerances, block, mesh)))
+    errors, values, status = (np.concatenate(part)[:count] for part in zip(*parts, strict=True))
+    return {"errors": errors, "values": values, "status": status}
+
+
+def run_chunks(problem, tolerances, points, *, batch, lanes, store, progress):
+    """All samples, chunk by chunk; finished chunks of `store` (or None) are not repeated.
+
+    Returns: the arrays of `evaluate` and the number of chunks computed by this process.
+    Raises: InputError when several processes have no common folder; ChunkWriteError; TimeoutError.
+    """
+    process, processes = jax.process_index(), jax.process_count()
+    if processes > 1 and store is None:
+        raise InputError(
+            f"Argument `resume` must name a folder that all {processes} processes share, but it is "
+            "None; they hand their samples over in it."
+        )
+    total = -(-len(points) // batch)
+    mine = range(process, total, processes)
+    chunks = {} if store is None else {c: store.read(c) for c in mine}
+    chunks = {c: arrays for c, arrays in chunks.items() if arrays is not None}
+    parts = {c: points[c * batch : (c + 1) * batch] for c in mine}
+    done = sum(len(parts[c]) for c in chunks)
+    computed = 0
+    shown = progress if process == 0 else False
+    with Progress(shown, sum(len(part) for part in parts.values()), done) as bar:
+        for c in mine:
+            if c in chunks:
+                continue
+            chunks[c] = evaluate(problem, tolerances, parts[c], lanes)
+            if store is not None:
+                store.write(c, chunks[c])
+            computed += 1
+            bar.advance(len(parts[c]))
+    chunks |= _wait_for(store, [c for c in range(total) if c not in chunks])
+    keys = ("errors", "values", "status")
+    return {k: np.concatenate([chunks[c][k] for c in range(total)]) for k in keys}, computed
+
+
+def _wait_for(store, missing):
+    """Chunks {index: arrays} of other processes, from their files. Raises TimeoutError."""
+    chunks, last = {}, time.monotonic()
+    while len(chunks) < len(missing):
+        for c in missing:
+            # A damaged file is replaced by its owner, who warns; here it is not there yet.
+            arrays = None if c in chunks else store.read(c, warn=False)
+            if arrays is not None:
+                chunks[c], last = arrays, time.monotonic()
+        if time.monotonic() - last > PATIENCE:
+            raise TimeoutError(
+                f"No new chunk of the other processes for {PATIENCE:.0f} s in `{store.folder}`; "
+                f"{len(missing) - len(chunks)} are missing. See what stopped them and start again: "
+                "finished chunks are kept."
+            )
+        if len(chunks) < len(missing):
+            time.sleep(POLL)
+    return chunks
+
+
+def fingerprint_problem(problem):
+    """SHA-256 of what the problem computes: its own `fingerprint()`, or else of its program.
+
+    The program (StableHLO of one sample, with all constants) changes with every number and every
+    operation of the model, and not from run to run.
+    """
+    if callable(getattr(problem, "fingerprint", None)):
+        text = str(problem.fingerprint())
+    else:
+        scalar = jax.ShapeDtypeStruct((), jnp.float64)
+        errors = {name: scalar for name in problem.error_names}
+        text = jax.jit(lambda e: problem(e)).lower(errors).as_text()
+        text = re.sub(r"index = \d+ : ui64", "", text)  # callbacks are counted per Python process
+    return hashlib.sha256(text.encode()).hexdigest()

@@ -1,0 +1,136 @@
+"""Spectral projected gradient: local maxima over a convex set, many starts in one batch.
+
+Place in the pipeline: the search inside worst cases and inside the augmented Lagrangian.
+
+    d = P(x + a grad f) - x,   x+ = x + l d      a: Barzilai-Borwein step, l: backtracking
+
+Nonmonotone acceptance (against the worst of the last `MEMORY` values), one evaluation of value and
+gradient per pass of the loop, so that a batch of searches stays in step under `vmap`. A trial whose
+value is not finite is refused like one that is too low: a search walks around samples that fail.
+
+Symbols: x (k,) point, f value, s residual |P(x + grad f) - x|_inf (zero exactly at points that
+satisfy the first-order conditions).
+Source: E. G. Birgin, J. M. Martinez, M. Raydan, Nonmonotone spectral projected gradient methods on
+convex sets, SIAM J. Optim. 10 (2000) 1196-1211, algorithm SPG2.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+MEMORY = 8
+SUFFICIENT = 1e-4
+STEP_MIN, STEP_MAX = 1e-12, 1e12
+SHORTEST = 1e-14
+
+
+class Search(NamedTuple):
+    """Where a search ended: the best point seen, its value, gradient and residual; its cost.
+
+    `evaluations` counts value-and-gradient pairs, `converged` that the residual fell below the
+    tolerance; a start that could not be evaluated has a NaN value.
+    """
+
+    point: jax.Array
+    value: jax.Array
+    gradient: jax.Array
+    residual: jax.Array
+    evaluations: jax.Array
+    converged: jax.Array
+
+
+class _Carry(NamedTuple):
+    point: jax.Array
+    value: jax.Array
+    gradient: jax.Array
+    residual: jax.Array
+    direction: jax.Array
+    length: jax.Array
+    step: jax.Array
+    history: jax.Array
+    evaluations: jax.Array
+    best: tuple
+
+
+def project_box(x, lower, upper):
+    """The nearest point of the box lower <= x <= upper."""
+    return jnp.clip(x, lower, upper)
+
+
+def project_ball(x):
+    """The nearest point of the unit ball."""
+    norm = jnp.sqrt(jnp.maximum(jnp.sum(x * x), 1.0))
+    return x / norm
+
+
+def climb(function, project, start, *, evaluations=200, tolerance=1e-8):
+    """Maximise `function` from one start; traced, made to be vmapped over starts.
+
+    Args: function x (k,) -> (value, gradient (k,)); project x -> nearest feasible x; start (k,);
+        evaluations the most to spend; tolerance on the residual (in units of x, so scale
+        `function`).
+    Returns: Search.
+    """
+    start = project(start)
+    value, gradient = function(start)
+    residual = _residual(project, start, gradient)
+    step = jnp.clip(1.0 / jnp.where(residual > 0, residual, 1.0), STEP_MIN, STEP_MAX)
+    history = jnp.full((MEMORY,), jnp.inf, dtype=value.dtype).at[0].set(value)
+    carry = _Carry(
+        start, value, gradient, residual, project(start + step * gradient) - start,
+        jnp.ones_like(value), step, history, jnp.ones((), dtype=jnp.int32),
+        (start, value, gradient, residual),
+    )  # fmt: skip
+
+    def going(c):
+        alive = (c.residual > tolerance) & (c.length > SHORTEST) & jnp.isfinite(c.value)
+        return alive & (c.evaluations < evaluations)
+
+    last = jax.lax.while_loop(going, lambda c: _advance(function, project, c), carry)
+    point, value, gradient, residual = last.best
+    return Search(point, value, gradient, residual, last.evaluations, residual <= tolerance)
+
+
+def _residual(project, x, gradient):
+    return jnp.max(jnp.abs(project(x + gradient) - x))
+
+
+def _advance(function, project, c):
+    """One trial: accept it and turn to a new direction, or shorten the step along the old one."""
+    trial = c.point + c.length * c.direction
+    value, gradient = function(trial)
+    slope = jnp.dot(c.gradient, c.direction)
+    reference = jnp.min(c.history)
+    rounding = 4 * jnp.finfo(value.dtype).eps * jnp.abs(reference)
+    finite = jnp.isfinite(value) & jnp.all(jnp.isfinite(gradient))
+    accepted = finite & (value >= reference + SUFFICIENT * c.length * slope - rounding)
+
+    # Rejected: the maximum of the parabola through both values and the slope, kept in [0.1, 0.5].
+    sag = 2 * (c.value + c.length * slope - value)
+    parabola = jnp.where(finite & (sag > 0), c.length * slope / jnp.where(sag > 0, sag, 1.0), 0.25)
+    shorter = c.length * jnp.clip(parabola, 0.1, 0.5)
+
+    moved, turned = trial - c.point, c.gradient - gradient
+    bend = jnp.dot(moved, turned)
+    spectral = jnp.where(bend > 0, jnp.dot(moved, moved) / jnp.where(bend > 0, bend, 1.0), STEP_MAX)
+    step = jnp.where(accepted, jnp.clip(spectral, STEP_MIN, STEP_MAX), c.step)
+
+    point = jnp.where(accepted, trial, c.point)
+    gradient = jnp.where(accepted, gradient, c.gradient)
+    residual = jnp.where(accepted, _residual(project, point, gradient), c.residual)
+    level = (value >= c.best[1] - rounding) & (residual < c.best[3])
+    better = accepted & ((value > c.best[1] + rounding) | level)
+    new = (point, value, gradient, residual)
+    return _Carry(
+        point,
+        jnp.where(accepted, value, c.value),
+        gradient,
+        residual,
+        jnp.where(accepted, project(point + step * gradient) - point, c.direction),
+        jnp.where(accepted, 1.0, shorter),
+        step,
+        jnp.where(accepted, jnp.roll(c.history, 1).at[0].set(value), c.history),
+        c.evaluations + 1,
+        tuple(jnp.where(better, a, b) for a, b in zip(new, c.best, strict=True)),
+    )

@@ -1,0 +1,193 @@
+"""The quadratic model of all metrics about a point: value, gradient, Hessian.
+
+Place in the pipeline: what sensitivities report, where worst cases start, and what an allocation is
+first solved on.
+
+    f(x0 + e) ~ f + g.e + 1/2 e^T H e
+
+Symbols: e (k,) errors [rad, m], f (m,) metrics [their units], g (m, k) [unit per rad or m],
+H (m, k, k), S (k, k) covariance of the errors, t (k,) half-widths of the tolerances.
+
+Modes. Forward mode pushes k tangents through the simulation (k^2 for the Hessian), reverse mode
+pulls m cotangents back (k*m for the Hessian, forward over reverse). One cotangent costs about
+`REVERSE_COST` tangents (a reverse pass runs the forward pass, stores it, and runs it back), so
+"auto" takes forward mode while k <= REVERSE_COST * m. Both run in chunks of `batch` directions.
+Source: Griewank, Walther, Evaluating Derivatives, 2nd ed. (2008), chapters 3 and 5.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from rfem_jax.description.errors import InputError
+from rfem_jax.tolerancing.evaluation import (
+    check_known,
+    map_chunks,
+    require_float64,
+    split_errors,
+    stack_metrics,
+)
+
+MODES = ("auto", "forward", "reverse")
+REVERSE_COST = 3
+
+
+class QuadraticModel(eqx.Module):
+    """Second-order expansion of m metrics in k errors (fields as in the module's docstring).
+
+    `hessian` is None after an expansion of order 1; `asymmetry` (m,) is the largest |H - H^T|
+    divided by the largest |H| before H was made symmetric: an estimate of the derivatives'
+    rounding.
+    """
+
+    names: tuple[str, ...] = eqx.field(static=True)
+    metrics: tuple[str, ...] = eqx.field(static=True)
+    mode: str = eqx.field(static=True)
+    point: Float[Array, " k"]
+    value: Float[Array, " m"]
+    gradient: Float[Array, "m k"]
+    hessian: Float[Array, "m k k"] | None
+    asymmetry: Float[Array, " m"] | None
+    status: Int[Array, ""]
+
+    def __call__(self, deviation):
+        """Values (m,) at point + deviation (k,)."""
+        linear = self.value + self.gradient @ deviation
+        if self.hessian is None:
+            return linear
+        return linear + 0.5 * jnp.einsum("mij,i,j->m", self.hessian, deviation, deviation)
+
+    def mean(self, covariance):
+        """Mean (m,) over errors of mean zero and covariance S (k, k): f + 1/2 tr(H S).
+
+        Exact for a quadratic metric and any distribution (MODEL.md section 8).
+        """
+        if self.hessian is None:
+            return self.value
+        return self.value + 0.5 * jnp.einsum("mij,ji->m", self.hessian, covariance)
+
+    def scaled(self, half_widths):
+        """The same model in errors measured in their tolerances, e = t z: gradient g t, Hessian t
+        H t."""
+        t = jnp.asarray(half_widths)
+        hessian = None if self.hessian is None else self.hessian * jnp.outer(t, t)[None]
+        return eqx.tree_at(
+            lambda q: (q.gradient, q.hessian),
+            self,
+            (self.gradient * t[None], hessian),
+            is_leaf=lambda leaf: leaf is None,
+        )
+
+
+def choose_mode(mode, errors, metrics):
+    """ "forward" or "reverse" for k errors and m metrics; `mode` may force it. Raises
+    InputError."""
+    if mode not in MODES:
+        raise InputError(f"Argument `mode` must be one of {', '.join(MODES)}, but it is {mode!r}.")
+    if mode != "auto":
+        return mode
+    return "forward" if errors <= REVERSE_COST * metrics else "reverse"
+
+
+def differentiate(function, x, mode, batch):
+    """Value, Jacobian (m, k) and status of `function(x) -> ((m,), status)`; traced."""
+    if mode == "reverse":
+        value, pull, status = jax.vjp(function, x, has_aux=True)
+        cotangents = jnp.eye(value.shape[0], dtype=value.dtype)
+        return value, map_chunks(lambda c: pull(c)[0], cotangents, batch), status
+
+    def push(tangent):
+        return jax.jvp(function, (x,), (tangent,), has_aux=True)
+
+    value, jacobian, status = map_chunks(push, jnp.eye(x.shape[0], dtype=x.dtype), batch)
+    return value[0], jacobian.T, status[0]
+
+
+def differentiate_twice(function, x, mode, batch):
+    """Value, Jacobian (m, k), Hessian (m, k, k) and status; traced.
+
+    Forward mode over the first-order derivative in the chosen mode: memory of the outer chunk times
+    the inner one stays at about `batch` directions.
+    """
+    inner = x.shape[0] if mode == "forward" else jax.eval_shape(function, x)[0].shape[0]
+    outer_batch = max(1, batch // inner)
+
+    def first(y):
+        value, jacobian, status = differentiate(function, y, mode, batch)
+        return jacobian, (value, status)
+
+    def push(tangent):
+        return jax.jvp(first, (x,), (tangent,), has_aux=True)
+
+    directions = jnp.eye(x.shape[0], dtype=x.dtype)
+    jacobian, hessian, (value, status) = map_chunks(push, directions, outer_batch)
+    return value[0], jacobian[0], jnp.moveaxis(hessian, 0, 2), status[0]
+
+
+@eqx.filter_jit
+def _expand(problem, names, base, x, order, mode, batch):
+    def function(y):
+        return stack_metrics(problem, names, base, y)
+
+    if order == 1:
+        value, jacobian, status = differentiate(function, x, mode, batch)
+        return value, jacobian, None, None, status
+    value, jacobian, hessian, status = differentiate_twice(function, x, mode, batch)
+    transposed = jnp.swapaxes(hessian, 1, 2)
+    largest = jnp.max(jnp.abs(hessian), axis=(1, 2))
+    gap = jnp.max(jnp.abs(hessian - transposed), axis=(1, 2))
+    asymmetry = jnp.where(largest > 0, gap / jnp.where(largest > 0, largest, 1.0), 0.0)
+    return value, jacobian, 0.5 * (hessian + transposed), asymmetry, status
+
+
+def expand(problem, at=None, names=None, *, order=2, mode="auto", batch=32):
+    """Expand every metric of `problem` about a point to first or second order.
+
+    Args: at mapping name -> error [rad, m] (None: the nominal point, zero); names the errors to
+        differentiate by (None: all of problem.error_names); order 1 or 2; mode "auto", "forward" or
+        "reverse"; batch directions pushed or pulled at once.
+    Returns: QuadraticModel (hessian None for order 1); its `status` tells whether the point failed.
+    Raises: InputError for unknown names, order or mode.
+    """
+    require_float64()
+    names = tuple(problem.error_names if names is None else names)
+    check_known(names, problem.error_names, "names")
+    if not names:
+        raise InputError("Argument `names` must name at least one error, but it is empty.")
+    if order not in (1, 2):
+        raise InputError(f"Argument `order` must be 1 or 2, but it is {order!r}.")
+    metrics = tuple(metric.name for metric in problem.metrics)
+    mode = choose_mode(mode, len(names), len(metrics))
+    base, x = split_errors(problem, at, names)
+    value, gradient, hessian, asymmetry, status = _expand(
+        problem, names, base, x, order, mode, int(batch)
+    )
+    return QuadraticModel(
+        names, metrics, mode, x, value, gradient, hessian, asymmetry, jnp.asarray(status)
+    )
+
+
+@eqx.filter_jit
+def _linearise(problem, names, base, points, mode, batch):
+    def function(x):
+        return stack_metrics(problem, names, base, x)
+
+    def one(x):
+        value, jacobian, status = differentiate(function, x, mode, batch)
+        return jnp.where(status == 0, value, jnp.nan), jacobian
+
+    return map_chunks(one, points, batch)
+
+
+def linearise_points(problem, names, base, points, *, mode="auto", batch=32):
+    """Values and Jacobians of all metrics at many points.
+
+    Args: points (n, k) [rad, m]; batch points at once (each with all its directions).
+    Returns: values (n, m) and Jacobians (n, m, k), NumPy; NaN values where the sample failed.
+    """
+    mode = choose_mode(mode, len(names), len(problem.metrics))
+    points = jnp.asarray(points, jnp.float64)
+    value, jacobian = _linearise(problem, names, base, points, mode, batch)
+    return np.asarray(value), np.asarray(jacobian)

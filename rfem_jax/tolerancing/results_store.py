@@ -1,0 +1,184 @@
+"""The folder of a study: its manifest and its chunks of samples, safe against every interruption.
+
+Place in the pipeline: under the Monte Carlo study; knows nothing of problems and tolerances.
+
+    FOLDER/manifest.json     what the study is: if anything in it differs, it is another study
+    FOLDER/chunk-000042.npz  samples of one chunk: named arrays and their checksum
+
+A file appears under its name only when it is whole: it is written beside it (".tmp"), synchronised
+to the disk, renamed, and the folder synchronised. A process that dies at any instant leaves
+finished chunks and at most one ".tmp" file, which the next run replaces. The checksum (SHA-256)
+covers the study's fingerprint, the chunk's index and every array, so that a damaged chunk, and a
+chunk that came from elsewhere, are found when they are read.
+"""
+
+import hashlib
+import io
+import json
+import os
+import secrets
+import warnings
+from pathlib import Path
+
+import numpy as np
+
+from rfem_jax.description.errors import InputError
+
+MANIFEST = "manifest.json"
+
+
+class CorruptChunkWarning(UserWarning):
+    """A chunk's file is damaged; its samples are computed again."""
+
+
+class ChunkWriteError(OSError):
+    """A chunk could not be written (a full disk, most often); finished chunks are kept."""
+
+
+class ResultsStore:
+    """The chunks of one study in `folder`.
+
+    Args: folder path (made if missing); manifest a JSON-able dict of what the study is.
+    Raises: InputError when the folder belongs to another study (and says what differs) or holds
+        other files; ChunkWriteError when the folder cannot be written.
+    """
+
+    def __init__(self, folder, manifest):
+        self.folder = Path(folder)
+        text = json.dumps(manifest, indent=2, sort_keys=True)
+        self.fingerprint = hashlib.sha256(text.encode()).hexdigest()
+        if self.folder.exists() and not self.folder.is_dir():
+            raise InputError(
+                f"Argument `resume` must be a folder, but `{self.folder}` is a file; "
+                "name a new folder."
+            )
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            if not self._matches(json.loads(text)):
+                write_whole(self.folder / MANIFEST, text.encode())
+        except OSError as error:
+            raise ChunkWriteError(
+                error.errno,
+                f"The folder of the study cannot be used ({error.strerror}); free space or choose "
+                "another folder",
+                str(self.folder),
+            ) from error
+
+    def _matches(self, manifest):
+        """True when the folder holds this study, False when it is new. Raises InputError."""
+        try:
+            found = json.loads((self.folder / MANIFEST).read_text())
+        except FileNotFoundError:
+            others = [p.name for p in self.folder.iterdir() if not p.name.endswith(".tmp")]
+            if others and not (self.folder / MANIFEST).exists():
+                raise InputError(
+                    f"Argument `resume` must be a new folder or one of this study, but "
+                    f"`{self.folder}` holds `{sorted(others)[0]}` and no manifest; "
+                    "name a new folder."
+                ) from None
+            return False
+        except ValueError:
+            raise InputError(
+                f"Argument `resume` must be a folder of this study, but `{self.folder / MANIFEST}` "
+                "cannot be read; name a new folder."
+            ) from None
+        found = found if isinstance(found, dict) else {}
+        differing = [
+            f"{key} (there {_brief(found.get(key))}, here {_brief(manifest.get(key))})"
+            for key in sorted({*found, *manifest})
+            if found.get(key) != manifest.get(key)
+        ]
+        if differing:
+            raise InputError(
+                f"Argument `resume` must be a folder of this study, but `{self.folder}` is of "
+                f"another: it differs in {'; '.join(differing)}; name a new folder, "
+                "or state the same study."
+            )
+        return True
+
+    def path(self, index):
+        """File of chunk `index`."""
+        return self.folder / f"chunk-{index:06d}.npz"
+
+    def write(self, index, arrays):
+        """Store the arrays {name: NumPy array} of a chunk. Raises ChunkWriteError."""
+        buffer = io.BytesIO()
+        np.savez(buffer, checksum=np.array(self._checksum(index, arrays)), **arrays)
+        try:
+            for stale in self.folder.glob(f"{self.path(index).name}.*.tmp"):
+                stale.unlink(missing_ok=True)  # a run that was killed left it
+            write_whole(self.path(index), buffer.getvalue())
+        except OSError as error:
+            kept = len(list(self.folder.glob("chunk-*.npz")))
+            raise ChunkWriteError(
+                error.errno,
+                f"Chunk {index} could not be written ({error.strerror}); {kept} finished chunks "
+                "are kept: free space and start the same study again to continue",
+                str(self.folder),
+            ) from error
+
+    def read(self, index, warn=True):
+        """The arrays of a finished chunk, None where there is none.
+
+        A damaged chunk counts as none, with a CorruptChunkWarning (unless `warn` is False).
+        """
+        try:
+            payload = io.BytesIO(self.path(index).read_bytes())
+            with np.load(payload, allow_pickle=False) as stored:
+                arrays = {name: stored[name] for name in stored.files}
+            if str(arrays.pop("checksum")) == self._checksum(index, arrays):
+                return arrays
+        except FileNotFoundError:
+            return None
+        except Exception:  # noqa: BLE001
+            # What NumPy, zipfile and zlib raise depends on which byte is wrong: ten kinds and more.
+            pass
+        if warn:
+            warnings.warn(
+                f"Chunk {index} in `{self.folder}` is damaged (its checksum does not fit); "
+                "its samples are computed again.",
+                CorruptChunkWarning,
+                stacklevel=2,
+            )
+        return None
+
+    def _checksum(self, index, arrays):
+        digest = hashlib.sha256(f"{self.fingerprint} {index}".encode())
+        for name in sorted(arrays):
+            array = np.ascontiguousarray(arrays[name])
+            digest.update(f" {name} {array.dtype.str} {array.shape} ".encode())
+            digest.update(array.tobytes())
+        return digest.hexdigest()
+
+
+def write_whole(path, payload):
+    """Write bytes so that `path` either does not change or holds all of them. Raises OSError."""
+    temporary = path.with_name(f"{path.name}.{secrets.token_hex(4)}.tmp")
+    try:
+        with open(temporary, "wb") as file:
+            file.write(payload)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+    except OSError:
+        temporary.unlink(missing_ok=True)
+        raise
+    _synchronise_folder(path.parent)
+
+
+def _synchronise_folder(folder):
+    """Make a rename durable; systems that cannot open folders do without."""
+    try:
+        descriptor = os.open(folder, os.O_RDONLY)
+    except OSError:
+        return
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _brief(value):
+    """A manifest entry short enough for a message."""
+    text = json.dumps(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."

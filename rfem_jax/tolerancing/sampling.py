@@ -1,0 +1,75 @@
+"""Points of the unit cube: scrambled Sobol' or pseudo-random, and the design for Sobol' indices.
+
+Place in the pipeline: the random numbers of the Monte Carlo study; tolerances turn them into
+errors.
+
+A sample's point depends on the key and on its own index alone: not on the number of samples, on the
+batch, on devices or processes. The design for Sobol' indices has n (k + 2) points of k factors: A
+(n), B (n), then A with the coordinates of factor i taken from B (n each). A and B are random
+samples of the errors, and the study's statistics use them; the others are not.
+
+Symbols: n samples, d coordinates, k factors (an error alone, or a correlated group).
+Source: A. B. Owen, Scrambling Sobol' and Niederreiter-Xing points, J. Complexity 14 (1998) 466-489
+(in SciPy); A. Saltelli et al., Variance based sensitivity analysis of model output, Comput. Phys.
+Commun. 181 (2010) 259-270 (design).
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.stats import qmc
+
+from rfem_jax.description.errors import InputError, require_choice
+
+SAMPLINGS = ("sobol", "pseudo_random")
+SOBOL_BITS = 52
+
+
+def unit_points(key, n, dimension, sampling):
+    """Points (n, dimension) strictly inside the unit cube, NumPy float64.
+
+    Args: key a JAX random key; sampling "sobol" (scrambled; best with n a power of 2) or
+        "pseudo_random". Raises: InputError for another key or sampling.
+    """
+    require_choice(sampling, SAMPLINGS, "sampling")
+    if sampling == "sobol":
+        generator = np.random.default_rng(key_words(key))
+        engine = qmc.Sobol(dimension, scramble=True, bits=SOBOL_BITS, rng=generator)
+        # The first n of 2^m points: the same ones, without SciPy's warning for other n.
+        points = engine.random_base2(max(n - 1, 0).bit_length())[:n]
+        return points + 2.0 ** -(SOBOL_BITS + 1)  # centres of the cells: never 0, never 1
+    keys = jax.vmap(lambda i: jax.random.fold_in(_typed(key), i))(jnp.arange(n))
+    draw = jax.vmap(lambda k: jax.random.uniform(k, (dimension,), jnp.float64))
+    return np.asarray(draw(keys)) + 2.0**-53
+
+
+def design_points(key, n, factors, sampling):
+    """Points (n (k + 2), d) for Sobol' indices of k `factors` (tuples of names)."""
+    sizes = [len(factor) for factor in factors]
+    d = sum(sizes)
+    both = unit_points(key, n, 2 * d, sampling)
+    a, b = both[:, :d], both[:, d:]
+    blocks, first = [a, b], 0
+    for size in sizes:
+        mixed = a.copy()
+        mixed[:, first : first + size] = b[:, first : first + size]
+        blocks.append(mixed)
+        first += size
+    return np.concatenate(blocks)
+
+
+def key_words(key):
+    """The key as a list of integers (for a seed and for a manifest). Raises InputError."""
+    return [int(word) for word in np.asarray(jax.random.key_data(_typed(key))).ravel()]
+
+
+def _typed(key):
+    """`key` as a typed JAX key; raw uint32 keys pass too. Raises InputError."""
+    dtype = getattr(key, "dtype", None)
+    if dtype is not None and jax.dtypes.issubdtype(dtype, jax.dtypes.prng_key) and not key.shape:
+        return key
+    if dtype == np.uint32 and key.shape == (2,):
+        return jax.random.wrap_key_data(jnp.asarray(key))
+    raise InputError(
+        f"Argument `key` must be one JAX random key, but it is {key!r}; write jax.random.key(7)."
+    )

@@ -1,0 +1,301 @@
+"""Sensitivities: how much each error, and which combination of errors, changes each metric.
+
+Place in the pipeline: after a problem (errors -> metrics); its result feeds tables and heat maps.
+
+    effect_i = |g_i| t_i + 1/2 |H_ii| t_i^2       largest change of the quadratic model when error i
+                                                  alone goes to either end of its tolerance
+
+Symbols: g gradient [metric unit per rad or m], H Hessian, t half-widths of the tolerances [rad, m],
+f value of the metric, z = e/t errors in tolerances.
+
+Symmetry (MODEL.md section 8). At the nominal point the resultant loads of a planar mechanism are
+even in the out-of-plane errors: their gradients vanish and only the Hessian says anything. A mean
+square that is itself zero there is f = 1/2 e^T H e: its root (an RMS moment) is a cone, with no
+derivative but with a slope sqrt(1/2 e^T H e) along every direction e. Zero by symmetry is judged
+against the Hessian times the tolerances, as a derivative has no scale of its own. The principal
+directions are the eigenvectors of the scaled Hessian t H t: the combinations of errors that hurt
+most.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from rfem_jax.description.errors import InputError
+from rfem_jax.tolerancing.evaluation import check_known, describe_status, select_half_widths
+from rfem_jax.tolerancing.layout import align_columns, show_number
+from rfem_jax.tolerancing.quadratic_model import expand
+
+VANISHING = 1e-6  # gradient below this part of (Hessian x tolerances): zero by symmetry
+ZERO_VALUE = 1e-9  # value below this part of (1/2 tolerances x Hessian x tolerances): zero
+
+
+@dataclass(frozen=True, eq=False)
+class Sensitivities:
+    """Derivatives of m metrics by k errors; arrays are NumPy, NaN where there is no derivative.
+
+    names, error_units (k); metrics, metric_units, labels (m); at {name: value} of the point [rad,
+    m]; scale (k,) half-widths t (ones when `scaled` is False); order 1 or 2; mode "forward" or
+    "reverse"; status "ok" or the problem's word for the failure;
+    value (m,), gradient (m, k), hessian (m, k, k) or None: per unit;
+    gradient_scaled (m, k), hessian_scaled (m, k, k) or None: per tolerance, in the metric's unit;
+    effects (m, k): largest change by each error alone [metric unit], the heat map;
+    vanishing (m, k): True where the gradient is zero by symmetry though the error has an effect;
+    character (m,): "slope", "even" (all gradients vanish), "mixed" (some do), "cone" (even and zero
+        at the point, positive semidefinite Hessian: the root has no derivative), "flat" (no error
+        has an effect), "none" (the derivatives do not exist or are not finite: differentiate its
+        square); at order 1, where only the metric's own word for its symmetry is at hand, "slope"
+        or "even";
+    eigenvalues (m, k) [metric unit], directions (m, k, k): of the scaled Hessian, largest first,
+        row d of `directions` a unit vector of errors in tolerances; None at order 1;
+    root_slopes (m, k): sqrt(H_ii/2) t_i of a cone, the growth of its root per tolerance; NaN
+    elsewhere; asymmetry (m,): rounding of the Hessian, |H - H^T| / |H|; None at order 1;
+    gradient_change (m, k), hessian_change (m,): difference to the `refined` problem relative to the
+        effect of each error and to the largest |H|; None without one.
+    """
+
+    names: tuple
+    error_units: tuple
+    metrics: tuple
+    metric_units: tuple
+    labels: tuple
+    at: dict
+    scale: np.ndarray
+    scaled: bool
+    order: int
+    mode: str
+    status: str
+    value: np.ndarray
+    gradient: np.ndarray
+    hessian: np.ndarray | None
+    gradient_scaled: np.ndarray
+    hessian_scaled: np.ndarray | None
+    effects: np.ndarray
+    vanishing: np.ndarray
+    character: tuple
+    eigenvalues: np.ndarray | None
+    directions: np.ndarray | None
+    root_slopes: np.ndarray
+    asymmetry: np.ndarray | None
+    gradient_change: np.ndarray | None = field(default=None)
+    hessian_change: np.ndarray | None = field(default=None)
+
+    def _row(self, metric):
+        name = getattr(metric, "name", metric)
+        check_known((name,), self.metrics, "metric")
+        return self.metrics.index(name)
+
+    def ranking(self, metric):
+        """[(error, effect [metric unit])], largest first."""
+        effects = self.effects[self._row(metric)]
+        return [(self.names[i], float(effects[i])) for i in np.argsort(-effects, kind="stable")]
+
+    def principal_directions(self, metric):
+        """[(eigenvalue [metric unit], {error: component in tolerances})], largest |eigenvalue|
+        first."""
+        if self.eigenvalues is None:
+            raise InputError("Argument `order` must be 2 for principal directions, but it was 1.")
+        i = self._row(metric)
+        pairs = zip(self.eigenvalues[i], self.directions[i], strict=True)
+        return [
+            (float(value), dict(zip(self.names, map(float, row), strict=True)))
+            for value, row in pairs
+        ]
+
+    def root_slope(self, metric, direction):
+        """Slope of the root of a cone metric along `direction` {error: rad or m}: sqrt(1/2 e^T H
+        e)."""
+        i = self._row(metric)
+        if self.character[i] != "cone":
+            raise InputError(
+                f"Argument `metric` must be a mean square that is zero at the point, but "
+                f"`{self.metrics[i]}` is of character `{self.character[i]}`; use its gradient."
+            )
+        check_known(direction, self.names, "direction")
+        e = np.array([float(direction.get(name, 0.0)) for name in self.names])
+        return float(np.sqrt(max(0.5 * e @ self.hessian[i] @ e, 0.0)))
+
+    def rows(self):
+        """One flat dict per metric and error, ranked within the metric, for CSV and JSON."""
+        out = []
+        for m, metric in enumerate(self.metrics):
+            for rank, i in enumerate(np.argsort(-self.effects[m], kind="stable"), start=1):
+                row = {"metric": metric, "error": self.names[i], "rank": rank}
+                row |= {"character": self.character[m], "value": float(self.value[m])}
+                row |= {"gradient": float(self.gradient[m, i])}
+                row |= {"gradient_per_tolerance": float(self.gradient_scaled[m, i])}
+                if self.hessian is not None:
+                    row |= {"curvature": float(self.hessian[m, i, i])}
+                    row |= {"curvature_per_tolerance": float(self.hessian_scaled[m, i, i])}
+                row |= {"effect": float(self.effects[m, i])}
+                row |= {"vanishes_by_symmetry": bool(self.vanishing[m, i])}
+                out.append(row)
+        return out
+
+    def table(self, metric=None, top=8):
+        """Ranking table as text, of one metric or of all; the `top` errors of each."""
+        chosen = range(len(self.metrics)) if metric is None else (self._row(metric),)
+        return "\n\n".join(self._block(m, top) for m in chosen)
+
+    def _block(self, m, top):
+        unit = self.metric_units[m]
+        head = f"{self.labels[m]} [{unit}] = {show_number(self.value[m])}"
+        head += _REMARKS[self.character[m]]
+        per = "per tolerance" if self.scaled else "per unit"
+        header = ["error", "tolerance", "gradient", f"gradient {per}"]
+        header += [] if self.hessian is None else [f"1/2 H_ii {per}"]
+        header += ["effect"]
+        header += [f"root {per}"] if self.character[m] == "cone" else []
+        rows = []
+        for i in np.argsort(-self.effects[m], kind="stable")[:top]:
+            width = show_number(self.scale[i]) if self.scaled else "-"
+            gradient = "0 (symmetry)" if self.vanishing[m, i] else show_number(self.gradient[m, i])
+            row = [self.names[i], f"{width} {self.error_units[i]}", gradient]
+            row += ["0" if self.vanishing[m, i] else show_number(self.gradient_scaled[m, i])]
+            row += [] if self.hessian is None else [show_number(0.5 * self.hessian_scaled[m, i, i])]
+            row += [show_number(self.effects[m, i])]
+            row += [show_number(self.root_slopes[m, i])] if self.character[m] == "cone" else []
+            rows.append(row)
+        left_out = len(self.names) - len(rows)
+        tail = f"\n({left_out} more errors with smaller effects)" if left_out > 0 else ""
+        return f"{head}\n{align_columns(header, rows)}{tail}"
+
+    def __str__(self):
+        head = f"Sensitivities of order {self.order} in {self.mode} mode, status {self.status}"
+        if not self.scaled:
+            head += "; no tolerances given: the ranking compares unlike units"
+        return f"{head}\n\n{self.table()}"
+
+
+_REMARKS = {
+    "slope": "",
+    "even": "; even here: the gradient vanishes, the Hessian counts",
+    "mixed": "; even in some errors: their gradients vanish, the Hessian counts",
+    "cone": "; zero and even here: its root is a cone, with a slope in every direction",
+    "flat": "; no error has an effect",
+    "none": "; no finite derivative here (at zero a root is a cone: take its mean square)",
+}
+
+
+def sensitivity(
+    problem, at=None, order=2, scale=None, mode="auto", *, names=None, batch=32, refined=None
+):
+    """First and second derivatives of every metric of `problem` with respect to every named error.
+
+    Args: at {error: value} [rad, m], None the nominal point; order 1 or 2; scale a Tolerances
+        collection or {error: half-width}, the unit each error is measured in (it has no other: its
+        nominal is zero); mode "auto", "forward" or "reverse" (quadratic_model.py says how "auto"
+        decides); names the errors (default: those of `scale`, else all); batch directions at once;
+        refined the same problem with a finer step, to see how far the derivatives can be trusted.
+    Returns: Sensitivities. A point that failed is reported by its `status`.
+    Raises: InputError for unknown names, order or mode.
+    """
+    if scale is None:
+        names = tuple(problem.error_names if names is None else names)
+        widths = np.ones(len(names))
+    else:
+        known, values = select_half_widths(problem, scale, "scale")
+        names = known if names is None else tuple(names)
+        check_known(names, known, "names")
+        widths = np.array([values[known.index(name)] for name in names])
+    model = expand(problem, at, names, order=order, mode=mode, batch=batch)
+    finer = refined and expand(refined, at, names, order=order, mode=mode, batch=batch)
+    return _report(problem, model, finer, widths, at, scale is not None, order)
+
+
+def _report(problem, model, finer, widths, at, scaled, order):
+    value, gradient = np.asarray(model.value), np.asarray(model.gradient)
+    hessian = None if model.hessian is None else np.asarray(model.hessian)
+    g = gradient * widths
+    h = None if hessian is None else hessian * np.outer(widths, widths)
+    curvature = np.zeros_like(g) if h is None else np.abs(np.diagonal(h, axis1=1, axis2=2))
+    effects = np.abs(g) + 0.5 * curvature
+    character, vanishing = _classify(problem, value, g, h)
+    eigenvalues, directions = (None, None) if h is None else _principal(h)
+    root = np.full_like(g, np.nan)
+    for m in (i for i, word in enumerate(character) if word == "cone"):
+        root[m] = np.sqrt(0.5 * np.maximum(np.diagonal(h[m]), 0.0))
+    gradient_change, hessian_change = _changes(finer, widths, g, h, effects)
+    return Sensitivities(
+        names=model.names,
+        error_units=tuple(problem.error_unit(name) for name in model.names),
+        metrics=model.metrics,
+        metric_units=tuple(metric.unit for metric in problem.metrics),
+        labels=tuple(metric.label for metric in problem.metrics),
+        at={name: float(value) for name, value in (at or {}).items()},
+        scale=widths,
+        scaled=scaled,
+        order=order,
+        mode=model.mode,
+        status=describe_status(problem, model.status),
+        value=value,
+        gradient=gradient,
+        hessian=hessian,
+        gradient_scaled=g,
+        hessian_scaled=h,
+        effects=effects,
+        vanishing=vanishing,
+        character=character,
+        eigenvalues=eigenvalues,
+        directions=directions,
+        root_slopes=root,
+        asymmetry=None if model.asymmetry is None else np.asarray(model.asymmetry),
+        gradient_change=gradient_change,
+        hessian_change=hessian_change,
+    )
+
+
+def _classify(problem, value, g, h):
+    """The character of each metric and where gradients vanish; g, h per tolerance."""
+    words, vanishing = [], np.zeros(g.shape, dtype=bool)
+    for m, metric in enumerate(problem.metrics):
+        if not np.all(np.isfinite(g[m])) or (h is not None and not np.all(np.isfinite(h[m]))):
+            words.append("none")
+        elif h is None:
+            even = metric.even and np.max(np.abs(g[m])) <= VANISHING * max(abs(value[m]), 1e-300)
+            vanishing[m] = even
+            words.append("even" if even else "slope")
+        else:
+            influence = np.sum(np.abs(h[m]), axis=1)
+            small = np.abs(g[m]) <= VANISHING * influence
+            vanishing[m] = small & (influence > 0)
+            words.append(_character(value[m], h[m], small, influence))
+    return tuple(words), vanishing
+
+
+def _character(value, h, small, influence):
+    if not np.all(small):
+        return "mixed" if np.any(small & (influence > 0)) else "slope"
+    if not np.any(influence > 0):
+        return "flat"
+    eigenvalues = np.linalg.eigvalsh(h)
+    definite = eigenvalues[0] >= -VANISHING * eigenvalues[-1]
+    zero = abs(value) <= ZERO_VALUE * 0.5 * np.sum(np.abs(h))
+    return "cone" if zero and definite else "even"
+
+
+def _principal(h):
+    """Eigenvalues (m, k) by size and eigenvectors (m, k, k) as rows, largest component positive."""
+    values = np.full(h.shape[:2], np.nan)
+    rows = np.full(h.shape, np.nan)
+    for m in range(len(h)):
+        if not np.all(np.isfinite(h[m])):
+            continue
+        value, columns = np.linalg.eigh(h[m])
+        order = np.argsort(-np.abs(value), kind="stable")
+        vectors = columns[:, order].T
+        largest = np.take_along_axis(vectors, np.argmax(np.abs(vectors), axis=1)[:, None], axis=1)
+        values[m], rows[m] = value[order], vectors * np.sign(largest)
+    return values, rows
+
+
+def _changes(finer, widths, g, h, effects):
+    if finer is None:
+        return None, None
+    gradient = np.abs(np.asarray(finer.gradient) * widths - g)
+    gradient = np.divide(gradient, effects, out=np.zeros_like(g), where=effects > 0)
+    if h is None:
+        return gradient, None
+    difference = np.abs(np.asarray(finer.hessian) * np.outer(widths, widths) - h).max(axis=(1, 2))
+    largest = np.abs(h).max(axis=(1, 2))
+    return gradient, np.divide(difference, largest, out=np.zeros_like(largest), where=largest > 0)

@@ -1,0 +1,105 @@
+"""The recursive formulation against the literal one (trace formula, dense augmented system)."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.flatten_util import ravel_pytree
+
+from rfem_jax import discretise
+from rfem_jax.mechanics import loads
+from rfem_jax.mechanics.dynamics import DriveInput, Stabilisation, accelerations, impose
+from rfem_jax.mechanics.model import State
+from rfem_jax.mechanics.realisation import realise
+from rfem_jax.mechanics.reference_formulation import constraints, reference_accelerations
+
+from tests.mechanisms import ALL, random_state, some_errors
+
+GAINS = Stabilisation(3.0, 7.0, 0.3)
+STATES = 5
+
+
+def close(realised, state):
+    """The nearest state whose cut joints are closed (positions only; the rates stay free)."""
+    flat, unravel = ravel_pytree(state.position)
+    if realised.topology.n_cuts == 0:
+        return state
+    # The driven angle is imposed again in the formulations, so it must not move here.
+    moves = jnp.ones_like(flat)
+    if realised.topology.driven is not None:
+        moves = moves.at[realised.topology.driven].set(0.0)
+
+    def newton(flat, _):
+        def residual(q):
+            value = constraints(realised, unravel(q), 0.3)
+            return value, value
+
+        slope, value = jax.jacfwd(residual, has_aux=True)(flat)
+        return flat - moves * (jnp.linalg.pinv(slope * moves[None]) @ value), None
+
+    flat, _ = jax.lax.scan(newton, flat, length=12)
+    return State(unravel(flat), state.velocity)
+
+
+@pytest.fixture(scope="module", params=ALL, ids=lambda make: make.__name__)
+def compared(request):
+    """Both formulations on random states with random errors, a moment and a prescribed drive."""
+    model = discretise(request.param())
+    rng = np.random.default_rng(7)
+
+    def both(errors, state, prescribed):
+        realised = realise(model, errors)
+        drive = DriveInput()
+        if model.topology.driven is not None:
+            angle, rate = jnp.asarray(0.3), jnp.asarray(-2.0)
+            moment = DriveInput(moment=jnp.asarray(1.7))
+            drive = DriveInput(turn=(angle, rate, jnp.asarray(11.0))) if prescribed else moment
+        state = close(realised, impose(model.topology, state, drive))
+        fast = accelerations(realised, state, drive, GAINS)
+        slow, multipliers = reference_accelerations(realised, state, drive, GAINS)
+        residual = loads.momentum_residual(realised, state, fast)
+        joint = loads.joint_loads(realised, fast, drive)
+        return fast.coordinates, fast.multipliers, slow, multipliers, residual, joint
+
+    out = {}
+    for prescribed in (False, True):
+        samples = [(some_errors(model, rng), random_state(model, rng)) for _ in range(STATES)]
+        samples = jax.tree.map(lambda *x: jnp.stack(x), *samples)
+        run = jax.jit(jax.vmap(lambda e, s: both(e, s, prescribed)))
+        out[prescribed] = jax.tree.map(np.asarray, run(*samples))
+    return model, out
+
+
+@pytest.mark.parametrize("prescribed", [False, True])
+def test_accelerations_and_multipliers_agree(compared, prescribed):
+    _, out = compared
+    fast, multipliers, slow, reference, _, _ = out[prescribed]
+    for one, other in ((fast.angles, slow.angles), (fast.elastic, slow.elastic)):
+        scale = np.abs(other).max(axis=tuple(range(1, other.ndim)), keepdims=True)
+        np.testing.assert_allclose(one / scale, other / scale, rtol=0, atol=1e-9)
+    if reference.shape[1]:
+        scale = np.abs(reference).max(axis=1, keepdims=True)
+        assert scale.min() > 1.0
+        np.testing.assert_allclose(multipliers / scale, reference / scale, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("prescribed", [False, True])
+def test_joint_loads_balance_the_rate_of_momentum(compared, prescribed):
+    _, out = compared
+    *_, (force, moment), joint = out[prescribed]
+    largest = np.abs(joint.force).max(axis=(1, 2))
+    np.testing.assert_allclose(np.abs(force).max(axis=1) / largest, 0.0, atol=1e-9)
+    np.testing.assert_allclose(np.abs(moment).max(axis=1) / largest, 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("prescribed", [False, True])
+def test_no_moment_about_a_free_hinge(compared, prescribed):
+    model, out = compared
+    joint = out[prescribed][-1]
+    largest = np.abs(joint.moment).max(axis=(1, 2)) + np.abs(joint.force).max(axis=(1, 2))
+    about_hinge = np.abs(joint.moment[:, 1]) / largest[:, None]
+    for j in range(about_hinge.shape[1]):
+        if prescribed and j == model.topology.driven:
+            assert about_hinge[:, j].min() > 1e-6
+        else:
+            np.testing.assert_allclose(about_hinge[:, j], 0.0, atol=1e-9)

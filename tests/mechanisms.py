@@ -1,0 +1,139 @@
+"""Mechanisms that several tests share."""
+
+import numpy as np
+
+from rfem_jax import Joint, Link, Material, Mechanism, PointMass, Rectangle
+
+STEEL = Material("steel", youngs_modulus=210e9, density=7850.0, poisson_ratio=0.3, damping=1e-5)
+BAR = Rectangle(0.01, 0.01)
+
+
+def link(name, length, rfes=None, **more):
+    """A steel bar of 10 x 10 mm: rigid, or with a number of rfes."""
+    shape = {"rigid": True} if rfes is None else {"rfes": rfes}
+    return Link(name, length, BAR, STEEL, **shape, **more)
+
+
+def four_bar(rfes=3, crank=None, cut="C", **more):
+    """The study's four-bar with few rfes; `crank`: rfes of the crank (None: rigid)."""
+    links = [link("crank", 0.12, crank), link("coupler", 0.3, rfes), link("rocker", 0.3, rfes)]
+    joints = [
+        Joint("A", "base", "crank", position=(0, 0, 0), angle=-np.pi / 2),
+        Joint("B", "crank", "coupler", angle=np.radians(54.4)),
+        Joint("D", "base", "rocker", position=(0.3, 0, 0), angle=np.radians(-100.8)),
+        Joint("C", "coupler", "rocker", cut=True),
+    ]
+    return Mechanism(links, joints, driven_joint="A", **more)
+
+
+def three_link_loop():
+    """A triangle of the base and two flexible links: a structure, with a point mass."""
+    links = [link("left", 0.2, 4), link("right", 0.25, 3, point_masses=[PointMass(0.05, 0.1)])]
+    joints = [
+        Joint("A", "base", "left", angle=np.radians(-70)),
+        Joint("D", "base", "right", position=(0.2, 0, 0), angle=np.radians(-120)),
+        Joint("C", "left", "right", cut=True),
+    ]
+    return Mechanism(links, joints)
+
+
+def six_link_loop():
+    """Five moving links and the base in one loop: rigid ones in a row, then flexible ones."""
+    links = [
+        link("a", 0.10),
+        link("b", 0.12, point_masses=[PointMass(0.1, (0.06, 0.01, -0.02), (1e-5, 2e-5, 3e-5))]),
+        link("c", 0.20, 3),
+        link("d", 0.15),
+        link("e", 0.18, 4),
+    ]
+    joints = [
+        Joint("A", "base", "a", angle=np.radians(-90)),
+        Joint("B", "a", "b", angle=np.radians(40)),
+        Joint("C", "b", "c", angle=np.radians(40)),
+        Joint("F", "base", "e", position=(0.35, 0, 0), angle=np.radians(-80)),
+        Joint("E", "e", "d", angle=np.radians(-40)),
+        Joint("G", "c", "d", cut=True),
+    ]
+    return Mechanism(links, joints, driven_joint="A")
+
+
+def twisted_spatial_loop():
+    """A Bennett linkage: four skew axes, mobile though spatial four-bars in general are not."""
+    a, b, alpha = 0.2, 0.3, np.radians(30.0)
+    beta = np.arcsin(b * np.sin(alpha) / a)
+    ratio = np.sin((beta + alpha) / 2) / np.sin((beta - alpha) / 2)
+    first = np.radians(60.0)
+    second = 2.0 * np.arctan(ratio / np.tan(first / 2))
+    links = [link("one", b, 3), link("two", a, 3), link("three", b)]
+    joints = [
+        Joint("A", "base", "one", angle=first),
+        Joint("B", "one", "two", orientation=(beta, 0, 0), angle=second),
+        Joint("C", "two", "three", orientation=(alpha, 0, 0), angle=-first),
+        Joint("D", "base", "three", position=(-a, 0, 0), orientation=(-alpha, 0, 0),
+              child_orientation=(beta, 0, 0), cut=True),
+    ]
+    return Mechanism(links, joints, driven_joint="A")
+
+
+def two_loop_six_bar():
+    """Watt's six-bar linkage: two loops, a joint in the middle of a flexible link."""
+    links = [
+        link("crank", 0.12),
+        link("coupler", 0.3, 3),
+        link("rocker", 0.3, 4),
+        link("arm", 0.25, 3),
+        link("output", 0.25),
+    ]
+    joints = [
+        Joint("A", "base", "crank", angle=-np.pi / 2),
+        Joint("B", "crank", "coupler", angle=np.radians(54.4)),
+        Joint("D", "base", "rocker", position=(0.3, 0, 0), angle=np.radians(-100.8)),
+        Joint("C", "coupler", "rocker", cut=True),
+        Joint("E", "rocker", "arm", position=(0.2, 0.0, 0.0), angle=np.radians(100)),
+        Joint("F", "base", "output", position=(0.6, 0, 0), angle=np.radians(-110)),
+        Joint("G", "arm", "output", cut=True),
+    ]
+    return Mechanism(links, joints, driven_joint="A")
+
+
+def open_chain():
+    """Two hinged flexible links and a rigid one: no loop."""
+    links = [link("upper", 0.3, 4), link("lower", 0.2), link("tip", 0.2, 3)]
+    joints = [
+        Joint("A", "base", "upper", orientation=(0.2, 0.0, 0.3), angle=0.5),
+        Joint("B", "upper", "lower", angle=0.7),
+        Joint("C", "lower", "tip", child_position=(0.01, 0.0, 0.02), angle=-0.4),
+    ]
+    return Mechanism(links, joints, driven_joint="A")
+
+
+ALL = (four_bar, three_link_loop, six_link_loop, twisted_spatial_loop, two_loop_six_bar, open_chain)
+
+
+def some_errors(model, rng):
+    """Every error of a model at once, of a few mrad and tenths of millimetres."""
+    from rfem_jax import assembly_errors
+    from rfem_jax.mechanics.realisation import error_dimension
+
+    size = {"angle": 5e-3, "length": 3e-4}
+    names = model.topology.error_names
+    return assembly_errors(model, {n: size[error_dimension(n)] * rng.normal() for n in names})
+
+
+def random_state(model, rng, angle=0.5, rate=5.0):
+    """A state far from equilibrium: large angles, fast, all rfes displaced."""
+    import jax.numpy as jnp
+
+    from rfem_jax.mechanics.model import Coordinates, State
+
+    n, k = model.topology.n_links, model.topology.n_rfes
+    scale = np.array([0.01, 0.01, 0.01, 0.3, 0.3, 0.3])[:, None]
+
+    def draw(size, elastic):
+        return Coordinates(
+            jnp.asarray(size * rng.normal(size=n)),
+            jnp.asarray(elastic * scale * rng.normal(size=(6, k))),
+        )
+
+    position, velocity = draw(angle, 1.0), draw(rate, 10.0)
+    return State(Coordinates(model.start_angles + position.angles, position.elastic), velocity)
