@@ -8,6 +8,8 @@
         |
     simulate(drive, method) -> Run       simulation    motion, loads in all joints, balances
         |
+    Problem: errors -> metrics, status   tolerancing   sensitivity, monte_carlo, worst_case, allocate
+        |
     tables, pictures, files              report        the command `rfem-jax`
 
 Everything computes in float64: call `jax.config.update("jax_enable_x64", True)` first.  Names are
@@ -24,6 +26,11 @@ _ROOMS = {
     ),
     "mechanics": (
         "AssemblyErrors Coordinates Model State STATUS assemble assembly_errors describe discretise"
+    ),
+    "tolerancing": (
+        "CorrelatedNormal Exponential FunctionProblem Metric Normal Problem Reciprocal "
+        "ReciprocalSquared Tolerances Triangular TruncatedNormal Uniform allocate expand metric "
+        "monte_carlo sensitivity worst_case"
     ),
     "simulation": "Run check_step largest_stable_step run_cases simulate",
 }
