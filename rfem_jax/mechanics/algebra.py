@@ -133,6 +133,17 @@ def spatial_inertia(mass: Array, centre: Array, inertia: Array) -> Array:
     return jnp.concatenate([upper, lower])
 
 
+def spatial_mobility(mass: Array, centre: Array, inverse: Array) -> Array:
+    """Inverse of `spatial_inertia` (6, 6, ...), from the inverses (3, 3, ...) of the central inertia
+    tensors; well conditioned where the matrix itself is not."""
+    shift = cross_matrix(centre)
+    turned = product(shift, inverse)
+    identity = jnp.asarray(IDENTITY).reshape((3, 3) + (1,) * (centre.ndim - 1))
+    upper = jnp.concatenate([inverse, transpose(turned)], axis=1)
+    corner = product_transposed(turned, shift) + identity / mass[None, None]
+    return jnp.concatenate([upper, jnp.concatenate([turned, corner], axis=1)])
+
+
 def invert_positive(matrix: Array) -> Array:
     """Inverse of symmetric positive definite matrices (n, n, ...), n small and static.
 

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from rfem_jax.mechanics import loads
-from rfem_jax.mechanics.kinematics import motion, node_frames
+from rfem_jax.mechanics.kinematics import all_frames, motion
 from rfem_jax.mechanics.model import Coordinates, Model
 from rfem_jax.mechanics.realisation import Realisation
 
@@ -19,7 +19,7 @@ def centre_lines(
     end."""
     topology = realised.topology
     now = motion(realised, loads.static_state(position))
-    rotation, point = node_frames(realised, now)
+    rotation, point = all_frames(topology, now)
     lines = {}
     for l, (name, (a, b)) in enumerate(zip(topology.links, topology.ranges)):
         first, last = topology.n_links + a, topology.n_links + b

@@ -12,9 +12,9 @@ import numpy as np
 
 from rfem_jax.description.errors import InputError
 from rfem_jax.mechanics import loads
-from rfem_jax.mechanics.closure import closures
+from rfem_jax.mechanics.closure import closure
 from rfem_jax.mechanics.dynamics import RANK_TOLERANCE
-from rfem_jax.mechanics.kinematics import closing_angle, motion
+from rfem_jax.mechanics.kinematics import motion
 from rfem_jax.mechanics.model import Coordinates, Model, build_model
 from rfem_jax.mechanics.realisation import assembly_errors, realise
 from rfem_jax.mechanics.statics import length_scale
@@ -106,14 +106,10 @@ def _rank(jacobian: np.ndarray) -> int:
 def _constraints(model: Model, position: Coordinates):
     realised = realise(model, assembly_errors(model))
     now = motion(realised, loads.static_state(position))
-    cuts = closures(realised, now, length_scale(model))
-    if not cuts:
+    cuts = closure(realised, now, length_scale(model))
+    if cuts is None:
         return jnp.zeros(0), jnp.ones(0), jnp.zeros(0)
-    return (
-        jnp.concatenate([cut.residual for cut in cuts]) / length_scale(model),
-        jnp.stack([cut.alignment for cut in cuts]),
-        jnp.stack([closing_angle(realised, now, cut) for cut in model.topology.cuts]),
-    )
+    return cuts.residual.T.reshape(-1) / length_scale(model), cuts.alignment, cuts.angle
 
 
 @eqx.filter_jit

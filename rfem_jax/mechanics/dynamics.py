@@ -4,11 +4,11 @@ Place in the pipeline: kinematics, elasticity, closure -> **dynamics** -> loads,
 
 A free rfe is held by elastic forces alone: its absolute acceleration is wrench over inertia, and its
 articulated inertia seen from the link frame is zero (MODEL section 3).  What remains is the
-*skeleton*: rfes 0, joined by hinges, and the free rfes that carry a joint.  Each island of the
-skeleton is solved by Featherstone's articulated-body recursion (2008, ch. 7) for the applied loads
-and for unit multipliers of the cut joints at once; the multipliers follow from equation (19), the
-elastic accelerations from the absolute ones.  Cost and memory are linear in the number of rfes; no
-mechanism-wide mass matrix is formed.
+*skeleton*: rfes 0, joined by hinges, and the free rfes that another link hangs on.  Each island of
+the skeleton is solved by Featherstone's articulated-body recursion (2008, ch. 7) for the applied
+loads and for unit multipliers of the cut joints at once; the multipliers follow from equation (19),
+the elastic accelerations from the absolute ones.  Cost and memory are linear in the number of rfes;
+no mechanism-wide mass matrix is formed.
 
 Wrenches and accelerations of rfes are in the axes of their link; those of the skeleton are spatial
 vectors in global axes at one point of their island, where its root is at this instant (a common
@@ -24,10 +24,12 @@ from jax import Array
 
 from rfem_jax.mechanics import algebra, elasticity
 from rfem_jax.mechanics.algebra import apply, apply_transposed, cross, dot, product
-from rfem_jax.mechanics.closure import Closure, closures
-from rfem_jax.mechanics.kinematics import Motion, motion, node_motion
+from rfem_jax.mechanics.closure import Closure, closure
+from rfem_jax.mechanics.kinematics import Motion, motion, node_frames, spread, total
 from rfem_jax.mechanics.model import BASE, Coordinates, State, Topology
 from rfem_jax.mechanics.realisation import Realisation
+
+RANK_TOLERANCE = 1e-9
 
 
 class DriveInput(NamedTuple):
@@ -47,12 +49,29 @@ class Stabilisation(NamedTuple):
     scale: Array
 
 
+class Skeleton(NamedTuple):
+    """Links (rfes 0) first, then the free rfes that a link hangs on; n columns.
+
+    point (3, n) of the island; velocity (6, n), inertia (6, 6, n) and load (6, n) (applied minus
+    gyroscopic wrench) at that point; axis, bias (6, L): hinge axes and the accelerations due to the
+    hinge rates.
+    """
+
+    point: Array
+    velocity: Array
+    inertia: Array
+    load: Array
+    axis: Array
+    bias: Array
+
+
 class Accelerations(NamedTuple):
     """Result of one instant.
 
-    coordinates: second derivatives of the coordinates; multipliers (5 cuts,); stabilising (5 cuts,)
-    their part due to Baumgarte's terms; angular, linear (3, nodes): absolute accelerations of all
-    nodes' reference points in link axes; motion and closures are passed on.
+    coordinates: second derivatives of the coordinates; multipliers (5, C); stabilising (5, C) their
+    part due to Baumgarte's terms; angular, linear (3, nodes): absolute accelerations of all nodes'
+    reference points in link axes; spatial (6, L): accelerations of the links at their islands'
+    points; motion, closure and skeleton are passed on.
     """
 
     coordinates: Coordinates
@@ -60,27 +79,25 @@ class Accelerations(NamedTuple):
     stabilising: Array
     angular: Array
     linear: Array
+    spatial: Array
     motion: Motion
-    closures: tuple[Closure, ...]
-
-
-class LinkAxes(NamedTuple):
-    """Gravity, angular velocity and rotation of the links, (3, L) and (3, 3, L), in link axes."""
-
-    rotation: Array
-    gravity: Array
-    angular_velocity: Array
+    closure: Closure | None
+    skeleton: Skeleton
 
 
 def impose(topology: Topology, state: State, drive: DriveInput) -> State:
     """The state with the driven joint's angle and rate replaced by the prescribed ones."""
     if drive.turn is None:
         return state
-    driven = topology.driven
-    angles = state.position.angles.at[driven].set(drive.turn[0])
-    rates = state.velocity.angles.at[driven].set(drive.turn[1])
+    is_driven = np.arange(topology.n_links) == topology.driven
+
+    def replace(values: Coordinates, value) -> Coordinates:
+        mask = is_driven.reshape((-1,) + (1,) * (values.angles.ndim - 1))
+        return Coordinates(jnp.where(mask, value[None], values.angles), values.elastic)
+
     return State(
-        Coordinates(angles, state.position.elastic), Coordinates(rates, state.velocity.elastic)
+        replace(state.position, jnp.asarray(drive.turn[0])),
+        replace(state.velocity, jnp.asarray(drive.turn[1])),
     )
 
 
@@ -93,66 +110,48 @@ def accelerations(
     """
     topology = realised.topology
     now = motion(realised, state)
-    cuts = closures(realised, now, stabilisation.scale)
-    axes = _link_axes(realised, now)
+    cuts = closure(realised, now, stabilisation.scale)
     inverse_rate = algebra.invert_block(now.relative.rate_matrix)
-    force, moment = _elastic_wrenches(realised, state, inverse_rate)
-    angular, linear = _free_accelerations(realised, now, axes, force, moment)
-    skeleton = _skeleton(realised, now, force, moment)
-    root, hinge_acceleration, multipliers, stabilising = _solve_skeleton(
-        realised, state, now, cuts, skeleton, drive, stabilisation
-    )
-    root_angular, root_linear, angular, linear = _absolute(
-        topology, now, skeleton, root, angular, linear
-    )
+    force, moment = elastic_wrenches(realised, state, inverse_rate)
+    spin, gravity = link_axes(realised, now)
+    angular, linear = _free_accelerations(realised, now, spin, gravity, force, moment)
+    skeleton = _skeleton(realised, state, now, force, moment)
+    response, hinges = _recursion(topology, skeleton, _load_columns(topology, cuts, skeleton), drive)
+    response |= _free_responses(realised, now, cuts, angular, linear)
+    multipliers, stabilising = _multipliers(topology, cuts, now, skeleton, response, stabilisation)
+    weights = jnp.concatenate([jnp.ones((1,) + multipliers.shape[1:]), multipliers])
+    root = {node: _combine(columns, weights) for node, columns in response.items()}
+    angular, linear = _loaded(topology, now, root, angular, linear)
+    spatial = jnp.stack([root[l] for l in range(topology.n_links)], axis=1)
+    root_angular, root_linear = _classical(topology, now, skeleton, spatial)
     elastic = _relative_accelerations(
-        topology, now, axes, inverse_rate, root_angular, root_linear, angular, linear
+        topology, now, inverse_rate, spin, root_angular, root_linear, angular, linear
     )
+    by_cut = (topology.n_cuts, 5) + multipliers.shape[1:]
     return Accelerations(
-        coordinates=Coordinates(hinge_acceleration, elastic),
-        multipliers=multipliers,
-        stabilising=stabilising,
+        coordinates=Coordinates(jnp.stack([_combine(h[None], weights)[0] for h in hinges]), elastic),
+        multipliers=jnp.swapaxes(multipliers.reshape(by_cut), 0, 1),
+        stabilising=jnp.swapaxes(stabilising.reshape(by_cut), 0, 1),
         angular=jnp.concatenate([root_angular, angular], axis=1),
         linear=jnp.concatenate([root_linear, linear], axis=1),
+        spatial=spatial,
         motion=now,
-        closures=cuts,
+        closure=cuts,
+        skeleton=skeleton,
     )
 
 
-def _link_axes(realised: Realisation, now: Motion) -> LinkAxes:
-    rotation = jnp.stack([link.rotation for link in now.links], axis=2)
-    spin = jnp.stack([link.velocity[:3] for link in now.links], axis=1)
-    gravity = realised.gravity.reshape((3, 1) + (1,) * (rotation.ndim - 3))
-    gravity = gravity + jnp.zeros_like(spin)
-    return LinkAxes(rotation, apply_transposed(rotation, gravity), apply_transposed(rotation, spin))
+def link_axes(realised: Realisation, now: Motion) -> tuple[Array, Array]:
+    """Angular velocities of the links and gravity (3, L), in link axes."""
+    spin = apply_transposed(now.links.rotation, now.links.velocity[:3])
+    gravity = _like(realised.gravity[:, None], spin)
+    return spin, apply_transposed(now.links.rotation, jnp.broadcast_to(gravity, spin.shape))
 
 
-def _elastic_wrenches(realised: Realisation, state: State, inverse_rate: Array):
+def elastic_wrenches(realised: Realisation, state: State, inverse_rate: Array):
     """Force and moment (3, N) of springs and dampers on every free rfe, at its middle."""
     generalised = elasticity.forces(realised, state.position, state.velocity)
     return generalised[:3], apply_transposed(inverse_rate, generalised[3:])
-
-
-def _free_accelerations(realised, now: Motion, axes: LinkAxes, force, moment):
-    """Absolute accelerations (3, N) of free bodies under the given wrenches and gravity."""
-    with jax.named_scope("free_rfes"):
-        topology = realised.topology
-        link, n = topology.link_of_rfe.astype(int), topology.n_links
-        relative = now.relative
-        spin = axes.angular_velocity[:, link] + relative.angular
-        body_spin = apply_transposed(relative.rotation, spin)
-        body_centre = _like(realised.centre[:, n:], spin)
-        body_moment = apply_transposed(relative.rotation, moment) - cross(
-            body_centre, apply_transposed(relative.rotation, force)
-        )
-        gyroscopic = cross(body_spin, apply(_like(realised.inertia[:, :, n:], spin), body_spin))
-        angular = apply(
-            relative.rotation,
-            apply(_like(realised.inverse_inertia, spin), body_moment - gyroscopic),
-        )
-        centre = apply(relative.rotation, body_centre)
-        of_centre = force / _like(realised.mass[n:], spin)[None] + axes.gravity[:, link]
-        return angular, of_centre - cross(angular, centre) - cross(spin, cross(spin, centre))
 
 
 def _like(values: Array, example: Array) -> Array:
@@ -160,96 +159,35 @@ def _like(values: Array, example: Array) -> Array:
     return values.reshape(values.shape + (1,) * (example.ndim - 2)) if example.ndim > 2 else values
 
 
-class Skeleton(NamedTuple):
-    """By node: the island's point (3,), velocity (6,), spatial inertia (6, 6) and applied minus
-    gyroscopic wrench (6,) at that point."""
-
-    point: dict[int, Array]
-    velocity: dict[int, Array]
-    inertia: dict[int, Array]
-    wrench: dict[int, Array]
-
-
-def _skeleton(realised: Realisation, now: Motion, force: Array, moment: Array) -> Skeleton:
-    with jax.named_scope("skeleton"):
-        topology = realised.topology
+def _free_accelerations(realised, now: Motion, spin, gravity, force, moment):
+    """Absolute accelerations (3, N) of free bodies under the given wrenches and gravity."""
+    with jax.named_scope("free_rfes"):
+        topology, relative = realised.topology, now.relative
         n = topology.n_links
-        nodes = _skeleton_nodes(topology)
-        frames = [node_motion(topology, now.relative, now.links, node) for node in nodes]
-        points = _island_points(topology, now, dict(zip(nodes, frames)))
-        applied = []
-        for link, (a, b), point in zip(now.links, topology.ranges, points):
-            arms = now.relative.position[:, a:b]
-            total = jnp.sum(force[:, a:b], axis=1)
-            couple = jnp.sum(moment[:, a:b] + cross(arms, force[:, a:b]), axis=1)
-            applied.append(-_in_global_axes(link, couple, total, link.origin - point))
-        for k, (_, where, _), point in zip(topology.carriers, frames[n:], points[n:]):
-            link = now.links[topology.link_of(n + k)]
-            applied.append(_in_global_axes(link, moment[:, k], force[:, k], where - point))
-        rotation, where, velocity = (jnp.stack(part, axis=-1) for part in zip(*frames))
-        point = jnp.stack(points, axis=1)
-        velocity = _shifted(velocity, point)
-        centre = where - point + apply(rotation, _take(realised.centre, nodes, where))
-        own = _take(realised.inertia, nodes, where)
-        central = algebra.product_transposed(product(rotation, own), rotation)
-        mass = jnp.broadcast_to(_take(realised.mass, nodes, where), central.shape[2:])
-        inertia = algebra.spatial_inertia(mass, centre, central)
-        gravity = mass[None] * _like(realised.gravity[:, None], centre)
-        wrench = (
-            jnp.stack(applied, axis=1)
-            + algebra.wrench_at_origin(jnp.zeros_like(gravity), gravity, centre)
-            - algebra.force_cross(velocity, apply(inertia, velocity))
+        spin = spread(topology, spin) + relative.angular
+        body_spin = apply_transposed(relative.rotation, spin)
+        body_centre = _like(realised.centre[:, n:], spin)
+        centre = apply(relative.rotation, jnp.broadcast_to(body_centre, spin.shape))
+        body_moment = apply_transposed(relative.rotation, moment - cross(centre, force))
+        gyroscopic = cross(body_spin, apply(_like(realised.inertia[:, :, n:], spin), body_spin))
+        angular = apply(
+            relative.rotation,
+            apply(_like(realised.inverse_inertia, spin), body_moment - gyroscopic),
         )
-        parts = (point, velocity, inertia, wrench)
-        return Skeleton(*[{v: x[..., i] for i, v in enumerate(nodes)} for x in parts])
+        of_centre = force / _like(realised.mass[n:], spin)[None] + spread(topology, gravity)
+        return angular, of_centre - cross(angular, centre) - cross(spin, cross(spin, centre))
 
 
-def _island_points(topology: Topology, now: Motion, frames) -> list[Array]:
-    """The point of each skeleton node's island: its base hinge, or its carrier's middle."""
-    roots = [_island(topology, node) for node in frames]
-    return [
-        now.links[root].hinge_centre if root < topology.n_links else frames[root][1]
-        for root in roots
-    ]
+def _branching(topology: Topology) -> tuple[int, ...]:
+    """Nodes of the free rfes that a link hangs on."""
+    hung = {node for node in topology.parents[: topology.n_links] if node >= topology.n_links}
+    return tuple(sorted(hung))
 
 
-def _shifted(motion: Array, point: Array) -> Array:
-    """Spatial motion (6, ...) given at the global origin, at `point`."""
-    return algebra.spatial(motion[:3], motion[3:] + cross(motion[:3], point))
-
-
-def _in_global_axes(link, moment, force, point):
-    """Wrench at the global origin of a moment and a force in link axes that acts at `point`."""
-    return algebra.wrench_at_origin(
-        apply(link.rotation, moment), apply(link.rotation, force), point
-    )
-
-
-def _take(values, nodes, example):
-    return _like(values[..., jnp.asarray(nodes)], example)
-
-
-def _solve_skeleton(realised, state, now, cuts, skeleton, drive, stabilisation):
-    """Accelerations (6,) of the skeleton's nodes and of the hinges, and the multipliers."""
-    topology = realised.topology
-    with jax.named_scope("articulated_bodies"):
-        loads = _load_columns(topology, cuts, skeleton)
-        response, hinges = _recursion(topology, state, now, skeleton, loads, drive)
-    if not cuts:
-        none = jnp.zeros((0,) + hinges[0].shape[1:])
-        return {v: a[:, 0] for v, a in response.items()}, jnp.stack([h[0] for h in hinges]), none, none
-    with jax.named_scope("multipliers"):
-        multipliers, stabilising = _multipliers(topology, cuts, skeleton, response, stabilisation)
-        weights = jnp.concatenate([jnp.ones_like(multipliers[:1]), multipliers])
-        accelerations = {
-            node: a[:, 0] if a.shape[1] == 1 else apply(a, weights) for node, a in response.items()
-        }
-        rates = [h[0] if h.shape[0] == 1 else dot(h, weights) for h in hinges]
-        return accelerations, jnp.stack(rates), multipliers, stabilising
-
-
-def _skeleton_nodes(topology: Topology) -> list[int]:
-    return list(range(topology.n_links)) + [topology.n_links + k for k in topology.carriers]
+def _loaded_free(topology: Topology) -> tuple[int, ...]:
+    """Nodes of the free rfes that carry cut joints only."""
+    nodes = {topology.n_links + k for k in topology.carriers}
+    return tuple(sorted(nodes - set(_branching(topology))))
 
 
 def _island(topology: Topology, node: int) -> int:
@@ -259,92 +197,200 @@ def _island(topology: Topology, node: int) -> int:
     return node
 
 
-def _load_columns(topology, cuts, skeleton: Skeleton):
-    """Columns of wrenches on each node: applied loads, then unit multipliers in loaded islands."""
-    sides = [(topology.parents[j], topology.children[j]) for j in topology.cuts]
-    loaded = {_island(topology, node) for pair in sides for node in pair if node != BASE}
+def _skeleton(realised, state: State, now: Motion, force: Array, moment: Array) -> Skeleton:
+    with jax.named_scope("skeleton"):
+        topology = realised.topology
+        n = topology.n_links
+        branching = _branching(topology)
+        rotation, where, velocity = node_frames(topology, now, (*range(n), *branching))
+        points = jnp.concatenate([now.hinges.point, where[:, n:]], axis=1)
+        rows = {node: i for i, node in enumerate((*range(n), *branching))}
+        point = jnp.stack(
+            [points[:, rows[_island(topology, node)]] for node in rows], axis=1
+        )
+        velocity = _shifted(velocity, point)
+
+        # Elastic wrenches act on a branching rfe, and minus their sum on rfe 0 of the link.
+        arms = cross(now.relative.position, force)
+        applied_force = -total(topology, force)
+        applied_moment = -total(topology, moment + arms)
+        owners = [*range(n), *(topology.link_of(node) for node in branching)]
+        turns = jnp.stack([now.links.rotation[:, :, l] for l in owners], axis=2)
+        for node in branching:
+            k = node - n
+            applied_force = jnp.concatenate([applied_force, force[:, k : k + 1]], axis=1)
+            applied_moment = jnp.concatenate([applied_moment, moment[:, k : k + 1]], axis=1)
+        applied = algebra.wrench_at_origin(
+            apply(turns, applied_moment), apply(turns, applied_force), where - point
+        )
+
+        pick = np.array((*range(n), *branching))
+        centre = where - point + apply(rotation, _like(realised.centre[:, pick], where))
+        own = _like(realised.inertia[:, :, pick], where)
+        central = algebra.product_transposed(product(rotation, own), rotation)
+        mass = jnp.broadcast_to(_like(realised.mass[pick], where), central.shape[2:])
+        inertia = algebra.spatial_inertia(mass, centre, central)
+        gravity = mass[None] * _like(realised.gravity[:, None], centre)
+        weight = algebra.wrench_at_origin(jnp.zeros_like(gravity), gravity, centre)
+        gyroscopic = algebra.force_cross(velocity, apply(inertia, velocity))
+        axis = _shifted(now.axis, point[:, :n])
+        carrying = _shifted(now.hinges.velocity, point[:, :n])
+        return Skeleton(
+            point=point,
+            velocity=velocity,
+            inertia=inertia,
+            load=applied + weight - gyroscopic,
+            axis=axis,
+            bias=algebra.motion_cross(carrying, axis * state.velocity.angles[None]),
+        )
+
+
+def _shifted(motion: Array, point: Array) -> Array:
+    """Spatial motion (6, ...) given at the global origin, at `point`."""
+    return algebra.spatial(motion[:3], motion[3:] + cross(motion[:3], point))
+
+
+def _unit_columns(topology: Topology, cuts: Closure, node: int, point: Array) -> Array:
+    """Wrenches (6, 5 C) on one node of unit multipliers of all cut joints."""
+    columns = []
+    for i, j in enumerate(topology.cuts):
+        unit = jnp.zeros((6, 5) + point.shape[1:])
+        if node == topology.children[j]:
+            unit = unit + cuts.wrenches(i, "child", point)
+        if node == topology.parents[j]:
+            unit = unit - cuts.wrenches(i, "parent", point)
+        columns.append(unit)
+    return jnp.concatenate(columns, axis=1)
+
+
+def _load_columns(topology, cuts, skeleton: Skeleton) -> dict[int, Array]:
+    """Columns of loads on the skeleton's nodes: applied ones, then, in islands that a cut joint
+    loads, unit multipliers."""
+    sides = topology.parents[topology.n_links :] + topology.children[topology.n_links :]
+    loaded = {_island(topology, node) for node in sides if node != BASE}
     loads = {}
-    for node, wrench in skeleton.wrench.items():
-        columns = [wrench[:, None]]
+    for i, node in enumerate((*range(topology.n_links), *_branching(topology))):
+        loads[node] = skeleton.load[:, None, i]
         if _island(topology, node) in loaded:
-            point = skeleton.point[node]
-            for (left, right), cut in zip(sides, cuts):
-                on_right = cut.wrenches("child", point) if node == right else 0.0
-                on_left = cut.wrenches("parent", point) if node == left else 0.0
-                shape = (6, 5) + wrench.shape[1:]
-                columns.append(jnp.zeros(shape) + on_right - on_left)
-        loads[node] = jnp.concatenate(columns, axis=1)
+            unit = _unit_columns(topology, cuts, node, skeleton.point[:, i])
+            loads[node] = jnp.concatenate([loads[node], unit], axis=1)
     return loads
 
 
-def _recursion(topology, state, now, skeleton: Skeleton, loads, drive):
-    """Articulated-body recursion for several load columns (6, K) at once."""
-    inertias, loads = dict(skeleton.inertia), dict(loads)
-    record, accelerations, hinges = {}, {}, []
-    for l in reversed(range(topology.n_links)):
-        link, node, inertia, load = now.links[l], topology.parents[l], inertias[l], loads[l]
-        point = skeleton.point[l]
-        axis = _shifted(link.axis, point)
-        carrying = _shifted(link.parent_velocity, point)
-        bias = algebra.motion_cross(carrying, axis * state.velocity.angles[l][None])
-        first = jnp.asarray(np.eye(1, load.shape[1])[0].reshape((-1,) + (1,) * (load.ndim - 2)))
-        driven = l == topology.driven
-        if driven and drive.turn is not None:
-            given = axis * drive.turn[2][None] + bias
-            record[l] = (axis, given[:, None] * first[None], drive.turn[2][None] * first, None)
-            passed = load - apply(inertia, given)[:, None] * first[None]
-        else:
-            u = apply(inertia, axis)
-            scaled = u / dot(axis, u)[None]
-            push = dot(axis[:, None], load)
-            if driven and drive.moment is not None:
-                push = push + drive.moment[None] * first
-            rate = push / dot(axis, u)[None]
-            record[l] = (axis, bias[:, None] * first[None], rate, scaled)
-            inertia = inertia - u[:, None] * scaled[None]
-            passed = (
-                load - apply(inertia, bias)[:, None] * first[None] - scaled[:, None] * push[None]
+def _recursion(topology, skeleton: Skeleton, loads, drive: DriveInput):
+    """Articulated-body recursion: accelerations (6, K) of the nodes and (K,) of the hinges for K
+    load columns at once."""
+    with jax.named_scope("articulated_bodies"):
+        inertias = {node: skeleton.inertia[:, :, i] for i, node in enumerate(loads)}
+        loads, record, accelerations, hinges = dict(loads), {}, {}, []
+        for l in reversed(range(topology.n_links)):
+            node, inertia, load = topology.parents[l], inertias[l], loads[l]
+            axis, bias = skeleton.axis[:, l], skeleton.bias[:, l]
+            first = np.eye(1, load.shape[1])[0].reshape((-1,) + (1,) * (load.ndim - 2))
+            first = jnp.asarray(first)
+            driven = l == topology.driven
+            if driven and drive.turn is not None:
+                given = axis * drive.turn[2][None] + bias
+                record[l] = (axis, given[:, None] * first[None], drive.turn[2][None] * first, None)
+                passed = load - apply(inertia, given)[:, None] * first[None]
+            else:
+                u = apply(inertia, axis)
+                scaled = u / dot(axis, u)[None]
+                push = dot(axis[:, None], load)
+                if driven and drive.moment is not None:
+                    push = push + drive.moment[None] * first
+                record[l] = (axis, bias[:, None] * first[None], push / dot(axis, u)[None], scaled)
+                inertia = inertia - u[:, None] * scaled[None]
+                passed = (
+                    load
+                    - apply(inertia, bias)[:, None] * first[None]
+                    - scaled[:, None] * push[None]
+                )
+            if node != BASE:
+                inertias[node] = inertias[node] + inertia
+                loads[node] = loads[node] + passed
+        for node in _branching(topology):
+            inverse = algebra.invert_positive(inertias[node])
+            accelerations[node] = product(inverse, loads[node])
+        for l in range(topology.n_links):
+            node = topology.parents[l]
+            axis, carried, rate, scaled = record[l]
+            carried = carried if node == BASE else carried + accelerations[node]
+            if scaled is not None:
+                rate = rate - dot(scaled[:, None], carried)
+                carried = carried + axis[:, None] * rate[None]
+            accelerations[l] = carried
+            hinges.append(rate)
+        return accelerations, hinges
+
+
+def _free_responses(realised, now: Motion, cuts, angular, linear) -> dict[int, Array]:
+    """Accelerations (6, 1 + 5 C) at their middles of the free rfes that carry cut joints only: under
+    their applied loads, and for unit multipliers."""
+    topology = realised.topology
+    nodes = _loaded_free(topology)
+    if not nodes:
+        return {}
+    with jax.named_scope("loaded_rfes"):
+        rotation, where, velocity = node_frames(topology, now, nodes)
+        pick = np.array(nodes)
+        inverse = algebra.product_transposed(
+            product(rotation, _like(realised.inverse_inertia[:, :, pick - topology.n_links], where)),
+            rotation,
+        )
+        centre = apply(rotation, _like(realised.centre[:, pick], where))
+        mobility = algebra.spatial_mobility(
+            jnp.broadcast_to(_like(realised.mass[pick], where), where.shape[1:]), centre, inverse
+        )
+        spin = velocity[:3]
+        centripetal = cross(spin, velocity[3:] + cross(spin, where))
+        responses = {}
+        for i, node in enumerate(nodes):
+            k = node - topology.n_links
+            turn = now.links.rotation[:, :, topology.link_of(node)]
+            applied = algebra.spatial(
+                apply(turn, angular[:, k]), apply(turn, linear[:, k]) - centripetal[:, i]
             )
-        if node != BASE:
-            inertias[node] = inertias[node] + inertia
-            loads[node] = loads[node] + passed
-    for k in topology.carriers:
-        node = topology.n_links + k
-        accelerations[node] = product(algebra.invert_positive(inertias[node]), loads[node])
-    for l in range(topology.n_links):
-        node = topology.parents[l]
-        axis, bias, rate, scaled = record[l]
-        carried = bias if node == BASE else bias + accelerations[node]
-        if scaled is not None:
-            rate = rate - dot(scaled[:, None], carried)
-            carried = carried + axis[:, None] * rate[None]
-        accelerations[l] = carried
-        hinges.append(rate)
-    return accelerations, hinges
+            unit = _unit_columns(topology, cuts, node, where[:, i])
+            response = product(mobility[:, :, i], unit)
+            responses[node] = jnp.concatenate([applied[:, None], response], axis=1)
+        return responses
 
 
-def _multipliers(topology, cuts, skeleton: Skeleton, response, stabilisation: Stabilisation):
-    """Multipliers (5 cuts,) of equation (19), and their part that is due to stabilisation."""
-    rows = []
-    for j, cut in zip(topology.cuts, cuts):
-        left, right = topology.parents[j], topology.children[j]
-        unit = algebra.transpose(cut.wrenches("child", skeleton.point[right]))
-        row = product(unit, response[right])
-        if left != BASE:
-            unit = algebra.transpose(cut.wrenches("parent", skeleton.point[left]))
-            row = row - product(unit, response[left])
-        rows.append(row)
-    rows = jnp.concatenate(rows)
-    bias = jnp.concatenate([cut.bias for cut in cuts]) + rows[:, 0]
-    correction = jnp.concatenate(
-        [
-            -stabilisation.velocity_gain * cut.rate - stabilisation.position_gain * cut.residual
-            for cut in cuts
-        ]
-    )
-    inverse = _invert(topology, rows[:, 1:])
-    stabilising = apply(inverse, correction)
-    return stabilising - apply(inverse, bias), stabilising
+def _multipliers(topology, cuts, now, skeleton: Skeleton, response, stabilisation: Stabilisation):
+    """Multipliers (5 C,) of equation (19), cut by cut, and their part due to stabilisation."""
+    if cuts is None:
+        none = jnp.zeros((0,) + skeleton.load.shape[2:])
+        return none, none
+    with jax.named_scope("multipliers"):
+        points = _points_of(topology, now, skeleton)
+        rows = 0.0
+        for node in sorted(set(topology.parents[topology.n_links :]) | set(
+            topology.children[topology.n_links :]
+        )):
+            if node == BASE:
+                continue
+            unit = _unit_columns(topology, cuts, node, points[node])
+            rows = rows + product(algebra.transpose(unit), response[node])
+
+        def by_cut(values):
+            return jnp.swapaxes(values, 0, 1).reshape((-1,) + values.shape[2:])
+
+        correction = (
+            -stabilisation.velocity_gain * cuts.rate - stabilisation.position_gain * cuts.residual
+        )
+        inverse = _invert(topology, rows[:, 1:])
+        stabilising = apply(inverse, by_cut(correction))
+        return stabilising - apply(inverse, by_cut(cuts.bias) + rows[:, 0]), stabilising
+
+
+def _points_of(topology, now: Motion, skeleton: Skeleton) -> dict[int, Array]:
+    """The point at which each node's response is given."""
+    nodes = (*range(topology.n_links), *_branching(topology))
+    points = {node: skeleton.point[:, i] for i, node in enumerate(nodes)}
+    for i, k in enumerate(topology.carriers):
+        points.setdefault(topology.n_links + k, now.carriers.point[:, i])
+    return points
 
 
 def _invert(topology: Topology, matrix):
@@ -355,49 +401,47 @@ def _invert(topology: Topology, matrix):
     return jnp.moveaxis(inverse, (-2, -1), (0, 1))
 
 
-RANK_TOLERANCE = 1e-9
+def _combine(columns, weights):
+    """Sum of load columns (6, K): the applied loads' and those of the multipliers."""
+    return columns[:, 0] if columns.shape[1] == 1 else apply(columns, weights)
 
 
-def _absolute(topology, now: Motion, skeleton: Skeleton, root, angular, linear):
-    """Classical accelerations of all nodes' reference points in link axes; carriers replaced."""
-
-    def classical(node):
-        link = now.links[topology.link_of(node)]
-        _, where, _ = node_motion(topology, now.relative, now.links, node)
-        arm, velocity = where - skeleton.point[node], skeleton.velocity[node]
-        spin = velocity[:3]
-        moved = (
-            root[node][3:]
-            + cross(root[node][:3], arm)
-            + cross(spin, velocity[3:] + cross(spin, arm))
-        )
-        turned = apply_transposed(link.rotation, root[node][:3])
-        return turned, apply_transposed(link.rotation, moved)
-
+def _loaded(topology, now: Motion, root, angular, linear):
+    """Accelerations (3, N) of the free rfes in link axes, with those that carry joints replaced."""
     n = topology.n_links
-    roots = [classical(l) for l in range(n)]
-    for k in topology.carriers:
-        turned, moved = classical(n + k)
-        angular, linear = angular.at[:, k].set(turned), linear.at[:, k].set(moved)
-    return (
-        jnp.stack([a for a, _ in roots], axis=1),
-        jnp.stack([a for _, a in roots], axis=1),
-        angular,
-        linear,
-    )
+    for i, k in enumerate(topology.carriers):
+        velocity, where = now.carriers.velocity[:, i], now.carriers.point[:, i]
+        turn = now.links.rotation[:, :, topology.link_of(n + k)]
+        spin = velocity[:3]
+        moved = root[n + k][3:] + cross(spin, velocity[3:] + cross(spin, where))
+        column = np.arange(topology.n_rfes) == k
+        column = column.reshape((1, -1) + (1,) * (angular.ndim - 2))
+        turned = apply_transposed(turn, root[n + k][:3])
+        angular = jnp.where(column, turned[:, None], angular)
+        linear = jnp.where(column, apply_transposed(turn, moved)[:, None], linear)
+    return angular, linear
+
+
+def _classical(topology, now: Motion, skeleton: Skeleton, spatial):
+    """Angular and linear accelerations (3, L) of the links' origins in link axes."""
+    n = topology.n_links
+    spin, velocity = skeleton.velocity[:3, :n], skeleton.velocity[3:, :n]
+    arm = now.links.point - skeleton.point[:, :n]
+    moved = spatial[3:] + cross(spatial[:3], arm) + cross(spin, velocity + cross(spin, arm))
+    rotation = now.links.rotation
+    return apply_transposed(rotation, spatial[:3]), apply_transposed(rotation, moved)
 
 
 def _relative_accelerations(
-    topology, now: Motion, axes, inverse_rate, root_angular, root_linear, angular, linear
+    topology, now: Motion, inverse_rate, spin, root_angular, root_linear, angular, linear
 ):
     """Second derivatives (6, N) of the elastic coordinates from absolute accelerations."""
     with jax.named_scope("elastic_accelerations"):
-        link = topology.link_of_rfe.astype(int)
         relative = now.relative
-        spin, turn = axes.angular_velocity[:, link], root_angular[:, link]
+        spin, turn = spread(topology, spin), spread(topology, root_angular)
         u = (
             linear
-            - root_linear[:, link]
+            - spread(topology, root_linear)
             - cross(turn, relative.position)
             - cross(spin, cross(spin, relative.position) + 2.0 * relative.linear)
         )

@@ -1,4 +1,4 @@
-"""Positions and velocities of all bodies and joints at one instant.
+"""Positions and velocities of all bodies at one instant.
 
 Place in the pipeline: realisation + state -> **kinematics** -> elasticity, closure, dynamics, loads.
 
@@ -6,19 +6,19 @@ The relative motion of the free rfes (MODEL equations (2) to (4)) is taken for a
 their link frames; then the links are placed one after another from the base (equation (6) with both
 errors).  Frames: link frame {p,0} = H (F_c E_c)^-1 with the hinge frame H = F E R_y(phi).
 
-Symbols: R rotation, w angular velocity, u_dot translation rate; spatial velocities (6,) at the
-global origin.
+Symbols: R rotation, w angular velocity; spatial velocities (6,) at the global origin.
 """
 
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from rfem_jax.mechanics import algebra
-from rfem_jax.mechanics.algebra import apply, apply_transposed, cross, product
-from rfem_jax.mechanics.model import BASE, Coordinates, State
+from rfem_jax.mechanics.algebra import apply, cross, product
+from rfem_jax.mechanics.model import BASE, Coordinates, State, Topology
 from rfem_jax.mechanics.realisation import Realisation
 
 
@@ -38,27 +38,28 @@ class RelativeMotion(NamedTuple):
     rate_bias: Array
 
 
-class LinkMotion(NamedTuple):
-    """Motion of one link frame and its hinge in global axes.
-
-    rotation (3, 3), origin (3,), velocity (6,) of the link frame; hinge_rotation, hinge_centre of
-    the hinge frame H; axis (6,) the hinge's spatial axis; parent_velocity (6,).
-    """
+class Frames(NamedTuple):
+    """Rotation (3, 3, n), reference point (3, n) and spatial velocity (6, n) of n bodies in global
+    axes."""
 
     rotation: Array
-    origin: Array
+    point: Array
     velocity: Array
-    hinge_rotation: Array
-    hinge_centre: Array
-    axis: Array
-    parent_velocity: Array
 
 
 class Motion(NamedTuple):
-    """Everything that the other stages read of one instant's positions and velocities."""
+    """Everything that the other stages read of one instant's positions and velocities.
+
+    links: frames of the L links (rfes 0); carriers: of the free rfes that carry a joint; hinges:
+    hinge frames H of the tree joints, with the velocity of the parent's node; axis (6, L): the
+    hinges' spatial axes.
+    """
 
     relative: RelativeMotion
-    links: tuple[LinkMotion, ...]
+    links: Frames
+    carriers: Frames
+    hinges: Frames
+    axis: Array
 
 
 def motion(realised: Realisation, state: State) -> Motion:
@@ -66,11 +67,23 @@ def motion(realised: Realisation, state: State) -> Motion:
     topology = realised.topology
     with jax.named_scope("kinematics"):
         relative = relative_motion(realised, state.position, state.velocity)
-        links: list[LinkMotion] = []
+        links: list[Frames] = []
+        hinges: list[Frames] = []
+        axes: list[Array] = []
         for index, node in enumerate(topology.parents[: topology.n_links]):
-            parent = node_motion(topology, relative, links, node)
-            links.append(_place_link(realised, state, index, parent))
-        return Motion(relative, tuple(links))
+            parent = _parent_frame(topology, relative, links, node)
+            link, hinge, axis = _place_link(realised, state, index, parent)
+            links.append(link)
+            hinges.append(hinge)
+            axes.append(axis)
+        stacked = _stack(links)
+        return Motion(
+            relative=relative,
+            links=stacked,
+            carriers=_carried(topology, relative, stacked),
+            hinges=_stack(hinges),
+            axis=_columns(axes, 1),
+        )
 
 
 def relative_motion(
@@ -79,108 +92,127 @@ def relative_motion(
     """Motion of the free rfes in their link frames (equation (4) and its rate)."""
     u, phi = position.elastic[:3], position.elastic[3:]
     u_dot, rate = velocity.elastic[:3], velocity.elastic[3:]
-    c, s = jnp.cos(phi), jnp.sin(phi)
-    (cx, cy, cz), (sx, sy, sz) = c, s
+    (cx, cy, cz), (sx, sy, sz) = jnp.cos(phi), jnp.sin(phi)
     zero, one = jnp.zeros_like(cx), jnp.ones_like(cx)
-    rotation = jnp.stack(
-        [
-            jnp.stack([cz * cy, cz * sy * sx - sz * cx, cz * sy * cx + sz * sx]),
-            jnp.stack([sz * cy, sz * sy * sx + cz * cx, sz * sy * cx - cz * sx]),
-            jnp.stack([-sy, cy * sx, cy * cx]),
-        ]
-    )
-    rate_matrix = jnp.stack(
-        [
-            jnp.stack([cz * cy, -sz, zero]),
-            jnp.stack([sz * cy, cz, zero]),
-            jnp.stack([-sy, zero, one]),
-        ]
-    )
-    # w = phi_x' e_x + phi_y' e_y + phi_z' z: e_x turns with the rates about y and z, e_y about z.
-    about_z = jnp.stack([zero, zero, rate[2]])
-    about_y = jnp.stack([-sz, cz, zero]) * rate[1][None]
-    about_x = rate_matrix[:, 0] * rate[0][None]
-    rate_bias = cross(about_z, about_y) + cross(about_z + about_y, about_x)
-    rest = jnp.stack([realised.rest, 0.0 * realised.rest, 0.0 * realised.rest])
+    ex = jnp.stack([cz * cy, sz * cy, -sy])
+    ey = jnp.stack([cz * sy, sz * sy, cy])
+    ez = jnp.stack([-sz, cz, zero])
+    # Columns of R_z R_y R_x: its first, and the others turned by phi_x about it.
+    rotation = jnp.stack([ex, sx[None] * ey + cx[None] * ez, cx[None] * ey - sx[None] * ez], axis=1)
+    up = jnp.stack([zero, zero, one])
+    # w = phi_x' ex + phi_y' ez + phi_z' up: ez turns with phi_z', ex with phi_y' and phi_z'.
+    about_z, about_zy = rate[2][None] * up, rate[2][None] * up + rate[1][None] * ez
+    about_x = rate[0][None] * ex
+    rest = jnp.asarray(np.eye(3)[0]).reshape((3, 1) + (1,) * (u.ndim - 2)) * realised.rest[None]
     return RelativeMotion(
         rotation=rotation,
         position=rest + u,
-        rate_matrix=rate_matrix,
-        angular=about_z + about_y + about_x,
+        rate_matrix=jnp.stack([ex, ez, up], axis=1),
+        angular=about_zy + about_x,
         linear=u_dot,
-        rate_bias=rate_bias,
+        rate_bias=cross(about_z, about_zy) + cross(about_zy, about_x),
     )
 
 
-def node_motion(topology, relative: RelativeMotion, links, node: int):
-    """Rotation, reference point and spatial velocity of a node in global axes."""
+def _parent_frame(topology: Topology, relative: RelativeMotion, links, node: int) -> Frames:
+    """Frame of the node that a link hangs on."""
     if node == BASE:
-        return jnp.asarray(algebra.IDENTITY), jnp.zeros(3), jnp.zeros(6)
+        return Frames(jnp.asarray(algebra.IDENTITY), jnp.zeros(3), jnp.zeros(6))
     if node < topology.n_links:
-        return links[node].rotation, links[node].origin, links[node].velocity
+        return links[node]
     k = node - topology.n_links
-    link = links[topology.link_of(node)]
-    point = link.origin + apply(link.rotation, relative.position[:, k])
-    angular = apply(link.rotation, relative.angular[:, k])
-    linear = apply(link.rotation, relative.linear[:, k])
-    velocity = link.velocity + algebra.motion_at_origin(angular, linear, point)
-    return product(link.rotation, relative.rotation[:, :, k]), point, velocity
+    own = jax.tree.map(lambda x: x[..., k], _movable(relative))
+    return _on_link(links[topology.link_of(node)], own)
 
 
-def _place_link(realised: Realisation, state: State, index: int, parent) -> LinkMotion:
-    rotation, point, velocity = parent
-    joint_rotation = product(rotation, realised.seat_rotation[:, :, index])
-    turn = algebra.rotation_y(state.position.angles[index])
-    hinge_rotation = product(joint_rotation, turn)
-    centre = point + apply(rotation, realised.seat_position[:, index])
-    link_rotation = algebra.product_transposed(hinge_rotation, realised.bore_rotation[:, :, index])
-    origin = centre - apply(link_rotation, realised.bore_position[:, index])
+def _movable(relative: RelativeMotion):
+    return relative.rotation, relative.position, relative.angular, relative.linear
+
+
+def _on_link(link: Frames, relative) -> Frames:
+    """Frames of rfes from those of their links and their relative motion."""
+    rotation, position, angular, linear = relative
+    point = link.point + apply(link.rotation, position)
+    velocity = link.velocity + algebra.motion_at_origin(
+        apply(link.rotation, angular), apply(link.rotation, linear), point
+    )
+    return Frames(product(link.rotation, rotation), point, velocity)
+
+
+def _carried(topology: Topology, relative: RelativeMotion, links: Frames) -> Frames:
+    rfes = np.array(topology.carriers, dtype=int)
+    owners = np.array([topology.link_of(topology.n_links + k) for k in rfes], dtype=int)
+    return _on_link(
+        jax.tree.map(lambda x: _pick(x, owners), links),
+        jax.tree.map(lambda x: _pick(x, rfes), _movable(relative)),
+    )
+
+
+def _pick(values: Array, columns) -> Array:
+    """Chosen columns (static indices) of the last axis."""
+    if len(columns) == 0:
+        return values[..., :0]
+    return jnp.stack([values[..., int(i)] for i in columns], axis=-1)
+
+
+def _place_link(realised: Realisation, state: State, index: int, parent: Frames):
+    joint_rotation = product(parent.rotation, realised.seat_rotation[:, :, index])
+    hinge_rotation = product(joint_rotation, algebra.rotation_y(state.position.angles[index]))
+    centre = parent.point + apply(parent.rotation, realised.seat_position[:, index])
+    rotation = algebra.product_transposed(hinge_rotation, realised.bore_rotation[:, :, index])
+    origin = centre - apply(rotation, realised.bore_position[:, index])
     y = joint_rotation[:, 1]
     axis = algebra.spatial(y, cross(centre, y))
-    return LinkMotion(
-        rotation=link_rotation,
-        origin=origin,
-        velocity=velocity + axis * state.velocity.angles[index][None],
-        hinge_rotation=hinge_rotation,
-        hinge_centre=centre,
-        axis=axis,
-        parent_velocity=velocity,
+    velocity = parent.velocity + axis * state.velocity.angles[index][None]
+    hinge = Frames(hinge_rotation, centre, parent.velocity)
+    return Frames(rotation, origin, velocity), hinge, axis
+
+
+def _stack(frames: list[Frames]) -> Frames:
+    return Frames(*(_columns(part, at) for part, at in zip(zip(*frames), (2, 1, 1))))
+
+
+def _columns(parts, axis: int) -> Array:
+    return jnp.stack(parts, axis=axis)
+
+
+def node_frames(topology: Topology, now: Motion, nodes) -> Frames:
+    """Frames of links, carriers or the base (static node numbers), one column each."""
+    n = topology.n_links
+    place = {k: i for i, k in enumerate(topology.carriers)}
+
+    def column(part: str, node: int):
+        if node == BASE:
+            base = {"rotation": algebra.IDENTITY, "point": np.zeros(3), "velocity": np.zeros(6)}
+            return jnp.asarray(base[part])
+        if node < n:
+            return getattr(now.links, part)[..., node]
+        return getattr(now.carriers, part)[..., place[node - n]]
+
+    return Frames(
+        *(jnp.stack([column(part, node) for node in nodes], axis=-1) for part in Frames._fields)
     )
 
 
-def side_frame(realised: Realisation, motion: Motion, joint: int, side: str):
-    """Frame of a joint on its "parent" (L) or "child" (P) side: rotation, centre and the spatial
-    velocity of the node it is fixed to."""
-    topology = realised.topology
-    node = (topology.parents if side == "parent" else topology.children)[joint]
-    rotation, point, velocity = node_motion(topology, motion.relative, motion.links, node)
-    if side == "parent":
-        turn, shift = realised.seat_rotation, realised.seat_position
-    else:
-        turn, shift = realised.bore_rotation, realised.bore_position
-    return (
-        product(rotation, turn[:, :, joint]),
-        point + apply(rotation, shift[:, joint]),
-        velocity,
-    )
+def spread(topology: Topology, values: Array) -> Array:
+    """Values by link (..., L) repeated for every free rfe of the link (..., N)."""
+    columns = [
+        jnp.broadcast_to(values[..., l : l + 1], values.shape[:-1] + (n - 1,))
+        for l, n in enumerate(topology.elements)
+    ]
+    return jnp.concatenate(columns, axis=-1)
 
 
-def node_frames(realised: Realisation, motion: Motion) -> tuple[Array, Array]:
+def total(topology: Topology, values: Array) -> Array:
+    """Sums (..., L) over the free rfes of every link of values (..., N)."""
+    return jnp.stack([jnp.sum(values[..., a:b], axis=-1) for a, b in topology.ranges], axis=-1)
+
+
+def all_frames(topology: Topology, now: Motion) -> tuple[Array, Array]:
     """Rotations (3, 3, nodes) and reference points (3, nodes) of all nodes in global axes."""
-    link_of = realised.topology.link_of_rfe.astype(int)
-    rotations = jnp.stack([link.rotation for link in motion.links], axis=-1)
-    origins = jnp.stack([link.origin for link in motion.links], axis=-1)
-    of_rfes = product(rotations[:, :, link_of], motion.relative.rotation)
-    points = origins[:, link_of] + apply(rotations[:, :, link_of], motion.relative.position)
+    rotation = spread(topology, now.links.rotation)
+    points = spread(topology, now.links.point) + apply(rotation, now.relative.position)
     return (
-        jnp.concatenate([rotations, of_rfes], axis=-1),
-        jnp.concatenate([origins, points], axis=-1),
+        jnp.concatenate([now.links.rotation, product(rotation, now.relative.rotation)], axis=-1),
+        jnp.concatenate([now.links.point, points], axis=-1),
     )
-
-
-def closing_angle(realised: Realisation, motion: Motion, cut: int) -> Array:
-    """Angle of a cut joint: from L to P about the hinge."""
-    left, _, _ = side_frame(realised, motion, cut, "parent")
-    right, _, _ = side_frame(realised, motion, cut, "child")
-    x = apply_transposed(left, right[:, 0])
-    return jnp.arctan2(-x[2], x[0])

@@ -1,4 +1,4 @@
-"""Loads in all joints by Newton-Euler from the chains' ends to the base, energies and balances.
+"""Loads in all joints, energies and the balance of momentum.
 
 Place in the pipeline: dynamics -> **loads** -> simulation (metrics, Run).
 
@@ -6,6 +6,10 @@ A joint's load is the force and the moment that the parent side exerts on the ch
 hinge's centre, in the hinge frame (y along the hinge; in L at a cut joint), in N and N m (MODEL
 section 7).  A drive that is a given moment is an external load and not part of it; the moment that
 enforces a prescribed angle is.
+
+There are two ways to them, and every run compares them with the balance of momentum: `chain_loads`
+is Newton-Euler over all rfes from the chains' ends to the base; `joint_loads` uses the equations of
+the rfes 0 alone, whose elastic wrenches the accelerations needed anyway.
 """
 
 from typing import NamedTuple
@@ -16,9 +20,10 @@ from jax import Array
 
 from rfem_jax.mechanics import algebra, elasticity
 from rfem_jax.mechanics.algebra import apply, apply_transposed, cross, dot
-from rfem_jax.mechanics.dynamics import Accelerations, DriveInput
-from rfem_jax.mechanics.kinematics import Motion, motion, node_frames
-from rfem_jax.mechanics.model import BASE, Coordinates, State
+from rfem_jax.mechanics.closure import Closure
+from rfem_jax.mechanics.dynamics import Accelerations, DriveInput, link_axes
+from rfem_jax.mechanics.kinematics import Motion, all_frames, motion, spread, total
+from rfem_jax.mechanics.model import BASE, Coordinates, State, Topology
 from rfem_jax.mechanics.realisation import Realisation
 
 
@@ -37,27 +42,101 @@ class Energies(NamedTuple):
     gravity: Array
 
 
-def joint_wrenches(realised: Realisation, result: Accelerations) -> list[Array]:
-    """Wrenches (6,) at the global origin that the parent side of every joint exerts on the child,
-    the moment of a drive included."""
-    topology = realised.topology
-    force, moment = _inertial_loads(realised, result)
-    wrenches: dict[int, Array] = {}
-    for i, j in enumerate(topology.cuts):
-        multipliers = result.multipliers[5 * i : 5 * i + 5]
-        origin = jnp.zeros_like(result.closures[i].centre)
-        wrenches[j] = apply(result.closures[i].wrenches("child", origin), multipliers)
-    for l in reversed(range(topology.n_links)):
-        link, (a, b) = result.motion.links[l], topology.ranges[l]
-        arms = result.motion.relative.position[:, a:b]
+class Resting(NamedTuple):
+    """What `chain_loads` reads of a mechanism at rest."""
+
+    motion: Motion
+    closure: Closure | None
+    multipliers: Array
+
+
+def joint_loads(realised: Realisation, result: Accelerations, drive: DriveInput) -> JointLoads:
+    """Loads of all joints by the equations of motion of the rfes 0."""
+    with jax.named_scope("joint_loads"):
+        topology, skeleton = realised.topology, result.skeleton
         n = topology.n_links
-        total = force[:, l] + jnp.sum(force[:, n + a : n + b], axis=1)
-        couple = moment[:, l] + jnp.sum(
-            moment[:, n + a : n + b] + cross(arms, force[:, n + a : n + b]), axis=1
+        own = apply(skeleton.inertia[:, :, :n], result.spatial) - skeleton.load[:, :n]
+        wrenches: dict[int, Array] = {}
+        for l in reversed(range(n)):
+            wrench, point = own[:, l], skeleton.point[:, l]
+            for j in range(l + 1, n):
+                if topology.parents[j] == l:
+                    wrench = wrench + wrenches[j]
+            for i, j in enumerate(topology.cuts):
+                if topology.parents[j] == l:
+                    unit = result.closure.wrenches(i, "parent", point)
+                    wrench = wrench + apply(unit, result.multipliers[:, i])
+                if topology.children[j] == l:
+                    unit = result.closure.wrenches(i, "child", point)
+                    wrench = wrench - apply(unit, result.multipliers[:, i])
+            wrenches[l] = wrench
+        links = jnp.stack([wrenches[l] for l in range(n)], axis=1)
+        hinges = result.motion.hinges
+        moment = links[:3] - cross(hinges.point - skeleton.point[:, :n], links[3:])
+        return _in_hinge_frames(topology, result, links[3:], moment, drive)
+
+
+def chain_loads(
+    realised: Realisation, result: Accelerations | Resting, angular, linear, drive: DriveInput
+) -> JointLoads:
+    """Loads of all joints by Newton-Euler over all rfes from the chains' ends to the base, for
+    accelerations (3, nodes) in link axes."""
+    with jax.named_scope("chain_loads"):
+        topology = realised.topology
+        inertial = inertial_loads(realised, result.motion, angular, linear)
+        wrenches = chain_wrenches(
+            realised, result.motion, result.closure, result.multipliers, inertial
         )
-        wrench = algebra.wrench_at_origin(
-            apply(link.rotation, couple), apply(link.rotation, total), link.origin
+        links = jnp.stack(wrenches[: topology.n_links], axis=1)
+        moment = links[:3] - cross(result.motion.hinges.point, links[3:])
+        return _in_hinge_frames(topology, result, links[3:], moment, drive)
+
+
+def _in_hinge_frames(topology: Topology, result, force, moment, drive: DriveInput) -> JointLoads:
+    """Forces and moments (3, L) of the tree joints about their centres, in hinge frames; cut joints
+    from the multipliers."""
+    rotation = result.motion.hinges.rotation
+    force, moment = apply_transposed(rotation, force), apply_transposed(rotation, moment)
+    if drive.moment is not None:
+        is_driven = jnp.arange(topology.n_links) == topology.driven
+        is_driven = is_driven.reshape((-1,) + (1,) * (force.ndim - 2))
+        about_hinge = moment[1] - jnp.where(is_driven, drive.moment[None], 0.0)
+        moment = jnp.stack([moment[0], about_hinge, moment[2]])
+    cuts = result.closure
+    if cuts is not None:
+        arm = cuts.right_centre - cuts.centre
+        couple = dot(jnp.swapaxes(cuts.couples, 0, 1), result.multipliers[3:, None])
+        couple = couple + cross(arm, result.multipliers[:3])
+        force = jnp.concatenate(
+            [force, apply_transposed(cuts.rotation, result.multipliers[:3])], axis=1
         )
+        moment = jnp.concatenate([moment, apply_transposed(cuts.rotation, couple)], axis=1)
+    return JointLoads(force, moment)
+
+
+def chain_wrenches(
+    realised: Realisation, now: Motion, cuts: Closure | None, multipliers: Array, inertial
+) -> list[Array]:
+    """Wrenches (6,) at the global origin that the parent side of every joint exerts on the child,
+    the moment of a drive included; `inertial` from `inertial_loads`."""
+    topology = realised.topology
+    n = topology.n_links
+    force, moment = inertial
+    arms = cross(now.relative.position, force[:, n:])
+    own_force = force[:, :n] + total(topology, force[:, n:])
+    own_moment = moment[:, :n] + total(topology, moment[:, n:] + arms)
+    own = algebra.wrench_at_origin(
+        apply(now.links.rotation, own_moment),
+        apply(now.links.rotation, own_force),
+        now.links.point,
+    )
+    origin = jnp.zeros_like(now.links.point[:, 0])
+    wrenches: dict[int, Array] = {
+        j: apply(cuts.wrenches(i, "child", origin), multipliers[:, i])
+        for i, j in enumerate(topology.cuts)
+    }
+    for l in reversed(range(n)):
+        wrench = own[:, l]
         for j in [*range(l + 1, n), *topology.cuts]:
             if topology.parents[j] != BASE and topology.link_of(topology.parents[j]) == l:
                 wrench = wrench + wrenches[j]
@@ -68,55 +147,22 @@ def joint_wrenches(realised: Realisation, result: Accelerations) -> list[Array]:
     return [wrenches[j] for j in range(len(topology.joints))]
 
 
-def joint_loads(
-    realised: Realisation, result: Accelerations, drive: DriveInput
-) -> JointLoads:
-    """Loads of all joints in their hinge frames."""
-    with jax.named_scope("joint_loads"):
-        topology = realised.topology
-        forces, moments = [], []
-        for j, wrench in enumerate(joint_wrenches(realised, result)):
-            if j < topology.n_links:
-                link = result.motion.links[j]
-                rotation, centre = link.hinge_rotation, link.hinge_centre
-            else:
-                closure = result.closures[j - topology.n_links]
-                rotation, centre = closure.rotation, closure.centre
-            moment = apply_transposed(rotation, wrench[:3] - cross(centre, wrench[3:]))
-            if j == topology.driven and drive.moment is not None:
-                moment = jnp.stack([moment[0], moment[1] - drive.moment, moment[2]])
-            forces.append(apply_transposed(rotation, wrench[3:]))
-            moments.append(moment)
-        return JointLoads(jnp.stack(forces, axis=1), jnp.stack(moments, axis=1))
-
-
-def _inertial_loads(realised: Realisation, result: Accelerations):
-    """Rate of momentum minus gravity of every node, at its reference point, in link axes."""
-    topology, now = realised.topology, result.motion
-    n = topology.n_links
-    trailing = (1,) * (result.angular.ndim - 2)
-
-    def like(values):
-        return values.reshape(values.shape + trailing)
-
-    link = topology.link_of_rfe.astype(int)
-    rotation = jnp.stack([frame.rotation for frame in now.links], axis=2)
-    spin = jnp.stack([frame.velocity[:3] for frame in now.links], axis=1)
-    gravity = realised.gravity.reshape((3, 1) + trailing) + jnp.zeros_like(spin)
-    spin, gravity = apply_transposed(rotation, spin), apply_transposed(rotation, gravity)
-    spin = jnp.concatenate([spin, spin[:, link] + now.relative.angular], axis=1)
-    gravity = jnp.concatenate([gravity, gravity[:, link]], axis=1)
-    identity = jnp.asarray(algebra.IDENTITY).reshape((3, 3, 1) + trailing)
-    roots = jnp.broadcast_to(identity, (3, 3, n) + rotation.shape[3:])
-    turn = jnp.concatenate([roots, now.relative.rotation], axis=2)
-
-    centre = apply(turn, like(realised.centre))
-    acceleration = (
-        result.linear + cross(result.angular, centre) + cross(spin, cross(spin, centre)) - gravity
+def inertial_loads(realised: Realisation, now: Motion, angular: Array, linear: Array):
+    """Rate of momentum minus gravity of every node: force and moment (3, nodes) at its reference
+    point, in link axes; accelerations (3, nodes) likewise."""
+    topology = realised.topology
+    spin, gravity = link_axes(realised, now)
+    spin = jnp.concatenate([spin, spread(topology, spin) + now.relative.angular], axis=1)
+    gravity = jnp.concatenate([gravity, spread(topology, gravity)], axis=1)
+    identity = jnp.broadcast_to(
+        jnp.asarray(algebra.IDENTITY)[:, :, None], (3, 3, topology.n_links)
     )
-    force = like(realised.mass)[None] * acceleration
-    body_spin, body_turn = apply_transposed(turn, spin), apply_transposed(turn, result.angular)
-    inertia = like(realised.inertia)
+    turn = jnp.concatenate([identity, now.relative.rotation], axis=2)
+    centre = apply(turn, realised.centre)
+    of_centre = linear + cross(angular, centre) + cross(spin, cross(spin, centre))
+    force = realised.mass[None] * (of_centre - gravity)
+    body_spin, body_turn = apply_transposed(turn, spin), apply_transposed(turn, angular)
+    inertia = realised.inertia
     rate = apply(inertia, body_turn) + cross(body_spin, apply(inertia, body_spin))
     return force, apply(turn, rate) + cross(centre, force)
 
@@ -124,22 +170,17 @@ def _inertial_loads(realised: Realisation, result: Accelerations):
 def velocities(realised: Realisation, now: Motion):
     """Rotation, centre of mass, its velocity and angular velocity (3, nodes) in global axes."""
     topology = realised.topology
-    link = topology.link_of_rfe.astype(int)
-    rotation, point = node_frames(realised, now)
-    frames = rotation[:, :, : topology.n_links]
-    spin = jnp.stack([frame.velocity[:3] for frame in now.links], axis=1)
-    origin_velocity = jnp.stack([frame.velocity[3:] for frame in now.links], axis=1)
-    spin_all = jnp.concatenate(
-        [spin, spin[:, link] + apply(frames[:, :, link], now.relative.angular)], axis=1
-    )
-    carried = jnp.concatenate([origin_velocity, origin_velocity[:, link]], axis=1)
-    carrier_spin = jnp.concatenate([spin, spin[:, link]], axis=1)
-    relative = jnp.concatenate(
-        [jnp.zeros_like(spin), apply(frames[:, :, link], now.relative.linear)], axis=1
-    )
+    rotation, point = all_frames(topology, now)
+    of_links = spread(topology, now.links.rotation)
+    spin, at_origin = now.links.velocity[:3], now.links.velocity[3:]
+    carrier_spin = jnp.concatenate([spin, spread(topology, spin)], axis=1)
+    carrier = jnp.concatenate([at_origin, spread(topology, at_origin)], axis=1)
+    none = jnp.zeros_like(spin)
+    turning = jnp.concatenate([none, apply(of_links, now.relative.angular)], axis=1)
+    moving = jnp.concatenate([none, apply(of_links, now.relative.linear)], axis=1)
     arm = apply(rotation, realised.centre)
-    velocity = carried + cross(carrier_spin, point) + relative + cross(spin_all, arm)
-    return rotation, point + arm, velocity, spin_all
+    velocity = carrier + cross(carrier_spin, point) + moving + cross(carrier_spin + turning, arm)
+    return rotation, point + arm, velocity, carrier_spin + turning
 
 
 def momentum(realised: Realisation, state: State) -> tuple[Array, Array]:
@@ -152,17 +193,15 @@ def momentum(realised: Realisation, state: State) -> tuple[Array, Array]:
 
 def energies(realised: Realisation, state: State) -> Energies:
     """Kinetic, elastic and gravity energy at one instant."""
-    now = motion(realised, state)
-    rotation, centre, velocity, spin = velocities(realised, now)
+    rotation, centre, velocity, spin = velocities(realised, motion(realised, state))
     body_spin = apply_transposed(rotation, spin)
     translation = realised.mass * dot(velocity, velocity)
     rotational = dot(body_spin, apply(realised.inertia, body_spin))
     above = centre - realised.datum[:, None]
-    height = -dot(jnp.broadcast_to(realised.gravity[:, None], centre.shape), above)
     return Energies(
         kinetic=0.5 * jnp.sum(translation + rotational),
         elastic=elasticity.elastic_energy(realised, state.position),
-        gravity=jnp.sum(realised.mass * height),
+        gravity=-jnp.sum(realised.mass * dot(realised.gravity[:, None], above)),
     )
 
 
@@ -172,7 +211,7 @@ def momentum_residual(
     """Base reactions + gravity - d/dt of the total momentum: force (3,) and moment (3,).
 
     The rate of momentum comes from differentiating the momenta along (q_dot, q_ddot), independently
-    of the recursion that gives the reactions.
+    of the equations that give the reactions.
     """
     topology = realised.topology
 
@@ -181,7 +220,8 @@ def momentum_residual(
 
     tangents = (state.velocity, result.coordinates)
     _, (linear_rate, angular_rate) = jax.jvp(along, (state.position, state.velocity), tangents)
-    wrenches = joint_wrenches(realised, result)
+    inertial = inertial_loads(realised, result.motion, result.angular, result.linear)
+    wrenches = chain_wrenches(realised, result.motion, result.closure, result.multipliers, inertial)
     base = sum(wrenches[j] for j in range(len(topology.joints)) if topology.parents[j] == BASE)
     _, centre, _, _ = velocities(realised, result.motion)
     weight = realised.mass[None] * realised.gravity[:, None]

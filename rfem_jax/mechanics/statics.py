@@ -3,9 +3,10 @@
 Place in the pipeline: model, errors -> **statics** -> start state of a simulation.
 
 With errors the links are bent to close the loops (MODEL section 5): the stationary point of springs
-+ gravity subject to the closure equations, some joints held.  Newton's method on the Lagrangian
-V - lambda . Phi, differentiated by the implicit function theorem; unknowns and residuals are scaled
-by a length and a force of the mechanism, so that one tolerance fits all.
++ gravity subject to the closure equations, some joints held.  Written as equilibrium: no moment about
+a free hinge, springs + gravity + joint wrenches balanced on every free rfe, loops closed.  Newton's
+method, differentiated by the implicit function theorem; unknowns and residuals are scaled by a length
+and a force of the mechanism, so that one tolerance fits all.
 """
 
 from typing import NamedTuple
@@ -18,9 +19,10 @@ from jax import Array
 from jax.flatten_util import ravel_pytree
 
 from rfem_jax.description.errors import InputError, suggestion
-from rfem_jax.mechanics import loads
-from rfem_jax.mechanics.closure import closures
-from rfem_jax.mechanics.dynamics import Accelerations, DriveInput
+from rfem_jax.mechanics import elasticity, loads
+from rfem_jax.mechanics.algebra import apply_transposed, cross, dot
+from rfem_jax.mechanics.closure import closure
+from rfem_jax.mechanics.dynamics import DriveInput
 from rfem_jax.mechanics.kinematics import motion
 from rfem_jax.mechanics.model import Coordinates, Model, State
 from rfem_jax.mechanics.realisation import AssemblyErrors, Realisation, realise
@@ -89,23 +91,16 @@ def equilibrium(model: Model, realised: Realisation, held: dict[int, Array]):
     n_constraints = 5 * topology.n_cuts
     indices = tuple(held)
 
-    def lagrangian(unknowns, realised):
-        position = unravel(unknowns[: start.size] * scale)
-        state = loads.static_state(position)
-        cuts = closures(realised, motion(realised, state), scale)
-        parts = loads.energies(realised, state)
-        potential = (parts.elastic + parts.gravity) / (force_scale * scale)
-        if not cuts:
-            return potential
-        residual = jnp.concatenate([cut.residual for cut in cuts]) / scale
-        return potential - jnp.dot(unknowns[start.size :], residual)
-
     def residual(unknowns, args):
         realised, angles = args
-        out = jax.grad(lagrangian)(unknowns, realised)
+        position = unravel(unknowns[: start.size] * scale)
+        multipliers = unknowns[start.size :].reshape(topology.n_cuts, 5).T * force_scale
+        hinge, elastic, closing = _unbalanced(realised, position, multipliers, scale)
+        hinge = hinge / (force_scale * scale)
         for index, angle in zip(indices, angles):
-            out = out.at[index].set(unknowns[index] - angle / scale)
-        return out
+            hinge = hinge.at[index].set(unknowns[index] - angle / scale)
+        balance, _ = ravel_pytree(Coordinates(hinge, elastic / force_scale))
+        return jnp.concatenate([balance, closing.T.reshape(-1) / scale])
 
     guess = jnp.concatenate([start / scale, jnp.zeros(n_constraints)])
     for index, angle in held.items():
@@ -123,12 +118,40 @@ def equilibrium(model: Model, realised: Realisation, held: dict[int, Array]):
     position = unravel(solution.value[: start.size] * scale)
     found = solution.result == optx.RESULTS.successful
     found = found & jnp.all(jnp.isfinite(solution.value))
-    now = motion(realised, loads.static_state(position))
-    right_side = jnp.ones((), bool)
-    for cut in closures(realised, now, scale):
-        right_side = right_side & (cut.alignment > 0.0)
+    cuts = closure(realised, motion(realised, loads.static_state(position)), scale)
+    right_side = True if cuts is None else jnp.all(cuts.alignment > 0.0)
     status = jnp.where(found, jnp.where(right_side, OK, WRONG_SIDE), NOT_ASSEMBLED)
-    return position, solution.value[start.size :] * force_scale, status.astype(jnp.int32)
+    multipliers = solution.value[start.size :].reshape(topology.n_cuts, 5).T * force_scale
+    return position, multipliers, status.astype(jnp.int32)
+
+
+def _unbalanced(realised: Realisation, position: Coordinates, multipliers: Array, scale: Array):
+    """Moments about the hinges (L,) [N m], generalised forces left on the free rfes (6, N) and
+    closure residuals (5, C) [m] of a mechanism at rest."""
+    topology = realised.topology
+    n = topology.n_links
+    state = loads.static_state(position)
+    now = motion(realised, state)
+    cuts = closure(realised, now, scale)
+    at_rest = jnp.zeros((3, n + topology.n_rfes))
+    force, moment = loads.inertial_loads(realised, now, at_rest, at_rest)
+    wrenches = loads.chain_wrenches(realised, now, cuts, multipliers, (force, moment))
+    hinge = dot(now.axis, jnp.stack(wrenches[:n], axis=1))
+    force, moment = -force[:, n:], -moment[:, n:]
+    for j, (left, right) in enumerate(zip(topology.parents, topology.children)):
+        for node, sign in ((left, -1.0), (right, 1.0)):
+            # The joint of a link acts on its rfe 0; only wrenches on free rfes count here.
+            if node >= n:
+                k = node - n
+                turn = now.links.rotation[:, :, topology.link_of(node)]
+                where = now.carriers.point[:, topology.carriers.index(k)]
+                on_force = sign * wrenches[j][3:]
+                on_moment = sign * wrenches[j][:3] - cross(where, on_force)
+                force = force.at[:, k].add(apply_transposed(turn, on_force))
+                moment = moment.at[:, k].add(apply_transposed(turn, on_moment))
+    outside = jnp.concatenate([force, apply_transposed(now.relative.rate_matrix, moment)])
+    elastic = elasticity.forces(realised, state.position, state.velocity)
+    return hinge, outside + elastic, jnp.zeros((5, 0)) if cuts is None else cuts.residual
 
 
 def static_loads(
@@ -136,17 +159,9 @@ def static_loads(
 ) -> loads.JointLoads:
     """Joint loads at rest, the moment that holds a joint included."""
     now = motion(realised, state)
-    nodes = realised.mass.shape[0]
-    at_rest = Accelerations(
-        coordinates=jax.tree.map(jnp.zeros_like, state.position),
-        multipliers=multipliers,
-        stabilising=jnp.zeros_like(multipliers),
-        angular=jnp.zeros((3, nodes)),
-        linear=jnp.zeros((3, nodes)),
-        motion=now,
-        closures=closures(realised, now, length_scale(model)),
-    )
-    return loads.joint_loads(realised, at_rest, DriveInput())
+    at_rest = jnp.zeros((3, realised.mass.shape[0]))
+    resting = loads.Resting(now, closure(realised, now, length_scale(model)), multipliers)
+    return loads.chain_loads(realised, resting, at_rest, at_rest, DriveInput())
 
 
 def named(model: Model, joint_loads: loads.JointLoads) -> dict[str, Load]:

@@ -251,18 +251,15 @@ def _observe(model: Model, t, trajectory: Trajectory, conditions: Conditions):
     """Record of one instant, and its squared axial and normal forces."""
     with jax.named_scope("observation"):
         topology, realised = model.topology, conditions.realised
-        state, drive, result, joint = equations.at_instant(t, trajectory, conditions)
+        state, drive, result, _ = equations.at_instant(t, trajectory, conditions)
+        joint = loads.chain_loads(realised, result, result.angular, result.linear, drive)
         parts = loads.energies(realised, state)
         force, moment = loads.momentum_residual(realised, state, result)
-        arms = jnp.stack(
-            [link.hinge_centre for link in result.motion.links]
-            + [cut.centre for cut in result.closures],
-            axis=1,
-        )
         largest_force = jnp.sqrt(jnp.max(jnp.sum(joint.force**2, axis=0)))
         largest_moment = jnp.sqrt(jnp.max(jnp.sum(joint.moment**2, axis=0)))
-        largest_moment = largest_moment + largest_force * jnp.max(jnp.abs(arms))
-        drift, drift_angle = _drift(result.closures, length_scale(model))
+        arm = jnp.max(jnp.abs(result.motion.hinges.point))
+        largest_moment = largest_moment + largest_force * arm
+        drift, drift_angle = _drift(result.closure, length_scale(model))
         passive = np.ones(len(topology.joints))
         if drive.turn is not None:
             passive[topology.driven] = 0.0
@@ -287,11 +284,10 @@ def _observe(model: Model, t, trajectory: Trajectory, conditions: Conditions):
 
 def _drift(cuts, scale):
     """Largest distance [m] of two joint centres, and largest axis equation [rad]."""
-    if not cuts:
+    if cuts is None:
         return jnp.zeros(()), jnp.zeros(())
-    residuals = jnp.stack([cut.residual for cut in cuts])
-    distance = equations.guarded_root(jnp.max(jnp.sum(residuals[:, :3] ** 2, axis=1)))
-    return distance, jnp.max(jnp.abs(residuals[:, 3:])) / scale
+    distance = equations.guarded_root(jnp.max(jnp.sum(cuts.residual[:3] ** 2, axis=0)))
+    return distance, jnp.max(jnp.abs(cuts.residual[3:])) / scale
 
 
 def conclude(model: Model, prepared: Prepared, carry: Carry, record: Record, grid) -> Run:
