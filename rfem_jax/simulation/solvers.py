@@ -116,6 +116,9 @@ class PeakTracking(diffrax.AbstractWrappedSolver):
     solver: diffrax.AbstractSolver
     watch: Callable[[PyTree], Array]
 
+    # diffrax's adjoints look at these two of a solver.
+    scan_kind = "bounded"
+
     @property
     def term_structure(self):
         return self.solver.term_structure

@@ -40,9 +40,10 @@ class WorstCaseCriterion:
         self.failed = 0
 
     def model(self):
-        """The scenarios as a pytree, filled up to a fixed number of rows (one program)."""
+        """The scenarios as a pytree, filled up to 4, 8, 16 ... rows (few programs; every row costs a
+        simulation with its gradient)."""
         count = len(self.points)
-        size = max(16, 1 << max(0, count - 1).bit_length())
+        size = max(4, 1 << max(0, count - 1).bit_length())
 
         def fill(a):
             return jnp.asarray(np.concatenate([a, np.zeros((size - count, *a.shape[1:]), a.dtype)]))

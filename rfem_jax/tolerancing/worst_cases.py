@@ -52,12 +52,14 @@ TIE = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Corners:
-    """Every corner of the box: how many, how many failed, the best value and the errors there."""
+    """Every corner of the box: how many, how many failed, the best value and the errors there;
+    values (count,) of all of them, NaN where one failed."""
 
     count: int
     failed: int
     value: float
     errors: dict
+    values: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -277,8 +279,9 @@ def _report(
         best = np.nanargmax(corner_values) if failed < len(corner_values) else 0
         z = box_corners(len(names))[best]
         corners = Corners(
-            len(corner_values), failed, float(sign * corner_values[best]), errors_at(z)
-        )
+            len(corner_values), failed, float(sign * corner_values[best]), errors_at(z),
+            sign * corner_values,
+        )  # fmt: skip
     finite = np.any(np.isfinite(values))
     common = dict(
         metric=problem.metrics[index].name, unit=problem.metrics[index].unit, region=region,

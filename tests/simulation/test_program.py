@@ -1,0 +1,150 @@
+"""The compiled program: its size, what retraces it, what a failed run does to its batch."""
+
+from dataclasses import replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from rfem_jax import (
+    STATUS,
+    InputError,
+    Method,
+    MomentRamp,
+    assemble,
+    assembly_errors,
+    discretise,
+    run_cases,
+    simulate,
+)
+from rfem_jax.description.study import Case, Study
+from rfem_jax.mechanics.status import DIVERGED, NOT_ASSEMBLED
+from rfem_jax.simulation import integration
+
+from tests.mechanisms import STEEL, four_bar, link
+
+
+def equations_in(jaxpr) -> int:
+    """Number of primitive operations of a program, inner ones included."""
+    count = 0
+    for equation in jaxpr.eqns:
+        count += 1
+        for value in jax.tree.leaves(
+            equation.params, is_leaf=lambda x: hasattr(x, "eqns") or hasattr(x, "jaxpr")
+        ):
+            inner = getattr(value, "jaxpr", value)
+            if hasattr(inner, "eqns"):
+                count += equations_in(inner)
+    return count
+
+
+def test_program_does_not_grow_with_the_number_of_rfes(small):
+    sizes = []
+    for rfes in (3, 5, 17):
+        model = discretise(four_bar(), rfes=rfes)
+        program = jax.make_jaxpr(
+            lambda e, model=model: simulate(model, e, **small.settings).metrics
+        )(assembly_errors(model))
+        sizes.append(equations_in(program.jaxpr))
+    assert len(set(sizes)) == 1
+    assert sizes[0] > 1000
+
+
+def test_new_numbers_do_not_retrace(small):
+    traced = eqx.debug.assert_max_traces(integration.prepare, max_traces=1)
+
+    @eqx.filter_jit
+    def start(model, errors, drive):
+        return traced(model, errors, drive, None).preload.force
+
+    heavier = discretise(
+        replace(four_bar(3), links=tuple(
+            link(old.name, old.length * (1.0 + 1e-3), 3 if old.flexible else None)
+            for old in four_bar(3).links
+        ))
+    )
+    first = start(small.model, assembly_errors(small.model), small.drive)
+    second = start(heavier, assembly_errors(heavier, {"D.d_y": 1e-3}), MomentRamp("A", 2.0, 0.01))
+    assert not np.allclose(first, second)
+
+
+def test_a_failed_sample_does_not_spoil_its_batch(small):
+    model = small.model
+
+    def one(tilt):
+        return simulate(model, assembly_errors(model, {"D.delta_x": tilt}), **small.settings)
+
+    tilts = jnp.array([0.0, 5e-3, jnp.nan])
+    runs = jax.jit(jax.vmap(one))(tilts)
+    assert list(np.asarray(runs.status)) == [0, 0, NOT_ASSEMBLED]
+    alone = small.run({"D.delta_x": jnp.asarray(5e-3)})
+    np.testing.assert_allclose(
+        runs.metrics.rms_moment["A"][1], alone.metrics.rms_moment["A"], rtol=1e-9
+    )
+    assert STATUS[NOT_ASSEMBLED].name == "not_assembled"
+
+
+def test_a_diverging_run_says_so(small):
+    settings = {**small.settings, "method": Method("rk4", step=2e-4)}
+    run = simulate(small.model, None, **settings)
+    assert int(run.status) == DIVERGED
+    assert "step is too large" in STATUS[DIVERGED].message
+
+
+def test_cases_in_pieces_equal_single_runs(small):
+    study = Study(
+        "small", four_bar(3), small.drive, 0.02, small.settings["method"], 1e-3,
+        cases=(Case("none"), Case("tilted", {"D.delta_x": "0.3 deg"})),
+    )
+    seen = []
+    _, runs = run_cases(study, progress=seen.append)
+    assert seen[-1] == pytest.approx(1.0) and len(seen) > 5 and sorted(seen) == seen
+    alone = small.run({"D.delta_x": jnp.radians(0.3)})
+    assert runs["tilted"].times.shape == alone.times.shape
+    for one, other in zip(jax.tree.leaves(runs["tilted"]), jax.tree.leaves(alone)):
+        np.testing.assert_allclose(one, other, rtol=1e-7, atol=1e-9)
+
+
+def test_single_precision_is_refused():
+    jax.config.update("jax_enable_x64", False)
+    try:
+        with pytest.raises(InputError, match="jax_enable_x64"):
+            discretise(four_bar())
+    finally:
+        jax.config.update("jax_enable_x64", True)
+
+
+def test_bad_arguments_are_refused(small):
+    with pytest.raises(InputError, match="did you mean `D.delta_x`"):
+        assembly_errors(small.model, {"D.delta_xx": 0.1})
+    with pytest.raises(InputError, match="`hold` must name joints of the tree"):
+        assemble(small.model, assembly_errors(small.model), hold={"C": 0.0})
+    with pytest.raises(InputError, match="`rfes` must be a whole number"):
+        discretise(four_bar(), rfes=1)
+    with pytest.raises(InputError, match="`duration` must be positive"):
+        simulate(small.model, None, **{**small.settings, "duration": 0.0})
+
+
+def test_what_cannot_close_is_refused():
+    from rfem_jax import Joint, Mechanism
+
+    links = [link("a", 0.1), link("b", 0.1, 3), link("c", 0.1, 3)]
+    joints = [
+        Joint("A", "base", "a", angle=-1.0),
+        Joint("B", "a", "b", angle=0.5),
+        Joint("D", "base", "c", position=(0.5, 0, 0), angle=-2.0),
+        Joint("C", "b", "c", cut=True),
+    ]
+    with pytest.raises(InputError, match="joint 'C' stays open by"):
+        discretise(Mechanism(links, joints, driven_joint="A"))
+
+
+def test_rigid_loops_need_an_explicit_choice():
+    rigid = [link("crank", 0.12), link("coupler", 0.3), link("rocker", 0.3)]
+    with pytest.raises(InputError, match='redundant_reactions = "minimum_norm"'):
+        discretise(replace(four_bar(3), links=tuple(rigid)))
+    model = discretise(
+        replace(four_bar(3), links=tuple(rigid), redundant_reactions="minimum_norm")
+    )
+    assert model.topology.minimum_norm and STEEL.name == "steel"

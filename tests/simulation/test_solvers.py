@@ -1,0 +1,155 @@
+"""Integration methods: the scan over steps against diffrax's own loop, maxima, adaptive steps."""
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from rfem_jax import InputError, Method, assembly_errors, simulate
+from rfem_jax.simulation import integration
+from rfem_jax.simulation.equations import Conditions, peaks, start_trajectory
+from rfem_jax.simulation.solvers import Leapfrog, PeakTracking, RungeKutta4
+from rfem_jax.simulation.time_grid import time_grid
+
+ERRORS = {"D.delta_x": 4e-3, "D.d_y": 2e-4}
+
+
+def test_scan_over_steps_is_diffrax_s_own_loop(small):
+    """One interval by `advance` and by diffeqsolve with the same solver and steps."""
+    model, method = small.model, small.settings["method"]
+    errors = assembly_errors(model, ERRORS)
+    prepared = integration.prepare(model, errors, small.drive, None)
+    conditions = Conditions(
+        prepared.realised, small.drive, jnp.asarray(0, jnp.int32),
+        integration.stabilisation_of(model, method),
+    )
+    y = (start_trajectory(prepared.state, 4), jnp.zeros((2, 4)))
+    solution = jax.jit(
+        lambda y: diffrax.diffeqsolve(
+            diffrax.ODETerm(integration._field), PeakTracking(RungeKutta4(), peaks),
+            t0=0.0, t1=1e-3, dt0=2e-5, y0=y, args=conditions,
+        ).ys
+    )(y)
+    grid, steps = time_grid(1e-3, 2e-5, 1e-3, ())
+    carry = integration.start_carry(prepared, grid)
+    carry, _ = jax.jit(
+        lambda carry: integration.advance(
+            model, prepared.realised, small.drive, carry, grid, method, steps, None
+        )
+    )(carry)
+    ours, theirs = jax.tree.leaves(carry.trajectory), jax.tree.leaves(solution[0])
+    for one, other in zip(ours, theirs):
+        scale = np.abs(other[-1]).max() + 1e-300
+        np.testing.assert_allclose(one / scale, other[-1] / scale, rtol=0, atol=1e-11)
+    assert np.all(np.asarray(solution[1][-1]) <= np.asarray(carry.peaks) * (1 + 1e-9))
+
+
+def test_peaks_are_the_maxima_of_a_fine_history(small):
+    """Running maxima without a history against the saved history at every step."""
+    settings = {**small.settings, "save_every": 2e-5}
+    run = jax.jit(
+        lambda values: simulate(small.model, assembly_errors(small.model, values), **settings)
+    )(ERRORS)
+    coarse = small.run(ERRORS)
+    for name, load in run.loads.items():
+        force = np.asarray(load.force)
+        normal = np.hypot(force[:, 0], force[:, 2]).max()
+        axial = np.abs(force[:, 1]).max()
+        np.testing.assert_allclose(coarse.metrics.max_normal_force[name], normal, rtol=1e-9)
+        np.testing.assert_allclose(coarse.metrics.max_axial_force[name], axial, rtol=1e-9)
+
+
+def test_mean_squares_are_those_of_a_fine_history(small):
+    run = small.run(ERRORS)
+    fine = jax.jit(
+        lambda values: simulate(
+            small.model, assembly_errors(small.model, values),
+            **{**small.settings, "save_every": 2e-5},
+        )
+    )(ERRORS)
+    times = np.asarray(fine.times)[1:]
+    for name in "ABCD":
+        square = np.sum(np.asarray(fine.loads[name].moment) ** 2, axis=1)[1:]
+        # Trapezoidal rule, in two parts: the loads jump with the moment.
+        jump = int(np.argmin(np.abs(times - 0.01)))
+        integral = np.trapezoid(square[: jump + 1], times[: jump + 1])
+        integral += np.trapezoid(square[jump + 1 :], times[jump + 1 :])
+        integral += (times[jump + 1] - times[jump]) * square[jump + 1] + times[0] * square[0]
+        np.testing.assert_allclose(
+            run.metrics.mean_square_moment[name], integral / 0.02, rtol=2e-4
+        )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "method",
+    [Method("leapfrog", step=4e-6), Method("dopri5", rtol=1e-8, atol=1e-10)],
+    ids=lambda m: m.name,
+)
+def test_other_methods_agree_with_runge_kutta(small, method):
+    settings = {**small.settings, "method": method}
+    run = simulate(small.model, assembly_errors(small.model, ERRORS), **settings)
+    exact = small.run(ERRORS)
+    assert int(run.status) == 0
+    np.testing.assert_allclose(run.angle[-1], exact.angle[-1], rtol=1e-5)
+    np.testing.assert_allclose(np.asarray(run.times), np.asarray(exact.times), atol=1e-15)
+    for name in "ABCD":
+        for kind in ("rms_force", "rms_moment", "max_normal_force"):
+            np.testing.assert_allclose(
+                getattr(run.metrics, kind)[name], getattr(exact.metrics, kind)[name], rtol=3e-4
+            )
+    # Loads at saved times are those of steps' ends, not interpolated.
+    np.testing.assert_allclose(
+        run.loads["A"].force[-1], exact.loads["A"].force[-1], rtol=2e-3, atol=2e-3
+    )
+
+
+def test_leapfrog_needs_a_velocity_of_second_order():
+    """On x'' = -k x - c x' the method is of order 2; its order would drop to 1 if the damping read
+    a lagging velocity."""
+
+
+    import equinox as eqx
+
+    from rfem_jax.mechanics.model import Coordinates
+
+    class Y(eqx.Module):
+        position: Coordinates
+        velocity: Coordinates
+        integrals: jax.Array
+
+    def field(t, y, args):
+        a = Coordinates(
+            -9.0 * y.position.angles - 1.2 * y.velocity.angles, jnp.zeros((6, 0))
+        )
+        return Y(y.velocity, a, jnp.zeros(()))
+
+    start = Coordinates(jnp.ones(1), jnp.zeros((6, 0)))
+    y0 = Y(start, jax.tree.map(jnp.zeros_like, start), jnp.zeros(()))
+    decay, w = 0.6, np.sqrt(9.0 - 0.36)
+    exact = np.exp(-decay) * (np.cos(w) + decay / w * np.sin(w))
+    errors = []
+    for steps in (50, 100, 200):
+        sol = diffrax.diffeqsolve(
+            diffrax.ODETerm(field), Leapfrog(), 0.0, 1.0, 1.0 / steps, y0,
+        )
+        errors.append(abs(float(sol.ys.position.angles[-1, 0]) - exact))
+    orders = np.log2(np.array(errors[:-1]) / errors[1:])
+    np.testing.assert_allclose(orders, 2.0, atol=0.1)
+
+
+def test_time_grid():
+    grid, steps = time_grid(0.5, 1e-5, 1e-3, (0.1,))
+    assert steps == 100 and len(grid.starts) == 501 and grid.lengths[0] == 0.0
+    np.testing.assert_allclose(np.cumsum(grid.lengths)[-1], 0.5, rtol=1e-14)
+    ends = grid.starts + grid.lengths
+    at = int(np.argmin(np.abs(ends - 0.1)))
+    assert abs(ends[at] - 0.1) < 1e-15
+    assert set(grid.phases[: at + 1]) == {0} and set(grid.phases[at + 1 :]) == {1}
+    # A jump between saved times becomes an end of its own; steps never exceed the wanted one.
+    grid, steps = time_grid(0.01, 3e-5, 1e-3, (0.00455,))
+    ends = grid.starts + grid.lengths
+    assert np.any(np.abs(ends - 0.00455) < 1e-15)
+    assert np.all(grid.lengths / steps <= 3e-5)
+    with pytest.raises(InputError, match="`duration` must be positive"):
+        time_grid(-1.0, 1e-5, None, ())

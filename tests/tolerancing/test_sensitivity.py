@@ -1,0 +1,196 @@
+"""Sensitivities of closed-form problems: derivatives, symmetry, cones, principal directions."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from rfem_jax.description.errors import InputError
+from rfem_jax.tolerancing.problem import FunctionProblem, Metric
+from rfem_jax.tolerancing.quadratic_model import REVERSE_COST, choose_mode, expand, linearise_points
+from rfem_jax.tolerancing.sensitivities import sensitivity
+
+jax.config.update("jax_enable_x64", True)
+
+NAMES = ("D.delta_x", "D.delta_z", "coupler.length")
+HESSIAN = np.array([[4.0, 1.0, 0.0], [1.0, 3.0, 0.0], [0.0, 0.0, 0.0]])
+WIDTHS = {"D.delta_x": 0.5, "D.delta_z": 0.25, "coupler.length": 0.1}
+
+
+def vector(errors, names=NAMES):
+    return jnp.stack([errors[name] for name in names])
+
+
+def loads(errors):
+    """A mean-square moment (zero at the nominal point), its root, and a force with a slope."""
+    e = vector(errors)
+    moment = 0.5 * e @ jnp.asarray(HESSIAN) @ e
+    force = 2.0 + 3.0 * e[2] + 5.0 * e[0] ** 2 + e[1] ** 2 * e[2]
+    return {"moment_squared": moment, "moment": jnp.sqrt(moment), "force": force}
+
+
+METRICS = (
+    Metric("moment_squared", "N^2 m^2", "mean-square moment", True),
+    Metric("moment", "N m", "RMS moment", True),
+    Metric("force", "N", "RMS force"),
+)
+
+
+@pytest.fixture
+def problem():
+    return FunctionProblem(loads, NAMES, METRICS, error_units={"coupler.length": "m"})
+
+
+def smooth(errors):
+    x = vector(errors, [f"e{i}" for i in range(7)])
+    return {"a": jnp.sum(x**3) * jnp.exp(x[0]), "b": jnp.prod(1.0 + x) * jnp.sin(x[1] + x[2])}
+
+
+@pytest.mark.parametrize("mode", ["forward", "reverse"])
+@pytest.mark.parametrize("batch", [32, 3])
+def test_expansion_equals_differences_of_values_in_both_modes_and_in_chunks(mode, batch):
+    names = tuple(f"e{i}" for i in range(7))
+    many = FunctionProblem(smooth, names, ("a", "b"))
+    at = {name: 0.1 * i - 0.2 for i, name in enumerate(names)}
+    model = expand(many, at, mode=mode, batch=batch)
+    x = np.array(list(at.values()))
+
+    def values(y):
+        return np.array(list(many(dict(zip(names, y, strict=True)))[0].values()))
+
+    h = 1e-5
+    steps = h * np.eye(7)
+    gradient = np.stack([(values(x + d) - values(x - d)) / (2 * h) for d in steps], axis=1)
+    np.testing.assert_allclose(model.gradient, gradient, rtol=1e-8, atol=1e-9)
+    h, steps = 1e-4, 1e-4 * np.eye(7)
+    hessian = [
+        [(values(x + a + b) - values(x + a - b) - values(x - a + b) + values(x - a - b))
+         / (4 * h * h) for b in steps] for a in steps
+    ]  # fmt: skip
+    np.testing.assert_allclose(model.hessian, np.moveaxis(hessian, 2, 0), atol=2e-6)
+    assert np.all(np.asarray(model.asymmetry) < 1e-14)
+    np.testing.assert_allclose(model.value, values(x), rtol=1e-14)
+
+
+def test_mode_follows_the_numbers_and_can_be_set(problem):
+    assert choose_mode("auto", 3 * REVERSE_COST, 3) == "forward"
+    assert choose_mode("auto", 3 * REVERSE_COST + 1, 3) == "reverse"
+    names = tuple(f"e{i}" for i in range(7))
+    one = FunctionProblem(lambda e: {"a": sum(e.values())}, names, ("a",))
+    assert sensitivity(one, order=1).mode == "reverse"
+    assert sensitivity(one, order=1, mode="forward").mode == "forward"
+    with pytest.raises(InputError, match="`mode` must be one of"):
+        sensitivity(problem, mode="backward")
+
+
+def test_mean_square_that_vanishes_is_a_cone_with_the_slope_of_its_hessian(problem):
+    result = sensitivity(problem, scale=WIDTHS)
+    assert result.character == ("cone", "none", "mixed")
+    assert list(result.vanishing[0]) == [True, True, False]
+    np.testing.assert_allclose(result.hessian[0], HESSIAN, atol=1e-14)
+    np.testing.assert_allclose(result.root_slopes[0], np.sqrt([2.0, 1.5, 0.0]) * [0.5, 0.25, 0.1])
+    direction = {"D.delta_x": 0.3, "D.delta_z": -0.4}
+    root = problem({name: jnp.asarray(value) for name, value in direction.items()})[0]["moment"]
+    assert result.root_slope("moment_squared", direction) == pytest.approx(float(root), rel=1e-13)
+    with pytest.raises(InputError, match="zero at the point"):
+        result.root_slope("force", direction)
+
+
+def test_directional_slope_is_the_limit_of_the_root_along_a_small_error(problem):
+    result = sensitivity(problem, scale=WIDTHS)
+    direction = {"D.delta_x": 1.0, "D.delta_z": 2.0}
+    small = {name: jnp.asarray(1e-6 * value) for name, value in direction.items()}
+    growth = float(problem(small)[0]["moment"]) / 1e-6
+    assert result.root_slope("moment_squared", direction) == pytest.approx(growth, rel=1e-9)
+
+
+def test_gradient_per_tolerance_effects_and_ranking(problem):
+    result = sensitivity(problem, scale=WIDTHS)
+    force = result.metrics.index("force")
+    np.testing.assert_allclose(result.gradient[force], [0.0, 0.0, 3.0], atol=1e-14)
+    np.testing.assert_allclose(result.gradient_scaled[force], [0.0, 0.0, 0.3], atol=1e-14)
+    assert [name for name, _ in result.ranking("force")] == [
+        "D.delta_x", "coupler.length", "D.delta_z"
+    ]  # fmt: skip
+    # 5 e^2 at e = 0.5 and 3 e at e = 0.1: changes of the metric itself.
+    np.testing.assert_allclose(result.effects[force], [1.25, 0.0, 0.3], atol=1e-14)
+    assert len(result.rows()) == 9 and result.rows()[0]["rank"] == 1
+
+
+def test_principal_directions_are_eigenvectors_of_the_scaled_hessian(problem):
+    result = sensitivity(problem, scale=WIDTHS)
+    t = np.array(list(WIDTHS.values()))
+    scaled = HESSIAN * np.outer(t, t)
+    (value, direction), *rest = result.principal_directions("moment_squared")
+    v = np.array([direction[name] for name in NAMES])
+    np.testing.assert_allclose(scaled @ v, value * v, atol=1e-14)
+    assert value >= max(abs(other) for other, _ in rest)
+    assert np.all(np.isnan(result.eigenvalues[1]))
+
+
+def test_away_from_zero_every_gradient_is_honest(problem):
+    result = sensitivity(problem, {"D.delta_x": 0.1, "D.delta_z": 0.2}, scale=WIDTHS)
+    assert result.character[:2] == ("slope", "slope") and not result.vanishing[:2].any()
+    e = np.array([0.1, 0.2, 0.0])
+    root = np.sqrt(0.5 * e @ HESSIAN @ e)
+    np.testing.assert_allclose(result.gradient[1], HESSIAN @ e / (2 * root), rtol=1e-12)
+
+
+def test_errors_that_are_not_varied_stay_where_they_are(problem):
+    result = sensitivity(problem, {"D.delta_x": 0.1}, scale={"D.delta_z": 0.25}, order=1)
+    assert result.names == ("D.delta_z",) and result.hessian is None
+    np.testing.assert_allclose(result.gradient[0], [0.1], rtol=1e-14)
+
+
+def test_mean_of_the_quadratic_model_equals_a_quadrature(problem):
+    covariance = np.array([[0.04, 0.01, 0.0], [0.01, 0.09, 0.0], [0.0, 0.0, 0.01]])
+    model = expand(problem)
+    nodes, weights = np.polynomial.hermite_e.hermegauss(4)
+    root = np.linalg.cholesky(covariance)
+    total = 0.0
+    for i, wi in zip(nodes, weights, strict=True):
+        for j, wj in zip(nodes, weights, strict=True):
+            e = root @ np.array([i, j, 0.0])
+            total += wi * wj * 0.5 * e @ HESSIAN @ e / (2 * np.pi)
+    assert float(model.mean(jnp.asarray(covariance))[0]) == pytest.approx(total, rel=1e-12)
+
+
+def test_refined_problem_shows_how_far_derivatives_can_be_trusted(problem):
+    def coarse(errors):
+        return {**loads(errors), "force": loads(errors)["force"] + 0.03 * errors["coupler.length"]}
+
+    other = FunctionProblem(coarse, NAMES, METRICS, error_units={"coupler.length": "m"})
+    result = sensitivity(other, scale=WIDTHS, refined=problem)
+    assert result.gradient_change[2, 2] == pytest.approx(0.03 / 3.03, rel=1e-9)
+    assert result.gradient_change[2, 0] == 0.0 and result.hessian_change[0] == 0.0
+
+
+def test_table_names_what_symmetry_says_and_a_failed_point_has_its_status(problem):
+    text = str(sensitivity(problem, scale=WIDTHS))
+    assert "0 (symmetry)" in text and "its root is a cone" in text
+    assert "take its mean square" in text
+    broken = FunctionProblem(
+        lambda e: ({"a": e["x"]}, jnp.asarray(3)), ("x",), ("a",), statuses={3: "diverged"}
+    )
+    assert sensitivity(broken, order=1).status == "diverged"
+
+
+def test_bad_input_is_refused_with_the_nearest_name(problem):
+    with pytest.raises(InputError, match="did you mean `coupler.length`"):
+        sensitivity(problem, scale={"coupler.lenght": 0.1})
+    with pytest.raises(InputError, match="positive half-widths"):
+        sensitivity(problem, scale={"D.delta_x": 0.0})
+    with pytest.raises(InputError, match="`order` must be 1 or 2"):
+        sensitivity(problem, order=3)
+
+
+def test_linearisation_of_many_points_marks_failed_ones():
+    def function(errors):
+        return {"a": errors["x"] ** 2}, jnp.where(errors["x"] > 1.0, 1, 0)
+
+    values, jacobian = linearise_points(
+        FunctionProblem(function, ("x",), ("a",)), ("x",), {}, [[0.5], [1.5], [-2.0]], batch=2
+    )
+    np.testing.assert_allclose(values[[0, 2], 0], [0.25, 4.0])
+    np.testing.assert_allclose(jacobian[[0, 2], 0, 0], [1.0, -4.0])
+    assert np.isnan(values[1, 0])
