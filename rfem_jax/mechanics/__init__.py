@@ -3,7 +3,7 @@
     model, discretisation      description -> Model
     realisation                + AssemblyErrors -> constants of the equations of motion
     kinematics                 + State -> positions and velocities
-    elasticity, closure        forces of the sdes; constraints of the cut joints
+    elasticity, cut_joints        forces of the sdes; constraints of the cut joints
     dynamics                   accelerations by the recursive formulation
     reference_formulation      the same, dense and literal, to test against
     loads                      joint loads, energies, balances

@@ -12,7 +12,7 @@ from rfem_jax.mechanics.model import Coordinates, Model
 from rfem_jax.mechanics.realisation import Realisation
 
 
-def centre_lines(
+def link_lines(
     model: Model, realised: Realisation, position: Coordinates
 ) -> dict[str, Array]:
     """Points (P, 3) [m] in global axes along every link: its origin, the middles of its rfes, its

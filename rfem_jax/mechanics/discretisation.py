@@ -12,7 +12,7 @@ import numpy as np
 
 from rfem_jax.description.errors import InputError
 from rfem_jax.mechanics import loads
-from rfem_jax.mechanics.closure import closure
+from rfem_jax.mechanics.cut_joints import closure
 from rfem_jax.mechanics.dynamics import RANK_TOLERANCE
 from rfem_jax.mechanics.kinematics import motion
 from rfem_jax.mechanics.model import Coordinates, Model, build_model

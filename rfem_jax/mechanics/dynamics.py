@@ -1,6 +1,6 @@
 """Accelerations at one instant, by the structure of the rigid finite element method.
 
-Place in the pipeline: kinematics, elasticity, closure -> **dynamics** -> loads, simulation.
+Place in the pipeline: kinematics, elasticity, cut_joints -> **dynamics** -> loads, simulation.
 
 A free rfe is held by elastic forces alone: its absolute acceleration is wrench over inertia, and its
 articulated inertia seen from the link frame is zero (MODEL section 3).  What remains is the
@@ -24,7 +24,7 @@ from jax import Array
 
 from rfem_jax.mechanics import algebra, elasticity
 from rfem_jax.mechanics.algebra import apply, apply_transposed, cross, dot, product
-from rfem_jax.mechanics.closure import Closure, closure
+from rfem_jax.mechanics.cut_joints import Closure, closure
 from rfem_jax.mechanics.kinematics import Motion, motion, node_frames, spread, total
 from rfem_jax.mechanics.model import BASE, Coordinates, State, Topology
 from rfem_jax.mechanics.realisation import Realisation

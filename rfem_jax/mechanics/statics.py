@@ -21,7 +21,7 @@ from jax.flatten_util import ravel_pytree
 from rfem_jax.description.errors import InputError, suggestion
 from rfem_jax.mechanics import elasticity, loads
 from rfem_jax.mechanics.algebra import apply_transposed, cross, dot
-from rfem_jax.mechanics.closure import closure
+from rfem_jax.mechanics.cut_joints import closure
 from rfem_jax.mechanics.dynamics import DriveInput
 from rfem_jax.mechanics.kinematics import motion
 from rfem_jax.mechanics.model import Coordinates, Model, State

@@ -24,7 +24,7 @@ from rfem_jax.description.drives import MomentDrive, PrescribedDrive
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.methods import Method
 from rfem_jax.mechanics import loads
-from rfem_jax.mechanics.centre_lines import centre_lines
+from rfem_jax.mechanics.centre_lines import link_lines
 from rfem_jax.mechanics.discretisation import require_double_precision
 from rfem_jax.mechanics.dynamics import Stabilisation
 from rfem_jax.mechanics.model import Model, State
@@ -43,7 +43,7 @@ from rfem_jax.simulation import equations
 from rfem_jax.simulation.equations import Conditions, Trajectory
 from rfem_jax.simulation.run import DrivenJoint, Energy, Metrics, Run
 from rfem_jax.simulation.solvers import PeakTracking, make_solver
-from rfem_jax.simulation.time_grid import TimeGrid, time_grid
+from rfem_jax.simulation.time_grid import TimeGrid, divide_time
 
 STABILISATION = 0.02
 ADAPTIVE_STABILISATION_RATE = 1e3
@@ -121,7 +121,7 @@ def grid_for(drive, duration, method: Method, save_every) -> tuple[TimeGrid, int
     if method.adaptive and method.step is not None:
         raise InputError("Argument `method` must have a step or tolerances, but has both.")
     jumps = () if drive is None else drive.breakpoints()
-    return time_grid(duration, method.step, save_every, jumps)
+    return divide_time(duration, method.step, save_every, jumps)
 
 
 @eqx.filter_jit
@@ -323,8 +323,8 @@ def conclude(model: Model, prepared: Prepared, carry: Carry, record: Record, gri
         hinge_moment_error=jnp.max(record.hinge_residual) / _safe(jnp.max(record.largest_load[:, 1])),
         stabilisation_share=jnp.max(record.stabilising) / _safe(jnp.max(record.multiplier)),
         status=_status(model, prepared, carry, error, drift),
-        centre_lines=centre_lines(model, prepared.realised, prepared.state.position),
-        nominal_lines=centre_lines(
+        centre_lines=link_lines(model, prepared.realised, prepared.state.position),
+        nominal_lines=link_lines(
             model, realise(model, assembly_errors(model)), model.start_coordinates()
         ),
     )

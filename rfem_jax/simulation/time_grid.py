@@ -26,7 +26,7 @@ class TimeGrid(NamedTuple):
     phases: np.ndarray
 
 
-def time_grid(
+def divide_time(
     duration: float, step: float | None, save_every: float | None, jumps: tuple[float, ...]
 ) -> tuple[TimeGrid, int]:
     """Intervals, and the number of steps in each (1 for adaptive methods, step None).

@@ -9,7 +9,7 @@ from rfem_jax import InputError, Method, assembly_errors, simulate
 from rfem_jax.simulation import integration
 from rfem_jax.simulation.equations import Conditions, peaks, start_trajectory
 from rfem_jax.simulation.solvers import Leapfrog, PeakTracking, RungeKutta4
-from rfem_jax.simulation.time_grid import time_grid
+from rfem_jax.simulation.time_grid import divide_time
 
 ERRORS = {"D.delta_x": 4e-3, "D.d_y": 2e-4}
 
@@ -30,7 +30,7 @@ def test_scan_over_steps_is_diffrax_s_own_loop(small):
             t0=0.0, t1=1e-3, dt0=2e-5, y0=y, args=conditions,
         ).ys
     )(y)
-    grid, steps = time_grid(1e-3, 2e-5, 1e-3, ())
+    grid, steps = divide_time(1e-3, 2e-5, 1e-3, ())
     carry = integration.start_carry(prepared, grid)
     carry, _ = jax.jit(
         lambda carry: integration.advance(
@@ -139,7 +139,7 @@ def test_leapfrog_needs_a_velocity_of_second_order():
 
 
 def test_time_grid():
-    grid, steps = time_grid(0.5, 1e-5, 1e-3, (0.1,))
+    grid, steps = divide_time(0.5, 1e-5, 1e-3, (0.1,))
     assert steps == 100 and len(grid.starts) == 501 and grid.lengths[0] == 0.0
     np.testing.assert_allclose(np.cumsum(grid.lengths)[-1], 0.5, rtol=1e-14)
     ends = grid.starts + grid.lengths
@@ -147,9 +147,9 @@ def test_time_grid():
     assert abs(ends[at] - 0.1) < 1e-15
     assert set(grid.phases[: at + 1]) == {0} and set(grid.phases[at + 1 :]) == {1}
     # A jump between saved times becomes an end of its own; steps never exceed the wanted one.
-    grid, steps = time_grid(0.01, 3e-5, 1e-3, (0.00455,))
+    grid, steps = divide_time(0.01, 3e-5, 1e-3, (0.00455,))
     ends = grid.starts + grid.lengths
     assert np.any(np.abs(ends - 0.00455) < 1e-15)
     assert np.all(grid.lengths / steps <= 3e-5)
     with pytest.raises(InputError, match="`duration` must be positive"):
-        time_grid(-1.0, 1e-5, None, ())
+        divide_time(-1.0, 1e-5, None, ())

@@ -1,0 +1,104 @@
+"""Time of the main study, compilation apart: the five cases as one batch, and batches of more.
+
+    python benchmarks/main_study.py [--samples 1 5 64] [--duration 0.02]
+
+Prints build, lowering, compilation, first and steady run; time a step and sample; and, on the same
+inputs, one right-hand side of the recursive against the dense reference formulation.  Medians of
+repeated runs, results waited for.
+"""
+
+import argparse
+import platform
+import statistics
+import time
+from pathlib import Path
+
+import jax
+
+jax.config.update("jax_enable_x64", True)
+
+import jax.numpy as jnp  # noqa: E402
+from rfem_jax import assembly_errors, discretise, load_study, simulate  # noqa: E402
+from rfem_jax.mechanics.dynamics import DriveInput, Stabilisation, accelerations  # noqa: E402
+from rfem_jax.mechanics.loads import static_state  # noqa: E402
+from rfem_jax.mechanics.realisation import realise  # noqa: E402
+from rfem_jax.mechanics.reference_formulation import reference_accelerations  # noqa: E402
+
+STUDY = Path(__file__).parents[1] / "studies" / "four_bar" / "study.toml"
+
+
+def timed(function, *arguments):
+    """Result and seconds of one call, waited for."""
+    start = time.perf_counter()
+    result = jax.block_until_ready(function(*arguments))
+    return result, time.perf_counter() - start
+
+
+def median_time(function, *arguments, repeats=7):
+    """Median seconds of a compiled call."""
+    return statistics.median(timed(function, *arguments)[1] for _ in range(repeats))
+
+
+def measure(study, model, samples: int, duration: float) -> None:
+    """One row: a batch of samples of the study's last case, each with its own errors."""
+    errors = assembly_errors(model, study.cases[-1].errors)
+    scales = jnp.linspace(0.2, 1.0, samples)
+    batch = jax.vmap(lambda scale: jax.tree.map(lambda x: scale * x, errors))(scales)
+
+    def run(errors):
+        return simulate(
+            model, errors, drive=study.drive, duration=duration, method=study.method,
+            save_every=study.save_every,
+        ).metrics
+
+    start = time.perf_counter()
+    lowered = jax.jit(jax.vmap(run)).lower(batch)
+    lowering = time.perf_counter() - start
+    start = time.perf_counter()
+    compiled = lowered.compile()
+    compiling = time.perf_counter() - start
+    _, first = timed(compiled, batch)
+    steady = median_time(compiled, batch, repeats=3)
+    steps = duration / study.method.step
+    print(
+        f"{samples:8d}{lowering:12.2f}{compiling:12.2f}{first:12.2f}{steady:12.2f}"
+        f"{1e6 * steady / steps / samples:22.2f}{0.5 / duration * steady / samples:22.2f}"
+    )
+
+
+def compare_formulations(model) -> None:
+    """One right-hand side, recursive against dense, alone."""
+    realised = jax.jit(realise)(model, assembly_errors(model))
+    state = static_state(model.start_coordinates())
+    gains = Stabilisation(1.0, 1.0, 0.3)
+
+    def fast(state):
+        return accelerations(realised, state, DriveInput(), gains).coordinates
+
+    def dense(state):
+        return reference_accelerations(realised, state, DriveInput(), gains)[0]
+
+    times = [median_time(jax.jit(f), state, repeats=101) for f in (fast, dense)]
+    print(f"One right-hand side: recursive {1e6 * times[0]:.0f} us, dense {1e6 * times[1]:.0f} us, "
+          f"ratio {times[1] / times[0]:.1f}")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--samples", type=int, nargs="+", default=[1, 5, 64])
+    parser.add_argument("--duration", type=float, default=0.02, help="simulated seconds")
+    options = parser.parse_args()
+    study = load_study(STUDY)
+    model, build = timed(lambda: discretise(study.mechanism))
+    print(f"{platform.processor() or platform.machine()}, {jax.devices()[0].device_kind}, "
+          f"JAX {jax.__version__}; {study.method.name}, step {study.method.step:g} s")
+    print(f"Building the model: {build:.2f} s")
+    print(f"{'samples':>8}{'lower s':>12}{'compile s':>12}{'first s':>12}{'steady s':>12}"
+          f"{'us a step and sample':>22}{'s a sample of 0.5 s':>22}")
+    for samples in options.samples:
+        measure(study, model, samples, options.duration)
+    compare_formulations(model)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,68 @@
+"""The rooms import one way only: report -> tolerancing -> simulation -> mechanics -> description."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+ROOMS = ("description", "mechanics", "simulation", "tolerancing", "report")
+FILES = sorted((ROOT / "rfem_jax").glob("*/*.py"))
+
+
+def imported_modules(path: Path):
+    """Names of all modules that a file imports, inside functions too."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        if isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path} has a relative import"
+            yield node.module
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda p: f"{p.parent.name}/{p.name}")
+def test_imports_run_one_way(path):
+    room = ROOMS.index(path.parent.name)
+    for name in imported_modules(path):
+        parts = name.split(".")
+        if parts[0] == "rfem_jax" and len(parts) > 1:
+            assert ROOMS.index(parts[1]) <= room, f"{path} imports {name}"
+
+
+def test_no_circles_of_files():
+    imports = {
+        "rfem_jax." + ".".join(p.relative_to(ROOT / "rfem_jax").with_suffix("").parts): {
+            name for name in imported_modules(p) if name.startswith("rfem_jax.")
+        }
+        for p in FILES
+        if p.name != "__init__.py"
+    }
+    done: set[str] = set()
+
+    def visit(name, path):
+        assert name not in path, f"circle: {' -> '.join([*path, name])}"
+        if name in done or name not in imports:
+            return
+        for other in imports[name]:
+            visit(other, [*path, name])
+        done.add(name)
+
+    for name in imports:
+        visit(name, [])
+
+
+def test_a_file_and_its_functions_have_different_names():
+    for path in FILES:
+        names = {
+            node.name
+            for node in ast.parse(path.read_text()).body
+            if isinstance(node, (ast.FunctionDef, ast.ClassDef))
+        }
+        assert path.stem not in names, path
+
+
+def test_public_names_exist():
+    import rfem_jax
+
+    for name in rfem_jax.__all__:
+        assert getattr(rfem_jax, name) is not None
