@@ -14,7 +14,7 @@ function (`FunctionProblem`).
 from rfem_jax.tolerancing.allocation import allocate
 from rfem_jax.tolerancing.cost_models import Exponential, Reciprocal, ReciprocalSquared
 from rfem_jax.tolerancing.metrics import Metric, metric
-from rfem_jax.tolerancing.monte_carlo import monte_carlo
+from rfem_jax.tolerancing.monte_carlo_study import monte_carlo
 from rfem_jax.tolerancing.problem import FunctionProblem
 from rfem_jax.tolerancing.quadratic_model import QuadraticModel, expand
 from rfem_jax.tolerancing.sensitivities import sensitivity

@@ -133,6 +133,7 @@ def allocate(
     starts=STARTS,
     rounds=12,
     tolerance=1e-4,
+    model=None,
     mode="auto",
     batch=256,
 ):
@@ -147,7 +148,8 @@ def allocate(
         distribution, a class or callable half-width -> Tolerance; samples, standard points the
         full problem is observed at (default: twenty or more beyond the yield, 2048 for "rss");
         verify_samples of the fresh run. For worst case: starts of each search. rounds of
-        correction; tolerance on limits (of the headroom) and cost.
+        correction; tolerance on limits (of the headroom) and cost; model a QuadraticModel of order
+        2 at the centre in the errors of `bounds` (None: it is computed).
     Returns: Allocation.
     Raises: InputError for unknown names, bad bounds or options.
     """
@@ -156,7 +158,7 @@ def allocate(
     require_choice(statistic, ("quantile", "mean"), "statistic")
     if not 0 < target < 1:
         raise InputError(f"Argument `target` must lie between 0 and 1, but it is {target}.")
-    request = state_request(problem, limits, cost, bounds, at, mode, batch)
+    request = state_request(problem, limits, cost, bounds, at, mode, batch, model)
     design, refine, verify, last = jax.random.split(key, 4)
     if criterion == "worst_case":
         study = WorstCaseCriterion(request, design, starts)

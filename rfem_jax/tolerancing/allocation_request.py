@@ -77,11 +77,17 @@ class Request:
         return np.stack(rows, axis=1)
 
 
-def state_request(problem, limits, cost, bounds, at, mode, batch):
+def state_request(problem, limits, cost, bounds, at, mode, batch, model=None):
     """Check and normalise a request (arguments of `allocate`). Raises InputError."""
     names, lower, upper = _read_bounds(problem, bounds)
     costs = assign_costs(cost, names)
-    model = expand(problem, at, names, mode=mode)
+    if model is None:
+        model = expand(problem, at, names, mode=mode)
+    elif model.names != names or model.hessian is None:
+        raise InputError(
+            "Argument `model` must be of order 2 in the errors of `bounds`, in their order, but it "
+            f"has {model.names} of order {1 if model.hessian is None else 2}; leave it out."
+        )
     base, centre = split_errors(problem, at, names)
     read = _read_limits(problem, limits, np.asarray(model.value))
     rows = np.array([limit.index for limit in read])

@@ -40,8 +40,8 @@ class WorstCaseCriterion:
         self.failed = 0
 
     def model(self):
-        """The scenarios as a pytree, filled up to 4, 8, 16 ... rows (few programs; every row costs a
-        simulation with its gradient)."""
+        """The scenarios as a pytree, filled up to 4, 8, 16 ... rows: few programs, and every row
+        costs a simulation with its gradient."""
         count = len(self.points)
         size = max(4, 1 << max(0, count - 1).bit_length())
 

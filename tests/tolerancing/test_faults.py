@@ -16,7 +16,7 @@ import pytest
 import rfem_jax
 from rfem_jax.description.errors import InputError
 from rfem_jax.tolerancing import execution, results_store
-from rfem_jax.tolerancing.monte_carlo import monte_carlo
+from rfem_jax.tolerancing.monte_carlo_study import monte_carlo
 from rfem_jax.tolerancing.problem import FunctionProblem
 from rfem_jax.tolerancing.results_store import ChunkWriteError, CorruptChunkWarning, ResultsStore
 from rfem_jax.tolerancing.tolerances import Tolerances, Uniform

@@ -15,7 +15,7 @@ import pytest
 import rfem_jax
 from rfem_jax.description.errors import InputError
 from rfem_jax.tolerancing import progress as progress_module
-from rfem_jax.tolerancing.monte_carlo import monte_carlo
+from rfem_jax.tolerancing.monte_carlo_study import monte_carlo
 from rfem_jax.tolerancing.problem import FunctionProblem, Metric
 from rfem_jax.tolerancing.quadratic_model import expand
 from rfem_jax.tolerancing.tolerances import CorrelatedNormal, Normal, Tolerances, Uniform
