@@ -13,7 +13,7 @@ from rfem_jax.simulation.cases import run_cases
 from rfem_jax.simulation.integration import simulate
 from rfem_jax.simulation.run import Run, one_of
 from rfem_jax.simulation.solvers import Leapfrog, PeakTracking, RungeKutta4
-from rfem_jax.simulation.stability import check_step, largest_stable_step
+from rfem_jax.simulation.stability import check_step, choose_method, largest_stable_step
 
 __all__ = [
     "STATUS",
@@ -22,6 +22,7 @@ __all__ = [
     "Run",
     "RungeKutta4",
     "check_step",
+    "choose_method",
     "largest_stable_step",
     "one_of",
     "run_cases",

@@ -16,6 +16,7 @@ from rfem_jax.mechanics.model import Model
 from rfem_jax.mechanics.realisation import assembly_errors
 from rfem_jax.simulation import integration
 from rfem_jax.simulation.run import Run, one_of
+from rfem_jax.simulation.stability import choose_method
 from rfem_jax.simulation.time_grid import TimeGrid
 
 PIECES = 20
@@ -34,12 +35,13 @@ def run_cases(
     model = discretise(study.mechanism) if model is None else model
     errors = [assembly_errors(model, case.errors) for case in study.cases]
     errors = jax.tree.map(lambda *leaves: jnp.stack(leaves), *errors)
-    grid, steps = integration.grid_for(study.drive, study.duration, study.method, study.save_every)
+    method = choose_method(model, study.method, study.drive)
+    grid, steps = integration.grid_for(study.drive, study.duration, method, study.save_every)
     prepared, carry = _prepare(model, errors, study.drive, grid)
     records = []
     for piece in _pieces(grid):
         carry, record = _advance(
-            model, prepared.realised, study.drive, carry, piece, study.method, steps
+            model, prepared.realised, study.drive, carry, piece, method, steps
         )
         records.append(jax.tree.map(np.asarray, record))
         if progress is not None:

@@ -118,8 +118,11 @@ def simulate(
 
 def grid_for(drive, duration, method: Method, save_every) -> tuple[TimeGrid, int]:
     """Time grid and steps an interval of a method."""
-    if method.adaptive and method.step is not None:
-        raise InputError("Argument `method` must have a step or tolerances, but has both.")
+    if method.step is None and not method.adaptive:
+        raise InputError(
+            f"Argument `method` must have a step or tolerances here, but {method.name!r} has none; "
+            "replace it by `choose_method(model, method, drive)`, which chooses the step."
+        )
     jumps = () if drive is None else drive.breakpoints()
     return divide_time(duration, method.step, save_every, jumps)
 

@@ -7,6 +7,7 @@ Baumgarte's terms included; all damped eigenvalues are tested against the method
 function (Runge-Kutta), or the amplification matrix of the whole linear system (leapfrog).
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import diffrax
@@ -49,12 +50,14 @@ class Linearised(NamedTuple):
 
 
 def check_step(model: Model, method: Method, drive=None) -> float | None:
-    """Largest stable step [s] of a fixed-step method (None for adaptive ones).
+    """Largest stable step [s] of a fixed-step method (None for adaptive ones; for "auto" that of
+    Runge-Kutta 4).
 
     **Raises:** `InputError` if the method's step is larger.
     """
     if method.step is None:
-        return None
+        auto = method.name == "auto"
+        return largest_stable_step(model, Method("rk4", step=1e-6), drive) if auto else None
     limit = largest_stable_step(model, method, drive)
     if method.step > limit:
         raise InputError(
@@ -63,6 +66,20 @@ def check_step(model: Model, method: Method, drive=None) -> float | None:
             "another method."
         )
     return limit
+
+
+def choose_method(model: Model, method: Method, drive=None) -> Method:
+    """The method itself, or, for "auto", the one that it stands for on this mechanism.
+
+    "auto" takes Runge-Kutta 4 at nine tenths of its largest stable step.  Explicit steps are bounded by
+    stability here, not by accuracy: at that step RMS loads of the main study are within 1e-8 of the
+    limit of small steps, far below any accuracy that can be asked for.
+    """
+    if method.name != "auto":
+        return method
+    trial = Method("rk4", step=1e-6, stabilisation=method.stabilisation)
+    limit = largest_stable_step(model, trial, drive)
+    return replace(trial, step=float(_floor(0.9 * limit)))
 
 
 def _floor(value: float) -> str:

@@ -18,6 +18,7 @@ from rfem_jax.mechanics.model import Model
 from rfem_jax.mechanics.realisation import AssemblyErrors, assembly_errors, error_dimension
 from rfem_jax.mechanics.status import STATUS
 from rfem_jax.simulation.integration import simulate
+from rfem_jax.simulation.stability import choose_method
 from rfem_jax.tolerancing import metrics as catalogue
 from rfem_jax.tolerancing.metrics import Metric
 
@@ -34,7 +35,7 @@ class Problem(eqx.Module):
     **Arguments:** `metrics`: `Metric`s or their names ("A.rms_force", "end_energy"); `duration` [s];
     `save_every` [s]: interval of the balances and checkpoints, and of the times that p-norms see.
 
-    **Raises:** `InputError` for metrics of joints that do not exist, repeated names, or "auto".
+    **Raises:** `InputError` for metrics of joints that do not exist, and repeated names.
     """
 
     model: Model
@@ -45,7 +46,8 @@ class Problem(eqx.Module):
     save_every: float | None = eqx.field(static=True)
 
     def __init__(self, model, drive, duration, metrics, method, save_every=None):
-        self.model, self.drive, self.method = model, drive, method
+        self.model, self.drive = model, drive
+        self.method = choose_method(model, method, drive)
         self.duration, self.save_every = float(duration), save_every
         metrics = (metrics,) if isinstance(metrics, (str, Metric)) else tuple(metrics)
         self.metrics = tuple(_known_metric(model, m) for m in metrics)
