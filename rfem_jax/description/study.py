@@ -6,7 +6,7 @@ Place in the pipeline: what `load_study` makes of a study file (TOML) or a user 
 Symbols: duration, save_every [s]; errors of a case in m and rad (`error_catalogue`).
 """
 
-from dataclasses import dataclass, replace, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from rfem_jax.description.drives import MomentDrive, PrescribedDrive, PrescribedTable
@@ -16,10 +16,10 @@ from rfem_jax.description.mechanism import Mechanism
 from rfem_jax.description.methods import Method
 from rfem_jax.description.study_reader import read_drive, read_mechanism, read_simulation
 from rfem_jax.description.tables import checked_list, checked_table, named_place, read_toml
+from rfem_jax.description.task_reader import TABLES, read_tasks
+from rfem_jax.description.tasks import Tasks
 from rfem_jax.description.units import positive_quantity, quantity
 
-# Tables of tolerance studies; each gets its reader in `load_study` together with its feature.
-RESERVED_TABLES = ("tolerances", "sensitivity", "monte_carlo", "worst_case", "allocation")
 _ROUNDING = 1.0 + 1e-9  # 0.5 / 1e-3 and the like must not fail by rounding
 
 
@@ -68,6 +68,7 @@ class Study:
         cases: Case objects with unique names; none means one case "nominal" without errors.
         path: the file it was read from.
         note: what a reader of the results must know; shown with every table and picture.
+        tasks: tolerances of the errors and the tolerance studies that are asked for.
     Raises:
         InputError: parts do not fit each other.
     """
@@ -81,6 +82,7 @@ class Study:
     cases: tuple[Case, ...] = ()
     path: Path | None = None
     note: str = ""
+    tasks: Tasks = field(default_factory=Tasks)
 
     def __post_init__(self):
         self._check_kinds()
@@ -93,6 +95,7 @@ class Study:
         self._check_times()
         self._check_drive()
         self._check_cases()
+        object.__setattr__(self, "tasks", self.tasks.resolved(self.mechanism))
 
     def case(self, name: str) -> Case:
         """Return the case `name`; raises InputError with the nearest name if there is none."""
@@ -107,7 +110,8 @@ class Study:
 
     def _check_kinds(self) -> None:
         drives = (MomentDrive, PrescribedDrive, type(None))
-        kinds = {"title": str, "note": str, "mechanism": Mechanism, "drive": drives, "method": Method}
+        kinds = {"title": str, "note": str, "mechanism": Mechanism, "drive": drives}
+        kinds |= {"method": Method, "tasks": Tasks}
         for name, kind in kinds.items():
             if not isinstance(getattr(self, name), kind):
                 wanted = {"title": "string", "drive": "drive or None"}.get(name, name.title())
@@ -189,8 +193,7 @@ def load_study(path) -> Study:
     path = Path(path)
     content = read_toml(path)
     with located(f"Study file `{path}`"):
-        _refuse_reserved(content)
-        keys = ("mechanism", "simulation"), ("title", "note", "drive", "cases")
+        keys = ("mechanism", "simulation"), ("title", "note", "drive", "cases", *TABLES)
         checked_table(content, "The top level", *keys)
         duration, method, save_every = read_simulation(content["simulation"])
         return Study(
@@ -203,16 +206,8 @@ def load_study(path) -> Study:
             cases=_read_cases(content.get("cases", [])),
             path=path,
             note=content.get("note", ""),
+            tasks=read_tasks(content),
         )
-
-
-def _refuse_reserved(content: dict) -> None:
-    for name in RESERVED_TABLES:
-        if name in content:
-            raise InputError(
-                f"The top level must not have the table `{name}` yet, but it does; this version "
-                "simulates cases only: remove the table."
-            )
 
 
 def _read_cases(entries) -> list[Case]:

@@ -1,9 +1,9 @@
 """The command `rfem-jax`: from a study file to tables, files and pictures.
 
 Place in the pipeline: the outermost layer; it calls `load_study` (description), `discretise` and
-`describe` (mechanics), `check_step` and `run_cases` (simulation) and the other modules of this
-room. Exit codes: 0 done; 2 the input is wrong (one sentence on standard error); 3 a case failed
-(results are written all the same); 130 interrupted.
+`describe` (mechanics), `check_step` and `run_cases` (simulation), `task_commands` for tolerance
+studies, and the other modules of this room. Exit codes: 0 done; 2 the input is wrong (one sentence
+on standard error); 3 a case or a task failed (results are written all the same); 130 interrupted.
 
 Imports that take seconds (JAX, matplotlib) are inside the functions: `--help` is instant.
 """
@@ -14,12 +14,31 @@ import sys
 import time
 from pathlib import Path
 
+# Command: task it does, what it is, what it writes.
+TASKS = {
+    "sensitivity": (
+        "sensitivity",
+        "derivatives of joint loads with respect to assembly errors",
+        "ranked tables, principal directions, heat map, tornado chart",
+    ),
+    "monte-carlo": (
+        "monte_carlo",
+        "scatter, quantiles and yield over the tolerances; continues an interrupted run",
+        "statistics, all samples, histograms, scatter matrix; chunks of samples in DIR/monte_carlo",
+    ),
+    "worst-case": (
+        "worst_case",
+        "largest loads anywhere within the tolerances",
+        "the worst errors, all corners, the quadratic model's prediction",
+    ),
+    "allocate": (
+        "allocation",
+        "the cheapest tolerances that keep limits on loads",
+        "tolerances before and after, verified margins, cost against limits",
+    ),
+}
+
 DONE, WRONG_INPUT, CASE_FAILED, INTERRUPTED = 0, 2, 3, 130
-
-_PLOTS_HINT = (
-    'No pictures were drawn: matplotlib is not installed (pip install "rfem_jax[plots]").'
-)
-
 
 class _Parser(argparse.ArgumentParser):
     """A parser whose complaints are one sentence, like all others of this command."""
@@ -29,33 +48,63 @@ class _Parser(argparse.ArgumentParser):
 
 
 def build_parser() -> argparse.ArgumentParser:
-    """Parser of the command with its subcommands `run` and `check`."""
+    """Parser of the command with its subcommands."""
     parser = _Parser(
         prog="rfem-jax",
         description="Loads in the joints of mechanisms with flexible links and assembly errors.",
-        epilog="Exit codes: 0 done; 2 the input is wrong; 3 a case failed; 130 interrupted.",
+        epilog="Exit codes: 0 done; 2 the input is wrong; 3 a case or a task failed; 130 "
+        "interrupted.",
     )
     commands = parser.add_subparsers(title="commands", dest="command", required=True)
     run = commands.add_parser(
         "run",
-        help="simulate all cases of a study; write tables, histories and pictures",
+        help="simulate all cases of a study, then do every task that it declares",
         description="Simulate all cases of a study together, print the loads in all joints and "
-        "write results.json, one CSV of time histories per case, and pictures.",
+        "write results.json, one CSV of time histories per case, and pictures; then do every task "
+        "that the study declares ([sensitivity], [monte_carlo], [worst_case], [allocation]).",
         epilog="Pictures need the extra `plots`. Compiled programs are kept in the user's cache "
         "folder; set JAX_COMPILATION_CACHE_DIR to keep them elsewhere.",
     )
-    run.add_argument("study", metavar="STUDY.toml", help="the study file")
-    run.add_argument("--out", metavar="DIR", required=True, help="folder for the results")
+    _add_common(run)
     run.set_defaults(action=_run)
+    for command, (task, purpose, written) in TASKS.items():
+        one = commands.add_parser(
+            command,
+            help=purpose,
+            description=f"Do the task of the study's table [{task}]: {purpose}. Writes JSON, CSV "
+            f"and pictures: {written}.",
+        )
+        _add_common(one)
+        one.set_defaults(action=_do_task, task=task)
+        if task == "monte_carlo":
+            _add_processes(one)
     check = commands.add_parser(
         "check",
         help="validate a study and print what was understood",
         description="Validate a study file and print what was understood (links, joints, "
-        "coordinates, mobility, rank, largest stable step, cases) without simulating.",
+        "coordinates, mobility, rank, largest stable step, cases, tasks) without simulating.",
     )
     check.add_argument("study", metavar="STUDY.toml", help="the study file")
     check.set_defaults(action=_check)
     return parser
+
+
+def _add_common(command):
+    command.add_argument("study", metavar="STUDY.toml", help="the study file")
+    command.add_argument("--out", metavar="DIR", required=True, help="folder for the results")
+    command.add_argument(
+        "--devices", metavar="K", type=int, help="CPU devices for samples (default: all cores)"
+    )
+
+
+def _add_processes(command):
+    group = command.add_argument_group(
+        "several processes or machines",
+        "Start the same command once per process; they share the folder DIR.",
+    )
+    group.add_argument("--coordinator", metavar="HOST:PORT", help="address of process 0")
+    group.add_argument("--processes", metavar="N", type=int, help="how many there are")
+    group.add_argument("--process-id", metavar="I", type=int, help="which one this is, from 0")
 
 
 def user_cache_folder() -> Path:
@@ -69,11 +118,17 @@ def user_cache_folder() -> Path:
     return Path(base) / "rfem_jax"
 
 
-def set_up_jax() -> None:
-    """Double precision and, unless the user chose a folder, a cache of compiled programs."""
+def set_up_jax(devices=None) -> None:
+    """Double precision, `devices` CPU devices (None: one) and, unless the user chose a folder, a
+    cache of compiled programs."""
     import jax
 
     jax.config.update("jax_enable_x64", True)
+    if devices is not None:
+        # A device's program waits on a thread of XLA's pool while its batched LU needs others: with
+        # as many threads as devices (XLA's own choice) all of them could wait for ever.
+        os.environ.setdefault("NPROC", str(2 * max(devices, os.cpu_count() or 1)))
+        jax.config.update("jax_num_cpu_devices", devices)
     if jax.config.jax_compilation_cache_dir is not None:
         return
     try:
@@ -85,6 +140,55 @@ def set_up_jax() -> None:
     jax.config.update("jax_compilation_cache_dir", str(folder))
     # The default keeps only what took a second; a study has dozens of smaller programs.
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
+
+
+def count_devices(arguments) -> int | None:
+    """CPU devices that the command asks for: all cores unless it says otherwise; None for `check`.
+
+    Raises InputError for a number below 1.
+    """
+    from rfem_jax.description.errors import InputError
+
+    if not hasattr(arguments, "devices"):
+        return None
+    if arguments.devices is None:
+        usable = getattr(os, "sched_getaffinity", None)
+        return len(usable(0)) if usable else os.cpu_count() or 1
+    if arguments.devices < 1:
+        raise InputError(
+            f"Argument `--devices` must be at least 1, but is {arguments.devices}; leave it out to "
+            "use all cores."
+        )
+    return arguments.devices
+
+
+def join_processes(arguments) -> None:
+    """Join the other processes of a Monte Carlo study, if the command names them.
+
+    Raises InputError for an incomplete or impossible set of options, and when the coordinator does
+    not answer.
+    """
+    given = [getattr(arguments, name, None) for name in ("coordinator", "processes", "process_id")]
+    if all(one is None for one in given):
+        return
+    from rfem_jax.description.errors import InputError
+
+    address, processes, process = given
+    if None in given or processes < 1 or not 0 <= process < processes:
+        raise InputError(
+            "Arguments `--coordinator`, `--processes` and `--process-id` must all be given, with "
+            f"0 <= I < N, but are {address}, {processes} and {process}; complete them."
+        )
+    import jax
+
+    try:
+        jax.distributed.initialize(address, processes, process)
+    except (RuntimeError, ValueError) as problem:
+        raise InputError(
+            f"Argument `--coordinator` must be the address of process 0, but {address} could not "
+            f"be used ({str(problem).splitlines()[0]}); start all {processes} processes with the "
+            "same address."
+        ) from problem
 
 
 def open_folder(out) -> Path:
@@ -162,7 +266,9 @@ def _write_pictures(folder, study, runs, summaries) -> list[Path]:
     try:
         import matplotlib  # noqa: F401
     except ImportError:
-        print(_PLOTS_HINT)
+        from rfem_jax.report.summary import PLOTS_HINT
+
+        print(PLOTS_HINT)
         return []
     from rfem_jax.report.figures import write_figures
 
@@ -181,7 +287,7 @@ def _run(arguments) -> int:
     from rfem_jax.report.tables import results_text
     from rfem_jax.simulation import STATUS, check_step
 
-    check_step(discretise(study.mechanism), study.method)
+    check_step(discretise(study.mechanism), study.method, study.drive)
     folder = open_folder(arguments.out)
     runs = _simulate(study)
     statuses = {name: STATUS[int(run.status)] for name, run in runs.items()}
@@ -192,10 +298,44 @@ def _run(arguments) -> int:
         written += _write_pictures(folder, study, runs, summaries)
     except OSError as problem:
         raise _cannot_write(folder, problem) from problem
+    good = all(one["status"] == "ok" for one in summaries.values())
+    if study.tasks.declared:
+        print("")
+    for task in study.tasks.declared:
+        done, files = _write_task(study, task, folder)
+        good, written = good and done, written + files
     seconds = time.perf_counter() - started
     print(f"{len(written)} files written to {folder} ({seconds:.1f} s in all).")
-    failed = any(one["status"] != "ok" for one in summaries.values())
-    return CASE_FAILED if failed else DONE
+    return DONE if good else CASE_FAILED
+
+
+def _write_task(study, task, folder):
+    from rfem_jax.report.task_commands import do_task
+
+    try:
+        return do_task(study, task, folder)
+    except OSError as problem:
+        raise _cannot_write(folder, problem) from problem
+
+
+def _do_task(arguments) -> int:
+    from rfem_jax.description import load_study
+
+    started = time.perf_counter()
+    study = load_study(arguments.study)
+
+    from rfem_jax.mechanics import discretise
+    from rfem_jax.report.task_commands import require_task
+    from rfem_jax.simulation import check_step
+
+    require_task(study, arguments.task)
+    check_step(discretise(study.mechanism), study.method, study.drive)
+    folder = open_folder(arguments.out)
+    good, written = _write_task(study, arguments.task, folder)
+    seconds = time.perf_counter() - started
+    if written:
+        print(f"{len(written)} files written to {folder} ({seconds:.1f} s in all).")
+    return DONE if good else CASE_FAILED
 
 
 def _check(arguments) -> int:
@@ -205,11 +345,14 @@ def _check(arguments) -> int:
 
     from rfem_jax.mechanics import describe, discretise
     from rfem_jax.report.overview import study_text
+    from rfem_jax.report.task_overview import tasks_text
     from rfem_jax.simulation import check_step
 
     model = discretise(study.mechanism)
     print(study_text(study, describe(model)), end="\n\n", flush=True)
-    step = check_step(model, study.method)
+    if text := tasks_text(study):
+        print(text, end="\n\n", flush=True)
+    step = check_step(model, study.method, study.drive)
     found = "chosen by the method" if step is None else f"{float(step):.3g} s"
     print(f"Largest stable step of {study.method.name}: {found}.")
     return DONE
@@ -226,10 +369,11 @@ def main(argv=None) -> int:
     except SystemExit as end:
         return int(end.code or 0)
     try:
-        set_up_jax()
         from rfem_jax.description.errors import InputError
 
         try:
+            set_up_jax(count_devices(arguments))
+            join_processes(arguments)
             return arguments.action(arguments)
         except InputError as problem:
             print(" ".join(str(problem).split()), file=sys.stderr)

@@ -5,6 +5,7 @@ called the same, and has the same unit, in the terminal, in `results.json`, in t
 in the pictures. SI units and radians throughout.
 """
 
+import math
 from dataclasses import dataclass
 
 
@@ -90,3 +91,14 @@ def units() -> dict[str, str]:
     """Unit of every number in `results.json` by its name ("1" where it has no dimension)."""
     listed = (*JOINT_METRICS, *PRELOADS, *DRIVEN_JOINT, *BALANCES)
     return {quantity.name: quantity.unit or "1" for quantity in listed}
+
+
+def metric_units(result) -> dict[str, str]:
+    """Unit of every metric of a sensitivity or Monte Carlo result by its name."""
+    pairs = zip(result.metrics, result.metric_units, strict=True)
+    return {name: unit or "1" for name, unit in pairs}
+
+
+def as_stated(unit) -> tuple[str, float]:
+    """Unit in which people state an error of the SI unit "rad" or "m", and the factor to it."""
+    return {"rad": ("deg", math.degrees(1.0)), "m": ("mm", 1e3)}[unit]

@@ -95,3 +95,21 @@ def add_titles(figure, heading, study) -> None:
     note = textwrap.fill(study_note(study), int(15 * width))
     if note:
         figure.supxlabel(note, fontsize=7.5, color="#404040")
+
+
+def panel_grid(figure, count, columns=2):
+    """Axes of `count` panels in `columns` columns, and a line below them for a shared legend.
+
+    Returns (list of axes, function that draws the legend from handles and labels).
+    """
+    columns = min(columns, count)
+    lines = -(-count // columns)
+    grid = figure.add_gridspec(lines + 1, columns, height_ratios=[1.0] * lines + [0.04 * lines])
+    panels = [figure.add_subplot(grid[i // columns, i % columns]) for i in range(count)]
+    below = figure.add_subplot(grid[lines, :])
+    below.set_axis_off()
+
+    def add_shared_legend(handles, labels):
+        below.legend(handles, labels, loc="center", ncols=len(labels), frameon=False)
+
+    return panels, add_shared_legend

@@ -11,6 +11,11 @@ import numpy as np
 from rfem_jax.report.quantities import BALANCES, DRIVEN_JOINT, JOINT_METRICS
 
 
+PLOTS_HINT = (
+    'No pictures were drawn: matplotlib is not installed (pip install "rfem_jax[plots]").'
+)
+
+
 def joint_names(study) -> tuple[str, ...]:
     """Names of all joints, cut ones included, in the order of the description."""
     return tuple(joint.name for joint in study.mechanism.joints)

@@ -25,7 +25,7 @@ def rooms(monkeypatch, runs):
     mechanics.discretise = lambda mechanism: SimpleNamespace(mechanism=mechanism)
     mechanics.describe = lambda model: SimpleNamespace(**counts, redundant=False)
     simulation.STATUS = STATUS
-    simulation.check_step = lambda model, method: 1.94e-5
+    simulation.check_step = lambda model, method, drive: 1.94e-5
 
     def run_cases(study, progress):
         progress(1.0)
@@ -34,7 +34,7 @@ def rooms(monkeypatch, runs):
     simulation.run_cases = run_cases
     monkeypatch.setitem(sys.modules, "rfem_jax.mechanics", mechanics)
     monkeypatch.setitem(sys.modules, "rfem_jax.simulation", simulation)
-    monkeypatch.setattr(command_line, "set_up_jax", lambda: None)
+    monkeypatch.setattr(command_line, "set_up_jax", lambda devices=None: None)
     return SimpleNamespace(mechanics=mechanics, simulation=simulation)
 
 
@@ -79,7 +79,7 @@ def test_check_prints_what_was_understood(rooms, study_file, capsys):
 
 
 def test_check_of_an_adaptive_method(rooms, study_file, capsys):
-    rooms.simulation.check_step = lambda model, method: None
+    rooms.simulation.check_step = lambda model, method, drive: None
     assert main(["check", str(study_file)]) == 0
     assert "Largest stable step of rk4: chosen by the method." in capsys.readouterr().out
 
@@ -135,7 +135,7 @@ def test_an_interruption_is_130(rooms, study_file, tmp_path, capsys):
 
 
 def test_a_fault_of_the_program_is_not_hidden(rooms, study_file):
-    rooms.simulation.check_step = lambda model, method: 1 / 0
+    rooms.simulation.check_step = lambda model, method, drive: 1 / 0
     with pytest.raises(ZeroDivisionError):
         main(["check", str(study_file)])
 

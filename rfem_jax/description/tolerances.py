@@ -1,0 +1,172 @@
+"""Tolerances as a user states them: which errors vary, how far, and how they are distributed.
+
+Place in the pipeline: the table [tolerances] of a study file; `tasks` holds it, `report` makes the
+distributions of `rfem_jax.tolerancing.tolerances` of it.
+
+Symbols: half-widths t and centres c of errors in m and rad; deviations k [1], standard deviations
+that a half-width holds (3 where nothing is said); correlation C [1].
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rfem_jax.description.error_catalogue import error_dimension
+from rfem_jax.description.errors import InputError, located, require_choice
+from rfem_jax.description.units import positive_quantity, quantity
+
+DISTRIBUTIONS = ("uniform", "triangular", "normal", "truncated_normal")
+NORMAL = ("normal", "truncated_normal")
+
+
+@dataclass(frozen=True)
+class StatedTolerance:
+    """One error on its own, within centre +- half_width.
+
+    Args: error, its name; distribution, one of DISTRIBUTIONS; half_width, or else interval (low,
+        high); deviations k of the normal ones.
+    Raises: InputError for names, numbers or settings that cannot be meant.
+    """
+
+    error: str
+    half_width: float | None = None
+    distribution: str = "uniform"
+    interval: tuple[float, float] | None = None
+    deviations: float | None = None
+
+    def __post_init__(self):
+        where = f"of the tolerance `{self.error}`"
+        require_choice(self.distribution, DISTRIBUTIONS, f"`distribution` {where}")
+        if (self.half_width is None) == (self.interval is None):
+            found = "neither is" if self.interval is None else "both are"
+            raise InputError(
+                f"Argument `half_width` {where} must be given or else `interval`, but {found}; "
+                "keep one of them."
+            )
+        if self.deviations is not None and self.distribution not in NORMAL:
+            raise InputError(
+                f"Argument `deviations` {where} must be left out unless the distribution is "
+                f'normal, but it is "{self.distribution}"; remove it.'
+            )
+        interval = self.interval
+        if interval is None:
+            with located("[tolerances]"):
+                dimension = error_dimension(self.error)
+            width = positive_quantity(self.half_width, dimension, f"`half_width` {where}")
+            interval = (-width, width)
+        if not isinstance(interval, (list, tuple)) or len(interval) != 2:
+            raise InputError(
+                f"Argument `interval` {where} must be a pair [low, high], but was {interval!r}; "
+                'write for example ["-0.1 mm", "0.3 mm"].'
+            )
+        ends = [error_quantities({self.error: end}, "interval")[self.error] for end in interval]
+        if not ends[0] < ends[1]:
+            raise InputError(
+                f"Argument `interval` {where} must rise from low to high, but was {interval!r}; "
+                "swap or correct its ends."
+            )
+        if self.distribution in NORMAL:
+            given = 3.0 if self.deviations is None else self.deviations
+            k = positive_quantity(given, "none", f"`deviations` {where}")
+            object.__setattr__(self, "deviations", k)
+        object.__setattr__(self, "interval", tuple(ends))
+        object.__setattr__(self, "half_width", 0.5 * (ends[1] - ends[0]))
+
+
+@dataclass(frozen=True)
+class CorrelatedTolerances:
+    """Several normal errors that vary together.
+
+    Args: half_widths {error: k standard deviations}; correlation, a number for every pair or a
+        matrix in the order of the errors; deviations k.
+    Raises: InputError for wrong shapes and a correlation that is not positive definite.
+    """
+
+    half_widths: dict[str, float]
+    correlation: tuple[tuple[float, ...], ...]
+    deviations: float = 3.0
+
+    def __post_init__(self):
+        where = "of correlated tolerances"
+        if not isinstance(self.half_widths, dict) or len(self.half_widths) < 2:
+            raise InputError(
+                f"Argument `half_widths` {where} must be a table of two errors or more, but was "
+                f'{self.half_widths!r}; write {{ "D.d_x" = "0.1 mm", "D.d_z" = "0.1 mm" }}.'
+            )
+        widths = error_quantities(self.half_widths, "half_widths")
+        for name, width in widths.items():
+            positive_quantity(width, "none", f"`{name}` {where}")
+        k = positive_quantity(self.deviations, "none", f"`deviations` {where}")
+        object.__setattr__(self, "half_widths", widths)
+        object.__setattr__(self, "deviations", k)
+        object.__setattr__(self, "correlation", _correlation(self.correlation, len(widths), where))
+
+    def covariance(self) -> np.ndarray:
+        """Covariance (d, d) of the errors [rad^2, m^2, rad m], in their order."""
+        sigma = np.array(list(self.half_widths.values())) / self.deviations
+        return np.array(self.correlation) * np.outer(sigma, sigma)
+
+
+@dataclass(frozen=True)
+class StatedTolerances:
+    """All tolerances of a study, every error once."""
+
+    independent: tuple[StatedTolerance, ...] = ()
+    correlated: tuple[CorrelatedTolerances, ...] = ()
+
+    def __post_init__(self):
+        names = self.names
+        twice = [name for index, name in enumerate(names) if name in names[:index]]
+        if twice or not names:
+            found = f"`{twice[0]}` occurs twice" if twice else "there is none"
+            raise InputError(
+                f"Argument `tolerances` must name every error once, but {found}; "
+                "give each error one tolerance, alone or in one group."
+            )
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the errors: the independent ones, then the groups'."""
+        alone = tuple(one.error for one in self.independent)
+        return alone + tuple(name for group in self.correlated for name in group.half_widths)
+
+    def half_widths(self) -> dict[str, float]:
+        """{error: half-width [rad or m]}."""
+        widths = {one.error: one.half_width for one in self.independent}
+        for group in self.correlated:
+            widths |= group.half_widths
+        return widths
+
+
+def error_quantities(values, where: str) -> dict[str, float]:
+    """{error: number or string with a unit} in rad and m. Raises InputError."""
+    if not isinstance(values, dict):
+        raise InputError(
+            f"Argument `{where}` must be a table of errors and values, but was {values!r}; "
+            'write for example { "D.delta_x" = "0.5 deg" }.'
+        )
+    with located(f"`{where}`"):
+        dimensions = {name: error_dimension(name) for name in values}
+    return {
+        name: quantity(values[name], dimension, f"`{name}` of `{where}`")
+        for name, dimension in dimensions.items()
+    }
+
+
+def _correlation(correlation, d, where):
+    if isinstance(correlation, (int, float)) and not isinstance(correlation, bool):
+        matrix = np.full((d, d), float(correlation)) + (1.0 - correlation) * np.eye(d)
+    else:
+        try:
+            matrix = np.array(correlation, dtype=float)
+        except (TypeError, ValueError):
+            matrix = np.zeros(0)
+    shaped = matrix.shape == (d, d) and bool(np.all(np.isfinite(matrix)))
+    proper = shaped and np.all(np.diag(matrix) == 1.0) and np.all(matrix == matrix.T)
+    if not proper or np.linalg.eigvalsh(matrix)[0] <= 1e-12:
+        raise InputError(
+            f"Argument `correlation` {where} must be a number or a symmetric positive definite "
+            f"matrix of {d} rows with ones on its diagonal, but was {correlation!r}; write 0.5 for "
+            "example."
+        )
+    return tuple(tuple(float(entry) for entry in row) for row in matrix)

@@ -1,0 +1,132 @@
+"""Pictures of tasks: all are there, none is blank, and they show the numbers of the results."""
+
+import math
+
+import jax
+import numpy as np
+import pytest
+
+pytest.importorskip("matplotlib", reason="pictures need the extra `plots`")
+
+import matplotlib  # noqa: E402
+from matplotlib.image import imread  # noqa: E402
+
+from rfem_jax.description import load_study  # noqa: E402
+from rfem_jax.report import task_figures, tasks  # noqa: E402
+from rfem_jax.tolerancing import Tolerances, Uniform, monte_carlo  # noqa: E402
+from rfem_jax.tolerancing.sensitivities import sensitivity  # noqa: E402
+
+from . import closed_form  # noqa: E402
+from .conftest import STUDY  # noqa: E402
+from .test_tasks import FORCE, MOMENT, TASKS  # noqa: E402
+
+WIDTHS = dict(zip(closed_form.NAMES, closed_form.WIDTHS, strict=True))
+
+
+@pytest.fixture
+def study(tmp_path, monkeypatch):
+    monkeypatch.setattr(tasks, "build_problem", closed_form.build_problem)
+    path = tmp_path / "tasks.toml"
+    path.write_text(STUDY + TASKS, encoding="utf-8")
+    return load_study(path)
+
+
+@pytest.fixture
+def problem():
+    return closed_form.build([MOMENT, FORCE])
+
+
+def scatter(problem, n=64):
+    tolerances = Tolerances({name: Uniform(width) for name, width in WIDTHS.items()})
+    return monte_carlo(problem, tolerances, n, jax.random.key(0), limits={MOMENT: 7.0})
+
+
+def words_of(figure):
+    return " ".join(item.get_text() for item in figure.findobj(matplotlib.text.Text))
+
+
+def draw(study, name, result):
+    return task_figures.draw_task_figures(study, name, result)
+
+
+def test_no_picture_is_blank(study, problem, tmp_path):
+    written = task_figures.write_task_figures(tmp_path, study, "monte_carlo", scatter(problem))
+    result = sensitivity(problem, scale=WIDTHS)
+    written += task_figures.write_task_figures(tmp_path, study, "sensitivity", result)
+    results = tasks.run_worst_case(study)
+    written += task_figures.write_task_figures(tmp_path, study, "worst_case", results)
+    found = tasks.run_allocation(study)
+    written += task_figures.write_task_figures(tmp_path, study, "allocation", found)
+    names = {path.name for path in written}
+    assert len(names) == 7
+    for path in written:
+        picture = imread(path)[..., :3]
+        assert picture.shape[1] >= 1000, path
+        assert 0.01 < (picture < 0.9).any(axis=2).mean() < 0.8, path
+    assert not list(tmp_path.glob("*.part"))
+
+
+def test_heat_map_and_tornado_show_the_effects(study, problem):
+    figures = draw(study, "sensitivity", sensitivity(problem, scale=WIDTHS))
+    heat = figures["sensitivity_heat_map"]
+    panels = {axes.get_title(loc="left"): axes for axes in heat.axes if axes.images}
+    moments = panels["Change of mean square moment, N^2 m^2"]
+    np.testing.assert_allclose(moments.images[0].get_array(), [[16.0, 4.0, 1.0]], rtol=1e-9)
+    forces = panels["Change of mean square force, N^2"]
+    np.testing.assert_allclose(forces.images[0].get_array(), [[30.0, 5.0, 0.0]], atol=1e-9)
+    assert "\u00b10.25 deg" in words_of(heat) and "\u00b10.25 mm" in words_of(heat)
+
+    tornado = figures["sensitivity_tornado"]
+    axes = next(a for a in tornado.axes if "force" in a.get_title(loc="left"))
+    lower, upper = ([bar.get_width() for bar in bars] for bars in axes.containers)
+    # Sorted by size, the largest on top.
+    np.testing.assert_allclose(lower, [0.0, 5.0, -30.0], atol=1e-9)
+    np.testing.assert_allclose(upper, [0.0, 5.0, 30.0], atol=1e-9)
+    assert [label.get_text() for label in axes.get_yticklabels()][-1] == "D.delta_x"
+    assert "mean square moment in D = 0" in words_of(tornado)
+
+
+def test_histograms_show_mean_quantiles_and_limits(study, problem):
+    result = scatter(problem)
+    figures = draw(study, "monte_carlo", result)
+    axes = figures["monte_carlo_histograms"].axes[0]
+    assert sum(bar.get_height() for bar in axes.patches) == 64
+    places = [line.get_xdata()[0] for line in axes.lines]
+    found = result.statistics[MOMENT]
+    expected = [found.mean.value, *(one.value for one in found.quantiles.values()), 7.0]
+    np.testing.assert_allclose(places, expected)
+    share = 100.0 * np.mean(result.values[:, 0] <= 7.0)
+    assert axes.get_title(loc="left") == f"mean square moment in D: {share:.3g} % within"
+
+
+def test_the_scatter_matrix_shows_every_sample(study, problem):
+    result = scatter(problem)
+    figure = draw(study, "monte_carlo", result)["monte_carlo_scatter_matrix"]
+    assert len(figure.axes) == 25
+    panel = figure.axes[15]  # fourth row, first column: the moment over delta_x
+    x, y = panel.lines[0].get_data()
+    np.testing.assert_allclose(x, np.degrees(result.errors[:, 0]))
+    np.testing.assert_allclose(y, result.values[:, 0])
+    assert figure.axes[20].get_xlabel() == "D.delta_x\ndeg"
+
+
+def test_worst_cases_and_allocations_show_their_answers(study):
+    results = tasks.run_worst_case(study)
+    axes = draw(study, "worst_case", results)["worst_case_corners"].axes[1]
+    curves = {line.get_label(): line for line in axes.lines}
+    corners = curves["corners of the box"].get_ydata()
+    np.testing.assert_allclose(corners, [875.0] * 4 + [935.0] * 4)
+    assert curves["worst found: 935"].get_ydata()[0] == pytest.approx(935.0)
+
+    found = tasks.run_allocation(study)
+    figures = draw(study, "allocation", found)
+    above, below = figures["allocation_front"].axes
+    costs = next(line for line in above.lines if line.get_label() == "limits verified")
+    np.testing.assert_allclose(costs.get_xdata(), [10.5, 21.0, 42.0])
+    np.testing.assert_allclose(costs.get_ydata(), [one.cost for one in found.front.values()])
+    widths = {line.get_label(): line.get_ydata() for line in below.lines}
+    expected = [1e3 * one.tolerances["D.d_y"] for one in found.front.values()]
+    np.testing.assert_allclose(widths["D.d_y, mm"], expected)
+    words = words_of(figures["allocation_tolerances"])
+    after = math.degrees(found.answer.tolerances["D.delta_x"])
+    assert f"{after:.3g} deg" in words and "0.25 deg" in words and "before 3" in words
