@@ -191,7 +191,8 @@ def advance(model, realised, drive, carry, grid: TimeGrid, method: Method, steps
 
 def _field(t, y, conditions):
     trajectory, peaks = y
-    rate = equations.right_hand_side(t, trajectory, conditions)
+    # Reverse mode recomputes a stage from its state: storing hundreds of intermediates costs more.
+    rate = jax.checkpoint(equations.right_hand_side)(t, trajectory, conditions)
     return rate, jax.tree.map(jnp.zeros_like, peaks)
 
 
@@ -258,8 +259,8 @@ def _observe(model: Model, t, trajectory: Trajectory, conditions: Conditions):
         joint = loads.chain_loads(realised, result, result.angular, result.linear, drive)
         parts = loads.energies(realised, state)
         force, moment = loads.momentum_residual(realised, state, result)
-        largest_force = jnp.sqrt(jnp.max(jnp.sum(joint.force**2, axis=0)))
-        largest_moment = jnp.sqrt(jnp.max(jnp.sum(joint.moment**2, axis=0)))
+        largest_force = equations.guarded_root(jnp.max(jnp.sum(joint.force**2, axis=0)))
+        largest_moment = equations.guarded_root(jnp.max(jnp.sum(joint.moment**2, axis=0)))
         arm = jnp.max(jnp.abs(result.motion.hinges.point))
         largest_moment = largest_moment + largest_force * arm
         drift, drift_angle = _drift(result.closure, length_scale(model))

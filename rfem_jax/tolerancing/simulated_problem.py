@@ -29,8 +29,8 @@ class Problem(eqx.Module):
     `problem(errors)` takes {error name: number in rad or m} (or `AssemblyErrors`) and returns
     ({metric name: scalar}, status); it works under jit, vmap, jacfwd, grad, jacrev and their
     compositions.  Memory: forward mode stores nothing along the way; reverse mode with a fixed-step
-    method keeps the integrated state at every saved time and recomputes one interval between saved
-    times at a time, with the intermediates of all its stages: a shorter `save_every` needs less.
+    method keeps the integrated state at every saved time and at every stage of one interval between
+    them, and recomputes the rest (`benchmarks/gradients.py` measures both).
 
     **Arguments:** `metrics`: `Metric`s or their names ("A.rms_force", "end_energy"); `duration` [s];
     `save_every` [s]: interval of the balances and checkpoints, and of the times that p-norms see.
