@@ -1,5 +1,8 @@
 """Settings of all tests: double precision, no silent promotion of ranks or dtypes."""
 
+import gc
+from pathlib import Path
+
 import jax
 import pytest
 
@@ -15,3 +18,18 @@ def quick_compilation():
     jax.config.update("jax_disable_most_optimizations", True)
     yield
     jax.config.update("jax_disable_most_optimizations", before)
+
+
+def memory_maps() -> int:
+    """Number of memory maps of this process; Linux allows 65530, and a program takes several."""
+    maps = Path("/proc/self/maps")
+    return len(maps.read_bytes().splitlines()) if maps.exists() else 0
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _drop_old_programs():
+    """Compiled programs of past modules go before there are so many that the next one crashes."""
+    yield
+    if memory_maps() > 15_000:
+        jax.clear_caches()
+        gc.collect()
