@@ -21,8 +21,8 @@ from importlib import import_module
 _ROOMS = {
     "description": (
         "Case Circle GivenSection InputError Joint Link Material Mechanism Method MomentFunction "
-        "MomentRamp MomentTable PointMass PrescribedFunction PrescribedRate PrescribedTable "
-        "Rectangle Study Tube load_study"
+        "MomentRamp MomentTable PointMass PrescribedFunction PrescribedRate PrescribedSpinUp "
+        "PrescribedTable Rectangle Study Tube load_study"
     ),
     "mechanics": (
         "AssemblyErrors Coordinates Model State STATUS assemble assembly_errors describe discretise"

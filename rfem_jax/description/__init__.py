@@ -12,6 +12,7 @@ from rfem_jax.description.drives import (
     PrescribedDrive,
     PrescribedFunction,
     PrescribedRate,
+    PrescribedSpinUp,
     PrescribedTable,
 )
 from rfem_jax.description.errors import InputError, nearest
@@ -49,6 +50,7 @@ __all__ = [
     "PrescribedDrive",
     "PrescribedFunction",
     "PrescribedRate",
+    "PrescribedSpinUp",
     "PrescribedTable",
     "Rectangle",
     "Section",

@@ -175,6 +175,44 @@ class PrescribedRate(PrescribedDrive):
         return self.rate * angle, self.rate * rate, self.rate * acceleration
 
 
+class PrescribedSpinUp(PrescribedDrive):
+    """A rate that rises to a constant with a continuous acceleration:
+    rate * (x - sin(2 pi x) / (2 pi)), x = t / rise_time <= 1.
+
+    The law of the spin-up beam of Simo and Vu-Quoc (J. Appl. Mech. 53 (1986) 855-863) and of Wu and
+    Haug's slewing beam (Int. J. Numer. Methods Eng. 26 (1988) 2211-2226).
+
+    Args:
+        joint: the joint's name.
+        rate: [rad/s] about +y, reached at rise_time.
+        rise_time: [s], > 0.
+    """
+
+    joint: str = eqx.field(static=True)
+    rate: Scalar
+    rise_time: float = eqx.field(static=True)
+
+    def __init__(self, joint, rate, rise_time):
+        self.joint = _joint_name(joint)
+        self.rate = _leaf(rate, "rate", "rate")
+        self.rise_time = positive_quantity(rise_time, "time", "rise_time")
+
+    def breakpoints(self):
+        return (self.rise_time,)
+
+    def turn(self, t, phase):
+        x, whole = t / self.rise_time, 2.0 * np.pi
+        rising = _phase(phase) == 0
+        angle = jnp.where(rising, x**2 / 2.0 + (jnp.cos(whole * x) - 1.0) / whole**2, x - 0.5)
+        rate = jnp.where(rising, x - jnp.sin(whole * x) / whole, 1.0)
+        acceleration = jnp.where(rising, 1.0 - jnp.cos(whole * x), 0.0)
+        return (
+            self.rate * self.rise_time * angle,
+            self.rate * rate,
+            self.rate * acceleration / self.rise_time,
+        )
+
+
 class PrescribedTable(PrescribedDrive):
     """Angles turned, given at times and joined by a cubic spline (C2, "not-a-knot" ends).
 

@@ -15,6 +15,7 @@ from rfem_jax.description.joints import Joint
 from rfem_jax.description.links import Link
 from rfem_jax.description.units import vector
 
+ELEMENTS = ("linear", "geometrically_exact")
 _ROUNDING = 1e-12  # a position at the end of a link may exceed its length by rounding
 
 
@@ -30,6 +31,8 @@ class Mechanism:
             axes): "refuse", or "minimum_norm" for the solution of least norm.
         driven_joint: the joint of the tree that a drive acts on and that assembly holds at its
             start angle; None = none (a study sets it from its drive).
+        elements: spring-damping elements: "linear" (small deflections relative to the link frame),
+            or "geometrically_exact" (of any size).
     Raises:
         InputError: names clash or are unknown, a link is not connected, a loop is not cut, or a
             joint lies off a flexible link.
@@ -40,12 +43,14 @@ class Mechanism:
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
     redundant_reactions: str = "refuse"
     driven_joint: str | None = None
+    elements: str = "linear"
 
     def __post_init__(self):
         object.__setattr__(self, "links", _unique(self.links, Link, "links"))
         object.__setattr__(self, "joints", _unique(self.joints, Joint, "joints"))
         object.__setattr__(self, "gravity", vector(self.gravity, "acceleration", "gravity"))
         require_choice(self.redundant_reactions, ("refuse", "minimum_norm"), "redundant_reactions")
+        require_choice(self.elements, ELEMENTS, "elements")
         if not self.links:
             raise InputError("Argument `links` must hold at least one link, but is empty; add one.")
         self._check_references()

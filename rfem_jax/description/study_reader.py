@@ -7,7 +7,13 @@ a section, "kind" that of a drive.
 
 from dataclasses import MISSING, fields
 
-from rfem_jax.description.drives import MomentRamp, MomentTable, PrescribedRate, PrescribedTable
+from rfem_jax.description.drives import (
+    MomentRamp,
+    MomentTable,
+    PrescribedRate,
+    PrescribedSpinUp,
+    PrescribedTable,
+)
 from rfem_jax.description.errors import InputError, located, require_choice, require_name
 from rfem_jax.description.joints import Joint
 from rfem_jax.description.links import Link, PointMass
@@ -22,21 +28,23 @@ DRIVES = {
     "moment_ramp": (MomentRamp, ("moment", "rise_time"), ()),
     "moment_table": (MomentTable, ("times", "moments"), ()),
     "prescribed_rate": (PrescribedRate, ("rate",), ("rise_time",)),
+    "prescribed_spin_up": (PrescribedSpinUp, ("rate", "rise_time"), ()),
     "prescribed_table": (PrescribedTable, ("times", "angles"), ()),
 }
+_MECHANISM_OPTIONS = ("gravity", "redundant_reactions", "elements")
 _METHOD_KEYS = ("step", "rtol", "atol", "stabilisation", "accuracy")
 
 
 def read_mechanism(table) -> Mechanism:
     """Return the Mechanism of the table [mechanism]."""
     place = "[mechanism]"
-    optional = ("materials", "sections", "gravity", "redundant_reactions")
+    optional = ("materials", "sections", *_MECHANISM_OPTIONS)
     table = checked_table(table, place, ("links", "joints"), optional)
     materials = _read_named(table.get("materials", {}), "mechanism.materials", _read_material)
     sections = _read_named(table.get("sections", {}), "mechanism.sections", _read_section)
     links = _read_list(table["links"], "[[mechanism.links]]", _read_link, materials, sections)
     joints = _read_list(table["joints"], "[[mechanism.joints]]", _read_joint)
-    options = {key: table[key] for key in ("gravity", "redundant_reactions") if key in table}
+    options = {key: table[key] for key in _MECHANISM_OPTIONS if key in table}
     with located(place):
         return Mechanism(links=links, joints=joints, **options)
 

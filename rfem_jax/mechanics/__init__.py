@@ -3,7 +3,8 @@
     model, discretisation      description -> Model
     realisation                + AssemblyErrors -> constants of the equations of motion
     kinematics                 + State -> positions and velocities
-    elasticity, cut_joints        forces of the sdes; constraints of the cut joints
+    elasticity, exact_elements    forces of the sdes, linear and geometrically exact
+    cut_joints                    constraints of the cut joints
     dynamics                   accelerations by the recursive formulation
     reference_formulation      the same, dense and literal, to test against
     loads                      joint loads, energies, balances

@@ -1,13 +1,14 @@
-"""Centre lines of the links in space, for pictures.
+"""Centre lines of the links in space, and where their far ends are.
 
-Place in the pipeline: realisation + coordinates -> **centre lines** -> report.
+Place in the pipeline: realisation + coordinates -> **centre lines** -> simulation, report.
 """
 
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from rfem_jax.mechanics import loads
-from rfem_jax.mechanics.kinematics import all_frames, motion
+from rfem_jax.mechanics.kinematics import Motion, all_frames, motion
 from rfem_jax.mechanics.model import Coordinates, Model
 from rfem_jax.mechanics.realisation import Realisation
 
@@ -32,3 +33,16 @@ def link_lines(
         inner = point[:, first:last]
         lines[name] = jnp.concatenate([point[:, l : l + 1], inner, tip[:, None]], axis=1).T
     return lines
+
+
+def link_ends(realised: Realisation, now: Motion) -> tuple[Array, Array]:
+    """Where the far ends of all links are (3, L) [m], and the rotations (3, 3, L) of the rfes that
+    hold them, in global axes."""
+    topology = realised.topology
+    rotation, point = all_frames(topology, now)
+    # A rigid link's origin is half a length before its middle, a flexible one's last middle half a
+    # (half) rfe before its end.
+    nodes = [l if a == b else topology.n_links + b - 1 for l, (a, b) in enumerate(topology.ranges)]
+    behind = realised.beam_middle * np.array([2.0 if a == b else 1.0 for a, b in topology.ranges])
+    rotation, point = rotation[:, :, np.array(nodes)], point[:, np.array(nodes)]
+    return point + behind[None] * rotation[:, 0], rotation

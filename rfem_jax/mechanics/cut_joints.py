@@ -18,6 +18,7 @@ from jax import Array
 from rfem_jax.mechanics import algebra
 from rfem_jax.mechanics.algebra import apply, apply_transposed, cross, dot, product
 from rfem_jax.mechanics.kinematics import Motion, node_frames
+from rfem_jax.mechanics.model import BASE
 from rfem_jax.mechanics.realisation import Realisation
 
 
@@ -99,3 +100,22 @@ def closure(realised: Realisation, now: Motion, scale: Array) -> Closure | None:
             alignment=dot(y, rotation[:, 1, c:]),
             angle=jnp.arctan2(-x[2], x[0]),
         )
+
+
+def assembly_modes(realised: Realisation, now: Motion, cuts: Closure) -> Array:
+    """On which side every cut joint closes its loop (C,): +1, -1, or 0 at the fold itself.
+
+    The sign of y_L . (left arm x right arm); an arm reaches from the joint that carries the link on
+    that side (the datum for the base) to the cut joint.  A planar four-bar has two closed positions
+    for one crank angle; at a fold, where the arms are parallel, it may go over from one to the other.
+    """
+    topology = realised.topology
+
+    def carried_at(node: int) -> Array:
+        return realised.datum if node == BASE else now.hinges.point[:, topology.link_of(node)]
+
+    n = topology.n_links
+    left = jnp.stack([carried_at(node) for node in topology.parents[n:]], axis=1)
+    right = jnp.stack([carried_at(node) for node in topology.children[n:]], axis=1)
+    normal = cross(cuts.centre - left, cuts.centre - right)
+    return jnp.sign(dot(cuts.rotation[:, 1], normal))

@@ -10,7 +10,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rfem_jax.description.errors import InputError
+from rfem_jax.description.errors import InputError, require_choice
+from rfem_jax.description.mechanism import ELEMENTS
 from rfem_jax.mechanics import loads
 from rfem_jax.mechanics.cut_joints import closure
 from rfem_jax.mechanics.dynamics import RANK_TOLERANCE
@@ -40,11 +41,12 @@ class Structure(NamedTuple):
     redundant: bool
 
 
-def discretise(mechanism, rfes: int | None = None) -> Model:
+def discretise(mechanism, rfes: int | None = None, elements: str | None = None) -> Model:
     """Divide the links into rigid finite elements and close the loops at the start.
 
     **Arguments:** `mechanism`: a `Mechanism`; `rfes`: number of rfes of every flexible link (None:
-    each link's own).
+    each link's own); `elements`: "linear" or "geometrically_exact" spring-damping elements (None:
+    the mechanism's).
 
     **Raises:** `InputError` if JAX is not in double precision, if the loops cannot be closed with
     the given lengths and start angles, or if the reactions are not unique and the mechanism does
@@ -53,11 +55,13 @@ def discretise(mechanism, rfes: int | None = None) -> Model:
     require_double_precision()
     if rfes is not None and (rfes != int(rfes) or rfes < 2):
         raise InputError(f"Argument `rfes` must be a whole number of at least 2, but is {rfes}.")
-    elements = {
+    elements = mechanism.elements if elements is None else elements
+    require_choice(elements, ELEMENTS, "elements")
+    counts = {
         link.name: link.elements if rfes is None or link.elements == 1 else int(rfes)
         for link in mechanism.links
     }
-    model = _close(build_model(mechanism, elements))
+    model = _close(build_model(mechanism, counts, elements == "geometrically_exact"))
     structure = describe(model)
     if structure.redundant and not model.topology.minimum_norm:
         raise InputError(

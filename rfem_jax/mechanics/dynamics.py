@@ -22,9 +22,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from rfem_jax.mechanics import algebra, elasticity
+from rfem_jax.mechanics import algebra
 from rfem_jax.mechanics.algebra import apply, apply_transposed, cross, dot, product
 from rfem_jax.mechanics.cut_joints import Closure, closure
+from rfem_jax.mechanics.elasticity import elastic_loads
 from rfem_jax.mechanics.kinematics import Motion, motion, node_frames, spread, total
 from rfem_jax.mechanics.model import BASE, Coordinates, State, Topology
 from rfem_jax.mechanics.realisation import Realisation
@@ -71,7 +72,8 @@ class Accelerations(NamedTuple):
     coordinates: second derivatives of the coordinates; multipliers (5, C); stabilising (5, C) their
     part due to Baumgarte's terms; angular, linear (3, nodes): absolute accelerations of all nodes'
     reference points in link axes; spatial (6, L): accelerations of the links at their islands'
-    points; motion, closure and skeleton are passed on.
+    points; motion, closure and skeleton are passed on; dissipated: power [W] that the dampers take
+    out.
     """
 
     coordinates: Coordinates
@@ -83,6 +85,7 @@ class Accelerations(NamedTuple):
     motion: Motion
     closure: Closure | None
     skeleton: Skeleton
+    dissipated: Array
 
 
 def impose(topology: Topology, state: State, drive: DriveInput) -> State:
@@ -112,7 +115,7 @@ def accelerations(
     now = motion(realised, state)
     cuts = closure(realised, now, stabilisation.scale)
     inverse_rate = algebra.invert_block(now.relative.rate_matrix)
-    force, moment = elastic_wrenches(realised, state, inverse_rate)
+    force, moment, dissipated = elastic_loads(realised, state, now.relative, inverse_rate)
     spin, gravity = link_axes(realised, now)
     angular, linear = _free_accelerations(realised, now, spin, gravity, force, moment)
     skeleton = _skeleton(realised, state, now, force, moment)
@@ -138,6 +141,7 @@ def accelerations(
         motion=now,
         closure=cuts,
         skeleton=skeleton,
+        dissipated=dissipated,
     )
 
 
@@ -146,12 +150,6 @@ def link_axes(realised: Realisation, now: Motion) -> tuple[Array, Array]:
     spin = apply_transposed(now.links.rotation, now.links.velocity[:3])
     gravity = _like(realised.gravity[:, None], spin)
     return spin, apply_transposed(now.links.rotation, jnp.broadcast_to(gravity, spin.shape))
-
-
-def elastic_wrenches(realised: Realisation, state: State, inverse_rate: Array):
-    """Force and moment (3, N) of springs and dampers on every free rfe, at its middle."""
-    generalised = elasticity.forces(realised, state.position, state.velocity)
-    return generalised[:3], apply_transposed(inverse_rate, generalised[3:])
 
 
 def _like(values: Array, example: Array) -> Array:

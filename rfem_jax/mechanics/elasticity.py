@@ -1,54 +1,108 @@
-"""Spring-damping elements: elastic energy, dissipated power and generalised forces.
+"""Spring-damping elements: elastic energy, dissipated power, wrenches and generalised forces.
 
 Place in the pipeline: kinematics -> **elasticity** -> dynamics, statics.
 
-Classical linear form (MODEL section 2, equation (16)): sde k joins free rfe k (its right
-neighbour) to rfe k-1 of the same link, or to the link frame.  With the lever arms s from the rfes'
-middles to the sde,
+Sde k joins free rfe k (its right neighbour) to rfe k-1 of the same link, or to the link frame.
+Classical linear form (MODEL section 2, equation (16)): with the lever arms s from the rfes' middles
+to the sde,
 
     du = (u_right + phi_right x s_right) - (u_left + phi_left x s_left),  dphi = phi_right - phi_left.
 
 Valid for small deflections relative to the link frame.  The Kelvin-Voigt damper acts on the rates
-of du and dphi with eta times the stiffness.
+of du and dphi with eta times the stiffness.  The geometrically exact form is in `exact_elements`.
 """
+
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 
-from rfem_jax.mechanics.model import Coordinates
+from rfem_jax.mechanics import exact_elements
+from rfem_jax.mechanics.algebra import apply_transposed
+from rfem_jax.mechanics.exact_elements import from_left, to_left
+from rfem_jax.mechanics.kinematics import RelativeMotion, relative_motion
+from rfem_jax.mechanics.model import Coordinates, State
 from rfem_jax.mechanics.realisation import Realisation
 
 
-def deflections(realised: Realisation, elastic: Array) -> Array:
-    """(du, dphi) (6, N) [m, rad] of all sdes; linear in the coordinates, so of rates likewise."""
-    right = _face(elastic, realised.lever_right)
-    left = _face(_from_left(realised, elastic), realised.lever_left)
-    return right - left
+class ElasticLoads(NamedTuple):
+    """What springs and dampers do: force [N] and moment [N m] (3, N) on every free rfe, at its middle
+    in link axes, and the power that the dampers take out [W]."""
+
+    force: Array
+    moment: Array
+    dissipated: Array
 
 
-def forces(realised: Realisation, position: Coordinates, velocity: Coordinates) -> Array:
+def elastic_loads(
+    realised: Realisation, state: State, relative: RelativeMotion, inverse_rate: Array
+) -> ElasticLoads:
+    """Wrenches of springs and dampers; `inverse_rate` (3, 3, N): of `relative.rate_matrix`."""
+    with jax.named_scope("spring_damping_elements"):
+        if realised.topology.exact:
+            now = exact_elements.deflections(realised, state.position.elastic[:3], relative)
+            return ElasticLoads(
+                *exact_elements.wrenches(realised, now), _dissipated(realised, now.rate)
+            )
+        stretch, rate = _linear_deflections(realised, state)
+        generalised = _linear_forces(realised, stretch, rate)
+        return ElasticLoads(
+            generalised[:3],
+            apply_transposed(inverse_rate, generalised[3:]),
+            _dissipated(realised, rate),
+        )
+
+
+def generalised_forces(realised: Realisation, state: State, relative: RelativeMotion) -> Array:
     """Generalised forces (6, N) [N, N m] of springs and dampers on the free rfes' coordinates."""
     with jax.named_scope("spring_damping_elements"):
-        stretch = deflections(realised, position.elastic)
-        rate = deflections(realised, velocity.elastic)
-        stress = realised.stiffness * (stretch + realised.damping[None] * rate)
-        on_right = -_face_transposed(stress, realised.lever_right)
-        on_left = _face_transposed(stress, realised.lever_left)
-        return on_right + _to_left(realised, on_left)
+        if realised.topology.exact:
+            now = exact_elements.deflections(realised, state.position.elastic[:3], relative)
+            force, moment = exact_elements.wrenches(realised, now)
+            return jnp.concatenate([force, apply_transposed(relative.rate_matrix, moment)])
+        return _linear_forces(realised, *_linear_deflections(realised, state))
+
+
+def deflections(realised: Realisation, state: State) -> tuple[Array, Array]:
+    """(du, dphi) (6, N) [m, rad] of all sdes and their rates."""
+    if not realised.topology.exact:
+        return _linear_deflections(realised, state)
+    relative = relative_motion(realised, state.position, state.velocity)
+    now = exact_elements.deflections(realised, state.position.elastic[:3], relative)
+    return now.stretch, now.rate
 
 
 def elastic_energy(realised: Realisation, position: Coordinates) -> Array:
     """Energy of all springs [J]."""
-    stretch = deflections(realised, position.elastic)
+    at_rest = State(position, jax.tree.map(jnp.zeros_like, position))
+    stretch, _ = deflections(realised, at_rest)
     return 0.5 * jnp.sum(realised.stiffness * stretch**2, axis=(0, 1))
 
 
-def dissipated_power(realised: Realisation, velocity: Coordinates) -> Array:
+def dissipated_power(realised: Realisation, state: State) -> Array:
     """Power that all dampers take out [W]."""
-    rate = deflections(realised, velocity.elastic)
+    return _dissipated(realised, deflections(realised, state)[1])
+
+
+def _dissipated(realised, rate):
     return jnp.sum(realised.stiffness * realised.damping[None] * rate**2, axis=(0, 1))
+
+
+def _linear_deflections(realised, state: State):
+    """Linear in the coordinates, so the same function gives their rates."""
+
+    def between_faces(elastic):
+        right = _face(elastic, realised.lever_right)
+        return right - _face(from_left(realised, elastic), realised.lever_left)
+
+    return between_faces(state.position.elastic), between_faces(state.velocity.elastic)
+
+
+def _linear_forces(realised, stretch, rate):
+    stress = realised.stiffness * (stretch + realised.damping[None] * rate)
+    on_right = -_face_transposed(stress, realised.lever_right)
+    return on_right + to_left(realised, _face_transposed(stress, realised.lever_left))
 
 
 def _face(elastic, lever):
@@ -65,24 +119,3 @@ def _face_transposed(stress, lever):
 def _lever_cross(vector, lever):
     """vector x (lever, 0, 0)."""
     return jnp.stack([0.0 * vector[0], vector[2] * lever, -vector[1] * lever])
-
-
-def _is_inner(realised: Realisation) -> np.ndarray:
-    """Which free rfes have another free rfe of their link on their left."""
-    inner = np.ones(realised.topology.n_rfes)
-    inner[[a for a, b in realised.topology.ranges if b > a]] = 0.0
-    return inner
-
-
-def _from_left(realised, values):
-    inner = _expand(_is_inner(realised), values)
-    return inner * jnp.roll(values, 1, axis=1)
-
-
-def _to_left(realised, values):
-    inner = _expand(_is_inner(realised), values)
-    return jnp.roll(inner * values, -1, axis=1)
-
-
-def _expand(inner, values):
-    return jnp.asarray(inner).reshape((1, -1) + (1,) * (values.ndim - 2))

@@ -21,6 +21,9 @@ from rfem_jax.mechanics.algebra import apply, cross, product
 from rfem_jax.mechanics.model import BASE, Coordinates, State, Topology
 from rfem_jax.mechanics.realisation import Realisation
 
+LINEAR_LIMIT = np.radians(60.0)
+EXACT_LIMIT = np.radians(80.0)
+
 
 class RelativeMotion(NamedTuple):
     """Motion of the free rfes relative to their link frames, in link axes.
@@ -89,29 +92,49 @@ def motion(realised: Realisation, state: State) -> Motion:
 def relative_motion(
     realised: Realisation, position: Coordinates, velocity: Coordinates
 ) -> RelativeMotion:
-    """Motion of the free rfes in their link frames (equation (4) and its rate)."""
+    """Motion of the free rfes in their link frames (equation (4) and its rate): R = R_z R_y R_x for
+    linear elements, R_y R_z R_x for exact ones, so that in-plane bending has no limit."""
     u, phi = position.elastic[:3], position.elastic[3:]
     u_dot, rate = velocity.elastic[:3], velocity.elastic[3:]
     (cx, cy, cz), (sx, sy, sz) = jnp.cos(phi), jnp.sin(phi)
     zero, one = jnp.zeros_like(cx), jnp.ones_like(cx)
-    ex = jnp.stack([cz * cy, sz * cy, -sy])
-    ey = jnp.stack([cz * sy, sz * sy, cy])
-    ez = jnp.stack([-sz, cz, zero])
-    # Columns of R_z R_y R_x: its first, and the others turned by phi_x about it.
-    rotation = jnp.stack([ex, sx[None] * ey + cx[None] * ez, cx[None] * ey - sx[None] * ez], axis=1)
-    up = jnp.stack([zero, zero, one])
-    # w = phi_x' ex + phi_y' ez + phi_z' up: ez turns with phi_z', ex with phi_y' and phi_z'.
-    about_z, about_zy = rate[2][None] * up, rate[2][None] * up + rate[1][None] * ez
-    about_x = rate[0][None] * ex
+    # Columns a, b, c of the two outer rotations, then the axes of the middle and the outer one.
+    if realised.topology.exact:
+        a = jnp.stack([cy * cz, sz, -sy * cz])
+        b = jnp.stack([-cy * sz, cz, sy * sz])
+        c = jnp.stack([sy, zero, cy])
+        middle, outer = c, jnp.stack([zero, one, zero])
+        middle_rate, outer_rate = rate[2], rate[1]
+        axes = [a, outer, middle]
+    else:
+        a = jnp.stack([cz * cy, sz * cy, -sy])
+        b = jnp.stack([-sz, cz, zero])
+        c = jnp.stack([cz * sy, sz * sy, cy])
+        middle, outer = b, jnp.stack([zero, zero, one])
+        middle_rate, outer_rate = rate[1], rate[2]
+        axes = [a, middle, outer]
+    rotation = jnp.stack([a, sx[None] * c + cx[None] * b, cx[None] * c - sx[None] * b], axis=1)
+    # w = phi_x' a + ...: the middle axis turns with the outer rate, a with both.
+    about_outer = outer_rate[None] * outer
+    about_both = about_outer + middle_rate[None] * middle
+    about_x = rate[0][None] * a
     rest = jnp.asarray(np.eye(3)[0]).reshape((3, 1) + (1,) * (u.ndim - 2)) * realised.rest[None]
     return RelativeMotion(
         rotation=rotation,
         position=rest + u,
-        rate_matrix=jnp.stack([ex, ez, up], axis=1),
-        angular=about_zy + about_x,
+        rate_matrix=jnp.stack(axes, axis=1),
+        angular=about_both + about_x,
         linear=u_dot,
-        rate_bias=cross(about_z, about_zy) + cross(about_zy, about_x),
+        rate_bias=cross(about_outer, about_both) + cross(about_both, about_x),
     )
+
+
+def range_used(topology: Topology, position: Coordinates) -> Array:
+    """Largest angle of the free rfes relative to their link frames over its limit: for linear
+    elements phi_y and phi_z (inaccurate long before), for exact ones phi_z (singular at 90 deg)."""
+    if topology.exact:
+        return jnp.max(jnp.abs(position.elastic[5]), initial=0.0) / EXACT_LIMIT
+    return jnp.max(jnp.abs(position.elastic[4:]), initial=0.0) / LINEAR_LIMIT
 
 
 def _parent_frame(topology: Topology, relative: RelativeMotion, links, node: int) -> Frames:

@@ -25,7 +25,8 @@ BASE = -1
 
 class Coordinates(eqx.Module):
     """Joint angles [rad] and the six coordinates (x, y, z, phi_x, phi_y, phi_z) [m, rad] of every
-    free rfe relative to its link frame; also used for their rates and accelerations."""
+    free rfe relative to its link frame, with R = R_z R_y R_x (exact elements: R_y R_z R_x); also used
+    for their rates and accelerations."""
 
     angles: Float[Array, "links *batch"]
     elastic: Float[Array, "6 rfes *batch"]
@@ -44,7 +45,8 @@ class Topology(NamedTuple):
     links: names, parents before children; joints: tree joints in the order of their links, then cut
     joints; joint_order: names as the user listed them; parents, children: node of each joint's two
     sides; elements: rfes of each link (1 = rigid); driven: index of the driven tree joint or None;
-    masses: node of each point mass; minimum_norm: redundant reactions are resolved by least norm.
+    masses: node of each point mass; minimum_norm: redundant reactions are resolved by least norm;
+    exact: geometrically exact spring-damping elements.
     """
 
     links: tuple[str, ...]
@@ -59,6 +61,7 @@ class Topology(NamedTuple):
     driven: int | None
     masses: tuple[int, ...]
     minimum_norm: bool
+    exact: bool = False
 
     @property
     def n_links(self) -> int:
@@ -157,7 +160,7 @@ def rfe_fractions(elements: int) -> tuple[np.ndarray, np.ndarray]:
     return np.diff(edges), 0.5 * (edges[1:] + edges[:-1])
 
 
-def build_model(mechanism, elements: dict[str, int]) -> Model:
+def build_model(mechanism, elements: dict[str, int], exact: bool = False) -> Model:
     """Arrays of a mechanism whose links have the given numbers of rfes.
 
     The start angles are the description's approximate ones; `discretise` closes the loops.
@@ -216,6 +219,7 @@ def build_model(mechanism, elements: dict[str, int]) -> Model:
         driven=None if driven is None else [j.name for j in joints].index(driven),
         masses=tuple(node for node, _ in held),
         minimum_norm=mechanism.redundant_reactions == "minimum_norm",
+        exact=exact,
     )
 
     def columns(rows, width):

@@ -8,6 +8,8 @@ augmented system.  Nothing of the recursion is used: transforms, constraints (18
 derivatives of both are formed here again, by 4 x 4 matrices and automatic differentiation.
 """
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 from jax import Array
@@ -45,7 +47,10 @@ def transforms(realised: Realisation, position: Coordinates) -> list[Array]:
         frames[l] = joint @ jnp.linalg.inv(bore[l])
         for k in range(a, b):
             x, y, z, phi_x, phi_y, phi_z = position.elastic[:, k]
-            rotation = _about(2, phi_z) @ _about(1, phi_y) @ _about(0, phi_x)
+            outer = _about(2, phi_z) @ _about(1, phi_y)
+            if topology.exact:
+                outer = _about(1, phi_y) @ _about(2, phi_z)
+            rotation = outer @ _about(0, phi_x)
             rest = jnp.array([1.0, 0.0, 0.0]) * realised.rest[k]
             relative = _transform(rotation, rest + jnp.stack([x, y, z]))
             frames[topology.n_links + k] = frames[l] @ relative
@@ -72,6 +77,48 @@ def constraints(realised: Realisation, position: Coordinates, scale) -> Array:
     return jnp.concatenate(rows) if rows else jnp.zeros(0)
 
 
+def exact_deflections(realised: Realisation, frames: Array) -> Array:
+    """(du, theta) (6, N) of geometrically exact sdes from the transforms (nodes, 4, 4) of all nodes:
+    of the two faces of every sde."""
+    topology = realised.topology
+    if topology.n_rfes == 0:
+        return jnp.zeros((6, 0))
+    left, right, left_face, right_face = [], [], [], []
+    for l, (a, b) in enumerate(topology.ranges):
+        for k in range(a, b):
+            right.append(topology.n_links + k)
+            right_face.append(_along(realised.lever_right[k]))
+            # rfe 0 is its link's frame: its face is where the sde is at rest.
+            left.append(l if k == a else topology.n_links + k - 1)
+            at_rest = realised.rest[k] + realised.lever_right[k]
+            left_face.append(_along(at_rest if k == a else realised.lever_left[k]))
+    left = frames[jnp.array(left)] @ jnp.stack(left_face)
+    right = frames[jnp.array(right)] @ jnp.stack(right_face)
+    return jax.vmap(_deflection, out_axes=1)(left, right)
+
+
+def _along(x):
+    return _transform(jnp.eye(3), jnp.array([1.0, 0.0, 0.0]) * x)
+
+
+def _deflection(left, right):
+    """(du, theta) (6,) of two faces: the logarithm of the relative rotation by its angle, the gap in
+    the frame half-way between them."""
+    turn = left[:3, :3].T @ right[:3, :3]
+    skew = 0.5 * (turn - turn.T)
+    sine_axis = jnp.stack([skew[2, 1], skew[0, 2], skew[1, 0]])
+    square = sine_axis @ sine_axis
+    still = square < 1e-30
+    sine = jnp.sqrt(jnp.where(still, 1.0, square))
+    angle = jnp.where(still, 1.0, jnp.arctan2(sine, 0.5 * (jnp.trace(turn) - 1.0)))
+    theta = sine_axis * jnp.where(still, 1.0, angle / sine)
+    # Rodrigues' formula for minus half the angle.
+    unit = skew / sine
+    back = -jnp.sin(0.5 * angle) * unit + (1.0 - jnp.cos(0.5 * angle)) * unit @ unit
+    gap = left[:3, :3].T @ (right[:3, 3] - left[:3, 3])
+    return jnp.concatenate([gap + back @ gap, theta])
+
+
 def reference_accelerations(
     realised: Realisation, state: State, drive: DriveInput, stabilisation: Stabilisation
 ) -> tuple[Coordinates, Array]:
@@ -93,12 +140,23 @@ def reference_accelerations(
     inertial = jnp.einsum("nabi,nbc,nac->i", slopes, pseudo_inertia, bias)
 
     def potential(q):
-        weights = jnp.einsum("nabc,nc->nab", matrices(q)[:, :3, None, :], pseudo_inertia[:, :, 3])
+        frames = matrices(q)
+        weights = jnp.einsum("nabc,nc->nab", frames[:, :3, None, :], pseudo_inertia[:, :, 3])
         fall = -jnp.sum(weights[:, :, 0] @ realised.gravity)
+        if topology.exact:
+            stretch = exact_deflections(realised, frames)
+            return fall + 0.5 * jnp.sum(realised.stiffness * stretch**2)
         return fall + elasticity.elastic_energy(realised, unravel(q))
 
     def damping(qd):
-        return 0.5 * elasticity.dissipated_power(realised, unravel(qd))
+        """Half the power that the dampers take out."""
+        if topology.exact:
+            frame_rates = jnp.einsum("nabi,i->nab", slopes, qd)
+            faces = partial(exact_deflections, realised)
+            rate = jax.jvp(faces, (matrices(q),), (frame_rates,))[1]
+            return 0.5 * jnp.sum(realised.stiffness * realised.damping[None] * rate**2)
+        now = State(state.position, unravel(qd))
+        return 0.5 * elasticity.dissipated_power(realised, now)
 
     force = -inertial - jax.grad(potential)(q) - jax.grad(damping)(qd)
     driven = topology.driven

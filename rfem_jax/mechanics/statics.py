@@ -11,6 +11,7 @@ and a force of the mechanism, so that one tolerance fits all.
 
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import lineax as lx
@@ -23,13 +24,17 @@ from rfem_jax.mechanics import elasticity, loads
 from rfem_jax.mechanics.algebra import apply_transposed, cross, dot
 from rfem_jax.mechanics.cut_joints import closure
 from rfem_jax.mechanics.dynamics import DriveInput
-from rfem_jax.mechanics.kinematics import motion
+from rfem_jax.mechanics.kinematics import motion, range_used
 from rfem_jax.mechanics.model import Coordinates, Model, State
-from rfem_jax.mechanics.realisation import AssemblyErrors, Realisation, realise
-from rfem_jax.mechanics.status import NOT_ASSEMBLED, OK, WRONG_SIDE
+from rfem_jax.mechanics.realisation import AssemblyErrors, Realisation, assembly_errors, realise
+from rfem_jax.mechanics.status import NOT_ASSEMBLED, OK, OUT_OF_RANGE, WRONG_SIDE
 
 TOLERANCE = 1e-10
 MAX_ITERATIONS = 50
+ITERATIONS_OF_A_STEP = 15
+MAX_LOAD_STEPS = 60
+SMALLEST_LOAD_STEP = 1e-3
+LARGEST_TURN_OF_A_STEP = 0.7
 
 
 class Load(NamedTuple):
@@ -83,7 +88,11 @@ def held_angles(model: Model, hold: dict[str, Array] | None) -> dict[int, Array]
 
 
 def equilibrium(model: Model, realised: Realisation, held: dict[int, Array]):
-    """Coordinates, multipliers (5 cuts,) [N] and status of the static equilibrium."""
+    """Coordinates, multipliers (5 cuts,) [N] and status of the static equilibrium.
+
+    Newton's method from the undeformed start; geometrically exact elements, whose deflections may be
+    large, are brought there by load steps first.
+    """
     topology = model.topology
     scale = length_scale(model)
     force_scale = _force_scale(model, realised)
@@ -91,9 +100,12 @@ def equilibrium(model: Model, realised: Realisation, held: dict[int, Array]):
     n_constraints = 5 * topology.n_cuts
     indices = tuple(held)
 
+    def coordinates(unknowns) -> Coordinates:
+        return unravel(unknowns[: start.size] * scale)
+
     def residual(unknowns, args):
         realised, angles = args
-        position = unravel(unknowns[: start.size] * scale)
+        position = coordinates(unknowns)
         multipliers = unknowns[start.size :].reshape(topology.n_cuts, 5).T * force_scale
         hinge, elastic, closing = _unbalanced(realised, position, multipliers, scale)
         hinge = hinge / (force_scale * scale)
@@ -106,23 +118,88 @@ def equilibrium(model: Model, realised: Realisation, held: dict[int, Array]):
     for index, angle in held.items():
         guess = guess.at[index].set(angle / scale)
     linear = lx.SVD(rcond=1e-9) if topology.minimum_norm else lx.LU()
+    args = (realised, tuple(jnp.asarray(angle) for angle in held.values()))
+    if topology.exact:
+        at_rest = (
+            eqx.tree_at(lambda r: r.gravity, realise(model, assembly_errors(model)), jnp.zeros(3)),
+            tuple(model.start_angles[index] for index in indices),
+        )
+        undeformed = jnp.concatenate([start / scale, jnp.zeros(n_constraints)])
+        guess, followed = _load_steps(residual, linear, undeformed, coordinates, at_rest, args)
     solution = optx.root_find(
         residual,
         optx.Newton(rtol=TOLERANCE, atol=TOLERANCE, linear_solver=linear),
         guess,
-        args=(realised, tuple(held.values())),
-        max_steps=MAX_ITERATIONS,
+        args=args,
+        max_steps=1 if topology.exact else MAX_ITERATIONS,
         throw=False,
         adjoint=optx.ImplicitAdjoint(linear_solver=linear),
     )
-    position = unravel(solution.value[: start.size] * scale)
-    found = solution.result == optx.RESULTS.successful
+    position = coordinates(solution.value)
+    found = followed if topology.exact else solution.result == optx.RESULTS.successful
     found = found & jnp.all(jnp.isfinite(solution.value))
+    in_range = range_used(topology, position) < 1.0
     cuts = closure(realised, motion(realised, loads.static_state(position)), scale)
     right_side = True if cuts is None else jnp.all(cuts.alignment > 0.0)
-    status = jnp.where(found, jnp.where(right_side, OK, WRONG_SIDE), NOT_ASSEMBLED)
+    status = jnp.where(right_side, jnp.where(in_range, OK, OUT_OF_RANGE), WRONG_SIDE)
+    status = jnp.where(found, status, NOT_ASSEMBLED)
     multipliers = solution.value[start.size :].reshape(topology.n_cuts, 5).T * force_scale
     return position, multipliers, status.astype(jnp.int32)
+
+
+def _load_steps(residual, linear, start: Array, coordinates, at_rest, loaded):
+    """Unknowns of the equilibrium under full load, followed from the one at rest, and whether it was
+    reached.
+
+    Errors, gravity and held angles grow together from nothing by a share: all at once first; a step
+    on which Newton's method does not converge, or lands more than a moderate turn of an rfe away (on
+    another equilibrium), is halved, any other is followed by one twice as long.  The constants of the
+    mechanism are interpolated, so that on the way its frames are turned to second order in the errors
+    only.  No derivative goes through here: the result is where the implicit function is taken.
+    """
+    at_rest, loaded = jax.lax.stop_gradient((at_rest, loaded))
+
+    def newton(unknowns, args):
+        def going_on(carry):
+            _, moved, count = carry
+            # Multipliers follow the coordinates; their rounding may exceed the tolerance.
+            return (moved > TOLERANCE) & (moved < jnp.inf) & (count < ITERATIONS_OF_A_STEP)
+
+        def improve(carry):
+            unknowns, _, count = carry
+            value = residual(unknowns, args)
+            slope = lx.MatrixLinearOperator(jax.jacfwd(residual)(unknowns, args))
+            step = lx.linear_solve(slope, value, linear, throw=False).value
+            moved = jnp.max(jnp.abs(ravel_pytree(coordinates(step))[0]))
+            return unknowns - step, moved, count + 1
+
+        one = jnp.ones(())
+        carry = (unknowns, one, jnp.zeros((), jnp.int32))
+        unknowns, moved, _ = jax.lax.while_loop(going_on, improve, carry)
+        return unknowns, moved <= TOLERANCE
+
+    def going_on(carry):
+        _, reached, step, count = carry
+        return (reached < 1.0) & (step > SMALLEST_LOAD_STEP) & (count < MAX_LOAD_STEPS)
+
+    def advance(carry):
+        unknowns, reached, step, count = carry
+        share = jnp.minimum(reached + step, 1.0)
+        args = jax.tree.map(lambda a, b: a + share * (b - a), at_rest, loaded)
+        new, found = newton(unknowns, args)
+        turn = coordinates(new - unknowns).elastic[3:]
+        found = found & (jnp.max(jnp.abs(turn), initial=0.0) < LARGEST_TURN_OF_A_STEP)
+        return (
+            jnp.where(found, new, unknowns),
+            jnp.where(found, share, reached),
+            jnp.where(found, 2.0 * step, 0.5 * step),
+            count + 1,
+        )
+
+    one = jnp.ones(())
+    carry = (jax.lax.stop_gradient(start), 0.0 * one, one, jnp.zeros((), jnp.int32))
+    unknowns, reached, _, _ = jax.lax.while_loop(going_on, advance, carry)
+    return jax.lax.stop_gradient(unknowns), reached >= 1.0
 
 
 def _unbalanced(realised: Realisation, position: Coordinates, multipliers: Array, scale: Array):
@@ -150,7 +227,7 @@ def _unbalanced(realised: Realisation, position: Coordinates, multipliers: Array
                 force = force.at[:, k].add(apply_transposed(turn, on_force))
                 moment = moment.at[:, k].add(apply_transposed(turn, on_moment))
     outside = jnp.concatenate([force, apply_transposed(now.relative.rate_matrix, moment)])
-    elastic = elasticity.forces(realised, state.position, state.velocity)
+    elastic = elasticity.generalised_forces(realised, state, now.relative)
     return hinge, outside + elastic, jnp.zeros((5, 0)) if cuts is None else cuts.residual
 
 

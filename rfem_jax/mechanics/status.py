@@ -14,15 +14,15 @@ class Status(NamedTuple):
     message: str
 
 
-OK, NOT_ASSEMBLED, WRONG_SIDE, DIVERGED, DRIFTED, STEPS_EXHAUSTED = range(6)
+OK, NOT_ASSEMBLED, WRONG_SIDE, DIVERGED, DRIFTED, STEPS_EXHAUSTED, OUT_OF_RANGE = range(7)
 
 STATUS: tuple[Status, ...] = (
     Status("ok", "The run is complete and passed its checks."),
     Status(
         "not_assembled",
         "No static equilibrium was found for the start. Usually an error is so large that the links "
-        "deflect beyond the linear spring-damping elements; a wrong start angle or a missing hold "
-        "does the same.",
+        "deflect beyond the linear spring-damping elements (use geometrically exact ones); a wrong "
+        "start angle or a missing hold does the same.",
     ),
     Status(
         "wrong_side",
@@ -44,5 +44,12 @@ STATUS: tuple[Status, ...] = (
         "steps_exhausted",
         "The adaptive method used up its steps. Usually the motion is stiffer than the method can "
         "follow; use a fixed step or looser tolerances.",
+    ),
+    Status(
+        "out_of_range",
+        "A rigid finite element turned too far in its link frame: beyond 60 deg with linear "
+        "spring-damping elements, whose results are inaccurate well below that (use elements = "
+        '"geometrically_exact"); with geometrically exact ones beyond 80 deg out of the plane of '
+        "motion, where their angles become singular.",
     ),
 )

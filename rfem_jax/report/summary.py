@@ -33,7 +33,7 @@ def total_energy(run) -> np.ndarray:
 
 
 def summarise_run(study, run) -> dict[str, Any]:
-    """Metrics, preload, end of the driven joint and balances of one run (numbers, SI)."""
+    """Metrics, preload, end of the driven joint, balances and branch of one run (numbers, SI)."""
     joints = {}
     for name in joint_names(study):
         row = {q.name: float(getattr(run.metrics, q.name)[name]) for q in JOINT_METRICS}
@@ -46,7 +46,25 @@ def summarise_run(study, run) -> dict[str, Any]:
         for q in DRIVEN_JOINT
     }
     balances = {q.name: float(getattr(run, q.name)) for q in BALANCES}
-    return {"joints": joints, "driven_joint": ends, **balances}
+    return {"joints": joints, "driven_joint": ends, **balances, "branch": branches(run)}
+
+
+def branches(run) -> dict[str, dict[str, int]]:
+    """{cut joint: {"start", "end": assembly mode +1 or -1, "changes": passages through a fold}}.
+
+    Runs whose branches differ are not to be averaged, nor differentiated across.
+    """
+    found = {}
+    for name, modes in run.branch.items():
+        modes = np.asarray(modes)
+        modes = modes[np.isfinite(modes)]
+        if len(modes):
+            found[name] = {
+                "start": int(modes[0]),
+                "end": int(modes[-1]),
+                "changes": int(np.count_nonzero(np.diff(modes))),
+            }
+    return found
 
 
 def summarise(study, runs, statuses) -> dict[str, dict[str, Any]]:

@@ -13,7 +13,7 @@ from jax import Array
 from jaxtyping import Float, Int
 
 from rfem_jax.description.drives import MomentDrive, PrescribedDrive
-from rfem_jax.mechanics import elasticity, loads
+from rfem_jax.mechanics import loads
 from rfem_jax.mechanics.dynamics import (
     Accelerations,
     DriveInput,
@@ -86,7 +86,7 @@ def right_hand_side(t: Array, trajectory: Trajectory, conditions: Conditions) ->
             normal_square=normal,
             moment_square=moment,
             work=drive_power(conditions.realised.topology, state, drive, joint),
-            dissipation=elasticity.dissipated_power(conditions.realised, state.velocity),
+            dissipation=result.dissipated,
         ),
     )
 

@@ -24,9 +24,11 @@ from rfem_jax.description.drives import MomentDrive, PrescribedDrive
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.methods import Method
 from rfem_jax.mechanics import loads
-from rfem_jax.mechanics.centre_lines import link_lines
+from rfem_jax.mechanics.centre_lines import link_ends, link_lines
+from rfem_jax.mechanics.cut_joints import assembly_modes
 from rfem_jax.mechanics.discretisation import require_double_precision
 from rfem_jax.mechanics.dynamics import Stabilisation
+from rfem_jax.mechanics.kinematics import range_used
 from rfem_jax.mechanics.model import Model, State
 from rfem_jax.mechanics.realisation import AssemblyErrors, Realisation, assembly_errors, realise
 from rfem_jax.mechanics.statics import (
@@ -38,10 +40,10 @@ from rfem_jax.mechanics.statics import (
     quasi_static_rates,
     static_loads,
 )
-from rfem_jax.mechanics.status import DIVERGED, DRIFTED, OK, STEPS_EXHAUSTED
+from rfem_jax.mechanics.status import DIVERGED, DRIFTED, OK, OUT_OF_RANGE, STEPS_EXHAUSTED
 from rfem_jax.simulation import equations
 from rfem_jax.simulation.equations import Conditions, Trajectory
-from rfem_jax.simulation.run import DrivenJoint, Energy, Metrics, Run
+from rfem_jax.simulation.run import DrivenJoint, Energy, LoadIntegrals, Metrics, Run
 from rfem_jax.simulation.solvers import PeakTracking, make_solver
 from rfem_jax.simulation.time_grid import TimeGrid, divide_time
 
@@ -84,6 +86,10 @@ class Record(NamedTuple):
     hinge_residual: Array
     stabilising: Array
     multiplier: Array
+    range_used: Array
+    ends: Array
+    branch: Array
+    square_integrals: Array
 
 
 def simulate(
@@ -282,8 +288,21 @@ def _observe(model: Model, t, trajectory: Trajectory, conditions: Conditions):
             hinge_residual=jnp.max(jnp.abs(joint.moment[1]) * jnp.asarray(passive)),
             stabilising=jnp.max(jnp.abs(result.stabilising), initial=0.0),
             multiplier=jnp.max(jnp.abs(result.multipliers), initial=0.0),
+            range_used=range_used(topology, state.position),
+            ends=link_ends(realised, result.motion)[0],
+            branch=_branch(realised, result),
+            square_integrals=jnp.stack(
+                [integrals.axial_square + integrals.normal_square, integrals.moment_square]
+            ),
         )
         return record, jnp.stack([axial, normal])
+
+
+def _branch(realised, result):
+    """Assembly modes of the cut joints (C,)."""
+    if result.closure is None:
+        return jnp.zeros((0,))
+    return assembly_modes(realised, result.motion, result.closure)
 
 
 def _drift(cuts, scale):
@@ -326,7 +345,15 @@ def conclude(model: Model, prepared: Prepared, carry: Carry, record: Record, gri
         momentum_balance_error=jnp.max(relative),
         hinge_moment_error=jnp.max(record.hinge_residual) / _safe(jnp.max(record.largest_load[:, 1])),
         stabilisation_share=jnp.max(record.stabilising) / _safe(jnp.max(record.multiplier)),
-        status=_status(model, prepared, carry, error, drift),
+        status=_status(model, prepared, carry, error, drift, jnp.max(record.range_used)),
+        ends={name: record.ends[:, :, l] for l, name in enumerate(model.link_names)},
+        branch={
+            model.topology.joints[j]: record.branch[:, i] for i, j in enumerate(model.topology.cuts)
+        },
+        integrals=LoadIntegrals(
+            force_square={name: record.square_integrals[:, 0, j] for name, j in _joints(model)},
+            moment_square={name: record.square_integrals[:, 1, j] for name, j in _joints(model)},
+        ),
         centre_lines=link_lines(model, prepared.realised, prepared.state.position),
         nominal_lines=link_lines(
             model, realise(model, assembly_errors(model)), model.start_coordinates()
@@ -354,11 +381,12 @@ def metrics_of(model: Model, carry: Carry, duration) -> Metrics:
     )
 
 
-def _status(model, prepared: Prepared, carry: Carry, error, drift):
+def _status(model, prepared: Prepared, carry: Carry, error, drift, used):
     finite = jnp.isfinite(error) & jnp.all(jnp.isfinite(carry.peaks))
     for leaf in jax.tree.leaves(carry.trajectory):
         finite = finite & jnp.all(jnp.isfinite(leaf))
     code = jnp.where(drift < DRIFT_LIMIT * length_scale(model), OK, DRIFTED)
+    code = jnp.where(used < 1.0, code, OUT_OF_RANGE)
     code = jnp.where(carry.exhausted, STEPS_EXHAUSTED, code)
     code = jnp.where(finite, code, DIVERGED)
     return jnp.where(prepared.status == OK, code, prepared.status).astype(jnp.int32)

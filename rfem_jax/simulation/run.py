@@ -4,12 +4,14 @@ Place in the pipeline: integration -> **run** -> tolerancing, report.
 """
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jaxtyping import Float, Int
 
 from rfem_jax.mechanics.statics import Load
 from rfem_jax.mechanics.status import STATUS
+from rfem_jax.simulation.equations import guarded_root
 
 
 class Energy(eqx.Module):
@@ -40,6 +42,31 @@ class Metrics(eqx.Module):
     max_normal_force: dict[str, Array]
 
 
+class LoadIntegrals(eqx.Module):
+    """Integrals (times,) from 0 to the saved times of the squared resultant force [N^2 s] and moment
+    [(N m)^2 s], by joint."""
+
+    force_square: dict[str, Array]
+    moment_square: dict[str, Array]
+
+
+class WindowLoads(eqx.Module):
+    """Mean squares and RMS of the resultant force and moment over a window of time, by joint."""
+
+    mean_square_force: dict[str, Array]
+    mean_square_moment: dict[str, Array]
+
+    @property
+    def rms_force(self) -> dict[str, Array]:
+        """[N]"""
+        return {name: guarded_root(value) for name, value in self.mean_square_force.items()}
+
+    @property
+    def rms_moment(self) -> dict[str, Array]:
+        """[N m]"""
+        return {name: guarded_root(value) for name, value in self.mean_square_moment.items()}
+
+
 class DrivenJoint(eqx.Module):
     """The driven joint's own coordinate at the end: angle [rad] and rate [rad/s]."""
 
@@ -56,7 +83,10 @@ class Run(eqx.Module):
     largest energy), closure_drift [m], closure_drift_angle [rad], momentum_balance_error and
     hinge_moment_error (relative to the largest load), stabilisation_share (largest stabilising
     multiplier / largest multiplier).  status: code of `STATUS`.  centre_lines, nominal_lines: points
-    (3 columns) [m] along the links as assembled, and of the perfect mechanism.
+    (3 columns) [m] along the links as assembled, and of the perfect mechanism.  ends: where the far
+    end of every link is (T, 3) [m], global axes.  branch: assembly mode (T,) of every cut joint, +1 or
+    -1; a change of sign is a passage through a fold, after which derivatives and averages with runs
+    on the other side mean nothing.  integrals: of squared loads, for `window`.
     """
 
     times: Float[Array, "times"]
@@ -78,6 +108,23 @@ class Run(eqx.Module):
     status: Int[Array, ""]
     centre_lines: dict[str, Array]
     nominal_lines: dict[str, Array]
+    ends: dict[str, Array]
+    branch: dict[str, Array]
+    integrals: LoadIntegrals
+
+    def window(self, start: float, stop: float) -> WindowLoads:
+        """Loads over start <= t <= stop [s] of one run; exact where these are saved times, which
+        the integrals are interpolated between otherwise.  Differentiable; under vmap for a batch."""
+        span = stop - start
+
+        def mean(integral):
+            return (_at(stop, self.times, integral) - _at(start, self.times, integral)) / span
+
+        sums = self.integrals
+        return WindowLoads(
+            {name: mean(value) for name, value in sums.force_square.items()},
+            {name: mean(value) for name, value in sums.moment_square.items()},
+        )
 
     def summary(self) -> str:
         """A few lines for a person; one run, not a batch."""
@@ -103,6 +150,10 @@ class Run(eqx.Module):
 
     def __str__(self) -> str:
         return self.summary()
+
+
+def _at(time: float, times, values):
+    return jnp.interp(jnp.asarray(time, jnp.float64), jnp.asarray(times), jnp.asarray(values))
 
 
 def one_of(runs: Run, index: int) -> Run:

@@ -12,6 +12,7 @@ from rfem_jax.description import (
     MomentTable,
     PrescribedFunction,
     PrescribedRate,
+    PrescribedSpinUp,
     PrescribedTable,
 )
 
@@ -32,12 +33,20 @@ def spin_up(t, phase):
 
 
 SPIN = PrescribedFunction("A", spin_up, breakpoints=["1500 ms"])
+SPIN_UP = PrescribedSpinUp("A", 3.0, "1500 ms")
 MOMENTS = [RAMP, TABLE, WAVE]
-PRESCRIBED = [SLOW, STEADY, SPLINE, SWING, SPIN]
+PRESCRIBED = [SLOW, STEADY, SPLINE, SWING, SPIN, SPIN_UP]
 
 
 def phase_at(drive, t):
     return sum(t >= end for end in drive.breakpoints())
+
+
+def test_spin_up_is_the_law_of_the_benchmark():
+    for t in (0.0, 0.3, 0.8, 1.4999, 1.5, 2.7):
+        phase = phase_at(SPIN_UP, t)
+        expected = SPIN.turn(t, phase)
+        np.testing.assert_allclose(SPIN_UP.turn(t, phase), expected, rtol=1e-12, atol=1e-14)
 
 
 def test_ramp_is_equation_21():

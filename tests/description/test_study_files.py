@@ -17,6 +17,7 @@ from rfem_jax.description import (
     MomentRamp,
     MomentTable,
     PrescribedRate,
+    PrescribedSpinUp,
     PrescribedTable,
     Rectangle,
     Study,
@@ -207,6 +208,8 @@ def test_other_drives_and_what_may_be_left_out(load):
     assert isinstance(load(head + table + FULL[end:]).drive, MomentTable)
     table = 'kind = "prescribed_table"\ntimes = [0, 2]\nangles = [0, "1 rev"]\n'
     assert isinstance(load(head + table + FULL[end:]).drive, PrescribedTable)
+    table = 'kind = "prescribed_spin_up"\nrate = "60 rpm"\nrise_time = 0.2\n'
+    assert isinstance(load(head + table + FULL[end:]).drive, PrescribedSpinUp)
     bare = FULL[:start] + "[simulation]\nduration = 1\nstep = 1e-5\n"
     study = load(bare.replace('title = "Everything a file may hold"', ""))
     assert study.drive is None and study.mechanism.driven_joint is None

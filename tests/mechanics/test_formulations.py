@@ -13,7 +13,14 @@ from rfem_jax.mechanics.model import State
 from rfem_jax.mechanics.realisation import realise
 from rfem_jax.mechanics.reference_formulation import constraints, reference_accelerations
 
-from tests.mechanisms import ALL, four_bar, open_chain, random_state, some_errors
+from tests.mechanisms import (
+    ALL,
+    four_bar,
+    open_chain,
+    random_state,
+    some_errors,
+    three_link_loop,
+)
 
 GAINS = Stabilisation(3.0, 7.0, 0.3)
 STATES = 5
@@ -41,16 +48,24 @@ def close(realised, state):
     return State(unravel(flat), state.velocity)
 
 
-PAIRS = [(make, False) for make in ALL] + [(four_bar, True), (open_chain, True)]
+CASES = [
+    *[(make, "moment", "linear") for make in ALL],
+    (four_bar, "turned", "linear"),
+    (open_chain, "turned", "linear"),
+    (four_bar, "moment", "geometrically_exact"),
+    (three_link_loop, "moment", "geometrically_exact"),
+    (open_chain, "turned", "geometrically_exact"),
+]
 
 
 @pytest.fixture(
-    scope="module", params=PAIRS, ids=lambda pair: pair[0].__name__ + "-turned" * pair[1]
+    scope="module", params=CASES, ids=lambda case: "-".join([case[0].__name__, *case[1:]])
 )
 def compared(request):
     """Both formulations on random closed states with random errors, by a moment or a given turn."""
-    make, prescribed = request.param
-    model = discretise(make())
+    make, driven, elements = request.param
+    prescribed = driven == "turned"
+    model = discretise(make(), elements=elements)
     rng = np.random.default_rng(7)
 
     def both(errors, state):

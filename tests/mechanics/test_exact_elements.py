@@ -1,0 +1,201 @@
+"""Geometrically exact spring-damping elements: their energy, their wrenches, what must not change."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from rfem_jax import InputError, Mechanism, assembly_errors, discretise
+from rfem_jax.mechanics import elasticity
+from rfem_jax.mechanics.kinematics import relative_motion
+from rfem_jax.mechanics.model import Coordinates, State
+from rfem_jax.mechanics.realisation import realise
+from rfem_jax.mechanics.reference_formulation import exact_deflections, transforms
+
+from tests.mechanisms import four_bar, open_chain, random_state, some_errors
+
+
+def realised_chain(elements, errors=None):
+    model = discretise(open_chain(), elements=elements)
+    return model, realise(model, assembly_errors(model) if errors is None else errors)
+
+
+@pytest.fixture(scope="module")
+def exact():
+    """Model of the open chain with errors, realised, and a state far from equilibrium."""
+    model = discretise(open_chain(), elements="geometrically_exact")
+    rng = np.random.default_rng(3)
+    realised = realise(model, some_errors(model, rng))
+    return model, realised, random_state(model, rng)
+
+
+def generalised(realised, state):
+    relative = relative_motion(realised, state.position, state.velocity)
+    return elasticity.generalised_forces(realised, state, relative)
+
+
+def with_elastic(position, elastic):
+    return Coordinates(position.angles, elastic)
+
+
+def at_rest(position):
+    return State(position, jax.tree.map(jnp.zeros_like, position))
+
+
+@jax.jit
+def spring_forces(realised, elastic):
+    position = Coordinates(jnp.zeros(realised.topology.n_links), elastic)
+    return generalised(realised, at_rest(position))
+
+
+def energy(realised, elastic):
+    position = Coordinates(jnp.zeros(realised.topology.n_links), elastic)
+    return elasticity.elastic_energy(realised, position)
+
+
+def test_spring_forces_are_minus_the_gradient_of_the_energy(exact):
+    _, realised, state = exact
+    slope = np.asarray(jax.jit(jax.grad(energy, argnums=1))(realised, state.position.elastic))
+    forces = np.asarray(spring_forces(realised, state.position.elastic))
+    scale = np.abs(slope).max(axis=1, keepdims=True)
+    np.testing.assert_allclose(forces / scale, -slope / scale, rtol=0, atol=1e-11)
+
+
+def test_dampers_take_out_the_dissipated_power(exact):
+    """Also: their generalised forces are minus half the slope of the power in the rates."""
+    _, realised, state = exact
+
+    @jax.jit
+    def both(realised, state):
+        damping = generalised(realised, state) - generalised(realised, at_rest(state.position))
+
+        def power(rates):
+            velocity = Coordinates(state.velocity.angles, rates)
+            return elasticity.dissipated_power(realised, State(state.position, velocity))
+
+        value, slope = jax.value_and_grad(power)(state.velocity.elastic)
+        return damping, value, slope
+
+    damping, power, slope = map(np.asarray, both(realised, state))
+    assert power > 1.0
+    np.testing.assert_allclose(-np.sum(damping * state.velocity.elastic), power, rtol=1e-9)
+    np.testing.assert_allclose(damping, -0.5 * slope, rtol=0, atol=1e-9 * np.abs(slope).max())
+
+
+def test_rates_of_the_deflections_are_their_derivatives(exact):
+    _, realised, state = exact
+
+    @jax.jit
+    def both(realised, state):
+        def stretch(position):
+            return elasticity.deflections(realised, at_rest(position))[0]
+
+        along = jax.jvp(stretch, (state.position,), (state.velocity,))[1]
+        return along, elasticity.deflections(realised, state)[1]
+
+    along, rate = map(np.asarray, both(realised, state))
+    np.testing.assert_allclose(rate, along, rtol=1e-10, atol=1e-12 * np.abs(along).max())
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-9, 1e-4, 0.04, 0.15, 0.5, 1.0])
+def test_deflections_meet_the_literal_ones_at_every_size(exact, size):
+    """From angles inside the series to turns beyond 90 deg between neighbours."""
+    _, realised, state = exact
+    position = with_elastic(state.position, size * state.position.elastic)
+    ours, _ = elasticity.deflections(realised, at_rest(position))
+    literal = exact_deflections(realised, jnp.stack(transforms(realised, position)))
+    # The literal ones subtract places of global size.
+    np.testing.assert_allclose(ours[:3], literal[:3], rtol=0, atol=1e-15)
+    np.testing.assert_allclose(ours[3:], literal[3:], rtol=1e-14, atol=1e-15)
+    largest = np.sqrt(np.max(np.sum(np.asarray(literal[3:]) ** 2, axis=0)))
+    assert 0.2 * size <= largest <= 2.0 * size
+
+
+def angles_of(rotation):
+    """Angles of R = R_y R_z R_x."""
+    return jnp.stack([
+        jnp.arctan2(-rotation[1, 2], rotation[1, 1]),
+        jnp.arctan2(-rotation[2, 0], rotation[0, 0]),
+        jnp.arcsin(rotation[1, 0]),
+    ])
+
+
+def test_a_rigid_motion_of_both_faces_changes_nothing(exact):
+    """All free rfes of a link turn and shift together: only its first sde notices."""
+    _, realised, state = exact
+    spin, shift = jnp.array([0.3, -0.5, 0.4]), jnp.array([0.02, 0.01, -0.03])
+    skew = jnp.cross(jnp.eye(3), spin)
+    relative = relative_motion(realised, state.position, state.velocity)
+
+    def moved(share):
+        turn = jax.scipy.linalg.expm(share * skew)
+        place = turn @ relative.position + share * shift[:, None]
+        u = place.at[0].add(-realised.rest)
+        turned = jnp.einsum("ij,jkn->ikn", turn, relative.rotation)
+        return jnp.concatenate([u, jax.vmap(angles_of, 2, 1)(turned)])
+
+    def stretch(share):
+        position = with_elastic(state.position, moved(share))
+        return elasticity.deflections(realised, at_rest(position))[0]
+
+    (before, rate), after = jax.jit(
+        lambda: (jax.jvp(stretch, (0.0,), (1.0,)), stretch(0.8))
+    )()
+    first = [a for a, b in realised.topology.ranges if b > a]
+    inner = np.setdiff1d(np.arange(realised.topology.n_rfes), first)
+    np.testing.assert_allclose(after[:, inner], before[:, inner], rtol=0, atol=1e-14)
+    np.testing.assert_allclose(rate[:, inner], 0.0, atol=1e-14)
+    assert np.abs(after[:, first] - before[:, first]).min(axis=1).max() > 0.1
+
+
+def test_both_forms_have_the_same_stiffness_when_undeformed():
+    """The Hessian of the exact energy, by differentiating twice at zero, is the linear stiffness."""
+    hessians = []
+    for elements in ("linear", "geometrically_exact"):
+        _, realised = realised_chain(elements)
+        zero = jnp.zeros((6, realised.topology.n_rfes))
+        hessian = jax.jit(jax.hessian(energy, argnums=1))(realised, zero)
+        by_force = -jax.jit(jax.jacfwd(spring_forces, argnums=1))(realised, zero)
+        n = zero.size
+        hessians += [np.asarray(hessian).reshape(n, n), np.asarray(by_force).reshape(n, n)]
+    scale = np.sqrt(np.diag(hessians[0]))
+    for other in hessians[1:]:
+        gap = (other - hessians[0]) / scale[:, None] / scale[None, :]
+        np.testing.assert_allclose(gap, 0.0, atol=1e-12)
+
+
+def test_second_derivatives_of_forces_at_zero_are_those_nearby():
+    """No limit of a quotient, root or inverse sine may make them NaN or wrong."""
+    _, realised = realised_chain("geometrically_exact")
+    zero = jnp.zeros((6, realised.topology.n_rfes))
+    curve = jax.jit(jax.jacfwd(jax.jacrev(spring_forces, argnums=1), argnums=1))
+    at_zero = np.asarray(curve(realised, zero))
+    nearby = np.asarray(curve(realised, zero + 1e-8))
+    assert np.isfinite(at_zero).all() and np.abs(at_zero).max() > 1.0
+    np.testing.assert_allclose(at_zero, nearby, rtol=0, atol=1e-6 * np.abs(nearby).max())
+
+
+def test_both_forms_differ_in_second_order(exact):
+    _, _, state = exact
+    gaps = []
+    for size in (1e-3, 5e-4):
+        elastic = size * state.position.elastic
+        linear, large = (
+            np.asarray(spring_forces(realised_chain(elements)[1], elastic))
+            for elements in ("linear", "geometrically_exact")
+        )
+        gaps.append(np.abs(large - linear).max(axis=1) / np.abs(linear).max(axis=1))
+    assert gaps[0].max() < 0.05
+    np.testing.assert_allclose(gaps[0] / gaps[1], 2.0, rtol=0.02)
+
+
+def test_the_choice_of_elements():
+    """By the mechanism, or by `discretise`, which has the last word; an unknown one is refused."""
+    described = four_bar(elements="geometrically_exact")
+    assert discretise(described).topology.exact
+    assert not discretise(described, elements="linear").topology.exact
+    assert not discretise(four_bar()).topology.exact
+    with pytest.raises(InputError, match="`elements` must be one of"):
+        discretise(four_bar(), elements="exact")
+    with pytest.raises(InputError, match="geometrically_exact"):
+        Mechanism(described.links, described.joints, elements="geometricaly_exact")

@@ -1,0 +1,89 @@
+"""What a run keeps at its saved times beside the loads: ends of links, branch, integrals of loads."""
+
+import equinox as eqx
+import jax
+import numpy as np
+import pytest
+
+from rfem_jax import Joint, Mechanism, assembly_errors, discretise
+from rfem_jax.mechanics.cut_joints import assembly_modes, closure
+from rfem_jax.mechanics.kinematics import motion
+from rfem_jax.mechanics.loads import static_state
+from rfem_jax.mechanics.realisation import realise
+from rfem_jax.mechanics.statics import length_scale
+
+from tests.mechanisms import link
+
+
+@pytest.fixture(scope="module")
+def run(small):
+    return jax.tree.map(np.asarray, small.run({"D.delta_x": 0.004}))
+
+
+def test_ends_of_a_rigid_crank_and_of_two_links_that_meet(run):
+    direction = np.stack([np.cos(run.angle), 0.0 * run.angle, -np.sin(run.angle)], axis=1)
+    np.testing.assert_allclose(run.ends["crank"], 0.12 * direction, rtol=0, atol=1e-12)
+    assert np.ptp(run.ends["coupler"], axis=0)[2] > 1e-4  # it moves
+    np.testing.assert_allclose(run.ends["coupler"], run.ends["rocker"], rtol=0, atol=1e-9)
+    for name, line in run.centre_lines.items():
+        np.testing.assert_allclose(run.ends[name][0], line[-1], rtol=0, atol=1e-12)
+
+
+def test_window_is_the_mean_over_its_times(run):
+    whole = run.window(0.0, run.times[-1])
+    first, second = run.window(0.0, 0.01), run.window(0.01, 0.02)
+    for joint in "ABCD":
+        for kind in ("force", "moment"):
+            total = getattr(run.metrics, f"mean_square_{kind}")[joint]
+            np.testing.assert_allclose(getattr(whole, f"mean_square_{kind}")[joint], total, rtol=1e-9)
+            halves = [getattr(part, f"mean_square_{kind}")[joint] for part in (first, second)]
+            np.testing.assert_allclose(np.mean(halves), total, rtol=1e-9)
+            assert abs(halves[0] - halves[1]) > 1e-3 * total  # so that the halves say something
+            np.testing.assert_allclose(
+                getattr(first, f"rms_{kind}")[joint] ** 2, halves[0], rtol=1e-12
+            )
+
+
+def test_derivative_of_a_window(small):
+    def load(tilt):
+        return small.run({"D.delta_x": tilt}).window(0.01, 0.02).mean_square_moment["D"]
+
+    step = 1e-5
+    differences = (load(0.004 + step) - load(0.004 - step)) / (2.0 * step)
+    np.testing.assert_allclose(jax.jacfwd(load)(0.004), differences, rtol=1e-6)
+
+
+def four_bar_on_the_side(sign):
+    """The study's four-bar closed with C above (+1) or below (-1) the line from B to D."""
+    b, d, length = np.array([0.0, 0.12]), np.array([0.3, 0.0]), 0.3
+    across = d - b
+    half = 0.5 * np.linalg.norm(across)
+    normal = np.array([-across[1], across[0]]) / (2.0 * half)
+    c = b + 0.5 * across + sign * np.sqrt(length**2 - half**2) * normal
+
+    def angle(v):
+        return -np.arctan2(v[1], v[0])
+
+    joints = [
+        Joint("A", "base", "crank", position=(0, 0, 0), angle=-np.pi / 2),
+        Joint("B", "crank", "coupler", angle=angle(c - b) + np.pi / 2),
+        Joint("D", "base", "rocker", position=(0.3, 0, 0), angle=angle(c - d)),
+        Joint("C", "coupler", "rocker", cut=True),
+    ]
+    links = [link("crank", 0.12), link("coupler", 0.3, 3), link("rocker", 0.3, 3)]
+    return discretise(Mechanism(links, joints, driven_joint="A"))
+
+
+@eqx.filter_jit
+def mode_of(model):
+    realised = realise(model, assembly_errors(model))
+    now = motion(realised, static_state(model.start_coordinates()))
+    return assembly_modes(realised, now, closure(realised, now, length_scale(model)))
+
+
+def test_the_two_ways_to_close_a_four_bar_are_two_branches(run):
+    above, below = (float(mode_of(four_bar_on_the_side(sign))[0]) for sign in (1.0, -1.0))
+    # y is into the plane seen with x right and z up: (C - B) x (C - D) is along +y for C above.
+    assert (above, below) == (1.0, -1.0)
+    assert list(run.branch) == ["C"]
+    np.testing.assert_array_equal(run.branch["C"], 1.0)
