@@ -14,7 +14,7 @@ class Status(NamedTuple):
     message: str
 
 
-OK, NOT_ASSEMBLED, WRONG_SIDE, DIVERGED, DRIFTED, STEPS_EXHAUSTED = range(6)
+OK, NOT_ASSEMBLED, WRONG_SIDE, DIVERGED, DRIFTED, STEPS_EXHAUSTED, NOT_CONVERGED = range(7)
 
 STATUS: tuple[Status, ...] = (
     Status("ok", "The run is complete and passed its checks."),
@@ -44,5 +44,11 @@ STATUS: tuple[Status, ...] = (
         "steps_exhausted",
         "The adaptive method used up its steps. Usually the motion is stiffer than the method can "
         "follow; use a fixed step or looser tolerances.",
+    ),
+    Status(
+        "not_converged",
+        "An implicit step did not balance the equations of motion within a twentieth of the largest "
+        "joint force. Usually the step is too large for the motion; more corrections a step, or links "
+        "that bend less, do the same.",
     ),
 )

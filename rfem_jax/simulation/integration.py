@@ -38,7 +38,7 @@ from rfem_jax.mechanics.statics import (
     quasi_static_rates,
     static_loads,
 )
-from rfem_jax.mechanics.status import DIVERGED, DRIFTED, OK, STEPS_EXHAUSTED
+from rfem_jax.mechanics.status import DIVERGED, DRIFTED, NOT_CONVERGED, OK, STEPS_EXHAUSTED
 from rfem_jax.simulation import equations
 from rfem_jax.simulation.equations import Conditions, Trajectory
 from rfem_jax.simulation.generalised_alpha import GeneralisedAlpha, Memory
@@ -50,6 +50,7 @@ from rfem_jax.simulation.time_grid import TimeGrid, divide_time
 STABILISATION = 0.02
 ADAPTIVE_STABILISATION_RATE = 1e3
 DRIFT_LIMIT = 1e-6
+RESIDUAL_LIMIT = 0.05
 MAX_ADAPTIVE_STEPS = 100_000
 
 
@@ -303,6 +304,7 @@ def conclude(model: Model, prepared: Prepared, carry: Carry, record: Record, gri
     balance = energy.total - energy.work + energy.dissipation
     error = jnp.max(jnp.abs(balance - balance[0])) / _safe(jnp.max(jnp.abs(energy.total)))
     drift = jnp.max(record.drift)
+    residual = carry.residual / _safe(jnp.max(record.largest_load[:, 0]))
     relative = jnp.max(record.momentum_residual, axis=0) / _safe(jnp.max(record.largest_load, axis=0))
     nothing = jnp.zeros_like(times)
     angle = nothing if driven is None else record.angles[:, driven]
@@ -327,7 +329,8 @@ def conclude(model: Model, prepared: Prepared, carry: Carry, record: Record, gri
         momentum_balance_error=jnp.max(relative),
         hinge_moment_error=jnp.max(record.hinge_residual) / _safe(jnp.max(record.largest_load[:, 1])),
         stabilisation_share=jnp.max(record.stabilising) / _safe(jnp.max(record.multiplier)),
-        status=_status(model, prepared, carry, error, drift),
+        solution_residual=residual,
+        status=_status(model, prepared, carry, error, drift, residual),
         centre_lines=link_lines(model, prepared.realised, prepared.state.position),
         nominal_lines=link_lines(
             model, realise(model, assembly_errors(model)), model.start_coordinates()
@@ -355,11 +358,12 @@ def metrics_of(model: Model, carry: Carry, duration) -> Metrics:
     )
 
 
-def _status(model, prepared: Prepared, carry: Carry, error, drift):
+def _status(model, prepared: Prepared, carry: Carry, error, drift, residual):
     finite = jnp.isfinite(error) & jnp.all(jnp.isfinite(carry.peaks))
     for leaf in jax.tree.leaves(carry.trajectory):
         finite = finite & jnp.all(jnp.isfinite(leaf))
     code = jnp.where(drift < DRIFT_LIMIT * length_scale(model), OK, DRIFTED)
+    code = jnp.where(residual < RESIDUAL_LIMIT, code, NOT_CONVERGED)
     code = jnp.where(carry.exhausted, STEPS_EXHAUSTED, code)
     code = jnp.where(finite, code, DIVERGED)
     return jnp.where(prepared.status == OK, code, prepared.status).astype(jnp.int32)
