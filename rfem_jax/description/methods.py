@@ -15,7 +15,9 @@ from rfem_jax.description.units import non_negative_quantity, positive_quantity
 OWN_METHODS = ("rk4", "leapfrog")  # fixed step
 ADAPTIVE_METHODS = ("tsit5", "dopri5", "dopri8", "bosh3", "heun", "midpoint", "ralston")
 FIXED_METHODS = (*OWN_METHODS, "euler")
-METHODS = (*OWN_METHODS, *ADAPTIVE_METHODS, "euler", "auto")
+IMPLICIT_METHODS = ("generalised_alpha",)
+METHODS = (*OWN_METHODS, *IMPLICIT_METHODS, *ADAPTIVE_METHODS, "euler", "auto")
+SPECTRAL_RADIUS, CORRECTIONS = 0.6, 3
 
 
 @dataclass(frozen=True)
@@ -30,6 +32,9 @@ class Method:
         rtol, atol: tolerances, > 0.
         stabilisation: Baumgarte gain, >= 0; None = the default, 0 = none.
         accuracy: > 0, < 1; for "auto" only, which chooses step and tolerances itself.
+        spectral_radius: of "generalised_alpha" at infinite frequency, from 0 (such vibrations vanish in one
+            step) to below 1 (they stay); default 0.6.
+        corrections: of Newton's method in every step of "generalised_alpha", at least 1; default 3.
     Raises:
         InputError: an unknown name, a value out of range, or settings that do not fit the method.
     """
@@ -40,6 +45,8 @@ class Method:
     atol: float | None = None
     stabilisation: float | None = None
     accuracy: float | None = None
+    spectral_radius: float | None = None
+    corrections: int | None = None
 
     def __post_init__(self):
         require_choice(self.name, METHODS, "`name` of the method")
@@ -48,6 +55,7 @@ class Method:
         self._set("atol", positive_quantity, "none")
         self._set("stabilisation", non_negative_quantity, "none")
         self._set("accuracy", positive_quantity, "none")
+        self._check_implicit()
         tolerances = self.rtol is not None or self.atol is not None
         if self.name == "auto":
             self._check_auto(tolerances)
@@ -57,15 +65,16 @@ class Method:
                 'Argument `accuracy` must be left out unless the method is "auto", but the method '
                 f'is "{self.name}"; remove it, or use method = "auto".'
             )
-        if self.name in FIXED_METHODS and tolerances:
+        if self.name in (*FIXED_METHODS, *IMPLICIT_METHODS) and tolerances:
             raise InputError(
                 f'Arguments `rtol` and `atol` must be left out with the method "{self.name}", '
                 'whose step is fixed, but were given; remove them, or use for example "dopri8".'
             )
-        if self.name in FIXED_METHODS and self.step is None:
+        if self.name in (*FIXED_METHODS, *IMPLICIT_METHODS) and self.step is None:
+            example = "1e-3" if self.implicit else "1e-5"
             raise InputError(
                 f'Argument `step` must be given for the method "{self.name}", but is missing; '
-                "add for example step = 1e-5."
+                f"add for example step = {example}."
             )
         if self.name in ADAPTIVE_METHODS:
             self._check_adaptive(tolerances)
@@ -74,6 +83,41 @@ class Method:
     def adaptive(self) -> bool:
         """True if the method chooses its steps from tolerances."""
         return self.rtol is not None
+
+    @property
+    def implicit(self) -> bool:
+        """True if every step solves equations."""
+        return self.name in IMPLICIT_METHODS
+
+    def _check_implicit(self) -> None:
+        for field, default in (("spectral_radius", SPECTRAL_RADIUS), ("corrections", CORRECTIONS)):
+            if not self.implicit and getattr(self, field) is not None:
+                raise InputError(
+                    f'Argument `{field}` must be left out unless the method is "generalised_alpha", '
+                    f'but the method is "{self.name}"; remove it.'
+                )
+            if self.implicit and getattr(self, field) is None:
+                object.__setattr__(self, field, default)
+        if not self.implicit:
+            return
+        if self.stabilisation is not None:
+            raise InputError(
+                'Argument `stabilisation` must be left out with the method "generalised_alpha", which '
+                "closes the joints in every step, but was given; remove it."
+            )
+        self._set("spectral_radius", non_negative_quantity, "none")
+        if self.spectral_radius >= 1.0:
+            raise InputError(
+                "Argument `spectral_radius` must be less than 1, but is "
+                f"{self.spectral_radius:g}: the joint loads would oscillate from step to step; "
+                f"the default is {SPECTRAL_RADIUS}."
+            )
+        count = self.corrections
+        if isinstance(count, bool) or count != int(count) or count < 1:
+            raise InputError(
+                f"Argument `corrections` must be a whole number of at least 1, but is {count}; the "
+                f"default is {CORRECTIONS}."
+            )
 
     def _check_auto(self, tolerances: bool) -> None:
         if self.step is not None or tolerances:

@@ -188,7 +188,7 @@ def _loaded_free(topology: Topology) -> tuple[int, ...]:
     return tuple(sorted(nodes - set(_branching(topology))))
 
 
-def _island(topology: Topology, node: int) -> int:
+def island(topology: Topology, node: int) -> int:
     """The node that roots the island of hinged bodies to which `node` belongs."""
     while node < topology.n_links and topology.parents[node] != BASE:
         node = topology.parents[node]
@@ -204,7 +204,7 @@ def _skeleton(realised, state: State, now: Motion, force: Array, moment: Array) 
         points = jnp.concatenate([now.hinges.point, where[:, n:]], axis=1)
         rows = {node: i for i, node in enumerate((*range(n), *branching))}
         point = jnp.stack(
-            [points[:, rows[_island(topology, node)]] for node in rows], axis=1
+            [points[:, rows[island(topology, node)]] for node in rows], axis=1
         )
         velocity = _shifted(velocity, point)
 
@@ -248,7 +248,7 @@ def _shifted(motion: Array, point: Array) -> Array:
     return algebra.spatial(motion[:3], motion[3:] + cross(motion[:3], point))
 
 
-def _unit_columns(topology: Topology, cuts: Closure, node: int, point: Array) -> Array:
+def unit_columns(topology: Topology, cuts: Closure, node: int, point: Array) -> Array:
     """Wrenches (6, 5 C) on one node of unit multipliers of all cut joints."""
     columns = []
     for i, j in enumerate(topology.cuts):
@@ -265,12 +265,12 @@ def _load_columns(topology, cuts, skeleton: Skeleton) -> dict[int, Array]:
     """Columns of loads on the skeleton's nodes: applied ones, then, in islands that a cut joint
     loads, unit multipliers."""
     sides = topology.parents[topology.n_links :] + topology.children[topology.n_links :]
-    loaded = {_island(topology, node) for node in sides if node != BASE}
+    loaded = {island(topology, node) for node in sides if node != BASE}
     loads = {}
     for i, node in enumerate((*range(topology.n_links), *_branching(topology))):
         loads[node] = skeleton.load[:, None, i]
-        if _island(topology, node) in loaded:
-            unit = _unit_columns(topology, cuts, node, skeleton.point[:, i])
+        if island(topology, node) in loaded:
+            unit = unit_columns(topology, cuts, node, skeleton.point[:, i])
             loads[node] = jnp.concatenate([loads[node], unit], axis=1)
     return loads
 
@@ -349,7 +349,7 @@ def _free_responses(realised, now: Motion, cuts, angular, linear) -> dict[int, A
             applied = algebra.spatial(
                 apply(turn, angular[:, k]), apply(turn, linear[:, k]) - centripetal[:, i]
             )
-            unit = _unit_columns(topology, cuts, node, where[:, i])
+            unit = unit_columns(topology, cuts, node, where[:, i])
             response = product(mobility[:, :, i], unit)
             responses[node] = jnp.concatenate([applied[:, None], response], axis=1)
         return responses
@@ -368,7 +368,7 @@ def _multipliers(topology, cuts, now, skeleton: Skeleton, response, stabilisatio
         )):
             if node == BASE:
                 continue
-            unit = _unit_columns(topology, cuts, node, points[node])
+            unit = unit_columns(topology, cuts, node, points[node])
             rows = rows + product(algebra.transpose(unit), response[node])
 
         def by_cut(values):

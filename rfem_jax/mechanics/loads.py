@@ -78,18 +78,23 @@ def joint_loads(realised: Realisation, result: Accelerations, drive: DriveInput)
 
 def chain_loads(
     realised: Realisation, result: Accelerations | Resting, angular, linear, drive: DriveInput
-) -> JointLoads:
+) -> tuple[JointLoads, Array]:
     """Loads of all joints by Newton-Euler over all rfes from the chains' ends to the base, for
-    accelerations (3, nodes) in link axes."""
+    accelerations (3, nodes) in link axes, and the wrench (6,) at the origin that the base exerts."""
     with jax.named_scope("chain_loads"):
-        topology = realised.topology
         inertial = inertial_loads(realised, result.motion, angular, linear)
         wrenches = chain_wrenches(
             realised, result.motion, result.closure, result.multipliers, inertial
         )
-        links = jnp.stack(wrenches[: topology.n_links], axis=1)
-        moment = links[:3] - cross(result.motion.hinges.point, links[3:])
-        return _in_hinge_frames(topology, result, links[3:], moment, drive)
+        loads = loads_of_wrenches(realised.topology, result, wrenches, drive)
+        return loads, base_wrench(realised.topology, wrenches)
+
+
+def loads_of_wrenches(topology: Topology, result, wrenches, drive: DriveInput) -> JointLoads:
+    """Loads of all joints from the wrenches at the global origin of `chain_wrenches`."""
+    links = jnp.stack(wrenches[: topology.n_links], axis=1)
+    moment = links[:3] - cross(result.motion.hinges.point, links[3:])
+    return _in_hinge_frames(topology, result, links[3:], moment, drive)
 
 
 def _in_hinge_frames(topology: Topology, result, force, moment, drive: DriveInput) -> JointLoads:
@@ -205,25 +210,26 @@ def energies(realised: Realisation, state: State) -> Energies:
     )
 
 
+def base_wrench(topology: Topology, wrenches) -> Array:
+    """Wrench (6,) at the global origin that the base exerts, from those of all joints."""
+    return sum(w for w, parent in zip(wrenches, topology.parents) if parent == BASE)
+
+
 def momentum_residual(
-    realised: Realisation, state: State, result: Accelerations
+    realised: Realisation, state: State, accelerations: Coordinates, base: Array
 ) -> tuple[Array, Array]:
     """Base reactions + gravity - d/dt of the total momentum: force (3,) and moment (3,).
 
     The rate of momentum comes from differentiating the momenta along (q_dot, q_ddot), independently
-    of the equations that give the reactions.
+    of the equations that give the reactions `base` (6,).
     """
-    topology = realised.topology
 
     def along(position, velocity):
         return momentum(realised, State(position, velocity))
 
-    tangents = (state.velocity, result.coordinates)
+    tangents = (state.velocity, accelerations)
     _, (linear_rate, angular_rate) = jax.jvp(along, (state.position, state.velocity), tangents)
-    inertial = inertial_loads(realised, result.motion, result.angular, result.linear)
-    wrenches = chain_wrenches(realised, result.motion, result.closure, result.multipliers, inertial)
-    base = sum(wrenches[j] for j in range(len(topology.joints)) if topology.parents[j] == BASE)
-    _, centre, _, _ = velocities(realised, result.motion)
+    _, centre, _, _ = velocities(realised, motion(realised, state))
     weight = realised.mass[None] * realised.gravity[:, None]
     return (
         base[3:] + jnp.sum(weight, axis=1) - linear_rate,

@@ -238,7 +238,7 @@ def static_loads(
     now = motion(realised, state)
     at_rest = jnp.zeros((3, realised.mass.shape[0]))
     resting = loads.Resting(now, closure(realised, now, length_scale(model)), multipliers)
-    return loads.chain_loads(realised, resting, at_rest, at_rest, DriveInput())
+    return loads.chain_loads(realised, resting, at_rest, at_rest, DriveInput())[0]
 
 
 def named(model: Model, joint_loads: loads.JointLoads) -> dict[str, Load]:

@@ -14,7 +14,7 @@ class Status(NamedTuple):
     message: str
 
 
-OK, NOT_ASSEMBLED, WRONG_SIDE, DIVERGED, DRIFTED, STEPS_EXHAUSTED, OUT_OF_RANGE = range(7)
+OK, NOT_ASSEMBLED, WRONG_SIDE, DIVERGED, DRIFTED, STEPS_EXHAUSTED, OUT_OF_RANGE, NOT_CONVERGED = range(8)
 
 STATUS: tuple[Status, ...] = (
     Status("ok", "The run is complete and passed its checks."),
@@ -51,5 +51,11 @@ STATUS: tuple[Status, ...] = (
         "spring-damping elements, whose results are inaccurate well below that (use elements = "
         '"geometrically_exact"); with geometrically exact ones beyond 80 deg out of the plane of '
         "motion, where their angles become singular.",
+    ),
+    Status(
+        "not_converged",
+        "An implicit step did not balance the equations of motion within a twentieth of the largest "
+        "joint force. Usually the step is too large for the motion; more corrections a step, or links "
+        "that bend less, do the same.",
     ),
 )

@@ -37,7 +37,7 @@ def run_cases(
     errors = jax.tree.map(lambda *leaves: jnp.stack(leaves), *errors)
     method = choose_method(model, study.method, study.drive)
     grid, steps = integration.grid_for(study.drive, study.duration, method, study.save_every)
-    prepared, carry = _prepare(model, errors, study.drive, grid)
+    prepared, carry = _prepare(model, errors, study.drive, method)
     records = []
     for piece in _pieces(grid):
         carry, record = _advance(
@@ -53,26 +53,18 @@ def run_cases(
 
 
 def _pieces(grid: TimeGrid):
-    """The grid in pieces of equal size (one compiled program); the last one is filled up with
-    intervals of length zero, which change nothing."""
+    """The grid in pieces of equal size, one compiled program."""
     count = len(grid.starts)
     size = -(-count // PIECES)
     for first in range(0, count, size):
-        piece = TimeGrid(*(part[first : first + size] for part in grid))
-        missing = size - len(piece.starts)
-        end = piece.starts[-1] + piece.lengths[-1]
-        yield TimeGrid(
-            np.append(piece.starts, np.full(missing, end)),
-            np.append(piece.lengths, np.zeros(missing)),
-            np.append(piece.phases, np.full(missing, piece.phases[-1])).astype(np.int32),
-        )
+        yield grid.piece(first, size)
 
 
 @eqx.filter_jit
-def _prepare(model, errors, drive, grid):
+def _prepare(model, errors, drive, method):
     def one(errors):
         prepared = integration.prepare(model, errors, drive, None)
-        return prepared, integration.start_carry(prepared, grid)
+        return prepared, integration.start_carry(model, prepared, drive, method)
 
     return jax.vmap(one)(errors)
 

@@ -24,11 +24,9 @@ from rfem_jax.description.drives import MomentDrive, PrescribedDrive
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.methods import Method
 from rfem_jax.mechanics import loads
-from rfem_jax.mechanics.centre_lines import link_ends, link_lines
-from rfem_jax.mechanics.cut_joints import assembly_modes
+from rfem_jax.mechanics.centre_lines import link_lines
 from rfem_jax.mechanics.discretisation import require_double_precision
 from rfem_jax.mechanics.dynamics import Stabilisation
-from rfem_jax.mechanics.kinematics import range_used
 from rfem_jax.mechanics.model import Model, State
 from rfem_jax.mechanics.realisation import AssemblyErrors, Realisation, assembly_errors, realise
 from rfem_jax.mechanics.statics import (
@@ -40,16 +38,26 @@ from rfem_jax.mechanics.statics import (
     quasi_static_rates,
     static_loads,
 )
-from rfem_jax.mechanics.status import DIVERGED, DRIFTED, OK, OUT_OF_RANGE, STEPS_EXHAUSTED
+from rfem_jax.mechanics.status import (
+    DIVERGED,
+    DRIFTED,
+    NOT_CONVERGED,
+    OK,
+    OUT_OF_RANGE,
+    STEPS_EXHAUSTED,
+)
 from rfem_jax.simulation import equations
 from rfem_jax.simulation.equations import Conditions, Trajectory
-from rfem_jax.simulation.run import DrivenJoint, Energy, LoadIntegrals, Metrics, Run
+from rfem_jax.simulation.generalised_alpha import GeneralisedAlpha, Memory
+from rfem_jax.simulation.observation import Record, observe, solved_instant
+from rfem_jax.simulation.run import DrivenJoint, LoadIntegrals, Metrics, Run
 from rfem_jax.simulation.solvers import PeakTracking, make_solver
 from rfem_jax.simulation.time_grid import TimeGrid, divide_time
 
 STABILISATION = 0.02
 ADAPTIVE_STABILISATION_RATE = 1e3
 DRIFT_LIMIT = 1e-6
+RESIDUAL_LIMIT = 0.05
 MAX_ADAPTIVE_STEPS = 100_000
 
 
@@ -63,33 +71,16 @@ class Prepared(NamedTuple):
 
 
 class Carry(NamedTuple):
-    """What goes from interval to interval."""
+    """What goes from interval to interval: trajectory; peaks: squared maxima (2, joints); exhausted: an
+    adaptive method ran out of steps; last_step of an adaptive method [s]; memory of an implicit method;
+    residual: largest force [N] left over in its equations."""
 
     trajectory: Trajectory
     peaks: Array
     exhausted: Array
     last_step: Array
-
-
-class Record(NamedTuple):
-    """What is recorded at the end of every interval."""
-
-    angles: Array
-    rates: Array
-    drive_moment: Array
-    loads: loads.JointLoads
-    energy: Energy
-    drift: Array
-    drift_angle: Array
-    momentum_residual: Array
-    largest_load: Array
-    hinge_residual: Array
-    stabilising: Array
-    multiplier: Array
-    range_used: Array
-    ends: Array
-    branch: Array
-    square_integrals: Array
+    memory: Memory | None
+    residual: Array
 
 
 def simulate(
@@ -130,13 +121,13 @@ def grid_for(drive, duration, method: Method, save_every) -> tuple[TimeGrid, int
             "replace it by `choose_method(model, method, drive)`, which chooses the step."
         )
     jumps = () if drive is None else drive.breakpoints()
-    return divide_time(duration, method.step, save_every, jumps)
+    return divide_time(duration, method.step, save_every, jumps, method.implicit)
 
 
 @eqx.filter_jit
 def _simulate(model, errors, drive, grid, start, method, steps, adjoint):
     prepared = prepare(model, errors, drive, start)
-    carry = start_carry(prepared, grid)
+    carry = start_carry(model, prepared, drive, method)
     carry, record = advance(model, prepared.realised, drive, carry, grid, method, steps, adjoint)
     return conclude(model, prepared, carry, record, grid)
 
@@ -164,14 +155,23 @@ def prepare(model: Model, errors: AssemblyErrors, drive, start: State | None) ->
         return Prepared(realised, state, preload, status)
 
 
-def start_carry(prepared: Prepared, grid: TimeGrid) -> Carry:
+def start_carry(model: Model, prepared: Prepared, drive, method: Method) -> Carry:
     """The carry before the first interval."""
     joints = prepared.preload.force.shape[1]
+    trajectory = equations.start_trajectory(prepared.state, joints)
+    memory = None
+    if method.implicit:
+        drive = equations.with_start_angle(model, drive)
+        phase, stabilisation = jnp.asarray(0, jnp.int32), stabilisation_of(model, method)
+        conditions = Conditions(prepared.realised, drive, phase, stabilisation)
+        memory = GeneralisedAlpha(method).start(conditions, trajectory)
     return Carry(
-        trajectory=equations.start_trajectory(prepared.state, joints),
+        trajectory=trajectory,
         peaks=jnp.zeros((2, joints)),
         exhausted=jnp.zeros((), bool),
         last_step=jnp.asarray(1e-7),
+        memory=memory,
+        residual=jnp.zeros(()),
     )
 
 
@@ -179,20 +179,64 @@ def advance(model, realised, drive, carry, grid: TimeGrid, method: Method, steps
     """Integrate over the intervals of a grid; returns the carry and a `Record` of each end."""
     drive = equations.with_start_angle(model, drive)
     stabilisation = stabilisation_of(model, method)
-    solver = PeakTracking(make_solver(method), equations.peaks)
+    if method.implicit:
+        implicit = GeneralisedAlpha(method)
+        operators = implicit.operators(model, jnp.asarray(grid.distinct) / steps)
+    else:
+        solver = PeakTracking(make_solver(method), equations.peaks)
 
     def interval(carry, entry):
-        start, length, phase = entry
+        start, length, phase, kind = entry
         conditions = Conditions(realised, drive, phase, stabilisation)
-        if method.adaptive:
+        if method.implicit:
+            chosen = jax.tree.map(lambda x: x[kind], operators)
+            carry = _implicit(implicit, chosen, carry, start, length, steps, conditions)
+        elif method.adaptive:
             carry = _adaptive(solver, carry, start, length, conditions, method, adjoint)
         else:
             carry = _fixed(solver, carry, start, length, steps, conditions)
-        record, seen = _observe(model, start + length, carry.trajectory, conditions)
-        return carry._replace(peaks=jnp.maximum(carry.peaks, seen)), record
+        return _record(carry, start + length, conditions)
 
-    grid = TimeGrid(*(jnp.asarray(part) for part in grid))
-    return jax.lax.scan(jax.checkpoint(interval), carry, grid)
+    entries = (grid.starts, grid.lengths, grid.phases, grid.kinds)
+    entries = tuple(jnp.asarray(entry) for entry in entries)
+    return jax.lax.scan(jax.checkpoint(interval), carry, entries)
+
+
+def _record(carry: Carry, t, conditions: Conditions):
+    """Carry with the peaks of this instant, and its record."""
+    trajectory, realised = carry.trajectory, conditions.realised
+    if carry.memory is None:
+        state, drive, result, _ = equations.at_instant(t, trajectory, conditions)
+        instant = solved_instant(realised, result, drive, conditions.stabilisation.scale)
+        axial, normal, _ = equations.squares(instant.loads)
+        seen = jnp.stack([axial, normal])
+        carry = carry._replace(peaks=jnp.maximum(carry.peaks, seen))
+    else:
+        drive = equations.drive_input(conditions.drive, t, conditions.phase)
+        state = State(trajectory.position, trajectory.velocity)
+        instant = carry.memory.instant
+    scale = conditions.stabilisation.scale
+    return carry, observe(realised, state, drive, trajectory.integrals, instant, scale)
+
+
+def _implicit(
+    method: GeneralisedAlpha, operators, carry: Carry, start, length, steps, conditions
+) -> Carry:
+    """The implicit steps of one interval with equal length."""
+    h = length / steps
+
+    def step(state, index):
+        trajectory, memory, peaks, residual = state
+        t1 = start + h * (index + 1.0)
+        trajectory, memory = method.step(conditions, operators, t1, h, trajectory, memory)
+        rates = memory.rates
+        peaks = jnp.maximum(peaks, jnp.stack([rates.axial_square, rates.normal_square]))
+        return (trajectory, memory, peaks, jnp.maximum(residual, memory.instant.residual)), None
+
+    state = (carry.trajectory, carry.memory, carry.peaks, carry.residual)
+    state, _ = jax.lax.scan(step, state, jnp.arange(steps, dtype=jnp.float64))
+    trajectory, memory, peaks, residual = state
+    return carry._replace(trajectory=trajectory, memory=memory, peaks=peaks, residual=residual)
 
 
 def _field(t, y, conditions):
@@ -244,7 +288,9 @@ def _adaptive(solver, carry: Carry, start, length, conditions, method, adjoint) 
     failed = moving & (solution.result != diffrax.RESULTS.successful)
     accepted = jnp.maximum(solution.stats["num_accepted_steps"], 1).astype(jnp.float64)
     step = jnp.where(moving, jax.lax.stop_gradient(length / accepted), carry.last_step)
-    return Carry(end_state[0], end_state[1], carry.exhausted | failed, step)
+    return carry._replace(
+        trajectory=end_state[0], peaks=end_state[1], exhausted=carry.exhausted | failed, last_step=step
+    )
 
 
 def stabilisation_of(model: Model, method: Method) -> Stabilisation:
@@ -257,70 +303,16 @@ def stabilisation_of(model: Model, method: Method) -> Stabilisation:
     return Stabilisation(2.0 * rate, rate**2, length_scale(model))
 
 
-def _observe(model: Model, t, trajectory: Trajectory, conditions: Conditions):
-    """Record of one instant, and its squared axial and normal forces."""
-    with jax.named_scope("observation"):
-        topology, realised = model.topology, conditions.realised
-        state, drive, result, _ = equations.at_instant(t, trajectory, conditions)
-        joint = loads.chain_loads(realised, result, result.angular, result.linear, drive)
-        parts = loads.energies(realised, state)
-        force, moment = loads.momentum_residual(realised, state, result)
-        largest_force = equations.guarded_root(jnp.max(jnp.sum(joint.force**2, axis=0)))
-        largest_moment = equations.guarded_root(jnp.max(jnp.sum(joint.moment**2, axis=0)))
-        arm = jnp.max(jnp.abs(result.motion.hinges.point))
-        largest_moment = largest_moment + largest_force * arm
-        drift, drift_angle = _drift(result.closure, length_scale(model))
-        passive = np.ones(len(topology.joints))
-        if drive.turn is not None:
-            passive[topology.driven] = 0.0
-        integrals = trajectory.integrals
-        axial, normal, _ = equations.squares(joint)
-        record = Record(
-            angles=state.position.angles,
-            rates=state.velocity.angles,
-            drive_moment=equations.drive_moment(topology, drive, joint),
-            loads=joint,
-            energy=Energy(*parts, integrals.work, integrals.dissipation),
-            drift=drift,
-            drift_angle=drift_angle,
-            momentum_residual=jnp.stack([jnp.max(jnp.abs(force)), jnp.max(jnp.abs(moment))]),
-            largest_load=jnp.stack([largest_force, largest_moment]),
-            hinge_residual=jnp.max(jnp.abs(joint.moment[1]) * jnp.asarray(passive)),
-            stabilising=jnp.max(jnp.abs(result.stabilising), initial=0.0),
-            multiplier=jnp.max(jnp.abs(result.multipliers), initial=0.0),
-            range_used=range_used(topology, state.position),
-            ends=link_ends(realised, result.motion)[0],
-            branch=_branch(realised, result),
-            square_integrals=jnp.stack(
-                [integrals.axial_square + integrals.normal_square, integrals.moment_square]
-            ),
-        )
-        return record, jnp.stack([axial, normal])
-
-
-def _branch(realised, result):
-    """Assembly modes of the cut joints (C,)."""
-    if result.closure is None:
-        return jnp.zeros((0,))
-    return assembly_modes(realised, result.motion, result.closure)
-
-
-def _drift(cuts, scale):
-    """Largest distance [m] of two joint centres, and largest axis equation [rad]."""
-    if cuts is None:
-        return jnp.zeros(()), jnp.zeros(())
-    distance = equations.guarded_root(jnp.max(jnp.sum(cuts.residual[:3] ** 2, axis=0)))
-    return distance, jnp.max(jnp.abs(cuts.residual[3:])) / scale
-
-
 def conclude(model: Model, prepared: Prepared, carry: Carry, record: Record, grid) -> Run:
     """Metrics, balances and status from the last carry and all records."""
-    times = jnp.asarray(grid.starts + grid.lengths)
+    record = jax.tree.map(lambda x: x[grid.saved], record)
+    times = jnp.asarray(grid.starts + grid.lengths)[grid.saved]
     driven = model.topology.driven
     energy = record.energy
     balance = energy.total - energy.work + energy.dissipation
     error = jnp.max(jnp.abs(balance - balance[0])) / _safe(jnp.max(jnp.abs(energy.total)))
     drift = jnp.max(record.drift)
+    residual = carry.residual / _safe(jnp.max(record.largest_load[:, 0]))
     relative = jnp.max(record.momentum_residual, axis=0) / _safe(jnp.max(record.largest_load, axis=0))
     nothing = jnp.zeros_like(times)
     angle = nothing if driven is None else record.angles[:, driven]
@@ -345,7 +337,10 @@ def conclude(model: Model, prepared: Prepared, carry: Carry, record: Record, gri
         momentum_balance_error=jnp.max(relative),
         hinge_moment_error=jnp.max(record.hinge_residual) / _safe(jnp.max(record.largest_load[:, 1])),
         stabilisation_share=jnp.max(record.stabilising) / _safe(jnp.max(record.multiplier)),
-        status=_status(model, prepared, carry, error, drift, jnp.max(record.range_used)),
+        solution_residual=residual,
+        status=_status(
+            model, prepared, carry, error, drift, jnp.max(record.range_used), residual
+        ),
         ends={name: record.ends[:, :, l] for l, name in enumerate(model.link_names)},
         branch={
             model.topology.joints[j]: record.branch[:, i] for i, j in enumerate(model.topology.cuts)
@@ -381,11 +376,12 @@ def metrics_of(model: Model, carry: Carry, duration) -> Metrics:
     )
 
 
-def _status(model, prepared: Prepared, carry: Carry, error, drift, used):
+def _status(model, prepared: Prepared, carry: Carry, error, drift, used, residual):
     finite = jnp.isfinite(error) & jnp.all(jnp.isfinite(carry.peaks))
     for leaf in jax.tree.leaves(carry.trajectory):
         finite = finite & jnp.all(jnp.isfinite(leaf))
     code = jnp.where(drift < DRIFT_LIMIT * length_scale(model), OK, DRIFTED)
+    code = jnp.where(residual < RESIDUAL_LIMIT, code, NOT_CONVERGED)
     code = jnp.where(used < 1.0, code, OUT_OF_RANGE)
     code = jnp.where(carry.exhausted, STEPS_EXHAUSTED, code)
     code = jnp.where(finite, code, DIVERGED)

@@ -82,11 +82,13 @@ class Run(eqx.Module):
     energy; metrics; driven_joint.  Balances, each able to fail: energy_balance_error (relative to the
     largest energy), closure_drift [m], closure_drift_angle [rad], momentum_balance_error and
     hinge_moment_error (relative to the largest load), stabilisation_share (largest stabilising
-    multiplier / largest multiplier).  status: code of `STATUS`.  centre_lines, nominal_lines: points
-    (3 columns) [m] along the links as assembled, and of the perfect mechanism.  ends: where the far
-    end of every link is (T, 3) [m], global axes.  branch: assembly mode (T,) of every cut joint, +1 or
-    -1; a change of sign is a passage through a fold, after which derivatives and averages with runs
-    on the other side mean nothing.  integrals: of squared loads, for `window`.
+    multiplier / largest multiplier), solution_residual (largest force that Newton's method left over in
+    an implicit step / largest joint force; 0 for explicit methods).  status: code of `STATUS`.
+    centre_lines, nominal_lines: points (3 columns) [m] along the links as assembled, and of the perfect
+    mechanism.  ends: where the far end of every link is (T, 3) [m], global axes.  branch: assembly mode
+    (T,) of every cut joint, +1 or -1; a change of sign is a passage through a fold, after which
+    derivatives and averages with runs on the other side mean nothing.  integrals: of squared loads, for
+    `window`.
     """
 
     times: Float[Array, "times"]
@@ -105,6 +107,7 @@ class Run(eqx.Module):
     momentum_balance_error: Float[Array, ""]
     hinge_moment_error: Float[Array, ""]
     stabilisation_share: Float[Array, ""]
+    solution_residual: Float[Array, ""]
     status: Int[Array, ""]
     centre_lines: dict[str, Array]
     nominal_lines: dict[str, Array]

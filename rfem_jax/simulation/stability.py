@@ -50,11 +50,13 @@ class Linearised(NamedTuple):
 
 
 def check_step(model: Model, method: Method, drive=None) -> float | None:
-    """Largest stable step [s] of a fixed-step method (None for adaptive ones; for "auto" that of
-    Runge-Kutta 4).
+    """Largest stable step [s] of a fixed-step method (None for adaptive and implicit ones; for
+    "auto" that of Runge-Kutta 4).
 
     **Raises:** `InputError` if the method's step is larger.
     """
+    if method.implicit:
+        return None
     if method.step is None:
         auto = method.name == "auto"
         return largest_stable_step(model, Method("rk4", step=1e-6), drive) if auto else None

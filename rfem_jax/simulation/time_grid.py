@@ -7,8 +7,7 @@ an interval that a jump shortens has shorter steps.  The first interval has leng
 the start with the same body.
 """
 
-from typing import NamedTuple
-
+import equinox as eqx
 import jax
 import numpy as np
 
@@ -18,18 +17,48 @@ SAVED_BY_DEFAULT = 500
 ROUNDING = 1e-9
 
 
-class TimeGrid(NamedTuple):
-    """starts, lengths (intervals,) [s]; phases (intervals,): jumps of the drive already passed."""
+class TimeGrid(eqx.Module):
+    """starts, lengths (intervals,) [s]; phases (intervals,): jumps of the drive already passed; kinds
+    (intervals,): place of each length among the `distinct` ones [s], of which there are few; restarts:
+    intervals of length zero after jumps, which are not saved."""
 
     starts: np.ndarray
     lengths: np.ndarray
     phases: np.ndarray
+    kinds: np.ndarray
+    distinct: np.ndarray
+    restarts: tuple[int, ...] = eqx.field(static=True, default=())
+
+    @property
+    def saved(self) -> np.ndarray:
+        """Intervals whose ends are saved times."""
+        return np.setdiff1d(np.arange(self.starts.shape[0]), self.restarts)
+
+    def piece(self, first: int, size: int) -> "TimeGrid":
+        """`size` intervals from `first`, filled up with intervals of length zero at the end."""
+        part = [x[first : first + size] for x in (self.starts, self.lengths, self.phases, self.kinds)]
+        starts, lengths, phases, kinds = part
+        missing = size - len(starts)
+        standing = int(np.argmin(self.distinct))
+        return TimeGrid(
+            np.append(starts, np.full(missing, starts[-1] + lengths[-1])),
+            np.append(lengths, np.zeros(missing)),
+            np.append(phases, np.full(missing, phases[-1])).astype(np.int32),
+            np.append(kinds, np.full(missing, standing)).astype(np.int32),
+            self.distinct,
+        )
 
 
 def divide_time(
-    duration: float, step: float | None, save_every: float | None, jumps: tuple[float, ...]
+    duration: float,
+    step: float | None,
+    save_every: float | None,
+    jumps: tuple[float, ...],
+    restarting: bool = False,
 ) -> tuple[TimeGrid, int]:
     """Intervals, and the number of steps in each (1 for adaptive methods, step None).
+
+    `restarting`: the method remembers past steps and needs an interval of length zero after a jump.
 
     **Raises:** `InputError` if a time is not positive or not a concrete number.
     """
@@ -54,4 +83,13 @@ def divide_time(
     lengths = np.concatenate([[0.0], np.diff(edges)])
     phases = np.searchsorted(jumps, starts + ROUNDING * duration).astype(np.int32)
     steps = 1 if step is None else int(np.ceil(lengths.max() / step * (1.0 - ROUNDING)))
-    return TimeGrid(starts, lengths, phases), steps
+    restarts: tuple[int, ...] = ()
+    if restarting:
+        after = 1 + np.flatnonzero(np.diff(phases))
+        starts = np.insert(starts, after, starts[after])
+        lengths = np.insert(lengths, after, 0.0)
+        phases = np.insert(phases, after, phases[after])
+        restarts = tuple(int(i) for i in after + np.arange(len(after)))
+    distinct, kinds = np.unique(np.round(lengths / duration, 12), return_inverse=True)
+    kinds = kinds.astype(np.int32)
+    return TimeGrid(starts, lengths, phases, kinds, distinct * duration, restarts), steps

@@ -1,0 +1,163 @@
+"""The stiff part of a flexible link, condensed: what an implicit step needs of it.
+
+Place in the pipeline: model -> **link operators** -> newton.
+
+In the link's own axes, near its undeformed shape, the free rfes obey
+
+    (M + s K) y + M X A = r + S w,      s = q_factor + damping * v_factor
+
+for the accelerations y relative to the link frame, the acceleration A of that frame, residual wrenches
+r and wrenches w on the rfes that carry joints; M, K, X and S are constant and the same for all samples
+of a batch.  The eigenvectors V of (K, M), computed once, give (M + s K)^-1 = V (1 + s L)^-1 V^T for
+every step, and with it the link as it is felt at its frame and at its carriers (static condensation of
+structural dynamics, of M + s K instead of K).
+
+The matrices are those of the nominal model: they serve Newton's method, whose solution does not depend
+on them, and are therefore not differentiated.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from rfem_jax.mechanics import elasticity
+from rfem_jax.mechanics.model import Coordinates, Topology
+from rfem_jax.mechanics.realisation import Realisation
+
+
+class LinkModes(NamedTuple):
+    """Undeformed flexible link of m free rfes, rows component by component: modes (6 m, 6 m) with V^T M V = 1; stiffness (6 m,) =
+    L [1/s^2]; damping [s]; coupling (6 m, 6) = M X; rigid (6, 6): inertia of the whole link about its
+    frame; spread (6 m, 6) = X; carriers: free rfes (local) that carry joints."""
+
+    modes: Array
+    stiffness: Array
+    damping: Array
+    coupling: Array
+    rigid: Array
+    spread: Array
+
+
+class LinkOperator(NamedTuple):
+    """A link at one step length; wrenches and accelerations are (moment, force) and (angular, linear).
+
+    inverse (6 m, 6 m) = (M + s K)^-1; inertia (6, 6) felt at the link frame; transfer (6, 6 c): wrench at
+    the frame due to unit wrenches on its c carriers; compliance (6 c, 6 c) of the carriers and its inverse
+    stiffness; pick (6 c, 6 m): rows of `inverse` of the carriers; coupling (6 m, 6).
+    """
+
+    inverse: Array
+    inertia: Array
+    transfer: Array
+    compliance: Array
+    stiffness: Array
+    pick: Array
+    coupling: Array
+
+
+def local_carriers(topology: Topology, link: int) -> tuple[int, ...]:
+    """Free rfes of a link that carry joints, counted within the link."""
+    first, last = topology.ranges[link]
+    return tuple(k - first for k in topology.carriers if first <= k < last)
+
+
+def link_modes(realised: Realisation) -> tuple[LinkModes | None, ...]:
+    """Modes of all links (None for rigid ones), from the nominal constants."""
+    realised = jax.lax.stop_gradient(realised)
+    topology = realised.topology
+    stiffness = _stiffness(realised)
+    return tuple(
+        _modes(realised, stiffness, l, a, b) if b > a else None
+        for l, (a, b) in enumerate(topology.ranges)
+    )
+
+
+def _stiffness(realised: Realisation) -> Array:
+    """Stiffness matrix (6, N, 6, N) of all links at the undeformed state, in the coordinates (phi, u)."""
+
+    def energy(elastic):
+        position = Coordinates(jnp.zeros(realised.topology.n_links), elastic)
+        return elasticity.elastic_energy(realised, position)
+
+    matrix = jax.hessian(energy)(jnp.zeros((6, realised.topology.n_rfes)))
+    order = np.array([3, 4, 5, 0, 1, 2])
+    return matrix[order][:, :, order]
+
+
+def _modes(realised, stiffness, link: int, a: int, b: int) -> LinkModes:
+    m, n = b - a, realised.topology.n_links
+    k = stiffness[:, a:b, :, a:b].transpose(1, 0, 3, 2).reshape(6 * m, 6 * m)
+    mass = jax.vmap(_inertia)(
+        realised.mass[n + a : n + b],
+        realised.centre[:, n + a : n + b].T,
+        jnp.moveaxis(realised.inertia[:, :, n + a : n + b], 2, 0),
+    )
+    # Motion of the rfes' middles when the link frame moves: linear += angular x position.
+    at = jnp.stack([realised.rest[a:b], jnp.zeros(m), jnp.zeros(m)], axis=1)
+    spread = jax.vmap(lambda p: jnp.eye(6).at[3:, :3].set(-_cross_matrix(p)))(at)
+    coupling = jnp.einsum("mij,mjk->mik", mass, spread)
+    own = _inertia(
+        realised.mass[link], realised.centre[:, link], realised.inertia[:, :, link]
+    )
+    rigid = own + jnp.einsum("mji,mjk->ik", spread, coupling)
+    root = jnp.linalg.cholesky(mass)
+    lower = jax.scipy.linalg.block_diag(*(root[i] for i in range(m)))
+    half = jax.scipy.linalg.solve_triangular(lower, k, lower=True)
+    scaled = jax.scipy.linalg.solve_triangular(lower, half.T, lower=True)
+    values, vectors = jnp.linalg.eigh(0.5 * (scaled + scaled.T))
+
+    def by_component(rows):
+        return rows.reshape(m, 6, -1).swapaxes(0, 1).reshape(6 * m, -1)
+
+    return LinkModes(
+        modes=by_component(jax.scipy.linalg.solve_triangular(lower.T, vectors, lower=False)),
+        stiffness=jnp.maximum(values, 0.0),
+        damping=realised.damping[a],
+        coupling=by_component(coupling),
+        rigid=rigid,
+        spread=by_component(spread),
+    )
+
+
+def _cross_matrix(p):
+    return jnp.cross(jnp.eye(3), p[None]).T * -1.0
+
+
+def _inertia(mass, centre, inertia):
+    """Inertia (6, 6), angular part first, of one body about its reference point."""
+    shift = _cross_matrix(centre)
+    first = mass * shift
+    return jnp.block([[inertia - first @ shift, first], [-first, mass * jnp.eye(3)]])
+
+
+def link_operators(
+    topology: Topology, modes: tuple[LinkModes | None, ...], q_factor: Array, v_factor: Array
+) -> tuple[LinkOperator | None, ...]:
+    """Operators of all links for steps in which coordinates move by q_factor [s^2] and rates by v_factor
+    [s] times their accelerations."""
+    return tuple(
+        None if one is None else _operator(one, local_carriers(topology, l), q_factor, v_factor)
+        for l, one in enumerate(modes)
+    )
+
+
+def _operator(one: LinkModes, carriers, q_factor, v_factor) -> LinkOperator:
+    s = q_factor + one.damping * v_factor
+    inverse = (one.modes / (1.0 + s * one.stiffness)[None]) @ one.modes.T
+    m = len(one.stiffness) // 6
+    rows = np.array([k + m * c for k in carriers for c in range(6)], dtype=int)
+    pick = inverse[rows]
+    reduced = inverse @ one.coupling
+    compliance = pick[:, rows]
+    return LinkOperator(
+        inverse=inverse,
+        inertia=one.rigid - one.coupling.T @ reduced,
+        transfer=(one.spread[rows] - reduced[rows]).T,
+        compliance=compliance,
+        stiffness=jnp.linalg.inv(compliance),
+        pick=pick,
+        coupling=one.coupling,
+    )

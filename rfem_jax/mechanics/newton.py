@@ -1,0 +1,379 @@
+"""Newton's corrections for implicit steps: the linearised equations of motion, solved by their structure.
+
+Place in the pipeline: balance, link operators -> **newton** -> implicit integration.
+
+The matrix is approximate: links are taken at their undeformed shape in their present place, with the
+stiffness of springs and dampers but not that of gyroscopic and joint loads.  Every flexible link is then
+what `link_operators` makes of it, and the tree of links is solved by Featherstone's articulated-body
+recursion with these inertias, for the residual and for unit multipliers of the cut joints at once; the
+multipliers follow from the closure.  A matrix serves all corrections of one step.
+
+Wrenches and accelerations of the skeleton are spatial vectors in global axes: of a link at the point of
+its island (see `dynamics`), of a carrier at its own point.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from rfem_jax.mechanics import algebra
+from rfem_jax.mechanics.algebra import apply, apply_transposed, cross, dot, product, transpose
+from rfem_jax.mechanics.balance import Balance
+from rfem_jax.mechanics.cut_joints import Closure
+from rfem_jax.mechanics.dynamics import island, unit_columns
+from rfem_jax.mechanics.kinematics import Motion
+from rfem_jax.mechanics.link_operators import LinkOperator, local_carriers
+from rfem_jax.mechanics.model import BASE, Coordinates, Topology
+from rfem_jax.mechanics.realisation import Realisation
+
+
+class LinkMatrix(NamedTuple):
+    """One link in the present place, after the elimination of all that hangs on it.
+
+    frame (6, 6): link-axis wrenches at the link's origin to global ones at its island's point; axis
+    (6,): hinge; scaled (6,): inertia . axis / pivot; pivot: axis . inertia . axis (None: prescribed);
+    held (6 c, 6 c), transfer (6, 6 c): of the carriers, None if no link hangs on them.
+    """
+
+    rotation: Array
+    frame: Array
+    axis: Array
+    scaled: Array | None
+    pivot: Array | None
+    transfer: Array | None
+    compliance: Array | None
+    hung: Array | None
+    share: Array | None
+
+
+class NewtonMatrix(NamedTuple):
+    """Factored matrix of one step: links; units: wrenches (6, 5 C) of unit multipliers by node;
+    columns: the responses of the carriers and links to them; inverse (5 C, 5 C)."""
+
+    links: tuple[LinkMatrix, ...]
+    units: dict[int, Array]
+    responses: "Response"
+    inverse: Array | None
+
+
+class Response(NamedTuple):
+    """Answers (..., K) to K columns of loads: hinges (L, K); links {l: (6, K)}; carriers {l: (6 c, K)},
+    on_carriers {l: (6 c, K)}: wrenches that the joints exert on them."""
+
+    hinges: Array
+    links: tuple[Array, ...]
+    carriers: tuple[Array | None, ...]
+    on_carriers: tuple[Array | None, ...]
+
+
+class Correction(NamedTuple):
+    """What one Newton step adds: accelerations of the coordinates, multipliers (5, C)."""
+
+    accelerations: Coordinates
+    multipliers: Array
+
+
+def newton_matrix(
+    realised: Realisation,
+    operators: tuple[LinkOperator | None, ...],
+    now: Motion,
+    cuts: Closure | None,
+    prescribed: bool,
+) -> NewtonMatrix:
+    """Matrix of the equations at one position; `prescribed`: the driven joint's angle is given."""
+    with jax.named_scope("newton_matrix"):
+        topology = realised.topology
+        links = _eliminate(realised, operators, now, prescribed)
+        if cuts is None:
+            return NewtonMatrix(links, {}, None, None)
+        points = _points(topology, now)
+        sides = topology.parents[topology.n_links :] + topology.children[topology.n_links :]
+        units = {
+            node: unit_columns(topology, cuts, node, points[node])
+            for node in sorted(set(sides))
+            if node != BASE
+        }
+        width = (5 * topology.n_cuts,) + now.axis.shape[2:]
+        hinge_loads = jnp.zeros((topology.n_links,) + width)
+        responses = _respond(topology, links, hinge_loads, None, None, units, width)
+        rows = sum(
+            product(transpose(unit), _of_node(topology, responses, node))
+            for node, unit in units.items()
+        )
+        return NewtonMatrix(links, units, responses, algebra.invert_positive(rows))
+
+
+def correction(
+    realised: Realisation,
+    operators: tuple[LinkOperator | None, ...],
+    matrix: NewtonMatrix,
+    left: Balance,
+    closing: Array,
+) -> Correction:
+    """Solve for the accelerations and multipliers that take away what is left over.
+
+    `closing` (5, C): the change of Phi's second derivative that closes the cut joints.
+    """
+    with jax.named_scope("newton_correction"):
+        topology = realised.topology
+        residual = jnp.concatenate([left.moment, left.force])
+        free = tuple(
+            None
+            if operator is None
+            else _times(operator.inverse, _flat(residual[:, a:b]))
+            for operator, (a, b) in zip(operators, topology.ranges)
+        )
+        on_links = tuple(
+            None if operator is None else -_times(operator.coupling.T, y)
+            for operator, y in zip(operators, free)
+        )
+        own = tuple(
+            None
+            if operator is None
+            else _rows(topology, l, y)
+            for l, (operator, y) in enumerate(zip(operators, free))
+        )
+        width = (1,) + left.hinge.shape[1:]
+        applied = _respond(
+            topology, matrix.links, left.hinge[:, None], on_links, own, {}, width
+        )
+        answer = jax.tree.map(lambda x: x[:, 0], applied)
+        multipliers = jnp.zeros_like(left.closing)
+        if matrix.inverse is not None:
+            rows = sum(
+                apply_transposed(unit, _of_node(topology, answer, node))
+                for node, unit in matrix.units.items()
+            )
+            by_cut = jnp.swapaxes(closing, 0, 1).reshape((-1,) + closing.shape[2:])
+            flat = apply(matrix.inverse, by_cut - rows)
+            answer = jax.tree.map(lambda a, b: a + apply(b, flat), answer, matrix.responses)
+            shape = (topology.n_cuts, 5) + flat.shape[1:]
+            multipliers = jnp.swapaxes(flat.reshape(shape), 0, 1)
+        elastic = _relative(realised, operators, matrix, free, answer, left)
+        return Correction(Coordinates(answer.hinges, elastic), multipliers)
+
+
+def _times(matrix: Array, vector: Array) -> Array:
+    """Constant matrix (m, n) times vector (n, ...)."""
+    return jnp.tensordot(matrix, vector, axes=1)
+
+
+def _flat(values: Array) -> Array:
+    """(6, m, ...) as (6 m, ...), component by component."""
+    return values.reshape((-1,) + values.shape[2:])
+
+
+def _rows(topology: Topology, link: int, values: Array) -> Array | None:
+    """The carriers' rows (6 c, ...) of values (6 m, ...) of one link."""
+    a, b = topology.ranges[link]
+    carriers = local_carriers(topology, link)
+    if not carriers:
+        return None
+    by_rfe = values.reshape((6, b - a) + values.shape[1:])
+    return jnp.concatenate([by_rfe[:, k] for k in carriers])
+
+
+def _points(topology: Topology, now: Motion) -> dict[int, Array]:
+    """Point at which each node's spatial vectors are taken."""
+    n = topology.n_links
+    points = {n + k: now.carriers.point[:, i] for i, k in enumerate(topology.carriers)}
+    for l in range(n):
+        root = island(topology, l)
+        points[l] = points[root] if root >= n else now.hinges.point[:, root]
+    return points
+
+
+def _frame(rotation: Array, arm: Array) -> Array:
+    """Wrenches in turned axes at a point to wrenches at another, `arm` away from it."""
+    none = jnp.zeros_like(rotation)
+    top = jnp.concatenate([rotation, product(algebra.cross_matrix(arm), rotation)], axis=1)
+    return jnp.concatenate([top, jnp.concatenate([none, rotation], axis=1)])
+
+
+def _turned(rotation: Array, columns: Array) -> Array:
+    """Rows (3 k, n, ...) of vectors turned."""
+    return jnp.concatenate(
+        [product(rotation, columns[i : i + 3]) for i in range(0, columns.shape[0], 3)]
+    )
+
+
+def _constant(values: Array, example: Array) -> Array:
+    """A constant matrix with trailing axes of length one, as many as `example` (3, 3, ...) has."""
+    return values.reshape(values.shape + (1,) * (example.ndim - 2))
+
+
+def _carriers_of(topology: Topology, link: int) -> tuple[int, ...]:
+    first, last = topology.ranges[link]
+    return tuple(topology.n_links + k for k in topology.carriers if first <= k < last)
+
+
+def _eliminate(realised, operators, now: Motion, prescribed: bool) -> tuple[LinkMatrix, ...]:
+    """From the chains' ends to the base: articulated inertias."""
+    topology = realised.topology
+    n = topology.n_links
+    points = _points(topology, now)
+    passed: dict[int, Array] = {}
+    links: dict[int, LinkMatrix] = {}
+    for l in reversed(range(n)):
+        rotation, operator = now.links.rotation[:, :, l], operators[l]
+        frame = _frame(rotation, now.links.point[:, l] - points[l])
+        own = _rigid_inertia(realised, l) if operator is None else operator.inertia
+        inertia = algebra.product_transposed(product(frame, _constant(own, frame)), frame)
+        inertia = inertia + passed.get(l, 0.0)
+        transfer = compliance = hung = share = None
+        carriers = _carriers_of(topology, l)
+        if carriers:
+            # Columns and rows of the carriers in global axes at their own points.
+            turned = _turned(rotation, _constant(operator.transfer.T, frame))
+            transfer = product(frame, transpose(turned))
+            compliance = _both(rotation, _constant(operator.compliance, frame))
+            if any(node in passed for node in carriers):
+                hung = _block_diagonal([passed.get(node) for node in carriers], rotation)
+                stiffness = _both(rotation, _constant(operator.stiffness, frame))
+                share = product(algebra.invert_positive(stiffness + hung), stiffness)
+                inertia = inertia + product(
+                    product(transfer, product(hung, share)), transpose(transfer)
+                )
+        axis = algebra.spatial(
+            now.axis[:3, l], now.axis[3:, l] + cross(now.axis[:3, l], points[l])
+        )
+        scaled = pivot = None
+        if not (prescribed and l == topology.driven):
+            pushed = apply(inertia, axis)
+            pivot = dot(axis, pushed)
+            scaled = pushed / pivot[None]
+            inertia = inertia - pushed[:, None] * scaled[None]
+        node = topology.parents[l]
+        if node != BASE:
+            passed[node] = passed.get(node, 0.0) + inertia
+        links[l] = LinkMatrix(
+            rotation, frame, axis, scaled, pivot, transfer, compliance, hung, share
+        )
+    return tuple(links[l] for l in range(n))
+
+
+def _both(rotation: Array, matrix: Array) -> Array:
+    """A symmetric matrix (6 c, 6 c) of turned axes in global ones."""
+    once = _turned(rotation, matrix)
+    return _turned(rotation, transpose(once))
+
+
+def _block_diagonal(blocks, example: Array) -> Array:
+    none = jnp.zeros((6, 6) + example.shape[2:])
+    blocks = [none if block is None else block for block in blocks]
+    rows = [
+        jnp.concatenate([block if i == j else none for j in range(len(blocks))], axis=1)
+        for i, block in enumerate(blocks)
+    ]
+    return jnp.concatenate(rows)
+
+
+def _rigid_inertia(realised: Realisation, link: int) -> Array:
+    mass, centre = realised.mass[link], realised.centre[:, link]
+    return algebra.spatial_inertia(mass, centre, realised.inertia[:, :, link])
+
+
+def _respond(topology, links, hinge_loads, on_links, own, units, width) -> Response:
+    """Accelerations for K columns of loads: moments (L, K) about the hinges, wrenches {l: (6, 1)} on the
+    links and accelerations `own` {l: (6 c, 1)} of the carriers, both in link axes (the residual's), and
+    wrenches `units` {node: (6, K)} on nodes."""
+    n = topology.n_links
+    none = jnp.zeros((6,) + width)
+    loads: dict[int, Array] = dict(units)
+    pushes: dict[int, Array] = {}
+    freely: dict[int, Array] = {}
+    for l in reversed(range(n)):
+        link, carriers = links[l], _carriers_of(topology, l)
+        load = loads.get(l, none)
+        if on_links is not None and on_links[l] is not None:
+            load = load + apply(link.frame, on_links[l])[:, None]
+        if carriers:
+            wrench = jnp.concatenate([loads.get(node, none) for node in carriers])
+            free = product(link.compliance, wrench)
+            if own is not None:
+                free = free + _turned(link.rotation, own[l][:, None])
+            if link.share is not None:
+                # The wrench of what hangs there, for a frame at rest.
+                free = product(link.share, free)
+                wrench = wrench - product(link.hung, free)
+            freely[l] = free
+            load = load + product(link.transfer, wrench)
+            loads[n + topology.n_rfes + l] = wrench
+        push = hinge_loads[l] + dot(link.axis[:, None], load)
+        pushes[l] = push
+        node = topology.parents[l]
+        if node == BASE:
+            continue
+        if link.scaled is not None:
+            load = load - link.scaled[:, None] * push[None]
+        loads[node] = loads.get(node, 0.0) + load
+    return _accelerate(topology, links, pushes, freely, loads, none)
+
+
+def _accelerate(topology, links, pushes, freely, loads, none) -> Response:
+    """From the base to the chains' ends."""
+    n = topology.n_links
+    hinges, spatial, moved, on_carriers = [], [], [], []
+    at: dict[int, Array] = {}
+    for l in range(n):
+        link, node = links[l], topology.parents[l]
+        carried = none if node == BASE else at[node]
+        rate = jnp.zeros_like(none[0])
+        if link.scaled is not None:
+            rate = pushes[l] / link.pivot[None] - dot(link.scaled[:, None], carried)
+            carried = carried + link.axis[:, None] * rate[None]
+        hinges.append(rate)
+        spatial.append(carried)
+        at[l] = carried
+        carriers = _carriers_of(topology, l)
+        if not carriers:
+            moved.append(None)
+            on_carriers.append(None)
+            continue
+        along = product(transpose(link.transfer), carried)
+        wrench = loads[n + topology.n_rfes + l]
+        if link.share is not None:
+            along = product(link.share, along)
+            wrench = wrench - product(link.hung, along)
+        ends = freely[l] + along
+        moved.append(ends)
+        on_carriers.append(wrench)
+        for i, carrier in enumerate(carriers):
+            at[carrier] = ends[6 * i : 6 * i + 6]
+    return Response(jnp.stack(hinges), tuple(spatial), tuple(moved), tuple(on_carriers))
+
+
+def _of_node(topology: Topology, response: Response, node: int) -> Array:
+    """Acceleration (6, ...) of a link or a carrier."""
+    if node < topology.n_links:
+        return response.links[node]
+    l = topology.link_of(node)
+    i = _carriers_of(topology, l).index(node)
+    return response.carriers[l][6 * i : 6 * i + 6]
+
+
+def _relative(realised, operators, matrix, free, answer: Response, left: Balance) -> Array:
+    """Second derivatives (6, N) of the elastic coordinates."""
+    topology = realised.topology
+    parts = [jnp.zeros((6, 0) + left.hinge.shape[1:])]
+    for l, (operator, (a, b)) in enumerate(zip(operators, topology.ranges)):
+        if operator is None:
+            continue
+        link = matrix.links[l]
+        acceleration = apply_transposed(link.frame, answer.links[l])
+        y = free[l] - _times(operator.inverse, _times(operator.coupling, acceleration))
+        if answer.on_carriers[l] is not None:
+            wrench = _turned_back(link.rotation, answer.on_carriers[l])
+            y = y + _times(operator.pick.T, wrench)
+        parts.append(y.reshape((6, b - a) + y.shape[1:]))
+    y = jnp.concatenate(parts, axis=1)
+    return jnp.concatenate([y[3:], apply(left.inverse_rate, y[:3])])
+
+
+def _turned_back(rotation: Array, wrench: Array) -> Array:
+    return jnp.concatenate(
+        [apply_transposed(rotation, wrench[i : i + 3]) for i in range(0, wrench.shape[0], 3)]
+    )

@@ -1,0 +1,186 @@
+"""The balance of given accelerations, and Newton's corrections for implicit steps, against the
+accelerations of the recursion and against the matrix differentiated automatically."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.flatten_util import ravel_pytree
+
+from rfem_jax import Joint, Link, Material, Mechanism, PointMass, Rectangle, assembly_errors, discretise
+from rfem_jax.mechanics.balance import balance
+from rfem_jax.mechanics.dynamics import DriveInput, Stabilisation, accelerations, impose
+from rfem_jax.mechanics.link_operators import link_modes, link_operators
+from rfem_jax.mechanics.model import Coordinates, State
+from rfem_jax.mechanics.newton import correction, newton_matrix
+from rfem_jax.mechanics.realisation import realise
+from rfem_jax.mechanics.statics import length_scale
+from tests.mechanisms import (
+    four_bar,
+    open_chain,
+    six_link_loop,
+    three_link_loop,
+    twisted_spatial_loop,
+    two_loop_six_bar,
+)
+
+ALL = [four_bar, three_link_loop, six_link_loop, twisted_spatial_loop, two_loop_six_bar, open_chain]
+PAIRS = [(make, False) for make in ALL] + [(four_bar, True), (open_chain, True)]
+
+
+def loaded_chain():
+    """Links with heavy points off their axes, one of them on the rfe that carries the next link."""
+    steel = Material("steel", youngs_modulus=210e9, density=7850.0, poisson_ratio=0.3, damping=1e-4)
+    bar = Rectangle(0.01, 0.02)
+    links = [
+        Link("one", 0.3, bar, steel, rfes=4, point_masses=[PointMass(0.4, (0.29, 0.03, 0.02))]),
+        Link("two", 0.2, bar, steel, rfes=3, point_masses=[PointMass(0.2, (0.1, 0.0, -0.04))]),
+    ]
+    joints = [Joint("A", "base", "one", angle=0.3), Joint("B", "one", "two", angle=-1.1)]
+    return Mechanism(links, joints, driven_joint="A")
+
+
+@pytest.fixture(scope="module", params=PAIRS + [(loaded_chain, False)],
+                ids=lambda pair: pair[0].__name__ + "-turned" * pair[1])
+def mechanism(request):
+    """Model, constants, drive and a closed state in motion: links undeformed, all rates at random that
+    the closure allows."""
+    make, prescribed = request.param
+    model = discretise(make())
+    realised = realise(model, assembly_errors(model))
+    rng = np.random.default_rng(3)
+    size = (6, model.topology.n_rfes)
+    drive = DriveInput()
+    if model.topology.driven is not None:
+        turn = (model.start_angles[model.topology.driven], jnp.asarray(-2.0), jnp.asarray(11.0))
+        drive = DriveInput(turn=turn) if prescribed else DriveInput(moment=jnp.asarray(1.7))
+    rates = Coordinates(
+        jnp.asarray(rng.normal(size=model.topology.n_links) * 3.0),
+        jnp.asarray(rng.normal(size=size) * np.array([0.02] * 3 + [1.0] * 3)[:, None]),
+    )
+    state = impose(model.topology, State(model.start_coordinates(), rates), drive)
+    return model, realised, drive, state, prescribed
+
+
+def worst(left):
+    return max(
+        float(jnp.max(jnp.abs(part), initial=0.0))
+        for part in (left.hinge, left.force, left.moment, left.closing_acceleration)
+    )
+
+
+def test_solved_accelerations_balance(mechanism):
+    model, realised, drive, state, prescribed = mechanism
+    scale = length_scale(model)
+
+    @jax.jit
+    def both(state):
+        gains = Stabilisation(jnp.zeros(()), jnp.zeros(()), scale)
+        result = accelerations(realised, state, drive, gains)
+        left = balance(realised, state, result.coordinates, result.multipliers, drive, scale)
+        return result, left, balance(
+            realised, state, jax.tree.map(jnp.zeros_like, result.coordinates),
+            jnp.zeros_like(result.multipliers), drive, scale,
+        )
+
+    result, left, unsolved = both(state)
+    if prescribed:
+        # What is left over at the prescribed joint is the moment that enforces its angle.
+        left = left._replace(hinge=left.hinge.at[model.topology.driven].set(0.0))
+    assert worst(unsolved) > 1.0
+    assert worst(left) < 1e-9 * worst(unsolved)
+    np.testing.assert_allclose(left.angular, result.angular, atol=1e-9 * np.abs(result.angular).max())
+    np.testing.assert_allclose(left.linear, result.linear, atol=1e-9 * np.abs(result.linear).max())
+
+
+def test_corrections_at_a_given_state_find_the_accelerations(mechanism):
+    model, realised, drive, state, prescribed = mechanism
+    scale, topology = length_scale(model), model.topology
+
+    @jax.jit
+    def solve(state):
+        gains = Stabilisation(jnp.zeros(()), jnp.zeros(()), scale)
+        result = accelerations(realised, state, drive, gains)
+        operators = link_operators(topology, link_modes(realised), jnp.zeros(()), jnp.zeros(()))
+        found = jax.tree.map(jnp.zeros_like, result.coordinates)
+        if prescribed:
+            angles = jnp.where(np.arange(topology.n_links) == topology.driven, drive.turn[2], 0.0)
+            found = Coordinates(angles, found.elastic)
+        multipliers = jnp.zeros_like(result.multipliers)
+
+        def correct(carry, _):
+            found, multipliers = carry
+            left = balance(realised, state, found, multipliers, drive, scale)
+            matrix = newton_matrix(realised, operators, left.motion, left.closure, prescribed)
+            change = correction(realised, operators, matrix, left, -left.closing_acceleration)
+            found = jax.tree.map(jnp.add, found, change.accelerations)
+            return (found, multipliers + change.multipliers), None
+
+        return result, jax.lax.scan(correct, (found, multipliers), length=2)[0]
+
+    result, (found, multipliers) = solve(state)
+    pairs = (
+        (found.angles, result.coordinates.angles),
+        (found.elastic, result.coordinates.elastic),
+        (multipliers, result.multipliers),
+    )
+    for one, other in pairs:
+        if other.size:
+            scale = np.abs(other).max(axis=tuple(range(1, other.ndim)), keepdims=True)
+            np.testing.assert_allclose(one / scale, other / scale, atol=1e-9)
+
+
+def test_matrix_is_the_slope_of_the_balance_at_rest(mechanism):
+    """Undeformed and at rest, without weight, one correction solves the differentiated equations."""
+    model, realised, _, _, prescribed = mechanism
+    topology, scale = model.topology, length_scale(model)
+    realised = jax.tree.map(lambda x: x, realised)
+    object.__setattr__(realised, "gravity", jnp.zeros(3))
+    q_factor, v_factor = jnp.asarray(3e-7), jnp.asarray(6e-4)
+    n_free, cuts = topology.n_rfes, topology.n_cuts
+    start = model.start_coordinates()
+    zero = jax.tree.map(jnp.zeros_like, start)
+    driven = np.arange(topology.n_links) == topology.driven
+    drive = DriveInput()
+    if prescribed:
+        nothing = jnp.zeros(())
+        drive = DriveInput(turn=(model.start_angles[topology.driven], nothing, nothing))
+    unknowns, unravel = ravel_pytree((zero, jnp.zeros((5, cuts))))
+
+    def evaluate(flat):
+        found, multipliers = unravel(flat)
+        position = jax.tree.map(lambda q, a: q + q_factor * a, start, found)
+        velocity = jax.tree.map(lambda a: v_factor * a, found)
+        return balance(realised, State(position, velocity), found, multipliers, drive, scale)
+
+    def equations(flat):
+        left = evaluate(flat)
+        hinge = jnp.where(driven, -flat[: topology.n_links], left.hinge) if prescribed else left.hinge
+        return ravel_pytree((hinge, left.force, left.moment, left.closing / q_factor))[0]
+
+    @jax.jit
+    def both(load):
+        slope = jax.jacfwd(equations)(unknowns)
+        hinge, force, moment, closing = load
+        exact = unravel(jnp.linalg.solve(slope, -ravel_pytree(load)[0]))
+        operators = link_operators(topology, link_modes(realised), q_factor, v_factor)
+        left = evaluate(unknowns)
+        matrix = newton_matrix(realised, operators, left.motion, left.closure, prescribed)
+        left = left._replace(hinge=hinge, force=force, moment=moment)
+        return exact, correction(realised, operators, matrix, left, -closing)
+
+    rng = np.random.default_rng(5)
+    hinge = rng.normal(size=topology.n_links) * (~driven if prescribed else 1.0)
+    load = (hinge, rng.normal(size=(3, n_free)), 0.01 * rng.normal(size=(3, n_free)),
+            1e3 * rng.normal(size=(5, cuts)))
+    (exact, multipliers), change = both(jax.tree.map(jnp.asarray, load))
+    pairs = (
+        (change.accelerations.angles, exact.angles),
+        (change.accelerations.elastic, exact.elastic),
+        (change.multipliers, multipliers),
+    )
+    for one, other in pairs:
+        if other.size:
+            np.testing.assert_allclose(one, other, rtol=0, atol=1e-7 * np.abs(other).max())
+
+
