@@ -50,7 +50,7 @@ class Balance(NamedTuple):
     dissipated: Array
 
 
-def balance(
+def evaluate_balance(
     realised: Realisation,
     state: State,
     accelerations: Coordinates,

@@ -1,10 +1,10 @@
 """Newton's corrections for implicit steps: the linearised equations of motion, solved by their structure.
 
-Place in the pipeline: balance, link operators -> **newton** -> implicit integration.
+Place in the pipeline: balance, condensation -> **newton** -> implicit integration.
 
 The matrix is approximate: links are taken at their undeformed shape in their present place, with the
 stiffness of springs and dampers but not that of gyroscopic and joint loads.  Every flexible link is then
-what `link_operators` makes of it, and the tree of links is solved by Featherstone's articulated-body
+what `condensation` makes of it, and the tree of links is solved by Featherstone's articulated-body
 recursion with these inertias, for the residual and for unit multipliers of the cut joints at once; the
 multipliers follow from the closure.  A matrix serves all corrections of one step.
 
@@ -25,7 +25,7 @@ from rfem_jax.mechanics.balance import Balance
 from rfem_jax.mechanics.cut_joints import Closure
 from rfem_jax.mechanics.dynamics import island, unit_columns
 from rfem_jax.mechanics.kinematics import Motion
-from rfem_jax.mechanics.link_operators import LinkOperator, local_carriers
+from rfem_jax.mechanics.condensation import LinkOperator, local_carriers
 from rfem_jax.mechanics.model import BASE, Coordinates, Topology
 from rfem_jax.mechanics.realisation import Realisation
 

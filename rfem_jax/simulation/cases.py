@@ -15,8 +15,8 @@ from rfem_jax.mechanics.discretisation import discretise
 from rfem_jax.mechanics.model import Model
 from rfem_jax.mechanics.realisation import assembly_errors
 from rfem_jax.simulation import integration
+from rfem_jax.simulation.accuracy import choose_method
 from rfem_jax.simulation.run import Run, one_of
-from rfem_jax.simulation.stability import choose_method
 from rfem_jax.simulation.time_grid import TimeGrid
 
 PIECES = 20
@@ -35,7 +35,7 @@ def run_cases(
     model = discretise(study.mechanism) if model is None else model
     errors = [assembly_errors(model, case.errors) for case in study.cases]
     errors = jax.tree.map(lambda *leaves: jnp.stack(leaves), *errors)
-    method = choose_method(model, study.method, study.drive)
+    method = choose_method(model, study.method, study.drive, study.duration, errors)
     grid, steps = integration.grid_for(study.drive, study.duration, method, study.save_every)
     prepared, carry = _prepare(model, errors, study.drive, method)
     records = []

@@ -15,8 +15,12 @@ and of powers are sums by the trapezoidal rule.  A step of length zero finds the
 multipliers at a given state: the method starts, and starts again after a jump of the drive, by such a
 step.  Newton's method makes a fixed number of corrections with one matrix a step; what the last one
 leaves over is part of the result.
+
+Derivatives are those of the solution of a step's equations, found by as many corrections as the
+solution itself; they are as exact as these (2 ms on the study four-bar: 1e-4 with 3, 1e-8 with 8).
 """
 
+import functools
 from typing import NamedTuple
 
 import equinox as eqx
@@ -24,17 +28,22 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.ad_checkpoint import checkpoint_name
 
+from rfem_jax.description.drives import PrescribedDrive
 from rfem_jax.description.methods import Method
-from rfem_jax.mechanics.balance import balance
+from rfem_jax.mechanics.balance import Balance, evaluate_balance
 from rfem_jax.mechanics.dynamics import DriveInput, impose
-from rfem_jax.mechanics.link_operators import LinkModes, LinkOperator, link_modes, link_operators
+from rfem_jax.mechanics.condensation import LinkModes, LinkOperator, link_modes, link_operators
 from rfem_jax.mechanics.model import Coordinates, Model, State, Topology
-from rfem_jax.mechanics.newton import correction, newton_matrix
+from rfem_jax.mechanics.newton import Correction, correction, newton_matrix
 from rfem_jax.mechanics.realisation import assembly_errors, realise
 from rfem_jax.simulation import equations
 from rfem_jax.simulation.equations import Conditions, Integrals, Trajectory, drive_input
 from rfem_jax.simulation.observation import Instant, balanced_instant
+
+
+SOLUTION = "solution of an implicit step"  # what reverse mode keeps of a step
 
 
 class Memory(NamedTuple):
@@ -92,7 +101,7 @@ class GeneralisedAlpha(eqx.Module):
         scale = conditions.stabilisation.scale
         state = State(trajectory.position, trajectory.velocity)
         drive = drive_input(conditions.drive, jnp.zeros(()), conditions.phase)
-        left = balance(conditions.realised, state, accelerations, multipliers, drive, scale)
+        left = evaluate_balance(conditions.realised, state, accelerations, multipliers, drive, scale)
         return balanced_instant(conditions.realised.topology, left, accelerations, drive, scale)
 
     def step(
@@ -105,56 +114,70 @@ class GeneralisedAlpha(eqx.Module):
         memory: Memory,
     ) -> tuple[Trajectory, Memory]:
         """One step of length h to t1 (zero: accelerations at the given state)."""
+        constants = jax.lax.stop_gradient((operators, t1, h))
+        return _step(self, constants, conditions, trajectory, memory)
+
+    def solve(self, rounds: int, constants, conditions, trajectory, memory):
+        """Newton's method: unknowns after so many rounds, and what the step returns with the unknowns
+        before the last one, which is no correction if there are more rounds than corrections."""
+        operators, _, _ = constants
+
+        def correct(carry, index):
+            unknowns, matrix, _ = carry
+            left, end = self.end_of_step(unknowns, constants, conditions, trajectory, memory)
+            matrix = jax.lax.cond(
+                index == 0, lambda: _matrix(conditions, operators, left), lambda: matrix
+            )
+            change = correction(conditions.realised, operators, matrix, left, left.closing)
+            share = (index < self.corrections).astype(jnp.float64)
+            unknowns = jax.tree.map(lambda x, dx: x + share * dx, unknowns, change)
+            return (unknowns, matrix, end), None
+
+        first = self.guess(constants, conditions, memory)
+        carry = jax.eval_shape(
+            lambda: self._first_round(first, constants, conditions, trajectory, memory)
+        )
+        matrix, end = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), carry)
+        carry = (first, matrix, end)
+        (unknowns, _, end), _ = jax.lax.scan(correct, carry, jnp.arange(rounds))
+        return unknowns, end
+
+    def _first_round(self, first, constants, conditions, trajectory, memory):
+        left, end = self.end_of_step(first, constants, conditions, trajectory, memory)
+        return _matrix(conditions, constants[0], left), end
+
+    def guess(self, constants, conditions: Conditions, memory: Memory) -> Correction:
+        """Accelerations and multipliers before the first correction: those of the last step."""
+        topology = conditions.realised.topology
+        drive = drive_input(conditions.drive, constants[1], conditions.phase)
+        accelerations = _prescribed(topology, drive, memory.accelerations)
+        return Correction(accelerations, memory.multipliers)
+
+    def end_of_step(
+        self, unknowns: Correction, constants, conditions: Conditions, trajectory, memory
+    ) -> tuple[Balance, tuple[Trajectory, Memory]]:
+        """What is left over with given unknowns (`closing`: as `correction` takes it), and what the
+        step returns if that is nothing."""
+        _, t1, h = constants
         realised, scale = conditions.realised, conditions.stabilisation.scale
         topology = realised.topology
         drive = drive_input(conditions.drive, t1, conditions.phase)
         q_factor, _ = self.factors(h)
         moving = h > 0.0
-
-        def evaluate(accelerations, multipliers):
-            state, auxiliary = self._reached(h, trajectory, memory, accelerations)
-            state = impose(topology, state, drive)
-            left = balance(realised, state, accelerations, multipliers, drive, scale)
-            return state, auxiliary, left
-
-        def matrix_of(left):
-            return newton_matrix(
-                realised, operators, left.motion, left.closure, drive.turn is not None
-            )
-
-        def correct(carry, index):
-            accelerations, multipliers, matrix, *_ = carry
-            state, auxiliary, left = evaluate(accelerations, multipliers)
-            matrix = jax.lax.cond(index == 0, lambda: matrix_of(left), lambda: matrix)
-            closing = -jnp.where(
-                moving,
-                left.closing / jnp.where(moving, q_factor, 1.0),
-                left.closing_acceleration,
-            )
-            change = correction(realised, operators, matrix, left, closing)
-            # The last round only evaluates.
-            share = (index < self.corrections).astype(jnp.float64)
-            instant = balanced_instant(topology, left, accelerations, drive, scale)
-            change = jax.tree.map(lambda x: share * x, change)
-            accelerations = jax.tree.map(jnp.add, accelerations, change.accelerations)
-            multipliers = multipliers + change.multipliers
-            return (accelerations, multipliers, matrix, state, auxiliary, instant), None
-
-        first = _prescribed(topology, drive, memory.accelerations)
-        shapes = jax.eval_shape(lambda: matrix_of(evaluate(first, memory.multipliers)[2]))
-        matrix = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
-        state = State(trajectory.position, trajectory.velocity)
-        carry = (first, memory.multipliers, matrix, state, memory.auxiliary, memory.instant)
-        rounds = jnp.arange(self.corrections + 1)
-        (accelerations, multipliers, _, state, auxiliary, instant), _ = jax.lax.scan(
-            correct, carry, rounds
-        )
+        accelerations, multipliers = unknowns
+        state, auxiliary = self._reached(h, trajectory, memory, accelerations)
+        state = impose(topology, state, drive)
+        left = evaluate_balance(realised, state, accelerations, multipliers, drive, scale)
+        instant = balanced_instant(topology, left, accelerations, drive, scale)
         rates = _rates(realised, state, drive, instant)
         integrals = jax.tree.map(
             lambda sum, old, new: sum + 0.5 * h * (old + new),
             trajectory.integrals, memory.rates, rates,
         )
-        return (
+        closing = -jnp.where(
+            moving, left.closing / jnp.where(moving, q_factor, 1.0), left.closing_acceleration
+        )
+        return left._replace(closing=closing), (
             Trajectory(state.position, state.velocity, integrals),
             Memory(accelerations, auxiliary, multipliers, rates, instant),
         )
@@ -178,6 +201,70 @@ class GeneralisedAlpha(eqx.Module):
             trajectory.velocity, a0, a1,
         )
         return State(position, velocity), a1
+
+
+@functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _step(method: GeneralisedAlpha, *given):
+    return method.solve(method.corrections + 1, *given)[1]
+
+
+@functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _unknowns(method: GeneralisedAlpha, *given):
+    return method.solve(method.corrections, *given)[0]
+
+
+@_unknowns.defjvp
+def _differentiate_unknowns(method: GeneralisedAlpha, primals, tangents):
+    ends = _differentiate_step(method, primals, tangents)
+    return tuple(Correction(end.accelerations, end.multipliers) for _, end in ends)
+
+
+@_step.defjvp
+def _differentiate_step(method: GeneralisedAlpha, primals, tangents):
+    """Derivative of what the step's equations define, not of the corrections that solve them: as many
+    corrections of the tangents, with one linearisation at the solution."""
+    constants, *given = primals
+    inputs, fixed = eqx.partition(given, eqx.is_inexact_array)
+    along = eqx.filter(list(tangents[1:]), jax.tree.map(eqx.is_inexact_array, given))
+    # With the solution at hand, reverse mode need not repeat Newton's method.
+    solution = jax.tree.map(
+        lambda x: checkpoint_name(x, SOLUTION), _unknowns(method, constants, *given)
+    )
+
+    def at(unknowns, inputs):
+        left, end = method.end_of_step(unknowns, constants, *eqx.combine(inputs, fixed))
+        return ((left.hinge, left.force, left.moment, left.closing), end), left
+
+    def guess(inputs):
+        conditions, _, memory = eqx.combine(inputs, fixed)
+        return method.guess(constants, conditions, memory)
+
+    (_, end), push, left = jax.linearize(at, solution, inputs, has_aux=True)
+    first = jax.jvp(guess, (inputs,), (along,))[1]
+    conditions, operators = given[0], constants[0]
+    matrix = _matrix(conditions, operators, left)
+
+    def refine(found, _):
+        (hinge, force, moment, closing), _ = found
+        rest = left._replace(hinge=hinge, force=force, moment=moment)
+        change = correction(conditions.realised, operators, matrix, rest, closing)
+        # By jvp, what depends on the inputs alone is left out.
+        more = jax.jvp(lambda unknowns: push(unknowns, along), (first,), (change,))[1]
+        return jax.tree.map(jnp.add, found, more), None
+
+    (_, end_tangent), _ = jax.lax.scan(
+        refine, push(first, along), None, length=method.corrections, unroll=True
+    )
+    return end, end_tangent
+
+
+def _matrix(conditions: Conditions, operators, left: Balance):
+    """Newton's matrix, on which the solution does not depend: it is not differentiated."""
+    matrix = newton_matrix(
+        conditions.realised, operators, left.motion, left.closure,
+        isinstance(conditions.drive, PrescribedDrive),
+    )
+    return jax.lax.stop_gradient(matrix)
 
 
 def _prescribed(topology: Topology, drive: DriveInput, accelerations: Coordinates) -> Coordinates:

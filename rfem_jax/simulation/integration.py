@@ -48,7 +48,7 @@ from rfem_jax.mechanics.status import (
 )
 from rfem_jax.simulation import equations
 from rfem_jax.simulation.equations import Conditions, Trajectory
-from rfem_jax.simulation.generalised_alpha import GeneralisedAlpha, Memory
+from rfem_jax.simulation.generalised_alpha import SOLUTION, GeneralisedAlpha, Memory
 from rfem_jax.simulation.observation import Record, observe, solved_instant
 from rfem_jax.simulation.run import DrivenJoint, LoadIntegrals, Metrics, Run
 from rfem_jax.simulation.solvers import PeakTracking, make_solver
@@ -118,7 +118,7 @@ def grid_for(drive, duration, method: Method, save_every) -> tuple[TimeGrid, int
     if method.step is None and not method.adaptive:
         raise InputError(
             f"Argument `method` must have a step or tolerances here, but {method.name!r} has none; "
-            "replace it by `choose_method(model, method, drive)`, which chooses the step."
+            "replace it by `choose_method(model, method, drive, duration)`, which chooses the step."
         )
     jumps = () if drive is None else drive.breakpoints()
     return divide_time(duration, method.step, save_every, jumps, method.implicit)
@@ -177,6 +177,28 @@ def start_carry(model: Model, prepared: Prepared, drive, method: Method) -> Carr
 
 def advance(model, realised, drive, carry, grid: TimeGrid, method: Method, steps, adjoint):
     """Integrate over the intervals of a grid; returns the carry and a `Record` of each end."""
+    step_over = _stepping(model, realised, drive, grid, method, steps, adjoint)
+
+    def interval(carry, entry):
+        carry, conditions, end = step_over(carry, entry)
+        return _record(carry, end, conditions)
+
+    kept = jax.checkpoint_policies.save_only_these_names(SOLUTION)
+    return jax.lax.scan(jax.checkpoint(interval, policy=kept), carry, _entries(grid))
+
+
+def advance_unobserved(model, realised, drive, carry, grid: TimeGrid, method: Method, steps):
+    """Integrate without records; with an implicit method `steps` may be traced (forward mode only)."""
+    step_over = _stepping(model, realised, drive, grid, method, steps, None)
+    return jax.lax.scan(lambda carry, entry: (step_over(carry, entry)[0], None), carry, _entries(grid))[0]
+
+
+def _entries(grid: TimeGrid):
+    return tuple(jnp.asarray(x) for x in (grid.starts, grid.lengths, grid.phases, grid.kinds))
+
+
+def _stepping(model, realised, drive, grid: TimeGrid, method: Method, steps, adjoint):
+    """The function that integrates over one interval."""
     drive = equations.with_start_angle(model, drive)
     stabilisation = stabilisation_of(model, method)
     if method.implicit:
@@ -185,7 +207,7 @@ def advance(model, realised, drive, carry, grid: TimeGrid, method: Method, steps
     else:
         solver = PeakTracking(make_solver(method), equations.peaks)
 
-    def interval(carry, entry):
+    def step_over(carry, entry):
         start, length, phase, kind = entry
         conditions = Conditions(realised, drive, phase, stabilisation)
         if method.implicit:
@@ -195,11 +217,9 @@ def advance(model, realised, drive, carry, grid: TimeGrid, method: Method, steps
             carry = _adaptive(solver, carry, start, length, conditions, method, adjoint)
         else:
             carry = _fixed(solver, carry, start, length, steps, conditions)
-        return _record(carry, start + length, conditions)
+        return carry, conditions, start + length
 
-    entries = (grid.starts, grid.lengths, grid.phases, grid.kinds)
-    entries = tuple(jnp.asarray(entry) for entry in entries)
-    return jax.lax.scan(jax.checkpoint(interval), carry, entries)
+    return step_over
 
 
 def _record(carry: Carry, t, conditions: Conditions):
@@ -225,16 +245,23 @@ def _implicit(
     """The implicit steps of one interval with equal length."""
     h = length / steps
 
-    def step(state, index):
+    def step(index, state):
         trajectory, memory, peaks, residual = state
         t1 = start + h * (index + 1.0)
         trajectory, memory = method.step(conditions, operators, t1, h, trajectory, memory)
         rates = memory.rates
         peaks = jnp.maximum(peaks, jnp.stack([rates.axial_square, rates.normal_square]))
-        return (trajectory, memory, peaks, jnp.maximum(residual, memory.instant.residual)), None
+        return trajectory, memory, peaks, jnp.maximum(residual, memory.instant.residual)
 
     state = (carry.trajectory, carry.memory, carry.peaks, carry.residual)
-    state, _ = jax.lax.scan(step, state, jnp.arange(steps, dtype=jnp.float64))
+    if isinstance(steps, int):
+        indices = jnp.arange(steps, dtype=jnp.float64)
+        state, _ = jax.lax.scan(lambda state, index: (step(index, state), None), state, indices)
+    else:
+        count = steps.astype(jnp.int32)
+        state = jax.lax.fori_loop(
+            0, count, lambda i, state: step(i.astype(jnp.float64), state), state
+        )
     trajectory, memory, peaks, residual = state
     return carry._replace(trajectory=trajectory, memory=memory, peaks=peaks, residual=residual)
 

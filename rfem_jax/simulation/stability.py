@@ -7,7 +7,6 @@ Baumgarte's terms included; all damped eigenvalues are tested against the method
 function (Runge-Kutta), or the amplification matrix of the whole linear system (leapfrog).
 """
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import diffrax
@@ -50,40 +49,26 @@ class Linearised(NamedTuple):
 
 
 def check_step(model: Model, method: Method, drive=None) -> float | None:
-    """Largest stable step [s] of a fixed-step method (None for adaptive and implicit ones; for
-    "auto" that of Runge-Kutta 4).
+    """Largest stable step [s] of a fixed-step method (None for adaptive and implicit ones, and
+    for "auto").
 
     **Raises:** `InputError` if the method's step is larger.
     """
     if method.implicit:
         return None
     if method.step is None:
-        auto = method.name == "auto"
-        return largest_stable_step(model, Method("rk4", step=1e-6), drive) if auto else None
+        return None
     limit = largest_stable_step(model, method, drive)
     if method.step > limit:
         raise InputError(
-            f"Argument `step` must be at most {_floor(limit)} s for the method {method.name!r} to be "
+            f"Argument `step` must be at most {round_down(limit)} s for the method {method.name!r} to be "
             f"stable on this mechanism, but is {method.step:g} s; reduce it, use fewer rfes, or take "
             "another method."
         )
     return limit
 
 
-def choose_method(model: Model, method: Method, drive=None) -> Method:
-    """The method itself, or, for "auto", the one that it stands for on this mechanism.
-
-    "auto" takes Runge-Kutta 4 at nine tenths of its largest stable step, whatever accuracy is asked for:
-    the step of an explicit method is bounded here by stability long before accuracy.
-    """
-    if method.name != "auto":
-        return method
-    trial = Method("rk4", step=1e-6, stabilisation=method.stabilisation)
-    limit = largest_stable_step(model, trial, drive)
-    return replace(trial, step=float(_floor(0.9 * limit)))
-
-
-def _floor(value: float) -> str:
+def round_down(value: float) -> str:
     """Three digits, rounded down."""
     exponent = int(np.floor(np.log10(value)))
     return f"{np.floor(value / 10.0**exponent * 100.0) / 100.0:g}e{exponent:+03d}"

@@ -1,7 +1,7 @@
 """The simulator as a problem: named errors in, metrics and a status out.
 
-Place in the pipeline: model, drive, metrics, method -> **Problem** -> all studies of this room.  The
-only place where tolerance studies meet the mechanics.
+Place in the pipeline: model, drive, metrics, method -> **Problem** -> all studies of this room.
+The only place where tolerance studies meet the mechanics.
 """
 
 from collections.abc import Mapping
@@ -17,8 +17,8 @@ from rfem_jax.description.methods import Method
 from rfem_jax.mechanics.model import Model
 from rfem_jax.mechanics.realisation import AssemblyErrors, assembly_errors, error_dimension
 from rfem_jax.mechanics.status import STATUS
+from rfem_jax.simulation.accuracy import choose_method
 from rfem_jax.simulation.integration import simulate
-from rfem_jax.simulation.stability import choose_method
 from rfem_jax.tolerancing import metrics as catalogue
 from rfem_jax.tolerancing.metrics import Metric
 
@@ -30,7 +30,8 @@ class Problem(eqx.Module):
     ({metric name: scalar}, status); it works under jit, vmap, jacfwd, grad, jacrev and their
     compositions.  Memory: forward mode stores nothing along the way; reverse mode with a fixed-step
     method keeps the integrated state at every saved time and at every stage of one interval between
-    them, and recomputes the rest (`benchmarks/gradients.py` measures both).
+    them, with an implicit method also the solution of every step (accelerations, multipliers), and
+    recomputes the rest (`benchmarks/gradients.py` measures both).
 
     **Arguments:** `metrics`: `Metric`s or their names ("A.rms_force", "end_energy"); `duration` [s];
     `save_every` [s]: interval of the balances and checkpoints, and of the times that p-norms see.
@@ -47,7 +48,7 @@ class Problem(eqx.Module):
 
     def __init__(self, model, drive, duration, metrics, method, save_every=None):
         self.model, self.drive = model, drive
-        self.method = choose_method(model, method, drive)
+        self.method = choose_method(model, method, drive, float(duration))
         self.duration, self.save_every = float(duration), save_every
         metrics = (metrics,) if isinstance(metrics, (str, Metric)) else tuple(metrics)
         self.metrics = tuple(_known_metric(model, m) for m in metrics)

@@ -8,24 +8,16 @@ import pytest
 from jax.flatten_util import ravel_pytree
 
 from rfem_jax import Joint, Link, Material, Mechanism, PointMass, Rectangle, assembly_errors, discretise
-from rfem_jax.mechanics.balance import balance
+from rfem_jax.mechanics.balance import evaluate_balance
 from rfem_jax.mechanics.dynamics import DriveInput, Stabilisation, accelerations, impose
-from rfem_jax.mechanics.link_operators import link_modes, link_operators
+from rfem_jax.mechanics.condensation import link_modes, link_operators
 from rfem_jax.mechanics.model import Coordinates, State
 from rfem_jax.mechanics.newton import correction, newton_matrix
 from rfem_jax.mechanics.realisation import realise
 from rfem_jax.mechanics.statics import length_scale
-from tests.mechanisms import (
-    four_bar,
-    open_chain,
-    six_link_loop,
-    three_link_loop,
-    twisted_spatial_loop,
-    two_loop_six_bar,
-)
+from tests.mechanisms import four_bar, twisted_spatial_loop, two_loop_six_bar
 
-ALL = [four_bar, three_link_loop, six_link_loop, twisted_spatial_loop, two_loop_six_bar, open_chain]
-PAIRS = [(make, False) for make in ALL] + [(four_bar, True), (open_chain, True)]
+PAIRS = [(four_bar, True), (twisted_spatial_loop, False), (two_loop_six_bar, False)]
 
 
 def loaded_chain():
@@ -77,8 +69,8 @@ def test_solved_accelerations_balance(mechanism):
     def both(state):
         gains = Stabilisation(jnp.zeros(()), jnp.zeros(()), scale)
         result = accelerations(realised, state, drive, gains)
-        left = balance(realised, state, result.coordinates, result.multipliers, drive, scale)
-        return result, left, balance(
+        left = evaluate_balance(realised, state, result.coordinates, result.multipliers, drive, scale)
+        return result, left, evaluate_balance(
             realised, state, jax.tree.map(jnp.zeros_like, result.coordinates),
             jnp.zeros_like(result.multipliers), drive, scale,
         )
@@ -110,7 +102,7 @@ def test_corrections_at_a_given_state_find_the_accelerations(mechanism):
 
         def correct(carry, _):
             found, multipliers = carry
-            left = balance(realised, state, found, multipliers, drive, scale)
+            left = evaluate_balance(realised, state, found, multipliers, drive, scale)
             matrix = newton_matrix(realised, operators, left.motion, left.closure, prescribed)
             change = correction(realised, operators, matrix, left, -left.closing_acceleration)
             found = jax.tree.map(jnp.add, found, change.accelerations)
@@ -151,7 +143,7 @@ def test_matrix_is_the_slope_of_the_balance_at_rest(mechanism):
         found, multipliers = unravel(flat)
         position = jax.tree.map(lambda q, a: q + q_factor * a, start, found)
         velocity = jax.tree.map(lambda a: v_factor * a, found)
-        return balance(realised, State(position, velocity), found, multipliers, drive, scale)
+        return evaluate_balance(realised, State(position, velocity), found, multipliers, drive, scale)
 
     def equations(flat):
         left = evaluate(flat)

@@ -81,9 +81,13 @@ def mode_of(model):
     return assembly_modes(realised, now, closure(realised, now, length_scale(model)))
 
 
-def test_the_two_ways_to_close_a_four_bar_are_two_branches(run):
+def test_the_two_ways_to_close_a_four_bar_are_two_branches():
     above, below = (float(mode_of(four_bar_on_the_side(sign))[0]) for sign in (1.0, -1.0))
-    # y is into the plane seen with x right and z up: (C - B) x (C - D) is along +y for C above.
-    assert (above, below) == (1.0, -1.0)
+    # With x to the right and z up, y points into the plane: for C above, (C - B) x (C - D) is along
+    # -y, towards the reader.
+    assert (above, below) == (-1.0, 1.0)
+
+
+def test_a_run_stays_on_the_branch_of_its_start(run):
     assert list(run.branch) == ["C"]
-    np.testing.assert_array_equal(run.branch["C"], 1.0)
+    np.testing.assert_array_equal(run.branch["C"], -1.0)

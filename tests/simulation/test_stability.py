@@ -11,7 +11,6 @@ from rfem_jax import (
     PrescribedRate,
     assembly_errors,
     check_step,
-    choose_method,
     discretise,
     largest_stable_step,
     load_study,
@@ -58,14 +57,6 @@ def test_a_step_too_large_is_refused_with_the_allowed_one(models):
         check_step(models["study"], Method("rk4", step=3e-5))
     assert check_step(models["study"], Method("rk4", step=1e-5)) > 1.9e-5
     assert check_step(models["study"], Method("dopri5", rtol=1e-6, atol=1e-8)) is None
-
-
-def test_auto_takes_a_stable_step(models):
-    chosen = choose_method(models["study"], Method("auto", accuracy=1e-3))
-    assert chosen.name == "rk4"
-    np.testing.assert_allclose(chosen.step, 0.9 * 1.94e-5, rtol=0.02)
-    same = Method("leapfrog", step=1e-6)
-    assert choose_method(models["study"], same) is same
 
 
 def test_auto_must_be_chosen_before_a_simulation(small):

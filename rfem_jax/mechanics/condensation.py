@@ -1,6 +1,6 @@
 """The stiff part of a flexible link, condensed: what an implicit step needs of it.
 
-Place in the pipeline: model -> **link operators** -> newton.
+Place in the pipeline: model -> **condensation** -> newton.
 
 In the link's own axes, near its undeformed shape, the free rfes obey
 

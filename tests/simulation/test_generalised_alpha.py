@@ -1,0 +1,153 @@
+"""The implicit method: order, agreement with Runge-Kutta, clean reactions, derivatives, failures."""
+
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from rfem_jax import (
+    STATUS,
+    InputError,
+    Method,
+    PrescribedRate,
+    assembly_errors,
+    choose_method,
+    discretise,
+    load_study,
+    simulate,
+)
+from rfem_jax.description.methods import CORRECTIONS, SPECTRAL_RADIUS
+from rfem_jax.simulation import integration
+from rfem_jax.simulation.accuracy import estimate_change, rms_loads
+from rfem_jax.simulation.time_grid import divide_time
+
+STUDY = Path(__file__).parents[2] / "studies" / "four_bar" / "study.toml"
+ERRORS = {"D.delta_x": 0.005, "D.d_y": 5e-4, "B.child.delta_z": 0.002, "coupler.length": 1e-4}
+
+
+def rms(model, run):
+    metrics = run.metrics
+    return np.array([[float(metrics.rms_force[j]), float(metrics.rms_moment[j])] for j in model.joint_names])
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _quick(quick_compilation):
+    yield
+
+
+@pytest.fixture(scope="module")
+def soft(small):
+    """A four-bar of links a thousand times softer, whose vibrations all steps resolve."""
+    return eqx.tree_at(lambda m: m.section, small.model, small.model.section.at[:6].mul(1e-3))
+
+
+@pytest.fixture(scope="module")
+def found(small, soft):
+    """The soft four-bar by the implicit method."""
+    method = Method("generalised_alpha", step=2.5e-4, corrections=4)
+    settings = {**small.settings, "save_every": 2e-3, "method": method}
+    return jax.tree.map(np.asarray, simulate(soft, assembly_errors(soft, ERRORS), **settings))
+
+
+def test_converges_to_runge_kutta_with_order_two(small, soft):
+    errors = jax.tree.map(lambda x: x[None], assembly_errors(soft, ERRORS))
+    method = Method("generalised_alpha", step=2e-3, corrections=4)
+    grid, _ = integration.grid_for(small.drive, 0.02, method, 2e-3)
+    steps = (4.0, 8.0, 16.0, 32.0)
+    loads = [
+        np.asarray(rms_loads(soft, errors, small.drive, grid, method, jnp.asarray(k))[0])
+        for k in steps
+    ]
+    exact = rms(soft, simulate(soft, assembly_errors(soft, ERRORS), **small.settings))
+    changes = np.array([np.abs(one[0].T / exact - 1.0).max() for one in loads])
+    np.testing.assert_allclose(np.log2(changes[1:-1] / changes[2:]), 2.0, atol=0.3)
+    assert changes[-1] < 5e-4
+
+
+def test_balances_of_a_run(found):
+    assert found.status == 0
+    assert found.closure_drift < 1e-8
+    assert found.momentum_balance_error < 1e-11
+    assert found.hinge_moment_error < 1e-4
+    assert found.solution_residual < 1e-2
+    assert found.energy_balance_error < 1e-4
+
+
+def test_reactions_do_not_oscillate_from_step_to_step(small):
+    """A smooth drive at rest to motion: second differences of a load fall with the square of the step;
+    an oscillation from step to step would keep them."""
+    drive = PrescribedRate("A", 20.0, 0.02)
+    rough = []
+    for h in (5e-4, 2.5e-4):
+        run = simulate(
+            small.model, assembly_errors(small.model, ERRORS), drive=drive, duration=0.02,
+            method=Method("generalised_alpha", step=h), save_every=h,
+        )
+        force = np.asarray(run.loads["C"].force)[4:]
+        rough.append(np.abs(np.diff(force, 2, axis=0)).max() / np.abs(force).max())
+        assert int(run.status) == 0
+    assert rough[1] < 0.45 * rough[0] and rough[1] < 0.1
+
+
+def test_a_step_that_does_not_converge_says_so(small):
+    """One correction at a long step, after the jump."""
+    method = Method("generalised_alpha", step=2e-3, corrections=1)
+    settings = {**small.settings, "method": method, "save_every": 2e-3}
+    run = simulate(small.model, assembly_errors(small.model, {"D.delta_x": 0.02}), **settings)
+    assert STATUS[int(run.status)].name in ("not_converged", "diverged", "drifted")
+
+
+def test_a_jump_restarts_the_method():
+    grid, steps = divide_time(0.5, 1e-3, 1e-2, (0.1, 0.255), restarting=True)
+    assert grid.restarts == (11, 28) and steps == 10
+    assert np.all(grid.lengths[list(grid.restarts)] == 0.0)
+    assert list(grid.phases[[10, 11, 27, 28]]) == [0, 1, 1, 2]
+    times = (grid.starts + grid.lengths)[grid.saved]
+    assert np.all(np.diff(times) > 0.0) and times[0] == 0.0
+    np.testing.assert_allclose(grid.distinct[grid.kinds], grid.lengths, atol=1e-12)
+
+
+def test_auto_takes_the_step_from_the_accuracy(monkeypatch):
+    study = load_study(STUDY)
+    model = discretise(study.mechanism)
+    steps = [
+        choose_method(model, Method("auto", accuracy=accuracy), study.drive, 0.5)
+        for accuracy in (1e-2, 1e-3)
+    ]
+    assert all(method.name == "generalised_alpha" for method in steps)
+    assert 1e-3 < steps[0].step < 5e-3 and 3e-4 < steps[1].step < 1.5e-3
+    same = Method("leapfrog", step=1e-6)
+    assert choose_method(model, same) is same
+    with pytest.raises(InputError, match="`duration` must be given"):
+        choose_method(model, Method("auto"), study.drive)
+    # Where no implicit step is good enough, the explicit method at a stable step.
+    monkeypatch.setattr("rfem_jax.simulation.accuracy.LAST", 4)
+    chosen = choose_method(model, Method("auto", accuracy=1e-9), study.drive, 0.5)
+    assert chosen.name == "rk4"
+    np.testing.assert_allclose(chosen.step, 0.9 * 1.94e-5, rtol=0.02)
+
+
+def test_changes_are_relative_to_the_load_or_to_a_twentieth_of_the_largest():
+    one, other = np.array([[[1.0, 100.0]]]), np.array([[[1.5, 101.0]]])
+    np.testing.assert_allclose(estimate_change(one, other), 0.5 / (0.05 * 101.0))
+    assert estimate_change(np.full_like(one, np.nan), other) == np.inf
+
+
+def test_settings_of_the_method():
+    method = Method("generalised_alpha", step="1 ms")
+    assert (method.spectral_radius, method.corrections) == (SPECTRAL_RADIUS, CORRECTIONS)
+    for bad, message in (
+        ({"spectral_radius": 1.0}, "`spectral_radius` must be less than 1"),
+        ({"corrections": 0}, "`corrections` must be a whole number"),
+        ({"stabilisation": 0.1}, "`stabilisation` must be left out"),
+        ({"rtol": 1e-3, "atol": 1e-6}, "`rtol` and `atol` must be left out"),
+    ):
+        with pytest.raises(InputError, match=message):
+            Method("generalised_alpha", step=1e-3, **bad)
+    with pytest.raises(InputError, match="`step` must be given"):
+        Method("generalised_alpha")
+    with pytest.raises(InputError, match="`corrections` must be left out"):
+        Method("rk4", step=1e-5, corrections=2)
