@@ -12,6 +12,7 @@ import argparse
 import os
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 # Command: task it does, what it is, what it writes.
@@ -86,6 +87,16 @@ def build_parser() -> argparse.ArgumentParser:
     )
     check.add_argument("study", metavar="STUDY.toml", help="the study file")
     check.set_defaults(action=_check)
+    validate = commands.add_parser(
+        "validate",
+        help="compute published benchmarks and compare with their reference values",
+        description="Compute published benchmarks and print every value beside its reference; exit "
+        "code 3 if one fails.",
+    )
+    validate.add_argument("--full", action="store_true", help="fine discretisations too (slow)")
+    validate.add_argument("--only", metavar="NAME", nargs="+", help="these benchmarks only")
+    validate.add_argument("--out", metavar="DIR", help="folder for tables and pictures")
+    validate.set_defaults(action=_validate)
     return parser
 
 
@@ -356,6 +367,20 @@ def _check(arguments) -> int:
     found = "chosen by the method" if step is None else f"{float(step):.3g} s"
     print(f"Largest stable step of {study.method.name}: {found}.")
     return DONE
+
+
+def _validate(arguments) -> int:
+    from rfem_jax.report.validation_command import validate
+
+    folder = None if arguments.out is None else open_folder(arguments.out)
+    try:
+        watch = partial(Progress, stream=sys.stderr)
+        good, written = validate(arguments.only, arguments.full, folder, watch)
+    except OSError as problem:
+        raise _cannot_write(folder, problem) from problem
+    if written:
+        print(f"{len(written)} files written to {folder}.")
+    return DONE if good else CASE_FAILED
 
 
 def main(argv=None) -> int:

@@ -1,0 +1,65 @@
+"""What the command `validate` does: compute the published benchmarks, print the table, write files.
+
+Place in the pipeline: called by `command_line`; `validation` computes, `validation_tables` and
+`validation_figures` show.
+"""
+
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from rfem_jax.report.summary import PLOTS_HINT
+from rfem_jax.report.validation_tables import (
+    benchmark_text,
+    has_failed,
+    verdict_text,
+    write_validation,
+)
+from rfem_jax.validation.catalogue import chosen, compute
+from rfem_jax.validation.lines import Line, Picture
+
+
+def validate(names, full: bool, folder: Path | None, watch: Callable) -> tuple[bool, list[Path]]:
+    """Compute the chosen benchmarks, print each as soon as it is there, write everything.
+
+    Arguments: names of benchmarks (None: all); full: the lines that take long too; folder for the
+    files (None: none); watch: label -> progress with `close()`.
+    Returns: whether no line failed, and the files written.
+    Raises: InputError for an unknown name; OSError for files that cannot be written.
+    """
+    started = time.perf_counter()
+    benchmarks = chosen(names)
+    lines: list[Line] = []
+    pictures: list[Picture] = []
+    watches = []
+
+    def watched(benchmark):
+        watches.append(watch(f"{len(watches) + 1} of {len(benchmarks)}, {benchmark.title}"))
+        return watches[-1]
+
+    for benchmark, outcome in compute(benchmarks, full, watched):
+        watches[-1].close()
+        title = benchmark.title[0].upper() + benchmark.title[1:]
+        print(benchmark_text(title, outcome.lines), end="\n\n", flush=True)
+        lines += outcome.lines
+        pictures += outcome.pictures
+    print(verdict_text(lines), flush=True)
+    seconds = time.perf_counter() - started
+    print(f"Validation done after {seconds:.0f} s.", file=sys.stderr)
+    if folder is None:
+        return not has_failed(lines), []
+    settings = {"benchmarks": [one.name for one in benchmarks], "full": full, "seconds": seconds}
+    written = write_validation(folder, lines, settings)
+    return not has_failed(lines), written + _draw(folder, pictures)
+
+
+def _draw(folder: Path, pictures: list[Picture]) -> list[Path]:
+    try:
+        import matplotlib  # noqa: F401
+    except ImportError:
+        print(PLOTS_HINT)
+        return []
+    from rfem_jax.report.validation_figures import write_validation_figures
+
+    return write_validation_figures(folder, pictures)

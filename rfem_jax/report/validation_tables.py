@@ -1,0 +1,122 @@
+"""The validation table: on the terminal, as Markdown for the README, as CSV and JSON.
+
+Place in the pipeline: after `validation`; called by the command `rfem-jax validate`.
+"""
+
+import csv
+import json
+import math
+from collections import Counter
+from dataclasses import asdict, fields
+from pathlib import Path
+
+from rfem_jax.report.files import replacing, versions, without_nan
+from rfem_jax.report.tables import format_table
+from rfem_jax.validation.lines import FAIL, Line
+
+HEADER = ("checked", "ours", "reference", "difference", "allowed", "verdict", "source")
+
+
+def benchmark_text(title: str, lines: list[Line]) -> str:
+    """Tables of one benchmark with all its lines, and the reasons of those not met."""
+    parts = [title, "=" * len(title)]
+    for group, members in by_group(lines).items():
+        table = format_table((group, *HEADER[1:]), map(_cells, members), words=(0, 5, 6))
+        parts += [table, *reasons(members), ""]
+    return "\n".join(parts[:-1])
+
+
+def by_group(lines: list[Line]) -> dict[str, list[Line]]:
+    """Lines by group, in their order."""
+    groups: dict[str, list[Line]] = {}
+    for line in lines:
+        groups.setdefault(line.group, []).append(line)
+    return groups
+
+
+def reasons(lines: list[Line]) -> list[str]:
+    """One sentence for every reason why lines are not met, with how many there are."""
+    why = Counter(line.reason for line in lines if line.verdict not in ("pass", FAIL))
+    return [f"  not met ({count}): {reason}." for reason, count in why.items()]
+
+
+def verdict_text(lines: list[Line]) -> str:
+    """How many lines there are of each verdict."""
+    count = Counter(line.verdict for line in lines)
+    return (
+        f"{len(lines)} values: {count['pass']} pass, {count['not met']} not met for a known "
+        f"reason, {count['fail']} fail."
+    )
+
+
+def has_failed(lines: list[Line]) -> bool:
+    """Whether any line fails."""
+    return any(line.verdict == FAIL for line in lines)
+
+
+def markdown(lines: list[Line]) -> str:
+    """One row for every group of lines: the one nearest to its limit (or farthest beyond)."""
+    rows = ["| " + " | ".join(("values", *HEADER)) + " |", "|---" * (len(HEADER) + 1) + "|"]
+    for group, members in by_group(lines).items():
+        name, *cells = _cells(max(members, key=_strain))
+        met = sum(line.verdict == "pass" for line in members)
+        cells = [f"{group}: {name}" if name not in group else group, *cells]
+        rows.append("| " + " | ".join((f"{met} of {len(members)}", *cells)) + " |")
+    head = "Of each group the value nearest to its limit; all values are in `validation.csv`.\n\n"
+    return "\n".join([head + rows[0], *rows[1:], "", *reasons(lines), verdict_text(lines), ""])
+
+
+def _strain(line: Line) -> float:
+    """|difference| / allowed; not a number counts as the worst."""
+    if not math.isfinite(line.difference):
+        return math.inf
+    return abs(line.difference) / line.allowed if line.allowed else abs(line.difference)
+
+
+def _cells(line: Line) -> tuple[str, ...]:
+    return (
+        line.name,
+        _number(line.value, line.unit),
+        _number(line.reference, line.unit),
+        _difference(line, line.difference, "+.1e"),
+        _difference(line, line.allowed, ".0e"),
+        line.verdict,
+        line.source,
+    )
+
+
+def _number(value, unit: str) -> str:
+    if isinstance(value, str):
+        return value
+    return f"{value:.6g} {unit}".rstrip()
+
+
+def _difference(line: Line, value: float, form: str) -> str:
+    if isinstance(line.value, str):
+        return "-" if value == 0.0 else "differs"
+    if not line.relative:
+        return f"{value:{form}} {line.unit}".rstrip()
+    sign = "+" if "+" in form else ""
+    return f"{100.0 * value:{sign}.2g} %"
+
+
+def write_validation(folder, lines: list[Line], settings: dict) -> list[Path]:
+    """Write validation.json, validation.csv and validation.md; returns their paths.
+
+    Arguments: settings, what the command was asked for (names of benchmarks, full) and took.
+    """
+    folder = Path(folder)
+    names = [field.name for field in fields(Line)] + ["verdict"]
+    rows = [{**asdict(line), "verdict": line.verdict} for line in lines]
+    content = {**settings, "lines": rows, "versions": versions()}
+    written = [folder / f"validation.{ending}" for ending in ("json", "csv", "md")]
+    with replacing(written[0]) as temporary:
+        text = json.dumps(without_nan(content), indent=2, allow_nan=False)
+        temporary.write_text(text + "\n", encoding="utf-8")
+    with replacing(written[1]) as temporary, temporary.open("w", newline="") as stream:
+        table = csv.DictWriter(stream, names)
+        table.writeheader()
+        table.writerows(rows)
+    with replacing(written[2]) as temporary:
+        temporary.write_text(markdown(lines), encoding="utf-8")
+    return written

@@ -1,0 +1,154 @@
+"""A clamped beam under small loads: deflection at the tip and natural frequencies.
+
+Place in the pipeline: a benchmark of `catalogue`; `bend` serves `large_deflections` too.
+
+A link on a held joint is clamped; a tip load is the weight of a point mass at the end of a link
+that weighs next to nothing. So a load is a direction of gravity, and all beams with one number of
+segments m share one compiled program. Link axes: x along the beam, y and z across it.
+
+References are those of m segments, which the rigid finite element method must meet to rounding:
+tip deflection F L^3 / (3 E I) (1 - 1 / (4 m^2)) + F L / GA, tip slope F L^2 / (2 E I), and
+frequencies of rods hinged by springs at the midpoints, over Euler and Bernoulli's.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from rfem_jax.description import (
+    GivenSection,
+    Joint,
+    Link,
+    Mechanism,
+    PointMass,
+    PrescribedRate,
+)
+from rfem_jax.mechanics.centre_lines import link_ends
+from rfem_jax.mechanics.discretisation import discretise
+from rfem_jax.mechanics.kinematics import motion
+from rfem_jax.mechanics.model import Model
+from rfem_jax.mechanics.realisation import assembly_errors, realise
+from rfem_jax.mechanics.statics import assemble
+from rfem_jax.simulation.stability import eigenvalues
+from rfem_jax.validation.lines import Line, Outcome, relative
+
+STATICS_SOURCE = "closed form, m midpoints"
+FREQUENCY_SOURCE = "rods hinged by springs (rfem_theory)"
+BETA = np.array([1.875104068711961, 4.694091132974175, 7.854757438237613])
+# Frequencies of modes 1 to 3 over Euler and Bernoulli's, m segments.
+BENDING = {
+    4: (1.01453, 1.05210, 1.07486),
+    5: (1.00925, 1.03274, 1.05084),
+    8: (1.00360, 1.01257, 1.02030),
+    10: (1.00230, 1.00802, 1.01303),
+    20: (1.00057, 1.00199, 1.00327),
+    40: (1.00014, 1.00050, 1.00082),
+}
+# With shear and rotary inertia: L / h = 20, nu = 0.3, shear factor 1.2.
+SHEAR = {4: (1.01245, 1.03632, 1.03887), 80: (0.99805, 0.98651, 0.96879)}
+SLENDERNESS = 1.0 / (12.0 * 20.0**2)  # I / (A L^2)
+QUICK = (4, 20)
+
+
+class Bent(NamedTuple):
+    """Displacement (3,) of the tip [m] and rotation (3, 3) of the last rfe; NaN without an
+    equilibrium."""
+
+    tip: np.ndarray
+    rotation: np.ndarray
+
+
+def clamped_beam(length: float, stiffnesses, segments: int, elements: str) -> Model:
+    """A link with 1 kg at its end on a joint that is to be held.
+
+    Args: length [m]; stiffnesses EA, GA_y, GA_z [N], GJ, EI_y, EI_z [N m^2]; segments m; elements:
+        form of the spring-damping elements.
+    """
+    section = GivenSection(*stiffnesses, 1e-9, 2e-13, 1e-13, 1e-13)
+    link = Link("beam", length, section, rfes=segments + 1, point_masses=[PointMass(1.0, length)])
+    mechanism = Mechanism([link], [Joint("A", "base", "beam")], gravity=(0.0, 0.0, 0.0))
+    return discretise(mechanism, elements=elements)
+
+
+def bend(model: Model, force) -> Bent:
+    """The clamped beam under a tip force (3,) [N]."""
+    tip, rotation, status = map(np.asarray, _bend(model, jnp.asarray(force, jnp.float64)))
+    missing = 0.0 if status == 0 else np.nan
+    return Bent(tip + missing, rotation + missing)
+
+
+@eqx.filter_jit
+def _bend(model: Model, force):
+    model = eqx.tree_at(lambda m: m.gravity, model, force)
+    errors = assembly_errors(model)
+    result = assemble(model, errors, {"A": jnp.zeros(())})
+    realised = realise(model, errors)
+    end, rotation = link_ends(realised, motion(realised, result.state))
+    straight = jnp.zeros(3).at[0].set(model.length[0])
+    return end[:, 0] - straight, rotation[:, :, 0], result.status
+
+
+def frequencies(segments: int, shear_stiffness: float, rotary: float) -> np.ndarray:
+    """Lowest three frequencies of a clamped link with E I = rho A = L = 1 over Euler-Bernoulli's,
+    in the plane of motion (all other stiffnesses are so large that their modes lie above)."""
+    section = GivenSection(
+        1e7, 1e9, shear_stiffness, 1e4, 1.0, 1e4, 1.0, rotary + 1e-9, rotary, 1e-9
+    )
+    link = Link("beam", 1.0, section, rfes=segments + 1)
+    mechanism = Mechanism([link], [Joint("A", "base", "beam")], driven_joint="A")
+    values = eigenvalues(discretise(mechanism), PrescribedRate("A", 1.0)).imag
+    return np.sort(values[values > 0.0])[:3] / BETA**2
+
+
+def validate(full: bool, progress) -> Outcome:
+    """Small loads and frequencies; with `full` all numbers of segments of the tables."""
+    lines: list[Line] = []
+    bending = [m for m in BENDING if full or m in QUICK]
+    shear = [m for m in SHEAR if full or m in QUICK]
+    work = [(m, _small_load_lines) for m in QUICK]
+    work += [(m, _bending_lines) for m in bending] + [(m, _shear_lines) for m in shear]
+    for number, (m, checked) in enumerate(work):
+        lines += checked(m)
+        progress((number + 1) / len(work))
+    return Outcome(lines)
+
+
+def _small_load_lines(m: int) -> list[Line]:
+    length, ei, ga, force = 0.8, 400.0, 6.0e4, 1e-4
+    group = "Cantilever, small tip load"
+    lines = []
+    for name, shear in (("bending only", 1e12), ("with shear", ga)):
+        model = clamped_beam(length, (3e12, 1e12, shear, 1e5, ei, ei), m, "linear")
+        bent = bend(model, [0.0, 0.0, force])
+        flexure = force * length**3 / (3.0 * ei) * (1.0 - 1.0 / (4.0 * m**2))
+        lines.append(
+            relative(group, f"m = {m}, tip deflection, {name}", bent.tip[2],
+                     flexure + force * length / shear, 1e-6, STATICS_SOURCE, "m")
+        )  # fmt: skip
+    slope = np.arcsin(bent.rotation[2, 0])
+    known = force * length**2 / (2.0 * ei)
+    lines.append(
+        relative(group, f"m = {m}, tip slope", slope, known, 1e-6, STATICS_SOURCE, "rad")
+    )
+    return lines
+
+
+def _bending_lines(m: int) -> list[Line]:
+    got = frequencies(m, 1e8, 1e-10)
+    return _mode_lines("Cantilever, frequencies in bending", m, got, BENDING[m])
+
+
+def _shear_lines(m: int) -> list[Line]:
+    got = frequencies(m, 1.0 / (2.6 * 1.2 * SLENDERNESS), SLENDERNESS)
+    return _mode_lines("Cantilever, frequencies with shear", m, got, SHEAR[m])
+
+
+def _mode_lines(group: str, m: int, got, table) -> list[Line]:
+    # The table has six digits.
+    return [
+        relative(group, f"m = {m}, mode {k + 1} / Euler-Bernoulli", got[k], table[k], 1e-5,
+                 FREQUENCY_SOURCE)
+        for k in range(3)
+    ]  # fmt: skip

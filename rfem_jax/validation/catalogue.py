@@ -1,0 +1,50 @@
+"""All benchmarks by name.
+
+Place in the pipeline: what `rfem-jax validate` runs, one after the other.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+
+from rfem_jax.description.errors import InputError, suggestion
+from rfem_jax.validation import (
+    cantilevers,
+    four_bar_study,
+    large_deflections,
+    rotating_beams,
+    tilted_hinge,
+)
+from rfem_jax.validation.lines import Benchmark, Outcome
+
+BENCHMARKS = (
+    Benchmark("cantilever", "cantilever, statics and frequencies", cantilevers.validate),
+    Benchmark("elastica", "elastica", large_deflections.elastica),
+    Benchmark("princeton_beam", "Princeton beam", large_deflections.princeton_beam),
+    Benchmark("thick_cantilever", "thick cantilever", large_deflections.thick_cantilever),
+    Benchmark("rotating_beams", "spin-up and slewing beam", rotating_beams.validate),
+    Benchmark("main_study", "main study, two forms of elements", four_bar_study.validate),
+    Benchmark("tilted_hinge", "four-bar with a tilted hinge", tilted_hinge.validate),
+)
+
+
+def chosen(names: Sequence[str] | None) -> tuple[Benchmark, ...]:
+    """The benchmarks of these names, in the catalogue's order (None: all).
+
+    Raises InputError for a name that is none.
+    """
+    known = [one.name for one in BENCHMARKS]
+    for name in names or ():
+        if name not in known:
+            raise InputError(
+                f"Argument `--only` must name benchmarks ({', '.join(known)}), but `{name}` is "
+                f"none; {suggestion(name, known)}"
+            )
+    return tuple(one for one in BENCHMARKS if not names or one.name in names)
+
+
+def compute(
+    benchmarks: Sequence[Benchmark], full: bool, watch: Callable[[Benchmark], Callable]
+) -> Iterator[tuple[Benchmark, Outcome]]:
+    """Compute benchmarks one after the other; `watch(benchmark)` gives what is called with the
+    fraction done."""
+    for benchmark in benchmarks:
+        yield benchmark, benchmark.run(full, watch(benchmark))
