@@ -1,0 +1,283 @@
+"""Statics, motion and joint loads of a linkage by Exudyn, in the conventions of rfem_jax.
+
+    Linkage -> equilibrium (driven joint held) -> run (generalised-alpha, in pieces between the
+    drive's jumps) -> Histories -> RMS loads
+
+The start is Exudyn's own static equilibrium; a prescribed angle that moves at once starts with the
+derivative of that equilibrium along the angle.  Every jump of the drive ends one integration, and
+the next one starts with accelerations and multipliers computed anew.  Loads come from the
+multipliers of the joints.
+
+Units: SI, rad; times of the solver by the clock and of the CPU (this thread).
+"""
+
+import time
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from exudyn_models import BACK, HINGE, Settings, build, exu, linkage
+from rfem_jax.description.drives import MomentDrive
+from rfem_jax.mechanics.model import Model
+from rfem_jax.mechanics.realisation import AssemblyErrors
+
+ANGLE_DIFFERENCE = 1e-4  # rad, for the quasi-static start velocities
+
+
+class Histories(NamedTuple):
+    """Motion and loads at the ends of steps; a jump of the drive's moment has two rows.
+
+    times (T,) [s]; angle, rate (T,) of the driven joint [rad, rad/s]; force, moment: joint ->
+    (T, 3) in the hinge frame (the parent side on the child, about the hinge's centre; a given drive
+    moment excluded) [N, N m]; place (T, 3): position of the tracked joint [m], else zero.
+    """
+
+    times: np.ndarray
+    angle: np.ndarray
+    rate: np.ndarray
+    force: dict
+    moment: dict
+    place: np.ndarray
+
+
+class Result(NamedTuple):
+    """histories, rms: {"force": {joint: N}, "moment": {joint: N m}}, preload: joint -> (force,
+    moment) at rest (holding moment included), seconds of the time integration alone, by the clock
+    and of the CPU."""
+
+    histories: Histories
+    rms: dict
+    preload: dict
+    seconds: float
+    cpu: float
+
+
+def _silent_settings(settings: Settings):
+    s = exu.SimulationSettings()
+    s.solution.file.write = False
+    s.parallel.numberOfThreads = 1
+    s.linearSolver.solverType = (
+        exu.LinearSolverType.EigenSparse if settings.sparse else exu.LinearSolverType.EXUdense
+    )
+    s.staticSolver.verboseMode = 0
+    s.timeIntegration.verboseMode = 0
+    return s
+
+
+def _force_noise(link) -> float:
+    """Force [N] that rounding of a metre makes in the stiffest element: no residual is smaller."""
+    return 4e-16 * max((np.max(element[4]) for element in link.elements), default=0.0)
+
+
+def poses_of(system):
+    """Rotations (n, 3, 3) and centres (n, 3) of all bodies now."""
+    def output(what):
+        return np.array(
+            [system.mbs.GetObjectOutputBody(b, what, [0.0, 0.0, 0.0]) for b in system.bodies]
+        )
+
+    rotations = output(exu.OutputVariableType.RotationMatrix).reshape(-1, 3, 3)
+    return rotations, output(exu.OutputVariableType.Position)
+
+
+def equilibrium(link, settings: Settings, turned: float = 0.0, poses=None):
+    """Exudyn's static equilibrium with the driven joint held at `turned` from its start angle.
+
+    **Returns:** poses of the bodies, and joint -> (force, moment) with the holding moment.
+    """
+    held = None if link.driven is None else lambda t: turned
+    system = build(link, settings._replace(nodes="euler_parameters"), poses, angle=held)
+    s = _silent_settings(settings)
+    s.staticSolver.newton.relativeTolerance = 1e-9
+    s.staticSolver.newton.absoluteTolerance = max(1e-7, _force_noise(link))
+    s.staticSolver.newton.maxIterations = 50
+    s.staticSolver.adaptiveStep = False
+    system.mbs.SolveStatic(s)
+    rows = {
+        name: [np.asarray(system.mbs.GetSensorValues(x))[None] for x in sensors]
+        for name, sensors in system.sensors.items()
+    }
+    holding = 0.0
+    if system.hold_sensor is not None:
+        holding = float(system.mbs.GetSensorValues(system.hold_sensor)[HINGE])
+    preload = {}
+    for j, (name, cut, _, _) in enumerate(link.joints):
+        force, moment, _ = _loads_of(*rows[name], cut)
+        moment = moment + np.array([0.0, holding if j == link.driven else 0.0, 0.0])
+        # The static solver's multipliers have the opposite sign of the dynamic solvers'.
+        preload[name] = (-force[0], -moment[0])
+    return poses_of(system), {name: preload[name] for name in link.order}
+
+
+def _loads_of(force, couples, rotation, cut):
+    """Force and moment (T, 3) on the child, and the angle (T,), from Exudyn's multipliers.
+
+    force: what the joint's constraint measures, in the parent's frame (the child feels its
+    negative); couples: multipliers of the two axis equations z0 . x1 = 0 and z0 . y1 = 0, whose
+    moments on the child are along the child's y and -x.  Loads are in the child's frame, at a cut
+    joint in the parent's.
+    """
+    angle = rotation[:, HINGE]
+    moment = np.stack([-couples[:, 1], couples[:, 0], np.zeros(len(couples))], axis=1)
+    force, moment = (-force, _spun(moment, angle)) if cut else (_spun(-force, -angle), moment)
+    return force[:, BACK], moment[:, BACK], angle
+
+
+def _spun(vectors, angle):
+    """Vectors (T, 3) turned about z by the angle (T,)."""
+    c, s = np.cos(angle), np.sin(angle)
+    x, y, z = vectors.T
+    return np.stack([c * x - s * y, s * x + c * y, z], axis=1)
+
+
+class _Schedule:
+    """Values of a drive at the ends of steps: Exudyn's implicit methods ask at no other time."""
+
+    def __init__(self):
+        self.start, self.step, self.values = 0.0, 1.0, [0.0]
+
+    def set(self, start, step, values):
+        self.start, self.step, self.values = start, step, [float(v) for v in values]
+
+    def __call__(self, t):
+        return self.values[int((t - self.start) / self.step + 0.5)]
+
+
+def simulate(
+    model: Model,
+    errors: AssemblyErrors,
+    drive,
+    duration: float,
+    step: float,
+    settings: Settings = Settings(),
+    window: tuple[float, float] | None = None,
+    track: str | None = None,
+) -> Result:
+    """Static equilibrium with the driven joint held, then motion, all by Exudyn.
+
+    **Arguments:** `drive`: a moment or a prescribed angle of the driven joint, or None; `step` [s]
+    (shortened so that the drive's jumps and the end are ends of steps); `window` [s] of the RMS
+    loads (None: the whole duration); `track`: name of a joint whose position is recorded.
+
+    **Raises:** exudyn's `SolverError` where Newton's method fails.
+    """
+    link = linkage(model, errors)
+    start = equilibrium(link, settings)
+    return run(link, drive, duration, step, settings, window, start=start, track=track)
+
+
+def run(
+    link, drive, duration, step, settings=Settings(), window=None, *, start, track=None
+) -> Result:
+    """`simulate` from a static start that is known already: (poses, preload)."""
+    poses, preload = start
+    schedule = _Schedule()
+    velocities = None
+    given_moment = isinstance(drive, MomentDrive)
+    if drive is not None and not given_moment:
+        rate = float(drive.turn(jnp.zeros(()), 0)[1])
+        velocities = quasi_static_velocities(link, settings, poses, rate)
+    system = build(
+        link, settings, poses, velocities,
+        angle=None if drive is None or given_moment else schedule,
+        moment=schedule if given_moment else None,
+        track=track,
+    )
+    s = _silent_settings(settings)
+    t = s.timeIntegration
+    t.generalizedAlpha.spectralRadius = settings.spectral_radius
+    t.generalizedAlpha.computeInitialAccelerations = velocities is None
+    t.newton.useModifiedNewton = settings.modified
+    t.newton.modifiedNewtonJacUpdatePerStep = settings.new_jacobian
+    t.newton.relativeTolerance = settings.relative
+    t.newton.absoluteTolerance = max(settings.absolute, _force_noise(link))
+    t.adaptiveStep = False
+    jumps = [] if drive is None else [b for b in drive.breakpoints() if b < duration]
+    edges = [0.0, *jumps, duration]
+    seconds, cpu, parts = 0.0, 0.0, []
+    for phase, (begin, end) in enumerate(zip(edges[:-1], edges[1:])):
+        steps = max(1, round((end - begin) / step))
+        _plan(schedule, system, drive, begin, end, steps, phase)
+        t.startTime, t.endTime, t.numberOfSteps = begin, end, steps
+        s.solution.sensors.writePeriod = 0.999 * (end - begin) / steps
+        before, before_cpu = time.perf_counter(), time.thread_time()
+        system.mbs.SolveDynamic(s, updateInitialValues=True)
+        seconds += time.perf_counter() - before
+        cpu += time.thread_time() - before_cpu
+        parts.append(_recorded(link, system))
+    histories = _joined(link, parts)
+    return Result(histories, rms_loads(histories, window), preload, seconds, cpu)
+
+
+def _plan(schedule, system, drive, begin, end, steps, phase):
+    """The drive's values of one phase; a moment that is zero throughout costs no call."""
+    if drive is None:
+        return
+    times = np.linspace(begin, end, steps + 1)
+    if isinstance(drive, MomentDrive):
+        values = np.asarray(jax.vmap(lambda x: drive.moment(x, phase))(jnp.asarray(times)))
+        if not values.any():
+            for load in system.loads:
+                system.mbs.SetLoadParameter(load, "loadVectorUserFunction", 0)
+                system.mbs.SetLoadParameter(load, "loadVector", [0.0, 0.0, 0.0])
+    else:
+        values = np.asarray(jax.vmap(lambda x: drive.turn(x, phase)[0])(jnp.asarray(times)))
+    schedule.set(begin, (end - begin) / steps, values)
+
+
+def quasi_static_velocities(link, settings, poses, rate):
+    """Angular velocities and velocities (n, 3) of the centres when the driven joint passes its
+    start through equilibria: central difference of two static solutions."""
+    d = ANGLE_DIFFERENCE
+    (r1, p1), _ = equilibrium(link, settings, d, poses)
+    (r0, p0), _ = equilibrium(link, settings, -d, poses)
+    spin = np.einsum("nij,nkj->nik", (r1 - r0) / (2.0 * d), poses[0])
+    angular = np.stack([spin[:, 2, 1], spin[:, 0, 2], spin[:, 1, 0]], axis=1)
+    return rate * angular, rate * (p1 - p0) / (2.0 * d)
+
+
+def _recorded(link, system):
+    """Times and columns of one phase."""
+    def rows(sensor):
+        return np.asarray(system.mbs.GetSensorStoredData(sensor))
+
+    loads = {name: [rows(x) for x in sensors] for name, sensors in system.sensors.items()}
+    times = next(iter(loads.values()))[0][:, 0]
+    rate = rows(system.rate_sensor)[:, 1 + HINGE] if system.rate_sensor is not None else 0.0 * times
+    held = rows(system.hold_sensor)[:, 1 + HINGE] if system.hold_sensor is not None else 0.0 * times
+    no_place = np.zeros((len(times), 3))
+    place = no_place if system.place_sensor is None else rows(system.place_sensor)[:, 1:]
+    return times, {n: [r[:, 1:] for r in x] for n, x in loads.items()}, rate, held, place[:, BACK]
+
+
+def _joined(link, parts) -> Histories:
+    times, rate, held, place = (np.concatenate([p[k] for p in parts]) for k in (0, 2, 3, 4))
+    force, moment, angle = {}, {}, 0.0 * times
+    for j, (name, cut, _, _) in enumerate(link.joints):
+        columns = [np.concatenate([part[1][name][k] for part in parts]) for k in range(3)]
+        force[name], moment[name], turned = _loads_of(*columns, cut)
+        if j == link.driven:
+            moment[name] = moment[name] + held[:, None] * np.array([0.0, 1.0, 0.0])
+            turned = np.unwrap(turned)
+            angle = turned + 2.0 * np.pi * np.round((link.start_angle - turned[0]) / (2.0 * np.pi))
+    return Histories(
+        times, angle, rate,
+        {n: force[n] for n in link.order}, {n: moment[n] for n in link.order}, place,
+    )
+
+
+def rms_loads(histories: Histories, window: tuple[float, float] | None = None) -> dict:
+    """RMS resultants over the window, trapezoidal rule: {"force": {joint}, "moment": {joint}}."""
+    t = histories.times
+    low, high = (t[0], t[-1]) if window is None else window
+    inside = (t >= low - 1e-9) & (t <= high + 1e-9)
+
+    def root(vectors):
+        square = np.sum(vectors[inside] ** 2, axis=1)
+        return float(np.sqrt(np.trapezoid(square, t[inside]) / (high - low)))
+
+    return {
+        "force": {name: root(v) for name, v in histories.force.items()},
+        "moment": {name: root(v) for name, v in histories.moment.items()},
+    }

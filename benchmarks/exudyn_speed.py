@@ -1,0 +1,191 @@
+"""How fast Exudyn is at a wanted accuracy: its best settings and step for a case of the main study.
+
+    fastest("P5", 1e-3) -> (step, seconds, error)
+
+The peer gets its best: the module without range checks, one thread, nothing written to files, loads
+stored in memory, no Python call while the drive's moment is zero, and the fastest of all
+combinations of node type, Newton settings, spectral radius and step.  Error: the largest relative
+deviation of the RMS force and moment of all joints from Exudyn's own converged result.  A step
+counts only if the next smaller one of the same settings is as accurate: no lucky hits.
+"""
+
+import functools
+import itertools
+import statistics
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from exudyn_models import Settings, exu, linkage
+from exudyn_runs import equilibrium, run
+from rfem_jax import assembly_errors, discretise, load_study
+
+STUDY = Path(__file__).parents[1] / "studies" / "four_bar" / "study.toml"
+STEPS = (1e-2, 6.25e-3, 5e-3, 4e-3, 3.125e-3, 2.5e-3, 2e-3, 1.25e-3, 1e-3, 5e-4, 2.5e-4)
+CONVERGED_STEPS = (5e-5, 2.5e-5)
+SMALLEST_LOAD = 1e-6  # N, N m: smaller RMS loads are zero and have no relative error
+FINEST_ACCURACY = 1e-4
+TIMED = 5
+
+
+class Best(NamedTuple):
+    """The fastest way found: step [s], median seconds of the time integration by the clock and of
+    the CPU, error (relative), spread (smallest, largest seconds), settings."""
+
+    step: float
+    seconds: float
+    error: float
+    cpu: float
+    spread: tuple[float, float]
+    settings: Settings
+
+
+@functools.cache
+def main_study():
+    """The study and its discretised model."""
+    study = load_study(STUDY)
+    return study, discretise(study.mechanism)
+
+
+@functools.cache
+def prepared(case: str):
+    """Linkage and static start of a case of the main study."""
+    study, model = main_study()
+    errors = {c.name: c.errors for c in study.cases}[case]
+    link = linkage(model, assembly_errors(model, errors))
+    return link, equilibrium(link, Settings())
+
+
+def solve(case: str, step: float, settings: Settings = Settings()):
+    """A run of a case of the main study, or None where Exudyn's solver fails."""
+    study, _ = main_study()
+    link, start = prepared(case)
+    try:
+        return run(link, study.drive, study.duration, step, settings, start=start)
+    except exu.SolverError:
+        return None
+
+
+@functools.cache
+def converged_runs(case: str):
+    """Runs at the two smallest steps."""
+    return tuple(solve(case, step) for step in CONVERGED_STEPS)
+
+
+def extrapolated(coarse, fine):
+    """The limit of second order of values at the two smallest steps."""
+    gain = (CONVERGED_STEPS[0] / CONVERGED_STEPS[1]) ** 2 - 1.0
+    return fine + (fine - coarse) / gain
+
+
+@functools.cache
+def converged(case: str) -> dict:
+    """RMS loads extrapolated from the two smallest steps."""
+    coarse, fine = (result.rms for result in converged_runs(case))
+    return {
+        kind: {joint: extrapolated(coarse[kind][joint], fine[kind][joint]) for joint in fine[kind]}
+        for kind in fine
+    }
+
+
+def converged_at(case: str, times) -> dict:
+    """Motion and loads at times [s] that are ends of steps, extrapolated likewise: "angle", "rate"
+    (T,), "force" and "moment" (joint -> (T, 3)); at a jump of the drive the values before it."""
+    rows = []
+    for step, result in zip(CONVERGED_STEPS, converged_runs(case)):
+        h = result.histories
+        at = np.searchsorted(h.times, np.asarray(times) - 0.1 * step)
+        rows.append((h, at))
+    (a, i), (b, k) = rows
+    return {
+        "angle": extrapolated(a.angle[i], b.angle[k]),
+        "rate": extrapolated(a.rate[i], b.rate[k]),
+        "force": {j: extrapolated(a.force[j][i], b.force[j][k]) for j in a.force},
+        "moment": {j: extrapolated(a.moment[j][i], b.moment[j][k]) for j in a.moment},
+    }
+
+
+def error_of(rms: dict, reference: dict) -> float:
+    """Largest relative deviation of RMS loads that are not zero."""
+    return max(
+        abs(rms[kind][joint] / value - 1.0)
+        for kind in reference
+        for joint, value in reference[kind].items()
+        if value > SMALLEST_LOAD
+    )
+
+
+def variants():
+    """The settings that are tried."""
+    for nodes, fresh, relative, radius in itertools.product(
+        ("angles", "euler_parameters"), (True, False), (1e-4, 1e-5), (0.6, 0.7)
+    ):
+        yield Settings(
+            spectral_radius=radius, nodes=nodes, new_jacobian=fresh, relative=relative,
+            intrinsic=False,
+        )
+
+
+@functools.cache
+def survey(case: str) -> tuple:
+    """(settings, step, error, CPU seconds) of all settings, one run each, from long steps to short
+    ones until two in a row reach the finest accuracy."""
+    rows = []
+    for settings in variants():
+        before = np.inf
+        for step in STEPS:
+            result = solve(case, step, settings)
+            failed = result is None or not np.isfinite(result.histories.angle[-1])
+            error = np.inf if failed else error_of(result.rms, converged(case))
+            rows.append((settings, step, error, np.inf if failed else result.cpu))
+            if max(before, error) <= FINEST_ACCURACY:
+                break
+            before = error
+    return tuple(rows)
+
+
+@functools.cache
+def best(case: str, accuracy: float) -> Best:
+    """The fastest settings and step (CPU time, which other programs disturb least) whose RMS loads
+    are within `accuracy` of the converged ones."""
+    rows = survey(case)
+    good = [
+        row
+        for row, finer in zip(rows, rows[1:])
+        if row[2] <= accuracy and finer[0] == row[0] and finer[2] <= accuracy
+    ]
+    if not good:
+        raise ValueError(
+            f"Argument `accuracy` must be at least {FINEST_ACCURACY:g}, the finest that is "
+            f"searched, but is {accuracy:g}."
+        )
+    timed = []
+    for settings, step, error, _ in sorted(good, key=lambda row: row[3])[:4]:
+        runs = [solve(case, step, settings) for _ in range(TIMED)]
+        clock = [r.seconds for r in runs]
+        timed.append(
+            Best(
+                step=step,
+                seconds=statistics.median(clock),
+                error=error,
+                cpu=statistics.median(r.cpu for r in runs),
+                spread=(min(clock), max(clock)),
+                settings=settings,
+            )
+        )
+    return min(timed, key=lambda found: found.cpu)
+
+
+def fastest(case: str, accuracy: float, clock: str = "cpu") -> tuple[float, float, float]:
+    """Exudyn's fastest run of a case of the main study: (step [s], seconds, error).
+
+    **Arguments:** `case`: "P1" ... "P5"; `accuracy`: wanted relative accuracy of all RMS loads;
+    `clock`: "cpu" (the solver's one thread; equals the clock's time on an idle machine) or "wall".
+
+    **Returns:** step, median seconds of the time integration alone, error reached; searched once a
+    process.
+    """
+    if clock not in ("cpu", "wall"):
+        raise ValueError(f'Argument `clock` must be "cpu" or "wall", but is {clock!r}.')
+    found = best(case, accuracy)
+    return found.step, found.cpu if clock == "cpu" else found.seconds, found.error
