@@ -197,17 +197,19 @@ def _carried_loads(topology, now: Motion, wrenches):
 
 
 def _along_closure(topology, cuts: Closure, spatial) -> Array:
-    """Phi_q q_ddot (5, C): the virtual power of unit multipliers on the accelerations."""
+    """Phi_q q_ddot (5, C): accelerations of the joint centres, and powers of unit couples on the
+    angular ones, right side minus left."""
     columns = []
     for i, j in enumerate(topology.cuts):
-        origin = jnp.zeros_like(cuts.centre[:, i])
-        along = 0.0
-        for node, side, sign in (
-            (topology.children[j], "child", 1.0),
-            (topology.parents[j], "parent", -1.0),
+        along = jnp.zeros_like(cuts.residual[:, i])
+        for node, centre, sign in (
+            (topology.children[j], cuts.right_centre[:, i], 1.0),
+            (topology.parents[j], cuts.centre[:, i], -1.0),
         ):
             if node != BASE:
-                unit = cuts.wrenches(i, side, origin)
-                along = along + sign * apply_transposed(unit, spatial[node])
+                turn = spatial[node][:3]
+                moved = spatial[node][3:] + cross(turn, centre)
+                about = dot(cuts.couples[:, :, i], turn[:, None])
+                along = along + sign * jnp.concatenate([moved, about])
         columns.append(along)
     return jnp.stack(columns, axis=1)

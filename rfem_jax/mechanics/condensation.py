@@ -13,7 +13,9 @@ every step, and with it the link as it is felt at its frame and at its carriers 
 structural dynamics, of M + s K instead of K).
 
 The matrices are those of the nominal model: they serve Newton's method, whose solution does not depend
-on them, and are therefore not differentiated.
+on them, and are therefore not differentiated.  Geometrically exact elements turn with the rfes, which
+changes the stiffness felt in the link's axes as soon as a link is bent by more than its thickness: for
+them the matrices are formed in the present place, sample by sample.
 """
 
 from typing import NamedTuple
@@ -23,7 +25,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from rfem_jax.mechanics import elasticity
+from rfem_jax.mechanics import elasticity, exact_elements
+from rfem_jax.mechanics.algebra import apply, product, product_transposed
+from rfem_jax.mechanics.kinematics import RelativeMotion
 from rfem_jax.mechanics.model import Coordinates, Topology
 from rfem_jax.mechanics.realisation import Realisation
 
@@ -90,36 +94,41 @@ def _stiffness(realised: Realisation) -> Array:
 def _modes(realised, stiffness, link: int, a: int, b: int) -> LinkModes:
     m, n = b - a, realised.topology.n_links
     k = stiffness[:, a:b, :, a:b].transpose(1, 0, 3, 2).reshape(6 * m, 6 * m)
-    mass = jax.vmap(_inertia)(
-        realised.mass[n + a : n + b],
-        realised.centre[:, n + a : n + b].T,
-        jnp.moveaxis(realised.inertia[:, :, n + a : n + b], 2, 0),
-    )
-    # Motion of the rfes' middles when the link frame moves: linear += angular x position.
+    own = (realised.mass[n + a : n + b], realised.centre[:, n + a : n + b].T,
+           jnp.moveaxis(realised.inertia[:, :, n + a : n + b], 2, 0))
     at = jnp.stack([realised.rest[a:b], jnp.zeros(m), jnp.zeros(m)], axis=1)
-    spread = jax.vmap(lambda p: jnp.eye(6).at[3:, :3].set(-_cross_matrix(p)))(at)
-    coupling = jnp.einsum("mij,mjk->mik", mass, spread)
-    own = _inertia(
-        realised.mass[link], realised.centre[:, link], realised.inertia[:, :, link]
-    )
-    rigid = own + jnp.einsum("mji,mjk->ik", spread, coupling)
+    mass, coupling, spread, rigid = _rigid_link(realised, link, own, at)
     root = jnp.linalg.cholesky(mass)
     lower = jax.scipy.linalg.block_diag(*(root[i] for i in range(m)))
     half = jax.scipy.linalg.solve_triangular(lower, k, lower=True)
     scaled = jax.scipy.linalg.solve_triangular(lower, half.T, lower=True)
     values, vectors = jnp.linalg.eigh(0.5 * (scaled + scaled.T))
-
-    def by_component(rows):
-        return rows.reshape(m, 6, -1).swapaxes(0, 1).reshape(6 * m, -1)
-
+    modes = jax.scipy.linalg.solve_triangular(lower.T, vectors, lower=False)
     return LinkModes(
-        modes=by_component(jax.scipy.linalg.solve_triangular(lower.T, vectors, lower=False)),
+        modes=_by_component(modes.reshape(m, 6, 6 * m)),
         stiffness=jnp.maximum(values, 0.0),
         damping=realised.damping[a],
-        coupling=by_component(coupling),
+        coupling=_by_component(coupling),
         rigid=rigid,
-        spread=by_component(spread),
+        spread=_by_component(spread),
     )
+
+
+def _rigid_link(realised: Realisation, link: int, own, at):
+    """Inertias (m, 6, 6) of the free rfes with (mass, centre, inertia) `own`, rfe first, coupling M X and
+    spread X (m, 6, 6) for their places `at` (m, 3), and inertia (6, 6) of the whole link at its frame."""
+    mass = jax.vmap(_inertia)(*own)
+    # Motion of the rfes' middles when the link frame moves: linear += angular x position.
+    spread = jax.vmap(lambda p: jnp.eye(6).at[3:, :3].set(-_cross_matrix(p)))(at)
+    coupling = jnp.einsum("mij,mjk->mik", mass, spread)
+    root = _inertia(realised.mass[link], realised.centre[:, link], realised.inertia[:, :, link])
+    return mass, coupling, spread, root + jnp.einsum("mji,mjk->ik", spread, coupling)
+
+
+def _by_component(rows: Array) -> Array:
+    """(m, 6, k), rfe by rfe, as (6 m, k), component by component."""
+    m, _, k = rows.shape
+    return rows.swapaxes(0, 1).reshape(6 * m, k)
 
 
 def _cross_matrix(p):
@@ -144,20 +153,56 @@ def link_operators(
     )
 
 
+def present_operators(
+    realised: Realisation, now: RelativeMotion, q_factor: Array, v_factor: Array
+) -> tuple[LinkOperator | None, ...]:
+    """Operators of links of geometrically exact elements in the present place."""
+    realised, now = jax.lax.stop_gradient((realised, now))
+    topology = realised.topology
+    nothing = jnp.zeros_like(realised.rest)
+    u = now.position - jnp.stack([realised.rest, nothing, nothing])
+    stiffness = exact_elements.stiffness_matrix(realised, u, now)
+    turned = product(now.rotation, realised.inertia[:, :, topology.n_links :])
+    inertia = product_transposed(turned, now.rotation)
+    centre = apply(now.rotation, realised.centre[:, topology.n_links :])
+    operators: list[LinkOperator | None] = []
+    for l, (a, b) in enumerate(topology.ranges):
+        if a == b:
+            operators.append(None)
+            continue
+        m = b - a
+        own = (realised.mass[topology.n_links + a : topology.n_links + b], centre[:, a:b].T,
+               jnp.moveaxis(inertia[:, :, a:b], 2, 0))
+        mass, coupling, spread, rigid = _rigid_link(realised, l, own, now.position[:, a:b].T)
+        diagonal = jnp.zeros((6, m, 6, m)).at[:, np.arange(m), :, np.arange(m)].set(mass)
+        s = q_factor + realised.damping[a] * v_factor
+        matrix = diagonal + s * stiffness[:, a:b, :, a:b]
+        inverse = jnp.linalg.inv(matrix.reshape(6 * m, 6 * m))
+        operators.append(
+            _condensed(inverse, _by_component(coupling), _by_component(spread), rigid,
+                       local_carriers(topology, l))
+        )
+    return tuple(operators)
+
+
 def _operator(one: LinkModes, carriers, q_factor, v_factor) -> LinkOperator:
     s = q_factor + one.damping * v_factor
     inverse = (one.modes / (1.0 + s * one.stiffness)[None]) @ one.modes.T
-    m = len(one.stiffness) // 6
+    return _condensed(inverse, one.coupling, one.spread, one.rigid, carriers)
+
+
+def _condensed(inverse, coupling, spread, rigid, carriers) -> LinkOperator:
+    m = inverse.shape[0] // 6
     rows = np.array([k + m * c for k in carriers for c in range(6)], dtype=int)
     pick = inverse[rows]
-    reduced = inverse @ one.coupling
+    reduced = inverse @ coupling
     compliance = pick[:, rows]
     return LinkOperator(
         inverse=inverse,
-        inertia=one.rigid - one.coupling.T @ reduced,
-        transfer=(one.spread[rows] - reduced[rows]).T,
+        inertia=rigid - coupling.T @ reduced,
+        transfer=(spread[rows] - reduced[rows]).T,
         compliance=compliance,
         stiffness=jnp.linalg.inv(compliance),
         pick=pick,
-        coupling=one.coupling,
+        coupling=coupling,
     )

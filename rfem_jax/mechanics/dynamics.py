@@ -377,7 +377,7 @@ def _multipliers(topology, cuts, now, skeleton: Skeleton, response, stabilisatio
         correction = (
             -stabilisation.velocity_gain * cuts.rate - stabilisation.position_gain * cuts.residual
         )
-        inverse = _invert(topology, rows[:, 1:])
+        inverse = invert_closure(topology, rows[:, 1:])
         stabilising = apply(inverse, by_cut(correction))
         return stabilising - apply(inverse, by_cut(cuts.bias) + rows[:, 0]), stabilising
 
@@ -391,7 +391,8 @@ def _points_of(topology, now: Motion, skeleton: Skeleton) -> dict[int, Array]:
     return points
 
 
-def _invert(topology: Topology, matrix):
+def invert_closure(topology: Topology, matrix: Array) -> Array:
+    """Inverse of the matrix (5 C, 5 C) of the multipliers, or the one of least norm."""
     if not topology.minimum_norm:
         return algebra.invert_positive(matrix)
     last = jnp.moveaxis(matrix, (0, 1), (-2, -1))

@@ -22,6 +22,7 @@ All N sdes are one array axis; N stands after the components.
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -91,6 +92,44 @@ def deflections(realised: Realisation, u: Array, relative: RelativeMotion) -> Ex
         midway=midway,
         arms=arms,
     )
+
+
+def stiffness_matrix(realised: Realisation, u: Array, relative: RelativeMotion) -> Array:
+    """Stiffness (6, N, 6, N) of the springs in the present place: generalised forces by virtual turns
+    and displacements (angular first) of the rfes, in link axes, without the part of loads that turn.
+
+    One rfe in two is moved at a time, so that every sde feels one of its faces only.
+    """
+    n = realised.topology.n_rfes
+    even = np.arange(n) % 2 == 0
+
+    def rates(column, parity):
+        unit = jnp.zeros((6, n)).at[column].set(jnp.where(even == parity, 1.0, 0.0))
+        moved = relative._replace(angular=unit[:3], linear=unit[3:])
+        return deflections(realised, u, moved).rate
+
+    columns = jnp.arange(6)
+    by_even, by_odd = (
+        jax.vmap(lambda column: rates(column, parity))(columns) for parity in (True, False)
+    )
+    # (6, 6, N): of every sde's deflections by its right and its left rfe.
+    right = jnp.where(even, by_even, by_odd)
+    left = jnp.where(even, by_odd, by_even)
+    inner = np.flatnonzero(_is_inner(realised))
+    own = np.arange(n)
+    stiffness = realised.stiffness
+
+    def block(one, other):
+        """one^T C other of every sde, sde first."""
+        return jnp.einsum("bak,ak,cak->kbc", one, stiffness, other)
+
+    side = block(right, left)[inner]
+    matrix = jnp.zeros((n, 6, n, 6))
+    matrix = matrix.at[own, :, own].add(block(right, right))
+    matrix = matrix.at[inner - 1, :, inner - 1].add(block(left, left)[inner])
+    matrix = matrix.at[inner, :, inner - 1].add(side)
+    matrix = matrix.at[inner - 1, :, inner].add(jnp.swapaxes(side, 1, 2))
+    return matrix.transpose(1, 0, 3, 2)
 
 
 def wrenches(realised: Realisation, now: ExactDeflections) -> tuple[Array, Array]:

@@ -23,7 +23,7 @@ from rfem_jax.mechanics import algebra
 from rfem_jax.mechanics.algebra import apply, apply_transposed, cross, dot, product, transpose
 from rfem_jax.mechanics.balance import Balance
 from rfem_jax.mechanics.cut_joints import Closure
-from rfem_jax.mechanics.dynamics import island, unit_columns
+from rfem_jax.mechanics.dynamics import invert_closure, island, unit_columns
 from rfem_jax.mechanics.kinematics import Motion
 from rfem_jax.mechanics.condensation import LinkOperator, local_carriers
 from rfem_jax.mechanics.model import BASE, Coordinates, Topology
@@ -50,9 +50,10 @@ class LinkMatrix(NamedTuple):
 
 
 class NewtonMatrix(NamedTuple):
-    """Factored matrix of one step: links; units: wrenches (6, 5 C) of unit multipliers by node;
-    columns: the responses of the carriers and links to them; inverse (5 C, 5 C)."""
+    """Factored matrix of one step: operators, links; units: wrenches (6, 5 C) of unit multipliers by node;
+    responses to them; inverse (5 C, 5 C) of the closure's matrix."""
 
+    operators: tuple[LinkOperator | None, ...]
     links: tuple[LinkMatrix, ...]
     units: dict[int, Array]
     responses: "Response"
@@ -88,7 +89,7 @@ def newton_matrix(
         topology = realised.topology
         links = _eliminate(realised, operators, now, prescribed)
         if cuts is None:
-            return NewtonMatrix(links, {}, None, None)
+            return NewtonMatrix(operators, links, {}, None, None)
         points = _points(topology, now)
         sides = topology.parents[topology.n_links :] + topology.children[topology.n_links :]
         units = {
@@ -103,22 +104,18 @@ def newton_matrix(
             product(transpose(unit), _of_node(topology, responses, node))
             for node, unit in units.items()
         )
-        return NewtonMatrix(links, units, responses, algebra.invert_positive(rows))
+        return NewtonMatrix(operators, links, units, responses, invert_closure(topology, rows))
 
 
 def correction(
-    realised: Realisation,
-    operators: tuple[LinkOperator | None, ...],
-    matrix: NewtonMatrix,
-    left: Balance,
-    closing: Array,
+    topology: Topology, matrix: NewtonMatrix, left: Balance, closing: Array
 ) -> Correction:
     """Solve for the accelerations and multipliers that take away what is left over.
 
     `closing` (5, C): the change of Phi's second derivative that closes the cut joints.
     """
     with jax.named_scope("newton_correction"):
-        topology = realised.topology
+        operators = matrix.operators
         residual = jnp.concatenate([left.moment, left.force])
         free = tuple(
             None
@@ -152,7 +149,7 @@ def correction(
             answer = jax.tree.map(lambda a, b: a + apply(b, flat), answer, matrix.responses)
             shape = (topology.n_cuts, 5) + flat.shape[1:]
             multipliers = jnp.swapaxes(flat.reshape(shape), 0, 1)
-        elastic = _relative(realised, operators, matrix, free, answer, left)
+        elastic = _relative(topology, matrix, free, answer, left)
         return Correction(Coordinates(answer.hinges, elastic), multipliers)
 
 
@@ -355,11 +352,10 @@ def _of_node(topology: Topology, response: Response, node: int) -> Array:
     return response.carriers[l][6 * i : 6 * i + 6]
 
 
-def _relative(realised, operators, matrix, free, answer: Response, left: Balance) -> Array:
+def _relative(topology, matrix, free, answer: Response, left: Balance) -> Array:
     """Second derivatives (6, N) of the elastic coordinates."""
-    topology = realised.topology
     parts = [jnp.zeros((6, 0) + left.hinge.shape[1:])]
-    for l, (operator, (a, b)) in enumerate(zip(operators, topology.ranges)):
+    for l, (operator, (a, b)) in enumerate(zip(matrix.operators, topology.ranges)):
         if operator is None:
             continue
         link = matrix.links[l]

@@ -3,12 +3,19 @@
 Place in the pipeline: model, errors -> **statics** -> start state of a simulation.
 
 With errors the links are bent to close the loops (MODEL section 5): the stationary point of springs
-+ gravity subject to the closure equations, some joints held.  Written as equilibrium: no moment about
-a free hinge, springs + gravity + joint wrenches balanced on every free rfe, loops closed.  Newton's
-method, differentiated by the implicit function theorem; unknowns and residuals are scaled by a length
-and a force of the mechanism, so that one tolerance fits all.
++ gravity subject to the closure equations, some joints held. Written as equilibrium: no moment
+about a free hinge, springs + gravity + joint wrenches balanced on every free rfe, loops closed.
+Newton's method, differentiated by the implicit function theorem; unknowns and residuals are scaled
+by a length and a force of the mechanism.
+
+When to stop: the residual of a slender beam does not go below EA/Delta times the rounding of
+positions, far above any fixed fraction of its bending forces (EI/L^2), while the positions that it
+stands for are known to their last digits. So Newton's step is judged, relative to length and
+radian, and every residual relative to what a change of that size would make of it (its own row of
+the matrix).
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -90,8 +97,8 @@ def held_angles(model: Model, hold: dict[str, Array] | None) -> dict[int, Array]
 def equilibrium(model: Model, realised: Realisation, held: dict[int, Array]):
     """Coordinates, multipliers (5 cuts,) [N] and status of the static equilibrium.
 
-    Newton's method from the undeformed start; geometrically exact elements, whose deflections may be
-    large, are brought there by load steps first.
+    Newton's method from the undeformed start; geometrically exact elements, whose deflections may
+    be large, are brought there by load steps first.
     """
     topology = model.topology
     scale = length_scale(model)
@@ -100,43 +107,54 @@ def equilibrium(model: Model, realised: Realisation, held: dict[int, Array]):
     n_constraints = 5 * topology.n_cuts
     indices = tuple(held)
 
+    # Generalised forces times these units are works.
+    units, _ = ravel_pytree(
+        Coordinates(
+            jnp.ones(topology.n_links), jnp.ones((6, topology.n_rfes)).at[:3].set(scale)
+        )
+    )
+
     def coordinates(unknowns) -> Coordinates:
-        return unravel(unknowns[: start.size] * scale)
+        return unravel(unknowns[: start.size] * units)
 
     def residual(unknowns, args):
         realised, angles = args
         position = coordinates(unknowns)
         multipliers = unknowns[start.size :].reshape(topology.n_cuts, 5).T * force_scale
         hinge, elastic, closing = _unbalanced(realised, position, multipliers, scale)
-        hinge = hinge / (force_scale * scale)
+        balance, _ = ravel_pytree(Coordinates(hinge, elastic))
+        balance = balance * units / (force_scale * scale)
         for index, angle in zip(indices, angles):
-            hinge = hinge.at[index].set(unknowns[index] - angle / scale)
-        balance, _ = ravel_pytree(Coordinates(hinge, elastic / force_scale))
+            balance = balance.at[index].set(unknowns[index] - angle)
         return jnp.concatenate([balance, closing.T.reshape(-1) / scale])
 
-    guess = jnp.concatenate([start / scale, jnp.zeros(n_constraints)])
+    guess = undeformed = jnp.concatenate([start / units, jnp.zeros(n_constraints)])
     for index, angle in held.items():
-        guess = guess.at[index].set(angle / scale)
+        guess = guess.at[index].set(angle)
     linear = lx.SVD(rcond=1e-9) if topology.minimum_norm else lx.LU()
+    equations = _Equations(residual, coordinates, start.size, linear)
     args = (realised, tuple(jnp.asarray(angle) for angle in held.values()))
+    # No derivative goes through the search: its result is where the implicit function is taken.
+    goal = jax.lax.stop_gradient(args)
     if topology.exact:
         at_rest = (
             eqx.tree_at(lambda r: r.gravity, realise(model, assembly_errors(model)), jnp.zeros(3)),
             tuple(model.start_angles[index] for index in indices),
         )
-        undeformed = jnp.concatenate([start / scale, jnp.zeros(n_constraints)])
-        guess, followed = _load_steps(residual, linear, undeformed, coordinates, at_rest, args)
+        at_rest, undeformed = jax.lax.stop_gradient((at_rest, undeformed))
+        guess, found = _load_steps(equations, undeformed, at_rest, goal)
+    else:
+        guess, found = _newton(equations, jax.lax.stop_gradient(guess), goal, MAX_ITERATIONS)
     solution = optx.root_find(
         residual,
         optx.Newton(rtol=TOLERANCE, atol=TOLERANCE, linear_solver=linear),
-        guess,
+        jax.lax.stop_gradient(guess),
         args=args,
-        max_steps=1 if topology.exact else MAX_ITERATIONS,
+        max_steps=1,
         throw=False,
         adjoint=optx.ImplicitAdjoint(linear_solver=linear),
     )
     position = coordinates(solution.value)
-    found = followed if topology.exact else solution.result == optx.RESULTS.successful
     found = found & jnp.all(jnp.isfinite(solution.value))
     in_range = range_used(topology, position) < 1.0
     cuts = closure(realised, motion(realised, loads.static_state(position)), scale)
@@ -147,36 +165,56 @@ def equilibrium(model: Model, realised: Realisation, held: dict[int, Array]):
     return position, multipliers, status.astype(jnp.int32)
 
 
-def _load_steps(residual, linear, start: Array, coordinates, at_rest, loaded):
+class _Equations(NamedTuple):
+    """Residual of (unknowns, args), coordinates of the unknowns, how many they are (multipliers
+    follow), and the solver of the linearised equations."""
+
+    residual: Callable
+    coordinates: Callable
+    n_coordinates: int
+    linear: lx.AbstractLinearSolver
+
+
+def _newton(equations: _Equations, start: Array, args, iterations: int):
+    """Unknowns after Newton's method and whether it converged.
+
+    The last step must be small in the coordinates (multipliers follow them: their rounding is that
+    of the stiffest spring), and the residual before it small in every row against what such a
+    change of the coordinates makes of it; the latter fails where equations contradict each other.
+    """
+    n = equations.n_coordinates
+
+    def going_on(carry):
+        unknowns, converged, count = carry
+        return ~converged & jnp.all(jnp.isfinite(unknowns)) & (count < iterations)
+
+    def improve(carry):
+        unknowns, _, count = carry
+        value = equations.residual(unknowns, args)
+        slope = jax.jacfwd(equations.residual)(unknowns, args)
+        step = lx.linear_solve(
+            lx.MatrixLinearOperator(slope), value, equations.linear, throw=False
+        ).value
+        size = jnp.concatenate([jnp.ones(n), 1.0 + jnp.abs(unknowns[n:])])
+        small = jnp.max(jnp.abs(step[:n])) <= TOLERANCE
+        balanced = jnp.all(jnp.abs(value) <= TOLERANCE * (jnp.abs(slope) @ size))
+        return unknowns - step, small & balanced, count + 1
+
+    carry = (start, jnp.zeros((), bool), jnp.zeros((), jnp.int32))
+    unknowns, converged, _ = jax.lax.while_loop(going_on, improve, carry)
+    return unknowns, converged
+
+
+def _load_steps(equations: _Equations, start: Array, at_rest, loaded):
     """Unknowns of the equilibrium under full load, followed from the one at rest, and whether it was
     reached.
 
     Errors, gravity and held angles grow together from nothing by a share: all at once first; a step
-    on which Newton's method does not converge, or lands more than a moderate turn of an rfe away (on
-    another equilibrium), is halved, any other is followed by one twice as long.  The constants of the
-    mechanism are interpolated, so that on the way its frames are turned to second order in the errors
-    only.  No derivative goes through here: the result is where the implicit function is taken.
+    on which Newton's method does not converge, or lands more than a moderate turn of an rfe away
+    (on another equilibrium), is halved, any other is followed by one twice as long. The constants
+    of the mechanism are interpolated, so that on the way its frames are turned to second order in
+    the errors only.
     """
-    at_rest, loaded = jax.lax.stop_gradient((at_rest, loaded))
-
-    def newton(unknowns, args):
-        def going_on(carry):
-            _, moved, count = carry
-            # Multipliers follow the coordinates; their rounding may exceed the tolerance.
-            return (moved > TOLERANCE) & (moved < jnp.inf) & (count < ITERATIONS_OF_A_STEP)
-
-        def improve(carry):
-            unknowns, _, count = carry
-            value = residual(unknowns, args)
-            slope = lx.MatrixLinearOperator(jax.jacfwd(residual)(unknowns, args))
-            step = lx.linear_solve(slope, value, linear, throw=False).value
-            moved = jnp.max(jnp.abs(ravel_pytree(coordinates(step))[0]))
-            return unknowns - step, moved, count + 1
-
-        one = jnp.ones(())
-        carry = (unknowns, one, jnp.zeros((), jnp.int32))
-        unknowns, moved, _ = jax.lax.while_loop(going_on, improve, carry)
-        return unknowns, moved <= TOLERANCE
 
     def going_on(carry):
         _, reached, step, count = carry
@@ -186,8 +224,8 @@ def _load_steps(residual, linear, start: Array, coordinates, at_rest, loaded):
         unknowns, reached, step, count = carry
         share = jnp.minimum(reached + step, 1.0)
         args = jax.tree.map(lambda a, b: a + share * (b - a), at_rest, loaded)
-        new, found = newton(unknowns, args)
-        turn = coordinates(new - unknowns).elastic[3:]
+        new, found = _newton(equations, unknowns, args, ITERATIONS_OF_A_STEP)
+        turn = equations.coordinates(new - unknowns).elastic[3:]
         found = found & (jnp.max(jnp.abs(turn), initial=0.0) < LARGEST_TURN_OF_A_STEP)
         return (
             jnp.where(found, new, unknowns),
@@ -197,9 +235,9 @@ def _load_steps(residual, linear, start: Array, coordinates, at_rest, loaded):
         )
 
     one = jnp.ones(())
-    carry = (jax.lax.stop_gradient(start), 0.0 * one, one, jnp.zeros((), jnp.int32))
+    carry = (start, 0.0 * one, one, jnp.zeros((), jnp.int32))
     unknowns, reached, _, _ = jax.lax.while_loop(going_on, advance, carry)
-    return jax.lax.stop_gradient(unknowns), reached >= 1.0
+    return unknowns, reached >= 1.0
 
 
 def _unbalanced(realised: Realisation, position: Coordinates, multipliers: Array, scale: Array):

@@ -10,7 +10,9 @@ from jax.flatten_util import ravel_pytree
 from rfem_jax import Joint, Link, Material, Mechanism, PointMass, Rectangle, assembly_errors, discretise
 from rfem_jax.mechanics.balance import evaluate_balance
 from rfem_jax.mechanics.dynamics import DriveInput, Stabilisation, accelerations, impose
-from rfem_jax.mechanics.condensation import link_modes, link_operators
+from rfem_jax.mechanics import exact_elements
+from rfem_jax.mechanics.condensation import link_modes, link_operators, present_operators
+from rfem_jax.mechanics.kinematics import relative_motion
 from rfem_jax.mechanics.model import Coordinates, State
 from rfem_jax.mechanics.newton import correction, newton_matrix
 from rfem_jax.mechanics.realisation import realise
@@ -104,7 +106,7 @@ def test_corrections_at_a_given_state_find_the_accelerations(mechanism):
             found, multipliers = carry
             left = evaluate_balance(realised, state, found, multipliers, drive, scale)
             matrix = newton_matrix(realised, operators, left.motion, left.closure, prescribed)
-            change = correction(realised, operators, matrix, left, -left.closing_acceleration)
+            change = correction(topology, matrix, left, -left.closing_acceleration)
             found = jax.tree.map(jnp.add, found, change.accelerations)
             return (found, multipliers + change.multipliers), None
 
@@ -159,7 +161,7 @@ def test_matrix_is_the_slope_of_the_balance_at_rest(mechanism):
         left = evaluate(unknowns)
         matrix = newton_matrix(realised, operators, left.motion, left.closure, prescribed)
         left = left._replace(hinge=hinge, force=force, moment=moment)
-        return exact, correction(realised, operators, matrix, left, -closing)
+        return exact, correction(topology, matrix, left, -closing)
 
     rng = np.random.default_rng(5)
     hinge = rng.normal(size=topology.n_links) * (~driven if prescribed else 1.0)
@@ -176,3 +178,44 @@ def test_matrix_is_the_slope_of_the_balance_at_rest(mechanism):
             np.testing.assert_allclose(one, other, rtol=0, atol=1e-7 * np.abs(other).max())
 
 
+
+
+@pytest.fixture(scope="module")
+def exact_chain():
+    model = discretise(loaded_chain(), elements="geometrically_exact")
+    return model, realise(model, assembly_errors(model))
+
+
+def test_operators_of_exact_elements_are_the_linear_ones_at_the_undeformed_state(exact_chain):
+    model, realised = exact_chain
+    factors = jnp.asarray(3e-7), jnp.asarray(6e-4)
+    rest = model.start_coordinates()
+    relative = relative_motion(realised, rest, jax.tree.map(jnp.zeros_like, rest))
+    present = jax.jit(present_operators)(realised, relative, *factors)
+    constant = jax.jit(lambda r: link_operators(model.topology, link_modes(r), *factors))(realised)
+    for one, other in zip(jax.tree.leaves(present), jax.tree.leaves(constant)):
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-8 * np.abs(other).max(initial=1e-300))
+
+
+def test_stiffness_of_exact_elements_holds_the_power_of_the_springs(exact_chain):
+    """For random twists of the rfes at a large deflection: v K v = sum of C rate^2."""
+    model, realised = exact_chain
+    n = model.topology.n_rfes
+    rng = np.random.default_rng(11)
+    elastic = rng.normal(size=(6, n)) * np.array([0.01] * 3 + [0.5] * 3)[:, None]
+    position = Coordinates(model.start_angles, jnp.asarray(elastic))
+    relative = relative_motion(realised, position, jax.tree.map(jnp.zeros_like, position))
+    twists = jnp.asarray(rng.normal(size=(6, n)))
+
+    @jax.jit
+    def both():
+        matrix = exact_elements.stiffness_matrix(realised, position.elastic[:3], relative)
+        moved = relative._replace(angular=twists[:3], linear=twists[3:])
+        rate = exact_elements.deflections(realised, position.elastic[:3], moved).rate
+        return (
+            jnp.einsum("ak,akbl,bl->", twists, matrix, twists),
+            jnp.sum(realised.stiffness * rate**2),
+        )
+
+    form, power = both()
+    np.testing.assert_allclose(form, power, rtol=1e-11)
