@@ -17,7 +17,7 @@ ADAPTIVE_METHODS = ("tsit5", "dopri5", "dopri8", "bosh3", "heun", "midpoint", "r
 FIXED_METHODS = (*OWN_METHODS, "euler")
 IMPLICIT_METHODS = ("generalised_alpha",)
 METHODS = (*OWN_METHODS, *IMPLICIT_METHODS, *ADAPTIVE_METHODS, "euler", "auto")
-SPECTRAL_RADIUS, CORRECTIONS = 0.6, 3
+SPECTRAL_RADIUS, CORRECTIONS = 0.6, 5
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Method:
         accuracy: > 0, < 1; for "auto" only, which chooses step and tolerances itself.
         spectral_radius: of "generalised_alpha" at infinite frequency, from 0 (such vibrations vanish in one
             step) to below 1 (they stay); default 0.6.
-        corrections: of Newton's method in every step of "generalised_alpha", at least 1; default 3.
+        corrections: of Newton's method in every step of "generalised_alpha", at least 1; default 5.
     Raises:
         InputError: an unknown name, a value out of range, or settings that do not fit the method.
     """

@@ -32,7 +32,9 @@ DRIVES = {
     "prescribed_table": (PrescribedTable, ("times", "angles"), ()),
 }
 _MECHANISM_OPTIONS = ("gravity", "redundant_reactions", "elements")
-_METHOD_KEYS = ("step", "rtol", "atol", "stabilisation", "accuracy")
+_METHOD_KEYS = (
+    "step", "rtol", "atol", "stabilisation", "accuracy", "spectral_radius", "corrections",
+)  # fmt: skip
 
 
 def read_mechanism(table) -> Mechanism:

@@ -15,6 +15,7 @@ import time
 from functools import partial
 from pathlib import Path
 
+
 # Command: task it does, what it is, what it writes.
 TASKS = {
     "sensitivity": (
@@ -227,42 +228,29 @@ def _cannot_write(folder, problem):
     )
 
 
-class Progress:
-    """How far a simulation is, on `stream`: one line that is rewritten, or four in a log file.
+def _settle_method(study):
+    """The study with a method whose step is known to be stable; says what "auto" stands for."""
+    from rfem_jax.mechanics import discretise
+    from rfem_jax.simulation import check_step
 
-    An instance is the callable `progress` of `run_cases`: it takes the fraction done (0 to 1).
-    """
+    model = discretise(study.mechanism)
+    if study.method.name != "auto":
+        check_step(model, study.method, study.drive)
+        return study
+    from dataclasses import replace
 
-    def __init__(self, label, stream):
-        self.label, self.stream = label, stream
-        self.live = stream.isatty()
-        self.started = time.perf_counter()
-        self.percent = 0
-        self._write(f"{label}: compiling ...")
+    from rfem_jax.simulation import choose_method
 
-    def __call__(self, fraction):
-        percent = int(100.0 * min(max(float(fraction), 0.0), 1.0))
-        step = 1 if self.live else 25
-        # Reports come from the threads of a batch, late or twice.
-        if percent // step <= self.percent // step:
-            return
-        self.percent = percent
-        seconds = time.perf_counter() - self.started
-        self._write(f"{self.label}: {percent:3d} % after {seconds:.1f} s")
-
-    def close(self):
-        """End the line, so that what is printed next starts on its own."""
-        if self.live:
-            self.stream.write("\n")
-
-    def _write(self, text):
-        self.stream.write(f"\r{text:<60}" if self.live else f"{text}\n")
-        self.stream.flush()
+    method = choose_method(model, study.method, study.drive, study.duration)
+    print(f"Method auto: {method.name} with a step of {method.step:.3g} s.", flush=True)
+    return replace(study, method=method)
 
 
 def _simulate(study):
     """All cases with their progress on standard error; returns {case: run}."""
     from rfem_jax.simulation import run_cases
+
+    from rfem_jax.report.progress_line import Progress
 
     count = len(study.cases)
     progress = Progress(f"Simulating {count} case{'s' if count > 1 else ''}", sys.stderr)
@@ -292,13 +280,12 @@ def _run(arguments) -> int:
     started = time.perf_counter()
     study = load_study(arguments.study)
 
-    from rfem_jax.mechanics import discretise
     from rfem_jax.report.files import write_files
     from rfem_jax.report.summary import summarise
     from rfem_jax.report.tables import results_text
-    from rfem_jax.simulation import STATUS, check_step
+    from rfem_jax.simulation import STATUS
 
-    check_step(discretise(study.mechanism), study.method, study.drive)
+    study = _settle_method(study)
     folder = open_folder(arguments.out)
     runs = _simulate(study)
     statuses = {name: STATUS[int(run.status)] for name, run in runs.items()}
@@ -335,12 +322,10 @@ def _do_task(arguments) -> int:
     started = time.perf_counter()
     study = load_study(arguments.study)
 
-    from rfem_jax.mechanics import discretise
     from rfem_jax.report.task_commands import require_task
-    from rfem_jax.simulation import check_step
 
     require_task(study, arguments.task)
-    check_step(discretise(study.mechanism), study.method, study.drive)
+    study = _settle_method(study)
     folder = open_folder(arguments.out)
     good, written = _write_task(study, arguments.task, folder)
     seconds = time.perf_counter() - started
@@ -363,8 +348,11 @@ def _check(arguments) -> int:
     print(study_text(study, describe(model)), end="\n\n", flush=True)
     if text := tasks_text(study):
         print(text, end="\n\n", flush=True)
+    if study.method.name == "auto":
+        _settle_method(study)
+        return DONE
     step = check_step(model, study.method, study.drive)
-    found = "chosen by the method" if step is None else f"{float(step):.3g} s"
+    found = "any, or chosen by the method" if step is None else f"{float(step):.3g} s"
     print(f"Largest stable step of {study.method.name}: {found}.")
     return DONE
 

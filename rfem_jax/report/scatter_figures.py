@@ -67,6 +67,7 @@ def scatter_matrix_figure(study, result) -> Figure:
     figure = Figure(figsize=(1.35 * size + 1.0, 1.35 * size + 1.4), layout="constrained")
     panels = figure.subplots(size, size, squeeze=False)
     ranks = np.argsort(np.argsort(samples, axis=0), axis=0).astype(float)
+    point = float(np.clip(80.0 / np.sqrt(len(samples)), 1.0, 2.5))
     for row in range(size):
         for column in range(size):
             axes = panels[row, column]
@@ -78,7 +79,10 @@ def scatter_matrix_figure(study, result) -> Figure:
                 axes.hist(samples[:, row], 12, color=BAR_COLOURS[2], edgecolor="black", lw=0.4)
                 axes.set_yticks([])
             else:
-                axes.plot(samples[:, column], samples[:, row], ".", ms=2.5, color=CASE_COLOURS[2])
+                axes.plot(
+                    samples[:, column], samples[:, row], ".", ms=point, mew=0.0,
+                    color=CASE_COLOURS[2],
+                )  # fmt: skip
             axes.tick_params(labelsize=7, labelbottom=row == size - 1)
             axes.tick_params(labelleft=column == 0 and row > 0)
             if row == size - 1:
@@ -119,6 +123,7 @@ def _write_correlation(axes, first, second):
     axes.set_axis_off()
     spread = len(first) > 1 and np.std(first) > 0 and np.std(second) > 0
     correlation = np.corrcoef(first, second)[0, 1] if spread else np.nan
-    text = f"{correlation:+.2f}" if np.isfinite(correlation) else "-"
+    # Adding zero takes the sign off what rounds to zero.
+    text = f"{round(correlation, 2) + 0.0:+.2f}" if np.isfinite(correlation) else "-"
     shade = "black" if abs(correlation) > 0.3 else "#808080"
     axes.text(0.5, 0.5, text, ha="center", va="center", color=shade, transform=axes.transAxes)

@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 
 from rfem_jax.report.quantities import as_stated
 from rfem_jax.report.style import CASE_COLOURS, MARKERS, add_titles
+from rfem_jax.tolerancing.layout import show_number
 
 MOST_PANELS = 8
 
@@ -41,7 +42,7 @@ def worst_case_figure(study, results) -> Figure:
             if np.isfinite(height):
                 axes.axhline(
                     height, color=colour, linestyle=style, linewidth=1.2,
-                    label=f"{word}: {height:.5g}",
+                    label=f"{word}: {show_number(height, scale=one.scale)}",
                 )  # fmt: skip
         axes.set_title(f"{one.metric} over the {one.region}: {one.status}", loc="left")
         axes.set_ylabel(one.unit or "1")

@@ -17,7 +17,8 @@ import numpy as np
 from rfem_jax.description.errors import InputError
 from rfem_jax.report import task_files, tasks
 from rfem_jax.report.summary import PLOTS_HINT
-from rfem_jax.report.tables import format_table, title_text
+from rfem_jax.report.tables import title_text
+from rfem_jax.tolerancing.layout import align_columns, wrap_lines
 
 UNDAMPED = (
     "No flexible link has damping: derivatives of mean-square and RMS forces are dominated by the "
@@ -86,14 +87,16 @@ def sensitivity_text(result, undamped) -> str:
     """Tables, principal directions, change with the step, and what damping means for them."""
     parts = [str(result)]
     if result.hessian is not None and len(result.names) > 1:
-        rows = []
+        lines = []
         for metric in result.metrics:
             value, direction = result.principal_directions(metric)[0]
-            words = ", ".join(f"{part:+.2f} {name}" for name, part in direction.items())
-            rows.append([metric, f"{0.5 * value:.5g}", words])
-        header = ["metric", "1/2 eigenvalue", "direction, errors in tolerances"]
-        head = "Combination of errors that raises each metric most (first principal direction)"
-        parts.append(f"{head}\n{format_table(header, rows, words=(0, 2))}")
+            # Number and name stay together where a line is broken.
+            words = ", ".join(f"{part:+.2f}\0{name}" for name, part in direction.items())
+            text = f"{metric}: 1/2 eigenvalue {0.5 * value:.5g}, direction {words}"
+            lines.append(wrap_lines(text, indent=4).replace("\0", " "))
+        head = "Combination of errors (in tolerances) that raises each metric most: the first "
+        head += "principal direction"
+        parts.append("\n".join([head, *lines]))
     if result.gradient_change is not None:
         header = ["metric", "largest change of a gradient", "change of the Hessian"]
         changes = [np.nan] * len(result.metrics)
@@ -106,7 +109,7 @@ def sensitivity_text(result, undamped) -> str:
             )
         ]
         head = "Change with the finer step (of each error's effect, of the largest |H|)"
-        parts.append(f"{head}\n{format_table(header, rows)}")
+        parts.append(f"{head}\n{align_columns(header, rows)}")
     return "\n\n".join([*parts, *([UNDAMPED] if undamped else [])])
 
 
@@ -152,7 +155,7 @@ def allocation_text(found) -> str:
             for scale, one in found.front.items()
         ]
         header = ["scale of limits", "status", "cost", *(c.metric for c in found.answer.limits)]
-        parts.append(f"Cost against limits\n{format_table(header, rows, words=(0, 1))}")
+        parts.append(f"Cost against limits\n{align_columns(header, rows)}")
     return "\n\n".join(parts)
 
 

@@ -174,7 +174,7 @@ def write_worst_case(folder, study, results) -> list[Path]:
             for key in (
                 *("status", "value", "errors", "found_by", "maximisers", "nominal", "slopes"),
                 *("kkt_residual", "active", "evaluations", "failed", "quadratic_value"),
-                *("quadratic_errors", "quadratic_bound", "region", "sense"),
+                *("quadratic_errors", "quadratic_bound", "hessian_error", "region", "sense"),
             )
         } | {"corners": corners}
         kinds = [("found", one.value, one.errors)]
@@ -197,7 +197,7 @@ def write_worst_case(folder, study, results) -> list[Path]:
 def _allocation(one):
     keys = ("criterion", "status", "message", "tolerances", "cost", "at_bounds", "level")
     keys += ("predicted_yield", "verified_yield", "yield_interval", "verified_by", "history")
-    found = {key: getattr(one, key) for key in (*keys, "failed")}
+    found = {key: getattr(one, key) for key in (*keys, "failed", "hessian_error")}
     return found | {"limits": [asdict(check) for check in one.limits]}
 
 

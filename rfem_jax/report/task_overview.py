@@ -21,12 +21,15 @@ _NAMES = {
 def tasks_text(study) -> str:
     """Tolerances and tasks of a study, "" where it declares none."""
     tasks = study.tasks
+    if tasks.declared:
+        # Takes seconds: only where there is something to show.
+        from rfem_jax.tolerancing.layout import wrap_lines
     parts = [] if tasks.tolerances is None else [_tolerances_text(study)]
     for name in tasks.declared:
         task = getattr(tasks, name)
         lines = [_NAMES[name], f"  metrics: {', '.join(task.metrics)}"]
         lines += [f"  {label}: {text}" for label, text in _settings(study.mechanism, task)]
-        parts.append("\n".join(lines))
+        parts.append(wrap_lines("\n".join(lines), indent=4))
     return "\n\n".join(parts)
 
 

@@ -9,12 +9,11 @@ Symbols: half-widths of tolerances in rad and m; limits in units of their metric
 import math
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 
-from rfem_jax.description.errors import located
+from rfem_jax.description.errors import InputError
 from rfem_jax.mechanics import discretise
 from rfem_jax.tolerancing import (
     CorrelatedNormal,
@@ -28,12 +27,13 @@ from rfem_jax.tolerancing import (
     TruncatedNormal,
     Uniform,
     allocate,
-    expand,
     monte_carlo,
     sensitivity,
     worst_case,
 )
 from rfem_jax.tolerancing.cost_models import total_cost
+from rfem_jax.tolerancing.quadratic_model import choose_mode, expand_by_differences
+from rfem_jax.tolerancing.results_store import StudyFolderError
 
 DISTRIBUTIONS = {
     "uniform": Uniform,
@@ -101,10 +101,11 @@ def run_sensitivity(study):
 def run_monte_carlo(study, folder, progress=True):
     """The scatter of all metrics; chunks are kept in `folder`, where a run continues.
 
-    Raises: InputError for a folder of another study; ChunkWriteError for a full disk.
+    Raises: InputError for a folder of another study (in the words of the command line, where the
+        folder is in DIR of `--out DIR`); ChunkWriteError for a full disk.
     """
     task = study.tasks.monte_carlo
-    with located(f"Folder `{Path(folder)}`"):
+    try:
         return monte_carlo(
             build_problem(study, task.metrics), build_tolerances(study.tasks.tolerances), task.n,
             jax.random.key(task.seed), batch=task.batch, lanes=task.lanes, sampling=task.sampling,
@@ -112,6 +113,12 @@ def run_monte_carlo(study, folder, progress=True):
             sobol_indices=task.sobol_indices, control_variate=task.control_variate or None,
             resume=folder, progress=progress,
         )  # fmt: skip
+    except StudyFolderError as problem:
+        raise InputError(
+            "Argument `--out` must be a folder in which this Monte Carlo study can start or "
+            f"continue, but {problem.finding}; choose another folder, state the same study, or "
+            f"remove `{folder}` and its samples."
+        ) from None
 
 
 def run_worst_case(study, report=lambda text: None):
@@ -125,10 +132,11 @@ def run_worst_case(study, report=lambda text: None):
     keys = jax.random.split(jax.random.key(task.seed), len(task.metrics))
     report("Expanding to second order ...")
     centre = {name: float(mean) for name, mean in tolerances.means().items()}
-    model = expand(problem, centre, tolerances.names, mode=task.mode)
+    mode = choose_mode(task.mode, len(tolerances.names), 1)  # that of the searches: one program
+    model = expand_by_differences(problem, centre, tolerances, mode=mode, batch=task.batch)
     search = partial(
         worst_case, problem, tolerances, model=model, region=task.region, starts=task.starts,
-        sense=task.sense, corners="auto" if task.corners is None else task.corners, mode=task.mode,
+        sense=task.sense, corners="auto" if task.corners is None else task.corners, mode=mode,
         evaluations=task.evaluations, batch=task.batch,
     )  # fmt: skip
     found = {}
@@ -174,10 +182,14 @@ def run_allocation(study, report=lambda text: None):
         target=task.target, coverage=task.coverage, statistic=task.statistic,
         distribution=DISTRIBUTIONS[task.distribution], samples=task.samples,
         verify_samples=task.verify_samples, starts=task.starts, rounds=task.rounds,
-        tolerance=task.accuracy, mode=task.mode, batch=task.batch,
+        tolerance=task.accuracy, batch=task.batch,
     )  # fmt: skip
     report("Expanding to second order ...")
-    solve = partial(solve, model=expand(problem, names=tuple(task.bounds), mode=task.mode))
+    together = task.criterion != "worst_case"
+    mode = choose_mode(task.mode, len(task.bounds), len(problem.metrics) if together else 1)
+    typical = {name: math.sqrt(low * high) for name, (low, high) in task.bounds.items()}
+    model = expand_by_differences(problem, None, typical, mode=mode, batch=task.batch)
+    solve = partial(solve, model=model, mode=mode)
     report(f"Allocating {len(task.bounds)} tolerances ...")
     limits = {name: tuple(map(_closed, pair)) for name, pair in task.limits.items()}
     answer = solve(limits, key=keys[0])

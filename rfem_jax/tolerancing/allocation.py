@@ -24,7 +24,7 @@ import numpy as np
 from rfem_jax.description.errors import InputError, require_choice
 from rfem_jax.tolerancing.allocation_request import state_request
 from rfem_jax.tolerancing.evaluation import require_float64
-from rfem_jax.tolerancing.layout import align_columns, show_number
+from rfem_jax.tolerancing.layout import align_columns, show_number, wrap_lines
 from rfem_jax.tolerancing.statistical_criteria import StatisticalCriterion
 from rfem_jax.tolerancing.tolerances import Normal
 from rfem_jax.tolerancing.worst_case_criterion import WorstCaseCriterion
@@ -71,7 +71,8 @@ class Allocation:
     samples the statistical criteria look at (NaN for worst case); predicted_yield, verified_yield,
     yield_interval: fraction within all limits (NaN for worst case; predicted only for "yield");
     verified_by: what the fresh run was; history: (cost, largest h on the full problem) per round;
-    failed: failed samples seen on the way and in the fresh run.
+    failed: failed samples seen on the way and in the fresh run; hessian_error: the estimated
+    relative error of the quadratic model's Hessian by differences (NaN where it is exact).
     """
 
     criterion: str
@@ -89,6 +90,7 @@ class Allocation:
     verified_by: str
     history: tuple
     failed: int
+    hessian_error: float
 
     def __str__(self):
         head = f"Allocation ({self.criterion}): status {self.status}, "
@@ -97,22 +99,29 @@ class Allocation:
             [n, f"{show_number(t)} {self.units[n]}", self.at_bounds.get(n, "")]
             for n, t in self.tolerances.items()
         ]
-        parts = [head, self.message, align_columns(["error", "tolerance", "bound"], rows)]
+        parts = [head, wrap_lines(self.message)]
+        parts.append(align_columns(["error", "tolerance", "bound"], rows))
         header = ["limit", "value", "nominal", "quadratic", "predicted", "verified", "interval"]
         header += ["margin"]
-        rows = [
-            [f"{c.metric} [{c.unit}]",
-             *map(show_number, (c.limit, c.nominal, c.quadratic, c.predicted)),
-             show_number(c.verified), " to ".join(map(show_number, c.verified_interval)),
-             show_number(c.verified_margin)]
-            for c in self.limits
-        ]  # fmt: skip
-        parts.append(align_columns(header, rows))
+        parts.append(align_columns(header, [self._row(check) for check in self.limits]))
         if np.isfinite(self.verified_yield):
             low, high = self.yield_interval
             parts.append(f"verified yield {self.verified_yield:.5f} ({low:.5f} to {high:.5f})")
         parts.append(f"verified by {self.verified_by}; {self.failed} failed samples")
+        if np.isfinite(self.hessian_error):
+            parts.append(f"Hessian by differences of gradients, error {self.hessian_error:.0e}")
         return "\n".join(part for part in parts if part)
+
+    @staticmethod
+    def _row(check):
+        numbers = (check.limit, check.nominal, check.quadratic, check.predicted, check.verified)
+        ends = (show_number(end, scale=check.limit) for end in check.verified_interval)
+        return [
+            f"{check.metric} [{check.unit or 1}]",
+            *(show_number(number, scale=check.limit) for number in numbers),
+            " to ".join(ends),
+            show_number(check.verified_margin),
+        ]
 
 
 def allocate(
@@ -149,7 +158,9 @@ def allocate(
         full problem is observed at (default: twenty or more beyond the yield, 2048 for "rss");
         verify_samples of the fresh run. For worst case: starts of each search. rounds of
         correction; tolerance on limits (of the headroom) and cost; model a QuadraticModel of order
-        2 at the centre in the errors of `bounds` (None: it is computed).
+        2 at the centre in the errors of `bounds` (None: by differences of gradients); mode of the
+        gradients; batch the most samples at once. The full problem is compiled twice, whatever the
+        rounds: for values, and for values with slopes.
     Returns: Allocation.
     Raises: InputError for unknown names, bad bounds or options.
     """
@@ -158,7 +169,9 @@ def allocate(
     require_choice(statistic, ("quantile", "mean"), "statistic")
     if not 0 < target < 1:
         raise InputError(f"Argument `target` must lie between 0 and 1, but it is {target}.")
-    request = state_request(problem, limits, cost, bounds, at, mode, batch, model)
+    request = state_request(
+        problem, limits, cost, bounds, at, mode, batch, model, together=criterion != "worst_case"
+    )
     design, refine, verify, last = jax.random.split(key, 4)
     if criterion == "worst_case":
         study = WorstCaseCriterion(request, design, starts)
@@ -298,4 +311,11 @@ def _report(study, request, criterion, answer, history, status, message, verifie
         verified_by=by,
         history=tuple(history),
         failed=study.failed + (verified.failed if statistical else 0),
+        hessian_error=_hessian_error(request),
     )
+
+
+def _hessian_error(request):
+    """The largest estimated error of a limited metric's Hessian, NaN where Hessians are exact."""
+    error = request.model.hessian_error
+    return np.nan if error is None else max(float(error[limit.index]) for limit in request.limits)

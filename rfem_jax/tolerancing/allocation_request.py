@@ -17,7 +17,7 @@ from rfem_jax.description.errors import InputError
 from rfem_jax.tolerancing.allocation_models import Quadratic
 from rfem_jax.tolerancing.cost_models import assign_costs
 from rfem_jax.tolerancing.evaluation import check_known, metric_index, split_errors
-from rfem_jax.tolerancing.quadratic_model import expand
+from rfem_jax.tolerancing.quadratic_model import choose_mode, expand_by_differences
 
 
 class Limit(NamedTuple):
@@ -77,12 +77,18 @@ class Request:
         return np.stack(rows, axis=1)
 
 
-def state_request(problem, limits, cost, bounds, at, mode, batch, model=None):
-    """Check and normalise a request (arguments of `allocate`). Raises InputError."""
+def state_request(problem, limits, cost, bounds, at, mode, batch, model=None, together=True):
+    """Check and normalise a request (arguments of `allocate`). Raises InputError.
+
+    Args: together: the slopes of all metrics are needed at every point (statistical criteria), not
+        those of one (worst case); it decides the mode of the derivatives.
+    """
     names, lower, upper = _read_bounds(problem, bounds)
     costs = assign_costs(cost, names)
+    mode = choose_mode(mode, len(names), len(problem.metrics) if together else 1)
     if model is None:
-        model = expand(problem, at, names, mode=mode)
+        typical = dict(zip(names, np.sqrt(lower * upper), strict=True))
+        model = expand_by_differences(problem, at, typical, mode=mode, batch=batch)
     elif model.names != names or model.hessian is None:
         raise InputError(
             "Argument `model` must be of order 2 in the errors of `bounds`, in their order, but it "

@@ -4,6 +4,10 @@ Place in the pipeline: the door between a `problem(errors) -> (values, status)` 
 differentiate (sensitivities, worst cases, allocation). They work with vectors x (k,) of the errors
 they vary, in [rad] and [m] as the problem's names say; all other errors stay at `base`.
 
+Compiling a simulation takes far longer than running it: for each problem and set of errors all
+studies share one program for values and one for values with slopes (`quadratic_model`), each of one
+shape. Points come to them in chunks from the host, the last chunk filled up.
+
 Symbols: k errors, m metrics, n points; x (k,) errors; t (k,) half-widths of the tolerances [as x];
 status 0 is a good sample, any other integer a failure (its values are not used).
 """
@@ -16,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rfem_jax.description.errors import InputError, suggestion
+from rfem_jax.tolerancing.execution import default_lanes
 
 
 def require_float64():
@@ -103,6 +108,22 @@ def map_chunks(function, rows, batch):
     return jax.tree.map(lambda a: a.reshape(chunks * batch, *a.shape[2:])[:count], out)
 
 
+def run_in_chunks(program, width, *rows):
+    """`program` of arrays with n rows each, `width` rows at a time, from the host.
+
+    Args: program takes arrays of `width` rows and returns a tuple of arrays with as many.
+    Returns: the tuple of its results (NumPy) for all n rows.
+    """
+    parts = []
+    for first in range(0, len(rows[0]), width):
+        chunk = [np.asarray(array)[first : first + width] for array in rows]
+        used = len(chunk[0])
+        filled = [np.concatenate([c, np.repeat(c[:1], width - used, axis=0)]) for c in chunk]
+        results = program(*map(jnp.asarray, filled))
+        parts.append([np.asarray(result)[:used] for result in results])
+    return tuple(np.concatenate(part) for part in zip(*parts, strict=True))
+
+
 @eqx.filter_jit
 def _evaluate_chunk(problem, names, base, points):
     return jax.vmap(lambda x: stack_metrics(problem, names, base, x))(points)
@@ -111,21 +132,15 @@ def _evaluate_chunk(problem, names, base, points):
 def evaluate_points(problem, names, base, points, batch=256):
     """All metrics at many points, chunk by chunk from the host (one compiled program).
 
-    Args: points (n, k) [rad, m]; batch points run at once.
+    Args: points (n, k) [rad, m]; batch the most points at once (fewer where the device gains
+        nothing by more).
     Returns: values (n, m) NumPy, NaN where the sample failed or is not finite; status (n,) int32.
     """
     points = np.asarray(points, dtype=np.float64)
-    # Few sizes of chunks, so that few programs are compiled.
-    batch = min(batch, 1 << max(4, (len(points) - 1).bit_length()))
-    values, statuses = [], []
-    for first in range(0, len(points), batch):
-        chunk = points[first : first + batch]
-        used = len(chunk)
-        chunk = np.concatenate([chunk, np.repeat(chunk[:1], batch - used, axis=0)])
-        value, status = _evaluate_chunk(problem, names, base, jnp.asarray(chunk))
-        values.append(np.asarray(value)[:used])
-        statuses.append(np.asarray(status)[:used])
-    values, statuses = np.concatenate(values), np.concatenate(statuses)
+    values, statuses = run_in_chunks(
+        lambda chunk: _evaluate_chunk(problem, names, base, chunk), min(batch, default_lanes()),
+        points,
+    )  # fmt: skip
     return np.where((statuses == 0)[:, None], values, np.nan), statuses
 
 

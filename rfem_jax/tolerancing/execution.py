@@ -11,12 +11,19 @@ another device), so that a sample's numbers do not depend on batch, devices or p
 last bit. Processes share nothing but the folder of chunks: each computes its own chunks with local
 programs and then waits for the files of the others.
 
+Several CPU devices need spare threads. The program of a device occupies a thread of XLA's pool, and
+its batched matrix factorisations wait for others of the same pool; with as many threads as devices
+(XLA's own choice) all of them may wait for ever. A study that could is refused (`require_threads`)
+and not run on one device instead: the user asked for speed, the numbers would be the same, and a
+remedy that takes one line is better than a long run that is silently slower.
+
 Symbols: N samples, d coordinates, m metrics; points (N, d) of the unit cube, errors (N, d) [rad or
 m], values (N, m) [units of the metrics], status (N,) int32.
 Source: none; the layout is this library's own.
 """
 
 import hashlib
+import os
 import re
 import time
 
@@ -39,6 +46,28 @@ PATIENCE = 3600.0  # s without a new chunk of another process
 def default_lanes():
     """Samples that a device computes at once unless the user says otherwise."""
     return LANES.get(jax.default_backend(), LANES_ELSEWHERE)
+
+
+def require_threads(devices):
+    """Refuse several CPU `devices` that share too few threads. Raises InputError.
+
+    XLA's pool has NPROC threads (an environment variable, read when JAX starts), without it one for
+    each core that the process may use, and never fewer than devices.
+    """
+    count = len(devices)
+    if count < 2 or devices[0].platform != "cpu":
+        return
+    usable = getattr(os, "sched_getaffinity", None)
+    cores = len(usable(0)) if usable else os.cpu_count() or 1
+    stated = os.environ.get("NPROC", "")
+    threads = max(int(stated) if stated.isdecimal() else cores, count)
+    if threads < 2 * count:
+        raise InputError(
+            f"Argument `jax_num_cpu_devices` must leave two threads for each device, but {count} "
+            f"CPU devices share {threads}, and samples could wait for each other for ever; put "
+            f'os.environ["NPROC"] = "{2 * max(count, cores)}" before the first array, or use one '
+            "device."
+        )
 
 
 @eqx.filter_jit
@@ -98,8 +127,10 @@ def run_chunks(problem, tolerances, points, *, batch, lanes, store, progress):
     """All samples, chunk by chunk; finished chunks of `store` (or None) are not repeated.
 
     Returns: the arrays of `evaluate` and the number of chunks computed by this process.
-    Raises: InputError when several processes have no common folder; ChunkWriteError; TimeoutError.
+    Raises: InputError when several processes have no common folder and when several CPU devices
+        lack threads; ChunkWriteError; TimeoutError.
     """
+    require_threads(jax.local_devices())
     process, processes = jax.process_index(), jax.process_count()
     if processes > 1 and store is None:
         raise InputError(

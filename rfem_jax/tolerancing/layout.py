@@ -1,23 +1,57 @@
-"""Plain-text columns for the results of the tolerance studies.
+"""Plain-text columns for the results of the tolerance studies, none wider than `WIDTH`.
 
-Place in the pipeline: used where a result of this room prints itself; no symbols.
+Place in the pipeline: used where a result of this room prints itself, and by the reports on them;
+no symbols.
 """
 
+import textwrap
 
-def align_columns(header, rows):
-    """One string: `rows` (sequences of strings) under `header`, first column left, others right."""
+WIDTH = 120  # columns of a terminal
+NEGLIGIBLE = 1e-12  # of the scale: rounding, shown as 0
+
+
+def align_columns(header, rows, width=WIDTH):
+    """One string: `rows` (sequences of strings) under `header`, first column left, others right.
+
+    Columns that do not fit into `width` follow in blocks below, each with the first column.
+    """
     table = [tuple(header), *(tuple(row) for row in rows)]
     widths = [max(len(row[column]) for row in table) for column in range(len(header))]
+    blocks, chosen = [], []
+    for column in range(1, len(header)):
+        used = widths[0] + sum(2 + widths[c] for c in (*chosen, column))
+        if chosen and used > width:
+            blocks.append(chosen)
+            chosen = []
+        chosen.append(column)
+    return "\n\n".join(_block(table, widths, columns) for columns in [*blocks, chosen])
+
+
+def _block(table, widths, columns):
     lines = []
     for row in table:
-        cells = [row[0].ljust(widths[0])]
-        cells += [cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True)]
+        cells = [row[0].ljust(widths[0]), *(row[c].rjust(widths[c]) for c in columns)]
         lines.append("  ".join(cells).rstrip())
-    lines.insert(1, "-" * (sum(widths) + 2 * (len(widths) - 1)))
+    lines.insert(1, "-" * (widths[0] + sum(2 + widths[c] for c in columns)))
     return "\n".join(lines)
 
 
-def show_number(value, digits=5):
-    """A number for a table; "-" where it does not exist."""
+def wrap_lines(text, indent=2, width=WIDTH):
+    """`text` with its long lines broken at spaces; what follows a break is indented."""
+    return "\n".join(
+        textwrap.fill(line, width, subsequent_indent=" " * indent, break_long_words=False,
+                      break_on_hyphens=False)
+        for line in text.splitlines()
+    )  # fmt: skip
+
+
+def without_rounding(value, scale):
+    """0 for a number that is only rounding of numbers of size `scale`, else the number."""
     value = float(value)
+    return 0.0 if abs(value) <= NEGLIGIBLE * abs(float(scale)) else value
+
+
+def show_number(value, digits=5, scale=0.0):
+    """A number for a table; "-" where it does not exist, 0 where it is rounding of `scale`."""
+    value = without_rounding(value, scale)
     return "-" if value != value else f"{value:.{digits}g}"

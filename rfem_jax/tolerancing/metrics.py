@@ -3,14 +3,15 @@
 Place in the pipeline: Run -> **metric** -> Problem.
 
 Every metric has a name, a unit, a label and a function of a run.  Mean squares are smooth; RMS
-values are their roots and have a cone where the load vanishes (MODEL section 8); a p-norm is a smooth
-stand-in for a maximum.  A metric of your own:
+values are their roots and have a cone where the load vanishes (MODEL section 8); a p-norm is a
+smooth stand-in for a maximum.  A metric of your own:
 
-    Metric("A.swing", "rad", "largest crank angle", lambda run: jnp.max(run.angle))
+    Metric("A.swing", "rad", "largest crank angle", function=lambda run: jnp.max(run.angle))
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cache
 
 import jax.numpy as jnp
 
@@ -23,7 +24,8 @@ from rfem_jax.tolerancing.problem import Metric as NamedMetric
 class Metric(NamedMetric):
     """A number of a run: name, unit, label, and the function Run -> scalar that computes it.
 
-    `even`: unchanged when all out-of-plane errors of a planar mechanism change sign (None: unknown).
+    `even`: unchanged when all out-of-plane errors of a planar mechanism change sign (None:
+    unknown).
     """
 
     function: Callable | None = field(default=None, kw_only=True)
@@ -102,8 +104,8 @@ def preload_force(joint: str) -> Metric:
 def preload_moment(joint: str) -> Metric:
     """Square of the resultant preload moment [(N m)^2] after assembly; smooth everywhere."""
     return Metric(
-        f"{joint}.preload_moment_square", "N^2 m^2", f"squared preload moment in {joint}", even=True,
-        function=lambda run: jnp.sum(run.preload[joint].moment ** 2),
+        f"{joint}.preload_moment_square", "N^2 m^2", f"squared preload moment in {joint}",
+        even=True, function=lambda run: jnp.sum(run.preload[joint].moment ** 2),
     )
 
 
@@ -137,8 +139,10 @@ OF_JOINTS = {
 OF_RUNS = {"angle_error": end_angle, "end_energy": end_energy}
 
 
+@cache
 def metric(name: str) -> Metric:
-    """The metric of a name as "A.rms_force" or "end_energy".
+    """The metric of a name as "A.rms_force" or "end_energy"; the same object each time (equal
+    problems then share their compiled programs).
 
     **Raises:** `InputError` for an unknown one, with the nearest.
     """
@@ -158,4 +162,5 @@ def _p_norm(vectors, power):
     largest = jnp.max(square)
     safe = jnp.where(largest > 0.0, largest, 1.0)
     mean = jnp.mean((square / safe) ** (power // 2))
+    mean = jnp.where(largest > 0.0, mean, 1.0)  # a root of zero has no derivative
     return guarded_root(largest) * mean ** (1.0 / power)

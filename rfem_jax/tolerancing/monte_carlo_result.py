@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rfem_jax.tolerancing.layout import align_columns, show_number
+from rfem_jax.tolerancing.layout import align_columns, show_number, wrap_lines
 from rfem_jax.tolerancing.statistics import ControlledMean, Estimate, SobolIndices
 
 NOT_FINITE = -1  # status of a sample that called itself good but has a value that is not finite
@@ -78,27 +78,27 @@ class MonteCarloResult:
     def __str__(self):
         failed = self.samples - self.good
         causes = ", ".join(f"{count} {cause}" for cause, count in self.failures.items())
-        lines = [
-            f"Monte Carlo: {self.samples} samples ({self.sampling}), {failed} failed"
-            + (f" ({causes})" if causes else "")
-            + f"; intervals of {100 * self.confidence:g} % confidence",
-            self._statistics_table(),
-        ]
+        kind = "from independent nets" if self.sampling == "sobol" else "of independent samples"
+        head = f"Monte Carlo: {self.samples} samples ({self.sampling}), {failed} failed"
+        head += (f" ({causes})" if causes else "")
+        head += f"; intervals of {100 * self.confidence:g} % confidence, {kind}"
+        lines = [wrap_lines(head), self._statistics_table()]
         if self.joint_yield is not None:
             lines += ["", self._yield_table()]
         if self.sobol_indices is not None:
             lines += ["", self._index_table()]
         if self.controlled_means:
             lines += ["", self._control_table()]
-        return "\n".join(lines + ([self.control_note] if self.control_note else []))
+        return "\n".join(lines + ([wrap_lines(self.control_note)] if self.control_note else []))
 
     def _statistics_table(self):
         fractions = list(next(iter(self.statistics.values())).quantiles)
-        header = ["metric", "unit", "mean", "std", *(f"{100 * q:g} %" for q in fractions)]
+        header = ["metric", "mean", "std", *(f"{100 * q:g} %" for q in fractions)]
         rows = [
-            [name, unit, str(s.mean), str(s.std), *(str(s.quantiles[q]) for q in fractions)]
+            [f"{name} [{unit or 1}]", str(s.mean), str(s.std),
+             *(str(s.quantiles[q]) for q in fractions)]
             for (name, s), unit in zip(self.statistics.items(), self.metric_units, strict=True)
-        ]
+        ]  # fmt: skip
         return align_columns(header, rows)
 
     def _yield_table(self):

@@ -26,9 +26,9 @@ from rfem_jax.tolerancing.monte_carlo_result import (
     MonteCarloResult,
     Yield,
 )
-from rfem_jax.tolerancing.quadratic_model import QuadraticModel, expand
+from rfem_jax.tolerancing.quadratic_model import QuadraticModel, expand_by_differences
 from rfem_jax.tolerancing.results_store import ResultsStore
-from rfem_jax.tolerancing.sampling import design_points, key_words, unit_points
+from rfem_jax.tolerancing.sampling import design_points, key_words, net_of_samples, unit_points
 from rfem_jax.tolerancing.statistics import (
     estimate_controlled_mean,
     estimate_mean,
@@ -41,7 +41,7 @@ from rfem_jax.tolerancing.statistics import (
 from rfem_jax.tolerancing.tolerances import Tolerances
 
 QUANTILES = (0.01, 0.05, 0.5, 0.95, 0.99)
-FORMAT = 1
+FORMAT = 2  # of what is in a chunk, and of how points are drawn
 
 
 def monte_carlo(
@@ -66,13 +66,14 @@ def monte_carlo(
     Args:
         problem: as `problem.py` says.
         tolerances: Tolerances; its names are the errors that vary, all others are zero.
-        n: number of random samples; with Sobol' points best a power of 2.
+        n: number of random samples; with Sobol' points best a power of 2, at least 64.
         key: JAX random key; the samples depend on it and on their own index alone.
         batch: samples per chunk, the unit that is stored and lost when a run is killed.
         sampling: "sobol" (scrambled Sobol' points) or "pseudo_random".
         limits: {metric name: largest value, or (low, high) with None for an open end}.
         quantiles: fractions in (0, 1).
-        confidence: of every interval. Intervals take samples as independent (see `statistics`).
+        confidence: of every interval; with Sobol' points they come from the spread of
+            independently scrambled nets (see `sampling`, `statistics`).
         sobol_indices: also estimate Sobol' indices; n (k + 2) runs for k factors, of which 2n serve
             the statistics. Correlated errors are one factor.
         control_variate: None, a QuadraticModel, or True for the one about the nominal point.
@@ -99,6 +100,7 @@ def monte_carlo(
         points, base = design_points(key, n, tolerances.factors, sampling), 2 * n
     else:
         points, base = unit_points(key, n, len(tolerances.names), sampling), n
+    nets = net_of_samples(n, sampling, base // n)
     store = None
     if resume is not None:
         study = {"n": n, "batch": batch, "lanes": lanes, "sampling": sampling}
@@ -118,7 +120,7 @@ def monte_carlo(
         indices = _estimate_indices(values, metrics, tolerances.factors, n, confidence)
     if model is not None:
         controlled, note = _control(
-            model, tolerances, samples["errors"][:base], values[:base], metrics, confidence
+            model, tolerances, samples["errors"][:base], values[:base], metrics, confidence, nets
         )
     return MonteCarloResult(
         names=tolerances.names,
@@ -130,7 +132,7 @@ def monte_carlo(
         values=values,
         status=status,
         samples=base,
-        **_summarise(problem, values[:base], status[:base], limits, quantiles, confidence),
+        **_summarise(problem, values[:base], status[:base], nets, limits, quantiles, confidence),
         limits=limits,
         sobol_indices=indices,
         controlled_means=controlled,
@@ -142,47 +144,50 @@ def monte_carlo(
     )
 
 
-def _summarise(problem, values, status, limits, quantiles, confidence):
+def _summarise(problem, values, status, nets, limits, quantiles, confidence):
     """Failures by cause, statistics and yields of the random samples: fields of the result."""
     metrics = [metric.name for metric in problem.metrics]
     codes, counts = np.unique(status[status != 0], return_counts=True)
-    good = values[status == 0]
-    yields, joint = _estimate_yields(good, metrics, limits, len(values), confidence)
+    good = status == 0
+    yields, joint = _estimate_yields(values, good, metrics, limits, confidence, nets)
+    kept = None if nets is None else nets[good]
     return {
         "failures": {_cause(problem, c): int(k) for c, k in zip(codes, counts, strict=True)},
         "statistics": {
-            name: _describe(good[:, i], quantiles, confidence) for i, name in enumerate(metrics)
+            name: _describe(values[good, i], quantiles, confidence, kept)
+            for i, name in enumerate(metrics)
         },
         "yields": yields,
         "joint_yield": joint,
     }
 
 
-def _describe(samples, quantiles, confidence):
+def _describe(samples, quantiles, confidence, nets):
     """MetricStatistics of the good samples (n,) of one metric."""
     return MetricStatistics(
-        mean=estimate_mean(samples, confidence),
-        std=estimate_std(samples, confidence),
-        quantiles={float(q): estimate_quantile(samples, q, confidence) for q in quantiles},
+        mean=estimate_mean(samples, confidence, nets),
+        std=estimate_std(samples, confidence, nets),
+        quantiles={float(q): estimate_quantile(samples, q, confidence, nets) for q in quantiles},
         smallest=float(np.min(samples, initial=np.inf)) if len(samples) else float("nan"),
         largest=float(np.max(samples, initial=-np.inf)) if len(samples) else float("nan"),
     )
 
 
-def _estimate_yields(good, metrics, limits, total, confidence):
-    """Yield of each limited metric and of all together; `good` (n, m), `total` with failures."""
+def _estimate_yields(values, good, metrics, limits, confidence, nets):
+    """Yield of each limited metric and of all together; `values` (n, m), NaN where not `good`."""
     if not limits:
         return {}, None
     passes = {
-        name: (good[:, i] >= limits[name][0]) & (good[:, i] <= limits[name][1])
+        name: good & (values[:, i] >= limits[name][0]) & (values[:, i] <= limits[name][1])
         for i, name in enumerate(metrics)
         if name in limits
     }
+    kept = None if nets is None else nets[good]
 
     def count(passed):
         return Yield(
-            of_good=estimate_yield(passed.sum(), len(passed), confidence),
-            of_all=estimate_yield(passed.sum(), total, confidence),
+            of_good=estimate_yield(passed[good], confidence, kept),
+            of_all=estimate_yield(passed, confidence, nets),
         )
 
     together = np.all(np.stack(list(passes.values())), axis=0)
@@ -200,7 +205,7 @@ def _estimate_indices(values, metrics, factors, n, confidence):
     }
 
 
-def _control(model, tolerances, errors, values, metrics, confidence):
+def _control(model, tolerances, errors, values, metrics, confidence, nets):
     """Controlled means {metric: ControlledMean} and a note where some cannot be had."""
     failed = int(np.sum(np.isnan(values).any(axis=1)))
     if failed:
@@ -221,7 +226,7 @@ def _control(model, tolerances, errors, values, metrics, confidence):
         expected += 0.5 * (np.sum(hessian * covariance) + mean @ hessian @ mean)
         predicted = value + deviation @ gradient + quadratic
         controlled[name] = estimate_controlled_mean(
-            values[:, metrics.index(name)], predicted, expected, confidence
+            values[:, metrics.index(name)], predicted, expected, confidence, nets
         )
     note = f"no derivatives at the nominal point: {', '.join(missing)}" if missing else None
     return controlled, note
@@ -250,7 +255,7 @@ def _control_model(control_variate, problem, tolerances, metrics):
     if control_variate is None or control_variate is False:
         return None
     if control_variate is True:
-        return expand(problem, names=tolerances.names)
+        return expand_by_differences(problem, None, tolerances)
     if not isinstance(control_variate, QuadraticModel):
         raise InputError(
             "Argument `control_variate` must be None, True or a QuadraticModel, but it is "

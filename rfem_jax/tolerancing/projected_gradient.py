@@ -8,16 +8,23 @@ Nonmonotone acceptance (against the worst of the last `MEMORY` values), one eval
 gradient per pass of the loop, so that a batch of searches stays in step under `vmap`. A trial whose
 value is not finite is refused like one that is too low: a search walks around samples that fail.
 
+`climb` is traced with its function inside, for models that cost little. `climb_together` runs its
+loop on the host and calls a function of many points: an expensive one is then compiled once for all
+searches and for everything else that needs values and gradients, and searches that have ended cost
+nothing more.
+
 Symbols: x (k,) point, f value, s residual |P(x + grad f) - x|_inf (zero exactly at points that
 satisfy the first-order conditions).
 Source: E. G. Birgin, J. M. Martinez, M. Raydan, Nonmonotone spectral projected gradient methods on
 convex sets, SIAM J. Optim. 10 (2000) 1196-1211, algorithm SPG2.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 MEMORY = 8
 SUFFICIENT = 1e-4
@@ -73,33 +80,84 @@ def climb(function, project, start, *, evaluations=200, tolerance=1e-8):
     Returns: Search.
     """
     start = project(start)
-    value, gradient = function(start)
+    carry = _begin(project, start, *function(start))
+
+    def advance(carry):
+        trial = _trial(carry)
+        return _update(project, carry, trial, *function(trial))
+
+    last = jax.lax.while_loop(lambda c: _going(c, evaluations, tolerance), advance, carry)
+    return _end(last, tolerance)
+
+
+def climb_together(function, project, starts, *, evaluations=200, tolerance=1e-8):
+    """Maximise from many starts, with a loop on the host; not traced.
+
+    Args: function points (n, k) -> (values (n,), gradients (n, k)), of any n, NumPy; project x ->
+        nearest feasible x, traced, the same object at every call (it keys the compiled updates);
+        starts (s, k); evaluations and tolerance of each search, as for `climb`.
+    Returns: Search with a leading axis of s.
+    """
+    starts = np.asarray(jax.vmap(project)(jnp.asarray(starts)))
+    carry = _begin_all(project, starts, *function(starts))
+    while np.any(going := np.asarray(_going(carry, evaluations, tolerance))):
+        trials = np.asarray(_trials(carry))
+        values, gradients = np.full(len(trials), np.nan), np.full(trials.shape, np.nan)
+        values[going], gradients[going] = function(trials[going])
+        carry = _update_all(project, carry, trials, values, gradients, going)
+    return _end(carry, tolerance)
+
+
+def _begin(project, start, value, gradient):
     residual = _residual(project, start, gradient)
     step = jnp.clip(1.0 / jnp.where(residual > 0, residual, 1.0), STEP_MIN, STEP_MAX)
     history = jnp.full((MEMORY,), jnp.inf, dtype=value.dtype).at[0].set(value)
-    carry = _Carry(
+    return _Carry(
         start, value, gradient, residual, project(start + step * gradient) - start,
         jnp.ones_like(value), step, history, jnp.ones((), dtype=jnp.int32),
         (start, value, gradient, residual),
     )  # fmt: skip
 
-    def going(c):
-        alive = (c.residual > tolerance) & (c.length > SHORTEST) & jnp.isfinite(c.value)
-        return alive & (c.evaluations < evaluations)
 
-    last = jax.lax.while_loop(going, lambda c: _advance(function, project, c), carry)
-    point, value, gradient, residual = last.best
-    return Search(point, value, gradient, residual, last.evaluations, residual <= tolerance)
+def _going(c, evaluations, tolerance):
+    alive = (c.residual > tolerance) & (c.length > SHORTEST) & jnp.isfinite(c.value)
+    return alive & (c.evaluations < evaluations)
+
+
+def _trial(c):
+    return c.point + c.length * c.direction
+
+
+def _end(c, tolerance):
+    point, value, gradient, residual = c.best
+    return Search(point, value, gradient, residual, c.evaluations, residual <= tolerance)
+
+
+@partial(jax.jit, static_argnums=0)
+def _begin_all(project, starts, values, gradients):
+    return jax.vmap(partial(_begin, project))(starts, values, gradients)
+
+
+@jax.jit
+def _trials(carry):
+    return jax.vmap(_trial)(carry)
+
+
+@partial(jax.jit, static_argnums=0)
+def _update_all(project, carry, trials, values, gradients, going):
+    def update(carry, trial, value, gradient, going):
+        new = _update(project, carry, trial, value, gradient)
+        return jax.tree.map(lambda a, b: jnp.where(going, a, b), new, carry)
+
+    return jax.vmap(update)(carry, trials, values, gradients, going)
 
 
 def _residual(project, x, gradient):
     return jnp.max(jnp.abs(project(x + gradient) - x))
 
 
-def _advance(function, project, c):
-    """One trial: accept it and turn to a new direction, or shorten the step along the old one."""
-    trial = c.point + c.length * c.direction
-    value, gradient = function(trial)
+def _update(project, c, trial, value, gradient):
+    """After a trial: accept it and turn to a new direction, or shorten the step along the old."""
     slope = jnp.dot(c.gradient, c.direction)
     reference = jnp.min(c.history)
     rounding = 4 * jnp.finfo(value.dtype).eps * jnp.abs(reference)

@@ -12,7 +12,12 @@ Modes. Forward mode pushes k tangents through the simulation (k^2 for the Hessia
 pulls m cotangents back (k*m for the Hessian, forward over reverse). One cotangent costs about
 `REVERSE_COST` tangents (a reverse pass runs the forward pass, stores it, and runs it back), so
 "auto" takes forward mode while k <= REVERSE_COST * m. Both run in chunks of `batch` directions.
-Source: Griewank, Walther, Evaluating Derivatives, 2nd ed. (2008), chapters 3 and 5.
+
+`expand` gives the exact Hessian, by a program of its own. `expand_by_differences` takes central
+differences of exact gradients at two steps (h and 2 h, extrapolated: an error of h^4), by the same
+program that searches use, and states the error.
+Source: Griewank, Walther, Evaluating Derivatives, 2nd ed. (2008), chapters 3 and 5; L. F.
+Richardson, Phil. Trans. R. Soc. A 210 (1911) 307-357 (extrapolation).
 """
 
 import equinox as eqx
@@ -26,12 +31,18 @@ from rfem_jax.tolerancing.evaluation import (
     check_known,
     map_chunks,
     require_float64,
+    run_in_chunks,
+    select_half_widths,
     split_errors,
     stack_metrics,
 )
+from rfem_jax.tolerancing.execution import default_lanes
 
 MODES = ("auto", "forward", "reverse")
 REVERSE_COST = 3
+DIRECTIONS = 32  # tangents of one point at once
+POINTS_WITH_TANGENTS = 4  # times the lanes: points x tangents at once
+STEP = 0.01  # of a tolerance
 
 
 class QuadraticModel(eqx.Module):
@@ -39,7 +50,8 @@ class QuadraticModel(eqx.Module):
 
     `hessian` is None after an expansion of order 1; `asymmetry` (m,) is the largest |H - H^T|
     divided by the largest |H| before H was made symmetric: an estimate of the derivatives'
-    rounding.
+    rounding. `hessian_error` (m,) is the estimated error of a Hessian by differences relative to
+    the largest |H|, both per tolerance; None where it is exact.
     """
 
     names: tuple[str, ...] = eqx.field(static=True)
@@ -51,6 +63,7 @@ class QuadraticModel(eqx.Module):
     hessian: Float[Array, "m k k"] | None
     asymmetry: Float[Array, " m"] | None
     status: Int[Array, ""]
+    hessian_error: Float[Array, " m"] | None = None
 
     def __call__(self, deviation):
         """Values (m,) at point + deviation (k,)."""
@@ -170,24 +183,88 @@ def expand(problem, at=None, names=None, *, order=2, mode="auto", batch=32):
 
 
 @eqx.filter_jit
-def _linearise(problem, names, base, points, mode, batch):
+def _linearise(problem, names, base, points, weights, mode):
+    """Values (w, m), slopes and status of points (w, k): Jacobians (w, m, k) in forward mode, in
+    reverse mode the gradients (w, k) of weights (w, m) . metrics."""
+
     def function(x):
         return stack_metrics(problem, names, base, x)
 
-    def one(x):
-        value, jacobian, status = differentiate(function, x, mode, batch)
-        return jnp.where(status == 0, value, jnp.nan), jacobian
+    def one(x, weight):
+        if mode == "reverse":
+            value, pull, status = jax.vjp(function, x, has_aux=True)
+            slopes = pull(weight)[0]
+        else:
+            value, slopes, status = differentiate(function, x, mode, DIRECTIONS)
+        return jnp.where(status == 0, value, jnp.nan), slopes, status
 
-    return map_chunks(one, points, batch)
+    return jax.vmap(one)(points, weights)
 
 
-def linearise_points(problem, names, base, points, *, mode="auto", batch=32):
-    """Values and Jacobians of all metrics at many points.
+def linearise_points(problem, names, base, points, *, metric=None, mode="auto", batch=256):
+    """Values of all metrics and their slopes at many points, chunk by chunk (one program).
 
-    Args: points (n, k) [rad, m]; batch points at once (each with all its directions).
-    Returns: values (n, m) and Jacobians (n, m, k), NumPy; NaN values where the sample failed.
+    Args: points (n, k) [rad, m]; metric None for the slopes of all metrics, or the index of one, or
+        (n,) indices, one for each point; mode as everywhere ("auto" counts the metrics whose slopes
+        are asked for); batch the most points at once (fewer where the device gains nothing).
+    Returns: values (n, m), slopes (n, m, k) or with `metric` (n, k), and status (n,), NumPy; NaN
+        values where the sample failed.
     """
-    mode = choose_mode(mode, len(names), len(problem.metrics))
-    points = jnp.asarray(points, jnp.float64)
-    value, jacobian = _linearise(problem, names, base, points, mode, batch)
-    return np.asarray(value), np.asarray(jacobian)
+    n, m, k = len(points), len(problem.metrics), len(names)
+    mode = choose_mode(mode, k, m if metric is None else 1)
+    points = np.asarray(points, dtype=np.float64).reshape(n, k)
+    width = min(batch, default_lanes())
+    if mode == "forward":
+        width = max(1, min(width, POINTS_WITH_TANGENTS * default_lanes() // k))
+
+    def run(points, weights):
+        return run_in_chunks(
+            lambda x, w: _linearise(problem, names, base, x, w, mode), width, points, weights
+        )
+
+    if mode == "forward":
+        values, slopes, status = run(points, np.zeros((n, m)))
+        return values, slopes if metric is None else slopes[np.arange(n), metric], status
+    if metric is None:  # the program has one gradient per point: each point once per metric
+        values, slopes, status = run(np.repeat(points, m, axis=0), np.tile(np.eye(m), (n, 1)))
+        return values[::m], slopes.reshape(n, m, k), status[::m]
+    return run(points, np.eye(m)[np.broadcast_to(metric, (n,))])
+
+
+def expand_by_differences(problem, at, half_widths, *, mode="auto", batch=256):
+    """Expand every metric of `problem` to second order, the Hessian by differences of gradients.
+
+    Args: at mapping name -> error [rad, m] (None: the nominal point, zero); half_widths mapping
+        name -> typical tolerance [rad, m] of every error to differentiate by, the unit of the
+        steps; mode, batch as `linearise_points`.
+    Returns: QuadraticModel with its `hessian_error`.
+    Raises: InputError for unknown names or mode.
+    """
+    require_float64()
+    names, t = select_half_widths(problem, half_widths, "half_widths")
+    base, x = split_errors(problem, at, names)
+    m, k = len(problem.metrics), len(names)
+    mode = choose_mode(mode, k, m)
+    offsets = np.concatenate([np.zeros((1, k)), *(s * np.eye(k) for s in (1, -1, 2, -2))])
+    points = np.asarray(x) + STEP * offsets * t
+    values, slopes, status = linearise_points(problem, names, base, points, mode=mode, batch=batch)
+    slopes = slopes * t  # all per tolerance
+    up, down, far_up, far_down = slopes[1:].reshape(4, k, m, k)
+    with np.errstate(invalid="ignore"):  # failed points and cones: no derivative, no warning
+        near, far = (up - down) / (2 * STEP), (far_up - far_down) / (4 * STEP)
+        hessian = np.moveaxis((4 * near - far) / 3, 0, 2)
+    hessian[~np.all(np.isfinite(slopes[0]), axis=1)] = np.nan
+    largest = np.max(np.abs(hessian), axis=(1, 2))
+    safe = np.where(largest > 0, largest, 1.0)
+    transposed = np.swapaxes(hessian, 1, 2)
+    asymmetry = np.max(np.abs(hessian - transposed), axis=(1, 2)) / safe
+    # What extrapolation removed: the error of `near`, an upper bound of what is left; and rounding.
+    rounding = 4 * np.finfo(float).eps / STEP * np.max(np.abs(slopes), axis=(0, 2))
+    error = (np.max(np.abs(near - far), axis=(0, 2)) / 3 + rounding) / safe
+    hessian = 0.5 * (hessian + transposed) / np.outer(t, t)
+    arrays = map(jnp.asarray, (values[0], slopes[0] / t, hessian, asymmetry, status[0]))
+    value, gradient, hessian, asymmetry, code = arrays
+    metrics = tuple(metric.name for metric in problem.metrics)
+    return QuadraticModel(
+        names, metrics, mode, x, value, gradient, hessian, asymmetry, code, jnp.asarray(error)
+    )

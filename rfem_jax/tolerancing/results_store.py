@@ -35,12 +35,25 @@ class ChunkWriteError(OSError):
     """A chunk could not be written (a full disk, most often); finished chunks are kept."""
 
 
+class StudyFolderError(InputError):
+    """A folder that cannot hold this study: `finding` says why, `remedy` what to do.
+
+    The sentence names the library's argument; the command line words its own.
+    """
+
+    def __init__(self, finding, remedy):
+        self.finding, self.remedy = finding, remedy
+        super().__init__(
+            f"Argument `resume` must be a new folder or one of this study, but {finding}; {remedy}."
+        )
+
+
 class ResultsStore:
     """The chunks of one study in `folder`.
 
     Args: folder path (made if missing); manifest a JSON-able dict of what the study is.
-    Raises: InputError when the folder belongs to another study (and says what differs) or holds
-        other files; ChunkWriteError when the folder cannot be written.
+    Raises: StudyFolderError when the folder belongs to another study (and says what differs) or
+        holds other files; ChunkWriteError when the folder cannot be written.
     """
 
     def __init__(self, folder, manifest):
@@ -48,10 +61,7 @@ class ResultsStore:
         text = json.dumps(manifest, indent=2, sort_keys=True)
         self.fingerprint = hashlib.sha256(text.encode()).hexdigest()
         if self.folder.exists() and not self.folder.is_dir():
-            raise InputError(
-                f"Argument `resume` must be a folder, but `{self.folder}` is a file; "
-                "name a new folder."
-            )
+            raise StudyFolderError(f"`{self.folder}` is a file", "name a new folder")
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
             if not self._matches(json.loads(text)):
@@ -65,22 +75,20 @@ class ResultsStore:
             ) from error
 
     def _matches(self, manifest):
-        """True when the folder holds this study, False when it is new. Raises InputError."""
+        """True when the folder holds this study, False when it is new. Raises StudyFolderError."""
         try:
             found = json.loads((self.folder / MANIFEST).read_text())
         except FileNotFoundError:
             others = [p.name for p in self.folder.iterdir() if not p.name.endswith(".tmp")]
             if others and not (self.folder / MANIFEST).exists():
-                raise InputError(
-                    f"Argument `resume` must be a new folder or one of this study, but "
-                    f"`{self.folder}` holds `{sorted(others)[0]}` and no manifest; "
-                    "name a new folder."
+                raise StudyFolderError(
+                    f"`{self.folder}` holds `{sorted(others)[0]}` and no manifest",
+                    "name a new folder",
                 ) from None
             return False
         except ValueError:
-            raise InputError(
-                f"Argument `resume` must be a folder of this study, but `{self.folder / MANIFEST}` "
-                "cannot be read; name a new folder."
+            raise StudyFolderError(
+                f"`{self.folder / MANIFEST}` cannot be read", "name a new folder"
             ) from None
         found = found if isinstance(found, dict) else {}
         differing = [
@@ -89,10 +97,9 @@ class ResultsStore:
             if found.get(key) != manifest.get(key)
         ]
         if differing:
-            raise InputError(
-                f"Argument `resume` must be a folder of this study, but `{self.folder}` is of "
-                f"another: it differs in {'; '.join(differing)}; name a new folder, "
-                "or state the same study."
+            raise StudyFolderError(
+                f"`{self.folder}` is of another: it differs in {'; '.join(differing)}",
+                "name a new folder, or state the same study",
             )
         return True
 

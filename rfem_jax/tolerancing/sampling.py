@@ -4,14 +4,20 @@ Place in the pipeline: the random numbers of the Monte Carlo study; tolerances t
 errors.
 
 A sample's point depends on the key and on its own index alone: not on the number of samples, on the
-batch, on devices or processes. The design for Sobol' indices has n (k + 2) points of k factors: A
-(n), B (n), then A with the coordinates of factor i taken from B (n each). A and B are random
-samples of the errors, and the study's statistics use them; the others are not.
+batch, on devices or processes. Sobol' points come from `NETS` nets, scrambled independently of each
+other and dealt in turn (sample i is point i // NETS of net i modulo NETS): within a net points
+depend on each other, nets do not, and their spread tells how far a statistic can be trusted. More
+nets give a surer interval, fewer a smaller error; 8 is the usual compromise.
+
+The design for Sobol' indices has n (k + 2) points of k factors: A (n), B (n), then A with the
+coordinates of factor i taken from B (n each). A and B are random samples of the errors, and the
+study's statistics use them; the others are not.
 
 Symbols: n samples, d coordinates, k factors (an error alone, or a correlated group).
 Source: A. B. Owen, Scrambling Sobol' and Niederreiter-Xing points, J. Complexity 14 (1998) 466-489
-(in SciPy); A. Saltelli et al., Variance based sensitivity analysis of model output, Comput. Phys.
-Commun. 181 (2010) 259-270 (design).
+(in SciPy); P. L'Ecuyer, C. Lemieux, Recent advances in randomized quasi-Monte Carlo methods, in:
+Modeling Uncertainty (2002) 419-474 (independent replicates); A. Saltelli et al., Variance based
+sensitivity analysis of model output, Comput. Phys. Commun. 181 (2010) 259-270 (design).
 """
 
 import jax
@@ -23,24 +29,41 @@ from rfem_jax.description.errors import InputError, require_choice
 
 SAMPLINGS = ("sobol", "pseudo_random")
 SOBOL_BITS = 52
+NETS = 8
 
 
 def unit_points(key, n, dimension, sampling):
     """Points (n, dimension) strictly inside the unit cube, NumPy float64.
 
-    Args: key a JAX random key; sampling "sobol" (scrambled; best with n a power of 2) or
-        "pseudo_random". Raises: InputError for another key or sampling.
+    Args: key a JAX random key; sampling "sobol" (scrambled; best with n a power of 2, 64 or more)
+        or "pseudo_random". Raises: InputError for another key or sampling.
     """
     require_choice(sampling, SAMPLINGS, "sampling")
     if sampling == "sobol":
-        generator = np.random.default_rng(key_words(key))
-        engine = qmc.Sobol(dimension, scramble=True, bits=SOBOL_BITS, rng=generator)
-        # The first n of 2^m points: the same ones, without SciPy's warning for other n.
-        points = engine.random_base2(max(n - 1, 0).bit_length())[:n]
+        each = -(-n // NETS)
+        nets = [_net(np.random.default_rng([*key_words(key), j]), each, dimension)
+                for j in range(NETS)]  # fmt: skip
+        points = np.stack(nets, axis=1).reshape(each * NETS, dimension)[:n]
         return points + 2.0 ** -(SOBOL_BITS + 1)  # centres of the cells: never 0, never 1
     keys = jax.vmap(lambda i: jax.random.fold_in(_typed(key), i))(jnp.arange(n))
     draw = jax.vmap(lambda k: jax.random.uniform(k, (dimension,), jnp.float64))
     return np.asarray(draw(keys)) + 2.0**-53
+
+
+def _net(generator, n, dimension):
+    """The first n points of one scrambled Sobol' sequence."""
+    engine = qmc.Sobol(dimension, scramble=True, bits=SOBOL_BITS, rng=generator)
+    # The first n of 2^m points: the same ones, without SciPy's warning for other n.
+    return engine.random_base2(max(n - 1, 0).bit_length())[:n]
+
+
+def net_of_samples(n, sampling, blocks=1):
+    """Net (n * blocks,) that each sample belongs to; None where samples are independent.
+
+    Args: blocks of n samples one after the other that share nets (A and B of a design: 2).
+    """
+    require_choice(sampling, SAMPLINGS, "sampling")
+    return np.tile(np.arange(n) % NETS, blocks) if sampling == "sobol" else None
 
 
 def design_points(key, n, factors, sampling):

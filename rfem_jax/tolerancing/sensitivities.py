@@ -23,7 +23,7 @@ import numpy as np
 
 from rfem_jax.description.errors import InputError
 from rfem_jax.tolerancing.evaluation import check_known, describe_status, select_half_widths
-from rfem_jax.tolerancing.layout import align_columns, show_number
+from rfem_jax.tolerancing.layout import align_columns, show_number, without_rounding, wrap_lines
 from rfem_jax.tolerancing.quadratic_model import expand
 
 VANISHING = 1e-6  # gradient below this part of (Hessian x tolerances): zero by symmetry
@@ -138,8 +138,8 @@ class Sensitivities:
         return "\n\n".join(self._block(m, top) for m in chosen)
 
     def _block(self, m, top):
-        unit = self.metric_units[m]
-        head = f"{self.labels[m]} [{unit}] = {show_number(self.value[m])}"
+        unit, size = self.metric_units[m], float(np.max(self.effects[m]))
+        head = f"{self.labels[m]} [{unit}] = {show_number(self.value[m], scale=size)}"
         head += _REMARKS[self.character[m]]
         per = "per tolerance" if self.scaled else "per unit"
         header = ["error", "tolerance", "gradient", f"gradient {per}"]
@@ -149,16 +149,19 @@ class Sensitivities:
         rows = []
         for i in np.argsort(-self.effects[m], kind="stable")[:top]:
             width = show_number(self.scale[i]) if self.scaled else "-"
-            gradient = "0 (symmetry)" if self.vanishing[m, i] else show_number(self.gradient[m, i])
-            row = [self.names[i], f"{width} {self.error_units[i]}", gradient]
-            row += ["0" if self.vanishing[m, i] else show_number(self.gradient_scaled[m, i])]
-            row += [] if self.hessian is None else [show_number(0.5 * self.hessian_scaled[m, i, i])]
-            row += [show_number(self.effects[m, i])]
+            scaled = 0.0 if self.vanishing[m, i] else self.gradient_scaled[m, i]
+            scaled = without_rounding(scaled, size)
+            gradient = show_number(self.gradient[m, i]) if scaled else "0"
+            gradient += " (symmetry)" if self.vanishing[m, i] else ""
+            row = [self.names[i], f"{width} {self.error_units[i]}", gradient, show_number(scaled)]
+            if self.hessian is not None:
+                row.append(show_number(0.5 * self.hessian_scaled[m, i, i], scale=size))
+            row += [show_number(self.effects[m, i], scale=size)]
             row += [show_number(self.root_slopes[m, i])] if self.character[m] == "cone" else []
             rows.append(row)
         left_out = len(self.names) - len(rows)
         tail = f"\n({left_out} more errors with smaller effects)" if left_out > 0 else ""
-        return f"{head}\n{align_columns(header, rows)}{tail}"
+        return f"{wrap_lines(head)}\n{align_columns(header, rows)}{tail}"
 
     def __str__(self):
         head = f"Sensitivities of order {self.order} in {self.mode} mode, status {self.status}"

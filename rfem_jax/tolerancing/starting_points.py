@@ -28,6 +28,9 @@ EXHAUSTIVE = 12  # 2^12 corners are still few
 SEEDS = 64
 
 
+_project_unit_box = partial(project_box, lower=-1.0, upper=1.0)
+
+
 def region_matrix(region, tolerances, half_widths):
     """M (k, k) of e = centre + M z. Raises InputError for an unknown region or bad covariance."""
     if region not in REGIONS:
@@ -48,8 +51,8 @@ def region_matrix(region, tolerances, half_widths):
 
 
 def projection(region):
-    """Function z -> nearest z of the region."""
-    return project_ball if region == "ellipsoid" else partial(project_box, lower=-1.0, upper=1.0)
+    """Function z -> nearest z of the region; the same object each time (it keys programs)."""
+    return project_ball if region == "ellipsoid" else _project_unit_box
 
 
 def box_corners(k):

@@ -2,22 +2,35 @@
 
 Place in the pipeline: after the Monte Carlo samples; works on NumPy arrays of good samples only.
 
-    mean           xbar +- t s/sqrt(n)                         (large n, any distribution)
-    deviation      log s +- t sqrt((m4/s^4 - 1)/n) / 2         (large n, any distribution)
-    quantile       order statistics x_(l), x_(u): P(l <= Bin(n, q) < u) >= confidence   (any n)
-    yield          Clopper-Pearson: never below the confidence (any n)
+    mean           xbar +- t e                                 (large n, any distribution)
+    deviation      log s +- t e                                (large n, any distribution)
+    quantile       order statistics x_(l), x_(u): P(l <= N_eff(q) < u) >= confidence
+    yield          Clopper-Pearson for n_eff samples
     Sobol' indices S_i = E[f_B (f_ABi - f_A)]/V,  T_i = E[(f_A - f_ABi)^2]/(2 V), bootstrap interval
     control        mean(f - b (q - E q)), b from the other folds: unbiased
 
-All intervals take the samples as independent. Scrambled Sobol' points are better than that: their
-intervals for means are then too wide, rarely too narrow.
+Independent samples: e = sd(psi)/sqrt(n) with psi the statistic's influence function (f - xbar for
+the mean, ((f - xbar)^2/s^2 - 1)/2 for log s), t of n - 1 degrees of freedom, n_eff = n: intervals
+of quantiles and yields are then never below their confidence, for any n.
 
-Symbols: f (n,) values of a metric, q (n,) quadratic model at the same errors, m4 fourth central
-moment, V variance, S_i first-order and T_i total index of factor i.
+Samples of r independently scrambled nets (`nets`, the net of each sample): within a net samples
+depend on each other, and a smooth statistic is far surer than of independent ones. The errors are
+those of the nets' totals,
+
+    e^2 = r/(r - 1) sum_j (sum_(i in j) psi_i)^2 / n^2,        t of r - 1 degrees of freedom
+
+which holds with failed samples too. A fraction p has psi = 1[below] - p, and n_eff =
+p (1 - p)/e^2 (t_(n-1)/t_(r-1))^2 samples, independent ones that would be as sure. Where the nets
+agree to one sample (so that e may be zero by luck), e is that of one sample, and n_eff at least n.
+
+Symbols: f (n,) values of a metric, q (n,) quadratic model at the same errors, e standard error, V
+variance, S_i first-order and T_i total index of factor i.
 Source: H. A. David, H. N. Nagaraja, Order Statistics, 3rd ed. (2003), section 7.1; C. J. Clopper,
-E. S. Pearson, Biometrika 26 (1934) 404-413; A. Saltelli et al., Comput. Phys. Commun. 181 (2010)
-259-270, table 2 (b) and (f); S. S. Lavenberg, P. D. Welch, Management Science 27 (1981) 322-335
-(control variates); A. N. Avramidis, J. R. Wilson, Oper. Res. 41 (1993) 833-846 (splitting).
+E. S. Pearson, Biometrika 26 (1934) 404-413; E. L. Korn, B. I. Graubard, Survey Methodology 24
+(1998) 193-201 (n_eff of a fraction); R. S. Woodruff, J. Amer. Stat. Assoc. 47 (1952) 635-646
+(quantile from a fraction); A. Saltelli et al., Comput. Phys. Commun. 181 (2010) 259-270, table 2
+(b) and (f); S. S. Lavenberg, P. D. Welch, Management Science 27 (1981) 322-335 (control variates);
+A. N. Avramidis, J. R. Wilson, Oper. Res. 41 (1993) 833-846 (splitting).
 """
 
 import math
@@ -55,7 +68,7 @@ class SobolIndices:
 
 @dataclass(frozen=True)
 class ControlledMean:
-    """Mean with a control variate; variance without it divided by variance with it."""
+    """Mean with a control variate; variance of a sample without it divided by that with it."""
 
     mean: Estimate
     variance_reduction: float
@@ -72,37 +85,77 @@ def require_confidence(confidence):
     return float(confidence)
 
 
-def estimate_mean(samples, confidence=0.95):
-    """Mean of samples (n,) and its interval by Student's t; NaN of an empty set."""
+def _standard_error(influence, nets):
+    """Standard error of a mean of influences (n,), and its degrees of freedom."""
+    n = len(influence)
+    if nets is None:
+        return float(np.std(influence, ddof=1)) / math.sqrt(n), n - 1
+    totals, r = _net_totals(influence, nets)
+    if r < 2:
+        return math.inf, 1  # one net says nothing of its own error
+    return math.sqrt(r / (r - 1) * float(totals @ totals)) / n, r - 1
+
+
+def _net_totals(influence, nets):
+    """Sum of the influences of each net that has samples, and the number of those nets."""
+    counts = np.bincount(nets)
+    return np.bincount(nets, weights=influence)[counts > 0], int(np.sum(counts > 0))
+
+
+def _effective_number(below, nets, confidence):
+    """Independent samples that know the fraction of `below` (n,) as well as these do."""
+    n = len(below)
+    if nets is None:
+        return n
+    p = float(np.mean(below))
+    totals, r = _net_totals(below - p, nets)
+    if r < 2:
+        return 1
+    agree = float(totals @ totals) <= (r - 1) / r + 1e-9  # as if one net differed by one sample
+    error = 1.0 / n if agree else _standard_error(below - p, nets)[0]
+    tail = 0.5 + 0.5 * confidence
+    factor = (stats.t.ppf(tail, n - 1) / stats.t.ppf(tail, r - 1)) ** 2
+    number = float(factor * p * (1.0 - p) / error**2)
+    return max(number, n) if agree else max(number, 1.0)
+
+
+def estimate_mean(samples, confidence=0.95, nets=None):
+    """Mean of samples (n,) and its interval by Student's t; NaN of an empty set.
+
+    Args: nets (n,) the scrambled net that each sample belongs to; None: independent samples.
+    """
     n = len(samples)
     if n == 0:
         return Estimate(math.nan, math.nan, math.nan)
     mean = float(np.mean(samples))
     if n == 1:
         return Estimate(mean, -math.inf, math.inf)
-    half = stats.t.ppf(0.5 + 0.5 * confidence, n - 1) * np.std(samples, ddof=1) / math.sqrt(n)
-    return Estimate(mean, mean - float(half), mean + float(half))
+    error, freedom = _standard_error(samples - mean, nets)
+    half = float(stats.t.ppf(0.5 + 0.5 * confidence, freedom)) * error
+    return Estimate(mean, mean - half, mean + half)
 
 
-def estimate_std(samples, confidence=0.95):
-    """Standard deviation of samples (n,) and its large-sample interval from the fourth moment."""
+def estimate_std(samples, confidence=0.95, nets=None):
+    """Standard deviation of samples (n,) and its large-sample interval; nets as `estimate_mean`."""
     n = len(samples)
     if n < 2:
         return Estimate(math.nan, math.nan, math.nan)
     std = float(np.std(samples, ddof=1))
     if std == 0.0:
         return Estimate(0.0, 0.0, 0.0)
-    fourth = float(np.mean((samples - np.mean(samples)) ** 4))
     # The error of log(s), whose distribution is nearer to normal than that of s.
-    error = math.sqrt(max(fourth / std**4 - 1.0, 0.0) / n) / 2.0
-    factor = math.exp(float(stats.t.ppf(0.5 + 0.5 * confidence, n - 1)) * error)
+    influence = 0.5 * ((samples - np.mean(samples)) ** 2 / np.var(samples) - 1.0)
+    error, freedom = _standard_error(influence, nets)
+    with np.errstate(over="ignore"):
+        factor = float(np.exp(stats.t.ppf(0.5 + 0.5 * confidence, freedom) * error))
     return Estimate(std, std / factor, std * factor)
 
 
-def estimate_quantile(samples, fraction, confidence=0.95):
+def estimate_quantile(samples, fraction, confidence=0.95, nets=None):
     """Quantile of samples (n,) and a distribution-free interval between two order statistics.
 
-    Args: fraction in (0, 1). An end is infinite where n samples cannot bound it.
+    Args: fraction in (0, 1); nets as `estimate_mean`. An end is infinite where n samples cannot
+        bound it.
     """
     if not 0.0 < fraction < 1.0:
         raise InputError(
@@ -112,22 +165,34 @@ def estimate_quantile(samples, fraction, confidence=0.95):
     if n == 0:
         return Estimate(math.nan, math.nan, math.nan)
     ordered = np.sort(samples)
+    value = float(np.quantile(ordered, fraction, method="median_unbiased"))
+    number = max(int(_effective_number(samples <= value, nets, confidence)), 1)
     tail = 0.5 * (1.0 - confidence)
-    lower = int(stats.binom.ppf(tail, n, fraction))  # rank from 1; 0: below all samples
-    upper = int(stats.binom.ppf(1.0 - tail, n, fraction)) + 1
+    # Ranks from 1; lower 0: below all samples, upper n + 1: above all.
+    lower = int(stats.binom.ppf(tail, number, fraction)) * n // number
+    upper = -(-(int(stats.binom.ppf(1.0 - tail, number, fraction)) + 1) * n // number)
     return Estimate(
-        float(np.quantile(ordered, fraction, method="median_unbiased")),
+        value,
         float(ordered[lower - 1]) if lower >= 1 else -math.inf,
         float(ordered[upper - 1]) if upper <= n else math.inf,
     )
 
 
-def estimate_yield(passes, n, confidence=0.95):
-    """Fraction that passes and its Clopper-Pearson interval; NaN of an empty set."""
+def estimate_yield(passed, confidence=0.95, nets=None):
+    """Fraction of `passed` (n,) booleans that is True and its Clopper-Pearson interval.
+
+    Args: nets as `estimate_mean`. NaN of an empty set.
+    """
+    n = len(passed)
     if n == 0:
         return Estimate(math.nan, 0.0, 1.0)
-    interval = stats.binomtest(int(passes), int(n)).proportion_ci(confidence, method="exact")
-    return Estimate(passes / n, float(interval.low), float(interval.high))
+    passed = np.asarray(passed, dtype=bool)
+    fraction, tail = float(np.mean(passed)), 0.5 * (1.0 - confidence)
+    number = _effective_number(passed, nets, confidence)
+    good, bad = fraction * number, (1.0 - fraction) * number
+    low = 0.0 if good == 0.0 else float(stats.beta.ppf(tail, good, bad + 1.0))
+    high = 1.0 if bad == 0.0 else float(stats.beta.ppf(1.0 - tail, good + 1.0, bad))
+    return Estimate(fraction, low, high)
 
 
 def sobol_estimates(f_a, f_b, f_ab):
@@ -179,12 +244,12 @@ def estimate_sobol_indices(f_a, f_b, f_ab, labels, confidence=0.95, seed=0):
     return SobolIndices(first, total, n)
 
 
-def estimate_controlled_mean(samples, model, model_mean, confidence=0.95):
+def estimate_controlled_mean(samples, model, model_mean, confidence=0.95, nets=None):
     """Mean of samples (n,) with the control variate model (n,), whose mean is known.
 
-    The samples are split in folds (each sample's index modulo their number); the coefficient used
-    in a fold comes from the other folds, so that it is independent of the fold and the mean is
-    unbiased.
+    The samples are split in folds (their nets, or each sample's index modulo the number of folds);
+    the coefficient used in a fold comes from the other folds, so that it is independent of the fold
+    and the mean is unbiased. Raises: InputError for fewer than 4 samples.
     """
     n = len(samples)
     if n < 4:
@@ -192,8 +257,8 @@ def estimate_controlled_mean(samples, model, model_mean, confidence=0.95):
             f"Argument `control_variate` must have at least 4 good samples, but there are {n}; "
             "take more samples, or none."
         )
-    folds = min(FOLDS, n // 2)
-    fold = np.arange(n) % folds
+    fold = np.arange(n) % min(FOLDS, n // 2) if nets is None else nets
+    folds = int(np.max(fold)) + 1
     coefficients = np.array([_slope(samples[fold != k], model[fold != k]) for k in range(folds)])
     residual = samples - coefficients[fold] * (model - model_mean)
     before, after = np.var(samples, ddof=1), np.var(residual, ddof=1)
@@ -201,7 +266,7 @@ def estimate_controlled_mean(samples, model, model_mean, confidence=0.95):
         reduction = 1.0
     else:
         reduction = math.inf if after == 0.0 else float(before / after)
-    mean = estimate_mean(residual, confidence)
+    mean = estimate_mean(residual, confidence, nets)
     return ControlledMean(mean, reduction, float(np.mean(coefficients)))
 
 

@@ -5,10 +5,10 @@ it.
 
     max f(centre + M z)  over |z_i| <= 1 (box) or |z| <= 1 (ellipsoid)
 
-Spectral projected gradient from several starts in one vmapped batch (starting_points.py says
-which); beside it every corner of the box when there are few, the quadratic model's prediction and
-its bound. By mirror symmetry e and -e may both be maximisers: the mirror image of the best point
-is evaluated too, and every point that ties is reported.
+Spectral projected gradient from several starts in one batch (starting_points.py says which);
+beside it every corner of the box when there are few, the quadratic model's prediction and its
+bound. By mirror symmetry e and -e may both be maximisers: the mirror image of the best point is
+evaluated too, and every point that ties is reported.
 
 Symbols: z (k,) errors in tolerances, e (k,) errors [rad, m], f metric; KKT residual
 |P(z + grad f / spread) - z|_inf, with the spread of f over the starts and the centre as its unit
@@ -17,7 +17,6 @@ Symbols: z (k,) errors in tolerances, e (k,) errors [rad, m], f metric; KKT resi
 
 from dataclasses import dataclass
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -29,11 +28,14 @@ from rfem_jax.tolerancing.evaluation import (
     require_float64,
     select_half_widths,
     split_errors,
-    stack_metrics,
 )
-from rfem_jax.tolerancing.layout import align_columns, show_number
-from rfem_jax.tolerancing.projected_gradient import climb
-from rfem_jax.tolerancing.quadratic_model import choose_mode, differentiate, expand
+from rfem_jax.tolerancing.layout import align_columns, show_number, wrap_lines
+from rfem_jax.tolerancing.projected_gradient import climb_together
+from rfem_jax.tolerancing.quadratic_model import (
+    choose_mode,
+    expand_by_differences,
+    linearise_points,
+)
 from rfem_jax.tolerancing.starting_points import (
     EXHAUSTIVE,
     box_corners,
@@ -76,7 +78,8 @@ class WorstCase:
     alone); failed: samples that failed among the starts, corners and centre;
     starts, ends (n, k) in tolerances, end_values, residuals (n,): every search;
     corners: Corners or None; quadratic_value, quadratic_errors: maximum of the quadratic model;
-    quadratic_bound: its bound in closed form (NaN where there is no model).
+    quadratic_bound: its bound in closed form (NaN where there is no model); hessian_error: the
+    estimated relative error of the model's Hessian by differences (NaN where it is exact).
     """
 
     metric: str
@@ -103,58 +106,42 @@ class WorstCase:
     quadratic_value: float
     quadratic_errors: dict
     quadratic_bound: float
+    hessian_error: float
+
+    @property
+    def scale(self):
+        """The size of the metric over the region [its unit], against which rounding is nothing."""
+        sizes = np.abs([self.value, *self.end_values])
+        return float(np.max(sizes, where=np.isfinite(sizes), initial=0.0))
 
     def __str__(self):
         word = "Largest" if self.sense == "max" else "Smallest"
         head = f"{word} {self.metric} over the {self.region}: "
-        head += f"{show_number(self.value, 7)} {self.unit} (status {self.status}, found by "
-        head += f"{self.found_by}, nominal {show_number(self.nominal)})"
+        head += f"{self._show(self.value)} {self.unit} (status {self.status}, found by "
+        head += f"{self.found_by}, nominal {self._show(self.nominal, 5)})"
         header = ["error", "value", "bound", "slope per tolerance"]
         rows = [
-            [n, show_number(self.errors[n]), self.active.get(n, ""), show_number(self.slopes[n])]
+            [n, show_number(self.errors[n]), self.active.get(n, ""), self._show(self.slopes[n], 5)]
             for n in self.errors
         ]
         spent = self.evaluations
+        model = f"quadratic model: {self._show(self.quadratic_value)}, "
+        model += f"bound {self._show(self.quadratic_bound)}"
+        if np.isfinite(self.hessian_error):
+            model += f" (Hessian by differences, error {self.hessian_error:.0e})"
         tail = [
             f"KKT residual {self.kkt_residual:.1e}; {len(self.maximisers)} point(s) tie; "
             f"{spent['search']} evaluations with gradient, {spent['values']} without, "
             f"{self.failed} failed",
-            f"quadratic model: {show_number(self.quadratic_value, 7)}, "
-            f"bound {show_number(self.quadratic_bound, 7)}",
+            model,
         ]
         if self.corners is not None:
-            tail.append(f"all {self.corners.count} corners: {show_number(self.corners.value, 7)}")
-        return "\n".join([head, align_columns(header, rows) if rows else "no point", *tail])
+            tail.append(f"all {self.corners.count} corners: {self._show(self.corners.value)}")
+        table = align_columns(header, rows) if rows else "no point"
+        return "\n".join([wrap_lines(head), table, *map(wrap_lines, tail)])
 
-
-@eqx.filter_jit
-def _search(problem, frame, starts, scale, region, mode, evaluations, tolerance):
-    function = _scaled_metric(problem, frame, scale, mode)
-    return jax.vmap(
-        lambda z: climb(
-            function, projection(region), z, evaluations=evaluations, tolerance=tolerance
-        )
-    )(starts)
-
-
-@eqx.filter_jit
-def _differentiate_at(problem, frame, z, scale, mode):
-    return _scaled_metric(problem, frame, scale, mode)(z)
-
-
-def _scaled_metric(problem, frame, scale, mode):
-    """z -> (value, gradient) of one metric divided by `scale`, NaN where the sample fails."""
-    names, index, base, centre, matrix = frame
-
-    def metric(z):
-        values, status = stack_metrics(problem, names, base, centre + matrix @ z)
-        return values[index : index + 1] / scale, status
-
-    def function(z):
-        value, jacobian, status = differentiate(metric, z, mode, z.shape[0])
-        return jnp.where(status == 0, value[0], jnp.nan), jacobian[0]
-
-    return function
+    def _show(self, value, digits=7):
+        return show_number(value, digits, self.scale)
 
 
 def worst_case(
@@ -181,9 +168,9 @@ def worst_case(
         key a JAX key for random and Sobol' starts; starts {"corners", "random", "sobol": number};
         at {error: value} the centre (default the tolerances' means, else nominal); sense "max" or
         "min"; corners "auto" (all of them when k <= 12), True or False; model a QuadraticModel at
-        the centre in the same errors (None: it is computed, False: do without); mode of the
-        gradient; evaluations the most of each search; tolerance on the KKT residual; batch corners
-        at once.
+        the centre in the same errors (None: by differences of gradients, False: do without); mode
+        of the gradient; evaluations the most of each search; tolerance on the KKT residual; batch
+        the most samples at once.
     Returns: WorstCase. Failed samples are counted and walked around, never maximisers.
     Raises: InputError for unknown names or options.
     """
@@ -202,8 +189,10 @@ def worst_case(
     sign = 1.0 if sense == "max" else -1.0
     means = tolerances.means() if hasattr(tolerances, "means") else {}
     at = {**{name: float(mean) for name, mean in means.items()}, **(at or {})}
+    mode = choose_mode(mode, k, 1)
     if model is None:
-        model = expand(problem, at, names, mode=mode)
+        widths = dict(zip(names, half_widths, strict=True))
+        model = expand_by_differences(problem, at, widths, mode=mode, batch=batch)
     scaled = None if model is False else _scale_model(model, names, index, sign, matrix)
     keys = jax.random.split(key)
     z0 = start_points(starts, scaled, region, k, keys[0])
@@ -218,17 +207,22 @@ def worst_case(
     first = values_at(np.concatenate([np.zeros((1, k)), z0]))
     spread = np.nanmax(first) - np.nanmin(first) if np.any(np.isfinite(first)) else 0.0
     scale = sign * (spread if spread > 0 else 1.0)
-    frame = (names, index, base, jnp.asarray(centre), jnp.asarray(matrix))
-    grad_mode = choose_mode(mode, k, 1)
-    search = _search(
-        problem, frame, jnp.asarray(z0), jnp.asarray(scale), region, grad_mode, evaluations,
-        tolerance,
-    )  # fmt: skip
+
+    def function(z):
+        """Values (n,) and gradients (n, k) of the metric over its scale, at points z (n, k)."""
+        values, slopes, _ = linearise_points(
+            problem, names, base, centre + z @ matrix.T, metric=index, mode=mode, batch=batch
+        )
+        return values[:, index] / scale, slopes @ matrix / scale
+
+    search = climb_together(
+        function, projection(region), z0, evaluations=evaluations, tolerance=tolerance
+    )
     found = _collect(search, abs(scale), region, k, corners, values_at)
-    return _report(
-        problem, frame, found, z0, first, scale, region, sense, grad_mode, scaled, keys[1], search,
-        tolerance,
-    )  # fmt: skip
+    error = getattr(model, "hessian_error", None)  # model may be False
+    error = np.nan if error is None else float(error[index])
+    frame = (problem.metrics[index], names, centre, matrix, scale, region, sense, error)
+    return _report(frame, function, found, z0, first, scaled, keys[1], search, tolerance)
 
 
 def _scale_model(model, names, index, sign, matrix):
@@ -263,10 +257,8 @@ def _collect(search, scale, region, k, corners, values_at):
     return np.concatenate(points), np.concatenate(values), origins, corner_values
 
 
-def _report(
-    problem, frame, found, z0, first, scale, region, sense, mode, scaled, key, search, tolerance
-):
-    names, index, _, centre, matrix = (np.asarray(x) if i > 2 else x for i, x in enumerate(frame))
+def _report(frame, function, found, z0, first, scaled, key, search, tolerance):
+    metric, names, centre, matrix, scale, region, sense, error = frame
     points, values, origins, corner_values = found
     sign = np.sign(scale)
 
@@ -284,14 +276,14 @@ def _report(
         )  # fmt: skip
     finite = np.any(np.isfinite(values))
     common = dict(
-        metric=problem.metrics[index].name, unit=problem.metrics[index].unit, region=region,
+        metric=metric.name, unit=metric.unit, region=region,
         sense=sense, names=names, nominal=float(sign * first[0]), corners=corners, starts=z0,
         ends=np.asarray(search.point), residuals=np.asarray(search.residual),
         end_values=np.asarray(search.value) * scale,
         failed=int(np.sum(~np.isfinite(first))) + (corners.failed if corners else 0),
         evaluations={"search": int(np.sum(np.asarray(search.evaluations))),
                      "values": len(first) + len(points) - len(z0)},
-        **_predict(scaled, sign, region, key, errors_at),
+        **_predict(scaled, sign, region, key, errors_at), hessian_error=error,
     )  # fmt: skip
     if not finite:
         return WorstCase(status="failed", value=np.nan, errors={}, found_by="none", maximisers=(),
@@ -299,12 +291,10 @@ def _report(
 
     tied = _ties(points, values, abs(scale))
     z = points[tied[0]]
-    value, gradient = _differentiate_at(
-        problem, frame, jnp.asarray(z), jnp.asarray(scale), mode
-    )
-    stepped = projection(region)(jnp.asarray(z) + gradient)
-    residual = float(jnp.max(jnp.abs(stepped - jnp.asarray(z))))
-    slopes = np.asarray(gradient) * scale
+    gradient = function(z[None])[1][0]
+    stepped = projection(region)(jnp.asarray(z + gradient))
+    residual = float(np.max(np.abs(np.asarray(stepped) - z)))
+    slopes = gradient * scale
     return WorstCase(
         status="ok" if residual <= max(tolerance, 1e-6) else "not_converged",
         value=float(sign * values[tied[0]]),

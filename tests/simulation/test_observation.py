@@ -14,6 +14,8 @@ from rfem_jax.mechanics.statics import length_scale
 
 from tests.mechanisms import link
 
+pytestmark = pytest.mark.usefixtures("quick_compilation")
+
 
 @pytest.fixture(scope="module")
 def run(small):

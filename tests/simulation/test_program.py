@@ -24,6 +24,8 @@ from rfem_jax.simulation import integration
 
 from tests.mechanisms import STEEL, four_bar, link
 
+pytestmark = pytest.mark.usefixtures("quick_compilation")
+
 
 def equations_in(jaxpr) -> int:
     """Number of primitive operations of a program, inner ones included."""

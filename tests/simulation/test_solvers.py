@@ -13,6 +13,8 @@ from rfem_jax.simulation.time_grid import divide_time
 
 ERRORS = {"D.delta_x": 4e-3, "D.d_y": 2e-4}
 
+pytestmark = pytest.mark.usefixtures("quick_compilation")
+
 
 def test_scan_over_steps_is_diffrax_s_own_loop(small):
     """One interval by `advance` and by diffeqsolve with the same solver and steps."""

@@ -20,6 +20,8 @@ from rfem_jax.simulation.stability import eigenvalues
 
 STUDIES = Path(__file__).parents[2] / "studies" / "four_bar"
 
+pytestmark = pytest.mark.usefixtures("quick_compilation")
+
 
 @pytest.fixture(scope="module")
 def models():

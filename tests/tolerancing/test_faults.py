@@ -6,6 +6,7 @@ import resource
 import signal
 import subprocess
 import sys
+import types
 from pathlib import Path
 
 import jax
@@ -230,7 +231,7 @@ def test_refused_write_of_the_system_is_reported(tmp_path):
 def test_folder_of_another_study_is_refused(tmp_path, changes, words):
     run(tmp_path)
     before = marks(tmp_path)
-    with pytest.raises(InputError, match="`resume` must be a folder of this study, but") as caught:
+    with pytest.raises(InputError, match="`resume` must be a new folder or one of") as caught:
         run(tmp_path, **changes)
     assert words in str(caught.value)
     assert marks(tmp_path) == before
@@ -291,3 +292,42 @@ def test_samples_of_one_bad_lane_do_not_touch_their_neighbours():
     assert 0 < bad.sum() < N and study.failures == {"diverged": bad.sum()}
     np.testing.assert_array_equal(study.values[~bad, 0], study.errors[~bad, 1])
     assert np.isnan(study.values[bad]).all()
+
+
+@pytest.mark.parametrize(
+    ("devices", "cores", "stated", "refused"),
+    [
+        (1, 1, None, False),
+        (2, 2, None, True),  # XLA's own choice: as many threads as devices
+        (2, 4, None, False),
+        (4, 2, None, True),
+        (2, 2, "4", False),
+        (4, 16, "6", True),  # NPROC counts, not the cores
+        (2, 8, "many", False),  # XLA ignores what is no number
+    ],
+)
+def test_devices_without_spare_threads_are_refused(monkeypatch, devices, cores, stated, refused):
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(cores)), raising=False)
+    monkeypatch.delenv("NPROC", raising=False)
+    if stated is not None:
+        monkeypatch.setenv("NPROC", stated)
+    found = [types.SimpleNamespace(platform="cpu")] * devices
+    if not refused:
+        execution.require_threads(found)
+        return
+    remedy = f'os.environ["NPROC"] = "{2 * max(devices, cores)}"'
+    with pytest.raises(InputError, match="`jax_num_cpu_devices` must") as caught:
+        execution.require_threads(found)
+    assert remedy in str(caught.value) and f"{devices} CPU devices" in str(caught.value)
+    execution.require_threads([types.SimpleNamespace(platform="gpu")] * devices)
+
+
+def test_a_study_on_devices_without_spare_threads_runs_nothing(monkeypatch, tmp_path):
+    device = jax.local_devices()[0]
+    if device.platform != "cpu":
+        pytest.skip("threads are of CPU devices")
+    monkeypatch.setattr(jax, "local_devices", lambda: [device] * 64)
+    monkeypatch.setenv("NPROC", "64")
+    with pytest.raises(InputError, match="NPROC"):
+        run(tmp_path)
+    assert not marks(tmp_path)

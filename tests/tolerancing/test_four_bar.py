@@ -26,10 +26,21 @@ METRICS = ("A.mean_square_moment", "D.mean_square_moment", "A.mean_square_force"
 KEY = jax.random.key(5)
 
 
+TRACES = []
+
+
+class Counted(Problem):
+    """The simulator, noting each time it is traced: once for every compiled program."""
+
+    def __call__(self, errors):
+        TRACES.append(len(TRACES))
+        return super().__call__(errors)
+
+
 @pytest.fixture(scope="module")
 def problem():
     model = discretise(four_bar(3))
-    return Problem(
+    return Counted(
         model, MomentRamp("A", 1.5, 0.005), 0.01, METRICS, Method("rk4", step=2.5e-5), 1e-3
     )
 
@@ -85,9 +96,9 @@ def test_worst_case_is_the_exhaustive_corner(problem):
     np.testing.assert_allclose(found.value, float(run(corners).max()), rtol=1e-8)
 
 
-def test_allocation_is_verified(problem, quadratic):
-    values = {m: float(v) for m, v in zip(METRICS, np.asarray(quadratic.value))}
-    limit = values["A.mean_square_moment"] + 1.0
+def test_allocation_is_verified_and_compiles_the_simulator_twice(problem):
+    limit = 1.0  # the perfect mechanism has no moment
+    before = len(TRACES)
     result = allocate(
         problem,
         limits={"A.mean_square_moment": limit},
@@ -96,6 +107,11 @@ def test_allocation_is_verified(problem, quadratic):
         key=KEY,
     )
     assert result.status == "ok", str(result)
+    assert len(TRACES) - before <= 2  # values, and values with slopes
+    before = len(TRACES)
+    found = worst_case(problem, result.tolerances, "A.mean_square_moment", key=KEY)
+    assert len(TRACES) == before and found.value <= limit * (1.0 + 1e-3)
+    assert found.hessian_error < 1e-3
     run = jax.jit(jax.vmap(lambda e: problem(e)[0]["A.mean_square_moment"]))
     signs = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1)
     t = result.tolerances

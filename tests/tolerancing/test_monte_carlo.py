@@ -286,6 +286,7 @@ def start(folder, port, process, devices):
     library = str(Path(rfem_jax.__file__).parents[1])
     environment = {**os.environ, "JAX_PLATFORMS": "cpu", "PYTHONPATH": library}
     environment["XLA_FLAGS"] = f"--xla_force_host_platform_device_count={devices}"
+    environment["NPROC"] = "4"
     script = SCRIPT.format(tests=str(Path(__file__).parent))
     return subprocess.Popen(
         [sys.executable, "-c", script, str(folder), str(port), str(process)],

@@ -188,9 +188,9 @@ def test_linearisation_of_many_points_marks_failed_ones():
     def function(errors):
         return {"a": errors["x"] ** 2}, jnp.where(errors["x"] > 1.0, 1, 0)
 
-    values, jacobian = linearise_points(
+    values, jacobian, status = linearise_points(
         FunctionProblem(function, ("x",), ("a",)), ("x",), {}, [[0.5], [1.5], [-2.0]], batch=2
     )
     np.testing.assert_allclose(values[[0, 2], 0], [0.25, 4.0])
     np.testing.assert_allclose(jacobian[[0, 2], 0, 0], [1.0, -4.0])
-    assert np.isnan(values[1, 0])
+    assert np.isnan(values[1, 0]) and list(status) == [0, 1, 0]

@@ -8,7 +8,7 @@ import pytest
 from rfem_jax.description.errors import InputError
 from rfem_jax.tolerancing.problem import FunctionProblem
 from rfem_jax.tolerancing.projected_gradient import climb, project_ball
-from rfem_jax.tolerancing.starting_points import maximise_quadratic
+from rfem_jax.tolerancing.starting_points import maximise_quadratic, quadratic_bound
 from rfem_jax.tolerancing.tolerances import CorrelatedNormal, Tolerances, Uniform
 from rfem_jax.tolerancing.worst_cases import worst_case
 
@@ -171,3 +171,31 @@ def test_new_numbers_do_not_compile_again_and_input_is_checked():
         worst_case(problem, widths([1.0, 1.0]), "g", key=KEY)
     with pytest.raises(InputError, match="at least one start"):
         worst_case(problem, widths([1.0, 1.0]), "f", key=KEY, starts={"random": 0})
+
+
+@pytest.mark.parametrize("region", ["box", "ellipsoid"])
+def test_quadratic_bound_is_above_every_maximum_and_met_by_a_diagonal_model(region):
+    rng = np.random.default_rng(1)
+    for _ in range(5):
+        root = rng.normal(size=(4, 4))
+        model = (1.5, rng.normal(size=4), root + root.T)
+        value = maximise_quadratic(*model, region, KEY)[1][0]
+        assert value <= quadratic_bound(*model, region) + 1e-12
+    curvatures = np.array([4.0, 2.0, 1.0])
+    exact = 1.5 + 0.5 * (curvatures.sum() if region == "box" else 4.0)
+    model = (1.5, np.zeros(3), np.diag(curvatures))
+    assert quadratic_bound(*model, region) == pytest.approx(exact, rel=1e-14)
+    assert maximise_quadratic(*model, region, KEY)[1][0] == pytest.approx(exact, rel=1e-8)
+
+
+def test_the_mirror_image_of_the_best_point_is_tried():
+    one = {"starts": {"sobol": 1}, "corners": False, "model": False, "key": KEY}
+    even = worst_case(make(lambda x: (x[0] + 2 * x[1]) ** 2, 2), widths([1.0, 1.0]), "f", **one)
+    assert len(even.maximisers) == 2 and even.value == pytest.approx(9.0)
+    # A single search climbs the nearer side of a valley; in one of these two it is the lower one.
+    found = [
+        worst_case(make(lambda x, s=s: x[0] ** 2 + s * x[0], 1), widths([1.0]), "f", **one)
+        for s in (-0.01, 0.01)
+    ]
+    assert {result.found_by for result in found} == {"search", "mirror"}
+    assert all(result.value == pytest.approx(1.01) for result in found)

@@ -1,0 +1,335 @@
+"""What assembly errors do to the joints before anything moves: preload over a turn of the crank.
+
+    python studies/assembly_preload/study.py --out results/assembly_preload
+
+The main study's four-bar (studies/four_bar/study.toml, a substitute for the paper's lost data)
+stands still at every crank angle, the crank held: no dynamics (MODEL section 5).  Equilibria come
+from `assemble(model, errors, hold={"A": angle})`, started from the closed perfect mechanism there.
+
+    slopes       derivative of the preload of every joint by every error, at zero error (jacfwd)
+    differences  preload with an error of 1 deg or 1 mm minus that of the perfect mechanism
+    drive        moment that holds the crank, and the energy whose slope along the angle it is
+
+A *crooked pin* tilts seat and bore alike at the start angle; its slope is a sum of theirs.
+Files: one CSV a question, `results.json`, four pictures.  Units: N, N m, deg, mm; loads in hinge
+frames.
+"""
+
+import argparse
+import csv
+import json
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import jax
+
+jax.config.update("jax_enable_x64", True)
+
+import equinox as eqx  # noqa: E402
+import jax.numpy as jnp  # noqa: E402
+import numpy as np  # noqa: E402
+
+import preload_figures  # noqa: E402
+from rfem_jax import assemble, assembly_errors, discretise, load_study  # noqa: E402
+from rfem_jax.mechanics.discretisation import close_at  # noqa: E402
+from rfem_jax.mechanics.loads import energies  # noqa: E402
+from rfem_jax.mechanics.realisation import error_dimension, realise  # noqa: E402
+from rfem_jax.report.files import replacing, versions, without_nan  # noqa: E402
+
+RFES = 9  # a flexible link: 8 spring-damping elements
+OTHERS = (5, 17)  # at the start only, for the discretisation error
+ANGLES = 72  # over a full turn
+SHOWN = (
+    "D.delta_x", "D.delta_z", "D.d_y", "B.delta_x", "B.delta_z", "C.delta_x", "C.child.delta_z",
+    "coupler.twist", "rocker.twist", "coupler.length", "D.d_x",
+)
+UNIT = {"angle": np.pi / 180.0, "length": 1e-3}
+UNIT_NAME = {"angle": "deg", "length": "mm"}
+
+
+def unit_error(name: str) -> float:
+    """1 deg or 1 mm in rad or m."""
+    return UNIT[error_dimension(name)]
+
+
+def poses_over_turn(model, angles) -> tuple[np.ndarray, np.ndarray]:
+    """Angles (angles, links) and cut angles (angles, cuts) [rad] of the perfect rigid mechanism.
+
+    Raises: SystemExit where it cannot close (a crank that does not turn all the way round).
+    """
+    driven, pose, poses = model.topology.driven, np.asarray(model.start_angles), []
+    for angle in angles:
+        guess = np.array(pose)
+        guess[driven] = angle
+        pose, residual, alignment, cut = close_at(model, guess)
+        if np.abs(residual).max() > 1e-9 or (alignment < 0.0).any():
+            raise SystemExit(f"The mechanism does not close at a crank angle of {angle:.4f} rad.")
+        poses.append((pose, cut))
+    return tuple(np.stack(part) for part in zip(*poses))
+
+
+def held(model, start_angles, cut_angles, errors):
+    """Preload (joints by name, force and moment, 3) [N, N m], potential energy [J], status.
+
+    The crank is held where the perfect mechanism is closed, from where Newton's method starts.
+    """
+    placed = eqx.tree_at(
+        lambda m: (m.start_angles, m.cut_angles), model, (start_angles, cut_angles)
+    )
+    driven = model.topology.driven
+    hold = {model.topology.joints[driven]: start_angles[driven]}
+    assembled = assemble(placed, errors, hold=hold)
+    energy = energies(realise(placed, errors), assembled.state)
+    preload = [jnp.stack(assembled.preload[name]) for name in sorted(model.joint_names)]
+    return jnp.stack(preload), energy.elastic + energy.gravity, assembled.status
+
+
+@eqx.filter_jit
+def equilibria(model, poses, values):
+    """`held` at all poses (axis 0) for every row of error values of the names SHOWN (axis 1)."""
+
+    def one(start_angles, cut_angles, row):
+        errors = assembly_errors(model, dict(zip(SHOWN, row)))
+        return held(model, start_angles, cut_angles, errors)
+
+    along_errors = jax.vmap(one, in_axes=(None, None, 0))
+    return jax.lax.map(lambda pose: along_errors(*pose, values), poses)
+
+
+@eqx.filter_jit
+def slopes(model, names, poses):
+    """Derivatives of the preload at zero error, per rad or m (poses, joints, 2, 3, errors)."""
+
+    def one(pose):
+        def preload(values):
+            errors = assembly_errors(model, dict(zip(names, values)))
+            return held(model, *pose, errors)[0]
+
+        return jax.jacfwd(preload)(jnp.zeros(len(names)))
+
+    return jax.lax.map(one, poses)
+
+
+def with_crooked_pins(model, names, values) -> tuple[list[str], np.ndarray]:
+    """Names and slopes (..., errors) with those of crooked pins, through seat and bore, added.
+
+    Its bore is the seat's tilt, turned back by the joint's angle at the start (MODEL section 1).
+    """
+    names, parts = list(names), [values]
+    angles = np.concatenate([model.start_angles, model.cut_angles])
+    for joint, angle in zip(model.topology.joints, angles):
+        cosine, sine = np.cos(angle), np.sin(angle)
+        for axis, (by_x, by_z) in (("x", (cosine, sine)), ("z", (-sine, cosine))):
+            shares = {
+                f"{joint}.delta_{axis}": 1.0,
+                f"{joint}.child.delta_x": by_x,
+                f"{joint}.child.delta_z": by_z,
+            }
+            pin = sum(share * values[..., names.index(name)] for name, share in shares.items())
+            parts.append(pin[..., None])
+            names.append(f"{joint}.pin_tilt_{axis}")
+    return names, np.concatenate(parts, axis=-1)
+
+
+def slope_along_turn(values: np.ndarray, angles: np.ndarray) -> np.ndarray:
+    """Derivative along axis 0 of values given at equal distances over one full period [1/rad]."""
+    waves = np.fft.rfftfreq(len(angles), (angles[1] - angles[0]) / (2.0 * np.pi))
+    shape = (-1, *[1] * (values.ndim - 1))
+    spectrum = np.fft.rfft(values, axis=0) * (1j * waves).reshape(shape)
+    return np.fft.irfft(spectrum, len(angles), axis=0)
+
+
+def resultants(preload: np.ndarray, axis: int) -> np.ndarray:
+    """Lengths of the vectors along an axis."""
+    return np.sqrt(np.sum(preload**2, axis=axis))
+
+
+def history_rows(joints, names, degrees, per_unit) -> list[dict]:
+    """Preload per unit error at every angle: components of every joint; per_unit as `slopes`."""
+    rows = []
+    for e, name in enumerate(names):
+        for i, angle in enumerate(degrees):
+            row = {"error": name, "per": UNIT_NAME[error_dimension(name)], "crank_angle_deg": angle}
+            for j, joint in enumerate(joints):
+                for k, (load, unit) in enumerate((("force", "N"), ("moment", "Nm"))):
+                    for axis, letter in enumerate("xyz"):
+                        row[f"{joint}_{load}_{letter}_{unit}"] = float(per_unit[i, j, k, axis, e])
+            rows.append(row)
+    return rows
+
+
+def peak_rows(joints, names, degrees, per_unit) -> list[dict]:
+    """Largest resultants over the turn, and where, by error and joint."""
+    rows = []
+    sizes = resultants(per_unit, 3)
+    for e, name in enumerate(names):
+        row = {"error": name, "per": UNIT_NAME[error_dimension(name)]}
+        for k, (load, unit) in enumerate((("force", "N"), ("moment", "Nm"))):
+            for j, joint in enumerate(joints):
+                row[f"{joint}_{load}_{unit}"] = float(sizes[:, j, k, e].max())
+                row[f"{joint}_{load}_at_deg"] = float(degrees[sizes[:, j, k, e].argmax()])
+        rows.append(row)
+    return rows
+
+
+def linearity_rows(joints, names, per_unit, differences) -> list[dict]:
+    """Derivative against difference for a unit error: deviation over the turn, relative to the
+    largest preload of that error."""
+    rows = []
+    for e, name in enumerate(SHOWN):
+        linear = per_unit[..., names.index(name)]
+        row = {"error": name, "unit_error": f"1 {UNIT_NAME[error_dimension(name)]}"}
+        for k, (load, unit) in enumerate((("force", "N"), ("moment", "Nm"))):
+            largest = resultants(differences[:, e, :, k], -1).max()
+            off = resultants(differences[:, e, :, k] - linear[:, :, k], -1).max()
+            row[f"largest_{load}_{unit}"] = float(largest)
+            row[f"deviation_of_{load}_{unit}"] = float(off)
+            row[f"relative_deviation_of_{load}"] = float(off / largest)
+        rows.append(row)
+    return rows
+
+
+def drive_rows(degrees, angles, moment, energy) -> list[dict]:
+    """Moment that holds the crank: perfect, and its change by each unit error."""
+    slope = slope_along_turn(energy, angles)
+    columns = {"perfect": (moment[:, 0], slope[:, 0])} | {
+        name: (moment[:, e] - moment[:, 0], slope[:, e] - slope[:, 0])
+        for e, name in enumerate(SHOWN, start=1)
+    }
+    return [
+        {
+            "case": name, "crank_angle_deg": float(angle), "moment_Nm": float(of_moment[i]),
+            "slope_of_energy_Nm": float(of_energy[i]),
+        }
+        for name, (of_moment, of_energy) in columns.items()
+        for i, angle in enumerate(degrees)
+    ]
+
+
+def discretisation_rows(study, joints, names, usual) -> list[dict]:
+    """Preload per unit D.delta_x, D.delta_z, D.d_y at the start for several numbers of rfes."""
+    rows, units = [], np.array([unit_error(name) for name in names])
+    for rfes in sorted((RFES, *OTHERS)):
+        if rfes == RFES:
+            values = usual[0]
+        else:
+            model = discretise(study.mechanism, rfes=rfes)
+            pose = (model.start_angles[None], model.cut_angles[None])
+            values = np.asarray(slopes(model, names, pose))[0] * units
+        sizes = resultants(values, 2)
+        for name in SHOWN[:3]:
+            row = {"error": name, "per": UNIT_NAME[error_dimension(name)], "rfes": rfes}
+            for k, (load, unit) in enumerate((("force", "N"), ("moment", "Nm"))):
+                for j, joint in enumerate(joints):
+                    row[f"{joint}_{load}_{unit}"] = float(sizes[j, k, names.index(name)])
+            rows.append(row)
+    return rows
+
+
+def write_table(path, rows) -> None:
+    """Rows of equal keys as CSV."""
+    with replacing(path) as temporary, open(temporary, "w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def print_summary(tables, joints) -> None:
+    """What an engineer reads first."""
+    print(
+        "\nLargest preload over the turn per unit error: force in "
+        f"{', '.join(joints)} [N], moment in {', '.join(joints)} [N m]"
+    )
+    for row in tables["peaks"]:
+        numbers = "".join(f"{row[f'{j}_force_N']:9.3f}" for j in joints) + "  "
+        numbers += "".join(f"{row[f'{j}_moment_Nm']:9.3f}" for j in joints)
+        print(f"  {row['error']:<17}per {row['per']:<4}{numbers}")
+    print("\nA unit error against the derivative (largest deviation / largest preload)")
+    for row in tables["linearity"]:
+        print(
+            f"  {row['error']:<16}{row['unit_error']:<6} force {row['largest_force_N']:9.4f} N, "
+            f"off by {row['relative_deviation_of_force']:.1e};  moment "
+            f"{row['largest_moment_Nm']:8.4f} N m, off by {row['relative_deviation_of_moment']:.1e}"
+        )
+    print(
+        f"\nPreload per unit error at the start against the number of rfes (moments in "
+        f"{', '.join(joints)})"
+    )
+    for row in tables["discretisation"]:
+        numbers = "".join(f"{row[f'{j}_moment_Nm']:10.4f}" for j in joints)
+        print(
+            f"  {row['error']:<10}rfes {row['rfes']:<4}force {row['A_force_N']:9.4f} N   moments "
+            f"{numbers} N m"
+        )
+    print("\nMoment that holds the crank: extremes over the turn, and the slope of the energy")
+    for name in dict.fromkeys(row["case"] for row in tables["drive"]):
+        rows = [row for row in tables["drive"] if row["case"] == name]
+        moment = np.array([row["moment_Nm"] for row in rows])
+        off = moment - np.array([row["slope_of_energy_Nm"] for row in rows])
+        print(
+            f"  {name:<16}{moment.min():9.4f} ... {moment.max():.4f} N m, mean "
+            f"{moment.mean():.1e}, slope of the energy differs by {np.abs(off).max():.1e}"
+        )
+
+
+def main() -> None:
+    """The command."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, required=True, help="folder for tables and pictures")
+    folder = parser.parse_args().out
+    folder.mkdir(parents=True, exist_ok=True)
+    start = time.monotonic()
+
+    def progress(text):
+        print(f"[{time.monotonic() - start:4.0f} s] {text}", file=sys.stderr, flush=True)
+
+    study = load_study(Path(__file__).parents[1] / "four_bar" / "study.toml")
+    study = replace(study, title="Steel four-bar", note="Substitute for the paper's lost data.")
+    model = discretise(study.mechanism, rfes=RFES)
+    joints = sorted(model.joint_names)
+    turned = 2.0 * np.pi * np.arange(ANGLES) / ANGLES
+    angles = float(model.start_angles[model.topology.driven]) + turned
+    degrees = np.round(np.rad2deg(angles), 9)
+    poses = tuple(jnp.asarray(part) for part in poses_over_turn(model, angles))
+
+    progress("derivatives by all errors over the turn")
+    names = tuple(name for name in model.topology.error_names if "pin_tilt" not in name)
+    values = np.asarray(slopes(model, names, poses))
+    names, values = with_crooked_pins(model, names, values)
+    per_unit = values * np.array([unit_error(name) for name in names])
+
+    progress(f"{len(SHOWN)} unit errors over the turn")
+    rows = np.concatenate([np.zeros((1, len(SHOWN))), np.diag([unit_error(n) for n in SHOWN])])
+    preload, energy, status = map(np.asarray, equilibria(model, poses, jnp.asarray(rows)))
+    if (status != 0).any():
+        raise SystemExit(f"{(status != 0).sum()} positions not assembled; nothing was written.")
+    differences = preload[:, 1:] - preload[:, :1]
+
+    progress("the start with fewer and more rfes")
+    free = names[: len(names) - 2 * len(joints)]
+    holding = preload[:, :, joints.index("A"), 1, 1]
+    tables = {
+        "peaks": peak_rows(joints, names, degrees, per_unit),
+        "linearity": linearity_rows(joints, names, per_unit, differences),
+        "drive": drive_rows(degrees, angles, holding, energy),
+        "discretisation": discretisation_rows(study, joints, tuple(free), per_unit),
+        "preload_per_unit_error": history_rows(joints, names, degrees, per_unit),
+    }
+    for name, table in tables.items():
+        write_table(folder / f"{name}.csv", table)
+    small = {name: table for name, table in tables.items() if name != "preload_per_unit_error"}
+    content = {
+        "title": study.title, "note": study.note, "rfes": RFES, "angles": ANGLES,
+        "tables": small, "versions": versions(),
+    }
+    with replacing(folder / "results.json") as temporary:
+        temporary.write_text(json.dumps(without_nan(content), indent=1), encoding="utf-8")
+    preload_figures.write_figures(folder, study, joints, degrees, names, per_unit, tables)
+    print_summary(tables, joints)
+    print(f"\nTables and pictures are in {folder} ({time.monotonic() - start:.0f} s).")
+
+
+if __name__ == "__main__":
+    main()

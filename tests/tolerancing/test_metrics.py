@@ -1,0 +1,83 @@
+"""Metrics of runs made by hand: every catalogued one against its definition, roots at zero."""
+
+from types import SimpleNamespace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from rfem_jax.description.errors import InputError
+from rfem_jax.tolerancing import metrics
+from rfem_jax.tolerancing.metrics import Metric, metric
+
+jax.config.update("jax_enable_x64", True)
+
+RNG = np.random.default_rng(8)
+FORCE, MOMENT = RNG.normal(size=(2, 41, 3))
+
+
+def run(force=FORCE, moment=MOMENT):
+    """What metrics read of a run, at one joint "A"."""
+    loads = SimpleNamespace(force=jnp.asarray(force), moment=jnp.asarray(moment))
+    squares = {"mean_square_force": 4.0, "mean_square_moment": 9.0}
+    kinds = {**squares, "rms_force": 2.0, "rms_moment": 3.0}
+    return SimpleNamespace(
+        loads={"A": loads},
+        preload={"A": SimpleNamespace(force=jnp.array([1.0, 2, 2]), moment=jnp.array([0.0, 3, 4]))},
+        metrics=SimpleNamespace(**{name: {"A": value} for name, value in kinds.items()}),
+        driven_joint=SimpleNamespace(angle_end=jnp.asarray(1.25)),
+        energy=SimpleNamespace(total=jnp.array([1.0, 0.5])),
+    )
+
+
+def test_every_metric_is_what_its_name_says():
+    found = {name: float(metric(f"A.{name}")(run())) for name in metrics.OF_JOINTS}
+    peaks = {
+        f"peak_{kind}": np.mean(np.linalg.norm(vectors, axis=1) ** 16) ** (1 / 16)
+        for kind, vectors in (("force", FORCE), ("moment", MOMENT))
+    }
+    expected = {
+        "mean_square_force": 4.0, "mean_square_moment": 9.0, "rms_force": 2.0, "rms_moment": 3.0,
+        "preload_force_square": 9.0, "preload_moment_square": 25.0, **peaks,
+    }  # fmt: skip
+    assert found == pytest.approx(expected, rel=1e-12)
+    assert float(metric("angle_error")(run())) == 1.25
+    assert float(metrics.end_angle(1.0)(run())) == 0.25
+    assert float(metric("end_energy")(run())) == 0.5
+    units = {name: metric(f"A.{name}").unit for name in metrics.OF_JOINTS}
+    assert units["mean_square_moment"] == "N^2 m^2" and units["peak_force"] == "N"
+    assert units["preload_moment_square"] == "N^2 m^2" and units["rms_moment"] == "N m"
+
+
+@pytest.mark.parametrize("power", [2, 16, 64])
+def test_a_p_norm_bounds_the_largest_load_and_scales_with_it(power):
+    norm = float(metrics.peak_force("A", power)(run()))
+    largest = np.linalg.norm(FORCE, axis=1).max()
+    assert norm <= largest * (1 + 1e-12)
+    assert largest <= len(FORCE) ** (1 / power) * norm * (1 + 1e-12)
+    for scale in (1e-20, 1e100):  # powers of loads neither vanish nor overflow
+        scaled = float(metrics.peak_force("A", power)(run(force=scale * FORCE)))
+        assert scaled == pytest.approx(scale * norm, rel=1e-10)
+    assert float(metrics.peak_force("A", power)(run(force=0 * FORCE))) == 0.0
+
+
+def test_a_p_norm_has_a_finite_derivative_where_the_load_vanishes():
+    def norm(scale):
+        return metrics.peak_moment("A")(run(moment=scale * jnp.asarray(MOMENT)))
+
+    assert np.isfinite(jax.grad(norm)(0.0))
+    step = 1e-6
+    difference = (norm(1.0 + step) - norm(1.0 - step)) / (2 * step)
+    assert float(jax.grad(norm)(1.0)) == pytest.approx(float(difference), rel=1e-8)
+
+
+def test_metrics_of_ones_own_and_bad_ones():
+    own = Metric("A.swing", "rad", "swing", function=lambda run: run.driven_joint.angle_end)
+    assert float(own(run())) == 1.25 and own.even is None
+    with pytest.raises(InputError, match="`function` of metric 'A.swing'"):
+        Metric("A.swing", "rad")
+    with pytest.raises(InputError, match="did you mean `A.rms_force`"):
+        metric("A.rms_forse")
+    with pytest.raises(InputError, match="did you mean `end_energy`"):
+        metric("end_enrgy")
