@@ -78,9 +78,9 @@ def compared(request):
         state = close(realised, impose(model.topology, state, drive))
         fast = accelerations(realised, state, drive, GAINS)
         slow, multipliers = reference_accelerations(realised, state, drive, GAINS)
-        residual = loads.momentum_residual(realised, state, fast)
         joint = loads.joint_loads(realised, fast, drive)
-        chain = loads.chain_loads(realised, fast, fast.angular, fast.linear, drive)
+        chain, base = loads.chain_loads(realised, fast, fast.angular, fast.linear, drive)
+        residual = loads.momentum_residual(realised, state, fast.coordinates, base)
         own = fast.multipliers.T.reshape(-1)
         return fast.coordinates, own, slow, multipliers, residual, joint, chain
 

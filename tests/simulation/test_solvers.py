@@ -33,7 +33,7 @@ def test_scan_over_steps_is_diffrax_s_own_loop(small):
         ).ys
     )(y)
     grid, steps = divide_time(1e-3, 2e-5, 1e-3, ())
-    carry = integration.start_carry(prepared, grid)
+    carry = integration.start_carry(model, prepared, small.drive, method)
     carry, _ = jax.jit(
         lambda carry: integration.advance(
             model, prepared.realised, small.drive, carry, grid, method, steps, None

@@ -1,0 +1,124 @@
+"""Compiled programs timed part by part, and the accuracy of what they compute.
+
+    study, errors -> program -> timed -> Timing;   RMS loads, converged ones -> error
+
+Importing it sets JAX up for the benchmarks: float64, one thread a device (so that the time of the
+processor is the program's, whatever else runs), two CPU devices.  Times in s, memory in bytes.
+"""
+
+import os
+import statistics
+import time
+from pathlib import Path
+from typing import Any, NamedTuple
+
+FLAGS = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
+os.environ.setdefault("XLA_FLAGS", FLAGS)
+# XLA's pool must be larger than the number of devices that run at once.
+os.environ.setdefault("NPROC", "4")
+
+import jax  # noqa: E402
+
+jax.config.update("jax_enable_x64", True)
+jax.config.update("jax_num_cpu_devices", 2)
+
+import jax.numpy as jnp  # noqa: E402
+import numpy as np  # noqa: E402
+from jax import Array  # noqa: E402
+from rfem_jax import Method, assembly_errors, load_study, simulate  # noqa: E402
+from rfem_jax.simulation.accuracy import rms_loads  # noqa: E402
+from rfem_jax.simulation.integration import grid_for  # noqa: E402
+
+STUDY = load_study(Path(__file__).parents[1] / "studies" / "four_bar" / "study.toml")
+INTERVAL = 25e-3  # s between observations: they cost little
+SCALES = np.linspace(1.0, 0.2, 16)  # of a case's errors, sample by sample, over and over
+SMALLEST_LOAD = 1e-6  # N, N m: smaller RMS loads are zero and have no relative error
+
+
+class Timing(NamedTuple):
+    """One program: lowering, compilation, first run by the clock; steady: medians of clock and
+    processor time, the least and the most processor time; memory of intermediates; its result."""
+
+    lowering: float
+    compilation: float
+    first: float
+    clock: float
+    cpu: float
+    least: float
+    most: float
+    memory: int
+    result: Any
+
+
+def run_once(function, *arguments) -> tuple[Any, float, float]:
+    """Result, waited for; clock and processor time [s]."""
+    clock, cpu = time.perf_counter(), time.process_time()
+    result = jax.block_until_ready(function(*arguments))
+    return result, time.perf_counter() - clock, time.process_time() - cpu
+
+
+def timed(function, *arguments, repeats: int = 5) -> Timing:
+    """Lower, compile and run a function of arrays."""
+    traced, lowering, _ = run_once(lambda: jax.jit(function).lower(*arguments))
+    compiled, compilation, _ = run_once(traced.compile)
+    result, first, _ = run_once(compiled, *arguments)
+    runs = [run_once(compiled, *arguments)[1:] for _ in range(repeats)]
+    clocks, cpus = zip(*runs)
+    return Timing(
+        lowering, compilation, first, statistics.median(clocks), statistics.median(cpus),
+        min(cpus), max(cpus), compiled.memory_analysis().temp_size_in_bytes, result,
+    )
+
+
+def sample_errors(model, case: str, count: int):
+    """Errors of a case of the main study scaled sample by sample; the first is the case itself."""
+    named = {c.name: c.errors for c in STUDY.cases}[case]
+    errors = assembly_errors(model, named)
+    scales = jnp.asarray(np.resize(SCALES, count))
+    return jax.vmap(lambda scale: jax.tree.map(lambda x: scale * x, errors))(scales)
+
+
+def simulation(model, method: Method, drive=STUDY.drive, duration=0.5):
+    """Errors -> RMS loads (2, joints) of one sample."""
+
+    def run(errors) -> Array:
+        metrics = simulate(
+            model, errors, drive=drive, duration=duration, method=method,
+            save_every=min(INTERVAL, duration),
+        ).metrics
+        kinds = (metrics.rms_force, metrics.rms_moment)
+        return jnp.stack([jnp.stack([kind[name] for name in model.joint_names]) for kind in kinds])
+
+    return run
+
+
+def stepping(model, case: str, count: int, method: Method):
+    """Steps an interval -> RMS loads (samples, 2, joints) and the largest share of a load that
+    Newton's method left over, by one program for all steps."""
+    errors = sample_errors(model, case, count)
+    grid, _ = grid_for(STUDY.drive, STUDY.duration, method, INTERVAL)
+
+    def loads(steps: int):
+        count = jnp.asarray(steps, jnp.float64)
+        return rms_loads(model, errors, STUDY.drive, grid, method, count)
+
+    return loads
+
+
+def converged(model, case: str, steps: int = 500) -> np.ndarray:
+    """RMS loads of the 16 samples by generalised-alpha, extrapolated from steps of twice
+    `INTERVAL` / steps and of that (with 500: 50 us) by its order 2."""
+    method = Method("generalised_alpha", step=INTERVAL)
+    loads = stepping(model, case, len(SCALES), method)
+    coarse, fine = (np.asarray(loads(n)[0]) for n in (steps // 2, steps))
+    return fine + (fine - coarse) / 3.0
+
+
+def error_of(loads, reference: np.ndarray) -> float:
+    """Largest relative deviation of RMS loads (samples, 2, joints) that are not zero."""
+    loads = np.asarray(loads)
+    reference = reference[np.arange(len(loads)) % len(reference)]
+    if not np.isfinite(loads).all():
+        return np.inf
+    loaded = np.abs(reference) > SMALLEST_LOAD
+    return float(np.max(np.abs(loads[loaded] / reference[loaded] - 1.0)))
