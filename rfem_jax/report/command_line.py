@@ -358,6 +358,7 @@ def _check(arguments) -> int:
 
 
 def _validate(arguments) -> int:
+    from rfem_jax.report.progress_line import Progress
     from rfem_jax.report.validation_command import validate
 
     folder = None if arguments.out is None else open_folder(arguments.out)
