@@ -19,7 +19,6 @@ from rfem_jax import (
     PrescribedRate,
     assembly_errors,
     discretise,
-    largest_stable_step,
 )
 from rfem_jax import simulate as simulate_ours
 
@@ -76,25 +75,17 @@ def by_exudyn(m: int, step: float = STEP, settings: Settings = Settings()) -> di
 
 
 def by_us(m: int, form: str) -> dict:
-    """The compared values by rfem_jax, from loads saved every 4 ms."""
+    """The compared values by rfem_jax."""
     model = discretise(tilted_hinge(m), elements=form)
     errors = assembly_errors(model, {"C.pin_tilt_x": "5 deg"})
-    drive = PrescribedRate("A", 0.6)
-    step = 0.9 * largest_stable_step(model, Method("rk4", step=1e-6), drive)
-    method = Method("rk4", step=float(f"{step:.2e}"))
     run = simulate_ours(
-        model, errors, drive=drive, duration=WINDOW[1], method=method, save_every=SAVE_EVERY
+        model, errors, drive=PrescribedRate("A", 0.6), duration=WINDOW[1], save_every=SAVE_EVERY,
+        method=Method("generalised_alpha", step=STEP),
     )
-    t = np.asarray(run.times)
-    inside = (t >= WINDOW[0] - 1e-9) & (t <= WINDOW[1] + 1e-9)
-
-    def root(vectors):
-        square = np.sum(np.asarray(vectors)[inside] ** 2, axis=1)
-        return float(np.sqrt(np.trapezoid(square, t[inside]) / (WINDOW[1] - WINDOW[0])))
-
+    window = run.window(*WINDOW)
     return {
-        "force A": root(run.loads["A"].force),
-        **{f"moment {j}": root(run.loads[j].moment) for j in "ABCD"},
+        "force A": float(window.rms_force["A"]),
+        **{f"moment {j}": float(window.rms_moment[j]) for j in "ABCD"},
     }
 
 
