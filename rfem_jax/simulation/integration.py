@@ -249,9 +249,13 @@ def _implicit(
         trajectory, memory, peaks, residual = state
         t1 = start + h * (index + 1.0)
         trajectory, memory = method.step(conditions, operators, t1, h, trajectory, memory)
+        # Steps of length zero are iterations of one start, of which the last counts.
+        counts = (h > 0.0) | (index == steps - 1.0)
         rates = memory.rates
-        peaks = jnp.maximum(peaks, jnp.stack([rates.axial_square, rates.normal_square]))
-        return trajectory, memory, peaks, jnp.maximum(residual, memory.instant.residual)
+        seen = jnp.stack([rates.axial_square, rates.normal_square])
+        peaks = jnp.maximum(peaks, jnp.where(counts, seen, 0.0))
+        left_over = jnp.where(counts, memory.instant.residual, 0.0)
+        return trajectory, memory, peaks, jnp.maximum(residual, left_over)
 
     state = (carry.trajectory, carry.memory, carry.peaks, carry.residual)
     if isinstance(steps, int):
