@@ -16,7 +16,6 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 
 from rfem_jax.mechanics import algebra
@@ -35,7 +34,9 @@ class LinkMatrix(NamedTuple):
 
     frame (6, 6): link-axis wrenches at the link's origin to global ones at its island's point; axis
     (6,): hinge; scaled (6,): inertia . axis / pivot; pivot: axis . inertia . axis (None: prescribed);
-    held (6 c, 6 c), transfer (6, 6 c): of the carriers, None if no link hangs on them.
+    transfer (6, 6 c), compliance (6 c, 6 c): of the carriers, as in `LinkOperator`; hung (6 c, 6 c):
+    inertias of what hangs on them, share (6 c, 6 c): of their own motion that it leaves; None where there
+    is nothing of the kind.
     """
 
     rotation: Array
@@ -281,6 +282,7 @@ def _respond(topology, links, hinge_loads, on_links, own, units, width) -> Respo
     none = jnp.zeros((6,) + width)
     loads: dict[int, Array] = dict(units)
     pushes: dict[int, Array] = {}
+    on_carriers: dict[int, Array] = {}
     freely: dict[int, Array] = {}
     for l in reversed(range(n)):
         link, carriers = links[l], _carriers_of(topology, l)
@@ -298,7 +300,7 @@ def _respond(topology, links, hinge_loads, on_links, own, units, width) -> Respo
                 wrench = wrench - product(link.hung, free)
             freely[l] = free
             load = load + product(link.transfer, wrench)
-            loads[n + topology.n_rfes + l] = wrench
+            on_carriers[l] = wrench
         push = hinge_loads[l] + dot(link.axis[:, None], load)
         pushes[l] = push
         node = topology.parents[l]
@@ -307,10 +309,10 @@ def _respond(topology, links, hinge_loads, on_links, own, units, width) -> Respo
         if link.scaled is not None:
             load = load - link.scaled[:, None] * push[None]
         loads[node] = loads.get(node, 0.0) + load
-    return _accelerate(topology, links, pushes, freely, loads, none)
+    return _accelerate(topology, links, pushes, freely, on_carriers, none)
 
 
-def _accelerate(topology, links, pushes, freely, loads, none) -> Response:
+def _accelerate(topology, links, pushes, freely, wrenches, none) -> Response:
     """From the base to the chains' ends."""
     n = topology.n_links
     hinges, spatial, moved, on_carriers = [], [], [], []
@@ -331,7 +333,7 @@ def _accelerate(topology, links, pushes, freely, loads, none) -> Response:
             on_carriers.append(None)
             continue
         along = product(transpose(link.transfer), carried)
-        wrench = loads[n + topology.n_rfes + l]
+        wrench = wrenches[l]
         if link.share is not None:
             along = product(link.share, along)
             wrench = wrench - product(link.hung, along)

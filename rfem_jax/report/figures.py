@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from rfem_jax.report.files import replacing
+from rfem_jax.report.output import write_pictures
 from rfem_jax.report.quantities import (
     MAX_AXIAL_FORCE,
     MAX_NORMAL_FORCE,
@@ -173,10 +173,4 @@ def draw_figures(study, runs, summaries) -> dict[str, Figure]:
 
 def write_figures(folder, study, runs, summaries) -> list[Path]:
     """Draw all pictures and write them into `folder` as PNG (200 dpi); returns their paths."""
-    written = []
-    for name, figure in draw_figures(study, runs, summaries).items():
-        path = Path(folder) / f"{name}.png"
-        with rc_context(SETTINGS), replacing(path) as temporary:
-            figure.savefig(temporary, format="png")
-        written.append(path)
-    return written
+    return write_pictures(folder, draw_figures(study, runs, summaries))

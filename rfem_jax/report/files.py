@@ -1,64 +1,20 @@
 """The files of a run: `results.json` and one CSV of time histories per case.
 
-Place in the pipeline: after `summary`. Every file appears whole or not at all: it is written
-beside its final place and then renamed. JSON has no NaN; a value that does not exist is null.
+Place in the pipeline: after `summary`; written by `output`.
 
 CSV columns: `time_s`; `angle_rad`, `rate_rad_s` of the driven joint; energies `_J`; then for each
 joint `A_force_x_N` ... `A_moment_z_Nm` in its hinge frame (y along the hinge); and last
 `drive_moment_Nm`.
 """
 
-import json
-import math
-import os
-import platform
-from contextlib import contextmanager
 from dataclasses import asdict
-from importlib import metadata
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from rfem_jax.report.output import replacing, write_json
 from rfem_jax.report.quantities import ENERGIES, units
 from rfem_jax.report.summary import joint_names, study_note, total_energy
-
-_PACKAGES = ("rfem_jax", "jax", "jaxlib", "diffrax", "equinox", "optimistix", "lineax", "numpy")
-
-
-@contextmanager
-def replacing(path: Path):
-    """Give a temporary path beside `path`; rename it to `path` when the block ends well."""
-    path = Path(path)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        yield temporary
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
-def without_nan(value: Any) -> Any:
-    """Copy of nested dicts, lists and numbers in which NaN and infinity are None."""
-    if isinstance(value, dict):
-        return {key: without_nan(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [without_nan(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
-
-
-def versions() -> dict[str, str | None]:
-    """Versions of Python and of the packages that made the numbers (None: not installed)."""
-    found: dict[str, str | None] = {"python": platform.python_version()}
-    for package in _PACKAGES:
-        try:
-            found[package] = metadata.version(package)
-        except metadata.PackageNotFoundError:
-            found[package] = None
-    return found
-
 
 def write_results(path, study, summaries) -> Path:
     """Write `results.json`; `summaries` as `rfem_jax.report.summary.summarise` returns them."""
@@ -70,12 +26,8 @@ def write_results(path, study, summaries) -> Path:
         "method": asdict(study.method),
         "cases": summaries,
         "units": {"duration": "s", **units()},
-        "versions": versions(),
     }
-    text = json.dumps(without_nan(content), indent=2, allow_nan=False)
-    with replacing(path) as temporary:
-        temporary.write_text(text + "\n", encoding="utf-8")
-    return Path(path)
+    return write_json(path, content)
 
 
 def history_columns(study, run) -> dict[str, np.ndarray]:

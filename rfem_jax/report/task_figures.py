@@ -9,7 +9,7 @@ from pathlib import Path
 
 from matplotlib import rc_context
 
-from rfem_jax.report.files import replacing
+from rfem_jax.report.output import write_pictures
 from rfem_jax.report.scatter_figures import histogram_figure, scatter_matrix_figure
 from rfem_jax.report.search_figures import front_figure, tolerances_figure, worst_case_figure
 from rfem_jax.report.sensitivity_figures import heat_map_figure, tornado_figure
@@ -36,10 +36,4 @@ def draw_task_figures(study, name, result) -> dict:
 
 def write_task_figures(folder, study, name, result) -> list[Path]:
     """Draw all pictures of one task into `folder` as PNG; returns their paths."""
-    written = []
-    for stem, figure in draw_task_figures(study, name, result).items():
-        path = Path(folder) / f"{stem}.png"
-        with rc_context(SETTINGS), replacing(path) as temporary:
-            figure.savefig(temporary, format="png")
-        written.append(path)
-    return written
+    return write_pictures(folder, draw_task_figures(study, name, result))

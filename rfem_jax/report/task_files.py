@@ -5,15 +5,12 @@ the metrics' own units; JSON has no NaN, an open limit or a missing number is nu
 file depends on how long a run took or how often it was interrupted.
 """
 
-import csv
-import io
-import json
 from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 
-from rfem_jax.report.files import replacing, versions, without_nan
+from rfem_jax.report.output import write_csv, write_json
 from rfem_jax.report.quantities import metric_units
 from rfem_jax.report.summary import study_note
 
@@ -29,7 +26,7 @@ def _plain(value):
     return value.item() if isinstance(value, np.generic) else value
 
 
-def write_json(path, study, name, result) -> Path:
+def write_task_json(path, study, name, result) -> Path:
     """Write one task's JSON: what was asked for (`task`, `tolerances`) and `result` (a dict)."""
     stated = study.tasks.tolerances
     content = {
@@ -41,30 +38,8 @@ def write_json(path, study, name, result) -> Path:
         "tolerances": None if stated is None else asdict(stated),
         **result,
         "units": {"duration": "s", "error": "rad or m", **result.get("units", {})},
-        "versions": versions(),
     }
-    text = json.dumps(without_nan(_plain(content)), indent=2, allow_nan=False)
-    with replacing(path) as temporary:
-        temporary.write_text(text + "\n", encoding="utf-8")
-    return Path(path)
-
-
-def write_csv(path, rows) -> Path:
-    """Write rows (dicts with the same keys) as CSV; NaN is an empty cell."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
-    writer.writeheader()
-    for row in rows:
-        writer.writerow({key: _cell(value) for key, value in row.items()})
-    with replacing(path) as temporary:
-        temporary.write_text(text.getvalue(), encoding="utf-8")
-    return Path(path)
-
-
-def _cell(value):
-    if isinstance(value, (float, np.floating)):
-        return "" if np.isnan(value) else f"{value:.12g}"
-    return value
+    return write_json(path, _plain(content))
 
 
 def write_sensitivity(folder, study, result, undamped) -> list[Path]:
@@ -99,7 +74,7 @@ def write_sensitivity(folder, study, result, undamped) -> list[Path]:
     }
     folder = Path(folder)
     return [
-        write_json(folder / "sensitivity.json", study, "sensitivity", content),
+        write_task_json(folder / "sensitivity.json", study, "sensitivity", content),
         write_csv(folder / "sensitivity.csv", result.rows()),
     ]
 
@@ -156,7 +131,7 @@ def write_monte_carlo(folder, study, result) -> list[Path]:
         rows.append(row)
     folder = Path(folder)
     return [
-        write_json(folder / "monte_carlo.json", study, "monte_carlo", content),
+        write_task_json(folder / "monte_carlo.json", study, "monte_carlo", content),
         write_csv(folder / "monte_carlo.csv", rows),
     ]
 
@@ -189,7 +164,7 @@ def write_worst_case(folder, study, results) -> list[Path]:
     folder = Path(folder)
     content = {"metrics": metrics, "units": units}
     return [
-        write_json(folder / "worst_case.json", study, "worst_case", content),
+        write_task_json(folder / "worst_case.json", study, "worst_case", content),
         write_csv(folder / "worst_case.csv", rows),
     ]
 
@@ -224,7 +199,7 @@ def write_allocation(folder, study, found) -> list[Path]:
         for name, after in answer.tolerances.items()
     ]
     written = [
-        write_json(folder / "allocation.json", study, "allocation", content),
+        write_task_json(folder / "allocation.json", study, "allocation", content),
         write_csv(folder / "allocation.csv", rows),
     ]
     if len(found.front) > 1:

@@ -9,7 +9,7 @@ from pathlib import Path
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from rfem_jax.report.files import replacing
+from rfem_jax.report.output import write_pictures
 from rfem_jax.report.style import CASE_COLOURS, LINE_STYLES, MARKERS, SETTINGS
 from rfem_jax.validation.lines import Picture
 
@@ -37,10 +37,6 @@ def validation_figure(picture: Picture) -> Figure:
 
 def write_validation_figures(folder, pictures: list[Picture]) -> list[Path]:
     """Draw all pictures into `folder`; returns their paths."""
-    written = []
-    for picture in pictures:
-        path = Path(folder) / f"{picture.name}.png"
-        with rc_context(SETTINGS), replacing(path) as temporary:
-            validation_figure(picture).savefig(temporary, format="png")
-        written.append(path)
-    return written
+    with rc_context(SETTINGS):
+        figures = {one.name: validation_figure(one) for one in pictures}
+    return write_pictures(folder, figures)

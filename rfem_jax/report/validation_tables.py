@@ -3,14 +3,12 @@
 Place in the pipeline: after `validation`; called by the command `rfem-jax validate`.
 """
 
-import csv
-import json
 import math
 from collections import Counter
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from pathlib import Path
 
-from rfem_jax.report.files import replacing, versions, without_nan
+from rfem_jax.report.output import replacing, write_csv, write_json
 from rfem_jax.report.tables import format_table
 from rfem_jax.validation.lines import FAIL, Line
 
@@ -106,17 +104,12 @@ def write_validation(folder, lines: list[Line], settings: dict) -> list[Path]:
     Arguments: settings, what the command was asked for (names of benchmarks, full) and took.
     """
     folder = Path(folder)
-    names = [field.name for field in fields(Line)] + ["verdict"]
     rows = [{**asdict(line), "verdict": line.verdict} for line in lines]
-    content = {**settings, "lines": rows, "versions": versions()}
-    written = [folder / f"validation.{ending}" for ending in ("json", "csv", "md")]
-    with replacing(written[0]) as temporary:
-        text = json.dumps(without_nan(content), indent=2, allow_nan=False)
-        temporary.write_text(text + "\n", encoding="utf-8")
-    with replacing(written[1]) as temporary, temporary.open("w", newline="") as stream:
-        table = csv.DictWriter(stream, names)
-        table.writeheader()
-        table.writerows(rows)
+    written = [
+        write_json(folder / "validation.json", {**settings, "lines": rows}),
+        write_csv(folder / "validation.csv", rows),
+        folder / "validation.md",
+    ]
     with replacing(written[2]) as temporary:
         temporary.write_text(markdown(lines), encoding="utf-8")
     return written

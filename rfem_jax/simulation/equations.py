@@ -7,7 +7,6 @@ same integration, so that a run needs no history for its metrics.
 """
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float, Int

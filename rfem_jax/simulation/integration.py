@@ -17,7 +17,6 @@ import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 
 from rfem_jax.description.drives import MomentDrive, PrescribedDrive

@@ -10,7 +10,7 @@ from matplotlib import rc_context
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
-from rfem_jax.report.files import replacing
+from rfem_jax.report.output import write_pictures
 from rfem_jax.report.style import SETTINGS, add_titles, line_style, panel_grid
 
 AT_D = {"D.delta_x": "1 deg", "D.delta_z": "1 deg", "D.d_y": "1 mm"}
@@ -26,13 +26,7 @@ def write_figures(folder, study, joints, degrees, names, per_unit, tables) -> li
             "largest_preload": peaks_figure(study, joints, tables["peaks"]),
             "drive_moment": drive_figure(study, tables["drive"]),
         }
-        written = []
-        for name, figure in figures.items():
-            path = Path(folder) / f"{name}.png"
-            with replacing(path) as temporary:
-                figure.savefig(temporary, format="png")
-            written.append(path)
-    return written
+    return write_pictures(folder, figures)
 
 
 def sizes(per_unit, names, error, joint, load) -> np.ndarray:

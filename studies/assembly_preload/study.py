@@ -16,8 +16,6 @@ frames.
 """
 
 import argparse
-import csv
-import json
 import sys
 import time
 from dataclasses import replace
@@ -36,7 +34,7 @@ from rfem_jax import assemble, assembly_errors, discretise, load_study  # noqa: 
 from rfem_jax.mechanics.discretisation import close_at  # noqa: E402
 from rfem_jax.mechanics.loads import energies  # noqa: E402
 from rfem_jax.mechanics.realisation import error_dimension, realise  # noqa: E402
-from rfem_jax.report.files import replacing, versions, without_nan  # noqa: E402
+from rfem_jax.report.output import write_csv, write_json  # noqa: E402
 
 RFES = 9  # a flexible link: 8 spring-damping elements
 OTHERS = (5, 17)  # at the start only, for the discretisation error
@@ -228,14 +226,6 @@ def discretisation_rows(study, joints, names, usual) -> list[dict]:
     return rows
 
 
-def write_table(path, rows) -> None:
-    """Rows of equal keys as CSV."""
-    with replacing(path) as temporary, open(temporary, "w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
-
-
 def print_summary(tables, joints) -> None:
     """What an engineer reads first."""
     print(
@@ -318,14 +308,13 @@ def main() -> None:
         "preload_per_unit_error": history_rows(joints, names, degrees, per_unit),
     }
     for name, table in tables.items():
-        write_table(folder / f"{name}.csv", table)
+        write_csv(folder / f"{name}.csv", table)
     small = {name: table for name, table in tables.items() if name != "preload_per_unit_error"}
     content = {
         "title": study.title, "note": study.note, "rfes": RFES, "angles": ANGLES,
-        "tables": small, "versions": versions(),
+        "tables": small,
     }
-    with replacing(folder / "results.json") as temporary:
-        temporary.write_text(json.dumps(without_nan(content), indent=1), encoding="utf-8")
+    write_json(folder / "results.json", content)
     preload_figures.write_figures(folder, study, joints, degrees, names, per_unit, tables)
     print_summary(tables, joints)
     print(f"\nTables and pictures are in {folder} ({time.monotonic() - start:.0f} s).")

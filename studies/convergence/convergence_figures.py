@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from rfem_jax.report.files import replacing
+from rfem_jax.report.output import write_pictures
 from rfem_jax.report.style import SETTINGS, add_titles, bar_style, line_style, panel_grid
 
 LOADED = ("P2", "P5")  # cases whose errors load the joints
@@ -35,13 +35,7 @@ def write_figures(folder, study, tables) -> list[Path]:
             ),
             "damping": damping_figure(study, tables["damping"]),
         }
-        written = []
-        for name, figure in figures.items():
-            path = Path(folder) / f"{name}.png"
-            with replacing(path) as temporary:
-                figure.savefig(temporary, format="png")
-            written.append(path)
-    return written
+    return write_pictures(folder, figures)
 
 
 def every_point(index, points) -> dict:

@@ -17,8 +17,6 @@ Units: N, N m, s; errors are relative; derivatives N^2/deg and (N m)^2/deg.
 """
 
 import argparse
-import csv
-import json
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -36,7 +34,7 @@ import numpy as np  # noqa: E402
 
 import convergence_figures  # noqa: E402
 from rfem_jax import STATUS, Method, assembly_errors, discretise, load_study, simulate  # noqa: E402
-from rfem_jax.report.files import replacing, versions, without_nan  # noqa: E402
+from rfem_jax.report.output import write_csv, write_json  # noqa: E402
 
 CASES = ("P1", "P2", "P5")
 SDES = (2, 4, 8, 16)
@@ -340,14 +338,6 @@ def print_damping(rows) -> None:
         print(f"  eta {damping:<7g}{method:<18}{'  '.join(parts)}")
 
 
-def write_table(path, rows) -> None:
-    """Rows of equal keys as CSV; what does not exist is empty."""
-    with replacing(path) as temporary, open(temporary, "w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
-
-
 def main() -> None:
     """The command."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -378,10 +368,9 @@ def main() -> None:
         "damping": damping_table(outcomes, joints),
     }
     for name, rows in tables.items():
-        write_table(folder / f"{name}.csv", rows)
-    content = {"title": study.title, "note": study.note, "tables": tables, "versions": versions()}
-    with replacing(folder / "results.json") as temporary:
-        temporary.write_text(json.dumps(without_nan(content), indent=1), encoding="utf-8")
+        write_csv(folder / f"{name}.csv", rows)
+    content = {"title": study.title, "note": study.note, "tables": tables}
+    write_json(folder / "results.json", content)
     convergence_figures.write_figures(folder, study, tables)
     print_summary(tables)
     print(f"\nTables and pictures are in {folder} ({time.monotonic() - start:.0f} s).")

@@ -5,7 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from rfem_jax.report.files import history_columns, replacing, write_files
+from rfem_jax.report.files import history_columns, write_files
+from rfem_jax.report.output import replacing
 from rfem_jax.report.summary import reference_case, summarise
 
 

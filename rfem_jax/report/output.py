@@ -1,0 +1,96 @@
+"""How files are written: whole or not at all, without NaN, with the versions that made them.
+
+Place in the pipeline: used by every module of this room that writes, and by the studies' scripts.
+A file is written beside its final place and then renamed.  JSON has no NaN; a value that does not
+exist is null, in CSV an empty cell.
+"""
+
+import csv
+import io
+import json
+import math
+import os
+import platform
+from contextlib import contextmanager
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+_PACKAGES = ("rfem_jax", "jax", "jaxlib", "diffrax", "equinox", "optimistix", "lineax", "numpy")
+
+
+@contextmanager
+def replacing(path: Path):
+    """Give a temporary path beside `path`; rename it to `path` when the block ends well."""
+    path = Path(path)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        yield temporary
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def without_nan(value: Any) -> Any:
+    """Copy of nested dicts, lists and numbers in which NaN and infinity are None."""
+    if isinstance(value, dict):
+        return {key: without_nan(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [without_nan(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def versions() -> dict[str, str | None]:
+    """Versions of Python and of the packages that made the numbers (None: not installed)."""
+    found: dict[str, str | None] = {"python": platform.python_version()}
+    for package in _PACKAGES:
+        try:
+            found[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            found[package] = None
+    return found
+
+
+def write_json(path, content: dict) -> Path:
+    """Write `content` with the versions beside it."""
+    text = json.dumps(without_nan({**content, "versions": versions()}), indent=2, allow_nan=False)
+    with replacing(path) as temporary:
+        temporary.write_text(text + "\n", encoding="utf-8")
+    return Path(path)
+
+
+def write_csv(path, rows) -> Path:
+    """Write rows (dicts with the same keys) as CSV; NaN is an empty cell."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    for row in rows:
+        writer.writerow({key: _cell(value) for key, value in row.items()})
+    with replacing(path) as temporary:
+        temporary.write_text(text.getvalue(), encoding="utf-8")
+    return Path(path)
+
+
+def _cell(value):
+    if isinstance(value, (float, np.floating)):
+        return "" if np.isnan(value) else f"{value:.12g}"
+    return value
+
+
+def write_pictures(folder, figures: dict) -> list[Path]:
+    """Write {name: figure} into `folder` as PNG (200 dpi); returns their paths."""
+    from matplotlib import rc_context
+
+    from rfem_jax.report.style import SETTINGS
+
+    written = []
+    for name, figure in figures.items():
+        path = Path(folder) / f"{name}.png"
+        with rc_context(SETTINGS), replacing(path) as temporary:
+            figure.savefig(temporary, format="png")
+        written.append(path)
+    return written
