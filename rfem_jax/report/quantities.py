@@ -75,6 +75,12 @@ BALANCES = (
         "Baumgarte share",
         "largest Baumgarte part of the multipliers, divided by the largest multiplier",
     ),
+    Quantity(
+        "solution_residual",
+        "",
+        "Newton's rest",
+        "largest force that an implicit step left over, divided by the largest joint force",
+    ),
 )
 
 ENERGIES = (

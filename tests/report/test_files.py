@@ -43,6 +43,7 @@ def test_json_has_the_promised_keys_and_numbers(folder):
     assert case["closure_drift"] == 2e-12
     assert case["closure_drift_angle"] == 3e-12
     assert case["momentum_balance_error"] == 4e-12
+    assert case["solution_residual"] == 6e-7
     assert case["branch"] == {"C": {"start": 1, "end": -1, "changes": 1}}
     assert case["errors"] == {"D.delta_x": pytest.approx(np.deg2rad(0.5))}
 
