@@ -136,7 +136,7 @@ class GeneralisedAlpha(eqx.Module):
             unknowns = jax.tree.map(lambda x, dx: x + share * dx, unknowns, change)
             return (unknowns, matrix, end), None
 
-        first = self.guess(constants, conditions, memory)
+        first = self.guess(constants, conditions, trajectory, memory)
         carry = jax.eval_shape(
             lambda: self._first_round(first, constants, conditions, trajectory, memory)
         )
@@ -149,12 +149,25 @@ class GeneralisedAlpha(eqx.Module):
         left, end = self.end_of_step(first, constants, conditions, trajectory, memory)
         return _matrix(self, constants, conditions, left), end
 
-    def guess(self, constants, conditions: Conditions, memory: Memory) -> Correction:
-        """Accelerations and multipliers before the first correction: those of the last step."""
+    def guess(self, constants, conditions: Conditions, trajectory: Trajectory, memory) -> Correction:
+        """Accelerations and multipliers before the first correction: those of the last step.
+
+        Geometrically exact links keep their shape instead: their matrix is formed where the guess leads,
+        which accelerations of stiff vibrations, carried on over a long step, would bend far.
+        """
+        _, t1, h = constants
         topology = conditions.realised.topology
-        drive = drive_input(conditions.drive, constants[1], conditions.phase)
-        accelerations = _prescribed(topology, drive, memory.accelerations)
-        return Correction(accelerations, memory.multipliers)
+        drive = drive_input(conditions.drive, t1, conditions.phase)
+        accelerations = memory.accelerations
+        if topology.exact:
+            moving = h > 0.0
+            step = jnp.where(moving, h, 1.0)
+            old, a0 = accelerations.elastic, memory.auxiliary.elastic
+            a1 = -(trajectory.velocity.elastic / step + (0.5 - self.beta) * a0) / self.beta
+            mixed = (1.0 - self.alpha_m) * a1 + self.alpha_m * a0 - self.alpha_f * old
+            elastic = jnp.where(moving, mixed / (1.0 - self.alpha_f), old)
+            accelerations = Coordinates(accelerations.angles, elastic)
+        return Correction(_prescribed(topology, drive, accelerations), memory.multipliers)
 
     def end_of_step(
         self, unknowns: Correction, constants, conditions: Conditions, trajectory, memory
@@ -239,8 +252,7 @@ def _differentiate_step(method: GeneralisedAlpha, primals, tangents):
         return ((left.hinge, left.force, left.moment, left.closing), end), left
 
     def guess(inputs):
-        conditions, _, memory = eqx.combine(inputs, fixed)
-        return method.guess(constants, conditions, memory)
+        return method.guess(constants, *eqx.combine(inputs, fixed))
 
     (_, end), push, left = jax.linearize(at, solution, inputs, has_aux=True)
     first = jax.jvp(guess, (inputs,), (along,))[1]

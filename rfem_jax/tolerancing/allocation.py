@@ -32,6 +32,7 @@ from rfem_jax.tolerancing.worst_cases import STARTS
 
 CRITERIA = ("worst_case", "rss", "yield")
 STEP = 2.0
+ATTEMPTS = 4  # settled answers that are put to a fresh run
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +158,8 @@ def allocate(
         distribution, a class or callable half-width -> Tolerance; samples, standard points the
         full problem is observed at (default: twenty or more beyond the yield, 2048 for "rss");
         verify_samples of the fresh run. For worst case: starts of each search. rounds of
-        correction; tolerance on limits (of the headroom) and cost; model a QuadraticModel of order
+        correction until an answer settles and is put to a fresh run (a few times at most, each
+        with what the last one taught); tolerance on limits (of the headroom) and cost; model a QuadraticModel of order
         2 at the centre in the errors of `bounds` (None: by differences of gradients); mode of the
         gradients; batch the most samples at once. The full problem is compiled twice, whatever the
         rounds: for values, and for values with slopes.
@@ -204,27 +206,35 @@ def _correct(study, request, rounds, tolerance, refine, verify):
     lower, upper = np.log(request.lower), np.log(request.upper)
     answer = study.solve(0.5 * (lower + upper), lower, upper)
     history, before = [], np.inf
-    for number in range(rounds):
-        t = np.exp(answer.x)
-        worst = float(np.max(study.observe(t, jax.random.fold_in(refine, number))))
-        history.append((answer.cost, worst))
-        settled = abs(answer.cost - before) <= tolerance * max(abs(answer.cost), 1e-300)
-        if worst <= tolerance and settled:
-            fresh = study.verify(t, jax.random.fold_in(verify, number))
-            if _passes(study, fresh, tolerance):
-                return answer, history, "ok", fresh
-            if number == rounds - 1:
-                return answer, history, "not_verified", fresh
-            study.learn(t, fresh)
-        before = answer.cost
-        near = np.clip(answer.x - np.log(STEP), lower, upper)
-        far = np.clip(answer.x + np.log(STEP), lower, upper)
-        following = study.solve(answer.x, near, far)
-        stuck = np.max(np.abs(following.x - answer.x)) <= 1e-6
-        if stuck and worst > tolerance and following.violation > tolerance:
-            break
-        answer = following
-    return answer, history, "not_converged", None
+    settling = study.settling * tolerance
+    for attempt in range(ATTEMPTS):
+        for number in range(attempt * rounds, (attempt + 1) * rounds):
+            t = np.exp(answer.x)
+            worst = float(np.max(study.observe(t, jax.random.fold_in(refine, number))))
+            history.append((answer.cost, worst))
+            if worst <= tolerance and abs(answer.cost - before) <= settling * abs(answer.cost):
+                break
+            before = answer.cost
+            following = _next(study, answer, lower, upper)
+            stuck = np.max(np.abs(following.x - answer.x)) <= 1e-6
+            if stuck and worst > tolerance and following.violation > tolerance:
+                return answer, history, "not_converged", None
+            answer = following
+        else:
+            return answer, history, "not_converged", None
+        fresh = study.verify(t, jax.random.fold_in(verify, number))
+        if _passes(study, fresh, tolerance):
+            return answer, history, "ok", fresh
+        study.learn(t, fresh)
+        answer, before = _next(study, answer, lower, upper), np.inf
+    return answer, history, "not_verified", fresh
+
+
+def _next(study, answer, lower, upper):
+    """The cheapest point of the study's present model near the last one."""
+    near = np.clip(answer.x - np.log(STEP), lower, upper)
+    far = np.clip(answer.x + np.log(STEP), lower, upper)
+    return study.solve(answer.x, near, far)
 
 
 def _passes(study, verified, tolerance):

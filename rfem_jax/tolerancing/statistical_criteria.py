@@ -52,6 +52,8 @@ class StatisticalCriterion:
     def __init__(self, request, key, kind, *, level, coverage, statistic, distribution, samples,
                  verify_samples):  # fmt: skip
         self.request, self.joint = request, kind == "yield"
+        # Samples know the cost of a yield to percents: digits beyond are not worth a round.
+        self.settling = 10.0 if self.joint else 1.0
         self.statistic = "quantile" if self.joint else statistic
         self.coverage = coverage
         self.level = level if self.joint else float(norm.cdf(coverage))

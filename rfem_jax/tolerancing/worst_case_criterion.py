@@ -30,6 +30,7 @@ class WorstCaseCriterion:
     """Limits hold in the whole box; see the module's docstring."""
 
     joint = False
+    settling = 1.0
 
     def __init__(self, request, key, starts=STARTS):
         self.request, self.key, self.starts = request, key, starts

@@ -78,7 +78,7 @@ def test_quadratic_form_equals_differences_of_mean_squares(problem, quadratic):
 
 def test_mean_of_small_tolerances_is_the_hessian_s(problem, quadratic):
     tolerances = Tolerances({name: Normal(0.1 * width) for name, width in WIDTHS.items()})
-    result = monte_carlo(problem, tolerances, 128, KEY, batch=32, sampling="sobol")
+    result = monte_carlo(problem, tolerances, 512, KEY, batch=32, sampling="sobol")
     assert np.all(np.asarray(result.status) == 0)
     means = np.asarray(result.values).mean(axis=0)
     covariance = np.asarray(tolerances.covariance())

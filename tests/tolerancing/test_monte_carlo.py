@@ -287,6 +287,9 @@ def start(folder, port, process, devices):
     environment = {**os.environ, "JAX_PLATFORMS": "cpu", "PYTHONPATH": library}
     environment["XLA_FLAGS"] = f"--xla_force_host_platform_device_count={devices}"
     environment["NPROC"] = "4"
+    # Other compilers' settings may round the last bit otherwise.
+    quick = jax.config.read("jax_disable_most_optimizations")
+    environment["JAX_DISABLE_MOST_OPTIMIZATIONS"] = str(quick)
     script = SCRIPT.format(tests=str(Path(__file__).parent))
     return subprocess.Popen(
         [sys.executable, "-c", script, str(folder), str(port), str(process)],
