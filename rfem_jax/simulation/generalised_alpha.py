@@ -29,6 +29,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.ad_checkpoint import checkpoint_name
+from jax.custom_derivatives import SymbolicZero
 
 from rfem_jax.description.drives import PrescribedDrive
 from rfem_jax.description.methods import Method
@@ -131,9 +132,13 @@ class GeneralisedAlpha(eqx.Module):
             matrix = jax.lax.cond(
                 index == 0, lambda: _matrix(self, constants, conditions, left), lambda: matrix
             )
-            change = correction(topology, matrix, left, left.closing)
-            share = (index < self.corrections).astype(jnp.float64)
-            unknowns = jax.tree.map(lambda x, dx: x + share * dx, unknowns, change)
+            unknowns = jax.lax.cond(
+                index < self.corrections,
+                lambda: jax.tree.map(
+                    jnp.add, unknowns, correction(topology, matrix, left, left.closing)
+                ),
+                lambda: unknowns,
+            )
             return (unknowns, matrix, end), None
 
         first = self.guess(constants, conditions, trajectory, memory)
@@ -229,19 +234,22 @@ def _unknowns(method: GeneralisedAlpha, *given):
     return method.solve(method.corrections, *given)[0]
 
 
-@_unknowns.defjvp
 def _differentiate_unknowns(method: GeneralisedAlpha, primals, tangents):
     ends = _differentiate_step(method, primals, tangents)
     return tuple(Correction(end.accelerations, end.multipliers) for _, end in ends)
 
 
-@_step.defjvp
 def _differentiate_step(method: GeneralisedAlpha, primals, tangents):
     """Derivative of what the step's equations define, not of the corrections that solve them: as many
     corrections of the tangents, with one linearisation at the solution."""
     constants, *given = primals
-    inputs, fixed = eqx.partition(given, eqx.is_inexact_array)
-    along = eqx.filter(list(tangents[1:]), jax.tree.map(eqx.is_inexact_array, given))
+    # Most constants of a mechanism do not depend on the errors asked for: they are not linearised.
+    moves = jax.tree.map(
+        lambda x, dx: eqx.is_inexact_array(x) and not isinstance(dx, SymbolicZero),
+        given, list(tangents[1:]),
+    )
+    inputs, fixed = eqx.partition(given, moves)
+    along = eqx.filter(list(tangents[1:]), moves)
     # With the solution at hand, reverse mode need not repeat Newton's method.
     solution = jax.tree.map(
         lambda x: checkpoint_name(x, SOLUTION), _unknowns(method, constants, *given)
@@ -271,6 +279,10 @@ def _differentiate_step(method: GeneralisedAlpha, primals, tangents):
         refine, push(first, along), None, length=method.corrections
     )
     return end, end_tangent
+
+
+_step.defjvp(_differentiate_step, symbolic_zeros=True)
+_unknowns.defjvp(_differentiate_unknowns, symbolic_zeros=True)
 
 
 def _matrix(method: GeneralisedAlpha, constants, conditions: Conditions, left: Balance):
