@@ -148,8 +148,8 @@ def peaks(rate: Trajectory) -> Array:
 
 
 def guarded_root(square: Array) -> Array:
-    """Square root with derivative zero at zero, where the root is a cone."""
-    positive = square > 0.0
-    return jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1.0)), 0.0)
+    """Square root with derivative zero at zero, where the root is a cone; NaN stays NaN."""
+    none = square <= 0.0
+    return jnp.where(none, 0.0, jnp.sqrt(jnp.where(none, 1.0, square)))
 
 

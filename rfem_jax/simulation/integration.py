@@ -298,7 +298,8 @@ def _fixed(solver, carry: Carry, start, length, steps, conditions) -> Carry:
 def _adaptive(solver, carry: Carry, start, length, conditions, method, adjoint) -> Carry:
     """One interval with steps from the error control."""
     moving = length > 0.0
-    end = start + jnp.where(moving, length, 1.0)
+    # An interval of length zero takes one step, which does not count.
+    end = start + jnp.where(moving, length, carry.last_step)
     y = (carry.trajectory, carry.peaks)
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(_field),

@@ -159,10 +159,11 @@ def allocate(
         full problem is observed at (default: twenty or more beyond the yield, 2048 for "rss");
         verify_samples of the fresh run. For worst case: starts of each search. rounds of
         correction until an answer settles and is put to a fresh run (a few times at most, each
-        with what the last one taught); tolerance on limits (of the headroom) and cost; model a QuadraticModel of order
-        2 at the centre in the errors of `bounds` (None: by differences of gradients); mode of the
-        gradients; batch the most samples at once. The full problem is compiled twice, whatever the
-        rounds: for values, and for values with slopes.
+        with what the last one taught); tolerance on limits (of the headroom) and cost, ten times
+        as much on the cost of a yield; model a QuadraticModel of order 2 at the centre in the
+        errors of `bounds` (None: by differences of gradients); mode of the gradients; batch the
+        most samples at once. The full problem is compiled twice, whatever the rounds: for values,
+        and for values with slopes.
     Returns: Allocation.
     Raises: InputError for unknown names, bad bounds or options.
     """
