@@ -5,9 +5,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from rfem_jax import InputError, Method, assembly_errors, simulate
+from rfem_jax import InputError, Method, MomentFunction, assembly_errors, simulate
 from rfem_jax.simulation import integration
-from rfem_jax.simulation.equations import Conditions, peaks, start_trajectory
+from rfem_jax.simulation.equations import (
+    Conditions,
+    guarded_root,
+    peaks,
+    start_trajectory,
+)
 from rfem_jax.simulation.solvers import Leapfrog, PeakTracking, RungeKutta4
 from rfem_jax.simulation.time_grid import divide_time
 
@@ -155,3 +160,27 @@ def test_time_grid():
     assert np.all(grid.lengths / steps <= 3e-5)
     with pytest.raises(InputError, match="`duration` must be positive"):
         divide_time(-1.0, 1e-5, None, ())
+
+
+def test_adaptive_methods_do_not_integrate_where_no_time_passes(small):
+    """The first saved time is the start: an interval of length zero."""
+    seen = []
+
+    def moment(t, phase):
+        jax.debug.callback(lambda t: seen.append(float(t)), t)
+        return 1.5 + 0.0 * t
+
+    run = simulate(
+        small.model, drive=MomentFunction("A", moment), duration=2e-4, save_every=1e-4,
+        method=Method("dopri5", rtol=1e-6, atol=1e-8),
+    )  # fmt: skip
+    jax.block_until_ready(run.times)
+    jax.effects_barrier()
+    assert int(run.status) == 0
+    assert 2e-4 <= max(seen) <= 2.5e-4
+
+
+def test_the_root_of_a_mean_square_is_guarded_at_zero_only():
+    values, slopes = jax.vmap(jax.value_and_grad(guarded_root))(jnp.asarray([0.0, 4.0, np.nan]))
+    np.testing.assert_array_equal(values, [0.0, 2.0, np.nan])
+    np.testing.assert_array_equal(slopes[:2], [0.0, 0.25])
