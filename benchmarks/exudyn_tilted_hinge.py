@@ -85,7 +85,7 @@ def by_us(m: int, form: str) -> dict:
     )
     window = run.window(*WINDOW)
     return {
-        "status": STATUS[int(run.status)],
+        "status": STATUS[int(run.status)].name,
         "force A": float(window.rms_force["A"]),
         **{f"moment {j}": float(window.rms_moment[j]) for j in "ABCD"},
     }
