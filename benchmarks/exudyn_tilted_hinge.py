@@ -27,6 +27,8 @@ WINDOW = (0.1, 2.4)
 STEP = 2e-3
 LIMIT = {"force A": 332.215, "moment A": 67.982, "moment B": 30.470, "moment C": 49.010,
          "moment D": 23.294, "u_Y of C at 2 s": 2.660182e-3}
+JOINTS, KINDS = "ABCD", ("force", "moment")
+NAMES = (*(f"{kind} {j}" for kind in KINDS for j in JOINTS), "u_Y of C at 2 s")
 CHAIN = {4: (0.0197, 0.0350), 8: (0.0049, 0.0086), 16: (0.0012, 0.0022)}  # force A, moment B
 SAVE_EVERY = 4e-3
 
@@ -58,8 +60,8 @@ def tilted_hinge(m: int) -> Mechanism:
     )
 
 
-def by_exudyn(m: int, step: float = STEP, settings: Settings = Settings()) -> dict:
-    """The compared values by Exudyn."""
+def by_exudyn(m: int, step: float = STEP, settings: Settings = Settings()):
+    """The compared values by Exudyn, and its histories."""
     model = discretise(tilted_hinge(m))
     errors = assembly_errors(model, {"C.pin_tilt_x": "5 deg"})
     result = simulate(
@@ -67,16 +69,16 @@ def by_exudyn(m: int, step: float = STEP, settings: Settings = Settings()) -> di
     )
     h = result.histories
     at = int(np.searchsorted(h.times, 2.0 - 0.1 * step))
-    return {
-        "force A": result.rms["force"]["A"],
-        **{f"moment {j}": result.rms["moment"][j] for j in "ABCD"},
+    values = {f"{kind} {j}": result.rms[kind][j] for kind in KINDS for j in JOINTS}
+    values |= {
         "u_Y of C at 2 s": float(h.place[at, 1] - h.place[0, 1]),
         "CPU s": round(result.cpu, 3),
     }
+    return values, h
 
 
-def by_us(m: int, form: str) -> dict:
-    """The compared values by rfem_jax."""
+def by_us(m: int, form: str):
+    """The compared values by rfem_jax, and the run."""
     model = discretise(tilted_hinge(m), elements=form)
     errors = assembly_errors(model, {"C.pin_tilt_x": "5 deg"})
     run = simulate_ours(
@@ -84,30 +86,51 @@ def by_us(m: int, form: str) -> dict:
         method=Method("generalised_alpha", step=STEP),
     )
     window = run.window(*WINDOW)
-    return {
-        "status": STATUS[int(run.status)].name,
-        "force A": float(window.rms_force["A"]),
-        **{f"moment {j}": float(window.rms_moment[j]) for j in "ABCD"},
-    }
+    values = {"status": STATUS[int(run.status)].name}
+    for kind, of_joints in (("force", window.rms_force), ("moment", window.rms_moment)):
+        values |= {f"{kind} {j}": float(of_joints[j]) for j in JOINTS}
+    return values, run
+
+
+def compare_histories(report, histories, run) -> None:
+    """Vectors of force and moment of all joints, in hinge frames, at our saved times in the window."""
+    times = np.asarray(run.times)
+    inside = (times >= WINDOW[0]) & (times <= WINDOW[1])
+    at = np.searchsorted(histories.times, times[inside] - 0.1 * STEP)
+    rows = []
+    for kind in KINDS:
+        theirs = {j: getattr(histories, kind)[j][at] for j in JOINTS}
+        largest = max(np.abs(vectors).max() for vectors in theirs.values())
+        for j in JOINTS:
+            mine = np.asarray(getattr(run.loads[j], kind))[inside]
+            away = float(np.linalg.norm(theirs[j] - mine, axis=1).max() / largest)
+            rows.append([f"{kind} {j}", largest, away])
+    report.table(
+        "Histories with a tilted hinge, m = 4, geometrically exact: largest distance of ours from Exudyn's",
+        ["value", "largest of its kind (N, N m)", "distance over it"], rows,
+    )
+    worst = max(row[2] for row in rows)
+    report.check("tilted hinge, m = 4: histories of all joint loads", worst, 1e-4)
 
 
 def compare_tilted_hinge(report, quick: bool) -> None:
-    """Table of the window's RMS loads by Exudyn (m = 4, 8, 16) and by us (m = 4)."""
-    columns = {f"exudyn m = {m}": by_exudyn(m) for m in (4, 8) + (() if quick else (16,))}
-    half = by_exudyn(4, 0.5 * STEP)
+    """Table of the window's RMS loads by Exudyn (m = 4, 8, 16) and by us (m = 4), and histories."""
+    found = {f"exudyn m = {m}": by_exudyn(m) for m in (4, 8) + (() if quick else (16,))}
+    half, _ = by_exudyn(4, 0.5 * STEP)
     if not quick:
         for form in ("linear", "geometrically_exact"):
-            columns[f"ours {form} m = 4"] = by_us(4, form)
+            found[f"ours {form} m = 4"] = by_us(4, form)
+    columns = {name: values for name, (values, _) in found.items()}
     rows = [
         [name, *(values.get(name) for values in columns.values()), LIMIT.get(name)]
-        for name in ("status", *LIMIT, "CPU s")
+        for name in ("status", *NAMES, "CPU s")
     ]
     report.table(
         f"Four-bar with a hinge tilted by 5 deg, RMS loads in {WINDOW} s (N, N m, m)",
         ["value", *columns, "published limit"], rows,
     )
     coarse = columns["exudyn m = 4"]
-    change = max(abs(half[name] / coarse[name] - 1.0) for name in LIMIT)
+    change = max(abs(half[name] / coarse[name] - 1.0) for name in NAMES)
     report.check("tilted hinge, Exudyn m = 4: change when the step is halved", change, 2e-5)
     for m, expected in CHAIN.items():
         values = columns.get(f"exudyn m = {m}")
@@ -122,5 +145,7 @@ def compare_tilted_hinge(report, quick: bool) -> None:
             )
     ours = columns.get("ours geometrically_exact m = 4")
     if ours is not None:
-        worst = max(abs(ours[name] / coarse[name] - 1.0) for name in LIMIT if name in ours)
+        worst = max(abs(ours[name] / coarse[name] - 1.0) for name in NAMES if name in ours)
         report.check("tilted hinge, m = 4: ours geometrically exact against Exudyn", worst, 1e-4)
+        name = "ours geometrically_exact m = 4"
+        compare_histories(report, found["exudyn m = 4"][1], found[name][1])

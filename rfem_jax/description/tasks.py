@@ -163,8 +163,8 @@ class AllocationTask:
         costs {error: ErrorCost} with `at` in SI, one for each of the bounds; criterion
         "worst_case", "rss" or "yield"; target, coverage, statistic, samples, verify_samples,
         starts, rounds, accuracy as `rfem_jax.allocate` says (accuracy is its `tolerance`);
-        distribution of the errors; scales, further allocations with every limit's distance to the nominal value
-        multiplied by these; mode; seed; batch, simulations at once.
+        distribution of the errors; scales, further allocations with every limit's distance to the
+        nominal value multiplied by these; mode; seed; batch, simulations at once.
     Raises: InputError for everything that cannot be meant.
     """
 

@@ -34,9 +34,9 @@ from rfem_jax.mechanics.realisation import Realisation
 
 class LinkModes(NamedTuple):
     """Undeformed flexible link of m free rfes, rows component by component: modes (6 m, 6 m) with
-    V^T M V = 1; stiffness (6 m,) =
-    L [1/s^2]; damping [s]; coupling (6 m, 6) = M X; rigid (6, 6): inertia of the whole link about its
-    frame; spread (6 m, 6) = X; carriers: free rfes (local) that carry joints."""
+    V^T M V = 1; stiffness (6 m,) = L [1/s^2]; damping [s]; coupling (6 m, 6) = M X; rigid (6, 6): inertia
+    of the whole link about its frame; spread (6 m, 6) = X; carriers: free rfes (local) that carry joints.
+    """
 
     modes: Array
     stiffness: Array

@@ -16,6 +16,7 @@ from rfem_jax.report.output import replacing, write_json
 from rfem_jax.report.quantities import ENERGIES, units
 from rfem_jax.report.summary import joint_names, study_note, total_energy
 
+
 def write_results(path, study, summaries) -> Path:
     """Write `results.json`; `summaries` as `rfem_jax.report.summary.summarise` returns them."""
     content = {

@@ -151,5 +151,3 @@ def guarded_root(square: Array) -> Array:
     """Square root with derivative zero at zero, where the root is a cone; NaN stays NaN."""
     none = square <= 0.0
     return jnp.where(none, 0.0, jnp.sqrt(jnp.where(none, 1.0, square)))
-
-
