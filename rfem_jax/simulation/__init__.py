@@ -4,6 +4,7 @@
     equations            what is integrated
     generalised_alpha    implicit steps
     observation          what is recorded of an instant
+    stepping             one interval by any method
     integration          prepare -> advance -> conclude
     cases                all cases of a study as one batch
     stability            the largest stable step

@@ -24,7 +24,7 @@ from rfem_jax.mechanics.dynamics import DriveInput, Stabilisation, accelerations
 from rfem_jax.mechanics.model import Coordinates, Model, State
 from rfem_jax.mechanics.realisation import assembly_errors, realise
 from rfem_jax.mechanics.statics import length_scale
-from rfem_jax.simulation.integration import stabilisation_of
+from rfem_jax.simulation.stepping import stabilisation_of
 from rfem_jax.simulation.solvers import make_solver
 
 POSITIONS = 12

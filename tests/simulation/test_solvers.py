@@ -14,6 +14,7 @@ from rfem_jax.simulation.equations import (
     start_trajectory,
 )
 from rfem_jax.simulation.solvers import Leapfrog, PeakTracking, RungeKutta4
+from rfem_jax.simulation.stepping import _field, stabilisation_of
 from rfem_jax.simulation.time_grid import divide_time
 
 ERRORS = {"D.delta_x": 4e-3, "D.d_y": 2e-4}
@@ -28,12 +29,12 @@ def test_scan_over_steps_is_diffrax_s_own_loop(small):
     prepared = integration.prepare(model, errors, small.drive, None)
     conditions = Conditions(
         prepared.realised, small.drive, jnp.asarray(0, jnp.int32),
-        integration.stabilisation_of(model, method),
+        stabilisation_of(model, method),
     )
     y = (start_trajectory(prepared.state, 4), jnp.zeros((2, 4)))
     solution = jax.jit(
         lambda y: diffrax.diffeqsolve(
-            diffrax.ODETerm(integration._field), PeakTracking(RungeKutta4(), peaks),
+            diffrax.ODETerm(_field), PeakTracking(RungeKutta4(), peaks),
             t0=0.0, t1=1e-3, dt0=2e-5, y0=y, args=conditions,
         ).ys
     )(y)

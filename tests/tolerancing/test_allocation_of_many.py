@@ -7,7 +7,7 @@ import pytest
 from scipy import optimize, special, stats
 
 from rfem_jax.description.errors import InputError
-from rfem_jax.tolerancing.allocation import _passes, allocate
+from rfem_jax.tolerancing.allocation import ATTEMPTS, _passes, allocate
 from rfem_jax.tolerancing.allocation_models import Verified
 from rfem_jax.tolerancing.allocation_request import state_request
 from rfem_jax.tolerancing.cost_models import Exponential, Reciprocal, ReciprocalSquared
@@ -224,9 +224,10 @@ def test_a_fresh_run_passes_unless_it_violates_a_limit_beyond_its_interval():
 
 def test_an_answer_that_fresh_runs_refuse_is_not_verified(monkeypatch):
     # A problem that is worse for fresh samples than for those that found the answer.
-    original = StatisticalCriterion.verify
+    original, runs = StatisticalCriterion.verify, []
 
     def verify(self, t, key):
+        runs.append(t)
         return original(self, 1.5 * t, key)
 
     monkeypatch.setattr(StatisticalCriterion, "verify", verify)
@@ -236,6 +237,7 @@ def test_an_answer_that_fresh_runs_refuse_is_not_verified(monkeypatch):
         verify_samples=512, rounds=4,
     )  # fmt: skip
     assert result.status == "not_verified" and "Fresh runs kept violating" in result.message
+    assert len(runs) == ATTEMPTS  # each with its own rounds
     assert result.limits[0].verified_margin < 0 <= result.limits[0].predicted_margin
 
 
