@@ -22,6 +22,7 @@ and if Newton's method left so little over in every step that the run's status i
 import argparse
 import json
 import platform
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -66,10 +67,10 @@ def search_settings(model, case: str, reference, options) -> dict[float, Found]:
     rows = []
     print("\nSettings of generalised_alpha, batch of 16: error of the case, of all samples, "
           "left over, CPU ms a sample")
-    for corrections in options.corrections:
+    for tolerance in options.tolerances:
         for radius in options.radii:
             first = Method(
-                "generalised_alpha", step=INTERVAL, corrections=corrections, spectral_radius=radius
+                "generalised_alpha", step=INTERVAL, tolerance=tolerance, spectral_radius=radius
             )
             rows.append(_search_steps(model, case, reference, first))
     best = {}
@@ -102,10 +103,7 @@ def _search_steps(model, case, reference, first: Method) -> list[Found]:
         runs = [run_once(loads, steps) for _ in range(3)]
         result, residual = (np.asarray(x) for x in runs[0][0])
         seconds = min(run[2] for run in runs) / SEARCHED
-        method = Method(
-            first.name, step=INTERVAL / steps, corrections=first.corrections,
-            spectral_radius=first.spectral_radius,
-        )
+        method = replace(first, step=INTERVAL / steps)
         one = Found(method, error_of(result[:1], reference), seconds, float(residual))
         print(f"  {_label(method):<52}{one.error:>10.1e}{error_of(result, reference):>10.1e}"
               f"{one.residual:>10.1e}{1e3 * seconds:>9.2f}", flush=True)
@@ -119,7 +117,7 @@ def _search_steps(model, case, reference, first: Method) -> list[Found]:
 def _label(method: Method) -> str:
     text = f"{method.name} {1e3 * method.step:.4g} ms"
     if method.implicit:
-        text += f", {method.corrections} corrections, radius {method.spectral_radius:g}"
+        text += f", tolerance {method.tolerance:g}, radius {method.spectral_radius:g}"
     return text
 
 
@@ -254,8 +252,13 @@ def compare_devices(model, case: str, method: Method, batch: int) -> None:
 
 def defaults() -> dict[float, Found]:
     """Settings for parts that run without the search."""
-    method = Method("generalised_alpha", step=2.5e-3, corrections=3)
-    return {accuracy: Found(method, *3 * (np.nan,)) for accuracy in ACCURACIES}
+    steps = {1e-2: 3.125e-3, 1e-3: 2.5e-3}
+    return {
+        accuracy: Found(
+            Method("generalised_alpha", step=steps[accuracy], tolerance=accuracy), *3 * (np.nan,)
+        )
+        for accuracy in ACCURACIES
+    }
 
 
 def parse_options():
@@ -265,7 +268,7 @@ def parse_options():
     parser.add_argument("--quick", action="store_true", help="a subset, about 3 minutes")
     parser.add_argument("--cases", nargs="+", default=["P5"])
     parser.add_argument("--batches", type=int, nargs="+")
-    parser.add_argument("--corrections", type=int, nargs="+")
+    parser.add_argument("--tolerances", type=float, nargs="+")
     parser.add_argument("--radii", type=float, nargs="+")
     parser.add_argument("--explicit", nargs="*", default=["rk4", "leapfrog"])
     parser.add_argument("--sweeps", nargs="+", default=list(speed_scaling.SWEEP_NAMES),
@@ -275,7 +278,7 @@ def parse_options():
     options = parser.parse_args()
     quick = options.quick
     options.batches = options.batches or ([1, 16] if quick else [1, 8, 16, 32, 64])
-    options.corrections = options.corrections or ([3] if quick else [1, 2, 3])
+    options.tolerances = options.tolerances or list(ACCURACIES)
     options.radii = options.radii or ([0.6] if quick else [0.4, 0.6, 0.8])
     if quick:
         options.explicit = options.explicit[:1]

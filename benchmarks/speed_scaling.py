@@ -22,7 +22,7 @@ from rfem_jax import (
     discretise,
 )
 
-METHOD = Method("generalised_alpha", step=2.5e-3)
+METHOD = Method("generalised_alpha", step=2.5e-3, tolerance=1e-3)
 BATCH, SHORT = 8, 0.1  # samples; s simulated by the row of parallelograms
 SWEEP_NAMES = ("rfes", "links", "batch", "errors")
 FIRST = ("D.delta_x", "D.delta_z", "D.d_y")
@@ -52,7 +52,7 @@ def draw(out: Path, quick: bool, names=SWEEP_NAMES) -> None:
     """The named sweeps, printed and drawn to `out`/scaling.png."""
     all_sweeps = {
         "rfes": Sweep(
-            "rfes in a link", "ms a sample", over_rfes, (3, 5, 9, 17, 33), (3, 9, 33)
+            "rfes in a link", "ms a sample", over_rfes, (3, 5, 9, 17, 33, 65), (3, 9, 33)
         ),
         "links": Sweep("links", "ms a sample", over_links, (1, 2, 3, 4, 6), (1, 2, 3)),
         "batch": Sweep(

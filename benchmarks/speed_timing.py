@@ -14,6 +14,8 @@ from typing import Any, NamedTuple
 
 FLAGS = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
 os.environ.setdefault("XLA_FLAGS", FLAGS)
+# SciPy's LAPACK keeps its threads spinning after a call: they would count as ours.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # XLA's pool must be larger than the number of devices that run at once.
 os.environ.setdefault("NPROC", "4")
 

@@ -17,7 +17,12 @@ ADAPTIVE_METHODS = ("tsit5", "dopri5", "dopri8", "bosh3", "heun", "midpoint", "r
 FIXED_METHODS = (*OWN_METHODS, "euler")
 IMPLICIT_METHODS = ("generalised_alpha",)
 METHODS = (*OWN_METHODS, *IMPLICIT_METHODS, *ADAPTIVE_METHODS, "euler", "auto")
-SPECTRAL_RADIUS, CORRECTIONS = 0.6, 5
+SPECTRAL_RADIUS, CORRECTIONS, TOLERANCE = 0.6, 5, 1e-8
+
+
+_IMPLICIT_SETTINGS = {
+    "spectral_radius": SPECTRAL_RADIUS, "corrections": CORRECTIONS, "tolerance": TOLERANCE
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -34,7 +39,8 @@ class Method:
         accuracy: > 0, < 1; for "auto" only, which chooses step and tolerances itself.
         spectral_radius: of "generalised_alpha" at infinite frequency, from 0 (such vibrations vanish in one
             step) to below 1 (they stay); default 0.6.
-        corrections: of Newton's method in every step of "generalised_alpha", at least 1; default 5.
+        corrections: of Newton's method in every step of "generalised_alpha", at most; at least 1, default 5.
+        tolerance: share of the largest joint load that they may leave over, > 0, < 1; default 1e-8.
     Raises:
         InputError: an unknown name, a value out of range, or settings that do not fit the method.
     """
@@ -47,6 +53,7 @@ class Method:
     accuracy: float | None = None
     spectral_radius: float | None = None
     corrections: int | None = None
+    tolerance: float | None = None
 
     def __post_init__(self):
         require_choice(self.name, METHODS, "`name` of the method")
@@ -90,7 +97,7 @@ class Method:
         return self.name in IMPLICIT_METHODS
 
     def _check_implicit(self) -> None:
-        for field, default in (("spectral_radius", SPECTRAL_RADIUS), ("corrections", CORRECTIONS)):
+        for field, default in _IMPLICIT_SETTINGS.items():
             if not self.implicit and getattr(self, field) is not None:
                 raise InputError(
                     f'Argument `{field}` must be left out unless the method is "generalised_alpha", '
@@ -111,6 +118,12 @@ class Method:
                 "Argument `spectral_radius` must be less than 1, but is "
                 f"{self.spectral_radius:g}: the joint loads would oscillate from step to step; "
                 f"the default is {SPECTRAL_RADIUS}."
+            )
+        self._set("tolerance", positive_quantity, "none")
+        if self.tolerance >= 1.0:
+            raise InputError(
+                f"Argument `tolerance` must be less than 1, but is {self.tolerance:g}; it is a share of the "
+                f"largest joint load, such as {TOLERANCE:g}."
             )
         count = self.corrections
         if isinstance(count, bool) or count != int(count) or count < 1:

@@ -34,6 +34,7 @@ DRIVES = {
 _MECHANISM_OPTIONS = ("gravity", "redundant_reactions", "elements")
 _METHOD_KEYS = (
     "step", "rtol", "atol", "stabilisation", "accuracy", "spectral_radius", "corrections",
+    "tolerance",
 )  # fmt: skip
 
 
@@ -71,7 +72,7 @@ def read_simulation(table) -> tuple[object, Method, object]:
     table = checked_table(table, place, ("duration",), optional)
     settings = {key: table[key] for key in _METHOD_KEYS if key in table}
     with located(place):
-        method = Method(table.get("method", "rk4"), **settings)
+        method = Method(table.get("method", "rk4" if "step" in table else "auto"), **settings)
     return table["duration"], method, table.get("save_every")
 
 

@@ -4,7 +4,7 @@ Place in the pipeline: kinematics, elasticity, cut_joints, loads -> **balance** 
 
 `dynamics` solves for the accelerations; here they are given, and the joint loads follow by
 Newton-Euler from the chains' ends to the base.  What does not balance is the moment about every
-hinge, the wrench on every free rfe, and the closure of every cut joint.
+hinge, the generalised forces on every free rfe, and the closure of every cut joint.
 """
 
 from typing import NamedTuple
@@ -18,7 +18,7 @@ from rfem_jax.mechanics import algebra, loads
 from rfem_jax.mechanics.algebra import apply, apply_transposed, cross, dot
 from rfem_jax.mechanics.cut_joints import Closure, closure
 from rfem_jax.mechanics.dynamics import DriveInput
-from rfem_jax.mechanics.elasticity import elastic_loads
+from rfem_jax.mechanics.elasticity import generalised_forces
 from rfem_jax.mechanics.kinematics import Motion, motion, spread
 from rfem_jax.mechanics.model import BASE, Coordinates, State
 from rfem_jax.mechanics.realisation import Realisation
@@ -28,10 +28,9 @@ class Balance(NamedTuple):
     """What is left over at one instant.
 
     hinge (L,): drive minus moment about every tree joint's hinge [N m]; force, moment (3, N): on the
-    free rfes at their middles, in link axes [N, N m]; closing, closing_rate, closing_acceleration
+    free rfes at their middles, in link axes and about the axes of the angles' rates [N, N m]; closing, closing_rate, closing_acceleration
     (5, C): Phi and its derivatives; angular, linear (3, nodes): accelerations of the nodes in link
-    axes; inverse_rate (3, 3, N): of the rate matrices; wrenches: of all joints at the global
-    origin; motion, closure, multipliers: passed on; dissipated: power of the dampers [W].
+    axes; wrenches: of all joints at the global origin; motion, closure, multipliers: passed on; dissipated: power of the dampers [W].
     """
 
     hinge: Array
@@ -42,7 +41,6 @@ class Balance(NamedTuple):
     closing_acceleration: Array
     angular: Array
     linear: Array
-    inverse_rate: Array
     motion: Motion
     closure: Closure | None
     multipliers: Array
@@ -75,15 +73,14 @@ def evaluate_balance(
         if drive.moment is not None:
             driven = (np.arange(n) == topology.driven).reshape((-1,) + (1,) * (hinge.ndim - 1))
             hinge = hinge + jnp.where(driven, drive.moment[None], 0.0)
-        inverse_rate = algebra.invert_block(now.relative.rate_matrix)
-        force, moment, dissipated = elastic_loads(realised, state, now.relative, inverse_rate)
-        force, moment = force - inertial[0][:, n:], moment - inertial[1][:, n:]
+        elastic, dissipated = generalised_forces(realised, state, now.relative)
         on_force, on_moment = _carried_loads(topology, now, wrenches)
+        moment = apply_transposed(now.relative.rate_matrix, on_moment - inertial[1][:, n:])
         nothing = jnp.zeros((5, 0) + hinge.shape[1:])
         return Balance(
             hinge=hinge,
-            force=force + on_force,
-            moment=moment + on_moment,
+            force=elastic[:3] + on_force - inertial[0][:, n:],
+            moment=elastic[3:] + moment,
             closing=nothing if cuts is None else cuts.residual,
             closing_rate=nothing if cuts is None else cuts.rate,
             closing_acceleration=nothing
@@ -91,7 +88,6 @@ def evaluate_balance(
             else cuts.bias + _along_closure(topology, cuts, {**spatial, **carried}),
             angular=angular,
             linear=linear,
-            inverse_rate=inverse_rate,
             motion=now,
             closure=cuts,
             multipliers=multipliers,

@@ -6,8 +6,8 @@ In the link's own axes, near its undeformed shape, the free rfes obey
 
     (M + s K) y + M X A = r + S w,      s = q_factor + damping * v_factor
 
-for the accelerations y relative to the link frame, the acceleration A of that frame, residual wrenches
-r and wrenches w on the rfes that carry joints; M, K, X and S are constant and the same for all samples
+for the second derivatives y of the elastic coordinates, the acceleration A of the link frame, residual
+generalised forces r and wrenches w on the rfes that carry joints; M, K, X and S are constant and the same for all samples
 of a batch.  The eigenvectors V of (K, M), computed once, give (M + s K)^-1 = V (1 + s L)^-1 V^T for
 every step, and with it the link as it is felt at its frame and at its carriers (static condensation of
 structural dynamics, of M + s K instead of K).
@@ -35,7 +35,7 @@ from rfem_jax.mechanics.realisation import Realisation
 class LinkModes(NamedTuple):
     """Undeformed flexible link of m free rfes, rows component by component: modes (6 m, 6 m) with
     V^T M V = 1; stiffness (6 m,) = L [1/s^2]; damping [s]; coupling (6 m, 6) = M X; rigid (6, 6): inertia
-    of the whole link about its frame; spread (6 m, 6) = X; carriers: free rfes (local) that carry joints.
+    of the whole link about its frame.
     """
 
     modes: Array
@@ -43,24 +43,24 @@ class LinkModes(NamedTuple):
     damping: Array
     coupling: Array
     rigid: Array
-    spread: Array
 
 
 class LinkOperator(NamedTuple):
     """A link at one step length; wrenches and accelerations are (moment, force) and (angular, linear).
 
-    inverse (6 m, 6 m) = (M + s K)^-1; inertia (6, 6) felt at the link frame; transfer (6, 6 c): wrench at
-    the frame due to unit wrenches on its c carriers; compliance (6 c, 6 c) of the carriers and its inverse
-    stiffness; pick (6 c, 6 m): rows of `inverse` of the carriers; coupling (6 m, 6).
+    inverse (6 m, 6 m) = (M + s K)^-1; inertia (6, 6) felt at the link frame; compliance (6 c, 6 c) of its
+    c carriers and its inverse stiffness; pick (6 c, 6 m): the carriers' rows of `inverse`; reduced
+    (6 m, 6): what unit accelerations of the frame take from the second derivatives of the coordinates;
+    give (6 c, 6): its rows of the carriers.
     """
 
     inverse: Array
     inertia: Array
-    transfer: Array
+    give: Array
     compliance: Array
     stiffness: Array
     pick: Array
-    coupling: Array
+    reduced: Array
 
 
 def local_carriers(topology: Topology, link: int) -> tuple[int, ...]:
@@ -98,7 +98,7 @@ def _modes(realised, stiffness, link: int, a: int, b: int) -> LinkModes:
     own = (realised.mass[n + a : n + b], realised.centre[:, n + a : n + b].T,
            jnp.moveaxis(realised.inertia[:, :, n + a : n + b], 2, 0))
     at = jnp.stack([realised.rest[a:b], jnp.zeros(m), jnp.zeros(m)], axis=1)
-    mass, coupling, spread, rigid = _rigid_link(realised, link, own, at)
+    mass, coupling, rigid = _rigid_link(realised, link, own, at)
     root = jnp.linalg.cholesky(mass)
     lower = jax.scipy.linalg.block_diag(*(root[i] for i in range(m)))
     half = jax.scipy.linalg.solve_triangular(lower, k, lower=True)
@@ -111,19 +111,18 @@ def _modes(realised, stiffness, link: int, a: int, b: int) -> LinkModes:
         damping=realised.damping[a],
         coupling=_by_component(coupling),
         rigid=rigid,
-        spread=_by_component(spread),
     )
 
 
 def _rigid_link(realised: Realisation, link: int, own, at):
-    """Inertias (m, 6, 6) of the free rfes with (mass, centre, inertia) `own`, rfe first, coupling M X and
-    spread X (m, 6, 6) for their places `at` (m, 3), and inertia (6, 6) of the whole link at its frame."""
+    """Inertias (m, 6, 6) of the free rfes with (mass, centre, inertia) `own`, rfe first, coupling M X
+    (m, 6, 6) for their places `at` (m, 3), and inertia (6, 6) of the whole link at its frame."""
     mass = jax.vmap(_inertia)(*own)
     # Motion of the rfes' middles when the link frame moves: linear += angular x position.
     spread = jax.vmap(lambda p: jnp.eye(6).at[3:, :3].set(-_cross_matrix(p)))(at)
     coupling = jnp.einsum("mij,mjk->mik", mass, spread)
     root = _inertia(realised.mass[link], realised.centre[:, link], realised.inertia[:, :, link])
-    return mass, coupling, spread, root + jnp.einsum("mji,mjk->ik", spread, coupling)
+    return mass, coupling, root + jnp.einsum("mji,mjk->ik", spread, coupling)
 
 
 def _by_component(rows: Array) -> Array:
@@ -174,14 +173,18 @@ def present_operators(
         m = b - a
         own = (realised.mass[topology.n_links + a : topology.n_links + b], centre[:, a:b].T,
                jnp.moveaxis(inertia[:, :, a:b], 2, 0))
-        mass, coupling, spread, rigid = _rigid_link(realised, l, own, now.position[:, a:b].T)
+        mass, coupling, rigid = _rigid_link(realised, l, own, now.position[:, a:b].T)
+        # Of the coordinates: their rates turn a rfe about its present axes.
+        turn = jnp.zeros((m, 6, 6)).at[:, 3:, 3:].set(jnp.eye(3))
+        turn = turn.at[:, :3, :3].set(jnp.moveaxis(now.rate_matrix[:, :, a:b], 2, 0))
+        mass = jnp.einsum("mji,mjk,mkl->mil", turn, mass, turn)
+        coupling = jnp.einsum("mji,mjk->mik", turn, coupling)
+        springs = jnp.einsum("mai,ambn,nbj->imjn", turn, stiffness[:, a:b, :, a:b], turn)
         diagonal = jnp.zeros((6, m, 6, m)).at[:, np.arange(m), :, np.arange(m)].set(mass)
         s = q_factor + realised.damping[a] * v_factor
-        matrix = diagonal + s * stiffness[:, a:b, :, a:b]
-        inverse = jnp.linalg.inv(matrix.reshape(6 * m, 6 * m))
+        inverse = jnp.linalg.inv((diagonal + s * springs).reshape(6 * m, 6 * m))
         operators.append(
-            _condensed(inverse, _by_component(coupling), _by_component(spread), rigid,
-                       local_carriers(topology, l))
+            _condensed(inverse, _by_component(coupling), rigid, local_carriers(topology, l))
         )
     return tuple(operators)
 
@@ -189,10 +192,10 @@ def present_operators(
 def _operator(one: LinkModes, carriers, q_factor, v_factor) -> LinkOperator:
     s = q_factor + one.damping * v_factor
     inverse = (one.modes / (1.0 + s * one.stiffness)[None]) @ one.modes.T
-    return _condensed(inverse, one.coupling, one.spread, one.rigid, carriers)
+    return _condensed(inverse, one.coupling, one.rigid, carriers)
 
 
-def _condensed(inverse, coupling, spread, rigid, carriers) -> LinkOperator:
+def _condensed(inverse, coupling, rigid, carriers) -> LinkOperator:
     m = inverse.shape[0] // 6
     rows = np.array([k + m * c for k in carriers for c in range(6)], dtype=int)
     pick = inverse[rows]
@@ -201,9 +204,9 @@ def _condensed(inverse, coupling, spread, rigid, carriers) -> LinkOperator:
     return LinkOperator(
         inverse=inverse,
         inertia=rigid - coupling.T @ reduced,
-        transfer=(spread[rows] - reduced[rows]).T,
+        give=reduced[rows],
         compliance=compliance,
         stiffness=jnp.linalg.inv(compliance),
         pick=pick,
-        coupling=coupling,
+        reduced=reduced,
     )

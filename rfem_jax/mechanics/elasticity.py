@@ -54,14 +54,19 @@ def elastic_loads(
         )
 
 
-def generalised_forces(realised: Realisation, state: State, relative: RelativeMotion) -> Array:
-    """Generalised forces (6, N) [N, N m] of springs and dampers on the free rfes' coordinates."""
+def generalised_forces(
+    realised: Realisation, state: State, relative: RelativeMotion
+) -> tuple[Array, Array]:
+    """Generalised forces (6, N) [N, N m] of springs and dampers on the free rfes' coordinates, and the
+    power that the dampers take out [W]."""
     with jax.named_scope("spring_damping_elements"):
         if realised.topology.exact:
             now = exact_elements.deflections(realised, state.position.elastic[:3], relative)
             force, moment = exact_elements.wrenches(realised, now)
-            return jnp.concatenate([force, apply_transposed(relative.rate_matrix, moment)])
-        return _linear_forces(realised, *_linear_deflections(realised, state))
+            forces = jnp.concatenate([force, apply_transposed(relative.rate_matrix, moment)])
+            return forces, _dissipated(realised, now.rate)
+        stretch, rate = _linear_deflections(realised, state)
+        return _linear_forces(realised, stretch, rate), _dissipated(realised, rate)
 
 
 def deflections(realised: Realisation, state: State) -> tuple[Array, Array]:

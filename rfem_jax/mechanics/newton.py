@@ -2,11 +2,15 @@
 
 Place in the pipeline: balance, condensation -> **newton** -> implicit integration.
 
-The matrix is approximate: links are taken at their undeformed shape in their present place, with the
-stiffness of springs and dampers but not that of gyroscopic and joint loads.  Every flexible link is then
-what `condensation` makes of it, and the tree of links is solved by Featherstone's articulated-body
-recursion with these inertias, for the residual and for unit multipliers of the cut joints at once; the
-multipliers follow from the closure.  A matrix serves all corrections of one step.
+The matrix is approximate: links have the inertia of their undeformed shape, and the stiffness of springs
+and dampers but not that of gyroscopic and joint loads.  Every flexible link is then what `condensation`
+makes of it, and the tree of links is solved by Featherstone's articulated-body recursion with these
+inertias, for the residual and for unit multipliers of the cut joints at once; the multipliers follow from
+the closure.  A matrix serves all corrections of one step.
+
+Joints hang on the rfes where they are: rates of the angles of a rfe turn it about its present axes.
+Springs are so stiff over a long step that a hundredth of a radian there would cost Newton's method most of
+its rate.
 
 Wrenches and accelerations of the skeleton are spatial vectors in global axes: of a link at the point of
 its island (see `dynamics`), of a carrier at its own point.
@@ -24,7 +28,7 @@ from rfem_jax.mechanics.balance import Balance
 from rfem_jax.mechanics.cut_joints import Closure
 from rfem_jax.mechanics.dynamics import invert_closure, island, unit_columns
 from rfem_jax.mechanics.kinematics import Motion
-from rfem_jax.mechanics.condensation import LinkOperator, local_carriers
+from rfem_jax.mechanics.condensation import LinkOperator
 from rfem_jax.mechanics.model import BASE, Coordinates, Topology
 from rfem_jax.mechanics.realisation import Realisation
 
@@ -32,15 +36,16 @@ from rfem_jax.mechanics.realisation import Realisation
 class LinkMatrix(NamedTuple):
     """One link in the present place, after the elimination of all that hangs on it.
 
-    frame (6, 6): link-axis wrenches at the link's origin to global ones at its island's point; axis
-    (6,): hinge; scaled (6,): inertia . axis / pivot; pivot: axis . inertia . axis (None: prescribed);
-    transfer (6, 6 c), compliance (6 c, 6 c): of the carriers, as in `LinkOperator`; hung (6 c, 6 c):
-    inertias of what hangs on them, share (6 c, 6 c): of their own motion that it leaves; None where there
-    is nothing of the kind.
+    frame (6, 6): link-axis wrenches at the link's origin to global ones at its island's point; turns 2 c of
+    (3, 3): second derivatives of a carrier's angles and displacements to its accelerations in global axes;
+    axis (6,): hinge; scaled (6,): inertia . axis / pivot; pivot: axis . inertia . axis (None: prescribed);
+    transfer (6, 6 c): wrench at the frame due to unit wrenches on the carriers; compliance (6 c, 6 c) of the
+    carriers; hung (6 c, 6 c): inertias of what hangs on them, share (6 c, 6 c): of their own motion that it
+    leaves; None where there is nothing of the kind.
     """
 
-    rotation: Array
     frame: Array
+    turns: tuple[Array, ...]
     axis: Array
     scaled: Array | None
     pivot: Array | None
@@ -78,6 +83,21 @@ class Correction(NamedTuple):
     multipliers: Array
 
 
+class Residual(NamedTuple):
+    """What is left over of a balance: hinge (L,) [N m]; force, moment (3, N); closing (5, C): second
+    derivative of Phi that there should not be [m/s^2]."""
+
+    hinge: Array
+    force: Array
+    moment: Array
+    closing: Array
+
+
+def residual_of(left: Balance) -> Residual:
+    """What a correction takes away."""
+    return Residual(left.hinge, left.force, left.moment, left.closing)
+
+
 def newton_matrix(
     realised: Realisation,
     operators: tuple[LinkOperator | None, ...],
@@ -108,31 +128,19 @@ def newton_matrix(
         return NewtonMatrix(operators, links, units, responses, invert_closure(topology, rows))
 
 
-def correction(
-    topology: Topology, matrix: NewtonMatrix, left: Balance, closing: Array
-) -> Correction:
-    """Solve for the accelerations and multipliers that take away what is left over.
-
-    `closing` (5, C): the change of Phi's second derivative that closes the cut joints.
-    """
+def correction(topology: Topology, matrix: NewtonMatrix, left: Residual) -> Correction:
+    """Solve for the accelerations and multipliers that take away what is left over."""
     with jax.named_scope("newton_correction"):
         operators = matrix.operators
-        residual = jnp.concatenate([left.moment, left.force])
-        free = tuple(
-            None
-            if operator is None
-            else _times(operator.inverse, _flat(residual[:, a:b]))
-            for operator, (a, b) in zip(operators, topology.ranges)
-        )
+        loads = jnp.concatenate([left.moment, left.force])
+        on_rfes = tuple(_flat(loads[:, a:b]) for a, b in topology.ranges)
         on_links = tuple(
-            None if operator is None else -_times(operator.coupling.T, y)
-            for operator, y in zip(operators, free)
+            None if operator is None else -_times(operator.reduced.T, load)
+            for operator, load in zip(operators, on_rfes)
         )
         own = tuple(
-            None
-            if operator is None
-            else _rows(topology, l, y)
-            for l, (operator, y) in enumerate(zip(operators, free))
+            None if operator is None else _times(operator.pick, load)
+            for operator, load in zip(operators, on_rfes)
         )
         width = (1,) + left.hinge.shape[1:]
         applied = _respond(
@@ -145,12 +153,12 @@ def correction(
                 apply_transposed(unit, _of_node(topology, answer, node))
                 for node, unit in matrix.units.items()
             )
-            by_cut = jnp.swapaxes(closing, 0, 1).reshape((-1,) + closing.shape[2:])
-            flat = apply(matrix.inverse, by_cut - rows)
+            by_cut = jnp.swapaxes(left.closing, 0, 1).reshape((-1,) + left.closing.shape[2:])
+            flat = -apply(matrix.inverse, by_cut + rows)
             answer = jax.tree.map(lambda a, b: a + apply(b, flat), answer, matrix.responses)
             shape = (topology.n_cuts, 5) + flat.shape[1:]
             multipliers = jnp.swapaxes(flat.reshape(shape), 0, 1)
-        elastic = _relative(topology, matrix, free, answer, left)
+        elastic = _relative(topology, matrix, on_rfes, answer, left.force)
         return Correction(Coordinates(answer.hinges, elastic), multipliers)
 
 
@@ -162,16 +170,6 @@ def _times(matrix: Array, vector: Array) -> Array:
 def _flat(values: Array) -> Array:
     """(6, m, ...) as (6 m, ...), component by component."""
     return values.reshape((-1,) + values.shape[2:])
-
-
-def _rows(topology: Topology, link: int, values: Array) -> Array | None:
-    """The carriers' rows (6 c, ...) of values (6 m, ...) of one link."""
-    a, b = topology.ranges[link]
-    carriers = local_carriers(topology, link)
-    if not carriers:
-        return None
-    by_rfe = values.reshape((6, b - a) + values.shape[1:])
-    return jnp.concatenate([by_rfe[:, k] for k in carriers])
 
 
 def _points(topology: Topology, now: Motion) -> dict[int, Array]:
@@ -191,11 +189,25 @@ def _frame(rotation: Array, arm: Array) -> Array:
     return jnp.concatenate([top, jnp.concatenate([none, rotation], axis=1)])
 
 
-def _turned(rotation: Array, columns: Array) -> Array:
-    """Rows (3 k, n, ...) of vectors turned."""
+def _turned(turns, columns: Array) -> Array:
+    """Rows (3 k, n, ...) of k vectors, each by its matrix."""
     return jnp.concatenate(
-        [product(rotation, columns[i : i + 3]) for i in range(0, columns.shape[0], 3)]
+        [product(turn, columns[3 * i : 3 * i + 3]) for i, turn in enumerate(turns)]
     )
+
+
+def _turns(topology: Topology, now: Motion, link: int) -> tuple[Array, ...]:
+    rotation, rate_matrix = now.links.rotation[:, :, link], now.relative.rate_matrix
+    pairs = [
+        (product(rotation, rate_matrix[:, :, node - topology.n_links]), rotation)
+        for node in _carriers_of(topology, link)
+    ]
+    return tuple(turn for pair in pairs for turn in pair)
+
+
+def _dual(turns) -> tuple[Array, ...]:
+    """The matrices that turn a stiffness if `turns` turn the compliance."""
+    return tuple(transpose(algebra.invert_block(turn)) for turn in turns)
 
 
 def _constant(values: Array, example: Array) -> Array:
@@ -222,15 +234,17 @@ def _eliminate(realised, operators, now: Motion, prescribed: bool) -> tuple[Link
         inertia = algebra.product_transposed(product(frame, _constant(own, frame)), frame)
         inertia = inertia + passed.get(l, 0.0)
         transfer = compliance = hung = share = None
-        carriers = _carriers_of(topology, l)
+        carriers, turns = _carriers_of(topology, l), _turns(topology, now, l)
         if carriers:
-            # Columns and rows of the carriers in global axes at their own points.
-            turned = _turned(rotation, _constant(operator.transfer.T, frame))
-            transfer = product(frame, transpose(turned))
-            compliance = _both(rotation, _constant(operator.compliance, frame))
+            # Rows and columns of the carriers in global axes at their own points.
+            identity = _constant(algebra.IDENTITY, frame)
+            shift = jnp.concatenate([_frame(identity, points[k] - points[l]) for k in carriers], axis=1)
+            give = _turned(turns, _constant(operator.give, frame))
+            transfer = shift - product(frame, transpose(give))
+            compliance = _both(turns, _constant(operator.compliance, frame))
             if any(node in passed for node in carriers):
                 hung = _block_diagonal([passed.get(node) for node in carriers], rotation)
-                stiffness = _both(rotation, _constant(operator.stiffness, frame))
+                stiffness = _both(_dual(turns), _constant(operator.stiffness, frame))
                 share = product(algebra.invert_positive(stiffness + hung), stiffness)
                 inertia = inertia + product(
                     product(transfer, product(hung, share)), transpose(transfer)
@@ -248,15 +262,15 @@ def _eliminate(realised, operators, now: Motion, prescribed: bool) -> tuple[Link
         if node != BASE:
             passed[node] = passed.get(node, 0.0) + inertia
         links[l] = LinkMatrix(
-            rotation, frame, axis, scaled, pivot, transfer, compliance, hung, share
+            frame, turns, axis, scaled, pivot, transfer, compliance, hung, share
         )
     return tuple(links[l] for l in range(n))
 
 
-def _both(rotation: Array, matrix: Array) -> Array:
-    """A symmetric matrix (6 c, 6 c) of turned axes in global ones."""
-    once = _turned(rotation, matrix)
-    return _turned(rotation, transpose(once))
+def _both(turns, matrix: Array) -> Array:
+    """A symmetric matrix (6 c, 6 c) with rows and columns turned."""
+    once = _turned(turns, matrix)
+    return _turned(turns, transpose(once))
 
 
 def _block_diagonal(blocks, example: Array) -> Array:
@@ -276,8 +290,8 @@ def _rigid_inertia(realised: Realisation, link: int) -> Array:
 
 def _respond(topology, links, hinge_loads, on_links, own, units, width) -> Response:
     """Accelerations for K columns of loads: moments (L, K) about the hinges, wrenches {l: (6, 1)} on the
-    links and accelerations `own` {l: (6 c, 1)} of the carriers, both in link axes (the residual's), and
-    wrenches `units` {node: (6, K)} on nodes."""
+    links in their axes and second derivatives `own` {l: (6 c, 1)} of the carriers' coordinates (the
+    residual's), and wrenches `units` {node: (6, K)} on nodes."""
     n = topology.n_links
     none = jnp.zeros((6,) + width)
     loads: dict[int, Array] = dict(units)
@@ -293,7 +307,7 @@ def _respond(topology, links, hinge_loads, on_links, own, units, width) -> Respo
             wrench = jnp.concatenate([loads.get(node, none) for node in carriers])
             free = product(link.compliance, wrench)
             if own is not None:
-                free = free + _turned(link.rotation, own[l][:, None])
+                free = free + _turned(link.turns, own[l][:, None])
             if link.share is not None:
                 # The wrench of what hangs there, for a frame at rest.
                 free = product(link.share, free)
@@ -354,24 +368,24 @@ def _of_node(topology: Topology, response: Response, node: int) -> Array:
     return response.carriers[l][6 * i : 6 * i + 6]
 
 
-def _relative(topology, matrix, free, answer: Response, left: Balance) -> Array:
+def _relative(topology, matrix, on_rfes, answer: Response, force: Array) -> Array:
     """Second derivatives (6, N) of the elastic coordinates."""
-    parts = [jnp.zeros((6, 0) + left.hinge.shape[1:])]
+    parts = [jnp.zeros((6, 0) + force.shape[2:])]
     for l, (operator, (a, b)) in enumerate(zip(matrix.operators, topology.ranges)):
         if operator is None:
             continue
         link = matrix.links[l]
         acceleration = apply_transposed(link.frame, answer.links[l])
-        y = free[l] - _times(operator.inverse, _times(operator.coupling, acceleration))
+        y = _times(operator.inverse, on_rfes[l]) - _times(operator.reduced, acceleration)
         if answer.on_carriers[l] is not None:
-            wrench = _turned_back(link.rotation, answer.on_carriers[l])
+            wrench = _turned_back(link.turns, answer.on_carriers[l])
             y = y + _times(operator.pick.T, wrench)
         parts.append(y.reshape((6, b - a) + y.shape[1:]))
     y = jnp.concatenate(parts, axis=1)
-    return jnp.concatenate([y[3:], apply(left.inverse_rate, y[:3])])
+    return jnp.concatenate([y[3:], y[:3]])
 
 
-def _turned_back(rotation: Array, wrench: Array) -> Array:
+def _turned_back(turns, wrench: Array) -> Array:
     return jnp.concatenate(
-        [apply_transposed(rotation, wrench[i : i + 3]) for i in range(0, wrench.shape[0], 3)]
+        [apply_transposed(turn, wrench[3 * i : 3 * i + 3]) for i, turn in enumerate(turns)]
     )

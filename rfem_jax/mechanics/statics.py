@@ -22,7 +22,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import lineax as lx
-import optimistix as optx
 from jax import Array
 from jax.flatten_util import ravel_pytree
 
@@ -38,6 +37,7 @@ from rfem_jax.mechanics.status import NOT_ASSEMBLED, OK, OUT_OF_RANGE, WRONG_SID
 
 TOLERANCE = 1e-10
 MAX_ITERATIONS = 50
+CHORD_ITERATIONS = 20
 ITERATIONS_OF_A_STEP = 15
 MAX_LOAD_STEPS = 60
 SMALLEST_LOAD_STEP = 1e-3
@@ -97,8 +97,9 @@ def held_angles(model: Model, hold: dict[str, Array] | None) -> dict[int, Array]
 def equilibrium(model: Model, realised: Realisation, held: dict[int, Array]):
     """Coordinates, multipliers (5 cuts,) [N] and status of the static equilibrium.
 
-    Newton's method from the undeformed start; geometrically exact elements, whose deflections may
-    be large, are brought there by load steps first.
+    Newton's method from the undeformed start: first with the slope of the perfect mechanism, which is
+    the same for all samples of a batch, and only where that does not converge with the present one.
+    Geometrically exact elements, whose deflections may be large, are brought there by load steps.
     """
     topology = model.topology
     scale = length_scale(model)
@@ -134,34 +135,37 @@ def equilibrium(model: Model, realised: Realisation, held: dict[int, Array]):
     linear = lx.SVD(rcond=1e-9) if topology.minimum_norm else lx.LU()
     equations = _Equations(residual, coordinates, start.size, linear)
     args = (realised, tuple(jnp.asarray(angle) for angle in held.values()))
+    perfect = (
+        eqx.tree_at(lambda r: r.gravity, realise(model, assembly_errors(model)), jnp.zeros(3)),
+        tuple(model.start_angles[index] for index in indices),
+    )
+    perfect, undeformed, guess = jax.lax.stop_gradient((perfect, undeformed, guess))
+
     # No derivative goes through the search: its result is where the implicit function is taken.
     goal = jax.lax.stop_gradient(args)
     if topology.exact:
-        at_rest = (
-            eqx.tree_at(lambda r: r.gravity, realise(model, assembly_errors(model)), jnp.zeros(3)),
-            tuple(model.start_angles[index] for index in indices),
-        )
-        at_rest, undeformed = jax.lax.stop_gradient((at_rest, undeformed))
-        guess, found = _load_steps(equations, undeformed, at_rest, goal)
+        end, found = _load_steps(equations, undeformed, perfect, goal)
+    elif topology.minimum_norm:
+        end, found = _newton(equations, guess, goal, MAX_ITERATIONS)
     else:
-        guess, found = _newton(equations, jax.lax.stop_gradient(guess), goal, MAX_ITERATIONS)
-    solution = optx.root_find(
-        residual,
-        optx.Newton(rtol=TOLERANCE, atol=TOLERANCE, linear_solver=linear),
-        jax.lax.stop_gradient(guess),
-        args=args,
-        max_steps=1,
-        throw=False,
-        adjoint=optx.ImplicitAdjoint(linear_solver=linear),
+        end, found = _from_the_perfect(equations, undeformed, perfect, guess, goal)
+
+    def solve_linear(slope, value):
+        operator = lx.FunctionLinearOperator(slope, jax.eval_shape(lambda: value))
+        matrix = lx.materialise(operator)
+        return lx.linear_solve(matrix, value, linear, throw=False).value
+
+    unknowns = jax.lax.custom_root(
+        lambda unknowns: residual(unknowns, args), end, lambda _, found: found, solve_linear
     )
-    position = coordinates(solution.value)
-    found = found & jnp.all(jnp.isfinite(solution.value))
+    position = coordinates(unknowns)
+    found = found & jnp.all(jnp.isfinite(unknowns))
     in_range = range_used(topology, position) < 1.0
     cuts = closure(realised, motion(realised, loads.static_state(position)), scale)
     right_side = True if cuts is None else jnp.all(cuts.alignment > 0.0)
     status = jnp.where(right_side, jnp.where(in_range, OK, OUT_OF_RANGE), WRONG_SIDE)
     status = jnp.where(found, status, NOT_ASSEMBLED)
-    multipliers = solution.value[start.size :].reshape(topology.n_cuts, 5).T * force_scale
+    multipliers = unknowns[start.size :].reshape(topology.n_cuts, 5).T * force_scale
     return position, multipliers, status.astype(jnp.int32)
 
 
@@ -175,8 +179,33 @@ class _Equations(NamedTuple):
     linear: lx.AbstractLinearSolver
 
 
-def _newton(equations: _Equations, start: Array, args, iterations: int):
-    """Unknowns after Newton's method and whether it converged.
+def _from_the_perfect(equations: _Equations, undeformed: Array, perfect, start: Array, args):
+    """Unknowns and whether they were found, with the perfect mechanism's slope as far as it leads."""
+    slope = jax.jacfwd(equations.residual)(undeformed, perfect)
+    inverse = jnp.linalg.inv(slope)
+
+    def constant(_, value):
+        return inverse @ value, slope
+
+    near, found = _iterate(equations, start, args, CHORD_ITERATIONS, constant)
+    start = jnp.where(found, near, start)
+    return _newton(equations, start, args, MAX_ITERATIONS, found)
+
+
+def _newton(equations: _Equations, start: Array, args, iterations: int, found=False):
+    """Unknowns after Newton's method and whether it converged; nothing is done if `found`."""
+
+    def present(unknowns, value):
+        slope = jax.jacfwd(equations.residual)(unknowns, args)
+        operator = lx.MatrixLinearOperator(slope)
+        return lx.linear_solve(operator, value, equations.linear, throw=False).value, slope
+
+    return _iterate(equations, start, args, iterations, present, found)
+
+
+def _iterate(equations: _Equations, start: Array, args, iterations: int, solve, found=False):
+    """Unknowns after steps that `solve` (unknowns, residual -> step, slope) finds, and whether they
+    converged.
 
     The last step must be small in the coordinates (multipliers follow them: their rounding is that
     of the stiffest spring), and the residual before it small in every row against what such a
@@ -191,16 +220,13 @@ def _newton(equations: _Equations, start: Array, args, iterations: int):
     def improve(carry):
         unknowns, _, count = carry
         value = equations.residual(unknowns, args)
-        slope = jax.jacfwd(equations.residual)(unknowns, args)
-        step = lx.linear_solve(
-            lx.MatrixLinearOperator(slope), value, equations.linear, throw=False
-        ).value
+        step, slope = solve(unknowns, value)
         size = jnp.concatenate([jnp.ones(n), 1.0 + jnp.abs(unknowns[n:])])
         small = jnp.max(jnp.abs(step[:n])) <= TOLERANCE
         balanced = jnp.all(jnp.abs(value) <= TOLERANCE * (jnp.abs(slope) @ size))
         return unknowns - step, small & balanced, count + 1
 
-    carry = (start, jnp.zeros((), bool), jnp.zeros((), jnp.int32))
+    carry = (start, jnp.asarray(found), jnp.zeros((), jnp.int32))
     unknowns, converged, _ = jax.lax.while_loop(going_on, improve, carry)
     return unknowns, converged
 
@@ -265,7 +291,7 @@ def _unbalanced(realised: Realisation, position: Coordinates, multipliers: Array
                 force = force.at[:, k].add(apply_transposed(turn, on_force))
                 moment = moment.at[:, k].add(apply_transposed(turn, on_moment))
     outside = jnp.concatenate([force, apply_transposed(now.relative.rate_matrix, moment)])
-    elastic = elasticity.generalised_forces(realised, state, now.relative)
+    elastic, _ = elasticity.generalised_forces(realised, state, now.relative)
     return hinge, outside + elastic, jnp.zeros((5, 0)) if cuts is None else cuts.residual
 
 

@@ -133,6 +133,8 @@ def user_cache_folder() -> Path:
 def set_up_jax(devices=None) -> None:
     """Double precision, `devices` CPU devices (None: one) and, unless the user chose a folder, a
     cache of compiled programs."""
+    # SciPy's LAPACK keeps its threads spinning after every call, which would take half of the processor.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     import jax
 
     jax.config.update("jax_enable_x64", True)

@@ -13,14 +13,16 @@ with coefficients from the spectral radius at infinite frequency.  The joint loa
 lambda1, with which the equations of motion hold at the end of every step; integrals of squared loads
 and of powers are sums by the trapezoidal rule.  A step of length zero finds the accelerations and
 multipliers at a given state: the method starts, and starts again after a jump of the drive, by such a
-step.  Newton's method makes a fixed number of corrections with one matrix a step; what the last one
-leaves over is part of the result.
+step.  Newton's method makes corrections with one matrix a step until what is left over is a small share
+of the largest joint load so far and the cut joints are closed, or there have been as many as allowed; what
+the last one leaves over is part of the result.
 
 Derivatives are those of the solution of a step's equations, not of the corrections that find it; they
-are found by as many corrections, and as exact as it is.
+are found by corrections with the matrix at the solution, as many as their share of error needs.
 """
 
 import functools
+import math
 from typing import NamedTuple
 
 import equinox as eqx
@@ -42,13 +44,17 @@ from rfem_jax.mechanics.condensation import (
 )
 from rfem_jax.mechanics.dynamics import DriveInput, impose
 from rfem_jax.mechanics.model import Coordinates, Model, State, Topology
-from rfem_jax.mechanics.newton import Correction, correction, newton_matrix
+from rfem_jax.mechanics.newton import Correction, correction, newton_matrix, residual_of
 from rfem_jax.mechanics.realisation import assembly_errors, realise
 from rfem_jax.simulation import equations
 from rfem_jax.simulation.equations import Conditions, Integrals, Trajectory, drive_input
 from rfem_jax.simulation.observation import Instant, balanced_instant
 
 SOLUTION = "solution of an implicit step"  # what reverse mode keeps of a step
+CLOSED = 1e-7  # drift of the cut joints, relative to the length, that Newton's method may leave
+# Relative error of derivatives after one correction, and what each further one leaves of it (study
+# four-bar, 2.5 ms: 5e-3, 7e-4, 5e-5, 3e-6).
+FIRST_REFINEMENT, FURTHER_REFINEMENT = 5e-3, 1.0 / 13.0
 
 
 class Memory(NamedTuple):
@@ -63,13 +69,15 @@ class Memory(NamedTuple):
 
 
 class GeneralisedAlpha(eqx.Module):
-    """The method with its coefficients; corrections: Newton's, in every step."""
+    """The method with its coefficients; corrections: Newton's, at most in every step; tolerance: share of
+    the largest joint load that may be left over."""
 
     alpha_m: float = eqx.field(static=True)
     alpha_f: float = eqx.field(static=True)
     beta: float = eqx.field(static=True)
     gamma: float = eqx.field(static=True)
     corrections: int = eqx.field(static=True)
+    tolerance: float = eqx.field(static=True)
 
     def __init__(self, method: Method):
         radius = method.spectral_radius
@@ -78,6 +86,13 @@ class GeneralisedAlpha(eqx.Module):
         self.gamma = 0.5 + self.alpha_f - self.alpha_m
         self.beta = 0.25 * (self.gamma + 0.5) ** 2
         self.corrections = method.corrections
+        self.tolerance = method.tolerance
+
+    @property
+    def refinements(self) -> int:
+        """Corrections of a derivative."""
+        further = math.log(self.tolerance / FIRST_REFINEMENT) / math.log(FURTHER_REFINEMENT)
+        return min(self.corrections, 1 + max(0, math.ceil(further)))
 
     def factors(self, h):
         """Change of coordinates [s^2] and of rates [s] by a change of the accelerations v1'."""
@@ -106,7 +121,8 @@ class GeneralisedAlpha(eqx.Module):
         state = State(trajectory.position, trajectory.velocity)
         drive = drive_input(conditions.drive, jnp.zeros(()), conditions.phase)
         left = evaluate_balance(conditions.realised, state, accelerations, multipliers, drive, scale)
-        return balanced_instant(conditions.realised.topology, left, accelerations, drive, scale)
+        topology = conditions.realised.topology
+        return balanced_instant(topology, left, accelerations, drive, scale, jnp.zeros(()))
 
     def step(
         self,
@@ -116,43 +132,39 @@ class GeneralisedAlpha(eqx.Module):
         h: Array,
         trajectory: Trajectory,
         memory: Memory,
+        largest: Array,
     ) -> tuple[Trajectory, Memory]:
-        """One step of length h to t1 (zero: accelerations at the given state)."""
-        constants = jax.lax.stop_gradient((operators, t1, h))
+        """One step of length h to t1 (zero: accelerations at the given state); `largest` [N]: joint load
+        so far."""
+        constants = jax.lax.stop_gradient((operators, t1, h, largest))
         return _step(self, constants, conditions, trajectory, memory)
 
-    def solve(self, rounds: int, constants, conditions, trajectory, memory):
-        """Newton's method: unknowns after so many rounds, and what the step returns with the unknowns
-        before the last one, which is no correction if there are more rounds than corrections."""
-        topology = conditions.realised.topology
-
-        def correct(carry, index):
-            unknowns, matrix, _ = carry
-            left, end = self.end_of_step(unknowns, constants, conditions, trajectory, memory)
-            matrix = jax.lax.cond(
-                index == 0, lambda: _matrix(self, constants, conditions, left), lambda: matrix
-            )
-            unknowns = jax.lax.cond(
-                index < self.corrections,
-                lambda: jax.tree.map(
-                    jnp.add, unknowns, correction(topology, matrix, left, left.closing)
-                ),
-                lambda: unknowns,
-            )
-            return (unknowns, matrix, end), None
-
+    def solve(self, constants, conditions, trajectory, memory):
+        """Newton's method: unknowns, and what the step returns with them."""
+        topology, largest = conditions.realised.topology, constants[3]
+        drift = CLOSED * conditions.stabilisation.scale
         first = self.guess(constants, conditions, trajectory, memory)
-        carry = jax.eval_shape(
-            lambda: self._first_round(first, constants, conditions, trajectory, memory)
-        )
-        matrix, end = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), carry)
-        carry = (first, matrix, end)
-        (unknowns, _, end), _ = jax.lax.scan(correct, carry, jnp.arange(rounds))
-        return unknowns, end
-
-    def _first_round(self, first, constants, conditions, trajectory, memory):
         left, end = self.end_of_step(first, constants, conditions, trajectory, memory)
-        return _matrix(self, constants, conditions, left), end
+        matrix = _matrix(self, constants, conditions, left)
+
+        def unsettled(carry):
+            count, _, _, (_, memory) = carry
+            instant = memory.instant
+            settled = (instant.residual <= self.tolerance * largest) & (instant.drift <= drift)
+            return (count == 0) | ((count < self.corrections) & ~settled)
+
+        def correct(carry):
+            count, unknowns, residual, _ = carry
+            change = correction(topology, matrix, residual)
+            unknowns = jax.tree.map(jnp.add, unknowns, change)
+            left, end = self.end_of_step(unknowns, constants, conditions, trajectory, memory)
+            return count + 1, unknowns, residual_of(left), end
+
+        # The first correction is always made: what the guess would return is never needed.
+        end = jax.tree.map(jnp.zeros_like, end)
+        carry = (jnp.zeros((), jnp.int32), first, residual_of(left), end)
+        _, unknowns, _, end = jax.lax.while_loop(unsettled, correct, carry)
+        return unknowns, end
 
     def guess(self, constants, conditions: Conditions, trajectory: Trajectory, memory) -> Correction:
         """Accelerations and multipliers before the first correction: those of the last step.
@@ -160,7 +172,7 @@ class GeneralisedAlpha(eqx.Module):
         Geometrically exact links keep their shape instead: their matrix is formed where the guess leads,
         which accelerations of stiff vibrations, carried on over a long step, would bend far.
         """
-        _, t1, h = constants
+        _, t1, h, _ = constants
         topology = conditions.realised.topology
         drive = drive_input(conditions.drive, t1, conditions.phase)
         accelerations = memory.accelerations
@@ -177,9 +189,9 @@ class GeneralisedAlpha(eqx.Module):
     def end_of_step(
         self, unknowns: Correction, constants, conditions: Conditions, trajectory, memory
     ) -> tuple[Balance, tuple[Trajectory, Memory]]:
-        """What is left over with given unknowns (`closing`: as `correction` takes it), and what the
+        """What is left over with given unknowns (`closing` as an acceleration), and what the
         step returns if that is nothing."""
-        _, t1, h = constants
+        _, t1, h, _ = constants
         realised, scale = conditions.realised, conditions.stabilisation.scale
         topology = realised.topology
         drive = drive_input(conditions.drive, t1, conditions.phase)
@@ -189,16 +201,18 @@ class GeneralisedAlpha(eqx.Module):
         state, auxiliary = self._reached(h, trajectory, memory, accelerations)
         state = impose(topology, state, drive)
         left = evaluate_balance(realised, state, accelerations, multipliers, drive, scale)
-        instant = balanced_instant(topology, left, accelerations, drive, scale)
+        closing = jnp.where(
+            moving, left.closing / jnp.where(moving, q_factor, 1.0), left.closing_acceleration
+        )
+        left = left._replace(closing=closing)
+        left_over = _left_over(realised, left, drive, scale)
+        instant = balanced_instant(topology, left, accelerations, drive, scale, left_over)
         rates = _rates(realised, state, drive, instant)
         integrals = jax.tree.map(
             lambda sum, old, new: sum + 0.5 * h * (old + new),
             trajectory.integrals, memory.rates, rates,
         )
-        closing = -jnp.where(
-            moving, left.closing / jnp.where(moving, q_factor, 1.0), left.closing_acceleration
-        )
-        return left._replace(closing=closing), (
+        return left, (
             Trajectory(state.position, state.velocity, integrals),
             Memory(accelerations, auxiliary, multipliers, rates, instant),
         )
@@ -226,12 +240,12 @@ class GeneralisedAlpha(eqx.Module):
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _step(method: GeneralisedAlpha, *given):
-    return method.solve(method.corrections + 1, *given)[1]
+    return method.solve(*given)[1]
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _unknowns(method: GeneralisedAlpha, *given):
-    return method.solve(method.corrections, *given)[0]
+    return method.solve(*given)[0]
 
 
 def _differentiate_unknowns(method: GeneralisedAlpha, primals, tangents):
@@ -257,7 +271,7 @@ def _differentiate_step(method: GeneralisedAlpha, primals, tangents):
 
     def at(unknowns, inputs):
         left, end = method.end_of_step(unknowns, constants, *eqx.combine(inputs, fixed))
-        return ((left.hinge, left.force, left.moment, left.closing), end), left
+        return (residual_of(left), end), left
 
     def guess(inputs):
         return method.guess(constants, *eqx.combine(inputs, fixed))
@@ -268,15 +282,13 @@ def _differentiate_step(method: GeneralisedAlpha, primals, tangents):
     matrix = _matrix(method, constants, conditions, left)
 
     def refine(found, _):
-        (hinge, force, moment, closing), _ = found
-        rest = left._replace(hinge=hinge, force=force, moment=moment)
-        change = correction(conditions.realised.topology, matrix, rest, closing)
+        change = correction(conditions.realised.topology, matrix, found[0])
         # By jvp, what depends on the inputs alone is left out.
         more = jax.jvp(lambda unknowns: push(unknowns, along), (first,), (change,))[1]
         return jax.tree.map(jnp.add, found, more), None
 
     (_, end_tangent), _ = jax.lax.scan(
-        refine, push(first, along), None, length=method.corrections
+        refine, push(first, along), None, length=method.refinements
     )
     return end, end_tangent
 
@@ -287,12 +299,29 @@ _unknowns.defjvp(_differentiate_unknowns, symbolic_zeros=True)
 
 def _matrix(method: GeneralisedAlpha, constants, conditions: Conditions, left: Balance):
     """Newton's matrix, on which the solution does not depend: it is not differentiated."""
-    realised, (operators, _, h) = conditions.realised, constants
+    realised, (operators, _, h, _) = conditions.realised, constants
     if realised.topology.exact:
         operators = present_operators(realised, left.motion.relative, *method.factors(h))
     prescribed = isinstance(conditions.drive, PrescribedDrive)
     matrix = newton_matrix(realised, operators, left.motion, left.closure, prescribed)
     return jax.lax.stop_gradient(matrix)
+
+
+def _left_over(realised, left: Balance, drive: DriveInput, scale: Array) -> Array:
+    """The largest force [N] that is left over: on the rfes, about the hinges, to close the cut joints."""
+    hinge = left.hinge
+    if drive.turn is not None:
+        # The moment that enforces the angle.
+        hinge = jnp.where(np.arange(hinge.shape[0]) == realised.topology.driven, 0.0, hinge)
+    return functools.reduce(
+        jnp.maximum,
+        (
+            jnp.max(jnp.abs(left.force), initial=0.0),
+            jnp.max(jnp.abs(left.moment), initial=0.0) / scale,
+            jnp.max(jnp.abs(hinge)) / scale,
+            jnp.max(jnp.abs(left.closing), initial=0.0) * jnp.sum(realised.mass),
+        ),
+    )
 
 
 def _prescribed(topology: Topology, drive: DriveInput, accelerations: Coordinates) -> Coordinates:

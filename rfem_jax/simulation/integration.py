@@ -204,7 +204,7 @@ def conclude(model: Model, prepared: Prepared, carry: Carry, record: Record, gri
     balance = energy.total - energy.work + energy.dissipation
     error = jnp.max(jnp.abs(balance - balance[0])) / _safe(jnp.max(jnp.abs(energy.total)))
     drift = jnp.max(record.drift)
-    residual = carry.residual / _safe(jnp.max(record.largest_load[:, 0]))
+    residual = carry.residual / _safe(largest_force(carry))
     relative = jnp.max(record.momentum_residual, axis=0) / _safe(jnp.max(record.largest_load, axis=0))
     nothing = jnp.zeros_like(times)
     angle = nothing if driven is None else record.angles[:, driven]
@@ -278,6 +278,11 @@ def _status(model, prepared: Prepared, carry: Carry, error, drift, used, residua
     code = jnp.where(carry.exhausted, STEPS_EXHAUSTED, code)
     code = jnp.where(finite, code, DIVERGED)
     return jnp.where(prepared.status == OK, code, prepared.status).astype(jnp.int32)
+
+
+def largest_force(carry: Carry) -> Array:
+    """The largest axial or normal force [N] that any joint has carried."""
+    return equations.guarded_root(jnp.max(carry.peaks))
 
 
 def _safe(value):

@@ -86,9 +86,14 @@ def solved_instant(
 
 
 def balanced_instant(
-    topology: Topology, left: Balance, accelerations: Coordinates, drive: DriveInput, scale: Array
+    topology: Topology,
+    left: Balance,
+    accelerations: Coordinates,
+    drive: DriveInput,
+    scale: Array,
+    left_over: Array,
 ) -> Instant:
-    """An instant whose accelerations were found by balancing the equations."""
+    """An instant whose accelerations were found by balancing the equations up to a force [N] left over."""
     drift, drift_angle = _drift(left.closure, scale)
     return Instant(
         loads=loads.loads_of_wrenches(topology, left, left.wrenches, drive),
@@ -99,10 +104,7 @@ def balanced_instant(
         arm=jnp.max(jnp.abs(left.motion.hinges.point)),
         stabilising=jnp.zeros(()),
         multiplier=jnp.max(jnp.abs(left.multipliers), initial=0.0),
-        residual=jnp.maximum(
-            jnp.max(jnp.abs(left.force), initial=0.0),
-            jnp.max(jnp.abs(left.moment), initial=0.0) / scale,
-        ),
+        residual=left_over,
         dissipated=left.dissipated,
     )
 

@@ -76,7 +76,10 @@ def _implicit(
     def step(index, state):
         trajectory, memory, peaks, residual = state
         t1 = start + h * (index + 1.0)
-        trajectory, memory = method.step(conditions, operators, t1, h, trajectory, memory)
+        largest = jnp.sqrt(jnp.max(jax.lax.stop_gradient(peaks)))
+        trajectory, memory = method.step(
+            conditions, operators, t1, h, trajectory, memory, largest
+        )
         # Steps of length zero are iterations of one start, of which the last counts.
         counts = (h > 0.0) | (index == steps - 1.0)
         rates = memory.rates
@@ -85,14 +88,19 @@ def _implicit(
         left_over = jnp.where(counts, memory.instant.residual, 0.0)
         return trajectory, memory, peaks, jnp.maximum(residual, left_over)
 
+    def step_or_stand(state, index):
+        # Of the steps of length zero only the last is needed.
+        needed = (h > 0.0) | (index == steps - 1.0)
+        return jax.lax.cond(needed, lambda: step(index, state), lambda: state)
+
     state = (carry.trajectory, carry.memory, carry.peaks, carry.residual)
     if isinstance(steps, int):
         indices = jnp.arange(steps, dtype=jnp.float64)
-        state, _ = jax.lax.scan(lambda state, index: (step(index, state), None), state, indices)
+        state, _ = jax.lax.scan(lambda *given: (step_or_stand(*given), None), state, indices)
     else:
         count = steps.astype(jnp.int32)
         state = jax.lax.fori_loop(
-            0, count, lambda i, state: step(i.astype(jnp.float64), state), state
+            0, count, lambda i, state: step_or_stand(state, i.astype(jnp.float64)), state
         )
     trajectory, memory, peaks, residual = state
     return carry._replace(trajectory=trajectory, memory=memory, peaks=peaks, residual=residual)

@@ -31,7 +31,7 @@ def exact():
 
 def generalised(realised, state):
     relative = relative_motion(realised, state.position, state.velocity)
-    return elasticity.generalised_forces(realised, state, relative)
+    return elasticity.generalised_forces(realised, state, relative)[0]
 
 
 def with_elastic(position, elastic):

@@ -42,7 +42,7 @@ METRICS = tuple(
     )
 ) + ("angle_error", "end_energy")  # fmt: skip
 # Newton's corrections converge: the solution of the step's equations is what is differentiated.
-METHOD = Method("generalised_alpha", step=2e-3, corrections=9)
+METHOD = Method("generalised_alpha", step=2e-3, corrections=9, tolerance=1e-13)
 
 
 def stacked(problem, names=NAMES):
