@@ -37,7 +37,8 @@ from rfem_jax.mechanics.status import NOT_ASSEMBLED, OK, OUT_OF_RANGE, WRONG_SID
 
 TOLERANCE = 1e-10
 MAX_ITERATIONS = 50
-CHORD_ITERATIONS = 20
+# With a constant slope a step is no smaller than the next one by much: it must be down to rounding.
+CHORD_TOLERANCE, CHORD_ITERATIONS = 1e-14, 30
 ITERATIONS_OF_A_STEP = 15
 MAX_LOAD_STEPS = 60
 SMALLEST_LOAD_STEP = 1e-3
@@ -187,7 +188,7 @@ def _from_the_perfect(equations: _Equations, undeformed: Array, perfect, start: 
     def constant(_, value):
         return inverse @ value, slope
 
-    near, found = _iterate(equations, start, args, CHORD_ITERATIONS, constant)
+    near, found = _iterate(equations, start, args, CHORD_ITERATIONS, constant, tolerance=CHORD_TOLERANCE)
     start = jnp.where(found, near, start)
     return _newton(equations, start, args, MAX_ITERATIONS, found)
 
@@ -203,7 +204,9 @@ def _newton(equations: _Equations, start: Array, args, iterations: int, found=Fa
     return _iterate(equations, start, args, iterations, present, found)
 
 
-def _iterate(equations: _Equations, start: Array, args, iterations: int, solve, found=False):
+def _iterate(
+    equations: _Equations, start: Array, args, iterations: int, solve, found=False, tolerance=TOLERANCE
+):
     """Unknowns after steps that `solve` (unknowns, residual -> step, slope) finds, and whether they
     converged.
 
@@ -222,7 +225,7 @@ def _iterate(equations: _Equations, start: Array, args, iterations: int, solve, 
         value = equations.residual(unknowns, args)
         step, slope = solve(unknowns, value)
         size = jnp.concatenate([jnp.ones(n), 1.0 + jnp.abs(unknowns[n:])])
-        small = jnp.max(jnp.abs(step[:n])) <= TOLERANCE
+        small = jnp.max(jnp.abs(step[:n])) <= tolerance
         balanced = jnp.all(jnp.abs(value) <= TOLERANCE * (jnp.abs(slope) @ size))
         return unknowns - step, small & balanced, count + 1
 

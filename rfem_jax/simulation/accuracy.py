@@ -20,6 +20,7 @@ from rfem_jax.description.methods import Method
 from rfem_jax.mechanics.model import Model
 from rfem_jax.mechanics.realisation import AssemblyErrors, assembly_errors
 from rfem_jax.simulation import integration
+from rfem_jax.simulation.generalised_alpha import ACCURACY_OF_TOLERANCE
 from rfem_jax.simulation.stability import largest_stable_step, round_down
 
 DEFAULT_ACCURACY = 1e-3
@@ -28,9 +29,6 @@ FIRST, LAST = 2, 256  # steps an interval
 # A joint that carries less than this share of the largest load is judged by that share.
 SMALL_LOAD = 0.05
 TRIAL_TILT, TRIAL_SHIFT = 2e-3, 5e-4  # rad; of the longest link
-# Newton's method may leave over this share of the wanted accuracy: what is left over pushes the mechanism
-# in every step, and after a jump loads are a fraction of the largest so far.
-LEFT_OVER = 1.0 / 30.0
 
 
 def choose_method(
@@ -55,7 +53,7 @@ def choose_method(
             "duration of the simulation in seconds."
         )
     accuracy = DEFAULT_ACCURACY if method.accuracy is None else method.accuracy
-    implicit = Method("generalised_alpha", step=duration, tolerance=LEFT_OVER * accuracy)
+    implicit = Method("generalised_alpha", step=duration, tolerance=accuracy / ACCURACY_OF_TOLERANCE)
     step = _longest_step(model, implicit, drive, duration, accuracy, errors)
     if step is not None:
         return replace(implicit, step=float(round_down(step)))
