@@ -1,10 +1,14 @@
 """Settings of all tests: double precision, no silent promotion of ranks or dtypes."""
 
 import gc
+import os
 from pathlib import Path
 
-import jax
-import pytest
+# SciPy's LAPACK keeps its threads spinning after a call, on the core of the other worker.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import jax  # noqa: E402
+import pytest  # noqa: E402
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
