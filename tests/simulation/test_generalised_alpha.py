@@ -19,7 +19,7 @@ from rfem_jax import (
     load_study,
     simulate,
 )
-from rfem_jax.description.methods import CORRECTIONS, SPECTRAL_RADIUS
+from rfem_jax.description.methods import CORRECTIONS, SPECTRAL_RADIUS, TOLERANCE
 from rfem_jax.simulation import integration
 from rfem_jax.simulation.accuracy import estimate_change, rms_loads
 from rfem_jax.simulation.time_grid import divide_time
@@ -92,6 +92,19 @@ def test_reactions_do_not_oscillate_from_step_to_step(small):
     assert rough[1] < 0.45 * rough[0] and rough[1] < 0.1
 
 
+def test_corrections_stop_at_the_tolerance(small):
+    """No more is left over than allowed, and not much less: further corrections are not made."""
+    loads = {}
+    for tolerance in (1e-2, 1e-8):
+        method = Method("generalised_alpha", step=1e-3, corrections=9, tolerance=tolerance)
+        settings = {**small.settings, "method": method, "save_every": 2e-3}
+        run = simulate(small.model, assembly_errors(small.model, ERRORS), **settings)
+        assert int(run.status) == 0
+        assert 1e-4 * tolerance < run.solution_residual <= tolerance
+        loads[tolerance] = rms(small.model, run)
+    np.testing.assert_allclose(loads[1e-2], loads[1e-8], rtol=0.05)
+
+
 def test_a_step_that_does_not_converge_says_so(small):
     """One correction at a long step, with a large error, after the jump."""
     method = Method("generalised_alpha", step=5e-3, corrections=1)
@@ -139,9 +152,12 @@ def test_changes_are_relative_to_the_load_or_to_a_twentieth_of_the_largest():
 def test_settings_of_the_method():
     method = Method("generalised_alpha", step="1 ms")
     assert (method.spectral_radius, method.corrections) == (SPECTRAL_RADIUS, CORRECTIONS)
+    assert method.tolerance == TOLERANCE
     for bad, message in (
         ({"spectral_radius": 1.0}, "`spectral_radius` must be less than 1"),
         ({"corrections": 0}, "`corrections` must be a whole number"),
+        ({"tolerance": 1.0}, "`tolerance` must be less than 1"),
+        ({"tolerance": 0.0}, "`tolerance` of the method"),
         ({"stabilisation": 0.1}, "`stabilisation` must be left out"),
         ({"rtol": 1e-3, "atol": 1e-6}, "`rtol` and `atol` must be left out"),
     ):
