@@ -216,6 +216,7 @@ def test_other_drives_and_what_may_be_left_out(load):
     assert study.save_every is None and study.title == "study"
     assert study.cases == (Case("nominal"),)
     assert study.method.name == "rk4"
+    assert load(bare.replace("step = 1e-5\n", "")).method.name == "auto"
     with jax.enable_x64(False):
         assert load(bare).drive is None
 
