@@ -21,7 +21,6 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import lineax as lx
 from jax import Array
 from jax.flatten_util import ravel_pytree
 
@@ -36,6 +35,7 @@ from rfem_jax.mechanics.realisation import AssemblyErrors, Realisation, assembly
 from rfem_jax.mechanics.status import NOT_ASSEMBLED, OK, OUT_OF_RANGE, WRONG_SIDE
 
 TOLERANCE = 1e-10
+SMALLEST_SINGULAR_VALUE = 1e-9  # of the largest, where equations contradict each other
 MAX_ITERATIONS = 50
 # With a constant slope a step is no smaller than the next one by much: it must be down to rounding.
 CHORD_TOLERANCE, CHORD_ITERATIONS = 1e-14, 30
@@ -133,8 +133,8 @@ def equilibrium(model: Model, realised: Realisation, held: dict[int, Array]):
     guess = undeformed = jnp.concatenate([start / units, jnp.zeros(n_constraints)])
     for index, angle in held.items():
         guess = guess.at[index].set(angle)
-    linear = lx.SVD(rcond=1e-9) if topology.minimum_norm else lx.LU()
-    equations = _Equations(residual, coordinates, start.size, linear)
+    solve = _least_squares if topology.minimum_norm else jnp.linalg.solve
+    equations = _Equations(residual, coordinates, start.size, solve)
     args = (realised, tuple(jnp.asarray(angle) for angle in held.values()))
     perfect = (
         eqx.tree_at(lambda r: r.gravity, realise(model, assembly_errors(model)), jnp.zeros(3)),
@@ -152,9 +152,7 @@ def equilibrium(model: Model, realised: Realisation, held: dict[int, Array]):
         end, found = _from_the_perfect(equations, undeformed, perfect, guess, goal)
 
     def solve_linear(slope, value):
-        operator = lx.FunctionLinearOperator(slope, jax.eval_shape(lambda: value))
-        matrix = lx.materialise(operator)
-        return lx.linear_solve(matrix, value, linear, throw=False).value
+        return solve(jax.jacfwd(slope)(jnp.zeros_like(value)), value)
 
     unknowns = jax.lax.custom_root(
         lambda unknowns: residual(unknowns, args), end, lambda _, found: found, solve_linear
@@ -170,14 +168,21 @@ def equilibrium(model: Model, realised: Realisation, held: dict[int, Array]):
     return position, multipliers, status.astype(jnp.int32)
 
 
+def _least_squares(matrix: Array, value: Array) -> Array:
+    """The shortest solution of equations that may contradict each other."""
+    return jnp.linalg.pinv(matrix, rtol=SMALLEST_SINGULAR_VALUE) @ value
+
+
 class _Equations(NamedTuple):
     """Residual of (unknowns, args), coordinates of the unknowns, how many they are (multipliers
-    follow), and the solver of the linearised equations."""
+    follow), and the solver (matrix, values -> unknowns) of the linearised equations.
+
+    Not lineax's: it ends the whole batch where the cotangent of a failed sample is NaN."""
 
     residual: Callable
     coordinates: Callable
     n_coordinates: int
-    linear: lx.AbstractLinearSolver
+    solve: Callable
 
 
 def _from_the_perfect(equations: _Equations, undeformed: Array, perfect, start: Array, args):
@@ -198,8 +203,7 @@ def _newton(equations: _Equations, start: Array, args, iterations: int, found=Fa
 
     def present(unknowns, value):
         slope = jax.jacfwd(equations.residual)(unknowns, args)
-        operator = lx.MatrixLinearOperator(slope)
-        return lx.linear_solve(operator, value, equations.linear, throw=False).value, slope
+        return equations.solve(slope, value), slope
 
     return _iterate(equations, start, args, iterations, present, found)
 
