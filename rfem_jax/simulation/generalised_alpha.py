@@ -57,8 +57,8 @@ CLOSED = 1e-7  # drift of the cut joints, relative to the length, that Newton's 
 # correction these err by 5e-3, and each further one leaves a thirteenth (study four-bar, 2.5 ms).
 ACCURACY_OF_TOLERANCE = 30.0
 FIRST_REFINEMENT, FURTHER_REFINEMENT = 5e-3, 1.0 / 13.0
-# What corrections of a derivative leave over goes into the next step: for links bent by tilts of 0.2 deg in
-# all joints it grows from step to step after fewer.
+# What corrections of a derivative leave over goes into the next step, and after fewer it grows from step to
+# step where links are bent by errors of all joints and have other lengths than their matrix (by 0.3 %).
 FEWEST_REFINEMENTS = 4
 
 
