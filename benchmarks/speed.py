@@ -138,7 +138,7 @@ def _measure_row(model, case, method: Method, batch: int, reference, name: str) 
     whole = method.implicit or batch == 1
     duration = STUDY.duration if whole else EXPLICIT_DURATION
     with jax.default_device(jax.devices(name)[0]):
-        errors = sample_errors(model, case, batch)
+        errors = sample_errors(case, batch)
         run = jax.vmap(simulation(model, method, duration=duration))
         timing = timed(run, errors, repeats=5 if method.implicit else 3)
     share = 1e3 * STUDY.duration / duration / batch
@@ -245,7 +245,7 @@ def compare_devices(model, case: str, method: Method, batch: int) -> None:
             check_vma=False,
         )
         placed = jax.NamedSharding(mesh, across)
-        timing = timed(run, jax.device_put(sample_errors(model, case, batch), placed))
+        timing = timed(run, jax.device_put(sample_errors(case, batch), placed))
         one = 1e3 * timing.clock / batch
         print(f"  {count} CPU: {timing.clock:.3f} {timing.cpu:.3f} {one:.2f}", flush=True)
 

@@ -72,20 +72,20 @@ def timed(function, *arguments, repeats: int = 5) -> Timing:
     )
 
 
-def sample_errors(model, case: str, count: int):
-    """Errors of a case of the main study scaled sample by sample; the first is the case itself."""
+def sample_errors(case: str, count: int) -> dict[str, Array]:
+    """Errors {name: values (count,)} of a case of the main study scaled sample by sample; the first is
+    the case itself."""
     named = {c.name: c.errors for c in STUDY.cases}[case]
-    errors = assembly_errors(model, named)
     scales = jnp.asarray(np.resize(SCALES, count))
-    return jax.vmap(lambda scale: jax.tree.map(lambda x: scale * x, errors))(scales)
+    return {name: scales * value for name, value in named.items()}
 
 
 def simulation(model, method: Method, drive=STUDY.drive, duration=0.5):
-    """Errors -> RMS loads (2, joints) of one sample."""
+    """Errors {name: value} -> RMS loads (2, joints) of one sample."""
 
     def run(errors) -> Array:
         metrics = simulate(
-            model, errors, drive=drive, duration=duration, method=method,
+            model, assembly_errors(model, errors), drive=drive, duration=duration, method=method,
             save_every=min(INTERVAL, duration),
         ).metrics
         kinds = (metrics.rms_force, metrics.rms_moment)
@@ -97,7 +97,7 @@ def simulation(model, method: Method, drive=STUDY.drive, duration=0.5):
 def stepping(model, case: str, count: int, method: Method):
     """Steps an interval -> RMS loads (samples, 2, joints) and the largest share of a load that
     Newton's method left over, by one program for all steps."""
-    errors = sample_errors(model, case, count)
+    errors = sample_errors(case, count)
     grid, _ = grid_for(STUDY.drive, STUDY.duration, method, INTERVAL)
 
     def loads(steps: int):

@@ -8,7 +8,7 @@ with a unit; limits in the metric's own unit; deviations [1] standard deviations
 Metrics are named "JOINT.KIND" (KINDS below), "*.KIND" for all joints, or by RUN_METRICS.
 """
 
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import MISSING, dataclass, field, fields, replace
 
 from rfem_jax.description.errors import InputError, require_choice, require_flag, suggestion
 from rfem_jax.description.tolerances import StatedTolerances, error_quantities
@@ -155,6 +155,18 @@ class ErrorCost:
         )
 
 
+# Settings that count for some criteria only.
+_CRITERIA_OF = {
+    "target": ("yield",),
+    "coverage": ("rss",),
+    "statistic": ("rss",),
+    "distribution": ("rss", "yield"),
+    "samples": ("rss", "yield"),
+    "verify_samples": ("rss", "yield"),
+    "starts": ("worst_case",),
+}
+
+
 @dataclass(frozen=True)
 class AllocationTask:
     """The cheapest tolerances that keep limits.
@@ -192,6 +204,7 @@ class AllocationTask:
         known = ("uniform", "triangular", "normal", "truncated_normal")
         require_choice(self.distribution, known, "distribution")
         require_choice(self.mode, MODES, "mode")
+        self._require_own_settings()
         for name, least in (("verify_samples", 1), ("rounds", 1), ("seed", 0), ("batch", 1)):
             whole_number(getattr(self, name), name, least)
         if self.samples is not None:
@@ -217,6 +230,19 @@ class AllocationTask:
                 f"Argument `costs` must have a cost for every error with bounds, but "
                 f"`{missing[0]}` has none; add it."
             )
+
+    def _require_own_settings(self):
+        for one in fields(self):
+            criteria = _CRITERIA_OF.get(one.name, (self.criterion,))
+            if self.criterion in criteria:
+                continue
+            default = one.default_factory() if one.default is MISSING else one.default
+            if getattr(self, one.name) != default:
+                others = " or ".join(f'"{name}"' for name in criteria)
+                raise InputError(
+                    f'Argument `{one.name}` must be left out with the criterion "{self.criterion}", '
+                    f"but is given; remove it, or take the criterion {others}."
+                )
 
     @property
     def metrics(self) -> tuple[str, ...]:

@@ -7,15 +7,16 @@ In the link's own axes, near its undeformed shape, the free rfes obey
     (M + s K) y + M X A = r + S w,      s = q_factor + damping * v_factor
 
 for the second derivatives y of the elastic coordinates, the acceleration A of the link frame, residual
-generalised forces r and wrenches w on the rfes that carry joints; M, K, X and S are constant and the same for all samples
-of a batch.  The eigenvectors V of (K, M), computed once, give (M + s K)^-1 = V (1 + s L)^-1 V^T for
-every step, and with it the link as it is felt at its frame and at its carriers (static condensation of
-structural dynamics, of M + s K instead of K).
+generalised forces r and wrenches w on the rfes that carry joints; M, K, X and S are constant.
+(M + s K)^-1, inverted once along the chain of rfes, gives the link as it is felt at its frame and at its
+carriers (static condensation of structural dynamics, of M + s K instead of K).
 
-The matrices are those of the nominal model: they serve Newton's method, whose solution does not depend
-on them, and are therefore not differentiated.  Geometrically exact elements turn with the rfes, which
-changes the stiffness felt in the link's axes as soon as a link is bent by more than its thickness: for
-them the matrices are formed in the present place, sample by sample.
+The matrices serve Newton's method, whose solution does not depend on them, and are therefore not
+differentiated.  They are those of a sample's own links: with those of the perfect mechanism, length
+errors of 0.3 % let what a correction of a derivative leaves over grow from step to step.  Where no length
+varies, a batch shares them.  Geometrically exact elements turn with the rfes, which changes the
+stiffness felt in the link's axes as soon as a link is bent by more than its thickness: for them the
+matrices are formed in the present place.
 """
 
 from typing import NamedTuple
@@ -25,24 +26,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from rfem_jax.mechanics import elasticity, exact_elements
+from rfem_jax.mechanics import algebra, elasticity, exact_elements
 from rfem_jax.mechanics.algebra import apply, product, product_transposed
 from rfem_jax.mechanics.kinematics import RelativeMotion
 from rfem_jax.mechanics.model import Coordinates, Topology
 from rfem_jax.mechanics.realisation import Realisation
-
-
-class LinkModes(NamedTuple):
-    """Undeformed flexible link of m free rfes, rows component by component: modes (6 m, 6 m) with
-    V^T M V = 1; stiffness (6 m,) = L [1/s^2]; damping [s]; coupling (6 m, 6) = M X; rigid (6, 6): inertia
-    of the whole link about its frame.
-    """
-
-    modes: Array
-    stiffness: Array
-    damping: Array
-    coupling: Array
-    rigid: Array
 
 
 class LinkOperator(NamedTuple):
@@ -69,49 +57,26 @@ def local_carriers(topology: Topology, link: int) -> tuple[int, ...]:
     return tuple(k - first for k in topology.carriers if first <= k < last)
 
 
-def link_modes(realised: Realisation) -> tuple[LinkModes | None, ...]:
-    """Modes of all links (None for rigid ones), from the nominal constants."""
+def link_operators(
+    realised: Realisation, q_factor: Array, v_factor: Array
+) -> tuple[LinkOperator | None, ...]:
+    """Operators of all links (None for rigid ones), undeformed, for steps in which coordinates move by
+    q_factor [s^2] and rates by v_factor [s] times their accelerations."""
     realised = jax.lax.stop_gradient(realised)
-    topology = realised.topology
-    stiffness = _stiffness(realised)
-    return tuple(
-        _modes(realised, stiffness, l, a, b) if b > a else None
-        for l, (a, b) in enumerate(topology.ranges)
-    )
+    topology, n = realised.topology, realised.topology.n_links
+    springs = elasticity.stiffness_blocks(realised)
+    nothing = jnp.zeros_like(realised.rest)
+    at = jnp.stack([realised.rest, nothing, nothing], axis=1)
+    inertia = jnp.moveaxis(realised.inertia[:, :, n:], 2, 0)
 
+    def operator(l, a, b):
+        own = realised.mass[n + a : n + b], realised.centre[:, n + a : n + b].T, inertia[a:b]
+        mass, coupling, rigid = _rigid_link(realised, l, own, at[a:b])
+        s = q_factor + realised.damping[a] * v_factor
+        inverse = _inverse_of_chain(mass + s * springs.own[a:b], s * springs.beside[a:b])
+        return _condensed(inverse, coupling, rigid, local_carriers(topology, l))
 
-def _stiffness(realised: Realisation) -> Array:
-    """Stiffness matrix (6, N, 6, N) of all links at the undeformed state, in the coordinates (phi, u)."""
-
-    def energy(elastic):
-        position = Coordinates(jnp.zeros(realised.topology.n_links), elastic)
-        return elasticity.elastic_energy(realised, position)
-
-    matrix = jax.hessian(energy)(jnp.zeros((6, realised.topology.n_rfes)))
-    order = np.array([3, 4, 5, 0, 1, 2])
-    return matrix[order][:, :, order]
-
-
-def _modes(realised, stiffness, link: int, a: int, b: int) -> LinkModes:
-    m, n = b - a, realised.topology.n_links
-    k = stiffness[:, a:b, :, a:b].transpose(1, 0, 3, 2).reshape(6 * m, 6 * m)
-    own = (realised.mass[n + a : n + b], realised.centre[:, n + a : n + b].T,
-           jnp.moveaxis(realised.inertia[:, :, n + a : n + b], 2, 0))
-    at = jnp.stack([realised.rest[a:b], jnp.zeros(m), jnp.zeros(m)], axis=1)
-    mass, coupling, rigid = _rigid_link(realised, link, own, at)
-    root = jnp.linalg.cholesky(mass)
-    lower = jax.scipy.linalg.block_diag(*(root[i] for i in range(m)))
-    half = jax.scipy.linalg.solve_triangular(lower, k, lower=True)
-    scaled = jax.scipy.linalg.solve_triangular(lower, half.T, lower=True)
-    values, vectors = jnp.linalg.eigh(0.5 * (scaled + scaled.T))
-    modes = jax.scipy.linalg.solve_triangular(lower.T, vectors, lower=False)
-    return LinkModes(
-        modes=_by_component(modes.reshape(m, 6, 6 * m)),
-        stiffness=jnp.maximum(values, 0.0),
-        damping=realised.damping[a],
-        coupling=_by_component(coupling),
-        rigid=rigid,
-    )
+    return tuple(operator(l, a, b) if b > a else None for l, (a, b) in enumerate(topology.ranges))
 
 
 def _rigid_link(realised: Realisation, link: int, own, at):
@@ -142,17 +107,6 @@ def _inertia(mass, centre, inertia):
     return jnp.block([[inertia - first @ shift, first], [-first, mass * jnp.eye(3)]])
 
 
-def link_operators(
-    topology: Topology, modes: tuple[LinkModes | None, ...], q_factor: Array, v_factor: Array
-) -> tuple[LinkOperator | None, ...]:
-    """Operators of all links for steps in which coordinates move by q_factor [s^2] and rates by v_factor
-    [s] times their accelerations."""
-    return tuple(
-        None if one is None else _operator(one, local_carriers(topology, l), q_factor, v_factor)
-        for l, one in enumerate(modes)
-    )
-
-
 def present_operators(
     realised: Realisation, now: RelativeMotion, q_factor: Array, v_factor: Array
 ) -> tuple[LinkOperator | None, ...]:
@@ -161,43 +115,64 @@ def present_operators(
     topology = realised.topology
     nothing = jnp.zeros_like(realised.rest)
     u = now.position - jnp.stack([realised.rest, nothing, nothing])
-    stiffness = exact_elements.stiffness_matrix(realised, u, now)
+    springs = exact_elements.stiffness_blocks(realised, u, now)
     turned = product(now.rotation, realised.inertia[:, :, topology.n_links :])
     inertia = product_transposed(turned, now.rotation)
     centre = apply(now.rotation, realised.centre[:, topology.n_links :])
-    operators: list[LinkOperator | None] = []
-    for l, (a, b) in enumerate(topology.ranges):
-        if a == b:
-            operators.append(None)
-            continue
-        m = b - a
-        own = (realised.mass[topology.n_links + a : topology.n_links + b], centre[:, a:b].T,
-               jnp.moveaxis(inertia[:, :, a:b], 2, 0))
+    inertia = jnp.moveaxis(inertia, 2, 0)
+    # Of the coordinates: their rates turn a rfe about its present axes.
+    turn = jnp.zeros((topology.n_rfes, 6, 6)).at[:, 3:, 3:].set(jnp.eye(3))
+    turn = turn.at[:, :3, :3].set(jnp.moveaxis(now.rate_matrix, 2, 0))
+
+    def operator(l, a, b):
+        n = topology.n_links
+        own = realised.mass[n + a : n + b], centre[:, a:b].T, inertia[a:b]
         mass, coupling, rigid = _rigid_link(realised, l, own, now.position[:, a:b].T)
-        # Of the coordinates: their rates turn a rfe about its present axes.
-        turn = jnp.zeros((m, 6, 6)).at[:, 3:, 3:].set(jnp.eye(3))
-        turn = turn.at[:, :3, :3].set(jnp.moveaxis(now.rate_matrix[:, :, a:b], 2, 0))
-        mass = jnp.einsum("mji,mjk,mkl->mil", turn, mass, turn)
-        coupling = jnp.einsum("mji,mjk->mik", turn, coupling)
-        springs = jnp.einsum("mai,ambn,nbj->imjn", turn, stiffness[:, a:b, :, a:b], turn)
-        diagonal = jnp.zeros((6, m, 6, m)).at[:, np.arange(m), :, np.arange(m)].set(mass)
-        s = q_factor + realised.damping[a] * v_factor
-        inverse = jnp.linalg.inv((diagonal + s * springs).reshape(6 * m, 6 * m))
-        operators.append(
-            _condensed(inverse, _by_component(coupling), rigid, local_carriers(topology, l))
-        )
-    return tuple(operators)
+        s, t = q_factor + realised.damping[a] * v_factor, turn[a:b]
+        diagonal = jnp.einsum("mji,mjk,mkl->mil", t, mass + s * springs.own[a:b], t)
+        left = jnp.roll(t, 1, axis=0)
+        beside = s * jnp.einsum("mji,mjk,mkl->mil", t, springs.beside[a:b], left)
+        coupling = jnp.einsum("mji,mjk->mik", t, coupling)
+        inverse = _inverse_of_chain(diagonal, beside)
+        return _condensed(inverse, coupling, rigid, local_carriers(topology, l))
+
+    return tuple(operator(l, a, b) if b > a else None for l, (a, b) in enumerate(topology.ranges))
 
 
-def _operator(one: LinkModes, carriers, q_factor, v_factor) -> LinkOperator:
-    s = q_factor + one.damping * v_factor
-    inverse = (one.modes / (1.0 + s * one.stiffness)[None]) @ one.modes.T
-    return _condensed(inverse, one.coupling, one.rigid, carriers)
+def _inverse_of_chain(diagonal: Array, beside: Array) -> Array:
+    """Inverse (6 m, 6 m), component by component, of a symmetric block tridiagonal matrix: diagonal
+    (m, 6, 6), and beside (m, 6, 6) it on the left (the first block counts for nothing).
+
+    LAPACK's batched calls for several links could wait for each other for ever on few threads.
+    """
+    m = diagonal.shape[0]
+    beside = beside.at[0].set(0.0)
+    columns = jnp.eye(6 * m).reshape(m, 6, 6 * m)
+
+    def eliminate(above, row):
+        inverse, eliminated = above
+        diagonal, beside, column = row
+        factor = beside @ inverse
+        inverse = algebra.invert_positive(diagonal - factor @ beside.T)
+        return (inverse, column - factor @ eliminated), (inverse, column - factor @ eliminated)
+
+    def substitute(below, row):
+        solved, beside_below = below
+        inverse, eliminated, beside = row
+        solved = inverse @ (eliminated - beside_below.T @ solved)
+        return (solved, beside), solved
+
+    zero = jnp.zeros((6, 6)), jnp.zeros((6, 6 * m))
+    _, (inverses, eliminated) = jax.lax.scan(eliminate, zero, (diagonal, beside, columns))
+    below = zero[1], zero[0]
+    _, rows = jax.lax.scan(substitute, below, (inverses, eliminated, beside), reverse=True)
+    return _by_component(rows).reshape(6 * m, m, 6).swapaxes(1, 2).reshape(6 * m, 6 * m)
 
 
 def _condensed(inverse, coupling, rigid, carriers) -> LinkOperator:
     m = inverse.shape[0] // 6
     rows = np.array([k + m * c for k in carriers for c in range(6)], dtype=int)
+    coupling = _by_component(coupling)
     pick = inverse[rows]
     reduced = inverse @ coupling
     compliance = pick[:, rows]
@@ -206,7 +181,7 @@ def _condensed(inverse, coupling, rigid, carriers) -> LinkOperator:
         inertia=rigid - coupling.T @ reduced,
         give=reduced[rows],
         compliance=compliance,
-        stiffness=jnp.linalg.inv(compliance),
+        stiffness=algebra.invert_positive(compliance) if carriers else compliance,
         pick=pick,
         reduced=reduced,
     )

@@ -20,7 +20,7 @@ from jax import Array
 
 from rfem_jax.mechanics import exact_elements
 from rfem_jax.mechanics.algebra import apply_transposed
-from rfem_jax.mechanics.exact_elements import from_left, to_left
+from rfem_jax.mechanics.exact_elements import SpringBlocks, from_left, spring_blocks, to_left
 from rfem_jax.mechanics.kinematics import RelativeMotion, relative_motion
 from rfem_jax.mechanics.model import Coordinates, State
 from rfem_jax.mechanics.realisation import Realisation
@@ -83,6 +83,17 @@ def elastic_energy(realised: Realisation, position: Coordinates) -> Array:
     at_rest = State(position, jax.tree.map(jnp.zeros_like, position))
     stretch, _ = deflections(realised, at_rest)
     return 0.5 * jnp.sum(realised.stiffness * stretch**2, axis=(0, 1))
+
+
+def stiffness_blocks(realised: Realisation) -> SpringBlocks:
+    """Stiffness of the springs of undeformed links."""
+    n = realised.topology.n_rfes
+    units = jnp.broadcast_to(jnp.roll(jnp.eye(6), 3, axis=1)[:, :, None], (6, 6, n))
+
+    def by_rfe(lever):
+        return jax.vmap(lambda unit: _face(unit, lever))(units)
+
+    return spring_blocks(realised, by_rfe(realised.lever_right), -by_rfe(realised.lever_left))
 
 
 def dissipated_power(realised: Realisation, state: State) -> Array:

@@ -94,9 +94,17 @@ def deflections(realised: Realisation, u: Array, relative: RelativeMotion) -> Ex
     )
 
 
-def stiffness_matrix(realised: Realisation, u: Array, relative: RelativeMotion) -> Array:
-    """Stiffness (6, N, 6, N) of the springs in the present place: generalised forces by virtual turns
-    and displacements (angular first) of the rfes, in link axes, without the part of loads that turn.
+class SpringBlocks(NamedTuple):
+    """Stiffness of the springs by virtual turns and displacements (angular first) of the rfes: own
+    (N, 6, 6) of every rfe, beside (N, 6, 6) of a rfe (rows) and its left neighbour (columns), zero where
+    that is the link frame."""
+
+    own: Array
+    beside: Array
+
+
+def stiffness_blocks(realised: Realisation, u: Array, relative: RelativeMotion) -> SpringBlocks:
+    """Of the springs in the present place, in link axes, without the part of loads that turn.
 
     One rfe in two is moved at a time, so that every sde feels one of its faces only.
     """
@@ -112,24 +120,21 @@ def stiffness_matrix(realised: Realisation, u: Array, relative: RelativeMotion) 
     by_even, by_odd = (
         jax.vmap(lambda column: rates(column, parity))(columns) for parity in (True, False)
     )
-    # (6, 6, N): of every sde's deflections by its right and its left rfe.
     right = jnp.where(even, by_even, by_odd)
     left = jnp.where(even, by_odd, by_even)
-    inner = np.flatnonzero(_is_inner(realised))
-    own = np.arange(n)
-    stiffness = realised.stiffness
+    return spring_blocks(realised, right, left)
+
+
+def spring_blocks(realised: Realisation, right: Array, left: Array) -> SpringBlocks:
+    """From the deflections (6, 6, N) of every sde by unit motions (first axis) of its right and its
+    left rfe."""
+    inner = _is_inner(realised)[:, None, None]
 
     def block(one, other):
-        """one^T C other of every sde, sde first."""
-        return jnp.einsum("bak,ak,cak->kbc", one, stiffness, other)
+        return jnp.einsum("bak,ak,cak->kbc", one, realised.stiffness, other)
 
-    side = block(right, left)[inner]
-    matrix = jnp.zeros((n, 6, n, 6))
-    matrix = matrix.at[own, :, own].add(block(right, right))
-    matrix = matrix.at[inner - 1, :, inner - 1].add(block(left, left)[inner])
-    matrix = matrix.at[inner, :, inner - 1].add(side)
-    matrix = matrix.at[inner - 1, :, inner].add(jnp.swapaxes(side, 1, 2))
-    return matrix.transpose(1, 0, 3, 2)
+    by_left = jnp.roll(inner * block(left, left), -1, axis=0)
+    return SpringBlocks(block(right, right) + by_left, inner * block(right, left))
 
 
 def wrenches(realised: Realisation, now: ExactDeflections) -> tuple[Array, Array]:

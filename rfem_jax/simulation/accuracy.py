@@ -105,9 +105,12 @@ def _trial_errors(model: Model) -> AssemblyErrors:
 
 @eqx.filter_jit
 def rms_loads(model, errors, drive, grid, method, steps):
-    """RMS loads (cases, 2, joints) and the largest share of a load that was left over."""
+    """RMS loads (cases, 2, joints) and the largest share of a load that was left over; `errors`:
+    `AssemblyErrors` or {name: values (cases,)}."""
 
     def one(errors):
+        if not isinstance(errors, AssemblyErrors):
+            errors = assembly_errors(model, errors)
         prepared = integration.prepare(model, errors, drive, None)
         carry = integration.start_carry(model, prepared, drive, method)
         carry = integration.advance_unobserved(

@@ -36,16 +36,12 @@ from jax.custom_derivatives import SymbolicZero
 from rfem_jax.description.drives import PrescribedDrive
 from rfem_jax.description.methods import Method
 from rfem_jax.mechanics.balance import Balance, evaluate_balance
-from rfem_jax.mechanics.condensation import (
-    LinkOperator,
-    link_modes,
-    link_operators,
-    present_operators,
-)
+from rfem_jax.mechanics.condensation import LinkOperator, link_operators, present_operators
 from rfem_jax.mechanics.dynamics import DriveInput, impose
-from rfem_jax.mechanics.model import Coordinates, Model, State, Topology
+from rfem_jax.mechanics.elasticity import dissipated_power
+from rfem_jax.mechanics.model import Coordinates, State, Topology
 from rfem_jax.mechanics.newton import Correction, correction, newton_matrix, residual_of
-from rfem_jax.mechanics.realisation import assembly_errors, realise
+from rfem_jax.mechanics.realisation import Realisation
 from rfem_jax.simulation import equations
 from rfem_jax.simulation.equations import Conditions, Integrals, Trajectory, drive_input
 from rfem_jax.simulation.observation import Instant, balanced_instant
@@ -57,9 +53,6 @@ CLOSED = 1e-7  # drift of the cut joints, relative to the length, that Newton's 
 # correction these err by 5e-3, and each further one leaves a thirteenth (study four-bar, 2.5 ms).
 ACCURACY_OF_TOLERANCE = 30.0
 FIRST_REFINEMENT, FURTHER_REFINEMENT = 5e-3, 1.0 / 13.0
-# What corrections of a derivative leave over goes into the next step, and after fewer it grows from step to
-# step where links are bent by errors of all joints and have other lengths than their matrix (by 0.3 %).
-FEWEST_REFINEMENTS = 4
 
 
 class Memory(NamedTuple):
@@ -98,18 +91,16 @@ class GeneralisedAlpha(eqx.Module):
         """Corrections of a derivative."""
         wanted = ACCURACY_OF_TOLERANCE * self.tolerance
         further = math.log(wanted / FIRST_REFINEMENT) / math.log(FURTHER_REFINEMENT)
-        return max(FEWEST_REFINEMENTS, 1 + math.ceil(further))
+        return max(1, 1 + math.ceil(further))
 
     def factors(self, h):
         """Change of coordinates [s^2] and of rates [s] by a change of the accelerations v1'."""
         share = (1.0 - self.alpha_f) / (1.0 - self.alpha_m)
         return self.beta * h**2 * share, self.gamma * h * share
 
-    def operators(self, model: Model, lengths: Array) -> tuple[LinkOperator | None, ...]:
+    def operators(self, realised: Realisation, lengths: Array) -> tuple[LinkOperator | None, ...]:
         """Operators of the links, first axis: step lengths (K,)."""
-        modes = link_modes(realise(model, assembly_errors(model)))
-        topology = model.topology
-        return jax.vmap(lambda h: link_operators(topology, modes, *self.factors(h)))(lengths)
+        return jax.vmap(lambda h: link_operators(realised, *self.factors(h)))(lengths)
 
     def start(self, conditions: Conditions, trajectory: Trajectory) -> Memory:
         """Nothing remembered: the first step has length zero."""
@@ -193,10 +184,11 @@ class GeneralisedAlpha(eqx.Module):
         return Correction(_prescribed(topology, drive, accelerations), memory.multipliers)
 
     def end_of_step(
-        self, unknowns: Correction, constants, conditions: Conditions, trajectory, memory
+        self, unknowns: Correction, constants, conditions: Conditions, trajectory, memory, held=None
     ) -> tuple[Balance, tuple[Trajectory, Memory]]:
         """What is left over with given unknowns (`closing` as an acceleration), and what the
-        step returns if that is nothing."""
+        step returns if that is nothing; `held`: the position for which equations and loads are formed,
+        if it does not follow the unknowns."""
         _, t1, h, _ = constants
         realised, scale = conditions.realised, conditions.stabilisation.scale
         topology = realised.topology
@@ -206,7 +198,10 @@ class GeneralisedAlpha(eqx.Module):
         accelerations, multipliers = unknowns
         state, auxiliary = self._reached(h, trajectory, memory, accelerations)
         state = impose(topology, state, drive)
-        left = evaluate_balance(realised, state, accelerations, multipliers, drive, scale)
+        at = state if held is None else State(held, state.velocity)
+        left = evaluate_balance(realised, at, accelerations, multipliers, drive, scale)
+        if held is not None:
+            left = left._replace(dissipated=dissipated_power(realised, state))
         closing = jnp.where(
             moving, left.closing / jnp.where(moving, q_factor, 1.0), left.closing_acceleration
         )
@@ -260,8 +255,8 @@ def _differentiate_unknowns(method: GeneralisedAlpha, primals, tangents):
 
 
 def _differentiate_step(method: GeneralisedAlpha, primals, tangents):
-    """Derivative of what the step's equations define, not of the corrections that solve them: as many
-    corrections of the tangents, with one linearisation at the solution."""
+    """Derivative of what the step's equations define, not of the corrections that solve them: corrections
+    of the tangents, with one linearisation at the solution."""
     constants, *given = primals
     # Most constants of a mechanism do not depend on the errors asked for: they are not linearised.
     moves = jax.tree.map(
@@ -285,18 +280,29 @@ def _differentiate_step(method: GeneralisedAlpha, primals, tangents):
     (_, end), push, left = jax.linearize(at, solution, inputs, has_aux=True)
     first = jax.jvp(guess, (inputs,), (along,))[1]
     conditions = given[0]
+    topology = conditions.realised.topology
     matrix = _matrix(method, constants, conditions, left)
 
     def refine(found, _):
-        change = correction(conditions.realised.topology, matrix, found[0])
+        change = correction(topology, matrix, found[0])
         # By jvp, what depends on the inputs alone is left out.
         more = jax.jvp(lambda unknowns: push(unknowns, along), (first,), (change,))[1]
         return jax.tree.map(jnp.add, found, more), None
 
-    (_, end_tangent), _ = jax.lax.scan(
-        refine, push(first, along), None, length=method.refinements
-    )
-    return end, end_tangent
+    found = push(first, along)
+    if method.refinements > 1:
+        found, _ = jax.lax.scan(refine, found, None, length=method.refinements - 1)
+    left_over, end_tangent = found
+    # What the last correction changes of the loads through the position is (step x spin)^2 of what it
+    # changes through accelerations, multipliers and velocities, and costs more than all of these.
+    held = end[0].position
+
+    def last(unknowns):
+        return method.end_of_step(unknowns, constants, *given, held=held)[1]
+
+    change = correction(topology, matrix, left_over)
+    more = jax.jvp(last, (solution,), (change,))[1]
+    return end, jax.tree.map(jnp.add, end_tangent, more)
 
 
 _step.defjvp(_differentiate_step, symbolic_zeros=True)

@@ -48,7 +48,7 @@ def step_intervals(model, realised, drive, grid: TimeGrid, method: Method, steps
     stabilisation = stabilisation_of(model, method)
     if method.implicit:
         implicit = GeneralisedAlpha(method)
-        operators = implicit.operators(model, jnp.asarray(grid.distinct) / steps)
+        operators = implicit.operators(realised, jnp.asarray(grid.distinct) / steps)
     else:
         solver = PeakTracking(make_solver(method), equations.peaks)
 

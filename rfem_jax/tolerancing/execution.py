@@ -31,7 +31,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.extend.core import jaxpr_as_fun
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from rfem_jax.description.errors import InputError
@@ -83,21 +82,10 @@ def _launch(problem, tolerances, points, mesh):
         drawn = jnp.stack([errors[name] for name in tolerances.names])
         return drawn, stacked, jnp.asarray(status, jnp.int32)
 
-    # The program of one device is traced here, outside of the mesh: lineax compares the structures
-    # of operators and vectors, and inside some of them carry the mesh and others do not.
-    lanes = jax.ShapeDtypeStruct((points.shape[0] // mesh.size, *points.shape[1:]), points.dtype)
-    samples = jax.jit(jax.vmap(sample, in_axes=(None, 0)))
-    program, shapes = jax.make_jaxpr(samples, return_shape=True)(dynamic, lanes)
-    results = jax.tree.structure(shapes)
-
-    def run_lanes(dynamic, points):
-        leaves = jax.tree.leaves((dynamic, points))
-        return jax.tree.unflatten(results, jaxpr_as_fun(program)(*leaves))
-
     # Device-varying types are not checked: solvers from outside do not annotate their loops.
     over_samples = PartitionSpec("samples")
     return jax.shard_map(
-        run_lanes,
+        jax.vmap(sample, in_axes=(None, 0)),
         mesh=mesh,
         in_specs=(PartitionSpec(), over_samples),
         out_specs=over_samples,

@@ -118,11 +118,17 @@ def test_the_metrics_are_those_of_the_tolerance_studies():
     assert set(RUN_METRICS) == set(metrics.OF_RUNS)
 
 
-@pytest.mark.parametrize("name", ["tolerance_sensitivity", "monte_carlo", "tolerance_allocation"])
-def test_the_projects_studies_declare_what_their_names_say(name):
-    declared = load_study(STUDIES / name / "study.toml").tasks.declared
-    kind = {"tolerance_sensitivity": "sensitivity", "tolerance_allocation": "allocation"}
-    assert kind.get(name, name) in declared
+@pytest.mark.parametrize(
+    ("file", "task"),
+    [
+        ("tolerance_sensitivity/study.toml", "sensitivity"),
+        ("monte_carlo/study.toml", "monte_carlo"),
+        ("tolerance_allocation/study.toml", "allocation"),
+        ("tolerance_allocation/yield.toml", "allocation"),
+    ],
+)
+def test_the_projects_studies_declare_what_their_names_say(file, task):
+    assert task in load_study(STUDIES / file).tasks.declared
 
 
 def without(*tables):
@@ -170,6 +176,9 @@ def changed(old, new):
         (changed("price = 2", "price = 0"), ("[allocation.cost]", "`price`")),
         (changed('at = "0.2 mm"', 'at = "0.2 deg"'), ("`at`", "0.2 deg")),
         (changed('limits = { "D.mean_square_moment" = 10.0 }', "limits = {}"), ("`limits`",)),
+        (changed("[allocation]", "[allocation]\ncriterion = 'rss'\ntarget = 0.99"), ("`target`", "yield")),
+        (changed("[allocation]", "[allocation]\ncriterion = 'yield'\ncoverage = 2"), ("`coverage`", "rss")),
+        (changed("[allocation]", "[allocation]\nsamples = 64"), ("`samples`", "worst_case")),
         (without("tolerances"), ("`sensitivity`", "[tolerances]")),
         ("[sensitivity]\nmetrics = []\n[tolerances]\n'D.d_y' = 1e-3", ("`metrics`", "[]")),
     ],

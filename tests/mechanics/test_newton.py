@@ -10,8 +10,8 @@ from jax.flatten_util import ravel_pytree
 from rfem_jax import Joint, Link, Material, Mechanism, PointMass, Rectangle, assembly_errors, discretise
 from rfem_jax.mechanics.balance import evaluate_balance
 from rfem_jax.mechanics.dynamics import DriveInput, Stabilisation, accelerations, impose
-from rfem_jax.mechanics import exact_elements
-from rfem_jax.mechanics.condensation import link_modes, link_operators, present_operators
+from rfem_jax.mechanics import elasticity, exact_elements
+from rfem_jax.mechanics.condensation import link_operators, present_operators
 from rfem_jax.mechanics.kinematics import relative_motion
 from rfem_jax.mechanics.model import Coordinates, State
 from rfem_jax.mechanics.newton import Residual, correction, newton_matrix, residual_of
@@ -95,7 +95,7 @@ def test_corrections_at_a_given_state_find_the_accelerations(mechanism):
     def solve(state):
         gains = Stabilisation(jnp.zeros(()), jnp.zeros(()), scale)
         result = accelerations(realised, state, drive, gains)
-        operators = link_operators(topology, link_modes(realised), jnp.zeros(()), jnp.zeros(()))
+        operators = link_operators(realised, jnp.zeros(()), jnp.zeros(()))
         found = jax.tree.map(jnp.zeros_like, result.coordinates)
         if prescribed:
             angles = jnp.where(np.arange(topology.n_links) == topology.driven, drive.turn[2], 0.0)
@@ -188,7 +188,7 @@ def test_matrix_is_the_slope_of_the_balance_at_rest(mechanism):
             realised, start, scale, drive, factors, prescribed
         )
         slope = jax.jacfwd(equations)(unknowns)
-        operators = link_operators(topology, link_modes(realised), *factors)
+        operators = link_operators(realised, *factors)
         matrix = newton_matrix(realised, operators, left.motion, left.closure, prescribed)
         exact = unravel(jnp.linalg.solve(slope, -ravel_pytree(load)[0]))
         return exact, correction(topology, matrix, load)
@@ -217,7 +217,7 @@ def test_matrix_holds_for_links_that_are_bent_to_fit(elements):
         parts, unravel = ravel_pytree(residual_of(left))
 
         def by(now):
-            operators = link_operators(topology, link_modes(realised), *factors)
+            operators = link_operators(realised, *factors)
             if topology.exact:
                 operators = present_operators(realised, now.relative, *factors)
             matrix = newton_matrix(realised, operators, now, left.closure, False)
@@ -244,9 +244,25 @@ def test_operators_of_exact_elements_are_the_linear_ones_at_the_undeformed_state
     rest = model.start_coordinates()
     relative = relative_motion(realised, rest, jax.tree.map(jnp.zeros_like, rest))
     present = jax.jit(present_operators)(realised, relative, *factors)
-    constant = jax.jit(lambda r: link_operators(model.topology, link_modes(r), *factors))(realised)
+    constant = jax.jit(lambda r: link_operators(r, *factors))(realised)
     for one, other in zip(jax.tree.leaves(present), jax.tree.leaves(constant)):
         np.testing.assert_allclose(one, other, rtol=0, atol=1e-8 * np.abs(other).max(initial=1e-300))
+
+
+def quadratic_form(springs, x):
+    """x K x of vectors (6, N), angular first."""
+    left = jnp.roll(x, 1, axis=1)
+    own = jnp.einsum("ak,kab,bk->", x, springs.own, x)
+    return own + 2.0 * jnp.einsum("ak,kab,bk->", x, springs.beside, left)
+
+
+def test_stiffness_of_undeformed_links_holds_their_elastic_energy():
+    model = discretise(loaded_chain())
+    realised = realise(model, assembly_errors(model, {f"{model.link_names[0]}.length": 3e-3}))
+    elastic = jnp.asarray(np.random.default_rng(12).normal(size=(6, model.topology.n_rfes)))
+    form = quadratic_form(elasticity.stiffness_blocks(realised), jnp.roll(elastic, 3, axis=0))
+    energy = elasticity.elastic_energy(realised, Coordinates(model.start_angles, elastic))
+    np.testing.assert_allclose(form, 2.0 * energy, rtol=1e-12)
 
 
 def test_stiffness_of_exact_elements_holds_the_power_of_the_springs(exact_chain):
@@ -261,13 +277,10 @@ def test_stiffness_of_exact_elements_holds_the_power_of_the_springs(exact_chain)
 
     @jax.jit
     def both():
-        matrix = exact_elements.stiffness_matrix(realised, position.elastic[:3], relative)
+        springs = exact_elements.stiffness_blocks(realised, position.elastic[:3], relative)
         moved = relative._replace(angular=twists[:3], linear=twists[3:])
         rate = exact_elements.deflections(realised, position.elastic[:3], moved).rate
-        return (
-            jnp.einsum("ak,akbl,bl->", twists, matrix, twists),
-            jnp.sum(realised.stiffness * rate**2),
-        )
+        return quadratic_form(springs, twists), jnp.sum(realised.stiffness * rate**2)
 
     form, power = both()
     np.testing.assert_allclose(form, power, rtol=1e-11)
