@@ -91,18 +91,18 @@ def row_of_parallelograms(cells: int, rfes: int = 3) -> Mechanism:
     )
     bar, leaning = Rectangle(0.01, 0.01), np.radians(-100.0)
     links = [Link("crank", 0.3, bar, steel, rigid=True)]
-    joints = [Joint("crank pivot", "base", "crank", position=(0, 0, 0), angle=leaning)]
+    joints = [Joint("crank_pivot", "base", "crank", position=(0, 0, 0), angle=leaning)]
     cuts = []
     before = "crank"
     for i in range(1, cells + 1):
-        coupler, rocker = f"coupler {i}", f"rocker {i}"
+        coupler, rocker = f"coupler_{i}", f"rocker_{i}"
         links += [Link(name, 0.3, bar, steel, rfes=rfes) for name in (coupler, rocker)]
-        joints.append(Joint(f"{coupler} hinge", before, coupler, angle=-leaning))
+        joints.append(Joint(f"{coupler}_hinge", before, coupler, angle=-leaning))
         at = (0.3 * i, 0, 0)
-        joints.append(Joint(f"{rocker} pivot", "base", rocker, position=at, angle=leaning))
-        cuts.append(Joint(f"{rocker} hinge", coupler, rocker, cut=True))
+        joints.append(Joint(f"{rocker}_pivot", "base", rocker, position=at, angle=leaning))
+        cuts.append(Joint(f"{rocker}_hinge", coupler, rocker, cut=True))
         before = rocker
-    return Mechanism(links, [*joints, *cuts], driven_joint="crank pivot")
+    return Mechanism(links, [*joints, *cuts], driven_joint="crank_pivot")
 
 
 def over_links(cells) -> list[Points]:
@@ -110,8 +110,8 @@ def over_links(cells) -> list[Points]:
     sizes, rows = [], []
     for count in cells:
         model = discretise(row_of_parallelograms(count))
-        batch = {"crank pivot.delta_x": 1e-3 * jnp.linspace(1, 0.2, BATCH)}
-        run = jax.vmap(simulation(model, METHOD, MomentRamp("crank pivot", 1.5, 0.05), SHORT))
+        batch = {"crank_pivot.delta_x": 1e-3 * jnp.linspace(1, 0.2, BATCH)}
+        run = jax.vmap(simulation(model, METHOD, MomentRamp("crank_pivot", 1.5, 0.05), SHORT))
         rows.append(timed(run, batch, repeats=3))
         sizes.append(len(model.topology.elements))
     return [_points("row of parallelograms, 0.1 s", sizes, rows, BATCH)]

@@ -125,6 +125,7 @@ def test_the_metrics_are_those_of_the_tolerance_studies():
         ("monte_carlo/study.toml", "monte_carlo"),
         ("tolerance_allocation/study.toml", "allocation"),
         ("tolerance_allocation/yield.toml", "allocation"),
+        ("tolerance_allocation/all_joints.toml", "allocation"),
     ],
 )
 def test_the_projects_studies_declare_what_their_names_say(file, task):
