@@ -249,6 +249,21 @@ def test_operators_of_exact_elements_are_the_linear_ones_at_the_undeformed_state
         np.testing.assert_allclose(one, other, rtol=0, atol=1e-8 * np.abs(other).max(initial=1e-300))
 
 
+def test_operators_of_a_batch_leave_lapack_alone(exact_chain):
+    """Batched calls of several links run side by side, and can wait for each other's threads for ever."""
+    model, _ = exact_chain
+    factors = jnp.asarray(3e-7), jnp.asarray(6e-4)
+    rest = model.start_coordinates()
+
+    def operators(length):
+        realised = realise(model, assembly_errors(model, {"one.length": length}))
+        relative = relative_motion(realised, rest, jax.tree.map(jnp.zeros_like, rest))
+        return link_operators(realised, *factors), present_operators(realised, relative, *factors)
+
+    program = jax.jit(jax.vmap(operators)).lower(jnp.zeros(4)).as_text()
+    assert "lapack" not in program and "stablehlo.multiply" in program
+
+
 def quadratic_form(springs, x):
     """x K x of vectors (6, N), angular first."""
     left = jnp.roll(x, 1, axis=1)
