@@ -31,7 +31,6 @@ sys.exudynFast = True  # the module without range checks, for fair times
 
 import equinox as eqx  # noqa: E402
 import jax  # noqa: E402
-import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
 
 try:

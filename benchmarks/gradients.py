@@ -1,13 +1,17 @@
 """Cost of derivatives, as ratios to one simulation in the same run, and memory.
 
     python benchmarks/gradients.py [--methods generalised_alpha rk4] [--counts 3 30] [--batches 1 16]
-                                   [--tolerance 1e-3]
+                                   [--tolerance 1e-3] [--parts cost accuracy]
 
-For 3 errors (joint D) and 30 (both sides of all joints), alone and in a batch: the value, forward mode
+cost: for 3 errors (joint D) and 30 (both sides of all joints), alone and in a batch: the value, forward mode
 (`jacfwd` of the mean-square moments of all joints) and reverse mode (`grad` of one).  The implicit
 method runs the whole 0.5 s of the main study with steps of 2 ms, Runge-Kutta 4 its first 10 ms.  Times are
 those of the processor (one thread, so that other programs do not count), the least of several runs,
 compilation apart; memory is what the compiler reserves for intermediates.
+
+accuracy: derivatives of all mean squares at tolerances from loose to tight, against those at a tolerance
+of 1e-11; the errors of five kinds at 0.05 to 3 times their sizes.  Differences are relative to the
+largest influence on the same metric in the same sample (derivative times size).
 """
 
 import argparse
@@ -27,11 +31,15 @@ import jax  # noqa: E402
 jax.config.update("jax_enable_x64", True)
 
 import jax.numpy as jnp  # noqa: E402
+import numpy as np  # noqa: E402
+from rfem_jax.simulation.generalised_alpha import GeneralisedAlpha  # noqa: E402
 from rfem_jax import Method, Problem, discretise, largest_stable_step, load_study  # noqa: E402
 
 STUDY = Path(__file__).parents[1] / "studies" / "four_bar" / "study.toml"
 METRICS = tuple(f"{joint}.mean_square_moment" for joint in "ABCD")
 FIRST = ("D.delta_x", "D.delta_z", "D.d_y")
+KINDS = {"D.delta_x": 2e-3, "D.delta_z": -1.5e-3, "D.d_y": 5e-4, "B.child.delta_x": 1e-3, "coupler.length": 5e-4}
+SCALES, TIGHT = (0.05, 0.5, 1.0, 3.0), 1e-11
 
 
 def build_problem(method: str, rfes: int, tolerance: float) -> Problem:
@@ -73,15 +81,38 @@ def measure(label: str, function, points, base: float | None, repeats: int) -> f
     return least
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--methods", nargs="+", default=["generalised_alpha", "rk4"])
-    parser.add_argument("--counts", nargs="+", type=int, default=[3, 30])
-    parser.add_argument("--batches", nargs="+", type=int, default=[1, 16])
-    parser.add_argument("--rfes", type=int, default=5)
-    parser.add_argument("--tolerance", type=float, default=1e-3, help="of the implicit method")
-    parser.add_argument("--repeats", type=int, default=5)
-    options = parser.parse_args()
+def influences(step: float, tolerance: float, rfes: int) -> np.ndarray:
+    """Derivatives times the errors' sizes (samples, metrics, errors)."""
+    study = load_study(STUDY)
+    model = discretise(study.mechanism, rfes=rfes)
+    method = Method("generalised_alpha", step=step, tolerance=tolerance, corrections=12)
+    metrics = tuple(f"{j}.mean_square_{kind}" for j in "ABCD" for kind in ("force", "moment"))
+    problem = Problem(model, study.drive, 0.5, metrics, method, save_every=2.5e-2)
+    sizes = jnp.asarray(list(KINDS.values()))
+
+    def values(share):
+        return jnp.stack(list(problem(dict(zip(KINDS, share * sizes)))[0].values()))
+
+    shares = jnp.asarray(SCALES)[:, None] * jnp.ones((1, len(KINDS)))
+    return np.asarray(jax.jit(jax.vmap(jax.jacfwd(values)))(shares))
+
+
+def measure_accuracy(rfes: int) -> None:
+    """One row for every step and tolerance."""
+    print(f"\n{'step ms':>8}{'tolerance':>11}{'corrections':>13}   difference, errors at {SCALES} times")
+    for step in (2.5e-3, 5e-3):
+        exact = influences(step, TIGHT, rfes)
+        scale = np.abs(exact).max(axis=2, keepdims=True)
+        for tolerance in (1e-3, 1e-4, 1e-5, 1e-6):
+            method = Method("generalised_alpha", step=step, tolerance=tolerance)
+            off = np.abs((influences(step, tolerance, rfes) - exact) / scale).max(axis=(1, 2))
+            shown = "".join(f"{one:>10.1e}" for one in off)
+            count = GeneralisedAlpha(method).refinements
+            print(f"{1e3 * step:>8g}{tolerance:>11g}{count:>13}   {shown}", flush=True)
+
+
+def measure_cost(options) -> None:
+    """One row for every method, batch, number of errors and mode."""
     header = ("compile s", "ms a sample", "ratio", "MB a sample")
     print(f"{'':<44}{header[0]:>10}{header[1]:>14}{header[2]:>8}{header[3]:>20}")
     for method in options.methods:
@@ -103,6 +134,23 @@ def main() -> None:
                 measure(f"{label}, forward", jax.jacfwd(values), points, base, options.repeats)
                 one = jax.grad(lambda p, values=values: values(p)[METRICS[0]])
                 measure(f"{label}, reverse", one, points, base, options.repeats)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parts = ("cost", "accuracy")
+    parser.add_argument("--parts", nargs="+", choices=parts, default=list(parts))
+    parser.add_argument("--methods", nargs="+", default=["generalised_alpha", "rk4"])
+    parser.add_argument("--counts", nargs="+", type=int, default=[3, 30])
+    parser.add_argument("--batches", nargs="+", type=int, default=[1, 16])
+    parser.add_argument("--rfes", type=int, default=5)
+    parser.add_argument("--tolerance", type=float, default=1e-3, help="of the implicit method")
+    parser.add_argument("--repeats", type=int, default=5)
+    options = parser.parse_args()
+    if "cost" in options.parts:
+        measure_cost(options)
+    if "accuracy" in options.parts:
+        measure_accuracy(options.rfes)
 
 
 if __name__ == "__main__":

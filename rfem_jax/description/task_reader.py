@@ -2,23 +2,17 @@
 [worst_case], [allocation].
 
 Place in the pipeline: called by `study.load_study`. Keys are the names of the arguments of the
-classes in `tasks` and `tolerances`; in [allocation] the tables [allocation.bounds] and
+classes in `tasks`, `allocation_task` and `tolerances`; in [allocation] the tables [allocation.bounds] and
 [allocation.cost] are by error, and a cost may be stated once for all of them.
 """
 
 from dataclasses import MISSING, fields
 
+from rfem_jax.description.allocation_task import AllocationTask, ErrorCost
 from rfem_jax.description.error_catalogue import error_dimension
 from rfem_jax.description.errors import located
 from rfem_jax.description.tables import checked_list, checked_table
-from rfem_jax.description.tasks import (
-    AllocationTask,
-    ErrorCost,
-    MonteCarloTask,
-    SensitivityTask,
-    Tasks,
-    WorstCaseTask,
-)
+from rfem_jax.description.tasks import MonteCarloTask, SensitivityTask, Tasks, WorstCaseTask
 from rfem_jax.description.tolerances import (
     CorrelatedTolerances,
     StatedTolerance,

@@ -166,6 +166,8 @@ def invert_positive(matrix: Array) -> Array:
 
 def invert_block(m: Array) -> Array:
     """Inverse of matrices (n, n, ...) with n <= 3 by the adjugate."""
+    if m.shape[0] == 0:
+        return m
     if m.shape[0] == 1:
         return 1.0 / m
     if m.shape[0] == 2:

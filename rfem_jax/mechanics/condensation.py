@@ -29,7 +29,7 @@ from jax import Array
 from rfem_jax.mechanics import algebra, elasticity, exact_elements
 from rfem_jax.mechanics.algebra import apply, product, product_transposed
 from rfem_jax.mechanics.kinematics import RelativeMotion
-from rfem_jax.mechanics.model import Coordinates, Topology
+from rfem_jax.mechanics.model import Topology
 from rfem_jax.mechanics.realisation import Realisation
 
 
@@ -154,7 +154,8 @@ def _inverse_of_chain(diagonal: Array, beside: Array) -> Array:
         diagonal, beside, column = row
         factor = beside @ inverse
         inverse = algebra.invert_positive(diagonal - factor @ beside.T)
-        return (inverse, column - factor @ eliminated), (inverse, column - factor @ eliminated)
+        row = inverse, column - factor @ eliminated
+        return row, row
 
     def substitute(below, row):
         solved, beside_below = below
@@ -181,7 +182,7 @@ def _condensed(inverse, coupling, rigid, carriers) -> LinkOperator:
         inertia=rigid - coupling.T @ reduced,
         give=reduced[rows],
         compliance=compliance,
-        stiffness=algebra.invert_positive(compliance) if carriers else compliance,
+        stiffness=algebra.invert_positive(compliance),
         pick=pick,
         reduced=reduced,
     )

@@ -7,16 +7,9 @@ import numpy as np
 import pytest
 
 from rfem_jax.description import load_study
-from rfem_jax.description.tasks import (
-    KINDS,
-    RUN_METRICS,
-    AllocationTask,
-    ErrorCost,
-    MonteCarloTask,
-    SensitivityTask,
-    Tasks,
-    WorstCaseTask,
-)
+from rfem_jax.description.allocation_task import AllocationTask, ErrorCost
+from rfem_jax.description.task_settings import KINDS, RUN_METRICS
+from rfem_jax.description.tasks import MonteCarloTask, SensitivityTask, Tasks, WorstCaseTask
 from rfem_jax.description.tolerances import CorrelatedTolerances, StatedTolerance
 
 STUDIES = Path(__file__).parents[2] / "studies"

@@ -13,7 +13,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from rfem_jax import (
-    Joint,
     Mechanism,
     Method,
     MomentRamp,

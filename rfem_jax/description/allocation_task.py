@@ -1,0 +1,160 @@
+"""The allocation task of a study: limits, bounds and costs of the tolerances to be found.
+
+Place in the pipeline: task_settings -> **allocation_task** -> tasks, which holds it.
+
+Symbols: bounds and `at` in m and rad (`error_catalogue`), or strings with a unit; limits in the
+metric's own unit.
+"""
+
+from dataclasses import MISSING, dataclass, field, fields
+
+from rfem_jax.description.errors import InputError, require_choice
+from rfem_jax.description.task_settings import (
+    MODES,
+    STARTS,
+    fraction,
+    limits_of,
+    set_fields,
+    starts_of,
+    whole_number,
+)
+from rfem_jax.description.tolerances import error_quantities
+from rfem_jax.description.units import positive_quantity, quantity
+
+COST_MODELS = ("reciprocal", "reciprocal_squared", "exponential")
+
+
+@dataclass(frozen=True)
+class ErrorCost:
+    """What a tolerance t of one error costs.
+
+    Args: model "reciprocal" fixed + price at/t, "reciprocal_squared" fixed + price (at/t)^2, or
+        "exponential" fixed + price exp(-t/at); price and fixed in any currency; at [rad or m].
+    """
+
+    model: str = "reciprocal"
+    price: float = 1.0
+    at: float | None = None
+    fixed: float = 0.0
+
+    def __post_init__(self):
+        require_choice(self.model, COST_MODELS, "`model` of a cost")
+        set_fields(
+            self,
+            price=positive_quantity(self.price, "none", "`price` of a cost"),
+            fixed=quantity(self.fixed, "none", "`fixed` of a cost"),
+        )
+
+
+# Settings that count for some criteria only.
+_CRITERIA_OF = {
+    "target": ("yield",),
+    "coverage": ("rss",),
+    "statistic": ("rss",),
+    "distribution": ("rss", "yield"),
+    "samples": ("rss", "yield"),
+    "verify_samples": ("rss", "yield"),
+    "starts": ("worst_case",),
+}
+
+
+@dataclass(frozen=True)
+class AllocationTask:
+    """The cheapest tolerances that keep limits.
+
+    Args: limits {metric: largest, or (low, high)}; bounds {error: (smallest, largest half-width)};
+        costs {error: ErrorCost} with `at` in SI, one for each of the bounds; criterion
+        "worst_case", "rss" or "yield"; target, coverage, statistic, samples, verify_samples,
+        starts, rounds, accuracy as `rfem_jax.allocate` says (accuracy is its `tolerance`);
+        distribution of the errors; scales, further allocations with every limit's distance to the
+        nominal value multiplied by these; mode; seed; batch, simulations at once.
+    Raises: InputError for everything that cannot be meant.
+    """
+
+    limits: dict[str, tuple[float, float]]
+    bounds: dict[str, tuple[float, float]]
+    costs: dict[str, ErrorCost]
+    criterion: str = "worst_case"
+    target: float = 0.9973
+    coverage: float = 3.0
+    statistic: str = "quantile"
+    distribution: str = "normal"
+    samples: int | None = None
+    verify_samples: int = 4096
+    starts: dict[str, int] = field(default_factory=lambda: dict(STARTS))
+    rounds: int = 12
+    accuracy: float = 1e-4
+    scales: tuple[float, ...] = ()
+    seed: int = 0
+    mode: str = "auto"
+    batch: int = 64
+
+    def __post_init__(self):
+        require_choice(self.criterion, ("worst_case", "rss", "yield"), "criterion")
+        require_choice(self.statistic, ("quantile", "mean"), "statistic")
+        known = ("uniform", "triangular", "normal", "truncated_normal")
+        require_choice(self.distribution, known, "distribution")
+        require_choice(self.mode, MODES, "mode")
+        self._require_own_settings()
+        for name, least in (("verify_samples", 1), ("rounds", 1), ("seed", 0), ("batch", 1)):
+            whole_number(getattr(self, name), name, least)
+        if self.samples is not None:
+            whole_number(self.samples, "samples", 1)
+        if not isinstance(self.scales, (list, tuple)):
+            raise InputError(
+                f"Argument `scales` must be a list of factors, but was {self.scales!r}; "
+                "write [0.5, 2.0]."
+            )
+        set_fields(
+            self,
+            limits=limits_of(self.limits, needed=True),
+            bounds=_bounds(self.bounds),
+            target=fraction(self.target, "target"),
+            coverage=positive_quantity(self.coverage, "none", "coverage"),
+            accuracy=positive_quantity(self.accuracy, "none", "accuracy"),
+            starts=starts_of(self.starts),
+            scales=tuple(positive_quantity(one, "none", "scales") for one in self.scales),
+        )
+        missing = [name for name in self.bounds if name not in self.costs]
+        if missing:
+            raise InputError(
+                f"Argument `costs` must have a cost for every error with bounds, but "
+                f"`{missing[0]}` has none; add it."
+            )
+
+    def _require_own_settings(self):
+        for one in fields(self):
+            criteria = _CRITERIA_OF.get(one.name, (self.criterion,))
+            if self.criterion in criteria:
+                continue
+            default = one.default_factory() if one.default is MISSING else one.default
+            if getattr(self, one.name) != default:
+                others = " or ".join(f'"{name}"' for name in criteria)
+                raise InputError(
+                    f'Argument `{one.name}` must be left out with the criterion "{self.criterion}", '
+                    f"but is given; remove it, or take the criterion {others}."
+                )
+
+    @property
+    def metrics(self) -> tuple[str, ...]:
+        """The metrics that have limits."""
+        return tuple(self.limits)
+
+
+def _bounds(bounds):
+    if not isinstance(bounds, dict) or not bounds:
+        raise InputError(
+            f"Argument `bounds` must be a table of errors and their smallest and largest "
+            f'half-width, but was {bounds!r}; write {{ "D.delta_x" = ["0.05 deg", "1 deg"] }}.'
+        )
+    complete = {}
+    for name, pair in bounds.items():
+        ends = pair if isinstance(pair, (list, tuple)) and len(pair) == 2 else (0.0, 0.0)
+        low, high = (error_quantities({name: end}, "bounds")[name] for end in ends)
+        if not 0.0 < low < high:
+            raise InputError(
+                f"Argument `bounds` must give [smallest, largest] half-widths above 0, but "
+                f'`{name}` has {pair!r}; write for example ["0.05 deg", "1 deg"].'
+            )
+        complete[name] = (low, high)
+    return complete

@@ -1,0 +1,105 @@
+"""Settings that several tasks share, and their checks: metrics, limits, starts, numbers.
+
+Place in the pipeline: units, errors -> **task_settings** -> tasks, allocation_task.
+
+Metrics are named "JOINT.KIND" (KINDS below), "*.KIND" for all joints, or by RUN_METRICS; limits are in
+the metric's own unit.
+"""
+
+from rfem_jax.description.errors import InputError, require_choice, suggestion
+from rfem_jax.description.units import quantity
+
+KINDS = (
+    *("mean_square_force", "mean_square_moment", "rms_force", "rms_moment", "peak_force"),
+    *("peak_moment", "preload_force_square", "preload_moment_square"),
+)
+RUN_METRICS = ("angle_error", "end_energy")
+MODES = ("auto", "forward", "reverse")
+STARTS = {"corners": 4, "random": 4, "sobol": 8}
+
+
+def metric_names(names) -> tuple[str, ...]:
+    """Names of metrics, checked but for their joints. Raises InputError with the nearest name."""
+    if isinstance(names, str):
+        names = (names,)
+    if not isinstance(names, (list, tuple)) or not names:
+        raise InputError(
+            f"Argument `metrics` must be a list of names, but was {names!r}; "
+            'write for example ["D.mean_square_moment"].'
+        )
+    for name in names:
+        joint, dot, kind = name.rpartition(".") if isinstance(name, str) else ("", "", "")
+        if name in RUN_METRICS or (joint and dot and kind in KINDS):
+            continue
+        known = [f"{joint or '*'}.{kind}" for kind in KINDS] + list(RUN_METRICS)
+        raise InputError(
+            f"Argument `metrics` must hold names of metrics, but {name!r} is none; "
+            f"{suggestion(name, known)}"
+        )
+    return tuple(dict.fromkeys(names))
+
+
+def limits_of(limits, needed=False) -> dict[str, tuple[float, float]]:
+    """{metric: (low, high)}, open ends infinite, from {metric: high, or (low, high)}."""
+    if not isinstance(limits, dict) or (needed and not limits):
+        raise InputError(
+            f"Argument `limits` must be a table of metrics and their limits, but was {limits!r}; "
+            'write for example { "D.mean_square_moment" = 20.0 }.'
+        )
+    if limits:
+        metric_names(tuple(limits))
+    complete = {}
+    for name, limit in limits.items():
+        pair = tuple(limit) if isinstance(limit, (list, tuple)) else (float("-inf"), limit)
+        plain = all(isinstance(end, (int, float)) and not isinstance(end, bool) for end in pair)
+        if len(pair) != 2 or not plain or not pair[0] < pair[1]:
+            raise InputError(
+                f"Argument `limits` must give a largest value or [low, high], but `{name}` has "
+                f"{limit!r}; write a number in the metric's unit (inf and -inf are open ends)."
+            )
+        complete[name] = (float(pair[0]), float(pair[1]))
+    return complete
+
+
+def starts_of(starts) -> dict[str, int]:
+    """Numbers of starts by kind; kinds that are missing are 0. Raises InputError."""
+    if not isinstance(starts, dict):
+        raise InputError(
+            f"Argument `starts` must be a table of numbers, but was {starts!r}; "
+            "write { corners = 4, random = 4, sobol = 8 }."
+        )
+    for name, count in starts.items():
+        require_choice(name, tuple(STARTS), "starts")
+        whole_number(count, f"starts.{name}", 0)
+    if not any(starts.values()):
+        raise InputError(
+            "Argument `starts` must ask for at least one search, but asks for none; "
+            "write { corners = 4 }."
+        )
+    return {name: starts.get(name, 0) for name in STARTS}
+
+
+def whole_number(value, where: str, least: int) -> int:
+    """`value` if it is a whole number of at least `least`. Raises InputError."""
+    if isinstance(value, bool) or not isinstance(value, int) or value < least:
+        raise InputError(
+            f"Argument `{where}` must be a whole number of at least {least}, but was {value!r}; "
+            "correct it."
+        )
+    return value
+
+
+def fraction(value, where: str) -> float:
+    """A number between 0 and 1. Raises InputError."""
+    number = quantity(value, "none", where)
+    if not 0.0 < number < 1.0:
+        raise InputError(
+            f"Argument `{where}` must lie between 0 and 1, but was {value!r}; 0.95 is usual."
+        )
+    return number
+
+
+def set_fields(task, **values) -> None:
+    """Set fields of a frozen task."""
+    for name, value in values.items():
+        object.__setattr__(task, name, value)
