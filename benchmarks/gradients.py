@@ -1,7 +1,7 @@
 """Cost of derivatives, as ratios to one simulation in the same run, and memory.
 
     python benchmarks/gradients.py [--methods generalised_alpha rk4] [--counts 3 30] [--batches 1 16]
-                                   [--tolerance 1e-3] [--parts cost accuracy]
+                                   [--tolerance 1e-3] [--parts cost accuracy] [--whole-loops]
 
 cost: for 3 errors (joint D) and 30 (both sides of all joints), alone and in a batch: the value, forward mode
 (`jacfwd` of the mean-square moments of all joints) and reverse mode (`grad` of one).  The implicit
@@ -32,8 +32,10 @@ jax.config.update("jax_enable_x64", True)
 
 import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
+from rfem_jax import (  # noqa: E402
+    Method, Problem, compile_whole_loops, discretise, largest_stable_step, load_study,
+)
 from rfem_jax.simulation.generalised_alpha import GeneralisedAlpha  # noqa: E402
-from rfem_jax import Method, Problem, discretise, largest_stable_step, load_study  # noqa: E402
 
 STUDY = Path(__file__).parents[1] / "studies" / "four_bar" / "study.toml"
 METRICS = tuple(f"{joint}.mean_square_moment" for joint in "ABCD")
@@ -146,7 +148,10 @@ def main() -> None:
     parser.add_argument("--rfes", type=int, default=5)
     parser.add_argument("--tolerance", type=float, default=1e-3, help="of the implicit method")
     parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--whole-loops", action="store_true", help="compiled as single functions")
     options = parser.parse_args()
+    if options.whole_loops:
+        compile_whole_loops()
     if "cost" in options.parts:
         measure_cost(options)
     if "accuracy" in options.parts:

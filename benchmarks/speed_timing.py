@@ -3,7 +3,8 @@
     study, errors -> program -> timed -> Timing;   RMS loads, converged ones -> error
 
 Importing it sets JAX up for the benchmarks: float64, one thread a device (so that the time of the
-processor is the program's, whatever else runs), two CPU devices.  Times in s, memory in bytes.
+processor is the program's, whatever else runs), two CPU devices, loops over steps compiled as single functions
+unless the environment has RFEM_JAX_PLAIN.  Times in s, memory in bytes.
 """
 
 import os
@@ -27,9 +28,12 @@ jax.config.update("jax_num_cpu_devices", 2)
 import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
 from jax import Array  # noqa: E402
-from rfem_jax import Method, assembly_errors, load_study, simulate  # noqa: E402
+from rfem_jax import Method, assembly_errors, compile_whole_loops, load_study, simulate  # noqa: E402
 from rfem_jax.simulation.accuracy import rms_loads  # noqa: E402
 from rfem_jax.simulation.integration import grid_for  # noqa: E402
+
+if "RFEM_JAX_PLAIN" not in os.environ:
+    compile_whole_loops()
 
 STUDY = load_study(Path(__file__).parents[1] / "studies" / "four_bar" / "study.toml")
 INTERVAL = 25e-3  # s between observations: they cost little

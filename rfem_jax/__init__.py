@@ -32,6 +32,7 @@ _ROOMS = {
         "ReciprocalSquared Tolerances Triangular TruncatedNormal Uniform allocate expand metric "
         "monte_carlo sensitivity worst_case"
     ),
+    "compilation": "compile_whole_loops",
     "simulation": "Run check_step choose_method largest_stable_step run_cases simulate",
 }
 _ROOM_OF = {name: room for room, names in _ROOMS.items() for name in names.split()}

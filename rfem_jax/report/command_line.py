@@ -15,6 +15,7 @@ import time
 from functools import partial
 from pathlib import Path
 
+from rfem_jax.report.process import count_devices, join_processes, set_up_jax
 
 # Command: task it does, what it is, what it writes.
 TASKS = {
@@ -68,7 +69,7 @@ def build_parser() -> argparse.ArgumentParser:
         "folder; set JAX_COMPILATION_CACHE_DIR to keep them elsewhere.",
     )
     _add_common(run)
-    run.set_defaults(action=_run)
+    run.set_defaults(action=_run, whole_loops=True)
     for command, (task, purpose, written) in TASKS.items():
         one = commands.add_parser(
             command,
@@ -77,7 +78,7 @@ def build_parser() -> argparse.ArgumentParser:
             f"and pictures: {written}.",
         )
         _add_common(one)
-        one.set_defaults(action=_do_task, task=task)
+        one.set_defaults(action=_do_task, task=task, whole_loops=task == "monte_carlo")
         if task == "monte_carlo":
             _add_processes(one)
     check = commands.add_parser(
@@ -87,7 +88,7 @@ def build_parser() -> argparse.ArgumentParser:
         "coordinates, mobility, rank, largest stable step, cases, tasks) without simulating.",
     )
     check.add_argument("study", metavar="STUDY.toml", help="the study file")
-    check.set_defaults(action=_check)
+    check.set_defaults(action=_check, whole_loops=False)
     validate = commands.add_parser(
         "validate",
         help="compute published benchmarks and compare with their reference values",
@@ -97,7 +98,7 @@ def build_parser() -> argparse.ArgumentParser:
     validate.add_argument("--full", action="store_true", help="fine discretisations too (slow)")
     validate.add_argument("--only", metavar="NAME", nargs="+", help="these benchmarks only")
     validate.add_argument("--out", metavar="DIR", help="folder for tables and pictures")
-    validate.set_defaults(action=_validate)
+    validate.set_defaults(action=_validate, whole_loops=False)
     return parser
 
 
@@ -117,92 +118,6 @@ def _add_processes(command):
     group.add_argument("--coordinator", metavar="HOST:PORT", help="address of process 0")
     group.add_argument("--processes", metavar="N", type=int, help="how many there are")
     group.add_argument("--process-id", metavar="I", type=int, help="which one this is, from 0")
-
-
-def user_cache_folder() -> Path:
-    """The platform's folder for files that may be deleted at any time, `.../rfem_jax`."""
-    if sys.platform == "win32":
-        base = os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local"
-    elif sys.platform == "darwin":
-        base = Path.home() / "Library" / "Caches"
-    else:
-        base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(base) / "rfem_jax"
-
-
-def set_up_jax(devices=None) -> None:
-    """Double precision, `devices` CPU devices (None: one) and, unless the user chose a folder, a
-    cache of compiled programs."""
-    # SciPy's LAPACK keeps its threads spinning after every call, which would take half of the processor.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    import jax
-
-    jax.config.update("jax_enable_x64", True)
-    if devices is not None:
-        # A device's program waits on a thread of XLA's pool while its batched LU needs others: with
-        # as many threads as devices (XLA's own choice) all of them could wait for ever.
-        os.environ.setdefault("NPROC", str(2 * max(devices, os.cpu_count() or 1)))
-        jax.config.update("jax_num_cpu_devices", devices)
-    if jax.config.jax_compilation_cache_dir is not None:
-        return
-    try:
-        folder = user_cache_folder() / "compiled"
-        folder.mkdir(parents=True, exist_ok=True)
-    except (OSError, RuntimeError):
-        # No home, or one that cannot be written: compiling again each time is all that is lost.
-        return
-    jax.config.update("jax_compilation_cache_dir", str(folder))
-    # The default keeps only what took a second; a study has dozens of smaller programs.
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
-
-
-def count_devices(arguments) -> int | None:
-    """CPU devices that the command asks for: all cores unless it says otherwise; None for `check`.
-
-    Raises InputError for a number below 1.
-    """
-    from rfem_jax.description.errors import InputError
-
-    if not hasattr(arguments, "devices"):
-        return None
-    if arguments.devices is None:
-        usable = getattr(os, "sched_getaffinity", None)
-        return len(usable(0)) if usable else os.cpu_count() or 1
-    if arguments.devices < 1:
-        raise InputError(
-            f"Argument `--devices` must be at least 1, but is {arguments.devices}; leave it out to "
-            "use all cores."
-        )
-    return arguments.devices
-
-
-def join_processes(arguments) -> None:
-    """Join the other processes of a Monte Carlo study, if the command names them.
-
-    Raises InputError for an incomplete or impossible set of options, and when the coordinator does
-    not answer.
-    """
-    given = [getattr(arguments, name, None) for name in ("coordinator", "processes", "process_id")]
-    if all(one is None for one in given):
-        return
-    from rfem_jax.description.errors import InputError
-
-    address, processes, process = given
-    if None in given or processes < 1 or not 0 <= process < processes:
-        raise InputError(
-            "Arguments `--coordinator`, `--processes` and `--process-id` must all be given, with "
-            f"0 <= I < N, but are {address}, {processes} and {process}; complete them."
-        )
-    import jax
-
-    try:
-        jax.distributed.initialize(address, processes, process)
-    except (RuntimeError, ValueError) as problem:
-        raise InputError(
-            f"Argument `--coordinator` must be the address of process 0, but {address} could not "
-            f"be used ({str(problem).splitlines()[0]}); start all {processes} processes with the "
-            "same address."
-        ) from problem
 
 
 def open_folder(out) -> Path:
@@ -388,7 +303,7 @@ def main(argv=None) -> int:
         from rfem_jax.description.errors import InputError
 
         try:
-            set_up_jax(count_devices(arguments))
+            set_up_jax(count_devices(arguments), arguments.whole_loops)
             join_processes(arguments)
             return arguments.action(arguments)
         except InputError as problem:

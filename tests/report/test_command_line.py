@@ -12,7 +12,8 @@ import pytest
 
 from rfem_jax.description import InputError
 from rfem_jax.report import command_line
-from rfem_jax.report.command_line import main, user_cache_folder
+from rfem_jax.report.command_line import main
+from rfem_jax.report.process import user_cache_folder
 from rfem_jax.report.progress_line import Progress
 
 STATUS = {0: ("ok", "The run is complete."), 3: ("diverged", "The run diverged; reduce the step.")}
@@ -35,7 +36,7 @@ def rooms(monkeypatch, runs):
     simulation.run_cases = run_cases
     monkeypatch.setitem(sys.modules, "rfem_jax.mechanics", mechanics)
     monkeypatch.setitem(sys.modules, "rfem_jax.simulation", simulation)
-    monkeypatch.setattr(command_line, "set_up_jax", lambda devices=None: None)
+    monkeypatch.setattr(command_line, "set_up_jax", lambda *_: None)
     return SimpleNamespace(mechanics=mechanics, simulation=simulation)
 
 
@@ -166,13 +167,14 @@ def test_without_matplotlib_the_rest_is_written(rooms, study_file, tmp_path, cap
     assert 'pip install "rfem_jax[plots]"' in capsys.readouterr().out
 
 
-def test_the_module_imports_nothing_heavy_at_its_top():
-    tree = ast.parse(Path(command_line.__file__).read_text(encoding="utf-8"))
+@pytest.mark.parametrize("file", ["command_line.py", "process.py"])
+def test_the_command_imports_nothing_heavy_at_its_top(file):
+    path = Path(command_line.__file__).parent / file
     names = set()
-    for node in tree.body:
+    for node in ast.parse(path.read_text(encoding="utf-8")).body:
         if isinstance(node, ast.Import):
             names |= {alias.name.split(".")[0] for alias in node.names}
-        elif isinstance(node, ast.ImportFrom):
+        elif isinstance(node, ast.ImportFrom) and node.module != "rfem_jax.report.process":
             names.add(node.module.split(".")[0])
     assert names <= set(sys.stdlib_module_names)
 
@@ -180,7 +182,7 @@ def test_the_module_imports_nothing_heavy_at_its_top():
 def settings_in_a_new_process(tmp_path, **environment):
     """Double precision and cache folder that `set_up_jax` leaves behind."""
     code = (
-        "from rfem_jax.report.command_line import set_up_jax; import jax; set_up_jax(); "
+        "from rfem_jax.report.process import set_up_jax; import jax; set_up_jax(); "
         "print(jax.config.jax_enable_x64, jax.config.jax_compilation_cache_dir)"
     )
     base = {key: value for key, value in os.environ.items() if not key.startswith("JAX_")}

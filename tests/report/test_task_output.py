@@ -22,7 +22,7 @@ COMMANDS = ("sensitivity", "monte-carlo", "worst-case", "allocate")
 def task_file(tmp_path, monkeypatch):
     """A study file with all tasks, and the simulator replaced by a closed form."""
     monkeypatch.setattr(tasks, "build_problem", closed_form.build_problem)
-    monkeypatch.setattr(command_line, "set_up_jax", lambda devices=None: None)
+    monkeypatch.setattr(command_line, "set_up_jax", lambda *_: None)
     monkeypatch.setattr(rfem_jax.simulation, "check_step", lambda model, method, drive: 1.9e-5)
     path = tmp_path / "tasks.toml"
     path.write_text(STUDY + TASKS, encoding="utf-8")

@@ -56,7 +56,7 @@ MOMENT, FORCE = "D.mean_square_moment", "A.mean_square_force"
 def closed(monkeypatch):
     """The simulator replaced by a closed form; no settings of the process are changed."""
     monkeypatch.setattr(tasks, "build_problem", closed_form.build_problem)
-    monkeypatch.setattr(command_line, "set_up_jax", lambda devices=None: None)
+    monkeypatch.setattr(command_line, "set_up_jax", lambda *_: None)
     monkeypatch.setattr(rfem_jax.simulation, "check_step", lambda model, method, drive: 1.9e-5)
 
 
