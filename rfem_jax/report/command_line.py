@@ -15,7 +15,9 @@ import time
 from functools import partial
 from pathlib import Path
 
-from rfem_jax.report.process import count_devices, join_processes, set_up_jax
+from rfem_jax.report.process import (
+    count_devices, join_processes, set_up_jax, whole_loops_pay,
+)  # fmt: skip
 
 # Command: task it does, what it is, what it writes.
 TASKS = {
@@ -69,7 +71,7 @@ def build_parser() -> argparse.ArgumentParser:
         "folder; set JAX_COMPILATION_CACHE_DIR to keep them elsewhere.",
     )
     _add_common(run)
-    run.set_defaults(action=_run, whole_loops=True)
+    run.set_defaults(action=_run)
     for command, (task, purpose, written) in TASKS.items():
         one = commands.add_parser(
             command,
@@ -78,7 +80,7 @@ def build_parser() -> argparse.ArgumentParser:
             f"and pictures: {written}.",
         )
         _add_common(one)
-        one.set_defaults(action=_do_task, task=task, whole_loops=task == "monte_carlo")
+        one.set_defaults(action=_do_task, task=task)
         if task == "monte_carlo":
             _add_processes(one)
     check = commands.add_parser(
@@ -88,7 +90,7 @@ def build_parser() -> argparse.ArgumentParser:
         "coordinates, mobility, rank, largest stable step, cases, tasks) without simulating.",
     )
     check.add_argument("study", metavar="STUDY.toml", help="the study file")
-    check.set_defaults(action=_check, whole_loops=False)
+    check.set_defaults(action=_check)
     validate = commands.add_parser(
         "validate",
         help="compute published benchmarks and compare with their reference values",
@@ -98,7 +100,7 @@ def build_parser() -> argparse.ArgumentParser:
     validate.add_argument("--full", action="store_true", help="fine discretisations too (slow)")
     validate.add_argument("--only", metavar="NAME", nargs="+", help="these benchmarks only")
     validate.add_argument("--out", metavar="DIR", help="folder for tables and pictures")
-    validate.set_defaults(action=_validate, whole_loops=False)
+    validate.set_defaults(action=_validate)
     return parser
 
 
@@ -303,7 +305,7 @@ def main(argv=None) -> int:
         from rfem_jax.description.errors import InputError
 
         try:
-            set_up_jax(count_devices(arguments), arguments.whole_loops)
+            set_up_jax(count_devices(arguments), whole_loops_pay(arguments))
             join_processes(arguments)
             return arguments.action(arguments)
         except InputError as problem:

@@ -5,6 +5,7 @@ Place in the pipeline: command_line calls it before anything else; JAX reads mos
 
 import os
 import sys
+import tomllib
 from contextlib import suppress
 from pathlib import Path
 
@@ -51,6 +52,17 @@ def set_up_jax(devices=None, whole_loops=False) -> None:
     jax.config.update("jax_compilation_cache_dir", str(folder))
     # The default keeps only what took a second; a study has dozens of smaller programs.
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
+
+
+def whole_loops_pay(arguments) -> bool:
+    """Whether the command simulates only: derivatives in whole loops take minutes to compile."""
+    if arguments.command != "run":
+        return arguments.command == "monte-carlo"
+    try:
+        tables = tomllib.loads(Path(arguments.study).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return False
+    return not tables.keys() & {"sensitivity", "worst_case", "allocation"}
 
 
 def count_devices(arguments) -> int | None:

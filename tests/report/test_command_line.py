@@ -13,7 +13,7 @@ import pytest
 from rfem_jax.description import InputError
 from rfem_jax.report import command_line
 from rfem_jax.report.command_line import main
-from rfem_jax.report.process import user_cache_folder
+from rfem_jax.report.process import user_cache_folder, whole_loops_pay
 from rfem_jax.report.progress_line import Progress
 
 STATUS = {0: ("ok", "The run is complete."), 3: ("diverged", "The run diverged; reduce the step.")}
@@ -239,3 +239,22 @@ def test_progress_on_a_terminal_rewrites_its_line():
     assert text.count("\r") == 2
     assert text.count("\n") == 1
     assert "50 %" in text
+
+
+@pytest.mark.parametrize(
+    ("command", "tables", "pay"),
+    [
+        ("run", "[drive]\n[monte_carlo]", True),
+        ("run", "[drive]\n[allocation]", False),
+        ("run", "not a study", False),
+        ("monte-carlo", "[allocation]", True),
+        ("worst-case", "[monte_carlo]", False),
+    ],
+)
+def test_loops_are_compiled_as_functions_where_nothing_is_differentiated(
+    tmp_path, command, tables, pay
+):
+    study = tmp_path / "study.toml"
+    study.write_text(tables, encoding="utf-8")
+    arguments = command_line.build_parser().parse_args([command, str(study), "--out", "results"])
+    assert whole_loops_pay(arguments) is pay
