@@ -21,6 +21,7 @@ and if Newton's method left so little over in every step that the run's status i
 
 import argparse
 import json
+import os
 import platform
 from dataclasses import replace
 from pathlib import Path
@@ -28,7 +29,7 @@ from typing import NamedTuple
 
 import speed_scaling
 from speed_timing import (
-    FLAGS, INTERVAL, STUDY, converged, error_of, run_once, sample_errors, simulation, stepping,
+    INTERVAL, STUDY, converged, error_of, run_once, sample_errors, simulation, stepping,
     timed,
 )
 
@@ -290,7 +291,7 @@ def main() -> None:
     options.out.mkdir(parents=True, exist_ok=True)
     model, build, _ = run_once(lambda: discretise(STUDY.mechanism))
     print(f"{platform.processor() or platform.machine()}, {jax.devices()[0].device_kind}, "
-          f"JAX {jax.__version__}, XLA_FLAGS {FLAGS}\nBuilding the model: {build:.2f} s")
+          f"JAX {jax.__version__}, XLA_FLAGS {os.environ["XLA_FLAGS"]}\nBuilding the model: {build:.2f} s")
     explicit = [Method(name, step=EXPLICIT_STEP) for name in options.explicit]
     rows: list[dict] = []
     for case in options.cases:
