@@ -50,7 +50,9 @@ SOLUTION = "solution of an implicit step"  # what reverse mode keeps of a step
 CLOSED = 1e-7  # drift of the cut joints, relative to the length, that Newton's method may leave
 # What is left over pushes the mechanism in every step, and after a jump loads are a fraction of the largest
 # so far: RMS loads err by up to so many times the tolerance, and derivatives need be no better.  After one
-# correction these err by 5e-3, and each further one leaves a thirteenth (study four-bar, 2.5 ms).
+# correction these err by 1e-3 to 3e-3 at errors that matter (ten times that where the errors are so small that
+# loads hardly follow them), after two a sixth, after three a seventieth of it: table in
+# benchmarks/README.md.
 ACCURACY_OF_TOLERANCE = 30.0
 FIRST_REFINEMENT, FURTHER_REFINEMENT = 5e-3, 1.0 / 13.0
 
