@@ -51,8 +51,8 @@ CLOSED = 1e-7  # drift of the cut joints, relative to the length, that Newton's 
 # What is left over pushes the mechanism in every step, and after a jump loads are a fraction of the largest
 # so far: RMS loads err by up to so many times the tolerance, and derivatives need be no better.  After one
 # correction these err by 1e-3 to 3e-3 at errors that matter (ten times that where the errors are so small that
-# loads hardly follow them), after two a sixth, after three a seventieth of it: table in
-# benchmarks/README.md.
+# loads hardly follow them), after two a sixth, after three a seventieth of it with steps of 2.5 ms, a third and
+# a twentieth with 5 ms: table in benchmarks/README.md.
 ACCURACY_OF_TOLERANCE = 30.0
 FIRST_REFINEMENT, FURTHER_REFINEMENT = 5e-3, 1.0 / 13.0
 
