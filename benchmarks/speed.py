@@ -2,7 +2,7 @@
 
     python benchmarks/speed.py [--quick] [--parts methods table peer dense devices scaling]
                                [--cases P5] [--batches 1 8 16 32 64] [--platforms cpu] [--out DIR]
-                               [--sweeps rfes links batch errors]
+                               [--sweeps rfes links batch errors] [--plain]
 
     methods   the fastest settings of generalised-alpha whose RMS loads are within 1 % and 0.1 %
     table     cases x methods x batches x platforms: build, lowering, compilation, first and steady
@@ -16,7 +16,8 @@ The study four-bar, 0.5 s, errors of a case scaled sample by sample (1 to 0.2). 
 of the processor, one thread: other programs count less than by the clock.  Error: largest relative
 deviation of the RMS force and moment of all joints from the converged result.  Settings are judged
 by the case itself, as the peer's are; a step counts only if the next smaller one is as accurate,
-and if Newton's method left so little over in every step that the run's status is ok.
+and if Newton's method left so little over in every step that the run's status is ok.  Loops over steps
+are compiled as single functions; --plain leaves XLA its own way.
 """
 
 import argparse
@@ -276,6 +277,8 @@ def parse_options():
                         choices=speed_scaling.SWEEP_NAMES)
     parser.add_argument("--platforms", nargs="+", default=["cpu"], help='JAX platforms: cpu, gpu')
     parser.add_argument("--out", type=Path, default=Path("benchmark_results"))
+    # Read by speed_timing, before JAX starts.
+    parser.add_argument("--plain", action="store_true", help="compile in XLA's own way")
     options = parser.parse_args()
     quick = options.quick
     options.batches = options.batches or ([1, 16] if quick else [1, 8, 16, 32, 64])
@@ -291,7 +294,8 @@ def main() -> None:
     options.out.mkdir(parents=True, exist_ok=True)
     model, build, _ = run_once(lambda: discretise(STUDY.mechanism))
     print(f"{platform.processor() or platform.machine()}, {jax.devices()[0].device_kind}, "
-          f"JAX {jax.__version__}, XLA_FLAGS {os.environ["XLA_FLAGS"]}\nBuilding the model: {build:.2f} s")
+          f"JAX {jax.__version__}, XLA_FLAGS {os.environ['XLA_FLAGS']}\n"
+          f"Building the model: {build:.2f} s")
     explicit = [Method(name, step=EXPLICIT_STEP) for name in options.explicit]
     rows: list[dict] = []
     for case in options.cases:

@@ -3,12 +3,13 @@
     study, errors -> program -> timed -> Timing;   RMS loads, converged ones -> error
 
 Importing it sets JAX up for the benchmarks: float64, one thread a device (so that the time of the
-processor is the program's, whatever else runs), two CPU devices, loops over steps compiled as single functions
-unless the environment has RFEM_JAX_PLAIN.  Times in s, memory in bytes.
+processor is the program's, whatever else runs), two CPU devices, and, unless the program was started
+with --plain, loops over steps compiled as single functions.  Times in s, memory in bytes.
 """
 
 import os
 import statistics
+import sys
 import time
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -32,7 +33,7 @@ from rfem_jax import Method, assembly_errors, compile_whole_loops, load_study, s
 from rfem_jax.simulation.accuracy import rms_loads  # noqa: E402
 from rfem_jax.simulation.integration import grid_for  # noqa: E402
 
-if "RFEM_JAX_PLAIN" not in os.environ:
+if "--plain" not in sys.argv:
     compile_whole_loops()
 
 STUDY = load_study(Path(__file__).parents[1] / "studies" / "four_bar" / "study.toml")

@@ -20,31 +20,33 @@ OPTIONS = (
 )
 # Products of small matrices by a library are calls again, which end the function.
 NO_LIBRARY = "--xla_cpu_experimental_ynn_fusion_type="
-KNOWN = (0, 10)  # jaxlib; another version may refuse to start with a flag that it does not know
+KNOWN = "0.10."  # jaxlib; another version may refuse to start with a flag that it does not know
 
 
 def compile_whole_loops() -> bool:
-    """Let XLA compile loops over steps as single functions: call it before the first array.
+    """Let XLA compile loops over steps as single functions: call it right after the imports.
 
     A simulation then runs 2 (in a batch) to 4 (alone) times faster on a CPU; its program takes about as
     long to compile as otherwise, that of a derivative two to three times as long.  Results agree to rounding.
 
-    Returns: whether it did; not if the environment variable XLA_FLAGS has options of this kind, or
-        if the version of jaxlib is not one for which the flags are known.
+    Returns: whether it did; not if the environment variable XLA_FLAGS has options of this kind or
+        names a file, or if the version of jaxlib is not one for which the flags are known.
     Raises: InputError when JAX has started already.
     """
-    flags = os.environ.get("XLA_FLAGS", "")
-    if "xla_backend_extra_options" in flags or "ynn_fusion" in flags:
+    flags = os.environ.get("XLA_FLAGS", "").strip()
+    names_a_file = bool(flags) and not flags.startswith("-")
+    if names_a_file or "xla_backend_extra_options" in flags or "ynn_fusion" in flags:
         return False
-    if jaxlib.version.__version_info__[:2] != KNOWN:
+    if not jaxlib.__version__.startswith(KNOWN):
         return False
-    require_not_started()
+    _require_not_started()
     # First: XLA reads no further than a word that is no flag.
-    os.environ["XLA_FLAGS"] = f"{NO_LIBRARY} --xla_backend_extra_options={','.join(OPTIONS)} {flags}".strip()
+    options = f"--xla_backend_extra_options={','.join(OPTIONS)}"
+    os.environ["XLA_FLAGS"] = f"{NO_LIBRARY} {options} {flags}".strip()
     return True
 
 
-def require_not_started() -> None:
+def _require_not_started() -> None:
     """Raises InputError when JAX has read its options already."""
     import jax
 
@@ -55,6 +57,6 @@ def require_not_started() -> None:
         jax.config.update("jax_num_cpu_devices", devices)
     except RuntimeError:
         raise InputError(
-            "compile_whole_loops() must be called before the first array is made, but JAX has started; "
-            "move the call to the top of the program, after the imports."
+            "compile_whole_loops() must be called before the first array is made, but JAX has started "
+            "(load_study makes arrays, too); move the call to the top, after the imports."
         ) from None

@@ -86,6 +86,7 @@ def test_too_late_is_an_error():
 def test_options_of_the_user_stay():
     flags = "--xla_backend_extra_options=xla_cpu_disable_loop_unrolling=true"
     assert in_a_new_process(NOT_STARTED, flags=flags) == "False"
+    assert in_a_new_process(NOT_STARTED, flags="flags_in_a_file") == "False"
     assert in_a_new_process(NOT_STARTED, flags="--xla_cpu_multi_thread_eigen=false") == "True"
 
 
@@ -94,7 +95,7 @@ def test_unknown_versions_are_left_alone(monkeypatch):
 
     from rfem_jax.compilation import compile_whole_loops
 
-    monkeypatch.setattr(jaxlib.version, "__version_info__", (9, 0, 0))
+    monkeypatch.setattr(jaxlib, "__version__", "9.0.0")
     monkeypatch.setenv("XLA_FLAGS", "")
     assert compile_whole_loops() is False
     assert os.environ["XLA_FLAGS"] == ""

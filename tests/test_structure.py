@@ -67,3 +67,12 @@ def test_public_names_exist():
 
     for name in rfem_jax.__all__:
         assert getattr(rfem_jax, name) is not None
+
+
+@pytest.mark.parametrize("folder", ["benchmarks", "studies"])
+def test_programs_beside_the_library_are_python(folder):
+    """No test runs them: they must at least be read by the oldest Python that the project supports."""
+    programs = sorted((ROOT / folder).rglob("*.py"))
+    assert programs
+    for path in programs:
+        ast.parse(path.read_text(encoding="utf-8"), filename=str(path))
