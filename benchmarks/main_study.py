@@ -19,7 +19,8 @@ jax.config.update("jax_enable_x64", True)
 
 import jax.numpy as jnp  # noqa: E402
 from rfem_jax import assembly_errors, discretise, load_study, simulate  # noqa: E402
-from rfem_jax.mechanics.dynamics import DriveInput, Stabilisation, accelerations  # noqa: E402
+from rfem_jax.mechanics.dynamics import accelerations  # noqa: E402
+from rfem_jax.mechanics.inputs import DriveInput, Stabilisation  # noqa: E402
 from rfem_jax.mechanics.loads import static_state  # noqa: E402
 from rfem_jax.mechanics.realisation import realise  # noqa: E402
 from rfem_jax.mechanics.reference_formulation import reference_accelerations  # noqa: E402

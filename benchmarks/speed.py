@@ -39,7 +39,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, PartitionSpec
 from rfem_jax import Method, discretise
-from rfem_jax.mechanics.dynamics import DriveInput, Stabilisation, accelerations
+from rfem_jax.mechanics.dynamics import accelerations
+from rfem_jax.mechanics.inputs import DriveInput, Stabilisation
 from rfem_jax.mechanics.loads import static_state
 from rfem_jax.mechanics.model import State
 from rfem_jax.mechanics.realisation import assembly_errors, realise

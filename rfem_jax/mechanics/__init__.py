@@ -3,8 +3,9 @@
     model, discretisation      description -> Model
     realisation                + AssemblyErrors -> constants of the equations of motion
     kinematics                 + State -> positions and velocities
-    elasticity, exact_elements    forces of the sdes, linear and geometrically exact
-    cut_joints                    constraints of the cut joints
+    elasticity, exact_elements forces of the sdes, linear and geometrically exact
+    cut_joints                 constraints of the cut joints
+    inputs                     what the drive does at the instant
     dynamics                   accelerations by the recursive formulation
     reference_formulation      the same, dense and literal, to test against
     loads                      joint loads, energies, balances

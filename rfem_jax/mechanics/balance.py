@@ -17,8 +17,8 @@ from jax import Array
 from rfem_jax.mechanics import algebra, loads
 from rfem_jax.mechanics.algebra import apply, apply_transposed, cross, dot
 from rfem_jax.mechanics.cut_joints import Closure, closure
-from rfem_jax.mechanics.dynamics import DriveInput
 from rfem_jax.mechanics.elasticity import generalised_forces
+from rfem_jax.mechanics.inputs import DriveInput
 from rfem_jax.mechanics.kinematics import Motion, motion, spread
 from rfem_jax.mechanics.model import BASE, Coordinates, State
 from rfem_jax.mechanics.realisation import Realisation

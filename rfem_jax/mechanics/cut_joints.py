@@ -1,6 +1,6 @@
 """Cut joints: the five constraint equations of each, complete to the acceleration.
 
-Place in the pipeline: kinematics -> **closure** -> dynamics, statics.
+Place in the pipeline: kinematics -> **cut_joints** -> dynamics, newton, statics.
 
 Equation (18): the joint centres of the left side L and the right side P coincide (three equations,
 global axes), and the hinge axis y_L is perpendicular to x_P and z_P (two equations, times a length
@@ -18,8 +18,10 @@ from jax import Array
 from rfem_jax.mechanics import algebra
 from rfem_jax.mechanics.algebra import apply, apply_transposed, cross, dot, product
 from rfem_jax.mechanics.kinematics import Motion, node_frames
-from rfem_jax.mechanics.model import BASE
+from rfem_jax.mechanics.model import BASE, Topology
 from rfem_jax.mechanics.realisation import Realisation
+
+RANK_TOLERANCE = 1e-9  # of singular values, relative to the largest
 
 
 class Closure(NamedTuple):
@@ -119,3 +121,25 @@ def assembly_modes(realised: Realisation, now: Motion, cuts: Closure) -> Array:
     right = jnp.stack([carried_at(node) for node in topology.children[n:]], axis=1)
     normal = cross(cuts.centre - left, cuts.centre - right)
     return jnp.sign(dot(cuts.rotation[:, 1], normal))
+
+
+def unit_columns(topology: Topology, cuts: Closure, node: int, point: Array) -> Array:
+    """Wrenches (6, 5 C) on one node of unit multipliers of all cut joints."""
+    columns = []
+    for i, j in enumerate(topology.cuts):
+        unit = jnp.zeros((6, 5) + point.shape[1:])
+        if node == topology.children[j]:
+            unit = unit + cuts.wrenches(i, "child", point)
+        if node == topology.parents[j]:
+            unit = unit - cuts.wrenches(i, "parent", point)
+        columns.append(unit)
+    return jnp.concatenate(columns, axis=1)
+
+
+def invert_closure(topology: Topology, matrix: Array) -> Array:
+    """Inverse of the matrix (5 C, 5 C) of the multipliers, or the one of least norm."""
+    if not topology.minimum_norm:
+        return algebra.invert_positive(matrix)
+    last = jnp.moveaxis(matrix, (0, 1), (-2, -1))
+    inverse = jnp.linalg.pinv(last, rtol=RANK_TOLERANCE, hermitian=True)
+    return jnp.moveaxis(inverse, (-2, -1), (0, 1))

@@ -24,30 +24,12 @@ from jax import Array
 
 from rfem_jax.mechanics import algebra
 from rfem_jax.mechanics.algebra import apply, apply_transposed, cross, dot, product
-from rfem_jax.mechanics.cut_joints import Closure, closure
+from rfem_jax.mechanics.cut_joints import Closure, closure, invert_closure, unit_columns
 from rfem_jax.mechanics.elasticity import elastic_loads
+from rfem_jax.mechanics.inputs import DriveInput, Stabilisation, impose
 from rfem_jax.mechanics.kinematics import Motion, motion, node_frames, spread, total
 from rfem_jax.mechanics.model import BASE, Coordinates, State, Topology
 from rfem_jax.mechanics.realisation import Realisation
-
-RANK_TOLERANCE = 1e-9
-
-
-class DriveInput(NamedTuple):
-    """What the drive does at one instant: a moment [N m] on the driven joint, or the joint's
-    prescribed (angle, rate, acceleration); None for what it does not do."""
-
-    moment: Array | None = None
-    turn: tuple[Array, Array, Array] | None = None
-
-
-class Stabilisation(NamedTuple):
-    """Baumgarte's gains: Phi'' = -velocity_gain Phi' - position_gain Phi [1/s, 1/s^2], and the
-    length [m] that scales the axis equations."""
-
-    velocity_gain: Array
-    position_gain: Array
-    scale: Array
 
 
 class Skeleton(NamedTuple):
@@ -86,22 +68,6 @@ class Accelerations(NamedTuple):
     closure: Closure | None
     skeleton: Skeleton
     dissipated: Array
-
-
-def impose(topology: Topology, state: State, drive: DriveInput) -> State:
-    """The state with the driven joint's angle and rate replaced by the prescribed ones."""
-    if drive.turn is None:
-        return state
-    is_driven = np.arange(topology.n_links) == topology.driven
-
-    def replace(values: Coordinates, value) -> Coordinates:
-        mask = is_driven.reshape((-1,) + (1,) * (values.angles.ndim - 1))
-        return Coordinates(jnp.where(mask, value[None], values.angles), values.elastic)
-
-    return State(
-        replace(state.position, jnp.asarray(drive.turn[0])),
-        replace(state.velocity, jnp.asarray(drive.turn[1])),
-    )
 
 
 def accelerations(
@@ -188,13 +154,6 @@ def _loaded_free(topology: Topology) -> tuple[int, ...]:
     return tuple(sorted(nodes - set(_branching(topology))))
 
 
-def island(topology: Topology, node: int) -> int:
-    """The node that roots the island of hinged bodies to which `node` belongs."""
-    while node < topology.n_links and topology.parents[node] != BASE:
-        node = topology.parents[node]
-    return node
-
-
 def _skeleton(realised, state: State, now: Motion, force: Array, moment: Array) -> Skeleton:
     with jax.named_scope("skeleton"):
         topology = realised.topology
@@ -204,7 +163,7 @@ def _skeleton(realised, state: State, now: Motion, force: Array, moment: Array) 
         points = jnp.concatenate([now.hinges.point, where[:, n:]], axis=1)
         rows = {node: i for i, node in enumerate((*range(n), *branching))}
         point = jnp.stack(
-            [points[:, rows[island(topology, node)]] for node in rows], axis=1
+            [points[:, rows[topology.island_of(node)]] for node in rows], axis=1
         )
         velocity = _shifted(velocity, point)
 
@@ -248,28 +207,15 @@ def _shifted(motion: Array, point: Array) -> Array:
     return algebra.spatial(motion[:3], motion[3:] + cross(motion[:3], point))
 
 
-def unit_columns(topology: Topology, cuts: Closure, node: int, point: Array) -> Array:
-    """Wrenches (6, 5 C) on one node of unit multipliers of all cut joints."""
-    columns = []
-    for i, j in enumerate(topology.cuts):
-        unit = jnp.zeros((6, 5) + point.shape[1:])
-        if node == topology.children[j]:
-            unit = unit + cuts.wrenches(i, "child", point)
-        if node == topology.parents[j]:
-            unit = unit - cuts.wrenches(i, "parent", point)
-        columns.append(unit)
-    return jnp.concatenate(columns, axis=1)
-
-
 def _load_columns(topology, cuts, skeleton: Skeleton) -> dict[int, Array]:
     """Columns of loads on the skeleton's nodes: applied ones, then, in islands that a cut joint
     loads, unit multipliers."""
     sides = topology.parents[topology.n_links :] + topology.children[topology.n_links :]
-    loaded = {island(topology, node) for node in sides if node != BASE}
+    loaded = {topology.island_of(node) for node in sides if node != BASE}
     loads = {}
     for i, node in enumerate((*range(topology.n_links), *_branching(topology))):
         loads[node] = skeleton.load[:, None, i]
-        if island(topology, node) in loaded:
+        if topology.island_of(node) in loaded:
             unit = unit_columns(topology, cuts, node, skeleton.point[:, i])
             loads[node] = jnp.concatenate([loads[node], unit], axis=1)
     return loads
@@ -389,15 +335,6 @@ def _points_of(topology, now: Motion, skeleton: Skeleton) -> dict[int, Array]:
     for i, k in enumerate(topology.carriers):
         points.setdefault(topology.n_links + k, now.carriers.point[:, i])
     return points
-
-
-def invert_closure(topology: Topology, matrix: Array) -> Array:
-    """Inverse of the matrix (5 C, 5 C) of the multipliers, or the one of least norm."""
-    if not topology.minimum_norm:
-        return algebra.invert_positive(matrix)
-    last = jnp.moveaxis(matrix, (0, 1), (-2, -1))
-    inverse = jnp.linalg.pinv(last, rtol=RANK_TOLERANCE, hermitian=True)
-    return jnp.moveaxis(inverse, (-2, -1), (0, 1))
 
 
 def _combine(columns, weights):

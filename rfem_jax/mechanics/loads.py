@@ -21,7 +21,8 @@ from jax import Array
 from rfem_jax.mechanics import algebra, elasticity
 from rfem_jax.mechanics.algebra import apply, apply_transposed, cross, dot
 from rfem_jax.mechanics.cut_joints import Closure
-from rfem_jax.mechanics.dynamics import Accelerations, DriveInput, link_axes
+from rfem_jax.mechanics.dynamics import Accelerations, link_axes
+from rfem_jax.mechanics.inputs import DriveInput
 from rfem_jax.mechanics.kinematics import Motion, all_frames, motion, spread, total
 from rfem_jax.mechanics.model import BASE, Coordinates, State, Topology
 from rfem_jax.mechanics.realisation import Realisation

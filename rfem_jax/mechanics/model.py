@@ -100,6 +100,12 @@ class Topology(NamedTuple):
         """Link that a node belongs to."""
         return node if node < self.n_links else int(self.link_of_rfe[node - self.n_links])
 
+    def island_of(self, node: int) -> int:
+        """The node that roots the island of hinged bodies to which `node` belongs."""
+        while node < self.n_links and self.parents[node] != BASE:
+            node = self.parents[node]
+        return node
+
     def joint(self, name: str) -> int:
         """Index of a joint by its name."""
         if name not in self.joints:

@@ -25,10 +25,9 @@ from jax import Array
 from rfem_jax.mechanics import algebra
 from rfem_jax.mechanics.algebra import apply, apply_transposed, cross, dot, product, transpose
 from rfem_jax.mechanics.balance import Balance
-from rfem_jax.mechanics.cut_joints import Closure
-from rfem_jax.mechanics.dynamics import invert_closure, island, unit_columns
-from rfem_jax.mechanics.kinematics import Motion
 from rfem_jax.mechanics.condensation import LinkOperator
+from rfem_jax.mechanics.cut_joints import Closure, invert_closure, unit_columns
+from rfem_jax.mechanics.kinematics import Motion
 from rfem_jax.mechanics.model import BASE, Coordinates, Topology
 from rfem_jax.mechanics.realisation import Realisation
 
@@ -177,7 +176,7 @@ def _points(topology: Topology, now: Motion) -> dict[int, Array]:
     n = topology.n_links
     points = {n + k: now.carriers.point[:, i] for i, k in enumerate(topology.carriers)}
     for l in range(n):
-        root = island(topology, l)
+        root = topology.island_of(l)
         points[l] = points[root] if root >= n else now.hinges.point[:, root]
     return points
 

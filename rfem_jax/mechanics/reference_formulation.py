@@ -16,7 +16,7 @@ from jax import Array
 from jax.flatten_util import ravel_pytree
 
 from rfem_jax.mechanics import elasticity
-from rfem_jax.mechanics.dynamics import DriveInput, Stabilisation
+from rfem_jax.mechanics.inputs import DriveInput, Stabilisation
 from rfem_jax.mechanics.model import BASE, Coordinates, State
 from rfem_jax.mechanics.realisation import Realisation
 

@@ -28,7 +28,7 @@ from rfem_jax.description.errors import InputError, suggestion
 from rfem_jax.mechanics import elasticity, loads
 from rfem_jax.mechanics.algebra import apply_transposed, cross, dot
 from rfem_jax.mechanics.cut_joints import closure
-from rfem_jax.mechanics.dynamics import DriveInput
+from rfem_jax.mechanics.inputs import DriveInput
 from rfem_jax.mechanics.kinematics import motion, range_used
 from rfem_jax.mechanics.model import Coordinates, Model, State
 from rfem_jax.mechanics.realisation import AssemblyErrors, Realisation, assembly_errors, realise

@@ -13,13 +13,8 @@ from jaxtyping import Float, Int
 
 from rfem_jax.description.drives import MomentDrive, PrescribedDrive
 from rfem_jax.mechanics import loads
-from rfem_jax.mechanics.dynamics import (
-    Accelerations,
-    DriveInput,
-    Stabilisation,
-    accelerations,
-    impose,
-)
+from rfem_jax.mechanics.dynamics import Accelerations, accelerations
+from rfem_jax.mechanics.inputs import DriveInput, Stabilisation, impose
 from rfem_jax.mechanics.model import Coordinates, State, Topology
 from rfem_jax.mechanics.realisation import Realisation
 

@@ -37,8 +37,8 @@ from rfem_jax.description.drives import PrescribedDrive
 from rfem_jax.description.methods import Method
 from rfem_jax.mechanics.balance import Balance, evaluate_balance
 from rfem_jax.mechanics.condensation import LinkOperator, link_operators, present_operators
-from rfem_jax.mechanics.dynamics import DriveInput, impose
 from rfem_jax.mechanics.elasticity import dissipated_power
+from rfem_jax.mechanics.inputs import DriveInput, impose
 from rfem_jax.mechanics.model import Coordinates, State, Topology
 from rfem_jax.mechanics.newton import Correction, correction, newton_matrix, residual_of
 from rfem_jax.mechanics.realisation import Realisation

@@ -14,7 +14,8 @@ from rfem_jax.mechanics import loads
 from rfem_jax.mechanics.balance import Balance
 from rfem_jax.mechanics.centre_lines import link_ends
 from rfem_jax.mechanics.cut_joints import assembly_modes, closure
-from rfem_jax.mechanics.dynamics import Accelerations, DriveInput
+from rfem_jax.mechanics.dynamics import Accelerations
+from rfem_jax.mechanics.inputs import DriveInput
 from rfem_jax.mechanics.kinematics import Motion, motion, range_used
 from rfem_jax.mechanics.model import Coordinates, State, Topology
 from rfem_jax.mechanics.realisation import Realisation

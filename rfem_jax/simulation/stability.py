@@ -20,12 +20,13 @@ from rfem_jax.description.drives import PrescribedDrive
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.methods import Method
 from rfem_jax.mechanics.discretisation import CLOSING_TOLERANCE, close_at
-from rfem_jax.mechanics.dynamics import DriveInput, Stabilisation, accelerations, impose
+from rfem_jax.mechanics.dynamics import accelerations
+from rfem_jax.mechanics.inputs import DriveInput, Stabilisation, impose
 from rfem_jax.mechanics.model import Coordinates, Model, State
 from rfem_jax.mechanics.realisation import assembly_errors, realise
 from rfem_jax.mechanics.statics import length_scale
-from rfem_jax.simulation.stepping import stabilisation_of
 from rfem_jax.simulation.solvers import make_solver
+from rfem_jax.simulation.stepping import stabilisation_of
 
 POSITIONS = 12
 GROWTH_TOLERANCE = 1e-6

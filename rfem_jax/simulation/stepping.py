@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from rfem_jax.description.methods import Method
-from rfem_jax.mechanics.dynamics import Stabilisation
+from rfem_jax.mechanics.inputs import Stabilisation
 from rfem_jax.mechanics.model import Model
 from rfem_jax.mechanics.statics import length_scale
 from rfem_jax.simulation import equations

@@ -8,7 +8,8 @@ from jax.flatten_util import ravel_pytree
 
 from rfem_jax import discretise
 from rfem_jax.mechanics import loads
-from rfem_jax.mechanics.dynamics import DriveInput, Stabilisation, accelerations, impose
+from rfem_jax.mechanics.dynamics import accelerations
+from rfem_jax.mechanics.inputs import DriveInput, Stabilisation, impose
 from rfem_jax.mechanics.model import State
 from rfem_jax.mechanics.realisation import realise
 from rfem_jax.mechanics.reference_formulation import constraints, reference_accelerations

@@ -8,10 +8,11 @@ import pytest
 from jax.flatten_util import ravel_pytree
 
 from rfem_jax import Joint, Link, Material, Mechanism, PointMass, Rectangle, assembly_errors, discretise
-from rfem_jax.mechanics.balance import evaluate_balance
-from rfem_jax.mechanics.dynamics import DriveInput, Stabilisation, accelerations, impose
 from rfem_jax.mechanics import elasticity, exact_elements
+from rfem_jax.mechanics.balance import evaluate_balance
 from rfem_jax.mechanics.condensation import link_operators, present_operators
+from rfem_jax.mechanics.dynamics import accelerations
+from rfem_jax.mechanics.inputs import DriveInput, Stabilisation, impose
 from rfem_jax.mechanics.kinematics import relative_motion
 from rfem_jax.mechanics.model import Coordinates, State
 from rfem_jax.mechanics.newton import Residual, correction, newton_matrix, residual_of

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from rfem_jax import Coordinates, State, assembly_errors
-from rfem_jax.mechanics.dynamics import DriveInput, Stabilisation, accelerations
+from rfem_jax.mechanics.dynamics import accelerations
+from rfem_jax.mechanics.inputs import DriveInput, Stabilisation
 from rfem_jax.mechanics.realisation import realise
 
 @pytest.fixture
