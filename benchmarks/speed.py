@@ -39,11 +39,13 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, PartitionSpec
 from rfem_jax import Method, discretise
+from rfem_jax.compilation.scalars import in_scalars, nothing_known
+from rfem_jax.compilation.whole_loops import explicit_in_scalars
 from rfem_jax.mechanics.dynamics import accelerations
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation
 from rfem_jax.mechanics.loads import static_state
 from rfem_jax.mechanics.model import State
-from rfem_jax.mechanics.realisation import assembly_errors, realise
+from rfem_jax.mechanics.realisation import assembly_errors, realise, structural_zeros
 from rfem_jax.mechanics.reference_formulation import reference_accelerations
 from rfem_jax.simulation.integration import RESIDUAL_LIMIT
 
@@ -189,24 +191,28 @@ def compare_with_peer(case: str, best: dict[float, Found], rows: list[dict]) -> 
                   f"{1e3 * peer.cpu / milliseconds:6.2f}", flush=True)
 
 
-def compare_with_dense(model, best: dict[float, Found], batch: int) -> None:
+def compare_with_dense(model, case: str, best: dict[float, Found], batch: int) -> None:
     """One right-hand side, recursive and dense, and what 0.5 s of Runge-Kutta 4 cost with them."""
-    realised = jax.jit(realise)(model, assembly_errors(model))
+    mechanisms = jax.vmap(lambda values: realise(model, assembly_errors(model, values)))(
+        sample_errors(case, batch)
+    )
     state = static_state(model.start_coordinates())
     states = jax.tree.map(lambda x: jnp.stack([x + 1e-9 * i for i in range(batch)]), state)
     gains = Stabilisation(jnp.asarray(1.0), jnp.asarray(1.0), jnp.asarray(0.3))
 
-    def recursive(state):
+    def recursive(realised, state):
         return accelerations(realised, state, DriveInput(), gains).coordinates
 
-    def dense(state):
+    def dense(realised, state):
         return reference_accelerations(realised, state, DriveInput(), gains)[0]
 
+    if explicit_in_scalars():
+        recursive = in_scalars(recursive, (structural_zeros(model.topology), nothing_known(state)))
     evaluations = 4 * STUDY.duration / EXPLICIT_STEP
     print(f"\nOne right-hand side in a batch of {batch}, CPU; 0.5 s by Runge-Kutta 4 at "
           f"{1e6 * EXPLICIT_STEP:g} us")
     for label, function in (("recursive", recursive), ("naive dense", dense)):
-        timing = timed(_repeated(jax.vmap(function)), states)
+        timing = timed(_repeated(jax.vmap(function)), mechanisms, states)
         one = timing.cpu / REPETITIONS / batch
         text = f"  {label:<12}{1e6 * one:9.2f} us a sample, {evaluations * one:8.2f} s a simulation"
         known = {a: f for a, f in best.items() if np.isfinite(f.seconds)}
@@ -223,9 +229,9 @@ REPETITIONS = 200
 def _repeated(function):
     """Many evaluations in one program, each of which needs the one before."""
 
-    def run(states):
+    def run(mechanisms, states):
         def again(states, _):
-            answer = function(states)
+            answer = function(mechanisms, states)
             moved = jax.tree.map(lambda q, a: q + 1e-18 * a, states.position, answer)
             return State(moved, states.velocity), None
 
@@ -311,7 +317,7 @@ def main() -> None:
         if "peer" in options.parts:
             compare_with_peer(case, best, [row for row in rows if row["case"] == case])
         if "dense" in options.parts:
-            compare_with_dense(model, best, SEARCHED)
+            compare_with_dense(model, case, best, SEARCHED)
         if "devices" in options.parts:
             compare_devices(model, case, best[ACCURACIES[0]].method, 2 * SEARCHED)
     (options.out / "speed.json").write_text(json.dumps(rows, indent=1))

@@ -4,7 +4,8 @@
 
 Importing it sets JAX up for the benchmarks: float64, one thread a device (so that the time of the
 processor is the program's, whatever else runs), two CPU devices, and, unless the program was started
-with --plain, loops over steps compiled as single functions.  Times in s, memory in bytes.
+with --plain, loops over steps compiled as single functions, with implicit steps as programs of scalars
+unless it was started with --arrays.  Times in s, memory in bytes.
 """
 
 import os
@@ -34,7 +35,7 @@ from rfem_jax.simulation.accuracy import rms_loads  # noqa: E402
 from rfem_jax.simulation.integration import grid_for  # noqa: E402
 
 if "--plain" not in sys.argv:
-    compile_whole_loops()
+    compile_whole_loops(scalars="--arrays" not in sys.argv)
 
 STUDY = load_study(Path(__file__).parents[1] / "studies" / "four_bar" / "study.toml")
 INTERVAL = 25e-3  # s between observations: they cost little

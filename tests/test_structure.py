@@ -1,5 +1,5 @@
 """The rooms import one way only: report -> validation, tolerancing -> simulation ->
-mechanics -> description."""
+mechanics -> compilation -> description."""
 
 import ast
 from pathlib import Path
@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-ROOMS = ("description", "mechanics", "simulation", "validation", "tolerancing", "report")
+ROOMS = ("description", "compilation", "mechanics", "simulation", "validation", "tolerancing", "report")
 FILES = sorted((ROOT / "rfem_jax").glob("*/*.py"))
 
 

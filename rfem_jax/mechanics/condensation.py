@@ -79,6 +79,29 @@ def link_operators(
     return tuple(operator(l, a, b) if b > a else None for l, (a, b) in enumerate(topology.ranges))
 
 
+def structural_zeros(topology: Topology) -> tuple[LinkOperator | None, ...]:
+    """Entries of the operators of undeformed links that are zero for all numbers: boolean arrays."""
+    groups = np.array([0, 2, 3, 1, 3, 2])
+
+    def zeros(l, a, b):
+        nodes = [l, *range(topology.n_links + a, topology.n_links + b)]
+        own = np.zeros(6, int) if set(nodes) & set(topology.masses) else groups
+        by_component = np.repeat(own, b - a)
+        by_carrier = np.tile(own, len(local_carriers(topology, l)))
+        apart = lambda rows, columns: rows[:, None] != columns
+        return LinkOperator(
+            inverse=apart(by_component, by_component),
+            inertia=apart(own, own),
+            give=apart(by_carrier, own),
+            compliance=apart(by_carrier, by_carrier),
+            stiffness=apart(by_carrier, by_carrier),
+            pick=apart(by_carrier, by_component),
+            reduced=apart(by_component, own),
+        )
+
+    return tuple(zeros(l, a, b) if b > a else None for l, (a, b) in enumerate(topology.ranges))
+
+
 def _rigid_link(realised: Realisation, link: int, own, at):
     """Inertias (m, 6, 6) of the free rfes with (mass, centre, inertia) `own`, rfe first, coupling M X
     (m, 6, 6) for their places `at` (m, 3), and inertia (6, 6) of the whole link at its frame."""

@@ -16,7 +16,7 @@ from functools import partial
 from pathlib import Path
 
 from rfem_jax.report.process import (
-    count_devices, join_processes, set_up_jax, whole_loops_pay,
+    count_devices, join_processes, scalars_pay, set_up_jax, whole_loops_pay,
 )  # fmt: skip
 
 # Command: task it does, what it is, what it writes.
@@ -305,7 +305,7 @@ def main(argv=None) -> int:
         from rfem_jax.description.errors import InputError
 
         try:
-            set_up_jax(count_devices(arguments), whole_loops_pay(arguments))
+            set_up_jax(count_devices(arguments), whole_loops_pay(arguments), scalars_pay(arguments))
             join_processes(arguments)
             return arguments.action(arguments)
         except InputError as problem:

@@ -10,6 +10,10 @@ from contextlib import suppress
 from pathlib import Path
 
 
+# By programs of scalars a sample takes 3 ms of a core less, and the programs half a minute more.
+MANY_SAMPLES = 30_000
+
+
 def user_cache_folder() -> Path:
     """The platform's folder for files that may be deleted at any time, `.../rfem_jax`."""
     if sys.platform == "win32":
@@ -21,9 +25,9 @@ def user_cache_folder() -> Path:
     return Path(base) / "rfem_jax"
 
 
-def set_up_jax(devices=None, whole_loops=False) -> None:
-    """Double precision, `devices` CPU devices (None: one), `whole_loops` or XLA's own way to compile, and,
-    unless the user chose a folder, a cache of compiled programs."""
+def set_up_jax(devices=None, whole_loops=False, scalars=False) -> None:
+    """Double precision, `devices` CPU devices (None: one), `whole_loops` (with implicit steps in `scalars`) or
+    XLA's own way to compile, and, unless the user chose a folder, a cache of compiled programs."""
     # SciPy's LAPACK keeps its threads spinning after every call, which would take half of the processor.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     import jax
@@ -40,7 +44,7 @@ def set_up_jax(devices=None, whole_loops=False) -> None:
 
         # Where the command is called from a program that has started JAX, its options hold.
         with suppress(InputError):
-            compile_whole_loops()
+            compile_whole_loops(scalars=scalars)
     if jax.config.jax_compilation_cache_dir is not None:
         return
     try:
@@ -58,11 +62,23 @@ def whole_loops_pay(arguments) -> bool:
     """Whether the command simulates only: derivatives in whole loops take minutes to compile."""
     if arguments.command != "run":
         return arguments.command == "monte-carlo"
+    tables = _tables(arguments)
+    return tables is not None and not tables.keys() & {"sensitivity", "worst_case", "allocation"}
+
+
+def scalars_pay(arguments) -> bool:
+    """Whether the command simulates so often that minutes of compilation are won back."""
+    asked = (_tables(arguments) or {}).get("monte_carlo") if whole_loops_pay(arguments) else None
+    samples = asked.get("n") if isinstance(asked, dict) else None
+    return isinstance(samples, int) and samples >= MANY_SAMPLES
+
+
+def _tables(arguments) -> dict | None:
+    """The study file's tables, unchecked; None for a file that is no TOML."""
     try:
-        tables = tomllib.loads(Path(arguments.study).read_text(encoding="utf-8"))
+        return tomllib.loads(Path(arguments.study).read_text(encoding="utf-8"))
     except (OSError, ValueError):
-        return False
-    return not tables.keys() & {"sensitivity", "worst_case", "allocation"}
+        return None
 
 
 def count_devices(arguments) -> int | None:

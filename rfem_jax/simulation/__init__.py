@@ -3,6 +3,7 @@
     time_grid, solvers   when and how to step
     equations            what is integrated
     generalised_alpha    implicit steps
+    implicit_step        their derivatives, and how they are evaluated
     observation          what is recorded of an instant
     stepping             one interval by any method
     integration          prepare -> advance -> conclude

@@ -7,12 +7,15 @@ same integration, so that a run needs no history for its metrics.
 """
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax import Array
+from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Float, Int
 
+from rfem_jax.compilation.scalars import nothing_known
 from rfem_jax.description.drives import MomentDrive, PrescribedDrive
-from rfem_jax.mechanics import loads
+from rfem_jax.mechanics import loads, realisation
 from rfem_jax.mechanics.dynamics import Accelerations, accelerations
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation, impose
 from rfem_jax.mechanics.model import Coordinates, State, Topology
@@ -46,6 +49,22 @@ class Conditions(eqx.Module):
     drive: MomentDrive | PrescribedDrive | None
     phase: Int[Array, ""]
     stabilisation: Stabilisation
+
+
+def structural_zeros(conditions: Conditions) -> Conditions:
+    """Entries of the conditions that are zero for all numbers: boolean arrays, or False."""
+    known = realisation.structural_zeros(conditions.realised.topology)
+    return eqx.tree_at(lambda tree: tree.realised, nothing_known(conditions), known)
+
+
+def moving_parts(primals, tangents):
+    """Leaves that have a tangent, the other leaves, and the tangents: most constants of a mechanism do not
+    depend on the errors asked for, and are not linearised."""
+    moves = jax.tree.map(
+        lambda x, dx: eqx.is_inexact_array(x) and not isinstance(dx, SymbolicZero), primals, tangents
+    )
+    inputs, fixed = eqx.partition(primals, moves)
+    return inputs, fixed, eqx.filter(tangents, moves)
 
 
 def drive_input(drive, t, phase) -> DriveInput:

@@ -1,6 +1,6 @@
 """Generalised-alpha: an implicit method of order 2 whose steps follow the motion, not the stiffness.
 
-Place in the pipeline: equations, newton -> **generalised_alpha** -> integration.
+Place in the pipeline: equations, newton, implicit_step -> **generalised_alpha** -> stepping.
 
 Chung and Hulbert, J. Appl. Mech. 60 (1993) 371-375; for constrained systems at the level of positions
 Arnold and Bruels, Multibody Syst. Dyn. 18 (2007) 185-202:
@@ -17,8 +17,7 @@ step.  Newton's method makes corrections with one matrix a step until what is le
 of the largest joint load so far and the cut joints are closed, or there have been as many as allowed; what
 the last one leaves over is part of the result.
 
-Derivatives are those of the solution of a step's equations, not of the corrections that find it; they
-are found by corrections with the matrix at the solution, as many as the accuracy of the loads asks for.
+How a step is differentiated is said in `implicit_step`.
 """
 
 import functools
@@ -30,8 +29,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.ad_checkpoint import checkpoint_name
-from jax.custom_derivatives import SymbolicZero
 
 from rfem_jax.description.drives import PrescribedDrive
 from rfem_jax.description.methods import Method
@@ -40,13 +37,13 @@ from rfem_jax.mechanics.condensation import LinkOperator, link_operators, presen
 from rfem_jax.mechanics.elasticity import dissipated_power
 from rfem_jax.mechanics.inputs import DriveInput, impose
 from rfem_jax.mechanics.model import Coordinates, State, Topology
-from rfem_jax.mechanics.newton import Correction, correction, newton_matrix, residual_of
+from rfem_jax.mechanics.newton import Correction, NewtonMatrix, correction, newton_matrix, residual_of
 from rfem_jax.mechanics.realisation import Realisation
 from rfem_jax.simulation import equations
 from rfem_jax.simulation.equations import Conditions, Integrals, Trajectory, drive_input
+from rfem_jax.simulation.implicit_step import end_of_step
 from rfem_jax.simulation.observation import Instant, balanced_instant
 
-SOLUTION = "solution of an implicit step"  # what reverse mode keeps of a step
 CLOSED = 1e-7  # drift of the cut joints, relative to the length, that Newton's method may leave
 # What is left over pushes the mechanism in every step, and after a jump loads are a fraction of the largest
 # so far: RMS loads err by up to so many times the tolerance, and derivatives need be no better.  After one
@@ -136,7 +133,7 @@ class GeneralisedAlpha(eqx.Module):
         """One step of length h to t1 (zero: accelerations at the given state); `largest` [N]: joint load
         so far."""
         constants = jax.lax.stop_gradient((operators, t1, h, largest))
-        return _step(self, constants, conditions, trajectory, memory)
+        return end_of_step(self, constants, conditions, trajectory, memory)
 
     def solve(self, constants, conditions, trajectory, memory):
         """Newton's method: unknowns, and what the step returns with them."""
@@ -144,11 +141,10 @@ class GeneralisedAlpha(eqx.Module):
         drift = CLOSED * conditions.stabilisation.scale
         first = self.guess(constants, conditions, trajectory, memory)
         left, end = self.end_of_step(first, constants, conditions, trajectory, memory)
-        matrix = _matrix(self, constants, conditions, left)
+        matrix = self.matrix(constants, conditions, left)
 
         def unsettled(carry):
-            count, _, _, (_, memory) = carry
-            instant = memory.instant
+            count, _, _, (_, instant) = carry
             settled = (instant.residual <= self.tolerance * largest) & (instant.drift <= drift)
             return (count == 0) | ((count < self.corrections) & ~settled)
 
@@ -157,13 +153,22 @@ class GeneralisedAlpha(eqx.Module):
             change = correction(topology, matrix, residual)
             unknowns = jax.tree.map(jnp.add, unknowns, change)
             left, end = self.end_of_step(unknowns, constants, conditions, trajectory, memory)
-            return count + 1, unknowns, residual_of(left), end
+            return count + 1, unknowns, residual_of(left), (end[1].rates, end[1].instant)
 
         # The first correction is always made: what the guess would return is never needed.
-        end = jax.tree.map(jnp.zeros_like, end)
-        carry = (jnp.zeros((), jnp.int32), first, residual_of(left), end)
-        _, unknowns, _, end = jax.lax.while_loop(unsettled, correct, carry)
-        return unknowns, end
+        nothing = jax.tree.map(jnp.zeros_like, (end[1].rates, end[1].instant))
+        carry = (jnp.zeros((), jnp.int32), first, residual_of(left), nothing)
+        _, unknowns, _, seen = jax.lax.while_loop(unsettled, correct, carry)
+        return unknowns, self._ended(unknowns, constants, conditions, trajectory, memory, *seen)
+
+    def matrix(self, constants, conditions: Conditions, left: Balance) -> NewtonMatrix:
+        """Newton's matrix, on which the solution does not depend: it is not differentiated."""
+        realised, (operators, _, h, _) = conditions.realised, constants
+        if realised.topology.exact:
+            operators = present_operators(realised, left.motion.relative, *self.factors(h))
+        prescribed = isinstance(conditions.drive, PrescribedDrive)
+        matrix = newton_matrix(realised, operators, left.motion, left.closure, prescribed)
+        return jax.lax.stop_gradient(matrix)
 
     def guess(self, constants, conditions: Conditions, trajectory: Trajectory, memory) -> Correction:
         """Accelerations and multipliers before the first correction: those of the last step.
@@ -198,8 +203,7 @@ class GeneralisedAlpha(eqx.Module):
         q_factor, _ = self.factors(h)
         moving = h > 0.0
         accelerations, multipliers = unknowns
-        state, auxiliary = self._reached(h, trajectory, memory, accelerations)
-        state = impose(topology, state, drive)
+        state, _ = self._reached(h, trajectory, memory, accelerations, topology, drive)
         at = state if held is None else State(held, state.velocity)
         left = evaluate_balance(realised, at, accelerations, multipliers, drive, scale)
         if held is not None:
@@ -211,17 +215,26 @@ class GeneralisedAlpha(eqx.Module):
         left_over = _left_over(realised, left, drive, scale)
         instant = balanced_instant(topology, left, accelerations, drive, scale, left_over)
         rates = _rates(realised, state, drive, instant)
+        return left, self._ended(unknowns, constants, conditions, trajectory, memory, rates, instant)
+
+    def _ended(self, unknowns: Correction, constants, conditions, trajectory, memory, rates, instant):
+        """What the step returns with its unknowns, rates of the integrals and solved instant."""
+        _, t1, h, _ = constants
+        topology = conditions.realised.topology
+        drive = drive_input(conditions.drive, t1, conditions.phase)
+        accelerations, multipliers = unknowns
+        state, auxiliary = self._reached(h, trajectory, memory, accelerations, topology, drive)
         integrals = jax.tree.map(
             lambda sum, old, new: sum + 0.5 * h * (old + new),
             trajectory.integrals, memory.rates, rates,
         )
-        return left, (
+        return (
             Trajectory(state.position, state.velocity, integrals),
             Memory(accelerations, auxiliary, multipliers, rates, instant),
         )
 
-    def _reached(self, h, trajectory: Trajectory, memory: Memory, accelerations: Coordinates):
-        """State at the end of the step, and the method's a1."""
+    def _reached(self, h, trajectory: Trajectory, memory: Memory, accelerations, topology, drive):
+        """State at the end of the step with prescribed values imposed, and the method's a1."""
         moving = h > 0.0
 
         def auxiliary(new, old, a):
@@ -238,87 +251,7 @@ class GeneralisedAlpha(eqx.Module):
             lambda v, a, b: v + h * ((1.0 - self.gamma) * a + self.gamma * b),
             trajectory.velocity, a0, a1,
         )
-        return State(position, velocity), a1
-
-
-@functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _step(method: GeneralisedAlpha, *given):
-    return method.solve(*given)[1]
-
-
-@functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _unknowns(method: GeneralisedAlpha, *given):
-    return method.solve(*given)[0]
-
-
-def _differentiate_unknowns(method: GeneralisedAlpha, primals, tangents):
-    ends = _differentiate_step(method, primals, tangents)
-    return tuple(Correction(end.accelerations, end.multipliers) for _, end in ends)
-
-
-def _differentiate_step(method: GeneralisedAlpha, primals, tangents):
-    """Derivative of what the step's equations define, not of the corrections that solve them: corrections
-    of the tangents, with one linearisation at the solution."""
-    constants, *given = primals
-    # Most constants of a mechanism do not depend on the errors asked for: they are not linearised.
-    moves = jax.tree.map(
-        lambda x, dx: eqx.is_inexact_array(x) and not isinstance(dx, SymbolicZero),
-        given, list(tangents[1:]),
-    )
-    inputs, fixed = eqx.partition(given, moves)
-    along = eqx.filter(list(tangents[1:]), moves)
-    # With the solution at hand, reverse mode need not repeat Newton's method.
-    solution = jax.tree.map(
-        lambda x: checkpoint_name(x, SOLUTION), _unknowns(method, constants, *given)
-    )
-
-    def at(unknowns, inputs):
-        left, end = method.end_of_step(unknowns, constants, *eqx.combine(inputs, fixed))
-        return (residual_of(left), end), left
-
-    def guess(inputs):
-        return method.guess(constants, *eqx.combine(inputs, fixed))
-
-    (_, end), push, left = jax.linearize(at, solution, inputs, has_aux=True)
-    first = jax.jvp(guess, (inputs,), (along,))[1]
-    conditions = given[0]
-    topology = conditions.realised.topology
-    matrix = _matrix(method, constants, conditions, left)
-
-    def refine(found, _):
-        change = correction(topology, matrix, found[0])
-        # By jvp, what depends on the inputs alone is left out.
-        more = jax.jvp(lambda unknowns: push(unknowns, along), (first,), (change,))[1]
-        return jax.tree.map(jnp.add, found, more), None
-
-    found = push(first, along)
-    if method.refinements > 1:
-        found, _ = jax.lax.scan(refine, found, None, length=method.refinements - 1)
-    left_over, end_tangent = found
-    # What the last correction changes of the loads through the position is (step x spin)^2 of what it
-    # changes through accelerations, multipliers and velocities, and costs more than all of these.
-    held = end[0].position
-
-    def last(unknowns):
-        return method.end_of_step(unknowns, constants, *given, held=held)[1]
-
-    change = correction(topology, matrix, left_over)
-    more = jax.jvp(last, (solution,), (change,))[1]
-    return end, jax.tree.map(jnp.add, end_tangent, more)
-
-
-_step.defjvp(_differentiate_step, symbolic_zeros=True)
-_unknowns.defjvp(_differentiate_unknowns, symbolic_zeros=True)
-
-
-def _matrix(method: GeneralisedAlpha, constants, conditions: Conditions, left: Balance):
-    """Newton's matrix, on which the solution does not depend: it is not differentiated."""
-    realised, (operators, _, h, _) = conditions.realised, constants
-    if realised.topology.exact:
-        operators = present_operators(realised, left.motion.relative, *method.factors(h))
-    prescribed = isinstance(conditions.drive, PrescribedDrive)
-    matrix = newton_matrix(realised, operators, left.motion, left.closure, prescribed)
-    return jax.lax.stop_gradient(matrix)
+        return impose(topology, State(position, velocity), drive), a1
 
 
 def _left_over(realised, left: Balance, drive: DriveInput, scale: Array) -> Array:

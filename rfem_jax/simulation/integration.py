@@ -45,7 +45,8 @@ from rfem_jax.mechanics.status import (
 )
 from rfem_jax.simulation import equations
 from rfem_jax.simulation.equations import Conditions
-from rfem_jax.simulation.generalised_alpha import SOLUTION, GeneralisedAlpha
+from rfem_jax.simulation.generalised_alpha import GeneralisedAlpha
+from rfem_jax.simulation.implicit_step import SOLUTION
 from rfem_jax.simulation.observation import Record, observe, solved_instant
 from rfem_jax.simulation.run import DrivenJoint, LoadIntegrals, Metrics, Run
 from rfem_jax.simulation.stepping import Carry, stabilisation_of, step_intervals

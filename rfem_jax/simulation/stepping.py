@@ -7,13 +7,17 @@ A fixed-step method is a scan over the steps of a diffrax solver, an implicit on
 `diffrax.diffeqsolve`, so that saved times and the drive's jumps are ends of steps.
 """
 
+import functools
 from typing import NamedTuple
 
 import diffrax
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import Array
 
+from rfem_jax.compilation.scalars import in_scalars, nothing_known
+from rfem_jax.compilation.whole_loops import explicit_in_scalars
 from rfem_jax.description.methods import Method
 from rfem_jax.mechanics.inputs import Stabilisation
 from rfem_jax.mechanics.model import Model
@@ -106,10 +110,25 @@ def _implicit(
     return carry._replace(trajectory=trajectory, memory=memory, peaks=peaks, residual=residual)
 
 
+@jax.custom_jvp
+def _rate_in_scalars(t, trajectory, conditions):
+    zeros = False, nothing_known(trajectory), equations.structural_zeros(conditions)
+    return in_scalars(equations.right_hand_side, zeros)(t, trajectory, conditions)
+
+
+@functools.partial(_rate_in_scalars.defjvp, symbolic_zeros=True)
+def _differentiate_rate(primals, tangents):
+    inputs, fixed, along = equations.moving_parts(primals, tangents)
+    return jax.jvp(
+        lambda inputs: equations.right_hand_side(*eqx.combine(inputs, fixed)), (inputs,), (along,)
+    )
+
+
 def _field(t, y, conditions):
     trajectory, peaks = y
     # Reverse mode recomputes a stage from its state: storing hundreds of intermediates costs more.
-    rate = jax.checkpoint(equations.right_hand_side)(t, trajectory, conditions)
+    rate_of = _rate_in_scalars if explicit_in_scalars() else equations.right_hand_side
+    rate = jax.checkpoint(rate_of)(t, trajectory, conditions)
     return rate, jax.tree.map(jnp.zeros_like, peaks)
 
 

@@ -13,7 +13,7 @@ import pytest
 from rfem_jax.description import InputError
 from rfem_jax.report import command_line
 from rfem_jax.report.command_line import main
-from rfem_jax.report.process import user_cache_folder, whole_loops_pay
+from rfem_jax.report.process import scalars_pay, user_cache_folder, whole_loops_pay
 from rfem_jax.report.progress_line import Progress
 
 STATUS = {0: ("ok", "The run is complete."), 3: ("diverged", "The run diverged; reduce the step.")}
@@ -242,19 +242,22 @@ def test_progress_on_a_terminal_rewrites_its_line():
 
 
 @pytest.mark.parametrize(
-    ("command", "tables", "pay"),
+    ("command", "tables", "pay", "many"),
     [
-        ("run", "[drive]\n[monte_carlo]", True),
-        ("run", "[drive]\n[allocation]", False),
-        ("run", "not a study", False),
-        ("monte-carlo", "[allocation]", True),
-        ("worst-case", "[monte_carlo]", False),
+        ("run", "[drive]\n[monte_carlo]\nn = 4096", True, False),
+        ("run", "[drive]\n[monte_carlo]\nn = 100_000", True, True),
+        ("run", "[allocation]\n[monte_carlo]\nn = 100_000", False, False),
+        ("run", "not a study", False, False),
+        ("monte-carlo", "[allocation]\n[monte_carlo]\nn = 30_000", True, True),
+        ("monte-carlo", "monte_carlo = 100_000", True, False),
+        ("worst-case", "[monte_carlo]\nn = 100_000", False, False),
     ],
 )
 def test_loops_are_compiled_as_functions_where_nothing_is_differentiated(
-    tmp_path, command, tables, pay
+    tmp_path, command, tables, pay, many
 ):
     study = tmp_path / "study.toml"
     study.write_text(tables, encoding="utf-8")
     arguments = command_line.build_parser().parse_args([command, str(study), "--out", "results"])
     assert whole_loops_pay(arguments) is pay
+    assert scalars_pay(arguments) is many

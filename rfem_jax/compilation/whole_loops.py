@@ -2,7 +2,8 @@
 
 XLA's own choice is a call from a table for each operation of a loop's body, and these calls cost more than
 the few numbers that a mechanism has.  Options of the compiler are read once in a process, before
-its first array.
+its first array, and so is what goes with them: explicit right-hand sides, and if wanted the steps of
+implicit methods, as programs of scalars.
 """
 
 import os
@@ -22,16 +23,23 @@ OPTIONS = (
 NO_LIBRARY = "--xla_cpu_experimental_ynn_fusion_type="
 KNOWN = "0.10."  # jaxlib; another version may refuse to start with a flag that it does not know
 
+_chosen = {"whole loops": False, "scalars": False}
 
-def compile_whole_loops() -> bool:
+
+def compile_whole_loops(*, scalars: bool = False) -> bool:
     """Let XLA compile loops over steps as single functions: call it right after the imports.
 
-    A simulation then runs 2 (in a batch) to 4 (alone) times faster on a CPU; its program takes about as
+    A simulation then runs 3 (in a batch) to 4 (alone) times faster on a CPU; its program takes about as
     long to compile as otherwise, that of a derivative two to three times as long.  Results agree to rounding.
 
-    Returns: whether it did; not if the environment variable XLA_FLAGS has options of this kind or
-        names a file, or if the version of jaxlib is not one for which the flags are known.
-    Raises: InputError when JAX has started already.
+    **Arguments:** `scalars`: also the steps of the implicit method, and their derivatives, as programs of
+    scalars: batches run 2 to 4 times faster again, for half a minute more of compilation (a derivative: two
+    minutes).  It pays for tens of thousands of simulations.
+
+    **Returns:** whether it did; not if the environment variable XLA_FLAGS has options of this kind or
+    names a file, or if the version of jaxlib is not one for which the flags are known.
+
+    **Raises:** InputError when JAX has started already.
     """
     flags = os.environ.get("XLA_FLAGS", "").strip()
     names_a_file = bool(flags) and not flags.startswith("-")
@@ -43,7 +51,18 @@ def compile_whole_loops() -> bool:
     # First: XLA reads no further than a word that is no flag.
     options = f"--xla_backend_extra_options={','.join(OPTIONS)}"
     os.environ["XLA_FLAGS"] = f"{NO_LIBRARY} {options} {flags}".strip()
+    _chosen.update({"whole loops": True, "scalars": scalars})
     return True
+
+
+def explicit_in_scalars() -> bool:
+    """Whether right-hand sides of explicit methods are programs of scalars: seconds more to compile."""
+    return _chosen["whole loops"]
+
+
+def implicit_in_scalars() -> bool:
+    """Whether steps of implicit methods are programs of scalars."""
+    return _chosen["scalars"]
 
 
 def _require_not_started() -> None:

@@ -1,0 +1,404 @@
+"""Programs of scalars: a function of small arrays, evaluated entry by entry.
+
+Place in the pipeline: simulation wraps its innermost functions in `in_scalars`.
+
+XLA runs an operation on an array as a loop, and a mechanism's arrays have three rows: most of the time goes
+into the bookkeeping of loops, slices and joined parts.  Taken apart while it is traced, the same function is
+a list of additions and multiplications; slices, and products with zeros that are known, are gone, and in a
+batch every operation is one over the samples.  It pays where XLA compiles loops over steps as single
+functions (`whole_loops`), and for thousands of operations: the time of compilation grows with their number.
+"""
+
+import functools
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+from jax.extend.core import ClosedJaxpr, Literal
+
+MOST_OPERATIONS = 65_000  # what compiles within two minutes
+UNROLLED = 64  # iterations of a scan over rows
+
+# One result from one entry of each operand.
+ELEMENTWISE = frozenset(
+    "sin cos tan asin acos atan atan2 exp exp2 log log1p expm1 sqrt rsqrt cbrt tanh sinh cosh abs max min sign "
+    "floor ceil round is_finite pow rem clamp lt le gt ge eq ne and or not xor nextafter convert_element_type "
+    "name optimization_barrier".split()
+)
+CALLS = frozenset(
+    "jit pjit closed_call checkpoint remat remat2 custom_jvp_call custom_vjp_call".split()
+)
+# Primitives that move entries, and how many of their operands hold entries; the others are places.
+MOVING = {"gather": 1, "dynamic_slice": 1, "dynamic_update_slice": 2, "pad": 2, "split": 1, "scatter": 2}
+
+
+def in_scalars(function, zeros=None):
+    """The function, evaluated entry by entry.
+
+    **Arguments:** `zeros`: a tuple of trees like the arguments, of boolean arrays that say which entries are
+    known to be zero, or of False; None: nothing is known.
+
+    A function of very many operations is evaluated by arrays.  Rules of custom derivatives inside of it are
+    lost: give `function` one of its own where that matters.
+    """
+
+    def evaluated(*arguments):
+        given, tree = jax.tree.flatten(arguments)
+        like = [jax.ShapeDtypeStruct(jnp.shape(x), jnp.result_type(x)) for x in given]
+        program, shapes = jax.make_jaxpr(
+            lambda *leaves: function(*jax.tree.unflatten(tree, leaves)), return_shape=True
+        )(*like)
+        if operations(program) > MOST_OPERATIONS:
+            return function(*arguments)
+        entries = [_entries(x) for x in given]
+        if zeros is not None:
+            known = jax.tree.leaves(zeros)
+            entries = [np.where(z, x.dtype.type(0), e) for z, x, e in zip(known, like, entries, strict=True)]
+        results = _evaluate(program, entries)
+        arrays = [_array(x, v.aval.dtype) for x, v in zip(results, program.jaxpr.outvars)]
+        return jax.tree.unflatten(jax.tree.structure(shapes), arrays)
+
+    return evaluated
+
+
+def nothing_known(tree):
+    """The tree with False in place of its arrays, for `zeros`."""
+    return jax.tree.map(lambda _: False, tree)
+
+
+def operations(program: ClosedJaxpr) -> int:
+    """Number of scalar operations of a program, every loop's body once."""
+    count = 0
+    for equation in program.jaxpr.eqns:
+        name, settings = equation.primitive.name, equation.params
+        inner = [x for x in jax.tree.leaves(list(settings.values()), is_leaf=_is_program) if _is_program(x)]
+        rows = settings["length"] if name == "scan" and len(equation.outvars) > settings["num_carry"] else 1
+        count += rows * sum(operations(x) for x in inner)
+        if name in ARITHMETIC or name in ELEMENTWISE or name in SPECIAL_ARITHMETIC:
+            size = math.prod(equation.outvars[0].aval.shape)
+            if name == "dot_general":
+                (summed, _), _ = settings["dimension_numbers"]
+                size *= 2 * math.prod(equation.invars[0].aval.shape[i] for i in summed)
+            count += size
+        elif name in REDUCED:
+            count += math.prod(equation.invars[0].aval.shape)
+    return count
+
+
+def _is_program(x) -> bool:
+    return isinstance(x, ClosedJaxpr)
+
+
+def _of_shape(scalars, shape) -> np.ndarray:
+    """An object array; NumPy would look into JAX's scalars, given all at once."""
+    values = np.empty(math.prod(shape), object)
+    for i, scalar in enumerate(scalars):
+        values[i] = scalar
+    return values.reshape(shape)
+
+
+def _whole(values) -> np.ndarray:
+    """NumPy gives the entry itself where an array without axes is meant."""
+    if isinstance(values, np.ndarray) and values.dtype == object:
+        return values
+    return _of_shape([values], ())
+
+
+def _entries(array) -> np.ndarray:
+    """Numbers of a known array, JAX scalars of any other."""
+    if not isinstance(array, jax.core.Tracer):
+        array = np.asarray(array)
+    places = np.ndindex(*array.shape)
+    return _of_shape([array[place] for place in places], array.shape)
+
+
+def _array(values: np.ndarray, dtype) -> Array:
+    if all(_known(x) for x in values.flat):
+        return jnp.asarray(np.array(values.tolist(), dtype).reshape(values.shape))
+    return jnp.stack([jnp.asarray(x, dtype) for x in values.flat]).reshape(values.shape)
+
+
+def _known(x) -> bool:
+    """A number, not a JAX scalar."""
+    return isinstance(x, (bool, int, float, np.generic))
+
+
+def _add(a, b):
+    if _known(a) and _known(b):
+        return a + b
+    if _known(a) and a == 0:
+        return b
+    if _known(b) and b == 0:
+        return a
+    return lax.add(*_alike(a, b))
+
+
+def _subtract(a, b):
+    if _known(a) and a == 0:
+        return _negative(b)
+    if _known(b):
+        return _add(a, -b)
+    return lax.sub(*_alike(a, b))
+
+
+def _multiply(a, b):
+    if _known(b):
+        a, b = b, a
+    if not _known(a):
+        return lax.mul(a, b)
+    if _known(b):
+        return a * b
+    if a == 0:
+        return a
+    if a == 1:
+        return b
+    return _negative(b) if a == -1 else lax.mul(*_alike(a, b))
+
+
+def _negative(a):
+    return -a if _known(a) else lax.neg(a)
+
+
+def _alike(a, b):
+    return (jnp.asarray(a, b.dtype), b) if _known(a) else (a, jnp.asarray(b, a.dtype))
+
+
+def _larger(a, b):
+    return max(a, b) if _known(a) and _known(b) else lax.max(*_alike(a, b))
+
+
+def _smaller(a, b):
+    return min(a, b) if _known(a) and _known(b) else lax.min(*_alike(a, b))
+
+
+ARITHMETIC = {"add": _add, "add_any": _add, "sub": _subtract, "mul": _multiply, "neg": _negative}
+REDUCED = {"reduce_sum": (_add, 0.0), "reduce_max": (_larger, -np.inf), "reduce_min": (_smaller, np.inf)}
+
+
+def _each(function, parts) -> np.ndarray:
+    """A function of scalars, entry by entry; parts without axes go with every entry."""
+    shape = np.broadcast_shapes(*(x.shape for x in parts))
+    return _of_shape(map(function, *(np.broadcast_to(x, shape).flat for x in parts)), shape)
+
+
+def _evaluate(program: ClosedJaxpr, given) -> list[np.ndarray]:
+    jaxpr = program.jaxpr
+    values = dict(zip(jaxpr.constvars, map(_entries, program.consts))) | dict(zip(jaxpr.invars, given))
+
+    def read(variable):
+        return _entries(variable.val) if isinstance(variable, Literal) else values[variable]
+
+    for equation in jaxpr.eqns:
+        results = _apply(equation, [read(variable) for variable in equation.invars])
+        values.update(zip(equation.outvars, map(_whole, results)))
+    return [read(variable) for variable in jaxpr.outvars]
+
+
+def _apply(equation, parts) -> list[np.ndarray]:
+    """Results of one operation on arrays."""
+    name, settings = equation.primitive.name, equation.params
+    if name in ARITHMETIC:
+        return [_each(ARITHMETIC[name], parts)]
+    if name in SPECIAL:
+        return SPECIAL[name](equation, *parts)
+    if name in REDUCED:
+        return [_reduced(*REDUCED[name], parts[0], settings["axes"])]
+    if name in ELEMENTWISE:
+        return [_each(functools.partial(_bound, equation), parts)]
+    if name in CALLS:
+        inner = settings.get("jaxpr", settings.get("call_jaxpr"))
+        return _evaluate(inner if _is_program(inner) else ClosedJaxpr(inner, ()), parts)
+    if name in MOVING and all(_known(x) for part in parts[MOVING[name] :] for x in part.flat):
+        return _moved(equation, parts, MOVING[name])
+    return _by_arrays(equation, parts)
+
+
+def _bind(equation, arguments):
+    results = equation.primitive.bind(*arguments, **equation.params)
+    return results if equation.primitive.multiple_results else [results]
+
+
+def _bound(equation, *scalars):
+    """One entry by JAX; a number, if all entries are."""
+    dtypes = [variable.aval.dtype for variable in equation.invars]
+    if all(map(_known, scalars)):
+        with jax.ensure_compile_time_eval():
+            arguments = [jnp.asarray(x, dtype) for x, dtype in zip(scalars, dtypes)]
+            return np.asarray(_bind(equation, arguments)[0])[()]
+    return _bind(equation, [jnp.asarray(x, dtype) for x, dtype in zip(scalars, dtypes)])[0]
+
+
+def _by_arrays(equation, parts):
+    arguments = [_array(x, variable.aval.dtype) for x, variable in zip(parts, equation.invars)]
+    return [_entries(x) for x in _bind(equation, arguments)]
+
+
+def _moved(equation, parts, count: int):
+    """Carried out on the numbers of the entries."""
+    operands = list(zip(parts, equation.invars))
+    if equation.primitive.name == "scatter":
+        operands[1], operands[2] = operands[2], operands[1]
+    moved = [part for part, _ in operands[:count]]
+    entries = np.concatenate([part.ravel() for part in moved])
+    sizes = np.cumsum([part.size for part in moved])[:-1]
+    numbers = [x.reshape(part.shape) for x, part in zip(np.split(np.arange(entries.size), sizes), moved)]
+    numbers += [np.array(part.tolist(), variable.aval.dtype) for part, variable in operands[count:]]
+    if equation.primitive.name == "scatter":
+        numbers[1], numbers[2] = numbers[2], numbers[1]
+    with jax.ensure_compile_time_eval():
+        results = [np.asarray(x) for x in _bind(equation, [jnp.asarray(x) for x in numbers])]
+    return [entries[x] for x in results]
+
+
+def _reduced(function, nothing, values, axes):
+    values = np.moveaxis(values, axes, range(len(axes)))
+    kept = values.shape[len(axes) :]
+    terms = [_whole(values[place]) for place in np.ndindex(*values.shape[: len(axes)])]
+    if not terms:
+        return _of_shape([nothing] * math.prod(kept), kept)
+    return _each(lambda *terms: functools.reduce(function, terms), terms)
+
+
+def _broadcast(equation, x):
+    shape, axes = equation.params["shape"], equation.params["broadcast_dimensions"]
+    lengths = [1] * len(shape)
+    for axis, length in zip(axes, x.shape):
+        lengths[axis] = length
+    return [np.broadcast_to(x.reshape(lengths), shape)]
+
+
+def _slice(equation, x):
+    settings = equation.params
+    strides = settings["strides"] or (1,) * x.ndim
+    limits = zip(settings["start_indices"], settings["limit_indices"], strides)
+    return [x[tuple(slice(*limit) for limit in limits)]]
+
+
+def _dot(equation, a, b):
+    (a_summed, b_summed), (a_batch, b_batch) = equation.params["dimension_numbers"]
+    a_own = [i for i in range(a.ndim) if i not in (*a_summed, *a_batch)]
+    b_own = [i for i in range(b.ndim) if i not in (*b_summed, *b_batch)]
+    batch, terms = (math.prod(a.shape[i] for i in axes) for axes in (a_batch, a_summed))
+    rows, columns = (math.prod(x.shape[i] for i in own) for x, own in ((a, a_own), (b, b_own)))
+    shape = [a.shape[i] for i in (*a_batch, *a_own)] + [b.shape[i] for i in b_own]
+    a = a.transpose([*a_batch, *a_own, *a_summed]).reshape(batch, rows, terms)
+    b = b.transpose([*b_batch, *b_own, *b_summed]).reshape(batch, columns, terms)
+    sums = (
+        functools.reduce(_add, map(_multiply, a[i, j], b[i, k]), 0.0)
+        for i, j, k in np.ndindex(batch, rows, columns)
+    )
+    return [_of_shape(sums, shape)]
+
+
+def _divided(equation, a, b):
+    def quotient(a, b):
+        if _known(b) and b == 1 or _known(a) and a == 0 and not _known(b):
+            return a
+        return _bound(equation, a, b)
+
+    return [_each(quotient, [a, b])]
+
+
+def _power(equation, x):
+    exponent = equation.params["y"]
+    return [_each(lambda a: a**exponent if _known(a) else lax.integer_pow(a, exponent), [x])]
+
+
+def _select(equation, which, *cases):
+    dtype = equation.outvars[0].aval.dtype
+
+    def chosen(which, *cases):
+        if _known(which):
+            return cases[int(which)]
+        return lax.select_n(which, *(jnp.asarray(x, dtype) for x in cases))
+
+    return [_each(chosen, [which, *cases])]
+
+
+def _scalars(parts, variables) -> list[Array]:
+    """What goes round a loop or into a branch."""
+    pairs = zip(parts, variables)
+    return [jnp.asarray(x, variable.aval.dtype) for part, variable in pairs for x in part.flat]
+
+
+def _shaped(scalars, variables) -> list[np.ndarray]:
+    scalars = iter(scalars)
+    shapes = [variable.aval.shape for variable in variables]
+    return [_of_shape([next(scalars) for _ in range(math.prod(x))], x) for x in shapes]
+
+
+def _while(equation, *parts):
+    settings, variables = equation.params, equation.outvars
+    first, second = settings["cond_nconsts"], settings["cond_nconsts"] + settings["body_nconsts"]
+    of_condition, of_body, start = parts[:first], parts[first:second], parts[second:]
+
+    def goes_on(scalars):
+        result = _evaluate(settings["cond_jaxpr"], [*of_condition, *_shaped(scalars, variables)])
+        return jnp.asarray(result[0][()])
+
+    def again(scalars):
+        results = _evaluate(settings["body_jaxpr"], [*of_body, *_shaped(scalars, variables)])
+        return _scalars(results, variables)
+
+    return _shaped(lax.while_loop(goes_on, again, _scalars(start, variables)), variables)
+
+
+def _scan(equation, *parts):
+    settings, variables = equation.params, equation.outvars
+    first, second = settings["num_consts"], settings["num_consts"] + settings["num_carry"]
+    fixed, carry, rows = parts[:first], list(parts[first:second]), parts[second:]
+    body, length, carried = settings["jaxpr"], settings["length"], settings["num_carry"]
+    if not rows and len(variables) == carried:
+
+        def again(scalars, _):
+            return _scalars(_evaluate(body, [*fixed, *_shaped(scalars, variables)]), variables), None
+
+        scalars, _ = lax.scan(again, _scalars(carry, variables), None, length=length)
+        return _shaped(scalars, variables)
+    if length > UNROLLED:
+        return _by_arrays(equation, parts)
+    made = []
+    for i in reversed(range(length)) if settings["reverse"] else range(length):
+        results = _evaluate(body, [*fixed, *carry, *(_whole(x[i]) for x in rows)])
+        carry = results[:carried]
+        made.append(results[carried:])
+    made = made[::-1] if settings["reverse"] else made
+    return carry + [np.stack(column) for column in zip(*made)]
+
+
+def _branches(equation, which, *parts):
+    branches, variables, operands = equation.params["branches"], equation.outvars, equation.invars[1:]
+    if _known(which[()]):
+        return _evaluate(branches[int(which[()])], list(parts))
+
+    def branch(program):
+        return lambda scalars: _scalars(_evaluate(program, _shaped(scalars, operands)), variables)
+
+    scalars = lax.switch(which[()], [branch(x) for x in branches], _scalars(parts, operands))
+    return _shaped(scalars, variables)
+
+
+SPECIAL = {
+    "broadcast_in_dim": _broadcast,
+    "concatenate": lambda e, *parts: [np.concatenate(parts, e.params["dimension"])],
+    "cond": _branches,
+    "copy": lambda _, x: [x],
+    "div": _divided,
+    "dot_general": _dot,
+    "expand_dims": lambda e, x: [np.expand_dims(x, e.params["dimensions"])],
+    "integer_pow": _power,
+    "reshape": lambda e, x: [x.reshape(e.params["new_sizes"])],
+    "rev": lambda e, x: [np.flip(x, e.params["dimensions"])],
+    "scan": _scan,
+    "select_n": _select,
+    "slice": _slice,
+    "square": lambda _, x: [_each(_multiply, [x, x])],
+    "squeeze": lambda e, x: [np.squeeze(x, e.params["dimensions"])],
+    "stack": lambda e, *parts: [np.stack(parts, e.params["axis"])],
+    "stop_gradient": lambda _, x: [_each(lambda a: a if _known(a) else lax.stop_gradient(a), [x])],
+    "transpose": lambda e, x: [x.transpose(e.params["permutation"])],
+    "while": _while,
+}
+SPECIAL_ARITHMETIC = frozenset(("div", "dot_general", "integer_pow", "select_n", "square"))

@@ -1,0 +1,34 @@
+"""Entries that are said to be zero for all numbers are: with all errors at once, and no others where no
+point mass breaks the symmetry of a segment."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from rfem_jax import discretise
+from rfem_jax.mechanics import condensation, realisation
+from tests.mechanisms import four_bar, six_link_loop, some_errors, three_link_loop
+
+
+@pytest.mark.parametrize("make", [four_bar, three_link_loop, six_link_loop])
+def test_structural_zeros(make):
+    model = discretise(make())
+    topology = model.topology
+    realised = realisation.realise(model, some_errors(model, np.random.default_rng(1)))
+    operators = condensation.link_operators(realised, jnp.asarray(1e-6), jnp.asarray(1e-3))
+    values = realised, operators
+    zeros = realisation.structural_zeros(topology), condensation.structural_zeros(topology)
+    assert jax.tree.structure(values) == jax.tree.structure(zeros)
+    some = 0
+    for value, zero in zip(jax.tree.leaves(values), jax.tree.leaves(zeros)):
+        assert value.shape == zero.shape
+        assert not np.asarray(value)[zero].any()
+        some += zero.sum()
+    assert some > 50
+    if not topology.masses:
+        operator, zero = next((a, b) for a, b in zip(*(values[1], zeros[1])) if a is not None)
+        for name in operator._fields:
+            np.testing.assert_array_equal(np.asarray(getattr(operator, name)) == 0.0, getattr(zero, name))
+        for name in ("inertia", "inverse_inertia"):
+            np.testing.assert_array_equal(np.asarray(getattr(realised, name)) == 0.0, getattr(zeros[0], name))

@@ -1,0 +1,194 @@
+"""Programs of scalars: every kind of operation gives what it gives with arrays, in all transformations;
+so do right-hand sides, and steps of the implicit method with their derivatives."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax import lax
+
+from rfem_jax import Method, MomentRamp, assembly_errors, discretise
+from rfem_jax.compilation import scalars, whole_loops
+from rfem_jax.compilation.scalars import in_scalars
+from rfem_jax.simulation import equations, implicit_step, integration, stepping
+from rfem_jax.simulation.equations import Conditions
+from rfem_jax.simulation.generalised_alpha import GeneralisedAlpha
+from tests.mechanisms import four_bar
+
+X = np.linspace(0.3, 1.9, 12).reshape(3, 4)
+Y = np.linspace(-1.0, 1.2, 12).reshape(3, 4)
+PLACES = np.array([2, 0, 2])
+
+
+def arithmetic(x, y):
+    return (x + y) * x - y / x, -x * 0.0 + 1.0 * y, x**3 + jnp.square(y) - 2.0
+
+
+def functions(x, y):
+    return jnp.sin(x) + jnp.arctan2(y, x), jnp.sqrt(x), jnp.exp(y), jnp.where(y > 0.1, x, y * x)
+
+
+def sums(x, y):
+    return jnp.sum(x * y), jnp.sum(x, axis=0), jnp.max(jnp.abs(y), axis=1), jnp.min(x), jnp.sum(x[:0], axis=0)
+
+
+def products(x, y):
+    return x @ y.T, jnp.einsum("ij,kj->jik", x, y), jnp.tensordot(x, y, axes=1 + 1), jnp.cross(x[:, 0], y[:, 1])
+
+
+def shapes(x, y):
+    joined = jnp.concatenate([x, y[::-1]], axis=1)
+    return joined, jnp.stack([x, y], axis=1), x.T.reshape(2, 6), jnp.swapaxes(x[None], 0, 2), jnp.split(y, 2, axis=1)
+
+
+def places(x, y):
+    x = jnp.asarray(x)
+    padded = jnp.pad(x, ((1, 0), (0, 2)))
+    return x[PLACES], x.at[:, 1].set(y[:, 0]), x.at[1].add(2.0), padded, lax.dynamic_slice(y, (1, 0), (2, 2)), x[-1, ::2]
+
+
+def loops(x, y):
+    def halve(carry):
+        count, values = carry
+        return count + 1, values * 0.5 + jnp.cos(values)
+
+    _, low = lax.while_loop(lambda carry: jnp.sum(carry[1][0]) > 4.0, halve, (0, x * y[0, 0]))
+    summed, rows = lax.scan(lambda total, row: (total + row @ row, total * row), 0.0, x)
+    back, _ = lax.scan(lambda total, row: (0.5 * total + row, None), jnp.zeros(4), y, reverse=True)
+    again, _ = lax.scan(lambda values, _: (jnp.sin(values), None), x, None, length=3)
+    return low, summed, rows, back, again
+
+
+def branches(x, y):
+    def small(values):
+        return values * 2.0, 1.0
+
+    def large(values):
+        return values + y, jnp.sum(values)
+
+    return lax.cond(jnp.sum(x) > 1.0, small, large, x), lax.switch(1, [small, large], x)
+
+
+def by_library(x, y):
+    square = x @ x.T + jnp.eye(3)
+    return jnp.linalg.solve(square, y), jnp.cumsum(y, axis=1)
+
+
+@pytest.mark.parametrize(
+    "function",
+    [arithmetic, functions, sums, products, shapes, places, loops, branches, by_library],
+    ids=lambda function: function.__name__,
+)
+def test_what_arrays_give(function):
+    def close(a, b):
+        jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-13, atol=1e-14), a, b)
+
+    def forward(function):
+        return lambda x, y: jax.jvp(function, (x, y), (jnp.cos(x), y))
+
+    scalar = in_scalars(function)
+    assert jax.tree.structure(jax.eval_shape(scalar, X, Y)) == jax.tree.structure(jax.eval_shape(function, X, Y))
+    close(jax.jit(scalar)(X, Y), function(X, Y))
+    close(jax.jit(forward(scalar))(X, Y), forward(function)(X, Y))
+    many = jnp.stack([X, X + 0.1]), jnp.stack([Y, -Y])
+    close(jax.jit(jax.vmap(scalar))(*many), jax.vmap(function)(*many))
+    if function not in (loops, by_library):
+        def total(function):
+            return lambda x: sum(jnp.sum(jnp.asarray(part) ** 2) for part in jax.tree.leaves(function(x, Y)))
+
+        close(jax.jit(jax.grad(total(scalar)))(X), jax.grad(total(function))(X))
+
+
+def primitives(function, *arguments):
+    return [equation.primitive.name for equation in jax.make_jaxpr(function)(*arguments).jaxpr.eqns]
+
+
+def test_zeros_that_are_known_are_gone():
+    """A product with a diagonal matrix: three multiplications, no addition."""
+    matrix, vector = np.diag([1.0, 2.0, 3.0]), np.array([1.0, 2.0, 4.0])
+    zeros = ~np.eye(3, dtype=bool), False
+
+    def product(matrix, vector):
+        return jnp.sum(matrix * vector[None], axis=1)
+
+    names = primitives(in_scalars(product, zeros), matrix, vector)
+    assert names.count("mul") == 3 and "add" not in names
+    names = primitives(in_scalars(product), matrix, vector)
+    assert names.count("mul") == 9 and names.count("add") == 6
+    np.testing.assert_array_equal(in_scalars(product, zeros)(matrix, vector), matrix @ vector)
+
+
+def test_a_function_of_very_many_operations_stays_as_it_is(monkeypatch):
+    monkeypatch.setattr(scalars, "MOST_OPERATIONS", 11)
+    assert "sin" in primitives(in_scalars(jnp.sin), X)
+    assert primitives(in_scalars(jnp.sin), X) == ["sin"]
+    assert primitives(in_scalars(jnp.sin), X[:2]).count("sin") == 8
+
+
+def test_what_no_gradient_goes_through_stays_so():
+    def function(x):
+        return jnp.sum(x * lax.stop_gradient(x))
+
+    np.testing.assert_array_equal(jax.grad(in_scalars(function))(X), X)
+
+
+
+@pytest.fixture(scope="module")
+def four_bar_in_motion(quick_compilation):
+    """Implicit method, its constants, and conditions, trajectory and memory after two steps."""
+    model, drive = discretise(four_bar()), MomentRamp("A", -1.0, 0.01)
+    method = Method("generalised_alpha", step=2.5e-3, tolerance=1e-6)
+    prepared = integration.prepare(model, assembly_errors(model, {"D.delta_x": 2e-3}), drive, None)
+    carry = integration.start_carry(model, prepared, drive, method)
+    phase, gains = jnp.asarray(0, jnp.int32), stepping.stabilisation_of(model, method)
+    conditions = Conditions(prepared.realised, drive, phase, gains)
+    implicit = GeneralisedAlpha(method)
+    trajectory, memory = carry.trajectory, carry.memory
+    for h, t1 in ((0.0, 0.0), (2.5e-3, 2.5e-3), (2.5e-3, 5e-3)):
+        operators = jax.tree.map(lambda x: x[0], implicit.operators(prepared.realised, jnp.asarray([h])))
+        constants = operators, jnp.asarray(t1), jnp.asarray(h), jnp.asarray(10.0)
+        trajectory, memory = implicit.step(conditions, *constants[:3], trajectory, memory, constants[3])
+    return implicit, constants, conditions, trajectory, memory
+
+
+def assert_same(found, expected):
+    """To rounding, relative to the largest of each array."""
+    assert jax.tree.structure(found) == jax.tree.structure(expected)
+    for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(expected)):
+        np.testing.assert_allclose(a, b, rtol=1e-8, atol=1e-8 * max(1e-9, np.abs(np.asarray(b)).max(initial=0.0)))
+
+
+def test_a_right_hand_side_and_its_derivative_are_the_same(four_bar_in_motion):
+    _, _, conditions, trajectory, _ = four_bar_in_motion
+    given = jnp.asarray(5e-3), trajectory, conditions
+    found = jax.jit(stepping._rate_in_scalars)(*given)
+    assert_same(found, equations.right_hand_side(*given))
+
+    def along(rate):
+        return jax.jvp(lambda trajectory: rate(given[0], trajectory, conditions), (trajectory,), (found,))[1]
+
+    assert_same(along(stepping._rate_in_scalars), along(equations.right_hand_side))
+
+
+@pytest.mark.slow
+def test_a_step_and_its_derivative_are_the_same(four_bar_in_motion, monkeypatch):
+    """The step that follows, and its derivative along the present accelerations."""
+    method, constants, *given = four_bar_in_motion
+    conditions, trajectory, memory = given
+    moving = jax.tree.map(jnp.zeros_like, memory)._replace(accelerations=memory.accelerations)
+
+    def along(memory):
+        return implicit_step.end_of_step(method, constants, conditions, trajectory, memory)
+
+    expected = jax.jvp(along, (memory,), (moving,))
+    jax.clear_caches()
+    monkeypatch.setitem(whole_loops._chosen, "scalars", True)
+    evaluated = []
+    monkeypatch.setattr(
+        implicit_step, "in_scalars", lambda *wrapped: evaluated.append(wrapped) or in_scalars(*wrapped)
+    )
+    found = jax.jit(lambda memory: jax.jvp(along, (memory,), (moving,)))(memory)
+    jax.clear_caches()
+    assert len(evaluated) == 2
+    assert np.abs(np.asarray(expected[1][1].instant.loads.force)).max() > 1e-3
+    assert_same(found, expected)
