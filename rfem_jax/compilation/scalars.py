@@ -18,7 +18,7 @@ import numpy as np
 from jax import Array, lax
 from jax.extend.core import ClosedJaxpr, Literal
 
-MOST_OPERATIONS = 65_000  # what compiles within two minutes
+MOST_OPERATIONS = 65_000
 UNROLLED = 64  # iterations of a scan over rows
 
 # One result from one entry of each operand.
@@ -34,14 +34,14 @@ CALLS = frozenset(
 MOVING = {"gather": 1, "dynamic_slice": 1, "dynamic_update_slice": 2, "pad": 2, "split": 1, "scatter": 2}
 
 
-def in_scalars(function, zeros=None):
+def in_scalars(function, zeros=None, most=MOST_OPERATIONS):
     """The function, evaluated entry by entry.
 
     **Arguments:** `zeros`: a tuple of trees like the arguments, of boolean arrays that say which entries are
-    known to be zero, or of False; None: nothing is known.
+    known to be zero, or of False; None: nothing is known; `most`: a function of more operations, counted on
+    the arrays, is evaluated by arrays.
 
-    A function of very many operations is evaluated by arrays.  Rules of custom derivatives inside of it are
-    lost: give `function` one of its own where that matters.
+    Rules of custom derivatives inside of it are lost: wrap the result where they matter.
     """
 
     def evaluated(*arguments):
@@ -50,7 +50,7 @@ def in_scalars(function, zeros=None):
         program, shapes = jax.make_jaxpr(
             lambda *leaves: function(*jax.tree.unflatten(tree, leaves)), return_shape=True
         )(*like)
-        if operations(program) > MOST_OPERATIONS:
+        if operations(program) > most:
             return function(*arguments)
         entries = [_entries(x) for x in given]
         if zeros is not None:

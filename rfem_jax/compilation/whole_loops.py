@@ -29,12 +29,13 @@ _chosen = {"whole loops": False, "scalars": False}
 def compile_whole_loops(*, scalars: bool = False) -> bool:
     """Let XLA compile loops over steps as single functions: call it right after the imports.
 
-    A simulation then runs 3 (in a batch) to 4 (alone) times faster on a CPU; its program takes about as
-    long to compile as otherwise, that of a derivative two to three times as long.  Results agree to rounding.
+    An implicit simulation then runs about 2 times faster on a CPU, an explicit one, whose right-hand side becomes
+    a program of scalars, 8 (in a batch) to 16 (alone) times; programs take about as long to compile as
+    otherwise, those of derivatives two to three times as long.  Results agree to rounding.
 
     **Arguments:** `scalars`: also the steps of the implicit method, and their derivatives, as programs of
-    scalars: batches run 2 to 4 times faster again, for half a minute more of compilation (a derivative: two
-    minutes).  It pays for tens of thousands of simulations.
+    scalars: 2 to 3 times faster again, for half a minute more of compilation (a derivative: two to four
+    minutes in all).  It pays for tens of thousands of simulations.
 
     **Returns:** whether it did; not if the environment variable XLA_FLAGS has options of this kind or
     names a file, or if the version of jaxlib is not one for which the flags are known.

@@ -41,7 +41,7 @@ from rfem_jax.mechanics.newton import Correction, NewtonMatrix, correction, newt
 from rfem_jax.mechanics.realisation import Realisation
 from rfem_jax.simulation import equations
 from rfem_jax.simulation.equations import Conditions, Integrals, Trajectory, drive_input
-from rfem_jax.simulation.implicit_step import end_of_step
+from rfem_jax.simulation.implicit_step import solved_step
 from rfem_jax.simulation.observation import Instant, balanced_instant
 
 CLOSED = 1e-7  # drift of the cut joints, relative to the length, that Newton's method may leave
@@ -133,7 +133,7 @@ class GeneralisedAlpha(eqx.Module):
         """One step of length h to t1 (zero: accelerations at the given state); `largest` [N]: joint load
         so far."""
         constants = jax.lax.stop_gradient((operators, t1, h, largest))
-        return end_of_step(self, constants, conditions, trajectory, memory)
+        return solved_step(self, constants, conditions, trajectory, memory)
 
     def solve(self, constants, conditions, trajectory, memory):
         """Newton's method: unknowns, and what the step returns with them."""

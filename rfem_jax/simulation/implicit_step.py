@@ -27,7 +27,7 @@ SOLUTION = "solution of an implicit step"  # what reverse mode keeps of a step
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
-def end_of_step(method, constants, *given):
+def solved_step(method, constants, *given):
     """Trajectory and memory at the end of a step."""
     return _solve(method, constants, *given)[1]
 
@@ -62,7 +62,7 @@ def _differentiate_unknowns(method, primals, tangents):
     return tuple(Correction(end.accelerations, end.multipliers) for _, end in ends)
 
 
-end_of_step.defjvp(_differentiate, symbolic_zeros=True)
+solved_step.defjvp(_differentiate, symbolic_zeros=True)
 _unknowns.defjvp(_differentiate_unknowns, symbolic_zeros=True)
 
 

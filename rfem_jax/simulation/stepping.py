@@ -31,6 +31,7 @@ from rfem_jax.simulation.time_grid import TimeGrid
 STABILISATION = 0.02
 ADAPTIVE_STABILISATION_RATE = 1e3
 MAX_ADAPTIVE_STEPS = 100_000
+MOST_OPERATIONS = 20_000  # of a right-hand side in scalars: compiled within seconds
 
 
 class Carry(NamedTuple):
@@ -113,7 +114,7 @@ def _implicit(
 @jax.custom_jvp
 def _rate_in_scalars(t, trajectory, conditions):
     zeros = False, nothing_known(trajectory), equations.structural_zeros(conditions)
-    return in_scalars(equations.right_hand_side, zeros)(t, trajectory, conditions)
+    return in_scalars(equations.right_hand_side, zeros, MOST_OPERATIONS)(t, trajectory, conditions)
 
 
 @functools.partial(_rate_in_scalars.defjvp, symbolic_zeros=True)
