@@ -174,8 +174,9 @@ def test_a_right_hand_side_and_its_derivative_are_the_same(four_bar_in_motion):
     ("make", "elements"),
     [(make, "linear") for make in ALL] + [(make, "geometrically_exact") for make in (four_bar, open_chain)],
 )
-def test_right_hand_sides_of_all_mechanisms_are_the_same(make, elements, quick_compilation):
+def test_right_hand_sides_of_all_mechanisms_are_the_same(make, elements, quick_compilation, monkeypatch):
     """With numbers nothing is compiled; traced, hardly an array is left."""
+    monkeypatch.setattr(stepping, "MOST_OPERATIONS", 10**6)
     model, rng = discretise(make(), elements=elements), np.random.default_rng(5)
     state = random_state(model, rng, angle=0.2, rate=2.0)
     realised = realise(model, some_errors(model, rng))

@@ -47,7 +47,6 @@ def _solve(method, constants, *given):
 
 
 def _differentiate(method, primals, tangents):
-    """Corrections of the tangents, with one linearisation at the solution."""
     constants, *given = primals
     inputs, fixed, along = equations.moving_parts(given, list(tangents[1:]))
     # With the solution at hand, reverse mode need not repeat Newton's method.
@@ -81,6 +80,8 @@ def _end_and_tangent(method, constants, solution, inputs, fixed, along):
 
 
 def _corrected_tangent(method, constants, solution, inputs, fixed, along):
+    """By corrections of the tangents, with one linearisation at the solution."""
+
     def at(unknowns, inputs):
         left, end = method.end_of_step(unknowns, constants, *eqx.combine(inputs, fixed))
         return (residual_of(left), end), left

@@ -33,17 +33,21 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
+from rfem_jax.compilation.whole_loops import implicit_in_scalars
 from rfem_jax.description.errors import InputError
 from rfem_jax.tolerancing.progress import Progress
 
 LANES = {"cpu": 16}  # enough for a core's vector units; little waste on samples that run long
 LANES_ELSEWHERE = 256
+LANES_OF_SCALARS = 64  # programs of scalars keep less of a sample at hand, and stay in a core's cache
 POLL = 0.05  # s
 PATIENCE = 3600.0  # s without a new chunk of another process
 
 
 def default_lanes():
     """Samples that a device computes at once unless the user says otherwise."""
+    if implicit_in_scalars():
+        return LANES_OF_SCALARS
     return LANES.get(jax.default_backend(), LANES_ELSEWHERE)
 
 
