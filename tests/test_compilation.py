@@ -38,6 +38,15 @@ except ValueError as problem:
     print(problem)
 """
 NOT_STARTED = "from rfem_jax import compile_whole_loops; print(compile_whole_loops())"
+TWICE = """
+import os
+from rfem_jax import compile_whole_loops
+from rfem_jax.compilation.whole_loops import explicit_in_scalars, implicit_in_scalars
+done = [compile_whole_loops()]
+flags = os.environ["XLA_FLAGS"]
+done += [compile_whole_loops(scalars=True), os.environ["XLA_FLAGS"] == flags]
+print(*done, explicit_in_scalars(), implicit_in_scalars())
+"""
 
 
 def in_a_new_process(code, *arguments, flags=""):
@@ -77,6 +86,11 @@ def test_loop_over_steps_is_one_function_with_the_same_loads(quick_compilation):
     _, expected = compiled_loads()
     assert min(expected) > 0.1
     assert [float(load) for load in loads.split()] == pytest.approx(expected, rel=1e-9)
+
+
+def test_the_last_call_counts():
+    assert in_a_new_process(TWICE) == "True True True True True"
+    assert in_a_new_process(TWICE, flags="--xla_cpu_multi_thread_eigen=false") == "True True True True True"
 
 
 def test_too_late_is_an_error():

@@ -23,7 +23,9 @@ PLACES = np.array([2, 0, 2])
 
 
 def arithmetic(x, y):
-    return (x + y) * x - y / x, -x * 0.0 + 1.0 * y, x**3 + jnp.square(y) - 2.0, jnp.zeros_like(x) - y, 0.0 / x, y - jnp.ones_like(x)
+    nothing, one = jnp.zeros_like(x), jnp.ones_like(x)
+    known = nothing - y, nothing / x, y - one, -x * nothing + one * y, nothing + y, y / one
+    return known, (x + y) * x - y / x, x**3 + jnp.square(y) - 2.0, -y * (0.0 - one)
 
 
 def functions(x, y):
@@ -31,7 +33,8 @@ def functions(x, y):
 
 
 def sums(x, y):
-    return jnp.sum(x * y), jnp.sum(x, axis=0), jnp.max(jnp.abs(y), axis=1), jnp.min(x), jnp.sum(x[:0], axis=0)
+    empty = jnp.sum(x[:0], axis=0)
+    return jnp.sum(x * y), jnp.sum(x, axis=0), jnp.max(jnp.abs(y), axis=1), jnp.min(x), empty
 
 
 def products(x, y):
@@ -39,14 +42,15 @@ def products(x, y):
 
 
 def shapes(x, y):
-    joined = jnp.concatenate([x, y[::-1]], axis=1)
-    return joined, jnp.stack([x, y], axis=1), x.T.reshape(2, 6), jnp.swapaxes(x[None], 0, 2), jnp.split(y, 2, axis=1)
+    joined = jnp.concatenate([x, y[::-1]], axis=1), jnp.stack([x, y], axis=1)
+    return joined, x.T.reshape(2, 6), jnp.swapaxes(x[None], 0, 2), jnp.split(y, 2, axis=1)
 
 
 def places(x, y):
     x = jnp.asarray(x)
     padded = jnp.pad(x, ((1, 0), (0, 2)))
-    return x[PLACES], x.at[:, 1].set(y[:, 0]), x.at[1].add(2.0), padded, lax.dynamic_slice(y, (1, 0), (2, 2)), x[-1, ::2]
+    changed = x.at[:, 1].set(y[:, 0]), x.at[1].add(2.0)
+    return x[PLACES], changed, padded, lax.dynamic_slice(y, (1, 0), (2, 2)), x[-1, ::2]
 
 
 def loops(x, y):
@@ -168,6 +172,25 @@ def test_a_right_hand_side_and_its_derivative_are_the_same(four_bar_in_motion):
         return jax.jvp(lambda trajectory: rate(given[0], trajectory, conditions), (trajectory,), (found,))[1]
 
     assert_same(along(stepping._rate_in_scalars), along(equations.right_hand_side))
+
+    def back(rate):
+        _, pull = jax.vjp(lambda trajectory: jax.checkpoint(rate)(given[0], trajectory, conditions), trajectory)
+        return pull(found)
+
+    assert_same(back(stepping._rate_in_scalars), back(equations.right_hand_side))
+
+
+def test_explicit_methods_take_scalars_in_whole_loops(four_bar_in_motion, monkeypatch):
+    _, _, conditions, trajectory, _ = four_bar_in_motion
+
+    def products():
+        state = trajectory, jnp.zeros((2, 4))
+        program = jax.make_jaxpr(lambda t: stepping._field(t, state, conditions))(0.0)
+        return str(program).count(" mul ")
+
+    few = products()
+    monkeypatch.setitem(whole_loops._chosen, "whole loops", True)
+    assert products() > 3 * few
 
 
 @pytest.mark.parametrize(

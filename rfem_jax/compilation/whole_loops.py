@@ -42,7 +42,9 @@ def compile_whole_loops(*, scalars: bool = False) -> bool:
 
     **Raises:** InputError when JAX has started already.
     """
-    flags = os.environ.get("XLA_FLAGS", "").strip()
+    own = f"{NO_LIBRARY} --xla_backend_extra_options={','.join(OPTIONS)}"
+    # A second call, or a process that this one has started, finds them.
+    flags = os.environ.get("XLA_FLAGS", "").strip().removeprefix(own).strip()
     names_a_file = bool(flags) and not flags.startswith("-")
     if names_a_file or "xla_backend_extra_options" in flags or "ynn_fusion" in flags:
         return False
@@ -50,20 +52,25 @@ def compile_whole_loops(*, scalars: bool = False) -> bool:
         return False
     _require_not_started()
     # First: XLA reads no further than a word that is no flag.
-    options = f"--xla_backend_extra_options={','.join(OPTIONS)}"
-    os.environ["XLA_FLAGS"] = f"{NO_LIBRARY} {options} {flags}".strip()
+    os.environ["XLA_FLAGS"] = f"{own} {flags}".strip()
     _chosen.update({"whole loops": True, "scalars": scalars})
     return True
 
 
 def explicit_in_scalars() -> bool:
     """Whether right-hand sides of explicit methods are programs of scalars: seconds more to compile."""
-    return _chosen["whole loops"]
+    return _chosen["whole loops"] and _on_cpu()
 
 
 def implicit_in_scalars() -> bool:
     """Whether steps of implicit methods are programs of scalars."""
-    return _chosen["scalars"]
+    return _chosen["scalars"] and _on_cpu()
+
+
+def _on_cpu() -> bool:
+    import jax
+
+    return jax.default_backend() == "cpu"
 
 
 def _require_not_started() -> None:

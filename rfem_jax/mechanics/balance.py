@@ -28,9 +28,10 @@ class Balance(NamedTuple):
     """What is left over at one instant.
 
     hinge (L,): drive minus moment about every tree joint's hinge [N m]; force, moment (3, N): on the
-    free rfes at their middles, in link axes and about the axes of the angles' rates [N, N m]; closing, closing_rate, closing_acceleration
-    (5, C): Phi and its derivatives; angular, linear (3, nodes): accelerations of the nodes in link
-    axes; wrenches: of all joints at the global origin; motion, closure, multipliers: passed on; dissipated: power of the dampers [W].
+    free rfes at their middles, in link axes and about the axes of the angles' rates [N, N m]; closing,
+    closing_rate, closing_acceleration (5, C): Phi and its derivatives; angular, linear (3, nodes):
+    accelerations of the nodes in link axes; wrenches: of all joints at the global origin; motion, closure,
+    multipliers: passed on; dissipated: power of the dampers [W].
     """
 
     hinge: Array

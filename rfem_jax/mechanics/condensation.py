@@ -81,14 +81,17 @@ def link_operators(
 
 def structural_zeros(topology: Topology) -> tuple[LinkOperator | None, ...]:
     """Entries of the operators of undeformed links that are zero for all numbers: boolean arrays."""
+    # Of turning about x, y, z and moving along x, y, z a straight link couples only bending's.
     groups = np.array([0, 2, 3, 1, 3, 2])
+
+    def apart(rows, columns):
+        return rows[:, None] != columns
 
     def zeros(l, a, b):
         nodes = [l, *range(topology.n_links + a, topology.n_links + b)]
         own = np.zeros(6, int) if set(nodes) & set(topology.masses) else groups
         by_component = np.repeat(own, b - a)
         by_carrier = np.tile(own, len(local_carriers(topology, l)))
-        apart = lambda rows, columns: rows[:, None] != columns
         return LinkOperator(
             inverse=apart(by_component, by_component),
             inertia=apart(own, own),

@@ -13,8 +13,7 @@ import numpy as np
 from rfem_jax.description.errors import InputError, require_choice
 from rfem_jax.description.mechanism import ELEMENTS
 from rfem_jax.mechanics import loads
-from rfem_jax.mechanics.cut_joints import closure
-from rfem_jax.mechanics.cut_joints import RANK_TOLERANCE
+from rfem_jax.mechanics.cut_joints import RANK_TOLERANCE, closure
 from rfem_jax.mechanics.kinematics import motion
 from rfem_jax.mechanics.model import Coordinates, Model, build_model
 from rfem_jax.mechanics.realisation import assembly_errors, realise

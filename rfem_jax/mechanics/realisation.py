@@ -8,7 +8,7 @@ to every joint and both its sides), masses, inertias, stiffnesses.  Everything t
 in time is computed here, once a simulation.
 """
 
-import functools
+import dataclasses
 
 import equinox as eqx
 import jax
@@ -160,36 +160,18 @@ def realise(model: Model, errors: AssemblyErrors) -> Realisation:
 
 
 def structural_zeros(topology: Topology) -> Realisation:
-    """Entries that are zero for all numbers and errors: a tree of boolean arrays.
+    """Entries that are zero for all numbers and errors: boolean arrays, or False.
 
     A segment's centre of mass lies on its axis and its inertia is diagonal, unless it has a point mass.
     """
-    n, joints = topology.n_links, len(topology.joints)
-    nodes, rfes = n + topology.n_rfes, topology.n_rfes
+    n, nodes = topology.n_links, topology.n_links + topology.n_rfes
     plain = ~np.isin(np.arange(nodes), topology.masses)
     off_axis = np.array([False, True, True])[:, None] & plain
     off_axis[0, n:] = plain[n:]
     off_diagonal = ~np.eye(3, dtype=bool)[:, :, None] & plain
-    some = functools.partial(np.zeros, dtype=bool)
-    return Realisation(
-        topology=topology,
-        seat_rotation=some((3, 3, joints)),
-        seat_position=some((3, joints)),
-        bore_rotation=some((3, 3, joints)),
-        bore_position=some((3, joints)),
-        mass=some(nodes),
-        centre=off_axis,
-        inertia=off_diagonal,
-        inverse_inertia=off_diagonal[:, :, n:],
-        rest=some(rfes),
-        stiffness=some((6, rfes)),
-        damping=some(rfes),
-        lever_left=some(rfes),
-        lever_right=some(rfes),
-        beam_middle=some(n),
-        gravity=some(3),
-        datum=some(3),
-    )
+    known = {"centre": off_axis, "inertia": off_diagonal, "inverse_inertia": off_diagonal[:, :, n:]}
+    names = [field.name for field in dataclasses.fields(Realisation) if field.name != "topology"]
+    return Realisation(topology, **(dict.fromkeys(names, False) | known))
 
 
 def _side(rotation, position, error, nodes, at_end, scale, twist, topology):
