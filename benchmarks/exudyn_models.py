@@ -30,7 +30,6 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 sys.exudynFast = True  # the module without range checks, for fair times
 
 import equinox as eqx  # noqa: E402
-import jax  # noqa: E402
 import numpy as np  # noqa: E402
 
 try:

@@ -11,6 +11,8 @@ import pytest
 from rfem_jax import (
     STATUS,
     InputError,
+    Joint,
+    Mechanism,
     Method,
     MomentRamp,
     PrescribedRate,
@@ -24,6 +26,7 @@ from rfem_jax.description.methods import CORRECTIONS, SPECTRAL_RADIUS, TOLERANCE
 from rfem_jax.simulation import integration
 from rfem_jax.simulation.accuracy import estimate_change, rms_loads
 from rfem_jax.simulation.time_grid import divide_time
+from tests.mechanisms import link
 
 STUDY = Path(__file__).parents[2] / "studies" / "four_bar" / "study.toml"
 ERRORS = {"D.delta_x": 0.005, "D.d_y": 5e-4, "B.child.delta_z": 0.002, "coupler.length": 1e-4}
@@ -135,6 +138,27 @@ def test_derivatives_do_not_grow_from_step_to_step(bent):
     values = jax.jit(jax.vmap(lambda x: bent(x, exact)))(jnp.array([0.999, 1.001]))
     difference = float(values[1] - values[0]) / 0.002
     np.testing.assert_allclose(float(slope(1.0)), difference, rtol=2e-2)
+
+
+def test_derivatives_of_a_batch_are_those_of_its_samples():
+    """Also where a step's end does not depend on the sample: an open chain without a drive has no drift."""
+    pendulum = Mechanism([link("bar", 0.3, 2)], [Joint("A", "base", "bar", angle=0.4)])
+    model, method = discretise(pendulum), Method("generalised_alpha", step=1e-3)
+
+    def force(error):
+        run = simulate(
+            model, assembly_errors(model, {"bar.length": error}), drive=None, duration=4e-3,
+            method=method, save_every=2e-3,
+        )  # fmt: skip
+        return run.metrics.mean_square_force["A"]
+
+    errors, batch = jnp.array([2e-3, 5e-3]), jax.vmap(force)
+    expected = jax.jit(jax.vmap(lambda x: jax.jvp(force, (x,), (1.0,))[1]))(errors)
+    assert np.all(np.abs(expected) > 0.0)
+    forward = jax.jit(lambda x: jax.jvp(batch, (x,), (jnp.ones(2),))[1])(errors)
+    reverse = jax.jit(jax.grad(lambda x: jnp.sum(batch(x))))(errors)
+    np.testing.assert_allclose(forward, expected, rtol=1e-9)
+    np.testing.assert_allclose(reverse, expected, rtol=1e-9)
 
 
 def test_a_step_that_does_not_converge_says_so(small):
