@@ -3,9 +3,6 @@ loads; who asks too late is told."""
 
 import os
 import re
-import subprocess
-import sys
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -13,8 +10,8 @@ import pytest
 
 from rfem_jax import Method, MomentRamp, assembly_errors, discretise, simulate
 from tests.mechanisms import four_bar
+from tests.processes import in_a_new_process
 
-ROOT = Path(__file__).parents[1]
 SIMULATION = """
 import jax
 jax.config.update("jax_enable_x64", True)
@@ -47,16 +44,6 @@ flags = os.environ["XLA_FLAGS"]
 done += [compile_whole_loops(scalars=True), os.environ["XLA_FLAGS"] == flags]
 print(*done, explicit_in_scalars(), implicit_in_scalars())
 """
-
-
-def in_a_new_process(code, *arguments, flags=""):
-    """What a program prints that starts with the given XLA_FLAGS."""
-    answer = subprocess.run(
-        [sys.executable, "-c", code, *arguments],
-        env={**os.environ, "XLA_FLAGS": flags, "PYTHONPATH": str(ROOT), "JAX_PLATFORMS": "cpu"},
-        cwd=ROOT, capture_output=True, text=True, check=True,
-    )  # fmt: skip
-    return answer.stdout.strip()
 
 
 def compiled_loads():

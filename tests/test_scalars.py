@@ -1,13 +1,16 @@
 """Programs of scalars: every kind of operation gives what it gives with arrays, in all transformations;
 so do right-hand sides, and steps of the implicit method with their derivatives."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax import lax
 
-from rfem_jax import Method, MomentRamp, PrescribedRate, assembly_errors, discretise
+from rfem_jax import (
+    Joint, Mechanism, Method, MomentRamp, PrescribedRate, assembly_errors, discretise, simulate,
+)  # fmt: skip
 from rfem_jax.compilation import whole_loops
 from rfem_jax.compilation.scalars import in_scalars
 from rfem_jax.mechanics.inputs import Stabilisation
@@ -15,7 +18,8 @@ from rfem_jax.mechanics.realisation import realise
 from rfem_jax.simulation import equations, implicit_step, integration, stepping
 from rfem_jax.simulation.equations import Conditions
 from rfem_jax.simulation.generalised_alpha import GeneralisedAlpha
-from tests.mechanisms import ALL, four_bar, open_chain, random_state, some_errors
+from tests.mechanisms import ALL, four_bar, link, open_chain, random_state, some_errors
+from tests.processes import in_a_new_process
 
 X = np.linspace(0.3, 1.9, 12).reshape(3, 4)
 Y = np.linspace(-1.0, 1.2, 12).reshape(3, 4)
@@ -139,6 +143,10 @@ def test_what_no_gradient_goes_through_stays_so():
 
 @pytest.fixture(scope="module")
 def four_bar_in_motion(quick_compilation):
+    return steps_of_a_four_bar()
+
+
+def steps_of_a_four_bar():
     """Implicit method, its constants, and conditions, trajectory and memory after two steps."""
     model, drive = discretise(four_bar()), MomentRamp("A", -1.0, 0.01)
     method = Method("generalised_alpha", step=2.5e-3, tolerance=1e-6)
@@ -212,11 +220,27 @@ def test_right_hand_sides_of_all_mechanisms_are_the_same(make, elements, quick_c
     assert names.count("mul") > 300 and not {"dot_general", "gather", "reduce_sum"} & set(names)
 
 
+WITH_LOOPS = """
+import sys
+import jax
+jax.config.update("jax_enable_x64", True)
+jax.config.update("jax_disable_most_optimizations", True)
+from rfem_jax import compile_whole_loops
+assert compile_whole_loops(scalars=True)
+from tests import test_scalars
+getattr(test_scalars, sys.argv[1])(*sys.argv[2:])
+"""  # as XLA compiles else, programs of so many scalars take gigabytes
+
+
 @pytest.mark.slow
-def test_a_step_and_its_derivative_are_the_same(four_bar_in_motion, monkeypatch):
+def test_a_step_and_its_derivative_are_the_same():
+    in_a_new_process(WITH_LOOPS, "check_a_step_and_its_derivative")
+
+
+def check_a_step_and_its_derivative():
     """The step that follows, and its derivative along the present accelerations."""
-    method, constants, *given = four_bar_in_motion
-    conditions, trajectory, memory = given
+    whole_loops._chosen["scalars"] = False
+    method, constants, conditions, trajectory, memory = steps_of_a_four_bar()
     moving = jax.tree.map(jnp.zeros_like, memory)._replace(accelerations=memory.accelerations)
 
     def along(memory):
@@ -224,13 +248,51 @@ def test_a_step_and_its_derivative_are_the_same(four_bar_in_motion, monkeypatch)
 
     expected = jax.jvp(along, (memory,), (moving,))
     jax.clear_caches()
-    monkeypatch.setitem(whole_loops._chosen, "scalars", True)
+    whole_loops._chosen["scalars"] = True
     evaluated = []
-    monkeypatch.setattr(
-        implicit_step, "in_scalars", lambda *wrapped: evaluated.append(wrapped) or in_scalars(*wrapped)
-    )
+    implicit_step.in_scalars = lambda *wrapped: evaluated.append(wrapped) or in_scalars(*wrapped)
     found = jax.jit(lambda memory: jax.jvp(along, (memory,), (moving,)))(memory)
-    jax.clear_caches()
     assert len(evaluated) == 2
     assert np.abs(np.asarray(expected[1][1].instant.loads.force)).max() > 1e-3
-    assert_same(found, expected)
+    # What is left over of forces is rounding of these, not of itself.
+    found_left, left = (x[0][1].instant.residual for x in (found, expected))
+    np.testing.assert_allclose(found_left, left, atol=1e-12)
+    assert_same(eqx.tree_at(lambda x: x[0][1].instant.residual, found, left), expected)
+
+
+BATCHES = {
+    "driven pendulum, rk4": (
+        Mechanism([link("bar", 0.3, 2)], [Joint("A", "base", "bar", angle=0.4)], driven_joint="A"),
+        PrescribedRate("A", 3.0),
+        Method("rk4", step=1e-5),
+    ),
+    "four-bar, generalised_alpha": (
+        four_bar(2), MomentRamp("A", -1.0, 0.01), Method("generalised_alpha", step=1e-3)
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", BATCHES)
+def test_derivatives_of_a_batch_are_those_of_its_samples(case):
+    in_a_new_process(WITH_LOOPS, "check_derivatives_of_a_batch", case)
+
+
+def check_derivatives_of_a_batch(case):
+    """Forward and in reverse, through the batch: JAX wants a function and its rule to be batched alike."""
+    mechanism, drive, method = BATCHES[case]
+    model = discretise(mechanism)
+    name = f"{mechanism.links[-1].name}.length"
+
+    def force(error):
+        run = simulate(
+            model, assembly_errors(model, {name: error}), drive=drive, duration=2e-3, method=method,
+            save_every=1e-3,
+        )  # fmt: skip
+        return run.metrics.mean_square_force["A"]
+
+    errors, batch = jnp.array([2e-3, 5e-3]), jax.vmap(force)
+    forward = jax.jit(lambda x: jax.jvp(batch, (x,), (jnp.ones(2),))[1])(errors)
+    reverse = jax.jit(jax.grad(lambda x: jnp.sum(batch(x))))(errors)
+    assert np.all(np.abs(forward) > 1e-3)
+    np.testing.assert_allclose(reverse, forward, rtol=1e-9, atol=1e-9 * np.abs(forward).max())

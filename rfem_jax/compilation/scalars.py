@@ -117,7 +117,8 @@ def _entries(array) -> np.ndarray:
 def _array(values: np.ndarray, dtype) -> Array:
     if all(_known(x) for x in values.flat):
         return jnp.asarray(np.array(values.tolist(), dtype).reshape(values.shape))
-    return jnp.stack([jnp.asarray(x, dtype) for x in values.flat]).reshape(values.shape)
+    rows = [jnp.asarray(x, dtype)[None] for x in values.flat]
+    return jnp.concatenate(rows).reshape(values.shape)
 
 
 def _known(x) -> bool:

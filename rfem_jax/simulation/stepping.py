@@ -114,15 +114,28 @@ def _implicit(
 @jax.custom_jvp
 def _rate_in_scalars(t, trajectory, conditions):
     zeros = False, nothing_known(trajectory), equations.structural_zeros(conditions)
-    return in_scalars(equations.right_hand_side, zeros, MOST_OPERATIONS)(t, trajectory, conditions)
+    return in_scalars(_batched_rate, zeros, MOST_OPERATIONS)(t, trajectory, conditions)
 
 
 @functools.partial(_rate_in_scalars.defjvp, symbolic_zeros=True)
 def _differentiate_rate(primals, tangents):
     inputs, fixed, along = equations.moving_parts(primals, tangents)
     return jax.jvp(
-        lambda inputs: equations.right_hand_side(*eqx.combine(inputs, fixed)), (inputs,), (along,)
+        lambda inputs: _batched_rate(*eqx.combine(inputs, fixed)), (inputs,), (along,)
     )
+
+
+def _batched_rate(t, trajectory, conditions):
+    """The right-hand side with the trajectory's batch axis also where nothing depends on it: JAX takes the
+    axes of a batch in a function and in its rule for the same."""
+    angle = trajectory.position.angles[0]
+
+    def independent(rate):
+        sums = rate.integrals
+        return rate.position.angles, rate.velocity.angles, sums.work, sums.dissipation
+
+    rate = equations.right_hand_side(t, trajectory, conditions)
+    return eqx.tree_at(independent, rate, replace_fn=lambda x: x + (angle - angle))
 
 
 def _field(t, y, conditions):
