@@ -136,11 +136,7 @@ def chain_wrenches(
         apply(now.links.rotation, own_force),
         now.links.point,
     )
-    origin = jnp.zeros_like(now.links.point[:, 0])
-    wrenches: dict[int, Array] = {
-        j: apply(cuts.wrenches(i, "child", origin), multipliers[:, i])
-        for i, j in enumerate(topology.cuts)
-    }
+    wrenches = dict(zip(topology.cuts, cut_wrenches(cuts, multipliers)))
     for l in reversed(range(n)):
         wrench = own[:, l]
         for j in [*range(l + 1, n), *topology.cuts]:
@@ -151,6 +147,16 @@ def chain_wrenches(
                 wrench = wrench - wrenches[j]
         wrenches[l] = wrench
     return [wrenches[j] for j in range(len(topology.joints))]
+
+
+def cut_wrenches(cuts: Closure | None, multipliers: Array) -> list[Array]:
+    """Wrenches (6,) at the global origin that the parent sides of the cut joints exert on the children."""
+    if cuts is None:
+        return []
+    origin = jnp.zeros_like(cuts.centre[:, 0])
+    return [
+        apply(cuts.wrenches(i, "child", origin), multipliers[:, i]) for i in range(multipliers.shape[1])
+    ]
 
 
 def inertial_loads(realised: Realisation, now: Motion, angular: Array, linear: Array):

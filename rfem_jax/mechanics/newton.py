@@ -35,14 +35,17 @@ from rfem_jax.mechanics.realisation import Realisation
 class LinkMatrix(NamedTuple):
     """One link in the present place, after the elimination of all that hangs on it.
 
-    frame (6, 6): link-axis wrenches at the link's origin to global ones at its island's point; turns 2 c of
-    (3, 3): second derivatives of a carrier's angles and displacements to its accelerations in global axes;
+    point (3,): of its spatial vectors; inertia (6, 6) felt at its hinge; frame (6, 6): link-axis wrenches at
+    the link's origin to global ones at its island's point; turns 2 c of (3, 3): second derivatives of a
+    carrier's angles and displacements to its accelerations in global axes;
     axis (6,): hinge; scaled (6,): inertia . axis / pivot; pivot: axis . inertia . axis (None: prescribed);
     transfer (6, 6 c): wrench at the frame due to unit wrenches on the carriers; compliance (6 c, 6 c) of the
     carriers; hung (6 c, 6 c): inertias of what hangs on them, share (6 c, 6 c): of their own motion that it
     leaves; None where there is nothing of the kind.
     """
 
+    point: Array
+    inertia: Array
     frame: Array
     turns: tuple[Array, ...]
     axis: Array
@@ -66,9 +69,11 @@ class NewtonMatrix(NamedTuple):
 
 
 class Response(NamedTuple):
-    """Answers (..., K) to K columns of loads: hinges (L, K); links {l: (6, K)}; carriers {l: (6 c, K)},
-    on_carriers {l: (6 c, K)}: wrenches that the joints exert on them."""
+    """Answers (..., K) to K columns of loads: loads {l: (6, K)} of links and all that hangs on them;
+    hinges (L, K); links {l: (6, K)}; carriers {l: (6 c, K)}, on_carriers {l: (6 c, K)}: wrenches that the
+    joints exert on them."""
 
+    loads: tuple[Array, ...]
     hinges: Array
     links: tuple[Array, ...]
     carriers: tuple[Array | None, ...]
@@ -129,6 +134,13 @@ def newton_matrix(
 
 def correction(topology: Topology, matrix: NewtonMatrix, left: Residual) -> Correction:
     """Solve for the accelerations and multipliers that take away what is left over."""
+    return correction_and_wrenches(topology, matrix, left)[0]
+
+
+def correction_and_wrenches(
+    topology: Topology, matrix: NewtonMatrix, left: Residual
+) -> tuple[Correction, list[Array]]:
+    """`correction`, and what it changes of the wrenches (6,) at the global origin in the tree joints."""
     with jax.named_scope("newton_correction"):
         operators = matrix.operators
         loads = jnp.concatenate([left.moment, left.force])
@@ -158,7 +170,17 @@ def correction(topology: Topology, matrix: NewtonMatrix, left: Residual) -> Corr
             shape = (topology.n_cuts, 5) + flat.shape[1:]
             multipliers = jnp.swapaxes(flat.reshape(shape), 0, 1)
         elastic = _relative(topology, matrix, on_rfes, answer, left.force)
-        return Correction(Coordinates(answer.hinges, elastic), multipliers)
+        change = Correction(Coordinates(answer.hinges, elastic), multipliers)
+        return change, _wrenches(matrix.links, answer)
+
+
+def _wrenches(links: tuple[LinkMatrix, ...], answer: Response) -> list[Array]:
+    """Wrenches (6,) at the global origin that move the links as they answer."""
+    wrenches = []
+    for link, load, acceleration in zip(links, answer.loads, answer.links):
+        wrench = apply(link.inertia, acceleration) - load
+        wrenches.append(algebra.wrench_at_origin(wrench[:3], wrench[3:], link.point))
+    return wrenches
 
 
 def _times(matrix: Array, vector: Array) -> Array:
@@ -251,7 +273,7 @@ def _eliminate(realised, operators, now: Motion, prescribed: bool) -> tuple[Link
         axis = algebra.spatial(
             now.axis[:3, l], now.axis[3:, l] + cross(now.axis[:3, l], points[l])
         )
-        scaled = pivot = None
+        felt, scaled, pivot = inertia, None, None
         if not (prescribed and l == topology.driven):
             pushed = apply(inertia, axis)
             pivot = dot(axis, pushed)
@@ -261,7 +283,7 @@ def _eliminate(realised, operators, now: Motion, prescribed: bool) -> tuple[Link
         if node != BASE:
             passed[node] = passed.get(node, 0.0) + inertia
         links[l] = LinkMatrix(
-            frame, turns, axis, scaled, pivot, transfer, compliance, hung, share
+            points[l], felt, frame, turns, axis, scaled, pivot, transfer, compliance, hung, share
         )
     return tuple(links[l] for l in range(n))
 
@@ -294,6 +316,7 @@ def _respond(topology, links, hinge_loads, on_links, own, units, width) -> Respo
     n = topology.n_links
     none = jnp.zeros((6,) + width)
     loads: dict[int, Array] = dict(units)
+    felt: dict[int, Array] = {}
     pushes: dict[int, Array] = {}
     on_carriers: dict[int, Array] = {}
     freely: dict[int, Array] = {}
@@ -314,6 +337,7 @@ def _respond(topology, links, hinge_loads, on_links, own, units, width) -> Respo
             freely[l] = free
             load = load + product(link.transfer, wrench)
             on_carriers[l] = wrench
+        felt[l] = load
         push = hinge_loads[l] + dot(link.axis[:, None], load)
         pushes[l] = push
         node = topology.parents[l]
@@ -322,10 +346,10 @@ def _respond(topology, links, hinge_loads, on_links, own, units, width) -> Respo
         if link.scaled is not None:
             load = load - link.scaled[:, None] * push[None]
         loads[node] = loads.get(node, 0.0) + load
-    return _accelerate(topology, links, pushes, freely, on_carriers, none)
+    return _accelerate(topology, links, felt, pushes, freely, on_carriers, none)
 
 
-def _accelerate(topology, links, pushes, freely, wrenches, none) -> Response:
+def _accelerate(topology, links, felt, pushes, freely, wrenches, none) -> Response:
     """From the base to the chains' ends."""
     n = topology.n_links
     hinges, spatial, moved, on_carriers = [], [], [], []
@@ -355,7 +379,8 @@ def _accelerate(topology, links, pushes, freely, wrenches, none) -> Response:
         on_carriers.append(wrench)
         for i, carrier in enumerate(carriers):
             at[carrier] = ends[6 * i : 6 * i + 6]
-    return Response(jnp.stack(hinges), tuple(spatial), tuple(moved), tuple(on_carriers))
+    loads = tuple(felt[l] for l in range(n))
+    return Response(loads, jnp.stack(hinges), tuple(spatial), tuple(moved), tuple(on_carriers))
 
 
 def _of_node(topology: Topology, response: Response, node: int) -> Array:

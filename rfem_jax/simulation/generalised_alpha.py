@@ -32,6 +32,7 @@ from jax import Array
 
 from rfem_jax.description.drives import PrescribedDrive
 from rfem_jax.description.methods import Method
+from rfem_jax.mechanics import loads
 from rfem_jax.mechanics.balance import Balance, evaluate_balance
 from rfem_jax.mechanics.condensation import LinkOperator, link_operators, present_operators
 from rfem_jax.mechanics.elasticity import dissipated_power
@@ -47,9 +48,9 @@ from rfem_jax.simulation.observation import Instant, balanced_instant
 CLOSED = 1e-7  # drift of the cut joints, relative to the length, that Newton's method may leave
 # What is left over pushes the mechanism in every step, and after a jump loads are a fraction of the largest
 # so far: RMS loads err by up to so many times the tolerance, and derivatives need be no better.  After one
-# correction these err by 1e-3 to 3e-3 at errors that matter (ten times that where the errors are so small that
-# loads hardly follow them), after two a sixth, after three a seventieth of it with steps of 2.5 ms, a third and
-# a twentieth with 5 ms: table in benchmarks/README.md.
+# correction these err by 2e-3 at errors that matter (twenty times that where the errors are so small that loads
+# hardly follow them), after every further one by a thirteenth, with steps of 2.5 ms; with 5 ms by 1e-2 and a
+# ninth: table in benchmarks/README.md.
 ACCURACY_OF_TOLERANCE = 30.0
 FIRST_REFINEMENT, FURTHER_REFINEMENT = 5e-3, 1.0 / 13.0
 
@@ -191,31 +192,51 @@ class GeneralisedAlpha(eqx.Module):
         return Correction(_prescribed(topology, drive, accelerations), memory.multipliers)
 
     def end_of_step(
-        self, unknowns: Correction, constants, conditions: Conditions, trajectory, memory, held=None
+        self, unknowns: Correction, constants, conditions: Conditions, trajectory, memory
     ) -> tuple[Balance, tuple[Trajectory, Memory]]:
-        """What is left over with given unknowns (`closing` as an acceleration), and what the
-        step returns if that is nothing; `held`: the position for which equations and loads are formed,
-        if it does not follow the unknowns."""
+        """What is left over with given unknowns (`closing` as an acceleration), and what the step returns
+        if that is nothing."""
         _, t1, h, _ = constants
         realised, scale = conditions.realised, conditions.stabilisation.scale
-        topology = realised.topology
         drive = drive_input(conditions.drive, t1, conditions.phase)
         q_factor, _ = self.factors(h)
         moving = h > 0.0
         accelerations, multipliers = unknowns
-        state, _ = self._reached(h, trajectory, memory, accelerations, topology, drive)
-        at = state if held is None else State(held, state.velocity)
-        left = evaluate_balance(realised, at, accelerations, multipliers, drive, scale)
-        if held is not None:
-            left = left._replace(dissipated=dissipated_power(realised, state))
+        state, _ = self._reached(h, trajectory, memory, accelerations, realised.topology, drive)
+        left = evaluate_balance(realised, state, accelerations, multipliers, drive, scale)
         closing = jnp.where(
             moving, left.closing / jnp.where(moving, q_factor, 1.0), left.closing_acceleration
         )
         left = left._replace(closing=closing)
+        return left, self._ended_with(left, state, unknowns, constants, conditions, trajectory, memory)
+
+    def end_by_wrenches(
+        self, wrenches, unknowns: Correction, left: Balance, constants, conditions, trajectory, memory
+    ) -> tuple[Trajectory, Memory]:
+        """What the step returns with given unknowns and wrenches (6,) of the tree joints, in the place of
+        the balance `left`."""
+        _, t1, h, _ = constants
+        realised = conditions.realised
+        drive = drive_input(conditions.drive, t1, conditions.phase)
+        state, _ = self._reached(
+            h, trajectory, memory, unknowns.accelerations, realised.topology, drive
+        )
+        left = left._replace(
+            multipliers=unknowns.multipliers,
+            wrenches=[*wrenches, *loads.cut_wrenches(left.closure, unknowns.multipliers)],
+            dissipated=dissipated_power(realised, state),
+        )
+        return self._ended_with(left, state, unknowns, constants, conditions, trajectory, memory)
+
+    def _ended_with(self, left, state, unknowns, constants, conditions, trajectory, memory):
+        """What the step returns with its balance."""
+        realised, scale = conditions.realised, conditions.stabilisation.scale
+        drive = drive_input(conditions.drive, constants[1], conditions.phase)
         left_over = _left_over(realised, left, drive, scale)
+        topology, accelerations = realised.topology, unknowns.accelerations
         instant = balanced_instant(topology, left, accelerations, drive, scale, left_over)
         rates = _rates(realised, state, drive, instant)
-        return left, self._ended(unknowns, constants, conditions, trajectory, memory, rates, instant)
+        return self._ended(unknowns, constants, conditions, trajectory, memory, rates, instant)
 
     def _ended(self, unknowns: Correction, constants, conditions, trajectory, memory, rates, instant):
         """What the step returns with its unknowns, rates of the integrals and solved instant."""

@@ -3,11 +3,12 @@
 Place in the pipeline: newton -> **implicit_step** -> generalised_alpha.
 
 Derivatives are those of the solution of a step's equations, not of the corrections that find it; they
-are found by corrections with the matrix at the solution, as many as the accuracy of the loads asks for.
+are found by corrections with Newton's matrix, as many as the accuracy of the loads asks for.
 
 A method gives: `solve(constants, *given)`: unknowns and the step's end; `end_of_step(unknowns, constants,
-*given)`: what is left over, and the end if that is nothing; `guess`, `matrix`, `refinements`.  Constants are the
-links' operators, time, step length and largest load; given are conditions, trajectory and memory.
+*given)`: what is left over, and the end if that is nothing; `end_by_wrenches`: the end with given wrenches;
+`guess`, `matrix`, `refinements`.  Constants are the links' operators, time, step length and largest load; given
+are conditions, trajectory and memory.
 """
 
 import functools
@@ -20,7 +21,7 @@ from jax.ad_checkpoint import checkpoint_name
 from rfem_jax.compilation.scalars import in_scalars, nothing_known
 from rfem_jax.compilation.whole_loops import implicit_in_scalars
 from rfem_jax.mechanics import condensation
-from rfem_jax.mechanics.newton import Correction, correction, residual_of
+from rfem_jax.mechanics.newton import Correction, correction, correction_and_wrenches, residual_of
 from rfem_jax.simulation import equations
 
 SOLUTION = "solution of an implicit step"  # what reverse mode keeps of a step
@@ -90,30 +91,29 @@ def _corrected_tangent(method, constants, solution, inputs, fixed, along):
         return method.guess(constants, *eqx.combine(inputs, fixed))
 
     (_, end), push, left = jax.linearize(at, solution, inputs, has_aux=True)
-    first = jax.jvp(guess, (inputs,), (along,))[1]
     given = eqx.combine(inputs, fixed)
     topology = given[0].realised.topology
-    matrix = method.matrix(constants, given[0], left)
+    # Newton's matrix: XLA sees that it is there already; reverse mode forms it without Newton's method.
+    at_guess, _ = method.end_of_step(method.guess(constants, *given), constants, *given)
+    matrix = method.matrix(constants, given[0], at_guess)
 
     def refine(found, _):
-        change = correction(topology, matrix, found[0])
-        # By jvp, what depends on the inputs alone is left out.
-        more = jax.jvp(lambda unknowns: push(unknowns, along), (first,), (change,))[1]
-        return jax.tree.map(jnp.add, found, more), None
+        left_over, _ = push(found, along)
+        return jax.tree.map(jnp.add, found, correction(topology, matrix, left_over)), None
 
-    found = push(first, along)
+    found = jax.jvp(guess, (inputs,), (along,))[1]
     if method.refinements > 1:
         found, _ = jax.lax.scan(refine, found, None, length=method.refinements - 1)
-    left_over, end_tangent = found
-    # What the last correction changes of the loads through the position is (step x spin)^2 of what it
-    # changes through accelerations, multipliers and velocities, and costs more than all of these.
-    held = end[0].position
+    left_over, end_tangent = push(found, along)
 
-    def last(unknowns):
-        return method.end_of_step(unknowns, constants, *given, held=held)[1]
+    # What the last correction changes of the loads follows from the matrix, too, with errors of the size of
+    # those that the correction leaves; to evaluate it costs half as much again.
+    def last(wrenches, unknowns):
+        return method.end_by_wrenches(wrenches, unknowns, left, constants, *given)
 
-    change = correction(topology, matrix, left_over)
-    more = jax.jvp(last, (solution,), (change,))[1]
+    change, wrenches = correction_and_wrenches(topology, matrix, left_over)
+    tree_joints = list(left.wrenches[: topology.n_links])
+    more = jax.jvp(last, (tree_joints, solution), (wrenches, change))[1]
     return _alike_batched(end, solution), jax.tree.map(jnp.add, end_tangent, more)
 
 

@@ -94,8 +94,10 @@ def balanced_instant(
     scale: Array,
     left_over: Array,
 ) -> Instant:
-    """An instant whose accelerations were found by balancing the equations up to a force [N] left over."""
-    drift, drift_angle = _drift(left.closure, scale)
+    """An instant whose accelerations were found by balancing the equations up to a force [N] left over.
+
+    What is left over, in forces and in the closure, is the solver's and has no derivative."""
+    drift, drift_angle = jax.lax.stop_gradient(_drift(left.closure, scale))
     return Instant(
         loads=loads.loads_of_wrenches(topology, left, left.wrenches, drive),
         base=loads.base_wrench(topology, left.wrenches),
@@ -105,7 +107,7 @@ def balanced_instant(
         arm=jnp.max(jnp.abs(left.motion.hinges.point)),
         stabilising=jnp.zeros(()),
         multiplier=jnp.max(jnp.abs(left.multipliers), initial=0.0),
-        residual=left_over,
+        residual=jax.lax.stop_gradient(left_over),
         dissipated=left.dissipated,
     )
 

@@ -15,7 +15,9 @@ from rfem_jax.mechanics.dynamics import accelerations
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation, impose
 from rfem_jax.mechanics.kinematics import relative_motion
 from rfem_jax.mechanics.model import Coordinates, State
-from rfem_jax.mechanics.newton import Residual, correction, newton_matrix, residual_of
+from rfem_jax.mechanics.newton import (
+    Residual, correction, correction_and_wrenches, newton_matrix, residual_of,
+)
 from rfem_jax.mechanics.realisation import realise
 from rfem_jax.mechanics.statics import equilibrium, length_scale
 from tests.mechanisms import four_bar, twisted_spatial_loop, two_loop_six_bar
@@ -127,7 +129,8 @@ def test_corrections_at_a_given_state_find_the_accelerations(mechanism):
 
 
 def equations_at(realised, start, scale, drive, factors, prescribed):
-    """Residual (unknowns) of an implicit step from `start`, at rest: flat function, balance at zero, unravel."""
+    """Residual (unknowns) of an implicit step from `start`, at rest: flat function, wrenches of the tree joints
+    likewise, balance at zero, unravel."""
     topology = realised.topology
     q_factor, v_factor = factors
     driven = np.arange(topology.n_links) == topology.driven
@@ -145,7 +148,10 @@ def equations_at(realised, start, scale, drive, factors, prescribed):
         hinge = jnp.where(driven, -flat[: topology.n_links], left.hinge) if prescribed else left.hinge
         return ravel_pytree((hinge, left.force, left.moment, left.closing / q_factor))[0]
 
-    return equations, evaluate(unknowns), unknowns, unravel
+    def wrenches(flat):
+        return jnp.stack(evaluate(flat).wrenches[: topology.n_links])
+
+    return equations, wrenches, evaluate(unknowns), unknowns, unravel
 
 
 def random_load(topology, free):
@@ -185,18 +191,20 @@ def test_matrix_is_the_slope_of_the_balance_at_rest(mechanism):
     @jax.jit
     def both(load):
         start = model.start_coordinates()
-        equations, left, unknowns, unravel = equations_at(
+        equations, wrenches, left, unknowns, unravel = equations_at(
             realised, start, scale, drive, factors, prescribed
         )
         slope = jax.jacfwd(equations)(unknowns)
         operators = link_operators(realised, *factors)
         matrix = newton_matrix(realised, operators, left.motion, left.closure, prescribed)
-        exact = unravel(jnp.linalg.solve(slope, -ravel_pytree(load)[0]))
-        return exact, correction(topology, matrix, load)
+        exact = jnp.linalg.solve(slope, -ravel_pytree(load)[0])
+        by_exact = jax.jvp(wrenches, (unknowns,), (exact,))[1]
+        return unravel(exact), by_exact, correction_and_wrenches(topology, matrix, load)
 
     free = np.arange(topology.n_links) != topology.driven if prescribed else 1.0
-    exact, change = both(random_load(topology, free))
+    exact, by_exact, (change, by_change) = both(random_load(topology, free))
     assert largest_gap(change, exact) < 1e-7
+    np.testing.assert_allclose(by_change, by_exact, atol=1e-7 * np.abs(by_exact).max())
 
 
 @pytest.mark.parametrize("elements", ["linear", "geometrically_exact"])
@@ -211,7 +219,7 @@ def test_matrix_holds_for_links_that_are_bent_to_fit(elements):
     @jax.jit
     def left_over():
         start = equilibrium(model, realised, {0: model.start_angles[0]})[0]
-        equations, left, unknowns, _ = equations_at(
+        equations, _, left, unknowns, _ = equations_at(
             realised, start, scale, DriveInput(), factors, False
         )
         slope = jax.jacfwd(equations)(unknowns)
