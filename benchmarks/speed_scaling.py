@@ -164,6 +164,7 @@ def _picture(drawn, path: Path) -> None:
 
     matplotlib.use("Agg")
     from matplotlib import pyplot
+    from matplotlib.ticker import LogLocator, NullFormatter
 
     figure, axes = pyplot.subplots(
         1, len(drawn), figsize=(4.2 * len(drawn), 3.6), layout="constrained", squeeze=False
@@ -175,6 +176,11 @@ def _picture(drawn, path: Path) -> None:
         line = curves[0].values[0] * ends / ends[0]
         axis.loglog(ends, line, "--", color="0.6", label="proportional")
         axis.set(xlabel=sweep.label, ylabel=f"CPU, {sweep.unit}")
+        axis.set_xticks(curves[0].sizes, [f"{x:g}" for x in curves[0].sizes])
+        axis.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.yaxis.set_major_formatter("{x:g}")
+        for part in (axis.xaxis, axis.yaxis):
+            part.set_minor_formatter(NullFormatter())
         axis.legend(fontsize="small")
     figure.savefig(path, dpi=150)
     pyplot.close(figure)
