@@ -8,7 +8,7 @@ In the link's own axes, near its undeformed shape, the free rfes obey
 
 for the second derivatives y of the elastic coordinates, the acceleration A of the link frame, residual
 generalised forces r and wrenches w on the rfes that carry joints; M, K, X and S are constant.
-(M + s K)^-1, inverted once along the chain of rfes, gives the link as it is felt at its frame and at its
+M + s K, factored once along the chain of rfes, gives the link as it is felt at its frame and at its
 carriers (static condensation of structural dynamics, of M + s K instead of K).
 
 The matrices serve Newton's method, whose solution does not depend on them, and are therefore not
@@ -28,6 +28,7 @@ from jax import Array
 
 from rfem_jax.mechanics import algebra, elasticity, exact_elements
 from rfem_jax.mechanics.algebra import apply, product, product_transposed
+from rfem_jax.mechanics.chains import Segment, factor, segment_ranges, solve
 from rfem_jax.mechanics.kinematics import RelativeMotion
 from rfem_jax.mechanics.model import Topology
 from rfem_jax.mechanics.realisation import Realisation
@@ -36,13 +37,13 @@ from rfem_jax.mechanics.realisation import Realisation
 class LinkOperator(NamedTuple):
     """A link at one step length; wrenches and accelerations are (moment, force) and (angular, linear).
 
-    inverse (6 m, 6 m) = (M + s K)^-1; inertia (6, 6) felt at the link frame; compliance (6 c, 6 c) of its
-    c carriers and its inverse stiffness; pick (6 c, 6 m): the carriers' rows of `inverse`; reduced
-    (6 m, 6): what unit accelerations of the frame take from the second derivatives of the coordinates;
-    give (6 c, 6): its rows of the carriers.
+    chain: M + s K of its m free rfes, factored; inertia (6, 6) felt at the link frame; compliance
+    (6 c, 6 c) of its c carriers and its inverse stiffness; pick (6 c, 6 m): the carriers' rows of
+    (M + s K)^-1; reduced (6 m, 6): what unit accelerations of the frame take from the second
+    derivatives of the coordinates; give (6 c, 6): its rows of the carriers.
     """
 
-    inverse: Array
+    chain: tuple[Segment, ...]
     inertia: Array
     give: Array
     compliance: Array
@@ -73,8 +74,8 @@ def link_operators(
         own = realised.mass[n + a : n + b], realised.centre[:, n + a : n + b].T, inertia[a:b]
         mass, coupling, rigid = _rigid_link(realised, l, own, at[a:b])
         s = q_factor + realised.damping[a] * v_factor
-        inverse = _inverse_of_chain(mass + s * springs.own[a:b], s * springs.beside[a:b])
-        return _condensed(inverse, coupling, rigid, local_carriers(topology, l))
+        chain = factor(mass + s * springs.own[a:b], s * springs.beside[a:b])
+        return _condensed(chain, coupling, rigid, local_carriers(topology, l))
 
     return tuple(operator(l, a, b) if b > a else None for l, (a, b) in enumerate(topology.ranges))
 
@@ -87,13 +88,23 @@ def structural_zeros(topology: Topology) -> tuple[LinkOperator | None, ...]:
     def apart(rows, columns):
         return rows[:, None] != columns
 
+    def chain(own, m):
+        segments = []
+        for a, b in segment_ranges(m):
+            rows = np.repeat(own, b - a)
+            beside = apart(rows, own)
+            segments.append(
+                Segment(apart(rows, rows), None if a == 0 else beside, None if b == m else beside)
+            )
+        return tuple(segments)
+
     def zeros(l, a, b):
         nodes = [l, *range(topology.n_links + a, topology.n_links + b)]
         own = np.zeros(6, int) if set(nodes) & set(topology.masses) else groups
         by_component = np.repeat(own, b - a)
         by_carrier = np.tile(own, len(local_carriers(topology, l)))
         return LinkOperator(
-            inverse=apart(by_component, by_component),
+            chain=chain(own, b - a),
             inertia=apart(own, own),
             give=apart(by_carrier, own),
             compliance=apart(by_carrier, by_carrier),
@@ -114,12 +125,6 @@ def _rigid_link(realised: Realisation, link: int, own, at):
     coupling = jnp.einsum("mij,mjk->mik", mass, spread)
     root = _inertia(realised.mass[link], realised.centre[:, link], realised.inertia[:, :, link])
     return mass, coupling, root + jnp.einsum("mji,mjk->ik", spread, coupling)
-
-
-def _by_component(rows: Array) -> Array:
-    """(m, 6, k), rfe by rfe, as (6 m, k), component by component."""
-    m, _, k = rows.shape
-    return rows.swapaxes(0, 1).reshape(6 * m, k)
 
 
 def _cross_matrix(p):
@@ -159,53 +164,24 @@ def present_operators(
         left = jnp.roll(t, 1, axis=0)
         beside = s * jnp.einsum("mji,mjk,mkl->mil", t, springs.beside[a:b], left)
         coupling = jnp.einsum("mji,mjk->mik", t, coupling)
-        inverse = _inverse_of_chain(diagonal, beside)
-        return _condensed(inverse, coupling, rigid, local_carriers(topology, l))
+        return _condensed(factor(diagonal, beside), coupling, rigid, local_carriers(topology, l))
 
     return tuple(operator(l, a, b) if b > a else None for l, (a, b) in enumerate(topology.ranges))
 
 
-def _inverse_of_chain(diagonal: Array, beside: Array) -> Array:
-    """Inverse (6 m, 6 m), component by component, of a symmetric block tridiagonal matrix: diagonal
-    (m, 6, 6), and beside (m, 6, 6) it on the left (the first block counts for nothing).
-
-    LAPACK's batched calls for several links could wait for each other for ever on few threads.
-    """
-    m = diagonal.shape[0]
-    beside = beside.at[0].set(0.0)
-    columns = jnp.eye(6 * m).reshape(m, 6, 6 * m)
-
-    def eliminate(above, row):
-        inverse, eliminated = above
-        diagonal, beside, column = row
-        factor = beside @ inverse
-        inverse = algebra.invert_positive(diagonal - factor @ beside.T)
-        row = inverse, column - factor @ eliminated
-        return row, row
-
-    def substitute(below, row):
-        solved, beside_below = below
-        inverse, eliminated, beside = row
-        solved = inverse @ (eliminated - beside_below.T @ solved)
-        return (solved, beside), solved
-
-    zero = jnp.zeros((6, 6)), jnp.zeros((6, 6 * m))
-    _, (inverses, eliminated) = jax.lax.scan(eliminate, zero, (diagonal, beside, columns))
-    below = zero[1], zero[0]
-    _, rows = jax.lax.scan(substitute, below, (inverses, eliminated, beside), reverse=True)
-    return _by_component(rows).reshape(6 * m, m, 6).swapaxes(1, 2).reshape(6 * m, 6 * m)
-
-
-def _condensed(inverse, coupling, rigid, carriers) -> LinkOperator:
-    m = inverse.shape[0] // 6
+def _condensed(chain, coupling, rigid, carriers) -> LinkOperator:
+    m = coupling.shape[0]
     rows = np.array([k + m * c for k in carriers for c in range(6)], dtype=int)
-    coupling = _by_component(coupling)
-    pick = inverse[rows]
-    reduced = inverse @ coupling
+    unit = jnp.zeros((6, m, len(rows)))
+    for i, k in enumerate(carriers):
+        unit = unit.at[:, k, 6 * i : 6 * i + 6].set(jnp.eye(6))
+    pick = solve(chain, unit).reshape(6 * m, len(rows)).T
+    coupling = coupling.swapaxes(0, 1)
+    reduced = solve(chain, coupling).reshape(6 * m, 6)
     compliance = pick[:, rows]
     return LinkOperator(
-        inverse=inverse,
-        inertia=rigid - coupling.T @ reduced,
+        chain=chain,
+        inertia=rigid - coupling.reshape(6 * m, 6).T @ reduced,
         give=reduced[rows],
         compliance=compliance,
         stiffness=algebra.invert_positive(compliance),

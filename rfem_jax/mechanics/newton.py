@@ -25,6 +25,7 @@ from jax import Array
 from rfem_jax.mechanics import algebra
 from rfem_jax.mechanics.algebra import apply, apply_transposed, cross, dot, product, transpose
 from rfem_jax.mechanics.balance import Balance
+from rfem_jax.mechanics.chains import solve
 from rfem_jax.mechanics.condensation import LinkOperator
 from rfem_jax.mechanics.cut_joints import Closure, invert_closure, unit_columns
 from rfem_jax.mechanics.kinematics import Motion
@@ -169,7 +170,7 @@ def correction_and_wrenches(
             answer = jax.tree.map(lambda a, b: a + apply(b, flat), answer, matrix.responses)
             shape = (topology.n_cuts, 5) + flat.shape[1:]
             multipliers = jnp.swapaxes(flat.reshape(shape), 0, 1)
-        elastic = _relative(topology, matrix, on_rfes, answer, left.force)
+        elastic = _relative(topology, matrix, loads, answer)
         change = Correction(Coordinates(answer.hinges, elastic), multipliers)
         return change, _wrenches(matrix.links, answer)
 
@@ -273,7 +274,7 @@ def _eliminate(realised, operators, now: Motion, prescribed: bool) -> tuple[Link
         axis = algebra.spatial(
             now.axis[:3, l], now.axis[3:, l] + cross(now.axis[:3, l], points[l])
         )
-        felt, scaled, pivot = inertia, None, None
+        at_hinge, scaled, pivot = inertia, None, None
         if not (prescribed and l == topology.driven):
             pushed = apply(inertia, axis)
             pivot = dot(axis, pushed)
@@ -283,7 +284,7 @@ def _eliminate(realised, operators, now: Motion, prescribed: bool) -> tuple[Link
         if node != BASE:
             passed[node] = passed.get(node, 0.0) + inertia
         links[l] = LinkMatrix(
-            points[l], felt, frame, turns, axis, scaled, pivot, transfer, compliance, hung, share
+            points[l], at_hinge, frame, turns, axis, scaled, pivot, transfer, compliance, hung, share
         )
     return tuple(links[l] for l in range(n))
 
@@ -392,15 +393,16 @@ def _of_node(topology: Topology, response: Response, node: int) -> Array:
     return response.carriers[l][6 * i : 6 * i + 6]
 
 
-def _relative(topology, matrix, on_rfes, answer: Response, force: Array) -> Array:
-    """Second derivatives (6, N) of the elastic coordinates."""
-    parts = [jnp.zeros((6, 0) + force.shape[2:])]
+def _relative(topology, matrix, loads: Array, answer: Response) -> Array:
+    """Second derivatives (6, N) of the elastic coordinates under loads (6, N)."""
+    parts = [jnp.zeros((6, 0) + loads.shape[2:])]
     for l, (operator, (a, b)) in enumerate(zip(matrix.operators, topology.ranges)):
         if operator is None:
             continue
         link = matrix.links[l]
         acceleration = apply_transposed(link.frame, answer.links[l])
-        y = _times(operator.inverse, on_rfes[l]) - _times(operator.reduced, acceleration)
+        free = _flat(solve(operator.chain, loads[:, a:b]))
+        y = free - _times(operator.reduced, acceleration)
         if answer.on_carriers[l] is not None:
             wrench = _turned_back(link.turns, answer.on_carriers[l])
             y = y + _times(operator.pick.T, wrench)

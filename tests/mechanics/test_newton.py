@@ -30,7 +30,7 @@ def loaded_chain():
     steel = Material("steel", youngs_modulus=210e9, density=7850.0, poisson_ratio=0.3, damping=1e-4)
     bar = Rectangle(0.01, 0.02)
     links = [
-        Link("one", 0.3, bar, steel, rfes=4, point_masses=[PointMass(0.4, (0.29, 0.03, 0.02))]),
+        Link("one", 0.3, bar, steel, rfes=12, point_masses=[PointMass(0.4, (0.29, 0.03, 0.02))]),
         Link("two", 0.2, bar, steel, rfes=3, point_masses=[PointMass(0.2, (0.1, 0.0, -0.04))]),
     ]
     joints = [Joint("A", "base", "one", angle=0.3), Joint("B", "one", "two", angle=-1.1)]
