@@ -39,7 +39,7 @@ class LinkMatrix(NamedTuple):
     point (3,): of its spatial vectors; inertia (6, 6) felt at its hinge; frame (6, 6): link-axis wrenches at
     the link's origin to global ones at its island's point; turns 2 c of (3, 3): second derivatives of a
     carrier's angles and displacements to its accelerations in global axes;
-    axis (6,): hinge; scaled (6,): inertia . axis / pivot; pivot: axis . inertia . axis (None: prescribed);
+    axis (6,): hinge; scaled (6,): inertia . axis / pivot; pivot: axis . inertia . axis (None: held);
     transfer (6, 6 c): wrench at the frame due to unit wrenches on the carriers; compliance (6 c, 6 c) of the
     carriers; hung (6 c, 6 c): inertias of what hangs on them, share (6 c, 6 c): of their own motion that it
     leaves; None where there is nothing of the kind.
@@ -108,12 +108,12 @@ def newton_matrix(
     operators: tuple[LinkOperator | None, ...],
     now: Motion,
     cuts: Closure | None,
-    prescribed: bool,
+    held: tuple[int, ...] = (),
 ) -> NewtonMatrix:
-    """Matrix of the equations at one position; `prescribed`: the driven joint's angle is given."""
+    """Matrix of the equations at one position; `held`: links whose joint's angle is given."""
     with jax.named_scope("newton_matrix"):
         topology = realised.topology
-        links = _eliminate(realised, operators, now, prescribed)
+        links = _eliminate(realised, operators, now, held)
         if cuts is None:
             return NewtonMatrix(operators, links, {}, None, None)
         points = _points(topology, now)
@@ -242,7 +242,7 @@ def _carriers_of(topology: Topology, link: int) -> tuple[int, ...]:
     return tuple(topology.n_links + k for k in topology.carriers if first <= k < last)
 
 
-def _eliminate(realised, operators, now: Motion, prescribed: bool) -> tuple[LinkMatrix, ...]:
+def _eliminate(realised, operators, now: Motion, held) -> tuple[LinkMatrix, ...]:
     """From the chains' ends to the base: articulated inertias."""
     topology = realised.topology
     n = topology.n_links
@@ -275,7 +275,7 @@ def _eliminate(realised, operators, now: Motion, prescribed: bool) -> tuple[Link
             now.axis[:3, l], now.axis[3:, l] + cross(now.axis[:3, l], points[l])
         )
         at_hinge, scaled, pivot = inertia, None, None
-        if not (prescribed and l == topology.driven):
+        if l not in held:
             pushed = apply(inertia, axis)
             pivot = dot(axis, pushed)
             scaled = pushed / pivot[None]

@@ -7,12 +7,6 @@ With errors the links are bent to close the loops (MODEL section 5): the station
 about a free hinge, springs + gravity + joint wrenches balanced on every free rfe, loops closed.
 Newton's method, differentiated by the implicit function theorem; unknowns and residuals are scaled
 by a length and a force of the mechanism.
-
-When to stop: the residual of a slender beam does not go below EA/Delta times the rounding of
-positions, far above any fixed fraction of its bending forces (EI/L^2), while the positions that it
-stands for are known to their last digits. So Newton's step is judged, relative to length and
-radian, and every residual relative to what a change of that size would make of it (its own row of
-the matrix).
 """
 
 from collections.abc import Callable
@@ -21,6 +15,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jax.flatten_util import ravel_pytree
 
@@ -30,19 +25,14 @@ from rfem_jax.mechanics.algebra import apply_transposed, cross, dot
 from rfem_jax.mechanics.cut_joints import closure
 from rfem_jax.mechanics.inputs import DriveInput
 from rfem_jax.mechanics.kinematics import motion, range_used
-from rfem_jax.mechanics.model import Coordinates, Model, State
+from rfem_jax.mechanics.model import Coordinates, Model, State, Topology
+from rfem_jax.mechanics.newton import Residual
 from rfem_jax.mechanics.realisation import AssemblyErrors, Realisation, assembly_errors, realise
+from rfem_jax.mechanics.static_matrix import change_at_rest, matrix_at_rest
+from rfem_jax.mechanics.static_search import (
+    Equations, chord, least_squares, load_steps, newton, solve_linear,
+)
 from rfem_jax.mechanics.status import NOT_ASSEMBLED, OK, OUT_OF_RANGE, WRONG_SIDE
-
-TOLERANCE = 1e-10
-SMALLEST_SINGULAR_VALUE = 1e-9  # of the largest, where equations contradict each other
-MAX_ITERATIONS = 50
-# With a constant slope a step is no smaller than the next one by much: it must be down to rounding.
-CHORD_TOLERANCE, CHORD_ITERATIONS = 1e-14, 30
-ITERATIONS_OF_A_STEP = 15
-MAX_LOAD_STEPS = 60
-SMALLEST_LOAD_STEP = 1e-3
-LARGEST_TURN_OF_A_STEP = 0.7
 
 
 class Load(NamedTuple):
@@ -95,182 +85,139 @@ def held_angles(model: Model, hold: dict[str, Array] | None) -> dict[int, Array]
     return {tree.index(name): jnp.asarray(angle) for name, angle in hold.items()}
 
 
+class _Scaled(NamedTuple):
+    """Unknowns and residuals as flat arrays, measured by a length [m] and a force [N] of the mechanism.
+
+    units (n,): of the coordinates; generalised forces times these are works.
+    """
+
+    topology: Topology
+    length: Array
+    force: Array
+    units: Array
+    unravel: Callable
+
+    def unknowns(self, position: Coordinates, multipliers: Array) -> Array:
+        """Flat, of coordinates and multipliers (5, C)."""
+        return jnp.concatenate(
+            [ravel_pytree(position)[0] / self.units, multipliers.T.reshape(-1) / self.force]
+        )
+
+    def coordinates(self, unknowns: Array) -> Coordinates:
+        return self.unravel(unknowns[: self.units.size] * self.units)
+
+    def multipliers(self, unknowns: Array) -> Array:
+        return unknowns[self.units.size :].reshape(self.topology.n_cuts, 5).T * self.force
+
+    def residual(self, forces: Coordinates, closing: Array) -> Array:
+        """Flat, of generalised forces and closing (5, C) [m]."""
+        works = ravel_pytree(forces)[0] * self.units / (self.force * self.length)
+        return jnp.concatenate([works, closing.T.reshape(-1) / self.length])
+
+    def left_over(self, residual: Array) -> tuple[Coordinates, Array]:
+        """Generalised forces and closing (5, C) [m]."""
+        works, closing = residual[: self.units.size], residual[self.units.size :]
+        forces = self.unravel(works * (self.force * self.length) / self.units)
+        return forces, closing.reshape(self.topology.n_cuts, 5).T * self.length
+
+
+def _scaled(model: Model, realised: Realisation) -> _Scaled:
+    length, topology = length_scale(model), model.topology
+    displacements = jnp.ones((6, topology.n_rfes)).at[:3].set(length)
+    units, _ = ravel_pytree(Coordinates(jnp.ones(topology.n_links), displacements))
+    unravel = ravel_pytree(model.start_coordinates())[1]
+    return _Scaled(topology, length, _force_scale(model, realised), units, unravel)
+
+
 def equilibrium(model: Model, realised: Realisation, held: dict[int, Array]):
     """Coordinates, multipliers (5 cuts,) [N] and status of the static equilibrium.
 
-    Newton's method from the undeformed start: first with the slope of the perfect mechanism, which is
-    the same for all samples of a batch, and only where that does not converge with the present one.
+    From the undeformed start: with the matrix of the perfect mechanism, which is solved by its structure and
+    the same for all samples of a batch, and only where that does not converge by Newton's method.
     Geometrically exact elements, whose deflections may be large, are brought there by load steps.
     """
     topology = model.topology
-    scale = length_scale(model)
-    force_scale = _force_scale(model, realised)
-    start, unravel = ravel_pytree(model.start_coordinates())
-    n_constraints = 5 * topology.n_cuts
-    indices = tuple(held)
-
-    # Generalised forces times these units are works.
-    units, _ = ravel_pytree(
-        Coordinates(
-            jnp.ones(topology.n_links), jnp.ones((6, topology.n_rfes)).at[:3].set(scale)
-        )
-    )
-
-    def coordinates(unknowns) -> Coordinates:
-        return unravel(unknowns[: start.size] * units)
+    scaled = _scaled(model, realised)
+    given = np.array(list(held), int)
+    undeformed = scaled.unknowns(model.start_coordinates(), jnp.zeros((5, topology.n_cuts)))
 
     def residual(unknowns, args):
         realised, angles = args
-        position = coordinates(unknowns)
-        multipliers = unknowns[start.size :].reshape(topology.n_cuts, 5).T * force_scale
-        hinge, elastic, closing = _unbalanced(realised, position, multipliers, scale)
-        balance, _ = ravel_pytree(Coordinates(hinge, elastic))
-        balance = balance * units / (force_scale * scale)
-        for index, angle in zip(indices, angles):
-            balance = balance.at[index].set(unknowns[index] - angle)
-        return jnp.concatenate([balance, closing.T.reshape(-1) / scale])
+        position, multipliers = scaled.coordinates(unknowns), scaled.multipliers(unknowns)
+        hinge, elastic, closing = _unbalanced(realised, position, multipliers, scaled.length)
+        value = scaled.residual(Coordinates(hinge, elastic), closing)
+        return value.at[given].set(unknowns[given] - angles)
 
-    guess = undeformed = jnp.concatenate([start / units, jnp.zeros(n_constraints)])
-    for index, angle in held.items():
-        guess = guess.at[index].set(angle)
-    solve = _least_squares if topology.minimum_norm else jnp.linalg.solve
-    equations = _Equations(residual, coordinates, start.size, solve)
-    args = (realised, tuple(jnp.asarray(angle) for angle in held.values()))
+    angles = jnp.array([*held.values()], float)
+    args = realised, angles
     perfect = (
         eqx.tree_at(lambda r: r.gravity, realise(model, assembly_errors(model)), jnp.zeros(3)),
-        tuple(model.start_angles[index] for index in indices),
+        model.start_angles[given],
     )
+    guess = undeformed.at[given].set(angles)
     perfect, undeformed, guess = jax.lax.stop_gradient((perfect, undeformed, guess))
+    structured = not (topology.exact or topology.minimum_norm)
+
+    def nearly_inverse(realised, unknowns):
+        return _nearly_inverse(scaled, realised, scaled.coordinates(unknowns), given)
+
+    equations = Equations(
+        residual,
+        scaled.coordinates,
+        n_coordinates=scaled.units.size,
+        solve=least_squares if topology.minimum_norm else jnp.linalg.solve,
+    )
 
     # No derivative goes through the search: its result is where the implicit function is taken.
     goal = jax.lax.stop_gradient(args)
     if topology.exact:
-        end, found = _load_steps(equations, undeformed, perfect, goal)
+        end, found = load_steps(equations, undeformed, perfect, goal)
     elif topology.minimum_norm:
-        end, found = _newton(equations, guess, goal, MAX_ITERATIONS)
+        end, found = newton(equations, guess, goal)
     else:
-        end, found = _from_the_perfect(equations, undeformed, perfect, guess, goal)
-
-    def solve_linear(slope, value):
-        return solve(jax.jacfwd(slope)(jnp.zeros_like(value)), value)
-
+        constant = nearly_inverse(perfect[0], undeformed)
+        end, found = chord(equations, constant, _rows(scaled, perfect[0]), guess, goal)
+    inverse = nearly_inverse(goal[0], end) if structured else None
     unknowns = jax.lax.custom_root(
-        lambda unknowns: residual(unknowns, args), end, lambda _, found: found, solve_linear
+        lambda unknowns: residual(unknowns, args),
+        end,
+        lambda _, found: found,
+        lambda slope, value: solve_linear(equations, inverse, slope, value),
     )
-    position = coordinates(unknowns)
+    position = scaled.coordinates(unknowns)
     found = found & jnp.all(jnp.isfinite(unknowns))
     in_range = range_used(topology, position) < 1.0
-    cuts = closure(realised, motion(realised, loads.static_state(position)), scale)
+    cuts = closure(realised, motion(realised, loads.static_state(position)), scaled.length)
     right_side = True if cuts is None else jnp.all(cuts.alignment > 0.0)
     status = jnp.where(right_side, jnp.where(in_range, OK, OUT_OF_RANGE), WRONG_SIDE)
     status = jnp.where(found, status, NOT_ASSEMBLED)
-    multipliers = unknowns[start.size :].reshape(topology.n_cuts, 5).T * force_scale
-    return position, multipliers, status.astype(jnp.int32)
+    return position, scaled.multipliers(unknowns), status.astype(jnp.int32)
 
 
-def _least_squares(matrix: Array, value: Array) -> Array:
-    """The shortest solution of equations that may contradict each other."""
-    return jnp.linalg.pinv(matrix, rtol=SMALLEST_SINGULAR_VALUE) @ value
+def _nearly_inverse(scaled: _Scaled, realised: Realisation, position: Coordinates, given) -> Callable:
+    """Nearly the inverse of the equations' matrix: residual -> unknowns; the angles of the links `given` are
+    held."""
+    topology = scaled.topology
+    held, stiffness = tuple(given.tolist()), scaled.force / scaled.length
+    matrix = matrix_at_rest(realised, position, held, scaled.length, stiffness)
+
+    def solve(residual):
+        forces, closing = scaled.left_over(residual)
+        left = Residual(forces.angles, -forces.elastic[:3], -forces.elastic[3:], -closing)
+        change = scaled.unknowns(*change_at_rest(topology, matrix, left))
+        return change.at[given].add(residual[given])
+
+    return solve
 
 
-class _Equations(NamedTuple):
-    """Residual of (unknowns, args), coordinates of the unknowns, how many they are (multipliers
-    follow), and the solver (matrix, values -> unknowns) of the linearised equations.
-
-    Not lineax's: it ends the whole batch where the cotangent of a failed sample is NaN."""
-
-    residual: Callable
-    coordinates: Callable
-    n_coordinates: int
-    solve: Callable
-
-
-def _from_the_perfect(equations: _Equations, undeformed: Array, perfect, start: Array, args):
-    """Unknowns and whether they were found, with the perfect mechanism's slope as far as it leads."""
-    slope = jax.jacfwd(equations.residual)(undeformed, perfect)
-    inverse = jnp.linalg.inv(slope)
-
-    def constant(_, value):
-        return inverse @ value, slope
-
-    near, found = _iterate(equations, start, args, CHORD_ITERATIONS, constant, tolerance=CHORD_TOLERANCE)
-    start = jnp.where(found, near, start)
-    return _newton(equations, start, args, MAX_ITERATIONS, found)
-
-
-def _newton(equations: _Equations, start: Array, args, iterations: int, found=False):
-    """Unknowns after Newton's method and whether it converged; nothing is done if `found`."""
-
-    def present(unknowns, value):
-        slope = jax.jacfwd(equations.residual)(unknowns, args)
-        return equations.solve(slope, value), slope
-
-    return _iterate(equations, start, args, iterations, present, found)
-
-
-def _iterate(
-    equations: _Equations, start: Array, args, iterations: int, solve, found=False, tolerance=TOLERANCE
-):
-    """Unknowns after steps that `solve` (unknowns, residual -> step, slope) finds, and whether they
-    converged.
-
-    The last step must be small in the coordinates (multipliers follow them: their rounding is that
-    of the stiffest spring), and the residual before it small in every row against what such a
-    change of the coordinates makes of it; the latter fails where equations contradict each other.
-    """
-    n = equations.n_coordinates
-
-    def going_on(carry):
-        unknowns, converged, count = carry
-        return ~converged & jnp.all(jnp.isfinite(unknowns)) & (count < iterations)
-
-    def improve(carry):
-        unknowns, _, count = carry
-        value = equations.residual(unknowns, args)
-        step, slope = solve(unknowns, value)
-        size = jnp.concatenate([jnp.ones(n), 1.0 + jnp.abs(unknowns[n:])])
-        small = jnp.max(jnp.abs(step[:n])) <= tolerance
-        balanced = jnp.all(jnp.abs(value) <= TOLERANCE * (jnp.abs(slope) @ size))
-        return unknowns - step, small & balanced, count + 1
-
-    carry = (start, jnp.asarray(found), jnp.zeros((), jnp.int32))
-    unknowns, converged, _ = jax.lax.while_loop(going_on, improve, carry)
-    return unknowns, converged
-
-
-def _load_steps(equations: _Equations, start: Array, at_rest, loaded):
-    """Unknowns of the equilibrium under full load, followed from the one at rest, and whether it was
-    reached.
-
-    Errors, gravity and held angles grow together from nothing by a share: all at once first; a step
-    on which Newton's method does not converge, or lands more than a moderate turn of an rfe away
-    (on another equilibrium), is halved, any other is followed by one twice as long. The constants
-    of the mechanism are interpolated, so that on the way its frames are turned to second order in
-    the errors only.
-    """
-
-    def going_on(carry):
-        _, reached, step, count = carry
-        return (reached < 1.0) & (step > SMALLEST_LOAD_STEP) & (count < MAX_LOAD_STEPS)
-
-    def advance(carry):
-        unknowns, reached, step, count = carry
-        share = jnp.minimum(reached + step, 1.0)
-        args = jax.tree.map(lambda a, b: a + share * (b - a), at_rest, loaded)
-        new, found = _newton(equations, unknowns, args, ITERATIONS_OF_A_STEP)
-        turn = equations.coordinates(new - unknowns).elastic[3:]
-        found = found & (jnp.max(jnp.abs(turn), initial=0.0) < LARGEST_TURN_OF_A_STEP)
-        return (
-            jnp.where(found, new, unknowns),
-            jnp.where(found, share, reached),
-            jnp.where(found, 2.0 * step, 0.5 * step),
-            count + 1,
-        )
-
-    one = jnp.ones(())
-    carry = (start, 0.0 * one, one, jnp.zeros((), jnp.int32))
-    unknowns, reached, _, _ = jax.lax.while_loop(going_on, advance, carry)
-    return unknowns, reached >= 1.0
+def _rows(scaled: _Scaled, realised: Realisation) -> Array:
+    """Sums of the sizes of the entries in every row of the equations' matrix."""
+    topology = scaled.topology
+    springs = jnp.roll(jnp.abs(elasticity.stiffness_blocks(realised).own), (3, 3), axis=(1, 2))
+    one = scaled.coordinates(jnp.ones(len(scaled.units))).elastic
+    hinges = jnp.full(topology.n_links, scaled.force * scaled.length)
+    forces = Coordinates(hinges, jnp.einsum("kij,jk->ik", springs, one))
+    return scaled.residual(forces, jnp.full((5, topology.n_cuts), scaled.length))
 
 
 def _unbalanced(realised: Realisation, position: Coordinates, multipliers: Array, scale: Array):

@@ -168,7 +168,8 @@ class GeneralisedAlpha(eqx.Module):
         if realised.topology.exact:
             operators = present_operators(realised, left.motion.relative, *self.factors(h))
         prescribed = isinstance(conditions.drive, PrescribedDrive)
-        matrix = newton_matrix(realised, operators, left.motion, left.closure, prescribed)
+        held = (realised.topology.driven,) if prescribed else ()
+        matrix = newton_matrix(realised, operators, left.motion, left.closure, held)
         return jax.lax.stop_gradient(matrix)
 
     def guess(self, constants, conditions: Conditions, trajectory: Trajectory, memory) -> Correction:

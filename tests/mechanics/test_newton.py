@@ -108,7 +108,7 @@ def test_corrections_at_a_given_state_find_the_accelerations(mechanism):
         def correct(carry, _):
             found, multipliers = carry
             left = evaluate_balance(realised, state, found, multipliers, drive, scale)
-            matrix = newton_matrix(realised, operators, left.motion, left.closure, prescribed)
+            matrix = newton_matrix(realised, operators, left.motion, left.closure, (topology.driven,) * prescribed)
             left = left._replace(closing=left.closing_acceleration)
             change = correction(topology, matrix, residual_of(left))
             found = jax.tree.map(jnp.add, found, change.accelerations)
@@ -196,7 +196,7 @@ def test_matrix_is_the_slope_of_the_balance_at_rest(mechanism):
         )
         slope = jax.jacfwd(equations)(unknowns)
         operators = link_operators(realised, *factors)
-        matrix = newton_matrix(realised, operators, left.motion, left.closure, prescribed)
+        matrix = newton_matrix(realised, operators, left.motion, left.closure, (topology.driven,) * prescribed)
         exact = jnp.linalg.solve(slope, -ravel_pytree(load)[0])
         by_exact = jax.jvp(wrenches, (unknowns,), (exact,))[1]
         return unravel(exact), by_exact, correction_and_wrenches(topology, matrix, load)
@@ -229,7 +229,7 @@ def test_matrix_holds_for_links_that_are_bent_to_fit(elements):
             operators = link_operators(realised, *factors)
             if topology.exact:
                 operators = present_operators(realised, now.relative, *factors)
-            matrix = newton_matrix(realised, operators, now, left.closure, False)
+            matrix = newton_matrix(realised, operators, now, left.closure)
             solve = jax.vmap(lambda load: ravel_pytree(correction(topology, matrix, unravel(load)))[0])
             return jnp.eye(len(unknowns)) + solve(slope.T).T
 

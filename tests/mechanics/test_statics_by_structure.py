@@ -1,0 +1,95 @@
+"""The static equilibrium found by the structure of the links, against Newton's method with the dense matrix."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from rfem_jax import Joint, Mechanism, discretise
+from rfem_jax.mechanics import static_search, statics
+from rfem_jax.mechanics.realisation import assembly_errors, realise
+from rfem_jax.mechanics.status import NOT_ASSEMBLED, OK
+from tests.mechanisms import four_bar, link, some_errors, twisted_spatial_loop
+
+
+def four_bar_of_long_chains():
+    return four_bar(10)
+
+
+def equilibria(make):
+    """Function of a share of some errors and of a turn of the first joint: coordinates and multipliers, status."""
+    model = discretise(make())
+    errors = some_errors(model, np.random.default_rng(2))
+
+    def at(share, turn):
+        realised = realise(model, jax.tree.map(lambda x: share * x, errors))
+        *found, status = statics.equilibrium(model, realised, {0: model.start_angles[0] + turn})
+        return found, status
+
+    return at
+
+
+def with_derivatives(at):
+    """Values, derivatives along both arguments, backward of one number and the same forward, status."""
+
+    @jax.jit
+    def evaluate(share, turn):
+        values, status = at(share, turn)
+        forward = jax.jacfwd(lambda *x: at(*x)[0], argnums=(0, 1))(share, turn)
+        weights = jax.tree.map(lambda x: jnp.cos(jnp.arange(x.size)).reshape(x.shape), values)
+
+        def number(values):
+            return sum(map(jnp.vdot, jax.tree.leaves(weights), jax.tree.leaves(values)))
+
+        backward = jax.grad(lambda *x: number(at(*x)[0]), argnums=(0, 1))(share, turn)
+        is_pair = lambda x: type(x) is tuple
+        by_argument = [jax.tree.map(lambda pair: pair[i], forward, is_leaf=is_pair) for i in (0, 1)]
+        ahead = tuple(map(number, by_argument))
+        return values, forward, backward, ahead, status
+
+    return evaluate(jnp.asarray(0.7), jnp.asarray(0.05))
+
+
+@pytest.mark.parametrize("make", [four_bar_of_long_chains, twisted_spatial_loop])
+def test_structure_alone_finds_the_equilibrium_and_its_derivatives(make, monkeypatch):
+    with monkeypatch.context() as patch:
+        patch.setattr(static_search, "_matrix", lambda f, x, *args: jnp.full((x.size, x.size), jnp.nan))
+        *found, status = with_derivatives(equilibria(make))
+        assert status == OK
+    with monkeypatch.context() as patch:
+        patch.setattr(
+            statics, "chord", lambda equations, inverse, rows, *place: static_search.newton(equations, *place)
+        )
+        patch.setattr(statics, "_nearly_inverse", lambda *arguments: None)
+        *expected, status = with_derivatives(equilibria(make))
+        assert status == OK
+    for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(expected)):
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-8 * np.abs(other).max())
+    *_, backward, ahead = found
+    np.testing.assert_allclose(backward, ahead, rtol=1e-9)
+
+
+def test_where_structure_does_not_lead_the_matrix_does(monkeypatch):
+    """Weight alone holds a pendulum: no spring does."""
+    model = discretise(Mechanism([link("rod", 0.3, 3)], [Joint("A", "base", "rod", angle=1.4)]))
+    realised = realise(model, assembly_errors(model))
+
+    def at(gravity):
+        now = eqx.tree_at(lambda r: r.gravity, realised, gravity)
+        position, _, status = statics.equilibrium(model, now, {})
+        return position.angles[0], status
+
+    @jax.jit
+    def both(gravity):
+        slopes = [d(lambda g: at(g)[0])(gravity) for d in (jax.jacfwd, jax.grad)]
+        return at(gravity), slopes
+
+    gravity = jnp.asarray([0.6, 0.0, -9.8])
+    (angle, status), slopes = both(gravity)
+    assert status == OK
+    np.testing.assert_allclose(angle, np.pi / 2 - np.arctan(0.6 / 9.8), atol=1e-5)
+    np.testing.assert_allclose(slopes[0][0], -9.8 / (0.6**2 + 9.8**2), rtol=1e-4)
+    np.testing.assert_allclose(slopes[0], slopes[1], rtol=1e-9)
+    monkeypatch.setattr(static_search, "_matrix", lambda f, x, *args: jnp.full((x.size, x.size), jnp.nan))
+    assert jax.jit(at)(gravity)[1] == NOT_ASSEMBLED
