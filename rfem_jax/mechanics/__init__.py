@@ -9,7 +9,11 @@
     dynamics                   accelerations by the recursive formulation
     reference_formulation      the same, dense and literal, to test against
     loads                      joint loads, energies, balances
+    balance                    what given accelerations and multipliers leave over
+    chains, condensation       a flexible link as implicit steps feel it
+    newton                     what takes away the rest, by the links' structure
     statics                    assembled start state and preload
+    static_matrix, _search     its equations solved, by the links' structure and by Newton's method
 """
 
 from rfem_jax.mechanics.discretisation import Structure, describe, discretise

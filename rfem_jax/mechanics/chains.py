@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 
 from rfem_jax.mechanics import algebra
@@ -20,57 +19,71 @@ from rfem_jax.mechanics import algebra
 SEGMENT = 8  # rfes, at most
 
 
-class Segment(NamedTuple):
-    """g rfes of a chain: inverse (6 g, 6 g) of their equations, with those of the segments before eliminated;
-    from_before, from_after (6 g, 6): what the last rfe of the segment before, the first of that after, take
-    from the solution (None at the chain's ends)."""
+class Chain(NamedTuple):
+    """A factored chain in n segments of g rfes; the last one is filled up with rfes that nothing couples.
+
+    inverse (n, 6 g, 6 g) of a segment's equations, with those of the segments before eliminated; from_before,
+    from_after (n, 6 g, 6): what the last rfe of the segment before, the first of that after, take from the
+    solution (None where there is one segment).
+    """
 
     inverse: Array
     from_before: Array | None
     from_after: Array | None
 
 
-def segment_ranges(m: int) -> tuple[tuple[int, int], ...]:
-    """First rfe of every segment and the one behind its last, in a chain of m: equally long as far as possible."""
-    bounds = np.linspace(0, m, -(-m // SEGMENT) + 1).round().astype(int).tolist()
-    return tuple(zip(bounds[:-1], bounds[1:]))
+def segments(m: int) -> tuple[int, int]:
+    """Number of segments, and rfes in each, of a chain of m rfes."""
+    count = -(-m // SEGMENT)
+    return count, -(-m // count)
 
 
-def factor(diagonal: Array, beside: Array) -> tuple[Segment, ...]:
-    """Segments of a positive definite chain of m rfes: diagonal blocks (m, 6, 6), and those on their left,
-    beside (m, 6, 6) (the first one counts for nothing)."""
-    m = diagonal.shape[0]
-    segments = []
-    corner = None
-    for a, b in segment_ranges(m):
-        g = b - a
-        own, left = diagonal[a:b], beside[a]
-        if corner is not None:
-            own = own.at[0].add(-left @ corner @ left.T)
-        inverse = _inverse(own, beside[a:b])
+def factor(diagonal: Array, beside: Array) -> Chain:
+    """A positive definite chain of m rfes: diagonal blocks (m, 6, 6), and those on their left, beside (m, 6, 6)
+    (the first one counts for nothing)."""
+    n, g = segments(diagonal.shape[0])
+    beside = beside.at[0].set(0.0)
+    if n == 1:
+        return Chain(_inverse(diagonal, beside)[None], None, None)
+    more = n * g - len(diagonal), 6, 6
+    diagonal = jnp.concatenate([diagonal, jnp.broadcast_to(jnp.eye(6), more)]).reshape(n, g, 6, 6)
+    beside = jnp.concatenate([beside, jnp.zeros(more)]).reshape(n, g, 6, 6)
+    left = beside[:, 0]
+    right = jnp.concatenate([left[1:], jnp.zeros((1, 6, 6))])
+
+    def eliminate(corner, segment):
+        own, beside, left, right = segment
+        inverse = _inverse(own.at[0].add(-left @ corner @ left.T), beside)
         first, last = inverse[:, ::g], inverse[:, g - 1 :: g]
-        segments.append(
-            Segment(
-                inverse,
-                from_before=None if a == 0 else first @ left,
-                from_after=None if b == m else last @ beside[b].T,
-            )
-        )
-        corner = last[g - 1 :: g]
-    return tuple(segments)
+        return last[g - 1 :: g], Chain(inverse, first @ left, last @ right.T)
+
+    return jax.lax.scan(eliminate, jnp.zeros((6, 6)), (diagonal, beside, left, right))[1]
 
 
-def solve(segments: tuple[Segment, ...], loads: Array) -> Array:
+def solve(chain: Chain, loads: Array) -> Array:
     """Solution for loads (6, m, ...)."""
-    solved: list[Array] = []
-    for segment, (a, b) in zip(segments, segment_ranges(loads.shape[1])):
-        own = _times(segment.inverse, _flat(loads[:, a:b]))
-        if solved:
-            own = own - _times(segment.from_before, _by_rfe(solved[-1])[:, -1])
-        solved.append(own)
-    for i in reversed(range(len(segments) - 1)):
-        solved[i] = solved[i] - _times(segments[i].from_after, _by_rfe(solved[i + 1])[:, 0])
-    return jnp.concatenate([_by_rfe(x) for x in solved], axis=1)
+    m = loads.shape[1]
+    n, g = segments(m)
+    if n == 1:
+        return _by_rfe(_times(chain.inverse[0], _flat(loads)))
+    more = jnp.zeros((6, n * g - m) + loads.shape[2:])
+    loads = jnp.concatenate([loads, more], axis=1).reshape((6, n, g) + loads.shape[2:])
+
+    def eliminate(before, segment):
+        inverse, from_before, load = segment
+        own = _times(inverse, _flat(load)) - _times(from_before, before)
+        return _by_rfe(own)[:, -1], own
+
+    def substitute(after, segment):
+        from_after, own = segment
+        own = _by_rfe(own - _times(from_after, after))
+        return own[:, 0], own
+
+    nothing = jnp.zeros_like(loads[:, 0, 0])
+    by_segment = chain.inverse, chain.from_before, jnp.moveaxis(loads, 1, 0)
+    _, own = jax.lax.scan(eliminate, nothing, by_segment)
+    _, solved = jax.lax.scan(substitute, nothing, (chain.from_after, own), reverse=True)
+    return jnp.moveaxis(solved, 0, 1).reshape((6, n * g) + loads.shape[3:])[:, :m]
 
 
 def _by_rfe(vector: Array) -> Array:
@@ -92,7 +105,6 @@ def _inverse(diagonal: Array, beside: Array) -> Array:
     LAPACK's batched calls for several links could wait for each other for ever on few threads.
     """
     g = diagonal.shape[0]
-    beside = beside.at[0].set(0.0)
     columns = jnp.eye(6 * g).reshape(g, 6, 6 * g)
 
     def eliminate(above, row):

@@ -28,7 +28,7 @@ from jax import Array
 
 from rfem_jax.mechanics import algebra, elasticity, exact_elements
 from rfem_jax.mechanics.algebra import apply, product, product_transposed
-from rfem_jax.mechanics.chains import Segment, factor, segment_ranges, solve
+from rfem_jax.mechanics.chains import Chain, factor, segments, solve
 from rfem_jax.mechanics.kinematics import RelativeMotion
 from rfem_jax.mechanics.model import Topology
 from rfem_jax.mechanics.realisation import Realisation
@@ -43,7 +43,7 @@ class LinkOperator(NamedTuple):
     derivatives of the coordinates; give (6 c, 6): its rows of the carriers.
     """
 
-    chain: tuple[Segment, ...]
+    chain: Chain
     inertia: Array
     give: Array
     compliance: Array
@@ -89,14 +89,10 @@ def structural_zeros(topology: Topology) -> tuple[LinkOperator | None, ...]:
         return rows[:, None] != columns
 
     def chain(own, m):
-        segments = []
-        for a, b in segment_ranges(m):
-            rows = np.repeat(own, b - a)
-            beside = apart(rows, own)
-            segments.append(
-                Segment(apart(rows, rows), None if a == 0 else beside, None if b == m else beside)
-            )
-        return tuple(segments)
+        n, g = segments(m)
+        rows = np.repeat(own, g)
+        beside = None if n == 1 else apart(rows, own)[None]
+        return Chain(apart(rows, rows)[None], beside, beside)
 
     def zeros(l, a, b):
         nodes = [l, *range(topology.n_links + a, topology.n_links + b)]

@@ -8,9 +8,9 @@ stands for are known to their last digits. So Newton's step is judged, relative 
 radian, and every residual relative to what a change of that size would make of it (its own row of
 the matrix).
 
-Where links' structure gives nearly the inverse of the matrix, it is that inverse which is applied until little
-is left over; only where that does not lead there the matrix itself is formed: in a loop that otherwise is
-not entered, so that a batch pays for it only if one of its samples needs it.
+Where the links' structure gives nearly the inverse of the matrix, that is applied again and again until little is
+left over.  Only where it does not lead there is the matrix itself formed, in a loop that is not entered otherwise:
+a batch pays for it only if one of its samples needs it.
 """
 
 from collections.abc import Callable

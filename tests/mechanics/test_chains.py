@@ -33,16 +33,15 @@ def test_solution_of_a_chain(m):
     loads = np.random.default_rng(7).normal(size=(6, m, 2))
     flat = np.linalg.solve(dense(diagonal, beside), loads.swapaxes(0, 1).reshape(6 * m, 2))
     expected = flat.reshape(m, 6, 2).swapaxes(0, 1)
-    segments = chains.factor(jnp.asarray(diagonal), jnp.asarray(beside))
-    np.testing.assert_allclose(chains.solve(segments, jnp.asarray(loads)), expected, atol=1e-13)
+    chain = chains.factor(jnp.asarray(diagonal), jnp.asarray(beside))
+    np.testing.assert_allclose(chains.solve(chain, jnp.asarray(loads)), expected, atol=1e-13)
 
 
-def test_segments_grow_in_number_only():
-    """Every rfe is in one segment, and the numbers of a factored chain are as many for every rfe."""
-    for m in (1, 7, 8, 9, 64, 65):
-        ranges = chains.segment_ranges(m)
-        assert [k for a, b in ranges for k in range(a, b)] == list(range(m))
-        assert max(b - a for a, b in ranges) <= chains.SEGMENT
+def test_work_grows_with_the_number_of_rfes():
+    """Segments hold all rfes and no more than fill the last, and as many numbers for each."""
+    for m in (1, 7, 8, 9, 20, 64, 65):
+        n, g = chains.segments(m)
+        assert g <= chains.SEGMENT and m <= n * g < m + n
 
     def numbers(m):
         shapes = jax.eval_shape(chains.factor, *map(jnp.asarray, blocks(m)))

@@ -30,7 +30,7 @@ def test_structural_zeros(make):
         assert not np.asarray(value)[zero].any()
         some += zero.sum()
     assert some > 50
-    if not topology.masses:
+    if not topology.masses and make is not four_bar_of_long_chains:
         operator, zero = next((a, b) for a, b in zip(*(values[1], zeros[1])) if a is not None)
         jax.tree.map(
             lambda value, known: np.testing.assert_array_equal(np.asarray(value) == 0.0, known), operator, zero

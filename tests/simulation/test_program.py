@@ -41,9 +41,10 @@ def equations_in(jaxpr) -> int:
     return count
 
 
-def test_program_does_not_grow_with_the_number_of_rfes(small):
+@pytest.mark.parametrize("counts", [(3, 9), (17, 65)], ids=["links in one piece", "links in segments"])
+def test_program_does_not_grow_with_the_number_of_rfes(small, counts):
     sizes = []
-    for rfes in (3, 5, 17):
+    for rfes in counts:
         model = discretise(four_bar(), rfes=rfes)
         program = jax.make_jaxpr(
             lambda e, model=model: simulate(model, e, **small.settings).metrics
