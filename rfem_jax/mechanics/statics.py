@@ -177,12 +177,16 @@ def equilibrium(model: Model, realised: Realisation, held: dict[int, Array]):
     else:
         constant = nearly_inverse(perfect[0], undeformed)
         end, found = chord(equations, constant, _rows(scaled, perfect[0]), guess, goal)
-    inverse = nearly_inverse(goal[0], end) if structured else None
+
+    def solve_slope(slope, value):
+        inverse = nearly_inverse(goal[0], end) if structured else None
+        return solve_linear(equations, inverse, slope, value)
+
     unknowns = jax.lax.custom_root(
         lambda unknowns: residual(unknowns, args),
         end,
         lambda _, found: found,
-        lambda slope, value: solve_linear(equations, inverse, slope, value),
+        solve_slope,
     )
     position = scaled.coordinates(unknowns)
     found = found & jnp.all(jnp.isfinite(unknowns))

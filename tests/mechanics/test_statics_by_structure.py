@@ -35,18 +35,15 @@ def with_derivatives(at):
 
     @jax.jit
     def evaluate(share, turn):
-        values, status = at(share, turn)
-        forward = jax.jacfwd(lambda *x: at(*x)[0], argnums=(0, 1))(share, turn)
+        values, push, status = jax.linearize(at, share, turn, has_aux=True)
+        forward = push(1.0, 0.0), push(0.0, 1.0)
         weights = jax.tree.map(lambda x: jnp.cos(jnp.arange(x.size)).reshape(x.shape), values)
 
         def number(values):
             return sum(map(jnp.vdot, jax.tree.leaves(weights), jax.tree.leaves(values)))
 
-        backward = jax.grad(lambda *x: number(at(*x)[0]), argnums=(0, 1))(share, turn)
-        is_pair = lambda x: type(x) is tuple
-        by_argument = [jax.tree.map(lambda pair: pair[i], forward, is_leaf=is_pair) for i in (0, 1)]
-        ahead = tuple(map(number, by_argument))
-        return values, forward, backward, ahead, status
+        backward = jax.linear_transpose(push, share, turn)(weights)
+        return values, forward, backward, tuple(map(number, forward)), status
 
     return evaluate(jnp.asarray(0.7), jnp.asarray(0.05))
 
@@ -82,8 +79,9 @@ def test_where_structure_does_not_lead_the_matrix_does(monkeypatch):
 
     @jax.jit
     def both(gravity):
-        slopes = [d(lambda g: at(g)[0])(gravity) for d in (jax.jacfwd, jax.grad)]
-        return at(gravity), slopes
+        angle, push, status = jax.linearize(at, gravity, has_aux=True)
+        slopes = jax.vmap(push)(jnp.eye(3)), jax.linear_transpose(push, gravity)(1.0)[0]
+        return (angle, status), slopes
 
     gravity = jnp.asarray([0.6, 0.0, -9.8])
     (angle, status), slopes = both(gravity)

@@ -150,10 +150,17 @@ FEW = ("D.delta_x", "C.child.delta_z", "coupler.length")
 FEW_POINT = np.array([6e-3, -4e-3, 2e-4])
 
 
+def loop_with_one_flexible_link(rfes):
+    """For short compilation."""
+    links = [link("crank", 0.12), link("coupler", 0.3, rfes), link("rocker", 0.3)]
+    return Mechanism(links, four_bar().joints, driven_joint="A")
+
+
 def test_geometrically_exact_elements():
     """Three errors of different kinds, by all three ways."""
+    model = discretise(loop_with_one_flexible_link(3), elements="geometrically_exact")
     problem = Problem(
-        discretise(four_bar(3, elements="geometrically_exact")), MomentRamp("A", 1.5, 0.1), 0.5,
+        model, MomentRamp("A", 1.5, 0.1), 0.5,
         ("A.mean_square_force", "D.mean_square_moment"), METHOD, save_every=2e-2,
     )  # fmt: skip
     function, point = stacked(problem, FEW), jnp.asarray(FEW_POINT)
@@ -166,12 +173,9 @@ def test_geometrically_exact_elements():
 
 
 def test_adaptive_method_in_both_modes():
-    """dopri8 with diffrax's adjoints, over the drive's jump: a loop with one short flexible link, for short
-    compilation."""
-    links = [link("crank", 0.12), link("coupler", 0.3, 2), link("rocker", 0.3)]
-    loop = Mechanism(links, four_bar().joints, driven_joint="A")
+    """dopri8 with diffrax's adjoints, over the drive's jump."""
     names = ("D.delta_x", "C.child.delta_z", "coupler.length")
-    model, drive = discretise(loop), MomentRamp("A", 1.5, 1e-3)
+    model, drive = discretise(loop_with_one_flexible_link(2)), MomentRamp("A", 1.5, 1e-3)
     method = Method("dopri8", rtol=1e-9, atol=1e-10)
 
     def moment(point, adjoint=None):
