@@ -1,7 +1,7 @@
 """Cost of derivatives, as ratios to one simulation in the same run, and memory.
 
     python benchmarks/gradients.py [--methods generalised_alpha rk4] [--counts 3 30] [--batches 1 16]
-                                   [--tolerance 1e-3] [--parts cost accuracy] [--whole-loops] [--scalars]
+                                   [--tolerance 1e-3] [--parts cost accuracy]
 
 cost: for 3 errors (joint D) and 30 (both sides of all joints), alone and in a batch: the value, forward mode
 (`jacfwd` of the mean-square moments of all joints) and reverse mode (`grad` of one).  The implicit
@@ -33,7 +33,7 @@ jax.config.update("jax_enable_x64", True)
 import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
 from rfem_jax import (  # noqa: E402
-    Method, Problem, compile_whole_loops, discretise, largest_stable_step, load_study,
+    Method, Problem, discretise, largest_stable_step, load_study,
 )
 from rfem_jax.simulation.generalised_alpha import GeneralisedAlpha  # noqa: E402
 
@@ -148,11 +148,7 @@ def main() -> None:
     parser.add_argument("--rfes", type=int, default=5)
     parser.add_argument("--tolerance", type=float, default=1e-3, help="of the implicit method")
     parser.add_argument("--repeats", type=int, default=5)
-    parser.add_argument("--whole-loops", action="store_true", help="compiled as single functions")
-    parser.add_argument("--scalars", action="store_true", help="in whole loops, steps as programs of scalars")
     options = parser.parse_args()
-    if options.whole_loops or options.scalars:
-        compile_whole_loops(scalars=options.scalars)
     if "cost" in options.parts:
         measure_cost(options)
     if "accuracy" in options.parts:

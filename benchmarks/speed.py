@@ -2,7 +2,7 @@
 
     python benchmarks/speed.py [--quick] [--parts methods table peer dense devices scaling]
                                [--cases P5] [--batches 1 8 16 32 64] [--platforms cpu] [--out DIR]
-                               [--sweeps rfes links batch errors] [--plain] [--arrays]
+                               [--sweeps rfes links batch errors]
 
     methods   the fastest settings of generalised-alpha whose RMS loads are within 1 % and 0.1 %
     table     cases x methods x batches x platforms: build, lowering, compilation, first and steady
@@ -16,8 +16,7 @@ The study four-bar, 0.5 s, errors of a case scaled sample by sample (1 to 0.2). 
 of the processor, one thread: other programs count less than by the clock.  Error: largest relative
 deviation of the RMS force and moment of all joints from the converged result.  Settings are judged
 by the case itself, as the peer's are; a step counts only if the next smaller one is as accurate,
-and if Newton's method left so little over in every step that the run's status is ok.  Loops over steps
-are compiled as single functions, implicit steps as programs of scalars; --arrays leaves these out, --plain both.
+and if Newton's method left so little over in every step that the run's status is ok.
 """
 
 import argparse
@@ -40,7 +39,7 @@ import numpy as np
 from jax.sharding import Mesh, PartitionSpec
 from rfem_jax import Method, discretise
 from rfem_jax.compilation.scalars import in_scalars, nothing_known
-from rfem_jax.compilation.whole_loops import explicit_in_scalars
+from rfem_jax.compilation.options import explicit_in_scalars
 from rfem_jax.mechanics.dynamics import accelerations
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation
 from rfem_jax.mechanics.loads import static_state
@@ -286,8 +285,6 @@ def parse_options():
     parser.add_argument("--platforms", nargs="+", default=["cpu"], help='JAX platforms: cpu, gpu')
     parser.add_argument("--out", type=Path, default=Path("benchmark_results"))
     # Read by speed_timing, before JAX starts.
-    parser.add_argument("--plain", action="store_true", help="compile in XLA's own way")
-    parser.add_argument("--arrays", action="store_true", help="no programs of scalars for implicit steps")
     options = parser.parse_args()
     quick = options.quick
     options.batches = options.batches or ([1, 16] if quick else [1, 8, 16, 32, 64])

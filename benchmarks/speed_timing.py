@@ -3,14 +3,11 @@
     study, errors -> program -> timed -> Timing;   RMS loads, converged ones -> error
 
 Importing it sets JAX up for the benchmarks: float64, one thread a device (so that the time of the
-processor is the program's, whatever else runs), two CPU devices, and, unless the program was started
-with --plain, loops over steps compiled as single functions, with implicit steps as programs of scalars
-unless it was started with --arrays.  Times in s, memory in bytes.
+processor is the program's, whatever else runs), two CPU devices.  Times in s, memory in bytes.
 """
 
 import os
 import statistics
-import sys
 import time
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -30,12 +27,9 @@ jax.config.update("jax_num_cpu_devices", 2)
 import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
 from jax import Array  # noqa: E402
-from rfem_jax import Method, assembly_errors, compile_whole_loops, load_study, simulate  # noqa: E402
+from rfem_jax import Method, assembly_errors, load_study, simulate  # noqa: E402
 from rfem_jax.simulation.accuracy import rms_loads  # noqa: E402
 from rfem_jax.simulation.integration import grid_for  # noqa: E402
-
-if "--plain" not in sys.argv:
-    compile_whole_loops(scalars="--arrays" not in sys.argv)
 
 STUDY = load_study(Path(__file__).parents[1] / "studies" / "four_bar" / "study.toml")
 INTERVAL = 25e-3  # s between observations: they cost little

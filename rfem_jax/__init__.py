@@ -13,10 +13,15 @@
     tables, pictures, files              report        the command `rfem-jax`
 
 Everything computes in float64: call `jax.config.update("jax_enable_x64", True)` first.  Names are
-loaded when they are first used, so importing the package is instant.
+loaded when they are first used, so importing the package is instant; it gives XLA its options, so import it
+before the first array is made.
 """
 
 from importlib import import_module
+
+from rfem_jax.compilation import options as _options
+
+_options.offer()
 
 _ROOMS = {
     "description": (
@@ -32,8 +37,8 @@ _ROOMS = {
         "ReciprocalSquared Tolerances Triangular TruncatedNormal Uniform allocate expand metric "
         "monte_carlo sensitivity worst_case"
     ),
-    "compilation": "compile_whole_loops",
-    "simulation": "Run check_step choose_method largest_stable_step run_cases simulate",
+    "compilation.keeping": "keep_programs",
+    "simulation": "Run check_step choose_method derivative_residual largest_stable_step run_cases simulate",
 }
 _ROOM_OF = {name: room for room, names in _ROOMS.items() for name in names.split()}
 

@@ -3,7 +3,6 @@ so do right-hand sides, and steps of the implicit method with their derivatives.
 
 from dataclasses import replace
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,7 +12,6 @@ from jax import lax
 from rfem_jax import (
     Joint, Mechanism, Method, MomentRamp, PrescribedRate, assembly_errors, discretise, simulate,
 )  # fmt: skip
-from rfem_jax.compilation import whole_loops
 from rfem_jax.compilation.scalars import in_scalars
 from rfem_jax.mechanics.inputs import Stabilisation
 from rfem_jax.mechanics.realisation import realise
@@ -160,8 +158,11 @@ def steps_of_a_four_bar():
     trajectory, memory = carry.trajectory, carry.memory
     for h, t1 in ((0.0, 0.0), (2.5e-3, 2.5e-3), (2.5e-3, 5e-3)):
         operators = jax.tree.map(lambda x: x[0], implicit.operators(prepared.realised, jnp.asarray([h])))
-        constants = operators, jnp.asarray(t1), jnp.asarray(h), jnp.asarray(10.0)
-        trajectory, memory = implicit.step(conditions, *constants[:3], trajectory, memory, constants[3])
+        constants = jnp.asarray(t1), jnp.asarray(h), jnp.asarray(10.0)
+        given = conditions, trajectory, memory
+        matrix = implicit_step.form_matrix(implicit, operators, constants, *given)
+        constants = matrix, *constants
+        trajectory, memory = implicit_step.solved_step(implicit, constants, *given)
     return implicit, constants, conditions, trajectory, memory
 
 
@@ -190,17 +191,17 @@ def test_a_right_hand_side_and_its_derivative_are_the_same(four_bar_in_motion):
     assert_same(back(stepping._rate_in_scalars), back(equations.right_hand_side))
 
 
-def test_explicit_methods_take_scalars_in_whole_loops(four_bar_in_motion, monkeypatch):
+def test_explicit_methods_are_scalarised(four_bar_in_motion, monkeypatch):
     _, _, conditions, trajectory, _ = four_bar_in_motion
 
     def products():
         state = trajectory, jnp.zeros((2, 4))
-        program = jax.make_jaxpr(lambda t: stepping._field(t, state, conditions))(0.0)
+        program = jax.make_jaxpr(lambda t: stepping.vector_field(t, state, conditions))(0.0)
         return str(program).count(" mul ")
 
-    few = products()
-    monkeypatch.setitem(whole_loops._chosen, "whole loops", True)
-    assert products() > 3 * few
+    many = products()
+    monkeypatch.setattr(stepping, "explicit_in_scalars", lambda: False)
+    assert many > 3 * products()
 
 
 @pytest.mark.parametrize(
@@ -227,39 +228,10 @@ import sys
 import jax
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_disable_most_optimizations", True)
-from rfem_jax import compile_whole_loops
-assert compile_whole_loops(scalars=True)
+import rfem_jax
 from tests import test_scalars
 getattr(test_scalars, sys.argv[1])(*sys.argv[2:])
 """  # as XLA compiles else, programs of so many scalars take gigabytes
-
-
-@pytest.mark.slow
-def test_a_step_and_its_derivative_are_the_same():
-    in_a_new_process(WITH_LOOPS, "check_a_step_and_its_derivative")
-
-
-def check_a_step_and_its_derivative():
-    """The step that follows, and its derivative along the present accelerations."""
-    whole_loops._chosen["scalars"] = False
-    method, constants, conditions, trajectory, memory = steps_of_a_four_bar()
-    moving = jax.tree.map(jnp.zeros_like, memory)._replace(accelerations=memory.accelerations)
-
-    def along(memory):
-        return implicit_step.solved_step(method, constants, conditions, trajectory, memory)
-
-    expected = jax.jvp(along, (memory,), (moving,))
-    jax.clear_caches()
-    whole_loops._chosen["scalars"] = True
-    evaluated = []
-    implicit_step.in_scalars = lambda *wrapped: evaluated.append(wrapped) or in_scalars(*wrapped)
-    found = jax.jit(lambda memory: jax.jvp(along, (memory,), (moving,)))(memory)
-    assert len(evaluated) == 2
-    assert np.abs(np.asarray(expected[1][1].instant.loads.force)).max() > 1e-3
-    # What is left over of forces is rounding of these, not of itself.
-    found_left, left = (x[0][1].instant.residual for x in (found, expected))
-    np.testing.assert_allclose(found_left, left, atol=1e-12)
-    assert_same(eqx.tree_at(lambda x: x[0][1].instant.residual, found, left), expected)
 
 
 BATCHES = {

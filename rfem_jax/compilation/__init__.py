@@ -1,11 +1,14 @@
-"""How programs are made of the equations: what XLA is told, and what it is given.
+"""How programs are compiled and kept.
 
-    whole_loops    options of XLA: every loop over steps as one function
-    scalars        functions of small arrays as lists of scalar operations
+    options          XLA's options, for the whole process
+    cache, keys      executables on disk, and what they depend on
+    keeping          whether and where programs are kept
+    executable       a compiled program as bytes, and back
+    call             a function of arrays that is kept, and its derivatives and batches
+    transformations  the same as a primitive of JAX
+    program          `Program`, in place of `eqx.filter_jit`
+    scalars          right-hand sides by arithmetic on the entries of arrays
+    stages           what is being done, told to whoever shows it
 
-Of the subject it knows nothing; the other rooms ask it which way was chosen.
+Place in the pipeline: below mechanics.
 """
-
-from rfem_jax.compilation.whole_loops import compile_whole_loops
-
-__all__ = ["compile_whole_loops"]

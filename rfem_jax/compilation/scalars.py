@@ -6,7 +6,7 @@ XLA runs an operation on an array as a loop, and a mechanism's arrays have three
 into the bookkeeping of loops, slices and joined parts.  Taken apart while it is traced, the same function is
 a list of additions and multiplications; slices, and products with zeros that are known, are gone, and in a
 batch every operation is one over the samples.  It pays where XLA compiles loops over steps as single
-functions (`whole_loops`), and for thousands of operations: the time of compilation grows with their number.
+kernels (`options`), and for thousands of operations: the time of compilation grows with their number.
 """
 
 import functools
@@ -74,7 +74,7 @@ def operations(program: ClosedJaxpr) -> int:
     for equation in program.jaxpr.eqns:
         name, settings = equation.primitive.name, equation.params
         inner = [x for x in jax.tree.leaves(list(settings.values()), is_leaf=_is_program) if _is_program(x)]
-        rows = settings["length"] if name == "scan" and len(equation.outvars) > settings["num_carry"] else 1
+        rows = settings["length"] if name == "scan" and len(equation.outvars) > _counts(settings)[1] else 1
         count += rows * sum(operations(x) for x in inner)
         if name in ARITHMETIC or name in ELEMENTWISE or name in SPECIAL_ARITHMETIC:
             size = math.prod(equation.outvars[0].aval.shape)
@@ -346,11 +346,20 @@ def _while(equation, *parts):
     return _shaped(lax.while_loop(goes_on, again, _scalars(start, variables)), variables)
 
 
+def _counts(settings) -> tuple[int, int]:
+    """How many operands of a scan are constants and how many are carried; JAX 0.12 keeps them as trees."""
+    if "num_carry" in settings:
+        return settings["num_consts"], settings["num_carry"]
+    constants, carry, _ = settings["ft_in"].unpack()
+    return len(constants), len(carry)
+
+
 def _scan(equation, *parts):
     settings, variables = equation.params, equation.outvars
-    first, second = settings["num_consts"], settings["num_consts"] + settings["num_carry"]
+    first, carried = _counts(settings)
+    second = first + carried
     fixed, carry, rows = parts[:first], list(parts[first:second]), parts[second:]
-    body, length, carried = settings["jaxpr"], settings["length"], settings["num_carry"]
+    body, length = settings["jaxpr"], settings["length"]
     if not rows and len(variables) == carried:
 
         def again(scalars, _):

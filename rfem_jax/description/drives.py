@@ -20,7 +20,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax.tree_util import Partial
 from jaxtyping import Array, Float
-from scipy.interpolate import CubicSpline
 
 from rfem_jax.description.errors import InputError, require_name, subject
 from rfem_jax.description.units import non_negative_quantity, positive_quantity, quantity, sequence
@@ -236,6 +235,9 @@ class PrescribedTable(PrescribedDrive):
                 f"Argument `angles` must start with 0, but starts with {angles[0]}; give the "
                 "angles turned since the start."
             )
+        # A third of a second that no other study needs to wait for.
+        from scipy.interpolate import CubicSpline
+
         spline = CubicSpline(times, angles)
         self.knots = jnp.asarray(times)
         self.coefficients = jnp.asarray(spline.c)

@@ -1,6 +1,7 @@
 """One instant: discretisation, errors, kinematics, dynamics, closure, joint loads; static assembly.
 
     model, discretisation      description -> Model
+    nominal_geometry           the perfect mechanism in NumPy: does it close, rank, mobility
     realisation                + AssemblyErrors -> constants of the equations of motion
     kinematics                 + State -> positions and velocities
     elasticity, exact_elements forces of the sdes, linear and geometrically exact

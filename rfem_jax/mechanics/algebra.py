@@ -51,6 +51,16 @@ def product_transposed(a: Array, b: Array) -> Array:
     return jnp.sum(a[:, None] * b[None], axis=2)
 
 
+def constant_product(matrix: Array, b: Array) -> Array:
+    """Constant matrix (m, n) times (n, ...)."""
+    return jnp.tensordot(matrix, b, axes=1)
+
+
+def by_component(values: Array) -> Array:
+    """(6, m, ...) as (6 m, ...): all first components, all second ones, and so on."""
+    return values.reshape((6 * values.shape[1],) + values.shape[2:])
+
+
 def transpose(matrix: Array) -> Array:
     """Exchange the first two axes."""
     return jnp.swapaxes(matrix, 0, 1)

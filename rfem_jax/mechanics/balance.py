@@ -174,7 +174,7 @@ def _node_accelerations(topology, now: Motion, spatial, accelerations: Coordinat
 def _carried_loads(topology, now: Motion, wrenches):
     """Forces and moments (3, N) of the joints on the free rfes at their middles, in link axes."""
     n = topology.n_links
-    columns = [jnp.zeros_like(now.relative.linear[:, 0])] * topology.n_rfes
+    columns = [jnp.zeros((3,) + now.relative.linear.shape[2:])] * topology.n_rfes
     forces, moments = list(columns), list(columns)
     for j, sides in enumerate(zip(topology.parents, topology.children)):
         for node, sign in zip(sides, (-1.0, 1.0)):

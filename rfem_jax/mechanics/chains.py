@@ -15,6 +15,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from rfem_jax.mechanics import algebra
+from rfem_jax.mechanics.algebra import by_component, constant_product
 
 SEGMENT = 8  # rfes, at most
 
@@ -65,18 +66,18 @@ def solve(chain: Chain, loads: Array) -> Array:
     m = loads.shape[1]
     n, g = segments(m)
     if n == 1:
-        return _by_rfe(_times(chain.inverse[0], _flat(loads)))
+        return _by_rfe(constant_product(chain.inverse[0], by_component(loads)))
     more = jnp.zeros((6, n * g - m) + loads.shape[2:])
     loads = jnp.concatenate([loads, more], axis=1).reshape((6, n, g) + loads.shape[2:])
 
     def eliminate(before, segment):
         inverse, from_before, load = segment
-        own = _times(inverse, _flat(load)) - _times(from_before, before)
+        own = constant_product(inverse, by_component(load)) - constant_product(from_before, before)
         return _by_rfe(own)[:, -1], own
 
     def substitute(after, segment):
         from_after, own = segment
-        own = _by_rfe(own - _times(from_after, after))
+        own = _by_rfe(own - constant_product(from_after, after))
         return own[:, 0], own
 
     nothing = jnp.zeros_like(loads[:, 0, 0])
@@ -89,14 +90,6 @@ def solve(chain: Chain, loads: Array) -> Array:
 def _by_rfe(vector: Array) -> Array:
     """A flat vector (6 g, ...) as (6, g, ...)."""
     return vector.reshape((6, vector.shape[0] // 6) + vector.shape[1:])
-
-
-def _flat(values: Array) -> Array:
-    return values.reshape((6 * values.shape[1],) + values.shape[2:])
-
-
-def _times(matrix: Array, vector: Array) -> Array:
-    return jnp.tensordot(matrix, vector, axes=1)
 
 
 def _inverse(diagonal: Array, beside: Array) -> Array:
@@ -125,5 +118,5 @@ def _inverse(diagonal: Array, beside: Array) -> Array:
     _, (inverses, eliminated) = jax.lax.scan(eliminate, zero, (diagonal, beside, columns))
     below = zero[1], zero[0]
     _, rows = jax.lax.scan(substitute, below, (inverses, eliminated, beside), reverse=True)
-    rows = _flat(rows.swapaxes(0, 1))
+    rows = by_component(rows.swapaxes(0, 1))
     return rows.reshape(6 * g, g, 6).swapaxes(1, 2).reshape(6 * g, 6 * g)

@@ -28,7 +28,7 @@ from jax import Array
 
 from rfem_jax.mechanics import algebra, elasticity, exact_elements
 from rfem_jax.mechanics.algebra import apply, product, product_transposed
-from rfem_jax.mechanics.chains import Chain, factor, segments, solve
+from rfem_jax.mechanics.chains import Chain, factor, solve
 from rfem_jax.mechanics.kinematics import RelativeMotion
 from rfem_jax.mechanics.model import Topology
 from rfem_jax.mechanics.realisation import Realisation
@@ -78,38 +78,6 @@ def link_operators(
         return _condensed(chain, coupling, rigid, local_carriers(topology, l))
 
     return tuple(operator(l, a, b) if b > a else None for l, (a, b) in enumerate(topology.ranges))
-
-
-def structural_zeros(topology: Topology) -> tuple[LinkOperator | None, ...]:
-    """Entries of the operators of undeformed links that are zero for all numbers: boolean arrays."""
-    # Of turning about x, y, z and moving along x, y, z a straight link couples only bending's.
-    groups = np.array([0, 2, 3, 1, 3, 2])
-
-    def apart(rows, columns):
-        return rows[:, None] != columns
-
-    def chain(own, m):
-        n, g = segments(m)
-        rows = np.repeat(own, g)
-        beside = None if n == 1 else apart(rows, own)[None]
-        return Chain(apart(rows, rows)[None], beside, beside)
-
-    def zeros(l, a, b):
-        nodes = [l, *range(topology.n_links + a, topology.n_links + b)]
-        own = np.zeros(6, int) if set(nodes) & set(topology.masses) else groups
-        by_component = np.repeat(own, b - a)
-        by_carrier = np.tile(own, len(local_carriers(topology, l)))
-        return LinkOperator(
-            chain=chain(own, b - a),
-            inertia=apart(own, own),
-            give=apart(by_carrier, own),
-            compliance=apart(by_carrier, by_carrier),
-            stiffness=apart(by_carrier, by_carrier),
-            pick=apart(by_carrier, by_component),
-            reduced=apart(by_component, own),
-        )
-
-    return tuple(zeros(l, a, b) if b > a else None for l, (a, b) in enumerate(topology.ranges))
 
 
 def _rigid_link(realised: Realisation, link: int, own, at):

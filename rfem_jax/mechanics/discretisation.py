@@ -12,12 +12,9 @@ import numpy as np
 
 from rfem_jax.description.errors import InputError, require_choice
 from rfem_jax.description.mechanism import ELEMENTS
-from rfem_jax.mechanics import loads
-from rfem_jax.mechanics.cut_joints import RANK_TOLERANCE, closure
-from rfem_jax.mechanics.kinematics import motion
-from rfem_jax.mechanics.model import Coordinates, Model, build_model
-from rfem_jax.mechanics.realisation import assembly_errors, realise
-from rfem_jax.mechanics.statics import length_scale
+from rfem_jax.mechanics.cut_joints import RANK_TOLERANCE
+from rfem_jax.mechanics.model import Model, build_model
+from rfem_jax.mechanics.nominal_geometry import closure_jacobian, gaps, geometry_of, place
 
 CLOSING_TOLERANCE = 1e-9
 
@@ -83,10 +80,10 @@ def require_double_precision() -> None:
 
 def describe(model: Model) -> Structure:
     """Rank and mobility at the nominal start, flexible and with every link rigid."""
-    size = model.topology.n_links + 6 * model.topology.n_rfes
-    jacobian = np.asarray(_jacobian(model))
+    geometry = geometry_of(model)
+    jacobian = closure_jacobian(geometry, place(geometry, np.asarray(model.start_angles)))
     rank, rigid_rank = _rank(jacobian), _rank(jacobian[:, : model.topology.n_links])
-    constraints = jacobian.shape[0]
+    constraints, size = jacobian.shape
     return Structure(
         coordinates=size,
         constraints=constraints,
@@ -106,58 +103,24 @@ def _rank(jacobian: np.ndarray) -> int:
     return int(np.sum(singular > 1e3 * RANK_TOLERANCE * singular[0]))
 
 
-def _constraints(model: Model, position: Coordinates):
-    realised = realise(model, assembly_errors(model))
-    now = motion(realised, loads.static_state(position))
-    cuts = closure(realised, now, length_scale(model))
-    if cuts is None:
-        return jnp.zeros(0), jnp.ones(0), jnp.zeros(0)
-    return cuts.residual.T.reshape(-1) / length_scale(model), cuts.alignment, cuts.angle
-
-
-@eqx.filter_jit
-def _jacobian(model: Model):
-    """Closure equations differentiated by all coordinates (5 cuts, coordinates), dimensionless."""
-    slope = jax.jacfwd(lambda position: _constraints(model, position)[0])(
-        model.start_coordinates()
-    )
-    elastic = jnp.moveaxis(slope.elastic, 1, 2)
-    elastic = elastic.reshape(elastic.shape[0], 6 * model.topology.n_rfes)
-    weights = jnp.tile(jnp.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]), model.topology.n_rfes)
-    lengths = length_scale(model) * weights + (1.0 - weights)
-    return jnp.concatenate([slope.angles, elastic * lengths[None]], axis=1)
-
-
-@eqx.filter_jit
-def _closing_step(model: Model, angles):
-    def residual(angles):
-        out, alignment, turned = _constraints(
-            model, Coordinates(angles, jnp.zeros((6, model.topology.n_rfes)))
-        )
-        return out, (out, alignment, turned)
-
-    slope, (value, alignment, turned) = jax.jacfwd(residual, has_aux=True)(angles)
-    return value, slope, alignment, turned
-
-
 def close_at(model: Model, angles: np.ndarray):
     """Refine all joint angles but the driven one so that the nominal rigid loops close.
 
     **Returns:** angles (links,), remaining residuals (5 cuts,) over the longest link, y_L . y_P of
     each cut joint, and the angles of the cut joints.
     """
-    topology = model.topology
+    topology, geometry = model.topology, geometry_of(model)
     free = np.array([l for l in range(topology.n_links) if l != topology.driven], dtype=int)
-    angles = np.array(angles)
+    angles = np.array(angles, dtype=float)
     for _ in range(100):
-        value, slope, _, _ = map(np.asarray, _closing_step(model, jnp.asarray(angles)))
-        step = np.linalg.lstsq(slope[:, free], value, rcond=1e-10)[0]
+        placed = place(geometry, angles)
+        slope = closure_jacobian(geometry, placed)[:, free]
+        step = np.linalg.lstsq(slope, gaps(geometry, placed).residual, rcond=1e-10)[0]
         largest = np.abs(step).max(initial=0.0)
         angles[free] -= step * min(1.0, 0.5 / max(largest, 1e-300))
         if largest < 1e-14:
             break
-    value, _, alignment, turned = map(np.asarray, _closing_step(model, jnp.asarray(angles)))
-    return angles, value, alignment, turned
+    return angles, *gaps(geometry, place(geometry, angles))
 
 
 def _close(model: Model) -> Model:
@@ -166,8 +129,8 @@ def _close(model: Model) -> Model:
     if topology.n_cuts == 0:
         return model
     angles, value, alignment, turned = close_at(model, np.asarray(model.start_angles))
-    gap = np.abs(value).max() * float(length_scale(model))
-    if not gap < CLOSING_TOLERANCE * float(length_scale(model)):
+    if not np.abs(value).max() < CLOSING_TOLERANCE:
+        gap = np.abs(value).max() * float(np.max(model.length))
         worst = topology.joints[topology.n_links + int(np.abs(value).argmax()) // 5]
         raise InputError(
             f"Argument `mechanism` must close at its start, but joint {worst!r} stays open by "

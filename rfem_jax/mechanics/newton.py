@@ -23,7 +23,9 @@ import jax.numpy as jnp
 from jax import Array
 
 from rfem_jax.mechanics import algebra
-from rfem_jax.mechanics.algebra import apply, apply_transposed, cross, dot, product, transpose
+from rfem_jax.mechanics.algebra import (
+    apply, apply_transposed, by_component, constant_product, cross, dot, product, transpose,
+)
 from rfem_jax.mechanics.balance import Balance
 from rfem_jax.mechanics.chains import solve
 from rfem_jax.mechanics.condensation import LinkOperator
@@ -145,13 +147,13 @@ def correction_and_wrenches(
     with jax.named_scope("newton_correction"):
         operators = matrix.operators
         loads = jnp.concatenate([left.moment, left.force])
-        on_rfes = tuple(_flat(loads[:, a:b]) for a, b in topology.ranges)
+        on_rfes = tuple(by_component(loads[:, a:b]) for a, b in topology.ranges)
         on_links = tuple(
-            None if operator is None else -_times(operator.reduced.T, load)
+            None if operator is None else -constant_product(operator.reduced.T, load)
             for operator, load in zip(operators, on_rfes)
         )
         own = tuple(
-            None if operator is None else _times(operator.pick, load)
+            None if operator is None else constant_product(operator.pick, load)
             for operator, load in zip(operators, on_rfes)
         )
         width = (1,) + left.hinge.shape[1:]
@@ -182,16 +184,6 @@ def _wrenches(links: tuple[LinkMatrix, ...], answer: Response) -> list[Array]:
         wrench = apply(link.inertia, acceleration) - load
         wrenches.append(algebra.wrench_at_origin(wrench[:3], wrench[3:], link.point))
     return wrenches
-
-
-def _times(matrix: Array, vector: Array) -> Array:
-    """Constant matrix (m, n) times vector (n, ...)."""
-    return jnp.tensordot(matrix, vector, axes=1)
-
-
-def _flat(values: Array) -> Array:
-    """(6, m, ...) as (6 m, ...), component by component."""
-    return values.reshape((-1,) + values.shape[2:])
 
 
 def _points(topology: Topology, now: Motion) -> dict[int, Array]:
@@ -401,11 +393,11 @@ def _relative(topology, matrix, loads: Array, answer: Response) -> Array:
             continue
         link = matrix.links[l]
         acceleration = apply_transposed(link.frame, answer.links[l])
-        free = _flat(solve(operator.chain, loads[:, a:b]))
-        y = free - _times(operator.reduced, acceleration)
+        free = by_component(solve(operator.chain, loads[:, a:b]))
+        y = free - constant_product(operator.reduced, acceleration)
         if answer.on_carriers[l] is not None:
             wrench = _turned_back(link.turns, answer.on_carriers[l])
-            y = y + _times(operator.pick.T, wrench)
+            y = y + constant_product(operator.pick.T, wrench)
         parts.append(y.reshape((6, b - a) + y.shape[1:]))
     y = jnp.concatenate(parts, axis=1)
     return jnp.concatenate([y[3:], y[:3]])

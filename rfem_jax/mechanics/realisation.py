@@ -17,6 +17,7 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float
 
+from rfem_jax.compilation.program import Program
 from rfem_jax.description.errors import InputError, suggestion
 from rfem_jax.description.units import quantity
 from rfem_jax.mechanics import algebra
@@ -51,18 +52,35 @@ def assembly_errors(model: Model, values: dict | None = None) -> AssemblyErrors:
     topology = model.topology
     n_joints, n_links = len(topology.joints), topology.n_links
     parts = {
-        "seat": jnp.zeros((5, n_joints)),
-        "bore": jnp.zeros((5, n_joints)),
-        "pin": jnp.zeros((2, n_joints)),
-        "length": jnp.zeros(n_links),
-        "twist": jnp.zeros(n_links),
+        "seat": np.zeros((5, n_joints)),
+        "bore": np.zeros((5, n_joints)),
+        "pin": np.zeros((2, n_joints)),
+        "length": np.zeros(n_links),
+        "twist": np.zeros(n_links),
     }
+    traced = []
     for name, value in (values or {}).items():
         part, place = _locate(topology, name)
         if isinstance(value, str):
             value = quantity(value, error_dimension(name), f"error {name!r}")
-        parts[part] = parts[part].at[place].set(value)
-    return AssemblyErrors(**parts)
+        if isinstance(value, jax.core.Tracer):
+            traced.append((part, place, value))
+        else:
+            parts[part][place] = value
+    errors = AssemblyErrors(**{part: jnp.asarray(values) for part, values in parts.items()})
+    if not traced:
+        return errors
+    parts, places, values = zip(*traced)
+    return _insert(errors, parts, places, values)
+
+
+@Program
+def _insert(errors: AssemblyErrors, parts, places, values) -> AssemblyErrors:
+    """The errors with `values` at `places` of the arrays named `parts`."""
+    arrays = {field.name: getattr(errors, field.name) for field in dataclasses.fields(errors)}
+    for part, place, value in zip(parts, places, values):
+        arrays[part] = arrays[part].at[place].set(value)
+    return AssemblyErrors(**arrays)
 
 
 def error_dimension(name: str) -> str:

@@ -22,8 +22,8 @@ from rfem_jax.mechanics.model import Coordinates, Topology
 from rfem_jax.mechanics.newton import NewtonMatrix, Residual, correction, newton_matrix
 from rfem_jax.mechanics.realisation import Realisation
 
-# Springs over inertia, by the stiffness of a link and the mass of all.  Where it is larger, a change leaves
-# less over, a ten thousandth to a hundredth; but rounding grows with its square, to 1e-5 in spatial loops.
+# Springs over inertia, by the stiffness of a link and the mass of all.  The larger, the less a change leaves over,
+# but rounding grows with its square: in spatial loops, 1e6 would lead nowhere.
 STIFFER = 3e2
 
 

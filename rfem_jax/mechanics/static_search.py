@@ -58,21 +58,20 @@ def chord(equations: Equations, inverse: Callable, rows: Array, start: Array, ar
     return newton(equations, jnp.where(found, near, start), args, found=found)
 
 
-def solve_linear(equations: Equations, inverse: Callable | None, slope: Callable, value: Array) -> Array:
-    """Solution of slope(x) = value, differentiable; `inverse`: nearly that of the linear function `slope`."""
+def solve_dense(equations: Equations, slope: Callable, value: Array) -> Array:
+    """Solution of slope(x) = value, a linear function."""
+    return equations.solve(_matrix(slope, jnp.zeros_like(value)), value)
 
-    def dense(slope, value):
-        return equations.solve(_matrix(slope, jnp.zeros_like(value)), value)
 
-    if inverse is None:
-        return dense(slope, value)
+def solve_linear(equations: Equations, inverse: Callable, slope: Callable, value: Array) -> Array:
+    """`solve_dense` with nearly the `inverse` of the function, as far as that leads."""
 
     def refined(inverse, tolerance):
         def solved(slope, value):
             x, found = _refine(slope, value, inverse, tolerance)
 
             def instead(_):
-                return dense(slope, value), jnp.ones((), bool)
+                return solve_dense(equations, slope, value), jnp.ones((), bool)
 
             hopeless = ~jnp.all(jnp.isfinite(value))
             return jax.lax.while_loop(lambda carry: ~carry[1], instead, (x, found | hopeless))[0]

@@ -19,6 +19,7 @@ import numpy as np
 from jax import Array
 from jax.flatten_util import ravel_pytree
 
+from rfem_jax.compilation.program import Program
 from rfem_jax.description.errors import InputError, suggestion
 from rfem_jax.mechanics import elasticity, loads
 from rfem_jax.mechanics.algebra import apply_transposed, cross, dot
@@ -30,7 +31,7 @@ from rfem_jax.mechanics.newton import Residual
 from rfem_jax.mechanics.realisation import AssemblyErrors, Realisation, assembly_errors, realise
 from rfem_jax.mechanics.static_matrix import change_at_rest, matrix_at_rest
 from rfem_jax.mechanics.static_search import (
-    Equations, chord, least_squares, load_steps, newton, solve_linear,
+    Equations, chord, least_squares, load_steps, newton, solve_dense, solve_linear,
 )
 from rfem_jax.mechanics.status import NOT_ASSEMBLED, OK, OUT_OF_RANGE, WRONG_SIDE
 
@@ -63,6 +64,14 @@ def assemble(
 
     **Raises:** `InputError` if `hold` names a joint that is not a joint of the tree.
     """
+    if hold is not None:
+        _require_tree_joints(model, hold)
+        hold = {name: jnp.asarray(angle, jnp.float64) for name, angle in hold.items()}
+    return _assemble(model, errors, hold)
+
+
+@Program
+def _assemble(model: Model, errors: AssemblyErrors, hold) -> Assembled:
     realised = realise(model, errors)
     position, multipliers, status = equilibrium(model, realised, held_angles(model, hold))
     state = loads.static_state(position)
@@ -75,14 +84,19 @@ def held_angles(model: Model, hold: dict[str, Array] | None) -> dict[int, Array]
     if hold is None:
         driven = topology.driven
         return {} if driven is None else {driven: model.start_angles[driven]}
-    tree = topology.joints[: topology.n_links]
-    for name in hold:
+    _require_tree_joints(model, hold)
+    return {topology.joints.index(name): jnp.asarray(angle) for name, angle in hold.items()}
+
+
+def _require_tree_joints(model: Model, names) -> None:
+    """Raises InputError for the first name that is not a joint of the tree."""
+    tree = model.topology.joints[: model.topology.n_links]
+    for name in names:
         if name not in tree:
             raise InputError(
                 f"Argument `hold` must name joints of the tree, but has {name!r}; "
                 f"{suggestion(name, tree)}"
             )
-    return {tree.index(name): jnp.asarray(angle) for name, angle in hold.items()}
 
 
 class _Scaled(NamedTuple):
@@ -156,11 +170,6 @@ def equilibrium(model: Model, realised: Realisation, held: dict[int, Array]):
     )
     guess = undeformed.at[given].set(angles)
     perfect, undeformed, guess = jax.lax.stop_gradient((perfect, undeformed, guess))
-    structured = not (topology.exact or topology.minimum_norm)
-
-    def nearly_inverse(realised, unknowns):
-        return _nearly_inverse(scaled, realised, scaled.coordinates(unknowns), given)
-
     equations = Equations(
         residual,
         scaled.coordinates,
@@ -175,18 +184,17 @@ def equilibrium(model: Model, realised: Realisation, held: dict[int, Array]):
     elif topology.minimum_norm:
         end, found = newton(equations, guess, goal)
     else:
-        constant = nearly_inverse(perfect[0], undeformed)
+        constant = _nearly_inverse(scaled, given, perfect[0], undeformed)
         end, found = chord(equations, constant, _rows(scaled, perfect[0]), guess, goal)
 
     def solve_slope(slope, value):
-        inverse = nearly_inverse(goal[0], end) if structured else None
+        if topology.exact or topology.minimum_norm:
+            return solve_dense(equations, slope, value)
+        inverse = _nearly_inverse(scaled, given, goal[0], end)
         return solve_linear(equations, inverse, slope, value)
 
     unknowns = jax.lax.custom_root(
-        lambda unknowns: residual(unknowns, args),
-        end,
-        lambda _, found: found,
-        solve_slope,
+        lambda unknowns: residual(unknowns, args), end, lambda _, found: found, solve_slope
     )
     position = scaled.coordinates(unknowns)
     found = found & jnp.all(jnp.isfinite(unknowns))
@@ -198,11 +206,12 @@ def equilibrium(model: Model, realised: Realisation, held: dict[int, Array]):
     return position, scaled.multipliers(unknowns), status.astype(jnp.int32)
 
 
-def _nearly_inverse(scaled: _Scaled, realised: Realisation, position: Coordinates, given) -> Callable:
-    """Nearly the inverse of the equations' matrix: residual -> unknowns; the angles of the links `given` are
-    held."""
+def _nearly_inverse(scaled: _Scaled, given, realised: Realisation, unknowns: Array) -> Callable:
+    """Nearly the inverse of the equations' matrix where the unknowns are: residual -> unknowns; the angles of the
+    links `given` are held."""
     topology = scaled.topology
     held, stiffness = tuple(given.tolist()), scaled.force / scaled.length
+    position = scaled.coordinates(unknowns)
     matrix = matrix_at_rest(realised, position, held, scaled.length, stiffness)
 
     def solve(residual):

@@ -2,22 +2,22 @@
 
 Place in the pipeline: the outermost layer; it calls `load_study` (description), `discretise` and
 `describe` (mechanics), `check_step` and `run_cases` (simulation), `task_commands` for tolerance
-studies, and the other modules of this room. Exit codes: 0 done; 2 the input is wrong (one sentence
+studies, and the other modules of this room; `progress_line` shows what is being done. Exit codes: 0 done; 2 the input is wrong (one sentence
 on standard error); 3 a case or a task failed (results are written all the same); 130 interrupted.
 
 Imports that take seconds (JAX, matplotlib) are inside the functions: `--help` is instant.
 """
 
 import argparse
+import gc
 import os
 import sys
 import time
-from functools import partial
+from contextlib import contextmanager
 from pathlib import Path
 
-from rfem_jax.report.process import (
-    count_devices, join_processes, scalars_pay, set_up_jax, whole_loops_pay,
-)  # fmt: skip
+from rfem_jax.report.process import count_devices, join_processes, set_up_jax
+from rfem_jax.report.progress_line import ProgressLine, say, show
 
 # Command: task it does, what it is, what it writes.
 TASKS = {
@@ -68,7 +68,7 @@ def build_parser() -> argparse.ArgumentParser:
         "write results.json, one CSV of time histories per case, and pictures; then do every task "
         "that the study declares ([sensitivity], [monte_carlo], [worst_case], [allocation]).",
         epilog="Pictures need the extra `plots`. Compiled programs are kept in the user's cache "
-        "folder; set JAX_COMPILATION_CACHE_DIR to keep them elsewhere.",
+        "folder, so that the next run starts at once.",
     )
     _add_common(run)
     run.set_defaults(action=_run)
@@ -90,6 +90,7 @@ def build_parser() -> argparse.ArgumentParser:
         "coordinates, mobility, rank, largest stable step, cases, tasks) without simulating.",
     )
     check.add_argument("study", metavar="STUDY.toml", help="the study file")
+    _add_cache(check)
     check.set_defaults(action=_check)
     validate = commands.add_parser(
         "validate",
@@ -97,6 +98,7 @@ def build_parser() -> argparse.ArgumentParser:
         description="Compute published benchmarks and print every value beside its reference; exit "
         "code 3 if one fails.",
     )
+    _add_cache(validate)
     validate.add_argument("--full", action="store_true", help="fine discretisations too (slow)")
     validate.add_argument("--only", metavar="NAME", nargs="+", help="these benchmarks only")
     validate.add_argument("--out", metavar="DIR", help="folder for tables and pictures")
@@ -109,6 +111,13 @@ def _add_common(command):
     command.add_argument("--out", metavar="DIR", required=True, help="folder for the results")
     command.add_argument(
         "--devices", metavar="K", type=int, help="CPU devices for samples (default: all cores)"
+    )
+    _add_cache(command)
+
+
+def _add_cache(command):
+    command.add_argument(
+        "--no-cache", dest="cache", action="store_false", help="keep no compiled programs, and use none"
     )
 
 
@@ -154,29 +163,34 @@ def _settle_method(study):
 
     model = discretise(study.mechanism)
     if study.method.name != "auto":
+        _announce("Looking for the largest stable step")
         check_step(model, study.method, study.drive)
         return study
     from dataclasses import replace
 
     from rfem_jax.simulation import choose_method
 
+    _announce("Choosing the method and its step")
     method = choose_method(model, study.method, study.drive, study.duration)
-    print(f"Method auto: {method.name} with a step of {method.step:.3g} s.", flush=True)
+    show(f"Method auto: {method.name} with a step of {method.step:.3g} s.")
     return replace(study, method=method)
+
+
+def _announce(stage, done=None):
+    """Tell the progress line what begins, or how much of it is done."""
+    from rfem_jax.compilation.stages import on_stage
+
+    on_stage(stage, done)
 
 
 def _simulate(study):
     """All cases with their progress on standard error; returns {case: run}."""
     from rfem_jax.simulation import run_cases
 
-    from rfem_jax.report.progress_line import Progress
-
     count = len(study.cases)
-    progress = Progress(f"Simulating {count} case{'s' if count > 1 else ''}", sys.stderr)
-    try:
-        _, runs = run_cases(study, progress=progress)
-    finally:
-        progress.close()
+    stage = f"Simulating {count} case{'s' if count > 1 else ''}"
+    _announce(stage)
+    _, runs = run_cases(study, progress=lambda done: _announce(stage, done))
     return runs
 
 
@@ -186,8 +200,9 @@ def _write_pictures(folder, study, runs, summaries) -> list[Path]:
     except ImportError:
         from rfem_jax.report.summary import PLOTS_HINT
 
-        print(PLOTS_HINT)
+        show(PLOTS_HINT)
         return []
+    _announce("Drawing pictures")
     from rfem_jax.report.figures import write_figures
 
     return write_figures(folder, study, runs, summaries)
@@ -197,6 +212,7 @@ def _run(arguments) -> int:
     from rfem_jax.description import load_study
 
     started = time.perf_counter()
+    _announce(f"Reading {arguments.study}")
     study = load_study(arguments.study)
 
     from rfem_jax.report.files import write_files
@@ -209,7 +225,7 @@ def _run(arguments) -> int:
     runs = _simulate(study)
     statuses = {name: STATUS[int(run.status)] for name, run in runs.items()}
     summaries = summarise(study, runs, statuses)
-    print(results_text(study, summaries), end="\n\n", flush=True)
+    show(results_text(study, summaries), end="\n\n")
     try:
         written = write_files(folder, study, runs, summaries)
         written += _write_pictures(folder, study, runs, summaries)
@@ -217,12 +233,12 @@ def _run(arguments) -> int:
         raise _cannot_write(folder, problem) from problem
     good = all(one["status"] == "ok" for one in summaries.values())
     if study.tasks.declared:
-        print("")
+        show()
     for task in study.tasks.declared:
         done, files = _write_task(study, task, folder)
         good, written = good and done, written + files
     seconds = time.perf_counter() - started
-    print(f"{len(written)} files written to {folder} ({seconds:.1f} s in all).")
+    show(f"{len(written)} files written to {folder} ({seconds:.1f} s in all).")
     return DONE if good else CASE_FAILED
 
 
@@ -239,6 +255,7 @@ def _do_task(arguments) -> int:
     from rfem_jax.description import load_study
 
     started = time.perf_counter()
+    _announce(f"Reading {arguments.study}")
     study = load_study(arguments.study)
 
     from rfem_jax.report.task_commands import require_task
@@ -249,13 +266,14 @@ def _do_task(arguments) -> int:
     good, written = _write_task(study, arguments.task, folder)
     seconds = time.perf_counter() - started
     if written:
-        print(f"{len(written)} files written to {folder} ({seconds:.1f} s in all).")
+        show(f"{len(written)} files written to {folder} ({seconds:.1f} s in all).")
     return DONE if good else CASE_FAILED
 
 
 def _check(arguments) -> int:
     from rfem_jax.description import load_study
 
+    _announce(f"Reading {arguments.study}")
     study = load_study(arguments.study)
 
     from rfem_jax.mechanics import describe, discretise
@@ -264,31 +282,51 @@ def _check(arguments) -> int:
     from rfem_jax.simulation import check_step
 
     model = discretise(study.mechanism)
-    print(study_text(study, describe(model)), end="\n\n", flush=True)
+    show(study_text(study, describe(model)), end="\n\n")
     if text := tasks_text(study):
-        print(text, end="\n\n", flush=True)
+        show(text, end="\n\n")
     if study.method.name == "auto":
         _settle_method(study)
         return DONE
+    _announce("Looking for the largest stable step")
     step = check_step(model, study.method, study.drive)
     found = "any, or chosen by the method" if step is None else f"{float(step):.3g} s"
-    print(f"Largest stable step of {study.method.name}: {found}.")
+    show(f"Largest stable step of {study.method.name}: {found}.")
     return DONE
 
 
 def _validate(arguments) -> int:
-    from rfem_jax.report.progress_line import Progress
     from rfem_jax.report.validation_command import validate
 
     folder = None if arguments.out is None else open_folder(arguments.out)
     try:
-        watch = partial(Progress, stream=sys.stderr)
-        good, written = validate(arguments.only, arguments.full, folder, watch)
+        good, written = validate(arguments.only, arguments.full, folder, _announce)
     except OSError as problem:
         raise _cannot_write(folder, problem) from problem
     if written:
-        print(f"{len(written)} files written to {folder}.")
+        show(f"{len(written)} files written to {folder}.")
     return DONE if good else CASE_FAILED
+
+
+@contextmanager
+def _rare_collections():
+    """Hundreds of thousands of objects of JAX and matplotlib live as long as the command: looking through them for
+    garbage as often as Python does by itself takes a tenth of the time."""
+    before = gc.get_threshold()
+    gc.set_threshold(50_000, 20, 100)
+    try:
+        yield
+    finally:
+        gc.set_threshold(*before)
+
+
+def _act(arguments, line) -> int:
+    set_up_jax(count_devices(arguments), arguments.cache, getattr(arguments, "out", None))
+    join_processes(arguments)
+    from rfem_jax.compilation.stages import listening
+
+    with listening(line):
+        return arguments.action(arguments)
 
 
 def main(argv=None) -> int:
@@ -302,15 +340,15 @@ def main(argv=None) -> int:
     except SystemExit as end:
         return int(end.code or 0)
     try:
-        from rfem_jax.description.errors import InputError
+        with _rare_collections(), ProgressLine(sys.stderr) as line:
+            line("Loading JAX")
+            from rfem_jax.description.errors import InputError
 
-        try:
-            set_up_jax(count_devices(arguments), whole_loops_pay(arguments), scalars_pay(arguments))
-            join_processes(arguments)
-            return arguments.action(arguments)
-        except InputError as problem:
-            print(" ".join(str(problem).split()), file=sys.stderr)
-            return WRONG_INPUT
+            try:
+                return _act(arguments, line)
+            except InputError as problem:
+                say(" ".join(str(problem).split()))
+                return WRONG_INPUT
     except KeyboardInterrupt:
         print("Interrupted: the results of this study are not complete.", file=sys.stderr)
         return INTERRUPTED

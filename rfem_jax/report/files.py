@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from rfem_jax.compilation.keeping import state
 from rfem_jax.report.output import replacing, write_json
 from rfem_jax.report.quantities import ENERGIES, units
 from rfem_jax.report.summary import joint_names, study_note, total_energy
@@ -26,6 +27,7 @@ def write_results(path, study, summaries) -> Path:
         "driven_joint": None if study.drive is None else study.drive.joint,
         "method": asdict(study.method),
         "cases": summaries,
+        "compilation": state(),
         "units": {"duration": "s", **units()},
     }
     return write_json(path, content)

@@ -88,9 +88,28 @@ def write_pictures(folder, figures: dict) -> list[Path]:
     from rfem_jax.report.style import SETTINGS
 
     written = []
-    for name, figure in figures.items():
-        path = Path(folder) / f"{name}.png"
-        with rc_context(SETTINGS), replacing(path) as temporary:
-            figure.savefig(temporary, format="png")
-        written.append(path)
+    with rc_context(SETTINGS):
+        for name, figure in figures.items():
+            path = Path(folder) / f"{name}.png"
+            with replacing(path) as temporary:
+                _render(figure, temporary)
+            written.append(path)
     return written
+
+
+def _render(figure, path) -> None:
+    """What `Figure.savefig` does, with the layout found once (it draws a figure twice for it), and without a
+    channel that is opaque everywhere; zlib's usual level would take five times as long for files a fifth smaller."""
+    from matplotlib import rcParams
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from PIL import Image
+
+    figure.set_dpi(rcParams["savefig.dpi"])
+    figure.set_facecolor(rcParams["savefig.facecolor"])
+    canvas = FigureCanvasAgg(figure)
+    if (engine := figure.get_layout_engine()) is not None:
+        engine.execute(figure)
+        figure.set_layout_engine("none")
+    canvas.draw()
+    opaque = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
+    opaque.save(path, format="png", dpi=(figure.dpi, figure.dpi), compress_level=1)

@@ -5,31 +5,16 @@ Place in the pipeline: command_line calls it before anything else; JAX reads mos
 
 import os
 import sys
-import tomllib
-from contextlib import suppress
-from pathlib import Path
 
-
-# By programs of scalars a sample takes 3 ms of a core less, and the programs half a minute more.
-MANY_SAMPLES = 30_000
-
-
-def user_cache_folder() -> Path:
-    """The platform's folder for files that may be deleted at any time, `.../rfem_jax`."""
-    if sys.platform == "win32":
-        base = os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local"
-    elif sys.platform == "darwin":
-        base = Path.home() / "Library" / "Caches"
-    else:
-        base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(base) / "rfem_jax"
-
-
-def set_up_jax(devices=None, whole_loops=False, scalars=False) -> None:
-    """Double precision, `devices` CPU devices (None: one), `whole_loops` (with implicit steps in `scalars`) or
-    XLA's own way to compile, and, unless the user chose a folder, a cache of compiled programs."""
+def set_up_jax(devices=None, cache=True, out=None) -> None:
+    """Double precision, `devices` CPU devices (None: one), XLA's options, and unless not `cache`: programs kept
+    in the user's folder, and JAX's own cache (in a folder of the user's choice) for what cannot be kept."""
     # SciPy's LAPACK keeps its threads spinning after every call, which would take half of the processor.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    from rfem_jax.compilation import keeping, options
+
+    if not options.settle_quietly().set:
+        print(options.warning(), file=sys.stderr)
     import jax
 
     jax.config.update("jax_enable_x64", True)
@@ -38,17 +23,16 @@ def set_up_jax(devices=None, whole_loops=False, scalars=False) -> None:
         # as many threads as devices (XLA's own choice) all of them could wait for ever.
         os.environ.setdefault("NPROC", str(2 * max(devices, os.cpu_count() or 1)))
         jax.config.update("jax_num_cpu_devices", devices)
-    if whole_loops:
-        from rfem_jax import compile_whole_loops
-        from rfem_jax.description.errors import InputError
-
-        # Where the command is called from a program that has started JAX, its options hold.
-        with suppress(InputError):
-            compile_whole_loops(scalars=scalars)
+    if out is not None:
+        keeping.keep_apart_from(out)
+    if not cache:
+        keeping.keep_programs(None)
+        jax.config.update("jax_enable_compilation_cache", False)
+        return
     if jax.config.jax_compilation_cache_dir is not None:
         return
     try:
-        folder = user_cache_folder() / "compiled"
+        folder = options.user_cache_folder() / "compiled"
         folder.mkdir(parents=True, exist_ok=True)
     except (OSError, RuntimeError):
         # No home, or one that cannot be written: compiling again each time is all that is lost.
@@ -56,29 +40,6 @@ def set_up_jax(devices=None, whole_loops=False, scalars=False) -> None:
     jax.config.update("jax_compilation_cache_dir", str(folder))
     # The default keeps only what took a second; a study has dozens of smaller programs.
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
-
-
-def whole_loops_pay(arguments) -> bool:
-    """Whether the command simulates only: derivatives in whole loops take minutes to compile."""
-    if arguments.command != "run":
-        return arguments.command == "monte-carlo"
-    tables = _tables(arguments)
-    return tables is not None and not tables.keys() & {"sensitivity", "worst_case", "allocation"}
-
-
-def scalars_pay(arguments) -> bool:
-    """Whether the command simulates so often that minutes of compilation are won back."""
-    asked = (_tables(arguments) or {}).get("monte_carlo") if whole_loops_pay(arguments) else None
-    samples = asked.get("n") if isinstance(asked, dict) else None
-    return isinstance(samples, int) and samples >= MANY_SAMPLES
-
-
-def _tables(arguments) -> dict | None:
-    """The study file's tables, unchecked; None for a file that is no TOML."""
-    try:
-        return tomllib.loads(Path(arguments.study).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return None
 
 
 def count_devices(arguments) -> int | None:

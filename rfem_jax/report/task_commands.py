@@ -7,15 +7,16 @@ A result is good unless its status says otherwise; a Monte Carlo study with fail
 as long as any sample is (failed samples are counted, and part of the result).
 """
 
-import sys
 import time
 from pathlib import Path
 
 import jax
 import numpy as np
 
+from rfem_jax.compilation.stages import on_stage
 from rfem_jax.description.errors import InputError
 from rfem_jax.report import task_files, tasks
+from rfem_jax.report.progress_line import say, show
 from rfem_jax.report.summary import PLOTS_HINT
 from rfem_jax.report.tables import title_text
 from rfem_jax.tolerancing.layout import align_columns, wrap_lines
@@ -46,7 +47,7 @@ def do_task(study, name, folder) -> tuple[bool, list[Path]]:
     require_task(study, name)
     started = time.perf_counter()
     good, written = _ACTIONS[name](study, Path(folder))
-    _say(f"{_words(name).capitalize()} done after {time.perf_counter() - started:.1f} s.")
+    say(f"{_words(name).capitalize()} done after {time.perf_counter() - started:.1f} s.")
     return good, written
 
 
@@ -54,20 +55,17 @@ def _words(name):
     return name.replace("_", " ")
 
 
-def _say(text):
-    print(text, file=sys.stderr, flush=True)
-
-
 def _show(study, text):
-    print(f"{title_text(study)}\n\n{text}", end="\n\n", flush=True)
+    show(f"{title_text(study)}\n\n{text}", end="\n\n")
 
 
 def _draw(folder, study, name, *results):
     try:
         import matplotlib  # noqa: F401
     except ImportError:
-        print(PLOTS_HINT)
+        show(PLOTS_HINT)
         return []
+    on_stage("Drawing pictures")
     from rfem_jax.report.task_figures import write_task_figures
 
     return write_task_figures(folder, study, name, *results)
@@ -76,7 +74,7 @@ def _draw(folder, study, name, *results):
 def _do_sensitivity(study, folder):
     task = study.tasks.sensitivity
     twice = " (twice: with the finer step too)" if task.half_step else ""
-    _say(f"Differentiating {len(task.metrics)} metrics to order {task.order}{twice} ...")
+    on_stage(f"Differentiating {len(task.metrics)} metrics to order {task.order}{twice}")
     result, undamped = tasks.run_sensitivity(study)
     _show(study, sensitivity_text(result, undamped))
     written = task_files.write_sensitivity(folder, study, result, undamped)
@@ -115,14 +113,17 @@ def sensitivity_text(result, undamped) -> str:
 
 def _do_monte_carlo(study, folder):
     task = study.tasks.monte_carlo
-    _say(
+    stage = (
         f"Sampling {task.n} mechanisms on {jax.local_device_count()} devices"
-        f" of {jax.process_count()} process{'es' if jax.process_count() > 1 else ''} ..."
+        f" of {jax.process_count()} process{'es' if jax.process_count() > 1 else ''}"
     )
-    result = tasks.run_monte_carlo(study, folder / "monte_carlo")
+    on_stage(stage)
+    result = tasks.run_monte_carlo(
+        study, folder / "monte_carlo", progress=lambda done, total: on_stage(stage, done / total)
+    )
     good = result.good > 0
     if jax.process_index() != 0:
-        print(f"Process {jax.process_index()} computed {result.chunks_computed} chunks.")
+        show(f"Process {jax.process_index()} computed {result.chunks_computed} chunks.")
         return good, []
     _show(study, str(result))
     written = task_files.write_monte_carlo(folder, study, result)
@@ -130,7 +131,7 @@ def _do_monte_carlo(study, folder):
 
 
 def _do_worst_case(study, folder):
-    results = tasks.run_worst_case(study, report=_say)
+    results = tasks.run_worst_case(study, report=on_stage)
     _show(study, "\n\n".join(str(one) for one in results.values()))
     good = all(one.status == "ok" for one in results.values())
     written = task_files.write_worst_case(folder, study, results)
@@ -138,7 +139,7 @@ def _do_worst_case(study, folder):
 
 
 def _do_allocation(study, folder):
-    found = tasks.run_allocation(study, report=_say)
+    found = tasks.run_allocation(study, report=on_stage)
     _show(study, allocation_text(found))
     written = task_files.write_allocation(folder, study, found)
     return found.answer.status == "ok", written + _draw(folder, study, "allocation", found)

@@ -65,6 +65,7 @@ def write_sensitivity(folder, study, result, undamped) -> list[Path]:
         metrics[metric] = one
     content = {
         "status": result.status,
+        "derivative_residual": result.derivative_residual,
         "undamped": undamped,
         "mode": result.mode,
         "errors": list(result.names),

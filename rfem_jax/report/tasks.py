@@ -124,13 +124,13 @@ def run_monte_carlo(study, folder, progress=True):
 def run_worst_case(study, report=lambda text: None):
     """{metric: WorstCase} of the task's metrics, with one quadratic model for all of them.
 
-    Arguments: report is called with a line before each step that takes long.
+    Arguments: report is called with the name of each stage that takes long.
     """
     task = study.tasks.worst_case
     problem = build_problem(study, task.metrics)
     tolerances = build_tolerances(study.tasks.tolerances)
     keys = jax.random.split(jax.random.key(task.seed), len(task.metrics))
-    report("Expanding to second order ...")
+    report("Expanding to second order")
     centre = {name: float(mean) for name, mean in tolerances.means().items()}
     mode = choose_mode(task.mode, len(tolerances.names), 1)  # that of the searches: one program
     model = expand_by_differences(problem, centre, tolerances, mode=mode, batch=task.batch)
@@ -141,7 +141,7 @@ def run_worst_case(study, report=lambda text: None):
     )  # fmt: skip
     found = {}
     for name, key in zip(task.metrics, keys, strict=True):
-        report(f"Searching the worst case of {name} ...")
+        report(f"Searching the worst case of {name}")
         found[name] = search(name, key=key)
     return found
 
@@ -171,7 +171,7 @@ def scaled_limits(checks, scale) -> dict:
 def run_allocation(study, report=lambda text: None):
     """The cheapest tolerances, and those of the task's scaled limits: an AllocationStudy.
 
-    Arguments: report is called with a line before each allocation.
+    Arguments: report is called with the name of each allocation.
     """
     task = study.tasks.allocation
     problem = build_problem(study, task.metrics)
@@ -184,19 +184,19 @@ def run_allocation(study, report=lambda text: None):
         verify_samples=task.verify_samples, starts=task.starts, rounds=task.rounds,
         tolerance=task.accuracy, batch=task.batch,
     )  # fmt: skip
-    report("Expanding to second order ...")
+    report("Expanding to second order")
     together = task.criterion != "worst_case"
     mode = choose_mode(task.mode, len(task.bounds), len(problem.metrics) if together else 1)
     typical = {name: math.sqrt(low * high) for name, (low, high) in task.bounds.items()}
     model = expand_by_differences(problem, None, typical, mode=mode, batch=task.batch)
     solve = partial(solve, model=model, mode=mode)
-    report(f"Allocating {len(task.bounds)} tolerances ...")
+    report(f"Allocating {len(task.bounds)} tolerances")
     limits = {name: tuple(map(_closed, pair)) for name, pair in task.limits.items()}
     answer = solve(limits, key=keys[0])
     front = {1.0: answer}
     for scale, key in zip(task.scales, keys[1:], strict=True):
         if scale not in front:
-            report(f"Allocating with limits scaled by {scale:g} ...")
+            report(f"Allocating with limits scaled by {scale:g}")
             front[scale] = solve(scaled_limits(answer.limits, scale), key=key)
     before, cost = _before(study, costs)
     return AllocationStudy(answer, dict(sorted(front.items())), before, cost)

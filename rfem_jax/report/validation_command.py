@@ -4,11 +4,12 @@ Place in the pipeline: called by `command_line`; `validation` computes, `validat
 `validation_figures` show.
 """
 
-import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
+from rfem_jax.report.progress_line import say, show
 from rfem_jax.report.summary import PLOTS_HINT
 from rfem_jax.report.validation_tables import (
     benchmark_text,
@@ -20,11 +21,11 @@ from rfem_jax.validation.catalogue import chosen, compute
 from rfem_jax.validation.lines import Line, Picture
 
 
-def validate(names, full: bool, folder: Path | None, watch: Callable) -> tuple[bool, list[Path]]:
+def validate(names, full: bool, folder: Path | None, announce: Callable) -> tuple[bool, list[Path]]:
     """Compute the chosen benchmarks, print each as soon as it is there, write everything.
 
     Arguments: names of benchmarks (None: all); full: the lines that take long too; folder for the
-    files (None: none); watch: label -> progress with `close()`.
+    files (None: none); announce: called with what is computed and the fraction of it that is done.
     Returns: whether no line failed, and the files written.
     Raises: InputError for an unknown name; OSError for files that cannot be written.
     """
@@ -32,21 +33,21 @@ def validate(names, full: bool, folder: Path | None, watch: Callable) -> tuple[b
     benchmarks = chosen(names)
     lines: list[Line] = []
     pictures: list[Picture] = []
-    watches = []
+    numbers = {one.name: i for i, one in enumerate(benchmarks, 1)}
 
     def watched(benchmark):
-        watches.append(watch(f"{len(watches) + 1} of {len(benchmarks)}, {benchmark.title}"))
-        return watches[-1]
+        stage = f"{numbers[benchmark.name]} of {len(benchmarks)}, {benchmark.title}"
+        announce(stage)
+        return partial(announce, stage)
 
     for benchmark, outcome in compute(benchmarks, full, watched):
-        watches[-1].close()
         title = benchmark.title[0].upper() + benchmark.title[1:]
-        print(benchmark_text(title, outcome.lines), end="\n\n", flush=True)
+        show(benchmark_text(title, outcome.lines), end="\n\n")
         lines += outcome.lines
         pictures += outcome.pictures
-    print(verdict_text(lines), flush=True)
+    show(verdict_text(lines))
     seconds = time.perf_counter() - started
-    print(f"Validation done after {seconds:.0f} s.", file=sys.stderr)
+    say(f"Validation done after {seconds:.0f} s.")
     if folder is None:
         return not has_failed(lines), []
     settings = {"benchmarks": [one.name for one in benchmarks], "full": full, "seconds": seconds}
@@ -58,7 +59,7 @@ def _draw(folder: Path, pictures: list[Picture]) -> list[Path]:
     try:
         import matplotlib  # noqa: F401
     except ImportError:
-        print(PLOTS_HINT)
+        show(PLOTS_HINT)
         return []
     from rfem_jax.report.validation_figures import write_validation_figures
 

@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rfem_jax.compilation.program import Program
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.methods import Method
 from rfem_jax.mechanics.model import Model
@@ -103,7 +104,7 @@ def _trial_errors(model: Model) -> AssemblyErrors:
     return jax.tree.map(lambda a, b: jnp.stack([a, b]), perfect, flawed)
 
 
-@eqx.filter_jit
+@Program
 def rms_loads(model, errors, drive, grid, method, steps):
     """RMS loads (cases, 2, joints) and the largest share of a load that was left over; `errors`:
     `AssemblyErrors` or {name: values (cases,)}."""

@@ -6,11 +6,11 @@ Place in the pipeline: study -> **cases** -> report.
 import functools
 from collections.abc import Callable
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rfem_jax.compilation.program import Program
 from rfem_jax.mechanics.discretisation import discretise
 from rfem_jax.mechanics.model import Model
 from rfem_jax.mechanics.realisation import assembly_errors
@@ -60,7 +60,7 @@ def _pieces(grid: TimeGrid):
         yield grid.piece(first, size)
 
 
-@eqx.filter_jit
+@Program
 def _prepare(model, errors, drive, method):
     def one(errors):
         prepared = integration.prepare(model, errors, drive, None)
@@ -69,7 +69,7 @@ def _prepare(model, errors, drive, method):
     return jax.vmap(one)(errors)
 
 
-@eqx.filter_jit
+@Program
 def _advance(model, realised, drive, carry, grid, method, steps):
     advance = functools.partial(integration.advance, model)
     return jax.vmap(
@@ -77,7 +77,7 @@ def _advance(model, realised, drive, carry, grid, method, steps):
     )(realised, carry)
 
 
-@eqx.filter_jit
+@Program
 def _conclude(model, prepared, carry, record, grid):
     return jax.vmap(
         lambda prepared, carry, record: integration.conclude(model, prepared, carry, record, grid)

@@ -16,6 +16,7 @@ from jaxtyping import Float, Int
 from rfem_jax.compilation.scalars import nothing_known
 from rfem_jax.description.drives import MomentDrive, PrescribedDrive
 from rfem_jax.mechanics import loads, realisation
+from rfem_jax.mechanics.condensation import LinkOperator
 from rfem_jax.mechanics.dynamics import Accelerations, accelerations
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation, impose
 from rfem_jax.mechanics.model import Coordinates, State, Topology
@@ -42,13 +43,15 @@ class Trajectory(eqx.Module):
 
 
 class Conditions(eqx.Module):
-    """What the right-hand side reads besides the state: the constants of the mechanism, the drive
-    and its phase (jumps passed), the stabilisation."""
+    """What the equations of motion read besides the state: the constants of the mechanism, the drive
+    and its phase (jumps passed), the stabilisation; for implicit methods the links' operators for the step
+    length (None: formed when they are needed)."""
 
     realised: Realisation
     drive: MomentDrive | PrescribedDrive | None
     phase: Int[Array, ""]
     stabilisation: Stabilisation
+    operators: tuple[LinkOperator | None, ...] | None = None
 
 
 def structural_zeros(conditions: Conditions) -> Conditions:

@@ -13,11 +13,11 @@ state an interval (checkpoints).  How an interval is gone through is said in `st
 from typing import NamedTuple
 
 import diffrax
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import Array
 
+from rfem_jax.compilation.program import Program
 from rfem_jax.description.drives import MomentDrive, PrescribedDrive
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.methods import Method
@@ -45,15 +45,15 @@ from rfem_jax.mechanics.status import (
 )
 from rfem_jax.simulation import equations
 from rfem_jax.simulation.equations import Conditions
-from rfem_jax.simulation.generalised_alpha import GeneralisedAlpha
 from rfem_jax.simulation.implicit_step import SOLUTION
-from rfem_jax.simulation.observation import Record, observe, solved_instant
-from rfem_jax.simulation.run import DrivenJoint, LoadIntegrals, Metrics, Run
-from rfem_jax.simulation.stepping import Carry, stabilisation_of, step_intervals
+from rfem_jax.simulation.observation import Record, observe
+from rfem_jax.simulation.run import RESIDUAL_LIMIT, DrivenJoint, LoadIntegrals, Metrics, Run
+from rfem_jax.simulation.solvers import observed_solver
+from rfem_jax.simulation.stabilisation import stabilisation_of
+from rfem_jax.simulation.stepping import Carry, step_intervals
 from rfem_jax.simulation.time_grid import TimeGrid, divide_time
 
 DRIFT_LIMIT = 1e-6
-RESIDUAL_LIMIT = 0.05
 
 
 class Prepared(NamedTuple):
@@ -106,7 +106,7 @@ def grid_for(drive, duration, method: Method, save_every) -> tuple[TimeGrid, int
     return divide_time(duration, method.step, save_every, jumps, method.implicit)
 
 
-@eqx.filter_jit
+@Program
 def _simulate(model, errors, drive, grid, start, method, steps, adjoint):
     prepared = prepare(model, errors, drive, start)
     carry = start_carry(model, prepared, drive, method)
@@ -141,29 +141,27 @@ def start_carry(model: Model, prepared: Prepared, drive, method: Method) -> Carr
     """The carry before the first interval."""
     joints = prepared.preload.force.shape[1]
     trajectory = equations.start_trajectory(prepared.state, joints)
-    memory = None
-    if method.implicit:
-        drive = equations.with_start_angle(model, drive)
-        phase, stabilisation = jnp.asarray(0, jnp.int32), stabilisation_of(model, method)
-        conditions = Conditions(prepared.realised, drive, phase, stabilisation)
-        memory = GeneralisedAlpha(method).start(conditions, trajectory)
+    drive = equations.with_start_angle(model, drive)
+    phase, stabilisation = jnp.asarray(0, jnp.int32), stabilisation_of(model, method)
+    conditions = Conditions(prepared.realised, drive, phase, stabilisation)
     return Carry(
         trajectory=trajectory,
         peaks=jnp.zeros((2, joints)),
         exhausted=jnp.zeros((), bool),
         last_step=jnp.asarray(1e-7),
-        memory=memory,
-        residual=jnp.zeros(()),
+        memory=observed_solver(method).start(conditions, trajectory),
     )
 
 
 def advance(model, realised, drive, carry, grid: TimeGrid, method: Method, steps, adjoint):
     """Integrate over the intervals of a grid; returns the carry and a `Record` of each end."""
     step_over = step_intervals(model, realised, drive, grid, method, steps, adjoint)
+    solver = observed_solver(method)
 
     def interval(carry, entry):
-        carry, conditions, end = step_over(carry, entry)
-        return _record(carry, end, conditions)
+        carry, conditions = step_over(carry, entry)
+        start, length, _, _ = entry
+        return _record(solver, carry, start + length, length / steps, conditions)
 
     kept = jax.checkpoint_policies.save_only_these_names(SOLUTION)
     return jax.lax.scan(jax.checkpoint(interval, policy=kept), carry, _entries(grid))
@@ -179,21 +177,13 @@ def _entries(grid: TimeGrid):
     return tuple(jnp.asarray(x) for x in (grid.starts, grid.lengths, grid.phases, grid.kinds))
 
 
-def _record(carry: Carry, t, conditions: Conditions):
-    """Carry with the peaks of this instant, and its record."""
-    trajectory, realised = carry.trajectory, conditions.realised
-    if carry.memory is None:
-        state, drive, result, _ = equations.at_instant(t, trajectory, conditions)
-        instant = solved_instant(realised, result, drive, conditions.stabilisation.scale)
-        axial, normal, _ = equations.squares(instant.loads)
-        seen = jnp.stack([axial, normal])
-        carry = carry._replace(peaks=jnp.maximum(carry.peaks, seen))
-    else:
-        drive = equations.drive_input(conditions.drive, t, conditions.phase)
-        state = State(trajectory.position, trajectory.velocity)
-        instant = carry.memory.instant
-    scale = conditions.stabilisation.scale
-    return carry, observe(realised, state, drive, trajectory.integrals, instant, scale)
+def _record(solver, carry: Carry, t, h, conditions: Conditions):
+    """Carry with the peaks of this instant, and its record; h: length of the step that ended there."""
+    peaks, state, drive, instant = solver.instant(
+        t, h, (carry.trajectory, carry.peaks), carry.memory, conditions
+    )
+    record = observe(conditions.realised, state, drive, carry.trajectory.integrals, instant)
+    return carry._replace(peaks=peaks), record
 
 
 def conclude(model: Model, prepared: Prepared, carry: Carry, record: Record, grid) -> Run:
@@ -231,6 +221,7 @@ def conclude(model: Model, prepared: Prepared, carry: Carry, record: Record, gri
         hinge_moment_error=jnp.max(record.hinge_residual) / _safe(jnp.max(record.largest_load[:, 1])),
         stabilisation_share=jnp.max(record.stabilising) / _safe(jnp.max(record.multiplier)),
         solution_residual=residual,
+        equation_residual=record.residual,
         status=_status(
             model, prepared, carry, error, drift, jnp.max(record.range_used), residual
         ),

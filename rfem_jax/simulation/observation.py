@@ -13,10 +13,10 @@ from jax import Array
 from rfem_jax.mechanics import loads
 from rfem_jax.mechanics.balance import Balance
 from rfem_jax.mechanics.centre_lines import link_ends
-from rfem_jax.mechanics.cut_joints import assembly_modes, closure
+from rfem_jax.mechanics.cut_joints import Closure, assembly_modes
 from rfem_jax.mechanics.dynamics import Accelerations
 from rfem_jax.mechanics.inputs import DriveInput
-from rfem_jax.mechanics.kinematics import Motion, motion, range_used
+from rfem_jax.mechanics.kinematics import Motion, range_used
 from rfem_jax.mechanics.model import Coordinates, State, Topology
 from rfem_jax.mechanics.realisation import Realisation
 from rfem_jax.simulation import equations
@@ -29,8 +29,8 @@ class Instant(NamedTuple):
 
     loads: of all joints; base (6,): wrench of the base at the origin; accelerations of the coordinates;
     drift [m], drift_angle [rad] of the cut joints; arm [m]: largest coordinate of a hinge; stabilising,
-    multiplier: largest multipliers [N]; residual [N]: force left over in the equations of motion;
-    dissipated [W]: power of the dampers.
+    multiplier: largest multipliers [N]; residual (n,) [N]: forces left over in the equations of motion, none
+    where these were solved for the accelerations; motion, closure: kinematics of the instant.
     """
 
     loads: loads.JointLoads
@@ -42,7 +42,8 @@ class Instant(NamedTuple):
     stabilising: Array
     multiplier: Array
     residual: Array
-    dissipated: Array
+    motion: Motion
+    closure: Closure | None
 
 
 class Record(NamedTuple):
@@ -64,6 +65,7 @@ class Record(NamedTuple):
     ends: Array
     branch: Array
     square_integrals: Array
+    residual: Array
 
 
 def solved_instant(
@@ -71,7 +73,7 @@ def solved_instant(
 ) -> Instant:
     """An instant whose accelerations were solved for."""
     joint, base = loads.chain_loads(realised, result, result.angular, result.linear, drive)
-    drift, drift_angle = _drift(result.closure, scale)
+    drift, drift_angle = cut_drift(result.closure, scale)
     return Instant(
         loads=joint,
         base=base,
@@ -81,8 +83,9 @@ def solved_instant(
         arm=jnp.max(jnp.abs(result.motion.hinges.point)),
         stabilising=jnp.max(jnp.abs(result.stabilising), initial=0.0),
         multiplier=jnp.max(jnp.abs(result.multipliers), initial=0.0),
-        residual=jnp.zeros(()),
-        dissipated=result.dissipated,
+        residual=jnp.zeros((0,)),
+        motion=result.motion,
+        closure=result.closure,
     )
 
 
@@ -92,12 +95,13 @@ def balanced_instant(
     accelerations: Coordinates,
     drive: DriveInput,
     scale: Array,
-    left_over: Array,
+    residual: Array,
 ) -> Instant:
-    """An instant whose accelerations were found by balancing the equations up to a force [N] left over.
+    """An instant whose accelerations were found by balancing the equations up to forces [N] (n,).
 
-    What is left over, in forces and in the closure, is the solver's and has no derivative."""
-    drift, drift_angle = jax.lax.stop_gradient(_drift(left.closure, scale))
+    The drift of the closure is the solver's and has no derivative; the residual keeps its own, which says
+    how accurate the derivatives are."""
+    drift, drift_angle = jax.lax.stop_gradient(cut_drift(left.closure, scale))
     return Instant(
         loads=loads.loads_of_wrenches(topology, left, left.wrenches, drive),
         base=loads.base_wrench(topology, left.wrenches),
@@ -107,8 +111,9 @@ def balanced_instant(
         arm=jnp.max(jnp.abs(left.motion.hinges.point)),
         stabilising=jnp.zeros(()),
         multiplier=jnp.max(jnp.abs(left.multipliers), initial=0.0),
-        residual=jax.lax.stop_gradient(left_over),
-        dissipated=left.dissipated,
+        residual=residual,
+        motion=left.motion,
+        closure=left.closure,
     )
 
 
@@ -118,12 +123,11 @@ def observe(
     drive: DriveInput,
     integrals: Integrals,
     instant: Instant,
-    scale: Array,
 ) -> Record:
     """Record of one instant."""
     with jax.named_scope("observation"):
         topology = realised.topology
-        joint, now = instant.loads, motion(realised, state)
+        joint, now = instant.loads, instant.motion
         parts = loads.energies(realised, state)
         force, moment = loads.momentum_residual(
             realised, state, instant.accelerations, instant.base
@@ -149,21 +153,23 @@ def observe(
             multiplier=instant.multiplier,
             range_used=range_used(topology, state.position),
             ends=link_ends(realised, now)[0],
-            branch=_branch(realised, now, scale),
+            branch=_branch(realised, instant),
             square_integrals=jnp.stack(
                 [integrals.axial_square + integrals.normal_square, integrals.moment_square]
             ),
+            residual=instant.residual,
         )
 
 
-def _branch(realised: Realisation, now: Motion, scale):
+def _branch(realised: Realisation, instant: Instant) -> Array:
     """Assembly modes of the cut joints (C,)."""
-    cuts = closure(realised, now, scale)
-    return jnp.zeros((0,)) if cuts is None else assembly_modes(realised, now, cuts)
+    if instant.closure is None:
+        return jnp.zeros((0,))
+    return assembly_modes(realised, instant.motion, instant.closure)
 
 
-def _drift(cuts, scale):
-    """Largest distance [m] of two joint centres, and largest axis equation [rad]."""
+def cut_drift(cuts, scale):
+    """Of the cut joints: largest distance [m] of two joint centres, and largest axis equation [rad]."""
     if cuts is None:
         return jnp.zeros(()), jnp.zeros(())
     distance = equations.guarded_root(jnp.max(jnp.sum(cuts.residual[:3] ** 2, axis=0)))

@@ -13,6 +13,8 @@ from rfem_jax.mechanics.statics import Load
 from rfem_jax.mechanics.status import STATUS
 from rfem_jax.simulation.equations import guarded_root
 
+RESIDUAL_LIMIT = 0.05  # of the largest joint force: equations with a larger residual are not solved
+
 
 class Energy(eqx.Module):
     """Energies (times,) [J]: kinetic, elastic, gravity (zero level: the first base joint's nominal
@@ -83,7 +85,9 @@ class Run(eqx.Module):
     largest energy), closure_drift [m], closure_drift_angle [rad], momentum_balance_error and
     hinge_moment_error (relative to the largest load), stabilisation_share (largest stabilising
     multiplier / largest multiplier), solution_residual (largest force that Newton's method left over in
-    an implicit step / largest joint force; 0 for explicit methods).  status: code of `STATUS`.
+    an implicit step / largest joint force; 0 for explicit methods).  equation_residual (T, n) [N]: forces left
+    over in the equations of motion at the saved times (n = 0 with explicit methods); its derivative says how
+    accurate derivatives are, see `derivative_residual`.  status: code of `STATUS`.
     centre_lines, nominal_lines: points (3 columns) [m] along the links as assembled, and of the perfect
     mechanism.  ends: where the far end of every link is (T, 3) [m], global axes.  branch: assembly mode
     (T,) of every cut joint, +1 or -1; a change of sign is a passage through a fold, after which
@@ -108,6 +112,7 @@ class Run(eqx.Module):
     hinge_moment_error: Float[Array, ""]
     stabilisation_share: Float[Array, ""]
     solution_residual: Float[Array, ""]
+    equation_residual: Float[Array, "times n"]
     status: Int[Array, ""]
     centre_lines: dict[str, Array]
     nominal_lines: dict[str, Array]
@@ -153,6 +158,25 @@ class Run(eqx.Module):
 
     def __str__(self) -> str:
         return self.summary()
+
+
+def derivative_residual(change: Run) -> Array:
+    """How far a derivative is from solving the differentiated equations: the largest change of
+    `equation_residual` over the largest change of a joint force.
+
+    **Arguments:** `change`: derivative of a run along one direction, as `jax.jvp` gives it (for several: under
+    vmap, or `jacfwd`'s with the direction as the last axis).
+
+    **Returns:** a number, zero for explicit methods, for every direction.  Above `RESIDUAL_LIMIT` the derivative
+    has not converged: ask for a smaller tolerance of the method, or a smaller step.
+    """
+
+    def largest(values, axes):
+        return jnp.max(jnp.abs(values), axis=axes, initial=0.0)
+
+    force = jnp.stack([largest(load.force, (0, 1)) for load in change.loads.values()]).max(axis=0)
+    residual = largest(change.equation_residual, (0, 1))
+    return residual / jnp.where(force > 0.0, force, 1.0)
 
 
 def _at(time: float, times, values):

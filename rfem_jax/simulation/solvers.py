@@ -1,10 +1,16 @@
 """Integration methods as diffrax solvers.
 
-Place in the pipeline: method -> **solver** -> integration.
+Place in the pipeline: generalised_alpha, methods -> **solvers** -> stepping.
 
 `RungeKutta4` is the paper's method; `Leapfrog` needs one right-hand side a step; `PeakTracking` wraps
-any solver and keeps running maxima of chosen rates, updated after accepted steps and outside the
+any explicit solver and keeps running maxima of the joint forces, updated after accepted steps and outside the
 error control.  Diffrax's own explicit solvers come by their names.
+
+What `stepping` integrates with, `PeakTracking` and `GeneralisedAlpha`, is a diffrax solver of the state
+(trajectory, squared maxima of forces) with four methods more: `operators(realised, lengths)`: what the
+`Conditions` hold for steps of these lengths; `start(conditions, trajectory)` and `resume(terms, t0, t1, y0, args,
+memory)`: its memory before the first interval and at the start of each; `instant(t, h, y, memory, conditions)`:
+at the end of a step the maxima so far, State, drive and the solved instant.
 """
 
 from collections.abc import Callable
@@ -18,6 +24,10 @@ from jaxtyping import PyTree
 
 from rfem_jax.description.methods import Method
 from rfem_jax.mechanics.model import Coordinates
+from rfem_jax.simulation import equations
+from rfem_jax.simulation.equations import Conditions
+from rfem_jax.simulation.generalised_alpha import GeneralisedAlpha
+from rfem_jax.simulation.observation import solved_instant
 
 
 class StageInterpolation(diffrax.LocalLinearInterpolation):
@@ -114,7 +124,7 @@ class PeakTracking(diffrax.AbstractWrappedSolver):
     """
 
     solver: diffrax.AbstractSolver
-    watch: Callable[[PyTree], Array]
+    watch: Callable[[PyTree], Array] = equations.peaks
 
     # diffrax's adjoints look at these two of a solver.
     scan_kind = "bounded"
@@ -151,6 +161,29 @@ class PeakTracking(diffrax.AbstractWrappedSolver):
     def func(self, terms, t0, y0, args):
         return terms.vf(t0, y0, args)
 
+    def operators(self, realised, lengths):
+        """None are needed."""
+        del realised, lengths
+
+    def start(self, conditions, trajectory):
+        """Nothing is remembered from interval to interval."""
+        del conditions, trajectory
+
+    def resume(self, terms, t0, t1, y0, args, memory):
+        """Memory of the wrapped solver at the start of an interval: the drive may have jumped there."""
+        del memory
+        return self.init(terms, t0, t1, y0, args)
+
+    def instant(self, t, h, y, memory, conditions: Conditions):
+        """Maxima that know this instant, which steps see at their starts only; State, drive, solved instant."""
+        del h, memory
+        trajectory, seen = y
+        state, drive, result, _ = equations.at_instant(t, trajectory, conditions)
+        scale = conditions.stabilisation.scale
+        instant = solved_instant(conditions.realised, result, drive, scale)
+        axial, normal, _ = equations.squares(instant.loads)
+        return jnp.maximum(seen, jnp.stack([axial, normal])), state, drive, instant
+
 
 def _motion_term(terms):
     """The term's vector field restricted to the motion."""
@@ -173,8 +206,13 @@ _DIFFRAX = {
 }
 
 
+def observed_solver(method: Method) -> PeakTracking | GeneralisedAlpha:
+    """The solver that integrates trajectory and maxima of forces by a method."""
+    return GeneralisedAlpha(method) if method.implicit else PeakTracking(make_solver(method))
+
+
 def make_solver(method: Method) -> diffrax.AbstractSolver:
-    """The diffrax solver of a method."""
+    """The diffrax solver of an explicit method."""
     if method.name == "rk4":
         return RungeKutta4()
     if method.name == "leapfrog":

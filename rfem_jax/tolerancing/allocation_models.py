@@ -33,6 +33,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 from scipy.stats import beta
 
+from rfem_jax.compilation.program import Program
 from rfem_jax.tolerancing.augmented_lagrangian import minimise
 from rfem_jax.tolerancing.cost_models import total_cost
 
@@ -188,7 +189,7 @@ class Verified(NamedTuple):
     worst: tuple
 
 
-@eqx.filter_jit
+@Program
 def cheapest(model, costs, x, lower, upper, rounds=25, evaluations=1000):
     """Minimise the total cost under model(t) <= 0; x, lower, upper (k,) are logarithms of t.
 

@@ -14,11 +14,11 @@ status 0 is a good sample, any other integer a failure (its values are not used)
 
 from collections.abc import Mapping
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rfem_jax.compilation.program import Program
 from rfem_jax.description.errors import InputError, suggestion
 from rfem_jax.tolerancing.execution import default_lanes
 
@@ -124,7 +124,7 @@ def run_in_chunks(program, width, *rows):
     return tuple(np.concatenate(part) for part in zip(*parts, strict=True))
 
 
-@eqx.filter_jit
+@Program
 def _evaluate_chunk(problem, names, base, points):
     return jax.vmap(lambda x: stack_metrics(problem, names, base, x))(points)
 

@@ -33,21 +33,19 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from rfem_jax.compilation.whole_loops import implicit_in_scalars
+from rfem_jax.compilation import keys
+from rfem_jax.compilation.program import Program
 from rfem_jax.description.errors import InputError
 from rfem_jax.tolerancing.progress import Progress
 
 LANES = {"cpu": 16}  # enough for a core's vector units; little waste on samples that run long
 LANES_ELSEWHERE = 256
-LANES_OF_SCALARS = 64  # programs of scalars keep less of a sample at hand, and stay in a core's cache
 POLL = 0.05  # s
 PATIENCE = 3600.0  # s without a new chunk of another process
 
 
 def default_lanes():
     """Samples that a device computes at once unless the user says otherwise."""
-    if implicit_in_scalars():
-        return LANES_OF_SCALARS
     return LANES.get(jax.default_backend(), LANES_ELSEWHERE)
 
 
@@ -73,7 +71,7 @@ def require_threads(devices):
         )
 
 
-@eqx.filter_jit
+@Program
 def _launch(problem, tolerances, points, mesh):
     """Errors, values and status of points (devices * lanes, d), sharded over the mesh; traced."""
     dynamic, static = eqx.partition((problem, tolerances), eqx.is_array)
@@ -172,16 +170,19 @@ def _wait_for(store, missing):
 
 
 def fingerprint_problem(problem):
-    """SHA-256 of what the problem computes: its own `fingerprint()`, or else of its program.
+    """SHA-256 of what the problem computes: its own `fingerprint()`, or of all its numbers, its structure and
+    the sources of this package; of its program where it has a function of the user.
 
     The program (StableHLO of one sample, with all constants) changes with every number and every
-    operation of the model, and not from run to run.
+    operation of the model, and not from run to run; so do numbers and sources, which need no tracing.
     """
     if callable(getattr(problem, "fingerprint", None)):
-        text = str(problem.fingerprint())
-    else:
+        return hashlib.sha256(str(problem.fingerprint()).encode()).hexdigest()
+    try:
+        return keys.digest_content(problem)
+    except keys.NotDigestible:
         scalar = jax.ShapeDtypeStruct((), jnp.float64)
         errors = {name: scalar for name in problem.error_names}
         text = jax.jit(lambda e: problem(e)).lower(errors).as_text()
         text = re.sub(r"index = \d+ : ui64", "", text)  # callbacks are counted per Python process
-    return hashlib.sha256(text.encode()).hexdigest()
+        return hashlib.sha256(text.encode()).hexdigest()

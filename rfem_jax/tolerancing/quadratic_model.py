@@ -26,6 +26,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from rfem_jax.compilation.program import Program
 from rfem_jax.description.errors import InputError
 from rfem_jax.tolerancing.evaluation import (
     check_known,
@@ -43,6 +44,7 @@ REVERSE_COST = 3
 DIRECTIONS = 32  # tangents of one point at once
 POINTS_WITH_TANGENTS = 4  # times the lanes: points x tangents at once
 STEP = 0.01  # of a tolerance
+SUMS = {"forward": 8, "reverse": 2}  # each one is two directions more in reverse mode
 
 
 class QuadraticModel(eqx.Module):
@@ -51,7 +53,9 @@ class QuadraticModel(eqx.Module):
     `hessian` is None after an expansion of order 1; `asymmetry` (m,) is the largest |H - H^T|
     divided by the largest |H| before H was made symmetric: an estimate of the derivatives'
     rounding. `hessian_error` (m,) is the estimated error of a Hessian by differences relative to
-    the largest |H|, both per tolerance; None where it is exact.
+    the largest |H|, both per tolerance; None where it is exact. `residual_changes`, `force_changes`
+    (p, k): derivatives of p sums, with random signs, of the forces left over in the equations of motion and of
+    the joint forces at all saved times; None where nothing is left over.
     """
 
     names: tuple[str, ...] = eqx.field(static=True)
@@ -64,6 +68,19 @@ class QuadraticModel(eqx.Module):
     asymmetry: Float[Array, " m"] | None
     status: Int[Array, ""]
     hessian_error: Float[Array, " m"] | None = None
+    residual_changes: Float[Array, "p k"] | None = None
+    force_changes: Float[Array, "p k"] | None = None
+
+    def derivative_residual(self, half_widths) -> float | None:
+        """Change of the forces left over in the equations relative to that of the joint forces (root mean
+        squares over all instants and errors (k,), each by its half-width); an estimate, None without one."""
+        if self.residual_changes is None:
+            return None
+        residual, force = (
+            float(np.sqrt(np.sum((np.asarray(changes) * half_widths) ** 2)))
+            for changes in (self.residual_changes, self.force_changes)
+        )
+        return residual / force if force != 0.0 else residual
 
     def __call__(self, deviation):
         """Values (m,) at point + deviation (k,)."""
@@ -139,20 +156,47 @@ def differentiate_twice(function, x, mode, batch):
     return value[0], jacobian[0], jnp.moveaxis(hessian, 0, 2), status[0]
 
 
-@eqx.filter_jit
+def stack_checked(problem, names, base, x, count):
+    """`stack_metrics` with 2 `count` values more: sums, with random signs, of the forces left over in the
+    equations of motion, and of the joint forces.
+
+    The mean of their squared derivatives is the sum of the squared derivatives of all these forces, so that a
+    few directions, of either mode, tell how accurate the derivatives are.
+    """
+    errors = {**base, **{name: x[i] for i, name in enumerate(names)}}
+    values, status, residual, forces = problem.with_residual(errors)
+    key = jax.random.key(0)
+    sums = [
+        jnp.sum(jax.random.rademacher(key, (count, part.size), part.dtype) * part.reshape(1, -1), axis=1)
+        for part in (residual, forces)
+    ]
+    return jnp.concatenate([jnp.stack([values[m.name] for m in problem.metrics]), *sums]), status
+
+
+@Program
 def _expand(problem, names, base, x, order, mode, batch):
+    """Value, Jacobian, Hessian and its asymmetry, status, and the derivatives of the sums of `stack_checked`."""
+    m, count = len(problem.metrics), SUMS[mode]
+    checked = getattr(problem, "derivative_limit", None) is not None
+
     def function(y):
+        if checked:
+            return stack_checked(problem, names, base, y, count)
         return stack_metrics(problem, names, base, y)
 
     if order == 1:
         value, jacobian, status = differentiate(function, x, mode, batch)
-        return value, jacobian, None, None, status
-    value, jacobian, hessian, status = differentiate_twice(function, x, mode, batch)
-    transposed = jnp.swapaxes(hessian, 1, 2)
-    largest = jnp.max(jnp.abs(hessian), axis=(1, 2))
-    gap = jnp.max(jnp.abs(hessian - transposed), axis=(1, 2))
-    asymmetry = jnp.where(largest > 0, gap / jnp.where(largest > 0, largest, 1.0), 0.0)
-    return value, jacobian, 0.5 * (hessian + transposed), asymmetry, status
+        hessian = asymmetry = None
+    else:
+        value, jacobian, hessian, status = differentiate_twice(function, x, mode, batch)
+        hessian = hessian[:m]
+        transposed = jnp.swapaxes(hessian, 1, 2)
+        largest = jnp.max(jnp.abs(hessian), axis=(1, 2))
+        gap = jnp.max(jnp.abs(hessian - transposed), axis=(1, 2))
+        asymmetry = jnp.where(largest > 0, gap / jnp.where(largest > 0, largest, 1.0), 0.0)
+        hessian = 0.5 * (hessian + transposed)
+    changes = (jacobian[m : m + count], jacobian[m + count :]) if checked else (None, None)
+    return value[:m], jacobian[:m], hessian, asymmetry, status, changes
 
 
 def expand(problem, at=None, names=None, *, order=2, mode="auto", batch=32):
@@ -174,15 +218,15 @@ def expand(problem, at=None, names=None, *, order=2, mode="auto", batch=32):
     metrics = tuple(metric.name for metric in problem.metrics)
     mode = choose_mode(mode, len(names), len(metrics))
     base, x = split_errors(problem, at, names)
-    value, gradient, hessian, asymmetry, status = _expand(
+    value, gradient, hessian, asymmetry, status, changes = _expand(
         problem, names, base, x, order, mode, int(batch)
     )
     return QuadraticModel(
-        names, metrics, mode, x, value, gradient, hessian, asymmetry, jnp.asarray(status)
+        names, metrics, mode, x, value, gradient, hessian, asymmetry, jnp.asarray(status), None, *changes
     )
 
 
-@eqx.filter_jit
+@Program
 def _linearise(problem, names, base, points, weights, mode):
     """Values (w, m), slopes and status of points (w, k): Jacobians (w, m, k) in forward mode, in
     reverse mode the gradients (w, k) of weights (w, m) . metrics."""

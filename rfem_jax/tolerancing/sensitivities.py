@@ -26,6 +26,7 @@ from rfem_jax.tolerancing.evaluation import check_known, describe_status, select
 from rfem_jax.tolerancing.layout import align_columns, show_number, without_rounding, wrap_lines
 from rfem_jax.tolerancing.quadratic_model import expand
 
+NOT_CONVERGED = "derivative_not_converged"
 VANISHING = 1e-6  # gradient below this part of (Hessian x tolerances): zero by symmetry
 ZERO_VALUE = 1e-9  # value below this part of (1/2 tolerances x Hessian x tolerances): zero
 
@@ -52,6 +53,9 @@ class Sensitivities:
     elsewhere; asymmetry (m,): rounding of the Hessian, |H - H^T| / |H|; None at order 1;
     gradient_change (m, k), hessian_change (m,): difference to the `refined` problem relative to the
         effect of each error and to the largest |H|; None without one.
+    derivative_residual: forces left over in the differentiated equations relative to the change of the joint
+    forces, an estimate (None where none are left over); above the problem's limit the status is
+    "derivative_not_converged".
     """
 
     names: tuple
@@ -79,6 +83,7 @@ class Sensitivities:
     asymmetry: np.ndarray | None
     gradient_change: np.ndarray | None = field(default=None)
     hessian_change: np.ndarray | None = field(default=None)
+    derivative_residual: float | None = field(default=None)
 
     def _row(self, metric):
         name = getattr(metric, "name", metric)
@@ -167,6 +172,13 @@ class Sensitivities:
         head = f"Sensitivities of order {self.order} in {self.mode} mode, status {self.status}"
         if not self.scaled:
             head += "; no tolerances given: the ranking compares unlike units"
+        if self.derivative_residual is not None:
+            head += (
+                f"\nresidual of the differentiated equations: {self.derivative_residual:.1e} of the change of "
+                "the joint forces"
+            )
+        if self.status == NOT_CONVERGED:
+            head += "; too large: take a smaller tolerance or step of the method"
         return f"{head}\n\n{self.table()}"
 
 
@@ -219,6 +231,11 @@ def _report(problem, model, finer, widths, at, scaled, order):
     for m in (i for i, word in enumerate(character) if word == "cone"):
         root[m] = np.sqrt(0.5 * np.maximum(np.diagonal(h[m]), 0.0))
     gradient_change, hessian_change = _changes(finer, widths, g, h, effects)
+    status = describe_status(problem, model.status)
+    residual = model.derivative_residual(widths)
+    # Not a number: not converged either.
+    if status == "ok" and residual is not None and not residual <= problem.derivative_limit:
+        status = NOT_CONVERGED
     return Sensitivities(
         names=model.names,
         error_units=tuple(problem.error_unit(name) for name in model.names),
@@ -230,7 +247,7 @@ def _report(problem, model, finer, widths, at, scaled, order):
         scaled=scaled,
         order=order,
         mode=model.mode,
-        status=describe_status(problem, model.status),
+        status=status,
         value=value,
         gradient=gradient,
         hessian=hessian,
@@ -245,6 +262,7 @@ def _report(problem, model, finer, widths, at, scaled, order):
         asymmetry=None if model.asymmetry is None else np.asarray(model.asymmetry),
         gradient_change=gradient_change,
         hessian_change=hessian_change,
+        derivative_residual=residual,
     )
 
 

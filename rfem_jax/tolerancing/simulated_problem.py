@@ -19,6 +19,7 @@ from rfem_jax.mechanics.realisation import AssemblyErrors, assembly_errors, erro
 from rfem_jax.mechanics.status import STATUS
 from rfem_jax.simulation.accuracy import choose_method
 from rfem_jax.simulation.integration import simulate
+from rfem_jax.simulation.run import RESIDUAL_LIMIT
 from rfem_jax.tolerancing import metrics as catalogue
 from rfem_jax.tolerancing.metrics import Metric
 
@@ -94,14 +95,27 @@ class Problem(eqx.Module):
             self.model, self.drive, self.duration, self.metrics, method, self.save_every
         )
 
+    @property
+    def derivative_limit(self) -> float | None:
+        """Residual of the differentiated equations above which a derivative has not converged (see
+        `derivative_residual`); None where none is left: explicit methods."""
+        return RESIDUAL_LIMIT if self.method.implicit else None
+
     def __call__(self, errors: Mapping | AssemblyErrors) -> tuple[dict[str, Array], Array]:
+        return self.with_residual(errors)[:2]
+
+    def with_residual(self, errors: Mapping | AssemblyErrors):
+        """Metrics, status, forces [N] left over in the equations of motion (times, n), and joint forces [N]
+        (joints, times, 3): the derivatives of these two say how accurate derivatives are."""
         if not isinstance(errors, AssemblyErrors):
             errors = assembly_errors(self.model, dict(errors))
         run = simulate(
             self.model, errors, drive=self.drive, duration=self.duration, method=self.method,
             save_every=self.save_every,
         )
-        return {m.name: jnp.asarray(m(run)) for m in self.metrics}, run.status
+        forces = jnp.stack([load.force for load in run.loads.values()])
+        values = {m.name: jnp.asarray(m(run)) for m in self.metrics}
+        return values, run.status, run.equation_residual, forces
 
 
 def _known_metric(model: Model, metric) -> Metric:

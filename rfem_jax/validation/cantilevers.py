@@ -17,6 +17,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from rfem_jax.compilation.program import Program
 from rfem_jax.description import (
     GivenSection,
     Joint,
@@ -79,7 +80,7 @@ def bend(model: Model, force) -> Bent:
     return Bent(tip + missing, rotation + missing)
 
 
-@eqx.filter_jit
+@Program
 def _bend(model: Model, force):
     model = eqx.tree_at(lambda m: m.gravity, model, force)
     errors = assembly_errors(model)

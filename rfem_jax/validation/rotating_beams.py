@@ -18,6 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rfem_jax.compilation.program import Program
 from rfem_jax.description import (
     GivenSection,
     Joint,
@@ -96,7 +97,7 @@ def turned(beams, elements: str) -> list[Run]:
     return [one_of(runs, i) for i in range(len(beams))]
 
 
-@eqx.filter_jit
+@Program
 @eqx.filter_vmap
 def _turned(model, drive):
     method = Method("rk4", step=STEP)

@@ -14,11 +14,11 @@ SE(3) elements a bar, h = 4 ms); loads: limits of mesh refinement in which two i
 agree to 3e-6.
 """
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rfem_jax.compilation.program import Program
 from rfem_jax.description import (
     Case,
     GivenSection,
@@ -182,7 +182,7 @@ def axis_lines() -> list[Line]:
     return lines
 
 
-@eqx.filter_jit
+@Program
 def _axis_at_start(model: Model, tilt, error: str):
     realised = realise(model, assembly_errors(model, {error: tilt}))
     now = motion(realised, static_state(model.start_coordinates()))
@@ -280,7 +280,7 @@ def derivative_lines(model: Model, runs: dict[str, Run]) -> list[Line]:
     return lines
 
 
-@eqx.filter_jit
+@Program
 def _slopes(model: Model, tilt):
     def loads(tilt):
         run = simulate(

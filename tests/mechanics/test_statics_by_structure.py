@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax import Joint, Mechanism, discretise
+from rfem_jax import Coordinates, Joint, Mechanism, discretise
 from rfem_jax.mechanics import static_search, statics
 from rfem_jax.mechanics.realisation import assembly_errors, realise
 from rfem_jax.mechanics.status import NOT_ASSEMBLED, OK
@@ -58,13 +58,38 @@ def test_structure_alone_finds_the_equilibrium_and_its_derivatives(make, monkeyp
         patch.setattr(
             statics, "chord", lambda equations, inverse, rows, *place: static_search.newton(equations, *place)
         )
-        patch.setattr(statics, "_nearly_inverse", lambda *arguments: None)
+        patch.setattr(
+            statics, "solve_linear", lambda equations, inverse, *rest: static_search.solve_dense(equations, *rest)
+        )
         *expected, status = with_derivatives(equilibria(make))
         assert status == OK
     for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(expected)):
         np.testing.assert_allclose(one, other, rtol=0, atol=1e-8 * np.abs(other).max())
     *_, backward, ahead = found
     np.testing.assert_allclose(backward, ahead, rtol=1e-9)
+
+
+@pytest.mark.parametrize("make, most", [(four_bar, 1e-3), (twisted_spatial_loop, 1e-2)])
+def test_a_change_leaves_little_over(make, most):
+    """Of a mechanism at rest, undeformed: spectral radius of what is left over."""
+    model = discretise(make())
+    realised = eqx.tree_at(lambda r: r.gravity, realise(model, assembly_errors(model)), jnp.zeros(3))
+    scaled = statics._scaled(model, realised)
+    start = scaled.unknowns(model.start_coordinates(), jnp.zeros((5, model.topology.n_cuts)))
+    given = np.array([0])
+
+    def residual(unknowns):
+        position, multipliers = scaled.coordinates(unknowns), scaled.multipliers(unknowns)
+        hinge, *others = statics._unbalanced(realised, position, multipliers, scaled.length)
+        value = scaled.residual(Coordinates(hinge, others[0]), others[1])
+        return value.at[given].set(unknowns[given])
+
+    @jax.jit
+    def left_over():
+        inverse = statics._nearly_inverse(scaled, given, realised, start)
+        return jnp.eye(start.size) - jax.vmap(inverse, 1, 1)(jax.jacfwd(residual)(start))
+
+    assert 0.0 < np.abs(np.linalg.eigvals(left_over())).max() < most
 
 
 def test_where_structure_does_not_lead_the_matrix_does(monkeypatch):

@@ -5,16 +5,18 @@ import io
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 
 import pytest
 
+from rfem_jax.compilation.options import user_cache_folder
+from rfem_jax.compilation.stages import listening, on_stage
 from rfem_jax.description import InputError
 from rfem_jax.report import command_line
 from rfem_jax.report.command_line import main
-from rfem_jax.report.process import scalars_pay, user_cache_folder, whole_loops_pay
-from rfem_jax.report.progress_line import Progress
+from rfem_jax.report.progress_line import ProgressLine, show
 
 STATUS = {0: ("ok", "The run is complete."), 3: ("diverged", "The run diverged; reduce the step.")}
 
@@ -167,22 +169,26 @@ def test_without_matplotlib_the_rest_is_written(rooms, study_file, tmp_path, cap
     assert 'pip install "rfem_jax[plots]"' in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("file", ["command_line.py", "process.py"])
+LIGHT = ("process", "progress_line")
+
+
+@pytest.mark.parametrize("file", ["command_line.py", *(f"{name}.py" for name in LIGHT)])
 def test_the_command_imports_nothing_heavy_at_its_top(file):
     path = Path(command_line.__file__).parent / file
     names = set()
     for node in ast.parse(path.read_text(encoding="utf-8")).body:
         if isinstance(node, ast.Import):
             names |= {alias.name.split(".")[0] for alias in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.module != "rfem_jax.report.process":
+        elif isinstance(node, ast.ImportFrom) and node.module.split(".")[-1] not in LIGHT:
             names.add(node.module.split(".")[0])
     assert names <= set(sys.stdlib_module_names)
 
 
-def settings_in_a_new_process(tmp_path, **environment):
+def settings_in_a_new_process(tmp_path, arguments="", **environment):
     """Double precision and cache folder that `set_up_jax` leaves behind."""
     code = (
-        "from rfem_jax.report.process import set_up_jax; import jax; set_up_jax(); "
+        "from rfem_jax.report.process import set_up_jax; import jax; "
+        f"set_up_jax({arguments}); "
         "print(jax.config.jax_enable_x64, jax.config.jax_compilation_cache_dir)"
     )
     base = {key: value for key, value in os.environ.items() if not key.startswith("JAX_")}
@@ -220,44 +226,88 @@ def test_the_cache_folder_is_the_platforms(monkeypatch):
 
 def test_progress_in_a_log_is_a_line_per_quarter():
     stream = io.StringIO()
-    progress = Progress("Simulating", stream)
-    for percent in (0, 10, 26, 30, 24, 99, 100, 100):
-        progress(percent / 100.0)
-    progress.close()
+    with ProgressLine(stream, patience=1e9) as line:
+        for percent in (0, 10, 26, 30, 24, 99, 100, 100):
+            line("Simulating", percent / 100.0)
     lines = stream.getvalue().splitlines()
-    assert lines[0] == "Simulating: compiling ..."
-    assert [line.split()[1] for line in lines[1:]] == ["26", "99", "100"]
+    assert [line.split()[:2] for line in lines] == [["Simulating:", n] for n in ("26", "99", "100")]
+    assert "s remaining" in lines[0] and "remaining" not in lines[-1]
 
 
-def test_progress_on_a_terminal_rewrites_its_line():
+def test_a_stage_that_takes_a_moment_is_a_line_in_a_log():
     stream = io.StringIO()
-    stream.isatty = lambda: True
-    progress = Progress("Simulating", stream)
-    progress(0.5)
-    progress.close()
-    text = stream.getvalue()
-    assert text.count("\r") == 2
-    assert text.count("\n") == 1
-    assert "50 %" in text
+    with ProgressLine(stream, patience=0.01) as line:
+        line("Tracing")
+        while "Tracing" not in stream.getvalue():
+            time.sleep(0.001)
+        line("Compiling")
+        while "Compiling" not in stream.getvalue():
+            time.sleep(0.001)
+    assert stream.getvalue() == "Tracing ...\nCompiling ...\n"
 
 
-@pytest.mark.parametrize(
-    ("command", "tables", "pay", "many"),
-    [
-        ("run", "[drive]\n[monte_carlo]\nn = 4096", True, False),
-        ("run", "[drive]\n[monte_carlo]\nn = 100_000", True, True),
-        ("run", "[allocation]\n[monte_carlo]\nn = 100_000", False, False),
-        ("run", "not a study", False, False),
-        ("monte-carlo", "[allocation]\n[monte_carlo]\nn = 30_000", True, True),
-        ("monte-carlo", "monte_carlo = 100_000", True, False),
-        ("worst-case", "[monte_carlo]\nn = 100_000", False, False),
-    ],
-)
-def test_loops_are_compiled_as_functions_where_nothing_is_differentiated(
-    tmp_path, command, tables, pay, many
-):
-    study = tmp_path / "study.toml"
-    study.write_text(tables, encoding="utf-8")
-    arguments = command_line.build_parser().parse_args([command, str(study), "--out", "results"])
-    assert whole_loops_pay(arguments) is pay
-    assert scalars_pay(arguments) is many
+def test_progress_on_a_terminal_rewrites_its_line(monkeypatch):
+    """What is printed takes the place of the line; at the end nothing of it is left."""
+    terminal = io.StringIO()
+    terminal.isatty = lambda: True
+    monkeypatch.setattr(sys, "stdout", terminal)
+    with ProgressLine(terminal) as line:
+        line("Compiling the simulation")
+        line("Simulating", 0.5)
+        show("a result")
+        line("Simulating", 0.75)
+    assert "50 %" in terminal.getvalue() and "75 %" in terminal.getvalue()
+    assert seen_on_a_terminal(terminal.getvalue()) == ["a result", ""]
+
+
+def seen_on_a_terminal(text):
+    """Lines that stand there in the end."""
+    lines = []
+    for written in text.split("\n"):
+        shown = ""
+        for part in written.split("\r"):
+            shown = part + shown[len(part) :]
+        lines.append(shown.rstrip())
+    return lines
+
+
+def test_a_check_loads_what_it_needs(tmp_path):
+    """Integrators, optimisers, statistics and pictures take longer to import than the check itself."""
+    study = Path(__file__).parents[2] / "studies" / "four_bar" / "study.toml"
+    program = (
+        "import sys\n"
+        "from rfem_jax.report.command_line import main\n"
+        f"assert main(['check', {str(study)!r}]) == 0\n"
+        "print([name for name in sys.argv[1:] if name in sys.modules])\n"
+    )
+    names = ["diffrax", "optimistix", "lineax", "scipy.interpolate", "scipy.stats", "matplotlib"]
+    done = subprocess.run(
+        [sys.executable, "-c", program, *names], capture_output=True, text=True, check=True,
+        cwd=tmp_path, env={**os.environ, "XDG_CACHE_HOME": str(tmp_path)},
+    )  # fmt: skip
+    assert done.stdout.splitlines()[-1] == "[]"
+    assert "Largest stable step of rk4: 1.94e-05 s." in done.stdout
+
+
+def test_stages_reach_listeners_and_only_while_they_listen():
+    heard = []
+    with listening(lambda *told: heard.append(told)):
+        on_stage("Tracing")
+        on_stage("Simulating", 0.5)
+    on_stage("Compiling")
+    assert heard == [("Tracing", None), ("Simulating", 0.5)]
+
+
+def test_the_first_word_comes_before_anything_is_imported(tmp_path):
+    """JAX is not loaded when the command says that it has started."""
+    program = (
+        "import sys\n"
+        "from rfem_jax.report import command_line\n"
+        "def said(self, *_): print('jax' in sys.modules); raise KeyboardInterrupt\n"
+        "command_line.ProgressLine.__call__ = said\n"
+        "command_line.main(['check', 'study.toml'])\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True, cwd=tmp_path
+    )
+    assert done.stdout == "False\n"

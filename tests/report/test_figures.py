@@ -10,8 +10,9 @@ import matplotlib  # noqa: E402
 from matplotlib.image import imread  # noqa: E402
 
 from rfem_jax.report.figures import draw_figures, write_figures  # noqa: E402
+from rfem_jax.report.output import write_pictures  # noqa: E402
 from rfem_jax.report.shapes import exaggerated_lines, exaggeration, round_factor  # noqa: E402
-from rfem_jax.report.style import bar_style, line_style  # noqa: E402
+from rfem_jax.report.style import SETTINGS, bar_style, line_style  # noqa: E402
 from rfem_jax.report.summary import summarise  # noqa: E402
 
 NAMES = {
@@ -144,3 +145,15 @@ def test_cases_differ_by_more_than_colour():
 
 def test_global_settings_of_matplotlib_stay(figures):
     assert matplotlib.rcParams["savefig.dpi"] == matplotlib.rcParamsDefault["savefig.dpi"]
+
+
+@pytest.mark.parametrize("name", ["rate", "assembly"])
+def test_a_written_picture_is_what_matplotlib_saves(name, tmp_path, study, runs, statuses):
+    """With the automatic layout and without; pixel by pixel."""
+    (path,) = write_pictures(tmp_path, {name: draw_figures(study, runs, summarise(study, runs, statuses))[name]})
+    figure = draw_figures(study, runs, summarise(study, runs, statuses))[name]
+    with matplotlib.rc_context(SETTINGS):
+        figure.savefig(tmp_path / "saved.png")
+    expected = imread(tmp_path / "saved.png")
+    assert (expected[:, :, 3] == 1.0).all()
+    np.testing.assert_array_equal(imread(path), expected[:, :, :3])

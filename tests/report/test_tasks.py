@@ -310,8 +310,6 @@ correlation = -0.5
 PROCESS = """
 import sys
 from rfem_jax.report import command_line
-# Compiled as in the process that the samples are compared with: whole loops round differently.
-command_line.whole_loops_pay = lambda arguments: False
 command_line.set_up_jax(1)
 from rfem_jax.report import tasks
 import rfem_jax.simulation

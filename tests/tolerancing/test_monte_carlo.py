@@ -323,12 +323,3 @@ def test_processes_and_devices_give_the_one_process_result(tmp_path):
         one, two = (tmp_path / kind / name for kind in ("processes", "devices"))
         assert one.read_bytes() == two.read_bytes()
     assert json.loads((tmp_path / "devices" / "manifest.json").read_text())["n"] == 150
-
-
-def test_programs_of_scalars_take_more_samples_at_once(monkeypatch):
-    from rfem_jax.compilation import whole_loops
-    from rfem_jax.tolerancing.execution import default_lanes
-
-    assert default_lanes() == 16
-    monkeypatch.setitem(whole_loops._chosen, "scalars", True)
-    assert default_lanes() == 64

@@ -1,5 +1,7 @@
 """Sensitivities of closed-form problems: derivatives, symmetry, cones, principal directions."""
 
+from typing import ClassVar
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -194,3 +196,33 @@ def test_linearisation_of_many_points_marks_failed_ones():
     np.testing.assert_allclose(values[[0, 2], 0], [0.25, 4.0])
     np.testing.assert_allclose(jacobian[[0, 2], 0, 0], [1.0, -4.0])
     assert np.isnan(values[1, 0]) and list(status) == [0, 1, 0]
+
+
+def solved_up_to(share):
+    """The closed-form loads, as if from equations whose derivatives leave over a share of the forces."""
+
+    class Solved(FunctionProblem):
+        derivative_limit: ClassVar[float] = 0.05
+
+        def with_residual(self, errors):
+            values, status = self(errors)
+            forces = jnp.sin(jnp.arange(180.0) ** 2).reshape(60, 3) * vector(errors)[None]
+            return values, status, share * jnp.concatenate([forces, forces]) / np.sqrt(2.0), forces
+
+    return Solved(loads, NAMES, METRICS)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("mode", ["forward", "reverse"])
+def test_the_residual_of_the_differentiated_equations_is_reported(problem, mode, order):
+    at = {"D.delta_x": 0.1, "coupler.length": 0.2}
+    plain = sensitivity(problem, at, order, WIDTHS, mode)
+    assert plain.derivative_residual is None and "residual" not in str(plain)
+    for share, status in ((1e-3, "ok"), (0.5, "derivative_not_converged")):
+        found = sensitivity(solved_up_to(share), at, order, WIDTHS, mode)
+        assert found.status == status and "residual of the differentiated equations" in str(found)
+        # An estimate, from few sums in reverse mode.
+        assert 0.3 * share < found.derivative_residual < 3.0 * share
+        np.testing.assert_allclose(found.gradient, plain.gradient, rtol=1e-12)
+        if order == 2:
+            np.testing.assert_allclose(found.hessian, plain.hessian, rtol=1e-12, atol=1e-12)

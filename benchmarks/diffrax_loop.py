@@ -1,0 +1,117 @@
+"""diffrax's own loop over steps against ours: tracing, compilation, time of a sample, memory.
+
+    python benchmarks/diffrax_loop.py METHOD LOOP MODE BATCH
+
+METHOD: generalised_alpha, rk4; LOOP: own, or `diffeqsolve` in every interval of the time grid with the adjoint
+forward, direct or checkpoint; MODE: value, forward (three errors), reverse (one metric).  Main study, as one
+process a row, since the programs are large.
+"""
+
+import argparse
+import time
+from pathlib import Path
+
+import jax
+
+jax.config.update("jax_enable_x64", True)
+
+import diffrax  # noqa: E402
+import jax.numpy as jnp  # noqa: E402
+from rfem_jax import Method, assembly_errors, discretise, load_study  # noqa: E402
+from rfem_jax.simulation import integration, stepping  # noqa: E402
+
+STUDY = Path(__file__).parents[1] / "studies" / "four_bar" / "study.toml"
+NAMES = ("D.delta_x", "D.delta_z", "D.d_y")
+ADJOINTS = {
+    "forward": diffrax.ForwardMode, "direct": diffrax.DirectAdjoint,
+    "checkpoint": diffrax.RecursiveCheckpointAdjoint,
+}  # fmt: skip
+
+
+def by_diffeqsolve(adjoint: str):
+    """The steps of one interval, in the place of `stepping._fixed`; an interval of length zero takes one step of
+    its own, since diffrax takes none."""
+
+    def integrate(solver, carry, start, length, steps, conditions):
+        terms, y = diffrax.ODETerm(stepping.vector_field), (carry.trajectory, carry.peaks)
+        memory = solver.resume(terms, start, start + length, y, conditions, carry.memory)
+        moving = length > 0.0
+
+        def stand():
+            found, _, _, after, _ = solver.step(terms, start, start, y, conditions, memory, False)
+            return found, after
+
+        def move():
+            h = jnp.where(moving, length / steps, 1.0)
+            solution = diffrax.diffeqsolve(
+                terms, solver, start, start + jnp.where(moving, length, 1.0), h, y, conditions,
+                saveat=diffrax.SaveAt(t1=True, solver_state=True), solver_state=memory,
+                adjoint=ADJOINTS[adjoint](), max_steps=steps + 2, throw=False,
+            )  # fmt: skip
+            return jax.tree.map(lambda x: x[-1], solution.ys), solution.solver_state
+
+        (trajectory, peaks), memory = jax.lax.cond(moving, move, stand)
+        memory = None if carry.memory is None else memory
+        return carry._replace(trajectory=trajectory, peaks=peaks, memory=memory)
+
+    return integrate
+
+
+def loads(method: str, mode: str):
+    """Three errors -> mean squares of the joint loads."""
+    study = load_study(STUDY)
+    model = discretise(study.mechanism)
+    if method == "rk4":
+        chosen, duration = Method(method, step=1e-5), 0.12 if mode == "value" else 0.02
+    else:
+        chosen, duration = Method(method, step=2.5e-3, tolerance=1e-3), 0.5
+    grid, steps = integration.grid_for(study.drive, duration, chosen, duration / 20)
+
+    def function(point):
+        errors = assembly_errors(model, dict(zip(NAMES, point)))
+        prepared = integration.prepare(model, errors, study.drive, None)
+        carry = integration.start_carry(model, prepared, study.drive, chosen)
+        carry, _ = integration.advance(
+            model, prepared.realised, study.drive, carry, grid, chosen, steps, None
+        )
+        metrics = integration.metrics_of(model, carry, duration)
+        return jnp.stack([*metrics.mean_square_force.values(), *metrics.mean_square_moment.values()])
+
+    return function
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("method", choices=("generalised_alpha", "rk4"))
+    parser.add_argument("loop", choices=("own", *ADJOINTS))
+    parser.add_argument("mode", choices=("value", "forward", "reverse"))
+    parser.add_argument("batch", type=int)
+    options = parser.parse_args()
+    if options.loop != "own":
+        stepping._fixed = by_diffeqsolve(options.loop)
+    function = loads(options.method, options.mode)
+    if options.mode == "forward":
+        function = jax.jacfwd(function)
+    if options.mode == "reverse":
+        function = jax.grad(lambda point, values=function: values(point)[0])
+    points = jnp.linspace(0.5, 1.5, options.batch)[:, None] * jnp.asarray([2e-3, 1.5e-3, 5e-4])
+    times = [time.process_time()]
+    traced = jax.jit(jax.vmap(function)).trace(points)
+    times.append(time.process_time())
+    compiled = traced.lower().compile()
+    times.append(time.process_time())
+    runs = []
+    for _ in range(6):
+        start = time.process_time()
+        jax.block_until_ready(compiled(points))
+        runs.append(time.process_time() - start)
+    memory = compiled.memory_analysis().temp_size_in_bytes / 1e6 / options.batch
+    print(
+        f"{options.method}, {options.loop}, {options.mode}, batch {options.batch}: tracing "
+        f"{times[1] - times[0]:.1f} s, compilation {times[2] - times[1]:.1f} s, "
+        f"{1e3 * min(runs) / options.batch:.2f} ms and {memory:.2f} MB a sample"
+    )
+
+
+if __name__ == "__main__":
+    main()

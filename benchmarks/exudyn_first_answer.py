@@ -1,0 +1,67 @@
+"""What `first_answer.py` times of Exudyn: whole studies of the four-bar, static starts included.
+
+    python benchmarks/exudyn_first_answer.py run|monte_carlo [--step 1e-3] [--samples N]
+
+run: the five cases of the main study, one after the other.  monte_carlo: uniform errors of the shipped study on
+all cores, a process each.  Settings are the fastest that `exudyn_speed.py` finds at 0.1 % of the RMS loads.
+"""
+
+import argparse
+import multiprocessing
+import os
+from pathlib import Path
+
+import jax
+
+jax.config.update("jax_enable_x64", True)
+
+import numpy as np  # noqa: E402
+from exudyn_models import Settings, linkage  # noqa: E402
+from exudyn_runs import equilibrium, run  # noqa: E402
+from rfem_jax import assembly_errors, discretise, load_study  # noqa: E402
+
+STUDIES = Path(__file__).resolve().parents[1] / "studies"
+FASTEST = Settings(relative=1e-4, intrinsic=False)
+
+
+def rms_of(study, model, errors: dict, step: float) -> np.ndarray:
+    """RMS force and moment (2, joints) of one sample."""
+    link = linkage(model, assembly_errors(model, errors))
+    result = run(link, study.drive, study.duration, step, FASTEST, start=equilibrium(link, Settings()))
+    return np.array([list(result.rms[kind].values()) for kind in ("force", "moment")])
+
+
+def samples_of(share: np.ndarray, step: float) -> np.ndarray:
+    """RMS loads (samples, 2, joints) of errors `share` (samples, errors) of their half-widths."""
+    study = load_study(STUDIES / "monte_carlo" / "study.toml")
+    model = discretise(study.mechanism)
+    widths = study.tasks.tolerances.half_widths()
+    return np.array([
+        rms_of(study, model, {n: float(s * w) for s, (n, w) in zip(row, widths.items())}, step)
+        for row in share
+    ])  # fmt: skip
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("study", choices=("run", "monte_carlo"))
+    parser.add_argument("--step", type=float, default=1e-3, help="s")
+    parser.add_argument("--samples", type=int, default=4096)
+    options = parser.parse_args()
+    if options.study == "run":
+        study = load_study(STUDIES / "four_bar" / "study.toml")
+        model = discretise(study.mechanism)
+        for case in study.cases[: options.samples]:
+            print(case.name, rms_of(study, model, case.errors, options.step))
+        return
+    cores = len(os.sched_getaffinity(0))
+    share = np.random.default_rng(1).uniform(-1.0, 1.0, (options.samples, 3))
+    parts = [(part, options.step) for part in np.array_split(share, cores)]
+    # JAX's threads do not survive a fork.
+    with multiprocessing.get_context("spawn").Pool(cores) as pool:
+        values = np.concatenate(pool.starmap(samples_of, parts))
+    print("mean", values.mean(axis=0), "deviation", values.std(axis=0))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,124 @@
+"""Executables kept on disk for the next process.
+
+Place in the pipeline: `program` reads and writes them here.
+
+To load an executable is to run code, so the folder must be the user's own (mode 0700, no link) or it is not
+used; every operation goes through one descriptor of the folder that was checked.  A file is written under
+another name and renamed: several processes may read and write at once.  Its first bytes are the SHA-256
+of the rest; a damaged file is deleted.  When all files are larger than the limit, those that were not used
+for longest go.
+"""
+
+import hashlib
+import os
+import secrets
+import stat
+import time
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+LIMIT = 2**30  # bytes of all files
+ENDING, UNFINISHED = ".program", ".part"
+PATIENCE = 3600.0  # s after which a file that nobody finished is deleted
+OFF = "RFEM_JAX_NO_CACHE"
+
+
+class Folder:
+    """The folder `path` of kept executables; made if it is missing.
+
+    **Raises:** `UnsafeFolder` if somebody else could write there, OSError if it cannot be used.
+    """
+
+    def __init__(self, path, limit: int = LIMIT):
+        self.path, self.limit = Path(path), limit
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        with suppress(FileExistsError):
+            self.path.mkdir(mode=0o700)
+        with self._opened():
+            pass
+
+    def read(self, key: str) -> bytes | None:
+        """What was written under a key (hexadecimal), or None; counts as a use."""
+        with self._opened() as folder:
+            content = _content(key + ENDING, folder)
+            if content is None:
+                return None
+            if hashlib.sha256(content[32:]).digest() != content[:32]:
+                with suppress(FileNotFoundError):
+                    os.unlink(key + ENDING, dir_fd=folder)
+                return None
+            with suppress(OSError):
+                os.utime(key + ENDING, dir_fd=folder)
+            return content[32:]
+
+    def write(self, key: str, content: bytes) -> None:
+        """Keep `content` under a key; older files go where all are larger than the limit."""
+        with self._opened() as folder:
+            name = f"{key}.{secrets.token_hex(8)}{UNFINISHED}"
+            new = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW
+            try:
+                with open(os.open(name, new, 0o600, dir_fd=folder), "wb") as file:
+                    file.write(hashlib.sha256(content).digest() + content)
+                os.replace(name, key + ENDING, src_dir_fd=folder, dst_dir_fd=folder)
+            except BaseException:
+                with suppress(FileNotFoundError):
+                    os.unlink(name, dir_fd=folder)
+                raise
+            self._evict(folder, key + ENDING)
+
+    def delete(self, key: str) -> None:
+        """Forget what was kept under a key."""
+        with self._opened() as folder, suppress(FileNotFoundError):
+            os.unlink(key + ENDING, dir_fd=folder)
+
+    @contextmanager
+    def _opened(self):
+        """Descriptor of the folder after it was checked."""
+        try:
+            folder = os.open(self.path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+        except NotADirectoryError:
+            raise UnsafeFolder(f"{self.path} is a link or no folder; delete it") from None
+        try:
+            found = os.fstat(folder)
+            if found.st_uid != os.geteuid():
+                raise UnsafeFolder(f"{self.path} belongs to somebody else; delete it")
+            if stat.S_IMODE(found.st_mode) & 0o077:
+                raise UnsafeFolder(f"{self.path} is open to others; set its mode to 0700")
+            yield folder
+        finally:
+            os.close(folder)
+
+    def _evict(self, folder: int, newest: str) -> None:
+        files = []
+        for entry in os.scandir(folder):
+            with suppress(FileNotFoundError):
+                found = os.stat(entry.name, dir_fd=folder, follow_symlinks=False)
+                age = time.time() - found.st_mtime
+                if entry.name.endswith(UNFINISHED) and age > PATIENCE:
+                    os.unlink(entry.name, dir_fd=folder)
+                elif entry.name.endswith(ENDING):
+                    files.append((entry.name == newest, found.st_mtime_ns, entry.name, found.st_size))
+        total = sum(size for *_, size in files)
+        for is_newest, _, name, size in sorted(files):
+            if total <= self.limit or is_newest:
+                break
+            with suppress(FileNotFoundError):
+                os.unlink(name, dir_fd=folder)
+            total -= size
+
+
+class UnsafeFolder(Exception):
+    """The folder of kept executables could be written by somebody else."""
+
+
+def _content(name: str, folder: int) -> bytes | None:
+    """Bytes of a regular file of the user, or None."""
+    try:
+        descriptor = os.open(name, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK, dir_fd=folder)
+    except OSError:
+        return None
+    with open(descriptor, "rb") as file:
+        found = os.fstat(descriptor)
+        if not stat.S_ISREG(found.st_mode) or found.st_uid != os.geteuid():
+            return None
+        return file.read()

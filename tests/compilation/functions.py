@@ -1,0 +1,78 @@
+"""Functions for programs that are small enough to be compiled in a test.
+
+In a file of their own, so that processes that the tests start find them under the same name.
+"""
+
+
+from contextlib import contextmanager
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.sharding import PartitionSpec
+
+from rfem_jax.compilation import keeping, keys
+from rfem_jax.compilation.program import Program
+
+
+class Oscillator(eqx.Module):
+    """Numbers are inputs, the number of steps is static."""
+
+    rate: jax.Array
+    count: jax.Array
+    steps: int = eqx.field(static=True)
+
+
+class Swing(NamedTuple):
+    path: jax.Array
+    end: dict
+    steps: int
+
+
+def swing(oscillator, x, *, scale=1.0):
+    """A loop, whole numbers, a value that does not depend on x, and one that is no array."""
+
+    def step(x, _):
+        return jnp.sin(oscillator.rate * x) + x[0], jnp.sum(x**2)
+
+    end, path = jax.lax.scan(step, x, None, length=oscillator.steps)
+    ends = {"end": scale * end, "count": oscillator.count + 1, "twice": 2.0 * oscillator.rate}
+    return Swing(path, ends, oscillator.steps)
+
+
+def solve(matrix, x):
+    """By LAPACK."""
+    return jnp.linalg.solve(matrix, x)
+
+
+def spread(x, mesh):
+    """Each device works on its own rows."""
+    over = PartitionSpec("rows")
+    return jax.shard_map(lambda x: jnp.cumsum(x, axis=0), mesh=mesh, in_specs=over, out_specs=over)(x)
+
+
+swing_kept, solve_kept, spread_kept = Program(swing), Program(solve), Program(spread)
+
+
+def oscillator(rate=0.7, steps=3):
+    return Oscillator(jnp.asarray(rate), jnp.arange(2), steps)
+
+
+@contextmanager
+def covered(folder):
+    """Programs of this file are kept in `folder`, as those of the package are."""
+    before = keys.COVERED, keeping.statistics
+    keys.COVERED, keeping.statistics = keys.COVERED | {__name__.split(".")[0]}, keeping.Statistics()
+    keeping.keep_programs(folder)
+    swing_kept.clear()
+    solve_kept.clear()
+    spread_kept.clear()
+    try:
+        yield keeping.statistics
+    finally:
+        keys.COVERED, keeping.statistics = before
+        keeping.keep_programs(None)
+        swing_kept.clear()
+
+

@@ -1,0 +1,117 @@
+"""XLA's options: set by the import, a loop is one kernel with the same results; what stands in
+their way is said once; nothing is left in the environment."""
+
+import jax
+import jax.numpy as jnp
+import pytest
+
+from rfem_jax.compilation import options
+from tests.processes import in_a_new_process
+
+LOOP = """
+import sys, warnings
+warnings.simplefilter("ignore")
+if sys.argv[1] == "late":
+    import jax
+    jax.numpy.ones(3)
+import rfem_jax
+import jax
+jax.config.update("jax_enable_x64", True)
+from tests.compilation.test_options import compiled_loop
+print(*compiled_loop())
+"""
+SAID = """
+import os, sys, warnings
+if sys.argv[1] == "late":
+    import jax
+    jax.numpy.ones(3)
+with warnings.catch_warnings(record=True) as said:
+    warnings.simplefilter("always")
+    before = os.environ["XLA_FLAGS"]
+    import rfem_jax
+    rfem_jax.assembly_errors
+    from rfem_jax.compilation import options
+    options.settle()
+from jaxlib import xla_client
+print(options.settle_quietly().set, len(said), os.environ["XLA_FLAGS"] == before)
+print(b"small_while_loop" in xla_client.CompileOptions().SerializeAsString())
+print(*(str(one.message) for one in said))
+"""
+
+
+def compiled_loop():
+    """How often a loop is one kernel in a program of 50 turns of the axes of 300 bodies, and its results."""
+
+    def turn(x, _):
+        c, s = jnp.cos(x[:300]), jnp.sin(x[:300])
+        axes = jnp.stack([jnp.stack([c, -s, s * c]), jnp.stack([s, c, c * c]), jnp.stack([c * s, s, c])])
+        turned = jnp.einsum("ijk,jk->ik", axes, x[300:].reshape(3, 300))
+        return x + 1e-2 * jnp.concatenate([turned[0], -turned.reshape(900)]), None
+
+    program = jax.jit(lambda x: jax.lax.scan(turn, x, None, length=50)[0]).lower(jnp.ones(1200)).compile()
+    return program.as_text().count('xla_cpu_small_call="true"'), *program(jnp.linspace(0.1, 0.6, 1200))[::100].tolist()
+
+
+def test_a_loop_over_steps_is_one_kernel_with_the_same_results():
+    kernels, *values = in_a_new_process(LOOP, "early").split()
+    none, *expected = in_a_new_process(LOOP, "late").split()
+    assert int(kernels) == 1
+    if jax.__version__.startswith("0.10."):  # later ones make this loop a kernel by themselves
+        assert int(none) == 0
+    assert [float(x) for x in values] == pytest.approx([float(x) for x in expected], rel=1e-12)
+
+
+def test_a_process_started_before_they_were_used_takes_them_as_its_own():
+    code = SAID.replace("== before", "== ''").replace("os.environ[", "os.environ.get(").replace('"]', '", "")')
+    first, second, *said = in_a_new_process(code, "early", flags=options.FLAGS).splitlines()
+    assert f"{first} {second}" == "True 0 True True" and not "".join(said)
+
+
+def test_this_process_has_them():
+    assert options.settle().set
+
+
+@pytest.mark.parametrize(
+    ("when", "flags", "result", "reason"),
+    [
+        ("early", "", "True 0 True True", ""),
+        ("early", "--xla_cpu_multi_thread_eigen=false", "True 0 True True", ""),
+        ("late", "", "False 1 True False", "JAX had started before"),
+        ("early", "--xla_backend_extra_options=xla_cpu_disable_loop_unrolling=true", "False 1 True False", "kind"),
+        ("early", "file", "False 1 True False", "names a file"),
+    ],
+)
+def test_options_are_set_unless_something_is_in_the_way(when, flags, result, reason, tmp_path):
+    if flags == "file":
+        flags = str(tmp_path / "flags")
+        (tmp_path / "flags").write_text("--xla_cpu_multi_thread_eigen=false")
+    first, second, *said = in_a_new_process(SAID, when, flags=flags).splitlines()
+    assert f"{first} {second}" == result
+    assert reason in " ".join(said)
+
+
+def test_an_older_jaxlib_is_left_alone_and_a_newer_one_is_tried_once(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(options, "user_cache_folder", lambda: tmp_path / "cache")
+    monkeypatch.setattr("jaxlib.version.__version__", "0.9.2")
+    assert "older" in options._obstacle("")
+    monkeypatch.setattr("jaxlib.version.__version__", "9.0.0")
+    tried = []
+
+    def run(command, env, **_):
+        tried.append(env["XLA_FLAGS"])
+        return type("Child", (), {"returncode": -6})
+
+    monkeypatch.setattr(options.subprocess, "run", run)
+    assert "does not know" in options._obstacle("") and "does not know" in options._obstacle("")
+    assert tried == [options.FLAGS]
+    monkeypatch.setattr(options, "FLAGS", "--others")
+    assert "does not know" in options._obstacle("")
+    assert len(tried) == 2
+
+
+def test_the_probe_knows_flags_from_others(monkeypatch, tmp_path):
+    monkeypatch.setattr(options, "user_cache_folder", lambda: tmp_path)
+    assert options._known_to_newer("known")
+    monkeypatch.setattr(options, "FLAGS", "--xla_no_such_flag=1")
+    assert not options._known_to_newer("unknown")

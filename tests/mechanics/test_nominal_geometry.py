@@ -1,0 +1,61 @@
+"""The perfect mechanism in NumPy against the kinematics and the closure of the equations of motion."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from rfem_jax import assembly_errors, describe, discretise
+from rfem_jax.mechanics import loads
+from rfem_jax.mechanics.cut_joints import closure
+from rfem_jax.mechanics.kinematics import motion
+from rfem_jax.mechanics.model import Coordinates
+from rfem_jax.mechanics.nominal_geometry import closure_jacobian, gaps, geometry_of, place
+from rfem_jax.mechanics.realisation import realise
+from rfem_jax.mechanics.statics import length_scale
+
+from tests.mechanisms import link, twisted_spatial_loop, two_loop_six_bar
+
+
+@eqx.filter_jit
+def _traced(model, angles):
+    scale = length_scale(model)
+
+    def residual(position):
+        realised = realise(model, assembly_errors(model))
+        cuts = closure(realised, motion(realised, loads.static_state(position)), scale)
+        out = cuts.residual.T.reshape(-1) / scale
+        return out, (out, cuts.alignment, cuts.angle)
+
+    position = Coordinates(angles, jnp.zeros((6, model.topology.n_rfes)))
+    slope, values = jax.jacfwd(residual, has_aux=True)(position)
+    lengths = jnp.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]) * (scale - 1.0) + 1.0
+    elastic = jnp.moveaxis(slope.elastic * lengths[None, :, None], 1, 2)
+    return jnp.concatenate([slope.angles, elastic.reshape(len(elastic), -1)], axis=1), values
+
+
+@pytest.mark.parametrize("mechanism", [two_loop_six_bar, twisted_spatial_loop])
+def test_geometry_and_jacobian_are_those_of_the_equations_of_motion(mechanism):
+    """Two loops with a joint in the middle of a link, and skew axes; loops open and turned out of line."""
+    model = discretise(mechanism())
+    angles = np.asarray(model.start_angles) + np.linspace(-0.3, 0.4, model.topology.n_links)
+    geometry = geometry_of(model)
+    placed = place(geometry, angles)
+    jacobian, values = _traced(model, jnp.asarray(angles))
+    np.testing.assert_allclose(closure_jacobian(geometry, placed), jacobian, atol=1e-13)
+    for got, expected in zip(gaps(geometry, placed), values, strict=True):
+        assert np.abs(expected).max() > 0.01
+        np.testing.assert_allclose(got, expected, atol=1e-13)
+
+
+def test_a_long_open_chain_is_described():
+    from rfem_jax import Joint, Mechanism
+
+    names = [f"l{i}" for i in range(30)]
+    joints = [
+        Joint(f"J{i}", "base" if i == 0 else names[i - 1], name, angle=0.1)
+        for i, name in enumerate(names)
+    ]
+    model = discretise(Mechanism([link(name, 0.1, 3) for name in names], joints, driven_joint="J0"))
+    structure = describe(model)
+    assert (structure.coordinates, structure.rank, structure.rigid_mobility) == (390, 0, 30)

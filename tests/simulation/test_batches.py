@@ -1,0 +1,65 @@
+"""Batches of functions with a rule of differentiation of their own (jax issue 16374)."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rfem_jax.simulation.batches import like_batched
+
+
+def made(align):
+    """x -> (a value that a loop finds, a constant, an integer), of which the loop makes a batch and the rule
+    only the first."""
+
+    @jax.custom_jvp
+    def function(x):
+        def again(carry):
+            return carry[0] + 0.25 * (x - carry[0]), *carry[1:]
+
+        start = jnp.zeros(()), jnp.full((2,), 3.0), jnp.asarray(7)
+        found = jax.lax.while_loop(lambda carry: jnp.abs(carry[0] - x) > 1e-9, again, start)
+        return align(found, found[0])
+
+    @function.defjvp
+    def _(primals, tangents):
+        (x,), (dx,) = primals, tangents
+        ends = x, jnp.full((2,), 3.0), jnp.asarray(7)
+        nothing = np.zeros((), jax.dtypes.float0)
+        return align(ends, x), (dx, jnp.zeros(2), nothing)
+
+    return function
+
+
+def derivative(function):
+    """Along ones, of a batch whose every part is used."""
+
+    def batch(x):
+        one, other, count = jax.jit(jax.vmap(function))(x)
+        return one + jnp.sum(other, axis=1) * count.astype(float) + x**2
+
+    x = jnp.array([1.0, 2.0, 4.0])
+    return jax.jit(lambda x: jax.jvp(batch, (x,), (jnp.ones(3),)))(x)
+
+
+def test_all_results_of_function_and_rule_are_batched_alike():
+    value, slope = derivative(made(like_batched))
+    x = np.array([1.0, 2.0, 4.0])
+    np.testing.assert_allclose(value, x + 42.0 + x**2, rtol=1e-8)
+    np.testing.assert_allclose(slope, 1.0 + 2.0 * x, rtol=1e-12)
+
+
+def test_an_array_that_depends_on_no_sample_gets_its_axis():
+    def function(x, y):
+        return like_batched((y, x), x)
+
+    constant, own = jax.eval_shape(jax.vmap(function, (0, None), out_axes=0), jnp.ones(4), jnp.arange(3.0))
+    assert constant.shape == (4, 3) and own.shape == (4,)
+    # vmap refuses an unbatched result where none may be.
+    axes = jax.vmap(lambda x: like_batched(jnp.arange(3.0), x), out_axes=1)(jnp.ones(4))
+    assert axes.shape == (3, 4)
+
+
+def test_nothing_of_it_is_left_in_the_program():
+    program = jax.jit(lambda x, y: like_batched((jnp.sin(y), 2.0 * y), x))
+    text = program.lower(1.0, jnp.arange(3.0)).compile().as_text()
+    assert " select(" not in text and "sine(" in text

@@ -1,0 +1,50 @@
+"""The accuracy of a derivative is known: the equations' residual changes with the errors as far as the
+derivative does not solve the differentiated equations."""
+
+import jax
+import numpy as np
+import pytest
+
+from rfem_jax import Method, MomentRamp, assembly_errors, simulate
+from rfem_jax.simulation import implicit_step
+from rfem_jax.simulation.run import RESIDUAL_LIMIT, derivative_residual
+
+pytestmark = pytest.mark.usefixtures("quick_compilation")
+ALONG = {"D.delta_x": 2e-3, "D.d_y": 5e-4, "B.child.delta_z": 1e-3, "coupler.length": 3e-4}
+
+
+def change_of_run(model, tolerance):
+    """Derivative of a run along a growing share of the errors; every step is saved."""
+    method = Method("generalised_alpha", step=2.5e-3, tolerance=tolerance, corrections=12)
+
+    def run(share):
+        errors = assembly_errors(model, {name: share * size for name, size in ALONG.items()})
+        return simulate(
+            model, errors, drive=MomentRamp("A", 1.5, 0.02), duration=0.05, method=method, save_every=2.5e-3
+        )
+
+    return jax.jit(lambda share: jax.jvp(run, (share,), (1.0,))[1])(1.0)
+
+
+def forces(change):
+    return np.stack([np.asarray(load.force) for load in change.loads.values()])
+
+
+def test_it_bounds_the_error_of_a_derivative(small):
+    exact, found = (change_of_run(small.model, tolerance) for tolerance in (1e-11, 1e-3))
+    assert derivative_residual(exact) < 1e-10
+    reference = forces(exact)
+    error = np.abs(forces(found) - reference).max() / np.abs(reference).max()
+    assert 1e-6 < error < derivative_residual(found) < RESIDUAL_LIMIT
+
+
+def test_a_derivative_that_has_not_converged_is_seen(small, monkeypatch):
+    """The run as it should be, its derivative corrected by half of what the matrix says."""
+    correct = implicit_step.correction_and_wrenches
+
+    def half(*given):
+        return jax.tree.map(lambda x: 0.5 * x, correct(*given))
+
+    monkeypatch.setattr(implicit_step, "correction_and_wrenches", half)
+    # Another tolerance than above: a step is traced once for each.
+    assert derivative_residual(change_of_run(small.model, 2e-3)) > RESIDUAL_LIMIT
