@@ -24,6 +24,7 @@ from rfem_jax.simulation import equations
 from rfem_jax.simulation.batches import like_batched
 from rfem_jax.simulation.equations import Conditions, Trajectory
 from rfem_jax.simulation.generalised_alpha import Memory
+from rfem_jax.simulation.recorded_steps import RecordedSteps
 from rfem_jax.simulation.solvers import observed_solver
 from rfem_jax.simulation.stabilisation import stabilisation_of
 from rfem_jax.simulation.time_grid import TimeGrid
@@ -138,23 +139,25 @@ def _adaptive(solver, carry: Carry, start, length, conditions, method, adjoint) 
     # An interval of length zero takes one step, which does not count.
     end = start + jnp.where(moving, length, carry.last_step)
     y = (carry.trajectory, carry.peaks)
-    solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(vector_field),
-        solver,
-        t0=start,
-        t1=end,
-        dt0=jnp.minimum(carry.last_step, end - start),
-        y0=y,
-        args=conditions,
-        stepsize_controller=diffrax.PIDController(rtol=method.rtol, atol=method.atol),
-        saveat=diffrax.SaveAt(t1=True),
-        adjoint=diffrax.ForwardMode() if adjoint is None else adjoint,
-        max_steps=MAX_ADAPTIVE_STEPS,
-        throw=False,
-    )
+
+    def solve(y, conditions, controller, saveat, adjoint):
+        return diffrax.diffeqsolve(
+            diffrax.ODETerm(vector_field), solver, start, end, jnp.minimum(carry.last_step, end - start), y,
+            conditions, stepsize_controller=controller, saveat=saveat, adjoint=adjoint,
+            max_steps=MAX_ADAPTIVE_STEPS, throw=False,
+        )  # fmt: skip
+
+    controlled = diffrax.PIDController(rtol=method.rtol, atol=method.atol)
+    at_end = diffrax.SaveAt(t1=True)
+    if adjoint is None:
+        found = solution = solve(y, conditions, controlled, at_end, diffrax.ForwardMode())
+    else:
+        ends = diffrax.SaveAt(steps=True, fn=lambda t, y, args: None)
+        found = solve(*jax.lax.stop_gradient((y, conditions)), controlled, ends, diffrax.ForwardMode())
+        solution = solve(y, conditions, RecordedSteps(found.ts), at_end, adjoint)
     end_state = jax.tree.map(lambda a, b: jnp.where(moving, a[-1], b), solution.ys, y)
-    failed = moving & (solution.result != diffrax.RESULTS.successful)
-    accepted = jnp.maximum(solution.stats["num_accepted_steps"], 1).astype(jnp.float64)
+    failed = moving & (found.result != diffrax.RESULTS.successful)
+    accepted = jnp.maximum(found.stats["num_accepted_steps"], 1).astype(jnp.float64)
     step = jnp.where(moving, jax.lax.stop_gradient(length / accepted), carry.last_step)
     return carry._replace(
         trajectory=end_state[0], peaks=end_state[1], exhausted=carry.exhausted | failed, last_step=step
