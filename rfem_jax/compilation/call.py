@@ -85,12 +85,17 @@ class Call:
 
 
 def kind(array):
-    """Shape and type, and where an array is if that was chosen."""
-    if isinstance(array, jax.core.Tracer):
-        return array.aval
-    if isinstance(array, jax.Array):
-        return array.aval, array.sharding if array.committed else None
-    return jax.typeof(array), None
+    """Shape and type, and where an array is if that was chosen.
+
+    Abstract values do not serve: newer versions of JAX compare them by identity.
+    """
+    aval = jax.typeof(array)
+    chosen = array.sharding if isinstance(array, jax.Array) and _committed(array) else None
+    return aval.shape, aval.dtype, aval.weak_type, chosen
+
+
+def _committed(array) -> bool:
+    return not isinstance(array, jax.core.Tracer) and array.committed
 
 
 def call_of(function, tree, static) -> Call:

@@ -49,8 +49,6 @@ def digest_named(name) -> str:
 def _plain(name):
     if isinstance(name, tuple):
         return tuple(map(_plain, name))
-    if isinstance(name, jax.core.ShapedArray):
-        return str(name.shape), str(name.dtype), str(name.weak_type)
     return repr(name)
 
 
