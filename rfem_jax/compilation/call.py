@@ -14,6 +14,7 @@ calls that derivatives and batches of it are.
 """
 
 import threading
+from contextlib import suppress
 
 import equinox as eqx
 import jax
@@ -21,10 +22,49 @@ import jax.numpy as jnp
 import numpy as np
 
 from rfem_jax.compilation import keeping, keys
-from rfem_jax.compilation.executable import Executable, Place
+from rfem_jax.compilation.executable import Executable, Packed, Place, Traced, trace, unpack
 from rfem_jax.compilation.transformations import has_batch_axis
 
-_compiling = threading.RLock()
+_tracing = threading.RLock()
+
+
+class Pending:
+    """An executable that is made by the first thread that asks for it, while others wait.
+
+    `program` is finished by it; `instead` makes another one where that fails.
+    """
+
+    def __init__(self, program: Traced | Packed, instead=None, made=None):
+        self.head = program.head
+        self._program, self._instead, self._made = program, instead, made
+        self._lock, self._executable = threading.Lock(), None
+
+    def get(self) -> Executable:
+        if self._executable is None:
+            with self._lock:
+                if self._executable is None:
+                    self._executable = self._finish()
+                    self._program = self._instead = None
+        return self._executable
+
+    def begin(self) -> None:
+        """Have it made in the background; what goes wrong there goes wrong again where it is needed."""
+        threading.Thread(target=self._quietly, daemon=True).start()
+
+    def _quietly(self):
+        with suppress(Exception):
+            self.get()
+
+    def _finish(self):
+        try:
+            executable = self._program.finish()
+        except Exception:
+            if self._instead is None:
+                raise
+            return self._instead().get()
+        if self._made is not None:
+            self._made(executable)
+        return executable
 
 
 class Call:
@@ -32,10 +72,12 @@ class Call:
 
     `facts`, known once it has been traced or loaded: of a function, what it returns, with a `Place` for each
     array; of ("jvp", ...), which results have tangents; of ("vmap", ...), which results have the batch axis.
+    `quick`: compiled in less time, for less speed.
     """
 
-    def __init__(self, function, name, before: "Call | None" = None, step=None):
+    def __init__(self, function, name, before: "Call | None" = None, step=None, quick: bool = False):
         self.function, self.name, self.before, self.step = function, name, before, step
+        self.quick = quick
         self.facts = None
         self._next, self._executables = {}, {}
 
@@ -47,41 +89,68 @@ class Call:
 
     def run(self, arrays):
         """Results (list of arrays) for concrete arrays."""
+        return self.pending(arrays).get()(arrays)
+
+    def ahead(self, arrays) -> list[jax.ShapeDtypeStruct]:
+        """Begin to compile or load what `run` will need; the results as shapes."""
+        pending = self.pending(arrays)
+        pending.begin()
+        return pending.head.shapes()
+
+    def pending(self, arrays) -> Pending:
+        """The executable for arrays (or shapes) of these kinds, traced or read from disk."""
         kinds = tuple(map(kind, arrays))
-        executable = self._executables.get(kinds)
-        if executable is None:
-            with _compiling:
-                executable = self._executables.get(kinds) or self._find(kinds, arrays)
-                self._executables[kinds] = executable
-        return executable(arrays)
+        pending = self._executables.get(kinds)
+        if pending is None:
+            with _tracing:
+                pending = self._executables.get(kinds) or self._find(kinds, arrays)
+                self._executables[kinds] = pending
+        return pending
 
     def chain(self):
         """This call and those before it."""
         return [self] if self.before is None else [self, *self.before.chain()]
 
-    def _find(self, kinds, arrays) -> Executable:
+    def _find(self, kinds, arrays) -> Pending:
         key = keys.digest_named((self.name, kinds))
         content = keeping.read(key)
         if content is not None:
             try:
-                found = Executable.load(content)
+                packed = unpack(content)
+                for call, facts in zip(self.chain(), packed.head.facts, strict=True):
+                    call.facts = facts
             except Exception:  # written by another version of something that the key does not see
                 keeping.forget(key)
             else:
-                for call, facts in zip(self.chain(), found.facts, strict=True):
-                    call.facts = facts
                 keeping.statistics.loaded += 1
-                return found
+                shapes = [x if isinstance(x, jax.ShapeDtypeStruct) else jax.typeof(x) for x in arrays]
+                return Pending(packed, instead=lambda: self._make_anew(key, shapes))
+        return self._trace(key, arrays)
+
+    def _make_anew(self, key: str, arrays) -> Pending:
+        """In the place of a kept executable that cannot be loaded."""
+        keeping.forget(key)
+        keeping.statistics.loaded -= 1
+        with _tracing:
+            return self._trace(key, arrays)
+
+    def _trace(self, key: str, arrays) -> Pending:
         keeping.statistics.traced += 1
-        made = Executable.of(self.function, arrays, lambda: [call.facts for call in self.chain()])
+
+        def facts():
+            return [call.facts for call in self.chain()]
+
+        program = trace(self.function, arrays, facts, self.quick)
+        return Pending(program, made=lambda executable: self._keep(key, executable))
+
+    def _keep(self, key: str, made: Executable) -> None:
         try:
             content = made.dump()
         except Exception as reason:  # a program that calls Python back, say
             keeping.note_unkept(str(self.name), str(reason))
-            return made
+            return
         if keys.read_sources() == keys.hash_sources():
             keeping.write(key, content)
-        return made
 
 
 def kind(array):
@@ -89,7 +158,7 @@ def kind(array):
 
     Abstract values do not serve: newer versions of JAX compare them by identity.
     """
-    aval = jax.typeof(array)
+    aval = array if isinstance(array, jax.ShapeDtypeStruct) else jax.typeof(array)
     chosen = array.sharding if isinstance(array, jax.Array) and _committed(array) else None
     return aval.shape, aval.dtype, aval.weak_type, chosen
 
@@ -98,13 +167,13 @@ def _committed(array) -> bool:
     return not isinstance(array, jax.core.Tracer) and array.committed
 
 
-def call_of(function, tree, static) -> Call:
+def call_of(function, tree, static, quick: bool) -> Call:
     """The call of a function of pytrees whose leaves are `static`, with a `Place` for each array.
 
     **Raises:** `NotDigestible` if it depends on something whose content is not known.
     """
     arguments = jax.tree.unflatten(tree, static)
-    name = keys.canonical(function), keys.canonical(arguments)
+    name = keys.canonical(function), keys.canonical(arguments), quick
 
     def flat(*arrays):
         rest = iter(arrays)
@@ -116,7 +185,7 @@ def call_of(function, tree, static) -> Call:
         return [x for x in results if eqx.is_array(x)]
 
     flat.__name__ = flat.__qualname__ = function.__name__
-    call = Call(flat, name)
+    call = Call(flat, name, quick=quick)
     return call
 
 
@@ -191,7 +260,7 @@ def _batched(call: Call, step) -> Call:
 
 def _named(function, call: Call, step) -> Call:
     function.__name__ = function.__qualname__ = f"{step[0]}_{call.function.__name__}"
-    return Call(function, (call.name, step), call, step)
+    return Call(function, (call.name, step), call, step, call.quick)
 
 
 _TRANSFORMED = {"jvp": _pushed, "linear": _pushed, "vjp": _pulled, "vmap": _batched}

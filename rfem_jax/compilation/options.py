@@ -6,24 +6,29 @@ them but speed.
 XLA's own choice is a call from a table for each operation of a loop's body, and these calls cost more than
 the few numbers that a mechanism has.  XLA reads the environment variable XLA_FLAGS once in a process.  The
 options stand there only until it has done so (`settle`), so that other programs do not see them.
+
+One of them, fusions with several results, ends the process in versions of XLA before that of JAX 0.12 where it
+compiles two `x.at[places].add(values)` of one shape.  There it holds for this package's kept programs only (`own_program`), which
+have no such pair, and for processes that compile nothing else (`take_process`): the user's own programs are not at risk.
 """
 
 import os
 import subprocess
 import sys
+import threading
 import warnings
+from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
 # Loops of any size; values used twice are computed once; loops over axes are not written out, which
 # would double the time of compilation.
-OPTIONS = (
-    "xla_cpu_small_while_loop_byte_threshold=1000000000000000",
-    "xla_cpu_use_multi_output_fusion=true",
-    "xla_cpu_disable_loop_unrolling=true",
-)
+OPTIONS = ("xla_cpu_small_while_loop_byte_threshold=1000000000000000", "xla_cpu_disable_loop_unrolling=true")
+FUSION = "xla_cpu_use_multi_output_fusion=true"
 # Products of small matrices by a library are calls again, which end the kernel.
-FLAGS = f"--xla_cpu_experimental_ynn_fusion_type= --xla_backend_extra_options={','.join(OPTIONS)}"
+WITHOUT_FUSION = f"--xla_cpu_experimental_ynn_fusion_type= --xla_backend_extra_options={','.join(OPTIONS)}"
+FLAGS = f"{WITHOUT_FUSION},{FUSION}"
+FUSION_SAFE_FROM = (0, 12)  # jaxlib
 OF_THIS_KIND = ("xla_backend_extra_options", "ynn_fusion")
 # Versions of jaxlib that were tested with the flags, from the first to before the second; XLA ends the process
 # at a flag that it does not know, so a newer one is tried in a process of its own.
@@ -37,6 +42,7 @@ class _Attempt:
     def __init__(self):
         self.made, self.settled, self.said = False, False, False
         self.reason, self.before = "", None
+        self.fusion = False  # for all programs of the process
 
 
 class Compilation(NamedTuple):
@@ -47,6 +53,7 @@ class Compilation(NamedTuple):
 
 
 _attempt = _Attempt()
+_own = threading.local()
 
 
 def user_cache_folder() -> Path:
@@ -66,15 +73,30 @@ def offer() -> None:
         return
     _attempt.made = True
     flags = os.environ.get("XLA_FLAGS")
-    if flags is not None and flags.strip().startswith(FLAGS):
-        # The process that started this one had not used them yet.
-        flags = flags.strip().removeprefix(FLAGS).strip() or None
+    for mine in (FLAGS, WITHOUT_FUSION):
+        if flags is not None and flags.strip().startswith(mine):
+            # The process that started this one had not used them yet.
+            flags = flags.strip().removeprefix(mine).strip() or None
     _attempt.before, _attempt.reason = flags, _obstacle((flags or "").strip())
-    if not _attempt.reason:
-        # First: XLA reads no further than a word that is no flag.
-        os.environ["XLA_FLAGS"] = f"{FLAGS} {flags or ''}".strip()
+    _attempt.fusion = _version() >= FUSION_SAFE_FROM
+    _put()
     if "jaxlib.xla_client" in sys.modules:
         settle()
+
+
+def take_process() -> None:
+    """Give XLA all options, for a process that compiles this package's programs only; before JAX is used."""
+    offer()
+    if not _attempt.settled:
+        _attempt.fusion = True
+        _put()
+
+
+def _put() -> None:
+    if not _attempt.reason:
+        # First: XLA reads no further than a word that is no flag.
+        flags = FLAGS if _attempt.fusion else WITHOUT_FUSION
+        os.environ["XLA_FLAGS"] = f"{flags} {_attempt.before or ''}".strip()
 
 
 def settle() -> Compilation:
@@ -106,11 +128,68 @@ def warning() -> str:
     return f"Simulations will run several times slower: XLA's options could not be set, since {_attempt.reason}."
 
 
+@contextmanager
+def own_program():
+    """What this thread traces and compiles within the block is a program of this package alone."""
+    before, _own.inside = getattr(_own, "inside", False), True
+    try:
+        yield
+    finally:
+        _own.inside = before
+
+
+def fusion_holds() -> bool:
+    """Whether fusions with several results are made in what this thread compiles now."""
+    return settle().set and (_attempt.fusion or getattr(_own, "inside", False) and _fuse_own())
+
+
 def explicit_in_scalars() -> bool:
     """Whether right-hand sides of explicit methods are scalarised."""
     import jax
 
-    return settle().set and jax.default_backend() == "cpu"
+    return fusion_holds() and jax.default_backend() == "cpu"
+
+
+def _fuse_own() -> bool:
+    """Makes JAX compile this package's own programs with fusions of several results; whether it does.
+
+    Options of this kind cannot be given to `jax.jit`, so JAX's function that makes a program's options is wrapped.
+    """
+    from jax._src.interpreters import pxla
+
+    made = getattr(pxla, "create_compile_options", None)
+    if made is None:
+        return False
+    if not hasattr(made, "of_rfem_jax"):
+
+        def create(*args, **kwargs):
+            options = made(*args, **kwargs)
+            return _with_fusion(options) if getattr(_own, "inside", False) else options
+
+        create.of_rfem_jax = True
+        pxla.create_compile_options = create
+    return True
+
+
+def _with_fusion(options):
+    """Options of a program with one more: appended to the serialised message, it is merged into it."""
+    entry = _field(1, FUSION.split("=")[0].encode()) + _field(2, FUSION.split("=")[1].encode())
+    # CompileOptions.executable_build_options (3), .debug_options (3), .xla_backend_extra_options (500).
+    added = _field(3, _field(3, _field(500, entry)))
+    return type(options).ParseFromString(options.SerializeAsString() + added)
+
+
+def _field(number: int, content: bytes) -> bytes:
+    """A field of a protocol buffer with bytes in it."""
+    return _varint(number << 3 | 2) + _varint(len(content)) + content
+
+
+def _varint(number: int) -> bytes:
+    parts = []
+    while number > 127:
+        parts.append(number & 127 | 128)
+        number >>= 7
+    return bytes([*parts, number])
 
 
 def _obstacle(flags: str) -> str:
@@ -121,12 +200,18 @@ def _obstacle(flags: str) -> str:
         return "XLA_FLAGS has options of this kind; leave them out"
     from jaxlib.version import __version__ as version
 
-    numbers = tuple(int(part) for part in version.split(".")[:2])
-    if numbers < TESTED[0]:
+    if _version() < TESTED[0]:
         return f"jaxlib {version} is older than the tested ones; install a newer one"
-    if numbers >= TESTED[1] and not _known_to_newer(version):
+    if _version() >= TESTED[1] and not _known_to_newer(version):
         return f"jaxlib {version} does not know them; install one before {'.'.join(map(str, TESTED[1]))}"
     return ""
+
+
+def _version() -> tuple[int, ...]:
+    """The first two numbers of jaxlib's version."""
+    from jaxlib.version import __version__ as version
+
+    return tuple(int(part) for part in version.split(".")[:2])
 
 
 def _known_to_newer(version: str) -> bool:

@@ -39,31 +39,45 @@ class Program:
     """A pure function of pytrees whose compiled programs are kept for other processes.
 
     Arrays among the leaves of its arguments are inputs, all else is static, as in `eqx.filter_jit`, which it
-    stands in for.  The function must be one of this package's modules.
+    stands in for.  The function must be one of this package's modules.  `quick`: for a program that runs once in
+    a process, compiled in half the time and several times slower.
     """
 
-    def __init__(self, function):
+    def __init__(self, function, quick: bool = False):
         functools.update_wrapper(self, function)
-        self.function = function
+        self.function, self.quick = function, quick
         self._jitted = eqx.filter_jit(function)
         self._calls = {}
 
     def __call__(self, *args, **kwargs):
         if not (keeping.wanted() and nothing_staged()) or _watched():
             return self._jitted(*args, **kwargs)
+        call, arrays = self._call_with(args, kwargs)
+        if call is None:
+            return self._jitted(*args, **kwargs)
+        return _filled(call, call.run(arrays) if nothing_going_on() else bind(call, arrays))
+
+    def ahead(self, *args, **kwargs):
+        """Begin to compile or load, in the background, what a call with these arguments will need; arrays may be
+        shapes (`jax.ShapeDtypeStruct`).  Returns what the call will, with shapes for arrays, or None where
+        programs are not kept, and nothing was done."""
+        if not (keeping.wanted() and nothing_going_on()) or _watched():
+            return None
+        call, arrays = self._call_with(args, kwargs)
+        return None if call is None else _filled(call, call.ahead(arrays))
+
+    def _call_with(self, args, kwargs):
+        """The call (None: cannot be kept) and its arrays."""
         leaves, tree = jax.tree.flatten((args, kwargs))
-        arrays = [leaf for leaf in leaves if eqx.is_array(leaf)]
-        static = tuple(_PLACE if eqx.is_array(leaf) else leaf for leaf in leaves)
+        is_array = [eqx.is_array(leaf) or isinstance(leaf, jax.ShapeDtypeStruct) for leaf in leaves]
+        arrays = [leaf for leaf, is_one in zip(leaves, is_array) if is_one]
+        static = tuple(_PLACE if is_one else leaf for leaf, is_one in zip(leaves, is_array))
         key = tree, static, tuple(map(type, static)), tuple(map(kind, arrays)), _settings()
         if key not in self._calls:
             self._calls[key] = self._call_of(tree, static)
             if len(self._calls) > MOST:
                 del self._calls[next(iter(self._calls))]
-        call = self._calls[key]
-        if call is None:
-            return self._jitted(*args, **kwargs)
-        results = iter(call.run(arrays) if nothing_going_on() else bind(call, arrays))
-        return jax.tree.map(lambda x: next(results) if x is _PLACE or isinstance(x, Place) else x, call.facts)
+        return self._calls[key], arrays
 
     def clear(self) -> None:
         """Forget the programs in memory."""
@@ -72,10 +86,16 @@ class Program:
     def _call_of(self, tree, static):
         """None for a function that depends on what a key cannot know."""
         try:
-            return call_of(self.function, tree, static)
+            return call_of(self.function, tree, static, self.quick)
         except keys.NotDigestible as reason:
             keeping.note_unkept(self.__qualname__, str(reason))
             return None
+
+
+def _filled(call, arrays):
+    """What a call returns, with its arrays."""
+    arrays = iter(arrays)
+    return jax.tree.map(lambda x: next(arrays) if isinstance(x, Place) else x, call.facts)
 
 
 def _watched() -> bool:

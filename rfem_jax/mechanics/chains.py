@@ -43,7 +43,7 @@ def factor(diagonal: Array, beside: Array) -> Chain:
     """A positive definite chain of m rfes: diagonal blocks (m, 6, 6), and those on their left, beside (m, 6, 6)
     (the first one counts for nothing)."""
     n, g = segments(diagonal.shape[0])
-    beside = beside.at[0].set(0.0)
+    beside = jnp.concatenate([jnp.zeros((1, 6, 6)), beside[1:]])
     if n == 1:
         return Chain(_inverse(diagonal, beside)[None], None, None)
     more = n * g - len(diagonal), 6, 6
@@ -54,7 +54,8 @@ def factor(diagonal: Array, beside: Array) -> Chain:
 
     def eliminate(corner, segment):
         own, beside, left, right = segment
-        inverse = _inverse(own.at[0].add(-left @ corner @ left.T), beside)
+        own = jnp.concatenate([own[:1] - (left @ corner @ left.T)[None], own[1:]])
+        inverse = _inverse(own, beside)
         first, last = inverse[:, ::g], inverse[:, g - 1 :: g]
         return last[g - 1 :: g], Chain(inverse, first @ left, last @ right.T)
 

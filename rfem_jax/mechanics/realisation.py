@@ -223,9 +223,11 @@ def _bodies(model: Model, length, scale):
     point = jnp.concatenate(
         [model.point_position[:1] * scale[holder_link][None], model.point_position[1:]]
     )
-    total = mass.at[holder].add(model.point_mass)
+    # Sums at the nodes that hold them, by products: additions at places would be scatters (`compilation.options`).
+    onto = (holder[:, None] == np.arange(nodes)).astype(float)
+    total = mass + model.point_mass @ onto
     moment = mass[None] * beam_centre
-    centre = moment.at[:, holder].add(model.point_mass[None] * point) / total[None]
+    centre = (moment + (model.point_mass[None] * point) @ onto) / total[None]
 
     def steiner(m, r):
         identity = jnp.asarray(algebra.IDENTITY)[:, :, None]
@@ -236,7 +238,7 @@ def _bodies(model: Model, length, scale):
 
     inertia = diagonal(own) + steiner(mass, beam_centre - centre)
     added = diagonal(model.point_inertia) + steiner(model.point_mass, point - centre[:, holder])
-    return total, centre, inertia.at[:, :, holder].add(added)
+    return total, centre, inertia + added @ onto
 
 
 def _node_fractions(topology: Topology):

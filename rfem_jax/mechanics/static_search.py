@@ -50,17 +50,18 @@ def chord(equations: Equations, inverse: Callable, rows: Array, start: Array, ar
     as far as that leads, then by Newton's method."""
     n = equations.n_coordinates
 
-    def constant(unknowns, value):
+    def constant(unknowns):
+        value = equations.residual(unknowns, args)
         loaded = 1.0 + jnp.max(jnp.abs(unknowns[n:]), initial=0.0)
-        return inverse(value), rows * loaded
+        return value, inverse(value), rows * loaded
 
-    near, found = _iterate(equations, start, args, CHORD_ITERATIONS, constant, tolerance=CHORD_TOLERANCE)
+    near, found = _iterate(n, start, CHORD_ITERATIONS, constant, tolerance=CHORD_TOLERANCE)
     return newton(equations, jnp.where(found, near, start), args, found=found)
 
 
 def solve_dense(equations: Equations, slope: Callable, value: Array) -> Array:
     """Solution of slope(x) = value, a linear function."""
-    return equations.solve(_matrix(slope, jnp.zeros_like(value)), value)
+    return equations.solve(_linearised(slope, jnp.zeros_like(value))[1], value)
 
 
 def solve_linear(equations: Equations, inverse: Callable, slope: Callable, value: Array) -> Array:
@@ -116,13 +117,13 @@ def _refine(slope: Callable, value: Array, inverse: Callable, tolerance: float):
     return found[0], next_is_small(LARGEST_LINEAR_ERROR, *found)
 
 
-def _matrix(function: Callable, at: Array, *others) -> Array:
-    """The matrix of a function at one place; formed where that stands: much of it is constant, and XLA would
-    take it out of a loop that is seldom entered."""
+def _linearised(function: Callable, at: Array, *others) -> tuple[Array, Array]:
+    """Value and matrix of a function at one place; formed where that stands: much of the matrix is constant, and
+    XLA would take it out of a loop that is seldom entered."""
     rows, at, others = jax.lax.optimization_barrier((jnp.arange(at.size), at, others))
     units = (rows[:, None] == rows[None]).astype(at.dtype)
-    push = jax.linearize(lambda x: function(x, *others), at)[1]
-    return jax.vmap(push, out_axes=1)(units)
+    value, push = jax.linearize(lambda x: function(x, *others), at)
+    return value, jax.vmap(push, out_axes=1)(units)
 
 
 def newton(equations: Equations, start: Array, args, iterations=MAX_ITERATIONS, found=False):
@@ -130,25 +131,22 @@ def newton(equations: Equations, start: Array, args, iterations=MAX_ITERATIONS, 
 
     n = equations.n_coordinates
 
-    def present(unknowns, value):
-        slope = _matrix(equations.residual, unknowns, args)
+    def present(unknowns):
+        value, slope = _linearised(equations.residual, unknowns, args)
         size = jnp.concatenate([jnp.ones(n), 1.0 + jnp.abs(unknowns[n:])])
-        return equations.solve(slope, value), jnp.abs(slope) @ size
+        return value, equations.solve(slope, value), jnp.abs(slope) @ size
 
-    return _iterate(equations, start, args, iterations, present, found)
+    return _iterate(n, start, iterations, present, found)
 
 
-def _iterate(
-    equations: Equations, start: Array, args, iterations: int, solve, found=False, tolerance=TOLERANCE
-):
-    """Unknowns after steps that `solve` finds (unknowns, residual -> step, and what a step of size one makes
-    of the residual), and whether they converged.
+def _iterate(n: int, start: Array, iterations: int, step_from, found=False, tolerance=TOLERANCE):
+    """Unknowns, `n` of them coordinates, after steps from `step_from` (unknowns -> residual, step, and what a
+    step of size one makes of the residual), and whether they converged.
 
     The last step must be small in the coordinates (multipliers follow them: their rounding is that
     of the stiffest spring), and the residual before it small in every row against what such a
     change of the coordinates makes of it; the latter fails where equations contradict each other.
     """
-    n = equations.n_coordinates
 
     def going_on(carry):
         unknowns, converged, count = carry
@@ -156,8 +154,7 @@ def _iterate(
 
     def improve(carry):
         unknowns, _, count = carry
-        value = equations.residual(unknowns, args)
-        step, rows = solve(unknowns, value)
+        value, step, rows = step_from(unknowns)
         small = jnp.max(jnp.abs(step[:n])) <= tolerance
         balanced = jnp.all(jnp.abs(value) <= TOLERANCE * rows)
         return unknowns - step, small & balanced, count + 1

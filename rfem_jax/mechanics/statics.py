@@ -160,15 +160,17 @@ def equilibrium(model: Model, realised: Realisation, held: dict[int, Array]):
         position, multipliers = scaled.coordinates(unknowns), scaled.multipliers(unknowns)
         hinge, elastic, closing = _unbalanced(realised, position, multipliers, scaled.length)
         value = scaled.residual(Coordinates(hinge, elastic), closing)
-        return value.at[given].set(unknowns[given] - angles)
+        return jnp.where(is_given, unknowns - angles @ onto, value)
 
     angles = jnp.array([*held.values()], float)
+    onto = (given[:, None] == np.arange(undeformed.size)).astype(float)
+    is_given = onto.any(axis=0)
     args = realised, angles
     perfect = (
         eqx.tree_at(lambda r: r.gravity, realise(model, assembly_errors(model)), jnp.zeros(3)),
         model.start_angles[given],
     )
-    guess = undeformed.at[given].set(angles)
+    guess = jnp.where(is_given, angles @ onto, undeformed)
     perfect, undeformed, guess = jax.lax.stop_gradient((perfect, undeformed, guess))
     equations = Equations(
         residual,
@@ -218,7 +220,7 @@ def _nearly_inverse(scaled: _Scaled, given, realised: Realisation, unknowns: Arr
         forces, closing = scaled.left_over(residual)
         left = Residual(forces.angles, -forces.elastic[:3], -forces.elastic[3:], -closing)
         change = scaled.unknowns(*change_at_rest(topology, matrix, left))
-        return change.at[given].add(residual[given])
+        return change + jnp.where(np.isin(np.arange(unknowns.size), given), residual, 0.0)
 
     return solve
 
@@ -255,8 +257,9 @@ def _unbalanced(realised: Realisation, position: Coordinates, multipliers: Array
                 where = now.carriers.point[:, topology.carriers.index(k)]
                 on_force = sign * wrenches[j][3:]
                 on_moment = sign * wrenches[j][:3] - cross(where, on_force)
-                force = force.at[:, k].add(apply_transposed(turn, on_force))
-                moment = moment.at[:, k].add(apply_transposed(turn, on_moment))
+                there = jnp.asarray(np.arange(topology.n_rfes) == k, float)[None]
+                force = force + apply_transposed(turn, on_force)[:, None] * there
+                moment = moment + apply_transposed(turn, on_moment)[:, None] * there
     outside = jnp.concatenate([force, apply_transposed(now.relative.rate_matrix, moment)])
     elastic, _ = elasticity.generalised_forces(realised, state, now.relative)
     return hinge, outside + elastic, jnp.zeros((5, 0)) if cuts is None else cuts.residual

@@ -6,6 +6,7 @@ Place in the pipeline: command_line calls it before anything else; JAX reads mos
 import os
 import sys
 
+
 def set_up_jax(devices=None, cache=True, out=None) -> None:
     """Double precision, `devices` CPU devices (None: one), XLA's options, and unless not `cache`: programs kept
     in the user's folder, and JAX's own cache (in a folder of the user's choice) for what cannot be kept."""
@@ -13,6 +14,7 @@ def set_up_jax(devices=None, cache=True, out=None) -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from rfem_jax.compilation import keeping, options
 
+    options.take_process()
     if not options.settle_quietly().set:
         print(options.warning(), file=sys.stderr)
     import jax

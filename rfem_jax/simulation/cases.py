@@ -37,18 +37,17 @@ def run_cases(
     errors = jax.tree.map(lambda *leaves: jnp.stack(leaves), *errors)
     method = choose_method(model, study.method, study.drive, study.duration, errors)
     grid, steps = integration.grid_for(study.drive, study.duration, method, study.save_every)
+    _compile_ahead(model, errors, study.drive, grid, method, steps)
     prepared, carry = _prepare(model, errors, study.drive, method)
-    records = []
+    ends = []
     for piece in _pieces(grid):
-        carry, record = _advance(
-            model, prepared.realised, study.drive, carry, piece, method, steps
-        )
-        records.append(jax.tree.map(np.asarray, record))
+        carry, reached = _advance(model, prepared.realised, study.drive, carry, piece, method, steps)
+        ends.append(jax.tree.map(np.asarray, reached))
         if progress is not None:
             progress(float((piece.starts + piece.lengths)[-1] / study.duration))
     count = len(grid.starts)
-    record = jax.tree.map(lambda *parts: np.concatenate(parts, axis=1)[:, :count], *records)
-    runs = _conclude(model, prepared, carry, record, grid)
+    ends = jax.tree.map(lambda *parts: np.concatenate(parts, axis=1)[:, :count], *ends)
+    runs = _conclude(model, prepared, study.drive, carry, ends, grid, method, steps)
     return model, {case.name: one_of(runs, i) for i, case in enumerate(study.cases)}
 
 
@@ -60,7 +59,20 @@ def _pieces(grid: TimeGrid):
         yield grid.piece(first, size)
 
 
-@Program
+def _compile_ahead(model, errors, drive, grid: TimeGrid, method, steps) -> None:
+    """Begin to compile all programs, or to load them, at once."""
+    started = _prepare.ahead(model, errors, drive, method)
+    if started is None:
+        return
+    prepared, carry = started
+    piece = next(iter(_pieces(grid)))
+    carry, ends = _advance.ahead(model, prepared.realised, drive, carry, piece, method, steps)
+    cases, count = len(jax.tree.leaves(errors)[0]), len(grid.starts)
+    ends = jax.tree.map(lambda x: jax.ShapeDtypeStruct((cases, count, *x.shape[2:]), x.dtype), ends)
+    _conclude.ahead(model, prepared, drive, carry, ends, grid, method, steps)
+
+
+@functools.partial(Program, quick=True)
 def _prepare(model, errors, drive, method):
     def one(errors):
         prepared = integration.prepare(model, errors, drive, None)
@@ -77,8 +89,9 @@ def _advance(model, realised, drive, carry, grid, method, steps):
     )(realised, carry)
 
 
-@Program
-def _conclude(model, prepared, carry, record, grid):
-    return jax.vmap(
-        lambda prepared, carry, record: integration.conclude(model, prepared, carry, record, grid)
-    )(prepared, carry, record)
+@functools.partial(Program, quick=True)
+def _conclude(model, prepared, drive, carry, ends, grid, method, steps):
+    def one(prepared, carry, ends):
+        return integration.conclude(model, prepared, drive, carry, ends, grid, method, steps)
+
+    return jax.vmap(one)(prepared, carry, ends)

@@ -173,9 +173,9 @@ class GeneralisedAlpha(diffrax.AbstractSolver):
         """Operators of the links, first axis: step lengths (K,)."""
         return jax.vmap(lambda h: link_operators(realised, *self.factors(h)))(lengths)
 
-    def instant(self, t, h, y, memory: Memory, conditions: Conditions):
-        """At the end t of a step of length h: maxima so far, state, drive, and the solved instant."""
-        (trajectory, peaks), scale = y, conditions.stabilisation.scale
+    def instant(self, t, h, trajectory, memory: Memory, conditions: Conditions):
+        """At the end t of a step of length h: squared forces, state, drive, and the solved instant."""
+        scale = conditions.stabilisation.scale
         state = State(trajectory.position, trajectory.velocity)
         drive = drive_input(conditions.drive, t, conditions.phase)
         accelerations, multipliers = memory.accelerations, memory.multipliers
@@ -183,7 +183,7 @@ class GeneralisedAlpha(diffrax.AbstractSolver):
         forces = residual_forces(conditions.realised, self._closing(left, h), drive, scale)
         topology = conditions.realised.topology
         instant = balanced_instant(topology, left, accelerations, drive, scale, forces)
-        return peaks, state, drive, instant
+        return squared_forces(memory.rates), state, drive, instant
 
     def solve(self, constants, conditions, trajectory, memory) -> tuple[Trajectory, Memory]:
         """Newton's method."""

@@ -4,7 +4,7 @@ Place in the pipeline: model, errors, drive, method -> **simulate** -> Run.
 
     prepare   errors -> constants, start state, preload
     advance   the intervals of the time grid, one compiled body for all
-    conclude  metrics, balances, status
+    conclude  loads and balances at the ends of the intervals, metrics, status
 
 With fixed steps it takes every transform (jit, vmap, forward, reverse, Hessian); reverse mode keeps one
 state an interval (checkpoints).  How an interval is gone through is said in `stepping`.
@@ -44,9 +44,11 @@ from rfem_jax.mechanics.status import (
     STEPS_EXHAUSTED,
 )
 from rfem_jax.simulation import equations
-from rfem_jax.simulation.equations import Conditions
+from rfem_jax.simulation.equations import Conditions, Trajectory
+from rfem_jax.simulation.generalised_alpha import Memory
 from rfem_jax.simulation.implicit_step import SOLUTION
 from rfem_jax.simulation.observation import Record, observe
+from rfem_jax.simulation.packing import pack, unpack
 from rfem_jax.simulation.run import RESIDUAL_LIMIT, DrivenJoint, LoadIntegrals, Metrics, Run
 from rfem_jax.simulation.solvers import observed_solver
 from rfem_jax.simulation.stabilisation import stabilisation_of
@@ -63,6 +65,13 @@ class Prepared(NamedTuple):
     state: State
     preload: loads.JointLoads
     status: Array
+
+
+class End(NamedTuple):
+    """What is known at the end of an interval: trajectory, and memory of a method that remembers (None)."""
+
+    trajectory: Trajectory
+    memory: Memory | None
 
 
 def simulate(
@@ -110,8 +119,8 @@ def grid_for(drive, duration, method: Method, save_every) -> tuple[TimeGrid, int
 def _simulate(model, errors, drive, grid, start, method, steps, adjoint):
     prepared = prepare(model, errors, drive, start)
     carry = start_carry(model, prepared, drive, method)
-    carry, record = advance(model, prepared.realised, drive, carry, grid, method, steps, adjoint)
-    return conclude(model, prepared, carry, record, grid)
+    carry, ends = advance(model, prepared.realised, drive, carry, grid, method, steps, adjoint)
+    return conclude(model, prepared, drive, carry, ends, grid, method, steps)
 
 
 def prepare(model: Model, errors: AssemblyErrors, drive, start: State | None) -> Prepared:
@@ -154,40 +163,55 @@ def start_carry(model: Model, prepared: Prepared, drive, method: Method) -> Carr
 
 
 def advance(model, realised, drive, carry, grid: TimeGrid, method: Method, steps, adjoint):
-    """Integrate over the intervals of a grid; returns the carry and a `Record` of each end."""
+    """Integrate over the intervals of a grid; returns the carry and the `End` of each interval."""
     step_over = step_intervals(model, realised, drive, grid, method, steps, adjoint)
-    solver = observed_solver(method)
 
     def interval(carry, entry):
-        carry, conditions = step_over(carry, entry)
-        start, length, _, _ = entry
-        return _record(solver, carry, start + length, length / steps, conditions)
+        carry = step_over(carry, entry)
+        return carry, pack(End(carry.trajectory, carry.memory))
 
     kept = jax.checkpoint_policies.save_only_these_names(SOLUTION)
-    return jax.lax.scan(jax.checkpoint(interval, policy=kept), carry, _entries(grid))
+    carry, ends = jax.lax.scan(jax.checkpoint(interval, policy=kept), carry, _entries(grid))
+    return carry, unpack(ends, End(carry.trajectory, carry.memory))
 
 
 def advance_unobserved(model, realised, drive, carry, grid: TimeGrid, method: Method, steps):
     """Integrate without records; with an implicit method `steps` may be traced (forward mode only)."""
     step_over = step_intervals(model, realised, drive, grid, method, steps, None)
-    return jax.lax.scan(lambda carry, entry: (step_over(carry, entry)[0], None), carry, _entries(grid))[0]
+    return jax.lax.scan(lambda carry, entry: (step_over(carry, entry), None), carry, _entries(grid))[0]
 
 
 def _entries(grid: TimeGrid):
     return tuple(jnp.asarray(x) for x in (grid.starts, grid.lengths, grid.phases, grid.kinds))
 
 
-def _record(solver, carry: Carry, t, h, conditions: Conditions):
-    """Carry with the peaks of this instant, and its record; h: length of the step that ended there."""
-    peaks, state, drive, instant = solver.instant(
-        t, h, (carry.trajectory, carry.peaks), carry.memory, conditions
-    )
-    record = observe(conditions.realised, state, drive, carry.trajectory.integrals, instant)
-    return carry._replace(peaks=peaks), record
+def observe_ends(model, realised, drive, ends: End, grid: TimeGrid, method: Method, steps) -> Record:
+    """Records of the ends of intervals: in a loop of its own, since XLA compiles two loops faster than one with
+    the operations of both."""
+    solver = observed_solver(method)
+    drive = equations.with_start_angle(model, drive)
+    stabilisation = stabilisation_of(model, method)
+
+    @jax.checkpoint
+    def record(given):
+        (start, length, phase, _), end = given
+        conditions = Conditions(realised, drive, phase, stabilisation)
+        t, h = start + length, length / steps
+        squares, state, now, instant = solver.instant(t, h, end.trajectory, end.memory, conditions)
+        return observe(realised, state, now, end.trajectory.integrals, instant, squares)
+
+    given = _entries(grid), ends
+    form = jax.eval_shape(record, jax.tree.map(lambda x: x[0], given))
+    return unpack(jax.lax.map(lambda given: pack(record(given)), given), form)
 
 
-def conclude(model: Model, prepared: Prepared, carry: Carry, record: Record, grid) -> Run:
-    """Metrics, balances and status from the last carry and all records."""
+def conclude(
+    model: Model, prepared: Prepared, drive, carry: Carry, ends: End, grid: TimeGrid, method: Method, steps
+) -> Run:
+    """Loads, metrics, balances and status from the last carry and the ends of all intervals."""
+    record = observe_ends(model, prepared.realised, drive, ends, grid, method, steps)
+    # Steps look at their starts: the maxima do not know the last instant.
+    carry = carry._replace(peaks=jnp.maximum(carry.peaks, jnp.max(record.squares, axis=0)))
     record = jax.tree.map(lambda x: x[grid.saved], record)
     times = jnp.asarray(grid.starts + grid.lengths)[grid.saved]
     driven = model.topology.driven

@@ -66,6 +66,7 @@ class Record(NamedTuple):
     branch: Array
     square_integrals: Array
     residual: Array
+    squares: Array
 
 
 def solved_instant(
@@ -123,8 +124,9 @@ def observe(
     drive: DriveInput,
     integrals: Integrals,
     instant: Instant,
+    squares: Array,
 ) -> Record:
-    """Record of one instant."""
+    """Record of one instant; squares (2, joints): of axial and normal forces."""
     with jax.named_scope("observation"):
         topology = realised.topology
         joint, now = instant.loads, instant.motion
@@ -158,6 +160,7 @@ def observe(
                 [integrals.axial_square + integrals.normal_square, integrals.moment_square]
             ),
             residual=instant.residual,
+            squares=squares,
         )
 
 

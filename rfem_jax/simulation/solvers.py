@@ -9,8 +9,9 @@ error control.  Diffrax's own explicit solvers come by their names.
 What `stepping` integrates with, `PeakTracking` and `GeneralisedAlpha`, is a diffrax solver of the state
 (trajectory, squared maxima of forces) with four methods more: `operators(realised, lengths)`: what the
 `Conditions` hold for steps of these lengths; `start(conditions, trajectory)` and `resume(terms, t0, t1, y0, args,
-memory)`: its memory before the first interval and at the start of each; `instant(t, h, y, memory, conditions)`:
-at the end of a step the maxima so far, State, drive and the solved instant.
+memory)`: its memory before the first interval and at the start of each; `instant(t, h, trajectory, memory,
+conditions)`: at the end t of a step of length h squared axial and normal forces (2, joints), State, drive and the
+solved instant.
 """
 
 from collections.abc import Callable
@@ -174,15 +175,14 @@ class PeakTracking(diffrax.AbstractWrappedSolver):
         del memory
         return self.init(terms, t0, t1, y0, args)
 
-    def instant(self, t, h, y, memory, conditions: Conditions):
-        """Maxima that know this instant, which steps see at their starts only; State, drive, solved instant."""
+    def instant(self, t, h, trajectory, memory, conditions: Conditions):
+        """Squared forces, State, drive, solved instant."""
         del h, memory
-        trajectory, seen = y
         state, drive, result, _ = equations.at_instant(t, trajectory, conditions)
         scale = conditions.stabilisation.scale
         instant = solved_instant(conditions.realised, result, drive, scale)
         axial, normal, _ = equations.squares(instant.loads)
-        return jnp.maximum(seen, jnp.stack([axial, normal])), state, drive, instant
+        return jnp.stack([axial, normal]), state, drive, instant
 
 
 def _motion_term(terms):

@@ -51,8 +51,7 @@ class Carry(NamedTuple):
 
 
 def step_intervals(model, realised, drive, grid: TimeGrid, method: Method, steps, adjoint):
-    """The function that integrates over one interval (start, length, phase, kind): a carry to that at the end,
-    and the conditions."""
+    """The function that integrates over one interval (start, length, phase, kind): a carry to that at the end."""
     drive = equations.with_start_angle(model, drive)
     stabilisation = stabilisation_of(model, method)
     solver = observed_solver(method)
@@ -63,10 +62,8 @@ def step_intervals(model, realised, drive, grid: TimeGrid, method: Method, steps
         chosen = jax.tree.map(lambda x: x[kind], operators)
         conditions = Conditions(realised, drive, phase, stabilisation, chosen)
         if method.adaptive:
-            carry = _adaptive(solver, carry, start, length, conditions, method, adjoint)
-        else:
-            carry = _fixed(solver, carry, start, length, steps, conditions)
-        return carry, conditions
+            return _adaptive(solver, carry, start, length, conditions, method, adjoint)
+        return _fixed(solver, carry, start, length, steps, conditions)
 
     return step_over
 

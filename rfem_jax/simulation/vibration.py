@@ -78,6 +78,7 @@ class Vibration:
         springs = constants.stiffness.T.reshape(-1)
         damping = np.repeat(constants.damping, 6)
         self.rates = np.unique(constants.damping)
+        self.root, self.damping = sparse.diags(np.sqrt(springs)) @ stretch, damping
         # The springs by their damping, which most mechanisms have but one of.
         self.springs = [
             (stretch.T @ sparse.diags(np.where(damping == rate, springs, 0.0)) @ stretch).tocsr()
@@ -98,13 +99,15 @@ class Vibration:
     def _all(self, constraints: np.ndarray) -> Modes:
         _, singular, rows = np.linalg.svd(_unit_rows(constraints))
         free = rows[np.sum(singular > RANK_TOLERANCE * singular[0]) :]
-        springs = [free @ (matrix @ free.T) for matrix in self.springs]
-        squares, vectors = np.linalg.eigh(sum(springs))
-        squares = np.maximum(squares, 0.0)
+        # Singular values of the root of the springs: soft modes of stiff links keep their digits.
+        stretch = self.root @ free.T
+        missing = np.zeros((max(0, free.shape[0] - stretch.shape[0]), free.shape[0]))
+        _, frequencies, vectors = np.linalg.svd(np.concatenate([stretch, missing]), full_matrices=False)
+        squares = frequencies**2
         if len(self.rates) == 1:
             return Modes(squares, self.rates[0] * squares)
-        damping = sum(rate * matrix for rate, matrix in zip(self.rates, springs, strict=True))
-        return Modes(squares, vectors.T @ damping @ vectors)
+        stretch = stretch @ vectors.T
+        return Modes(squares, stretch.T @ (self.damping[:, None] * stretch))
 
     def _stiffest(self, constraints) -> Modes:
         """Of the links of each damping alone, which vibrate by themselves when they do it fast: the stiffest mode,

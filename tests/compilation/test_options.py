@@ -90,6 +90,34 @@ def test_options_are_set_unless_something_is_in_the_way(when, flags, result, rea
     assert reason in " ".join(said)
 
 
+SCATTERS = """
+import rfem_jax, jax, numpy as np
+from tests.compilation.test_options import add_twice, fused
+x, places = np.ones((6, 5)), np.array([1, 3, 4])
+from rfem_jax.compilation import options
+print(*(float(part.sum()) for part in jax.jit(add_twice)(x, 2.0 * x, places, np.ones((6, 3)))))
+print(fused(jax.jit(lambda x: (x + 1.0, x - 1.0))))
+with options.own_program():
+    print(options.fusion_holds(), fused(jax.jit(lambda x: (x + 2.0, x - 2.0))))
+"""
+
+
+def add_twice(x, y, places, values):
+    """Fused, this ends the process in XLA of JAX 0.10."""
+    return x.at[:, places].add(values), y.at[:, places].add(values)
+
+
+def fused(program):
+    """Whether a program of two results is one fusion."""
+    return program.lower(jnp.ones(3)).compile().as_text().count(" fusion(") == 1
+
+
+def test_programs_of_the_user_are_not_at_risk_and_own_ones_are_fused():
+    sums, users, own = in_a_new_process(SCATTERS).splitlines()
+    assert sums == "48.0 78.0" and own == "True True"
+    assert users == str(options._version() >= options.FUSION_SAFE_FROM)
+
+
 def test_an_older_jaxlib_is_left_alone_and_a_newer_one_is_tried_once(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr(options, "user_cache_folder", lambda: tmp_path / "cache")

@@ -53,6 +53,30 @@ def test_what_was_kept_gives_the_same_bits_without_tracing(kept):
     assert counts(kept) == (1, 1, 1)
 
 
+def test_ahead_compiles_or_loads_in_the_background_what_the_call_needs(kept):
+    expected = eqx.filter_jit(swing)(oscillator(), X)
+    shapes = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), (oscillator(), X))
+    for count in (1, 0, 1), (1, 1, 1):
+        form = swing_kept.ahead(*shapes)
+        assert form.steps == 3
+        assert jax.tree.structure(form) == jax.tree.structure(expected)
+        assert [np.shape(x) for x in jax.tree.leaves(form)] == [np.shape(x) for x in jax.tree.leaves(expected)]
+        assert_same_bits(swing_kept(oscillator(), X), expected)
+        assert counts(kept) == count
+        again()
+
+
+def test_ahead_does_nothing_where_programs_are_not_kept():
+    assert Program(swing).ahead(oscillator(), X) is None
+
+
+def test_a_quick_program_is_another_one_with_the_same_results(kept):
+    quick = Program(swing, quick=True)
+    for one, other in zip(jax.tree.leaves(quick(oscillator(), X)), jax.tree.leaves(swing_kept(oscillator(), X))):
+        np.testing.assert_allclose(one, other, rtol=1e-14)
+    assert counts(kept) == (2, 0, 2)
+
+
 def test_numbers_are_inputs_of_one_program(kept):
     for rate in (0.7, 0.8):
         for x in (X, X + 1.0, np.asarray(X)):
