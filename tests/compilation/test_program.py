@@ -55,7 +55,9 @@ def test_what_was_kept_gives_the_same_bits_without_tracing(kept):
 
 def test_ahead_compiles_or_loads_in_the_background_what_the_call_needs(kept):
     expected = eqx.filter_jit(swing)(oscillator(), X)
-    shapes = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), (oscillator(), X))
+    shapes = jax.tree.map(
+        lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype, weak_type=x.weak_type), (oscillator(), X)
+    )
     for count in (1, 0, 1), (1, 1, 1):
         form = swing_kept.ahead(*shapes)
         assert form.steps == 3
