@@ -53,7 +53,7 @@ points = jnp.linspace(0.5, 1.5, 16)[:, None] * jnp.array([[5e-3, 4e-3, 5e-4]])
 def values(point):
     return problem(dict(zip(names, point)))[0]
 
-print(jax.jit(jax.vmap(jax.jacfwd(values)))(points))
+print(jax.vmap(jax.jacfwd(values))(points))
 """
 KEEPS_JAX_CACHE = ("example", "gradient")
 NAMES = ("run", "check", "one_case", "example", "gradient", "sensitivity", "monte_carlo")

@@ -8,8 +8,9 @@ the few numbers that a mechanism has.  XLA reads the environment variable XLA_FL
 options stand there only until it has done so (`settle`), so that other programs do not see them.
 
 One of them, fusions with several results, ends the process in versions of XLA before that of JAX 0.12 where it
-compiles two `x.at[places].add(values)` of one shape.  There it holds for this package's kept programs only (`own_program`), which
-have no such pair, and for processes that compile nothing else (`take_process`): the user's own programs are not at risk.
+compiles two `x.at[places].add(values)` of one shape.  There it holds for this package's kept programs only
+(`own_program`), which have no such pair, and for processes that compile nothing else (`take_process`): the user's
+own programs are not at risk.
 """
 
 import os
