@@ -11,7 +11,11 @@ import argparse
 import time
 from pathlib import Path
 
-import jax
+from rfem_jax.compilation.options import take_process  # noqa: E402
+
+take_process()
+
+import jax  # noqa: E402
 
 jax.config.update("jax_enable_x64", True)
 

@@ -26,6 +26,10 @@ os.environ.setdefault(
 # SciPy's LAPACK keeps its threads spinning after a call: they would count as ours.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+from rfem_jax.compilation.options import take_process  # noqa: E402
+
+take_process()
+
 import jax  # noqa: E402
 
 jax.config.update("jax_enable_x64", True)

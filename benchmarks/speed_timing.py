@@ -19,6 +19,10 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # XLA's pool must be larger than the number of devices that run at once.
 os.environ.setdefault("NPROC", "4")
 
+from rfem_jax.compilation.options import take_process  # noqa: E402
+
+take_process()
+
 import jax  # noqa: E402
 
 jax.config.update("jax_enable_x64", True)

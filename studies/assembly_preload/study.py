@@ -21,7 +21,11 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-import jax
+from rfem_jax.compilation.options import take_process
+
+take_process()
+
+import jax  # noqa: E402
 
 jax.config.update("jax_enable_x64", True)
 

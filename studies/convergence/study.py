@@ -24,7 +24,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
-import jax
+from rfem_jax.compilation.options import take_process
+
+take_process()
+
+import jax  # noqa: E402
 
 jax.config.update("jax_enable_x64", True)
 

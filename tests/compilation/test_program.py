@@ -106,6 +106,18 @@ def test_another_structure_type_or_place_is_another_program(kept, other):
     assert kept.traced == 2 and kept.written == 2
 
 
+def test_a_kept_program_that_xla_cannot_load_is_traced_anew(kept, monkeypatch):
+    expected = swing_kept(oscillator(), X)
+    again()
+
+    def fail(packed):
+        raise RuntimeError("of another processor")
+
+    monkeypatch.setattr("rfem_jax.compilation.executable.Packed.finish", fail)
+    assert_same_bits(swing_kept(oscillator(), X), expected)
+    assert counts(kept) == (2, 0, 2)
+
+
 @pytest.mark.parametrize(
     "setting",
     [
