@@ -40,7 +40,7 @@ class Program:
 
     Arrays among the leaves of its arguments are inputs, all else is static, as in `eqx.filter_jit`, which it
     stands in for.  The function must be one of this package's modules.  `quick`: for a program that runs once in
-    a process, compiled in half the time and several times slower.
+    a process, compiled faster and running slower.
     """
 
     def __init__(self, function, quick: bool = False):

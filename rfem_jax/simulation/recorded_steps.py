@@ -3,7 +3,7 @@
 Place in the pipeline: **recorded_steps** -> stepping.
 
 Reverse mode of diffrax goes through parts of the loop over steps again, in another compiled program.  Error
-estimates near the rounding of a stiff mechanism differ between two programs by a percent, and so would the steps:
+estimates near the rounding of a stiff mechanism differ between two programs, and so would the steps:
 the parts gone through again would not fit together.
 """
 
