@@ -69,11 +69,13 @@ class Traced(NamedTuple):
     lowered: Any
     what: str
     quick: bool
+    scalars: bool
 
     def finish(self) -> Executable:
         """Compile it."""
         on_stage(f"Compiling the program {self.what!r}, once for all models of its kind")
-        with _without_jaxs_cache, options.own_program():
+        options.own_options_hold()
+        with _without_jaxs_cache, options.own_program(self.scalars):
             return Executable(self.lowered.compile(QUICK if self.quick else None), self.head)
 
 
@@ -103,11 +105,11 @@ def trace(function, arrays, facts, quick: bool) -> Traced:
     """Trace `function` of arrays or shapes; `facts()` is called when it has been."""
     what = function.__name__.strip("_").replace("_", " ")
     on_stage(f"Tracing the program {what!r}")
-    with without_collections(), options.own_program():
+    with without_collections(), options.own_program() as program:
         traced = jax.jit(function).trace(*arrays)
         lowered = traced.lower()
     results = tuple((x.shape, x.dtype, x.weak_type) for x in traced.jaxpr.out_avals)
-    return Traced(Head(len(arrays), results, facts()), lowered, what, quick)
+    return Traced(Head(len(arrays), results, facts()), lowered, what, quick, program.scalars)
 
 
 def unpack(content: bytes) -> Packed:

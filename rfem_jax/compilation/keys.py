@@ -167,14 +167,14 @@ def surroundings():
     flags = os.environ.get("XLA_FLAGS", "").strip()
     if flags and not flags.startswith("-"):
         variables += (Path(flags).read_text(),)
-    fixed = _versions(), _processor(), hash_sources(), tuple(options.settle()), options.FLAGS, _fused()
+    fixed = _versions(), _processor(), hash_sources(), tuple(options.settle()), options.FLAGS, _own_options()
     return *fixed, changing, variables, _devices()
 
 
 @functools.cache
-def _fused() -> bool:
-    with options.own_program():
-        return options.fusion_holds()
+def _own_options() -> list[str]:
+    with options.own_program() as program:
+        return program.options() if options.own_options_hold() else []
 
 
 def read_setting(name: str):

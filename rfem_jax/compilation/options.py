@@ -10,7 +10,8 @@ options stand there only until it has done so (`settle`), so that other programs
 One of them, fusions with several results, ends the process in versions of XLA before that of JAX 0.12 where it
 compiles two `x.at[places].add(values)` of one shape.  There it holds for this package's kept programs only
 (`own_program`), which have no such pair, and for processes that compile nothing else (`take_process`): the user's
-own programs are not at risk.
+own programs are not at risk.  Another one, of LLVM, would make programs with long loops slower, and holds for kept
+programs alone.
 """
 
 import os
@@ -26,6 +27,10 @@ from typing import NamedTuple
 # would double the time of compilation.
 OPTIONS = ("xla_cpu_small_while_loop_byte_threshold=1000000000000000", "xla_cpu_disable_loop_unrolling=true")
 FUSION = "xla_cpu_use_multi_output_fusion=true"
+# LLVM turns every loop over axes round, to vectorise it, and looks through the whole kernel each time: half of the time of
+# compilation, for a tenth of the time of a step.  For this package's kept programs only, and where loops go over three
+# rows and a few rfes: programs of scalars have loops over samples (`note_scalars`).
+UNTURNED = "-rotation-max-header-size=0"
 # Products of small matrices by a library are calls again, which end the kernel.
 WITHOUT_FUSION = f"--xla_cpu_experimental_ynn_fusion_type= --xla_backend_extra_options={','.join(OPTIONS)}"
 FLAGS = f"{WITHOUT_FUSION},{FUSION}"
@@ -129,19 +134,37 @@ def warning() -> str:
     return f"Simulations will run several times slower: XLA's options could not be set, since {_attempt.reason}."
 
 
+class OwnProgram:
+    """A program of this package alone, while it is traced and compiled; `scalars`: whether parts were scalarised."""
+
+    def __init__(self, scalars: bool = False):
+        self.scalars = scalars
+
+    def options(self) -> list[str]:
+        """Those that hold for it besides the process's."""
+        return ([] if _attempt.fusion else [FUSION]) + ([] if self.scalars else [UNTURNED])
+
+
 @contextmanager
-def own_program():
+def own_program(scalars: bool = False):
     """What this thread traces and compiles within the block is a program of this package alone."""
-    before, _own.inside = getattr(_own, "inside", False), True
+    before, _own.program = getattr(_own, "program", None), OwnProgram(scalars)
     try:
-        yield
+        yield _own.program
     finally:
-        _own.inside = before
+        _own.program = before
+
+
+def note_scalars() -> None:
+    """Say that the program that this thread traces now has parts of scalars."""
+    program = getattr(_own, "program", None)
+    if program is not None:
+        program.scalars = True
 
 
 def fusion_holds() -> bool:
     """Whether fusions with several results are made in what this thread compiles now."""
-    return settle().set and (_attempt.fusion or getattr(_own, "inside", False) and _fuse_own())
+    return settle().set and (_attempt.fusion or getattr(_own, "program", None) is not None and own_options_hold())
 
 
 def explicit_in_scalars() -> bool:
@@ -151,11 +174,13 @@ def explicit_in_scalars() -> bool:
     return fusion_holds() and jax.default_backend() == "cpu"
 
 
-def _fuse_own() -> bool:
-    """Makes JAX compile this package's own programs with fusions of several results; whether it does.
+def own_options_hold() -> bool:
+    """Makes JAX compile this package's own programs with options of their own; whether it does.
 
     Options of this kind cannot be given to `jax.jit`, so JAX's function that makes a program's options is wrapped.
     """
+    if not settle().set:
+        return False
     from jax._src.interpreters import pxla
 
     made = getattr(pxla, "create_compile_options", None)
@@ -164,20 +189,23 @@ def _fuse_own() -> bool:
     if not hasattr(made, "of_rfem_jax"):
 
         def create(*args, **kwargs):
-            options = made(*args, **kwargs)
-            return _with_fusion(options) if getattr(_own, "inside", False) else options
+            options, program = made(*args, **kwargs), getattr(_own, "program", None)
+            return options if program is None else _with(program.options(), options)
 
         create.of_rfem_jax = True
         pxla.create_compile_options = create
     return True
 
 
-def _with_fusion(options):
-    """Options of a program with one more: appended to the serialised message, it is merged into it."""
-    entry = _field(1, FUSION.split("=")[0].encode()) + _field(2, FUSION.split("=")[1].encode())
-    # CompileOptions.executable_build_options (3), .debug_options (3), .xla_backend_extra_options (500).
-    added = _field(3, _field(3, _field(500, entry)))
-    return type(options).ParseFromString(options.SerializeAsString() + added)
+def _with(more: list[str], options):
+    """Options of a program with more: appended to the serialised message, they are merged into it."""
+    content = options.SerializeAsString()
+    for option in more:
+        name, value = option.split("=")
+        entry = _field(1, name.encode()) + _field(2, value.encode())
+        # CompileOptions.executable_build_options (3), .debug_options (3), .xla_backend_extra_options (500).
+        content += _field(3, _field(3, _field(500, entry)))
+    return type(options).ParseFromString(content)
 
 
 def _field(number: int, content: bytes) -> bytes:

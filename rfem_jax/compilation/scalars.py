@@ -18,6 +18,8 @@ import numpy as np
 from jax import Array, lax
 from jax.extend.core import ClosedJaxpr, Literal
 
+from rfem_jax.compilation.options import note_scalars
+
 MOST_OPERATIONS = 65_000
 UNROLLED = 64  # iterations of a scan over rows
 
@@ -52,6 +54,7 @@ def in_scalars(function, zeros=None, most=MOST_OPERATIONS):
         )(*like)
         if operations(program) > most:
             return function(*arguments)
+        note_scalars()
         entries = [_entries(x) for x in given]
         if zeros is not None:
             known = jax.tree.leaves(zeros)
@@ -399,6 +402,7 @@ SPECIAL = {
     "dot_general": _dot,
     "expand_dims": lambda e, x: [np.expand_dims(x, e.params["dimensions"])],
     "integer_pow": _power,
+    "reorder": lambda e, x: [np.take(x, e.params["order"], e.params["axis"])],
     "reshape": lambda e, x: [x.reshape(e.params["new_sizes"])],
     "rev": lambda e, x: [np.flip(x, e.params["dimensions"])],
     "scan": _scan,

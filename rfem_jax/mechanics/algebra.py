@@ -13,6 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from rfem_jax.mechanics.reordering import reorder
+
 IDENTITY = np.eye(3)
 
 
@@ -23,7 +25,7 @@ def cross(a: Array, b: Array) -> Array:
 
 def _cycled(a: Array) -> Array:
     """Components (y, z, x)."""
-    return jnp.concatenate([a[1:], a[:1]])
+    return reorder(a, (1, 2, 0))
 
 
 def dot(a: Array, b: Array) -> Array:

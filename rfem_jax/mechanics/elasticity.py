@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from rfem_jax.mechanics import exact_elements
@@ -24,6 +25,12 @@ from rfem_jax.mechanics.exact_elements import SpringBlocks, from_left, spring_bl
 from rfem_jax.mechanics.kinematics import RelativeMotion, relative_motion
 from rfem_jax.mechanics.model import Coordinates, State
 from rfem_jax.mechanics.realisation import Realisation
+from rfem_jax.mechanics.reordering import reorder
+
+# (a, b) of two vectors as (b_x, b_z, b_y, a_x, a_z, a_y); with these signs, of a vector's product with (1, 0, 0).
+EXCHANGED = (3, 5, 4, 0, 2, 1)
+PHI_CROSS_LEVER = np.array([0.0, 1.0, -1.0, 0.0, 0.0, 0.0])
+LEVER_CROSS_FORCE = np.array([0.0, 0.0, 0.0, 0.0, -1.0, 1.0])
 
 
 class ElasticLoads(NamedTuple):
@@ -123,15 +130,13 @@ def _linear_forces(realised, stretch, rate):
 
 def _face(elastic, lever):
     """Motion of the face at x = lever from a rfe's middle: (u + phi x (lever, 0, 0), phi)."""
-    u, phi = elastic[:3], elastic[3:]
-    return jnp.concatenate([u + _lever_cross(phi, lever), phi])
+    return elastic + _signs(PHI_CROSS_LEVER, elastic) * lever[None] * reorder(elastic, EXCHANGED)
 
 
 def _face_transposed(stress, lever):
-    force, moment = stress[:3], stress[3:]
-    return jnp.concatenate([force, moment - _lever_cross(force, lever)])
+    """The wrench at a rfe's middle of one at its face: (force, moment - force x (lever, 0, 0))."""
+    return stress + _signs(LEVER_CROSS_FORCE, stress) * lever[None] * reorder(stress, EXCHANGED)
 
 
-def _lever_cross(vector, lever):
-    """vector x (lever, 0, 0)."""
-    return jnp.stack([0.0 * vector[0], vector[2] * lever, -vector[1] * lever])
+def _signs(signs, example):
+    return signs.reshape((6,) + (1,) * (example.ndim - 1))

@@ -31,6 +31,7 @@ from rfem_jax.mechanics import algebra
 from rfem_jax.mechanics.algebra import cross, dot, product, transpose
 from rfem_jax.mechanics.kinematics import RelativeMotion
 from rfem_jax.mechanics.realisation import Realisation
+from rfem_jax.mechanics.reordering import reorder
 
 # (asin(r)/r - 1)/r^2 in powers of r^2, for r below SMALL: angles below 0.1 rad.
 SERIES = (1 / 6, 3 / 40, 5 / 112, 35 / 1152, 63 / 2816, 231 / 13312, 143 / 10240)
@@ -155,12 +156,16 @@ def wrenches(realised: Realisation, now: ExactDeflections) -> tuple[Array, Array
 
 def from_left(realised: Realisation, values: Array) -> Array:
     """Values (k, N) of the left neighbours of the free rfes, zero for rfe 0."""
-    return _expand(_is_inner(realised), values) * jnp.roll(values, 1, axis=1)
+    return _expand(_is_inner(realised), values) * _rolled(values, 1)
 
 
 def to_left(realised: Realisation, values: Array) -> Array:
     """Values (k, N) of the sdes moved to their left rfes; those of rfe 0 are dropped."""
-    return jnp.roll(_expand(_is_inner(realised), values) * values, -1, axis=1)
+    return _rolled(_expand(_is_inner(realised), values) * values, -1)
+
+
+def _rolled(values, shift: int):
+    return reorder(values, np.roll(np.arange(values.shape[1]), shift), axis=1)
 
 
 def _is_inner(realised: Realisation) -> np.ndarray:

@@ -118,6 +118,41 @@ def test_programs_of_the_user_are_not_at_risk_and_own_ones_are_fused():
     assert users == str(options._version() >= options.FUSION_SAFE_FROM)
 
 
+OWN = """
+import sys, jax, numpy as np
+from rfem_jax.compilation import options
+from tests.compilation.functions import covered, oscillator, swing_kept
+given, before = [], options._with
+options._with = lambda more, made: given.append(more) or before(more, made)
+with covered(sys.argv[1]):
+    swing_kept(oscillator(), np.linspace(0.0, 1.0, 4))
+jax.jit(lambda x: x + 1.0)(2.0)
+print(len(given), options.UNTURNED in given[0])
+with options.own_program():
+    options.note_scalars()
+    jax.jit(lambda x: x + 2.0)(2.0)
+options.note_scalars()
+print(options.UNTURNED in given[-1])
+"""
+
+
+def test_loops_are_left_unturned_in_own_programs_without_scalars(tmp_path):
+    assert in_a_new_process(OWN, str(tmp_path / "programs")).splitlines() == ["1 True", "False"]
+
+
+def test_options_of_one_program_are_added_to_the_others():
+    from jaxlib import xla_client
+
+    made = xla_client.CompileOptions()
+    made.num_replicas = 3
+    more = options._with([options.UNTURNED, options.FUSION], made)
+    assert more.num_replicas == 3
+    for option in (options.UNTURNED, options.FUSION):
+        name, value = option.encode().split(b"=")
+        content = more.SerializeAsString()
+        assert content.count(name) >= 1 and name + b"\x12" + bytes([len(value)]) + value in content
+
+
 def test_an_older_jaxlib_is_left_alone_and_a_newer_one_is_tried_once(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr(options, "user_cache_folder", lambda: tmp_path / "cache")

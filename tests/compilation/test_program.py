@@ -31,6 +31,12 @@ def again():
     swing_kept.clear()
 
 
+def by_jax(*arguments):
+    """Without keeping, compiled with the same options."""
+    with options.own_program():
+        return eqx.filter_jit(swing)(*arguments)
+
+
 def assert_same_bits(found, expected):
     assert jax.tree.structure(found) == jax.tree.structure(expected)
     for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
@@ -43,7 +49,7 @@ def counts(statistics):
 
 
 def test_what_was_kept_gives_the_same_bits_without_tracing(kept):
-    expected = eqx.filter_jit(swing)(oscillator(), X)
+    expected = by_jax(oscillator(), X)
     assert_same_bits(swing_kept(oscillator(), X), expected)
     assert counts(kept) == (1, 0, 1)
     swing_kept(oscillator(), X)
@@ -54,7 +60,7 @@ def test_what_was_kept_gives_the_same_bits_without_tracing(kept):
 
 
 def test_ahead_compiles_or_loads_in_the_background_what_the_call_needs(kept):
-    expected = eqx.filter_jit(swing)(oscillator(), X)
+    expected = by_jax(oscillator(), X)
     shapes = jax.tree.map(
         lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype, weak_type=x.weak_type), (oscillator(), X)
     )
@@ -82,7 +88,7 @@ def test_a_quick_program_is_another_one_with_the_same_results(kept):
 def test_numbers_are_inputs_of_one_program(kept):
     for rate in (0.7, 0.8):
         for x in (X, X + 1.0, np.asarray(X)):
-            expected = eqx.filter_jit(swing)(oscillator(rate), x)
+            expected = by_jax(oscillator(rate), x)
             assert_same_bits(swing_kept(oscillator(rate), x), expected)
     assert kept.traced == 1
 

@@ -1,0 +1,53 @@
+"""Rows in another order: values, both modes of derivatives, batches on any axis, no scatter."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from rfem_jax.mechanics.reordering import reorder
+
+ORDER = (2, 0, 3, 1)
+X = np.random.default_rng(1).normal(size=(3, 4, 5))
+W = np.random.default_rng(2).normal(size=(3, 4, 5))
+
+
+def weighed(x):
+    return jnp.sin(reorder(x, ORDER, axis=1)) * W
+
+
+@pytest.mark.parametrize("run", [lambda f: f, jax.jit])
+def test_rows_are_taken(run):
+    np.testing.assert_array_equal(run(lambda x: reorder(x, ORDER, axis=1))(X), X[:, ORDER])
+    np.testing.assert_array_equal(run(lambda x: reorder(x, (1, 2, 0)))(X), X[[1, 2, 0]])
+    assert run(lambda x: reorder(x, ()))(np.zeros((0, 4))).shape == (0, 4)
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2), (0, 1, 1, 2), (0, 1, 2, 4)])
+def test_every_row_has_one_place(order):
+    with pytest.raises(ValueError, match="no order of 4 rows"):
+        reorder(X, order, axis=1)
+
+
+def test_both_modes_are_those_of_numpys_indexing():
+    def plain(x):
+        return jnp.sin(x[:, np.array(ORDER)]) * W
+
+    expected = jax.jacfwd(plain)(X)
+    assert np.abs(expected).max() > 0.1
+    np.testing.assert_array_equal(jax.jacfwd(weighed)(X), expected)
+    np.testing.assert_array_equal(jax.jacrev(weighed)(X), expected)
+    twice = jax.hessian(lambda x: weighed(x)[0, 0, 0])(X)
+    np.testing.assert_array_equal(twice, jax.hessian(lambda x: plain(x)[0, 0, 0])(X))
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2, 3])
+def test_batches_on_any_axis(axis):
+    batch = np.stack([X, 2.0 * X], axis=axis)
+    results = jax.jit(jax.vmap(weighed, in_axes=axis, out_axes=axis))(batch)
+    np.testing.assert_allclose(results, np.stack([weighed(X), weighed(2.0 * X)], axis=axis), rtol=1e-15)
+
+
+def test_reverse_mode_scatters_nothing():
+    program = jax.jit(jax.grad(lambda x: jnp.sum(weighed(x)))).lower(X).as_text()
+    assert "gather" in program and "scatter" not in program
