@@ -106,7 +106,8 @@ def stepping(model, case: str, count: int, method: Method):
 
     def loads(steps: int):
         count = jnp.asarray(steps, jnp.float64)
-        return rms_loads(model, errors, STUDY.drive, grid, method, count)
+        found, residual, _ = rms_loads(model, errors, STUDY.drive, grid, method, count)
+        return found, jnp.max(residual)
 
     return loads
 

@@ -9,6 +9,10 @@ from contextlib import contextmanager
 from difflib import get_close_matches
 
 
+# By difflib, "legnth" is like "length" by 0.83, "rk5" like "rk4" by 0.67, but so is "other" like "note".
+LIKENESS, LIKENESS_OF_SAME_LETTER = 0.7, 0.65
+
+
 class InputError(ValueError):
     """What the user stated cannot be used; the message says where, why, and how to fix it."""
 
@@ -23,9 +27,12 @@ def subject(where: str) -> str:
 
 
 def nearest(name, known) -> str | None:
-    """Return the entry of `known` (strings) that looks most like `name`, or None."""
+    """Return the entry of `known` (strings) that `name` may be a slip of the pen for, or None."""
     by_lower_case = {str(entry).lower(): str(entry) for entry in known}
-    found = get_close_matches(str(name).lower(), list(by_lower_case), n=1, cutoff=0.5)
+    name = str(name).lower()
+    same_letter = [entry for entry in by_lower_case if entry[:1] == name[:1]]
+    found = get_close_matches(name, list(by_lower_case), n=1, cutoff=LIKENESS)
+    found = found or get_close_matches(name, same_letter, n=1, cutoff=LIKENESS_OF_SAME_LETTER)
     return by_lower_case[found[0]] if found else None
 
 

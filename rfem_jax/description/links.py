@@ -22,7 +22,9 @@ from rfem_jax.description.sections import (
     Tube,
     require_triangle,
 )
-from rfem_jax.description.units import non_negative_quantity, positive_quantity, quantity, vector
+from rfem_jax.description.units import non_negative_quantity, positive_quantity, quantity, short, vector
+
+MOST_RFES = 1000
 
 
 @dataclass(frozen=True)
@@ -97,6 +99,11 @@ class Link:
             raise InputError(
                 f"Argument `rfes` {of} must be a whole number of at least 1, but was "
                 f"{self.rfes!r}; 5 is usual, 1 makes the link rigid."
+            )
+        if self.rfes > MOST_RFES:
+            raise InputError(
+                f"Argument `rfes` {of} must be at most {MOST_RFES}, but was {short(self.rfes)}; 5 is usual, and the "
+                "error falls with its square."
             )
         object.__setattr__(self, "rfes", int(self.rfes))
         object.__setattr__(self, "point_masses", self._checked_point_masses(of))

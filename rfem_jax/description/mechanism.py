@@ -7,9 +7,10 @@ Symbols: gravity [m/s^2] in the global frame, whose X-Z plane is the plane of th
 Source: MODEL.md section 1.
 """
 
+import math
 from dataclasses import dataclass
 
-from rfem_jax.description.error_catalogue import JOINT_ERRORS, LINK_ERRORS, error_unit
+from rfem_jax.description.error_catalogue import JOINT_ERRORS, LINK_ERRORS, error_dimension, error_unit
 from rfem_jax.description.errors import InputError, require_choice, subject, suggestion
 from rfem_jax.description.joints import Joint
 from rfem_jax.description.links import Link
@@ -96,6 +97,19 @@ class Mechanism:
                 f"{subject(where)} must be an error of this mechanism, but `{name}` is none; "
                 f"{suggestion(name, self.error_names)}"
             )
+
+    def require_sizes(self, sizes: dict[str, float], where: str) -> None:
+        """Raise InputError unless `sizes` {error: magnitude [rad or m]} are errors of this mechanism and none turns
+        anything by a right angle or shifts it by the length of the longest link."""
+        longest = max(link.length for link in self.links)
+        for name, size in sizes.items():
+            self.require_error(name, where)
+            most, unit = (0.5 * math.pi, "rad") if error_dimension(name) == "angle" else (longest, "m")
+            if not size <= most:
+                raise InputError(
+                    f"{subject(where)} must be less than {most:.4g} {unit} (a right angle, or the longest link), "
+                    f"but `{name}` has {size:g} {unit}; check the number and its unit."
+                )
 
     def _parent_joints(self) -> dict[str, Joint]:
         return {joint.child: joint for joint in self.joints if not joint.cut}

@@ -12,11 +12,10 @@ from dataclasses import dataclass
 from rfem_jax.description.errors import InputError, require_choice
 from rfem_jax.description.units import non_negative_quantity, positive_quantity
 
-OWN_METHODS = ("rk4", "leapfrog")  # fixed step
 ADAPTIVE_METHODS = ("tsit5", "dopri5", "dopri8", "bosh3", "heun", "midpoint", "ralston")
-FIXED_METHODS = (*OWN_METHODS, "euler")
+FIXED_METHODS = ("rk4", "leapfrog")
 IMPLICIT_METHODS = ("generalised_alpha",)
-METHODS = (*OWN_METHODS, *IMPLICIT_METHODS, *ADAPTIVE_METHODS, "euler", "auto")
+METHODS = (*FIXED_METHODS, *IMPLICIT_METHODS, *ADAPTIVE_METHODS, "auto")
 SPECTRAL_RADIUS, CORRECTIONS, TOLERANCE = 0.6, 5, 1e-8
 
 
@@ -32,7 +31,7 @@ class Method:
     Args:
         name: "rk4" (classical Runge-Kutta 4), "leapfrog", a diffrax explicit solver by its
             lower-case name, or "auto".
-        step: h [s], > 0; needed by "rk4", "leapfrog" and "euler". The other diffrax solvers take
+        step: h [s], > 0; needed by "rk4" and "leapfrog". The other diffrax solvers take
             either a step (fixed) or both tolerances (adaptive).
         rtol, atol: tolerances, > 0.
         stabilisation: Baumgarte gain, >= 0; None = the default, 0 = none.

@@ -20,6 +20,8 @@ from rfem_jax.description.task_reader import TABLES, read_tasks
 from rfem_jax.description.tasks import Tasks
 from rfem_jax.description.units import positive_quantity, quantity
 
+MOST_STEPS, MOST_SAVED = 1e9, 1e6
+LONGEST_NAME = 100
 _ROUNDING = 1.0 + 1e-9  # 0.5 / 1e-3 and the like must not fail by rounding
 
 
@@ -145,6 +147,17 @@ class Study:
                 f"{saving} s; saved times are ends of steps: increase it or reduce the step."
             )
 
+        if step is not None and self.duration / step > MOST_STEPS:
+            raise InputError(
+                f"Argument `duration` must be at most {MOST_STEPS:g} steps, but {self.duration:g} s are "
+                f"{self.duration / step:.3g} steps of {step:g} s, which would take days; check both numbers."
+            )
+        if saving is not None and self.duration / saving > MOST_SAVED:
+            raise InputError(
+                f"Argument `save_every` must leave at most {MOST_SAVED:g} saved times, but {self.duration:g} s have "
+                f"{self.duration / saving:.3g} intervals of {saving:g} s; increase it."
+            )
+
     def _check_drive(self) -> None:
         if self.drive is None:
             return
@@ -177,8 +190,8 @@ class Study:
                     f"equal), but `{case.name}` occurs twice; rename one."
                 )
             seen.add(case.name.lower())
-            for name in case.errors:
-                self.mechanism.require_error(name, f"`errors` of case `{case.name}`")
+            sizes = {name: abs(value) for name, value in case.errors.items()}
+            self.mechanism.require_sizes(sizes, f"`errors` of case `{case.name}`")
 
 
 def load_study(path) -> Study:
@@ -227,4 +240,9 @@ def _require_file_name(name) -> None:
         raise InputError(
             "Argument `name` of a case must consist of letters, digits, \"_\", \"-\" and \".\" and "
             f"start with a letter or a digit, but was {name!r}; it is used as a file name."
+        )
+    if len(name) > LONGEST_NAME:
+        raise InputError(
+            f"Argument `name` of a case must have at most {LONGEST_NAME} characters, but has {len(name)}; it is used "
+            "as a file name."
         )

@@ -17,7 +17,7 @@ def read_toml(path: Path) -> dict:
         InputError: the file is missing, unreadable, or no valid TOML (with line and column).
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")  # some editors begin with a mark
     except FileNotFoundError:
         raise InputError(
             f"Argument `path` must be a study file, but there is no file `{path}`; "
@@ -39,6 +39,10 @@ def read_toml(path: Path) -> dict:
         raise InputError(
             f"Study file `{path}` must be valid TOML, but: {error}; correct this line (strings and "
             "numbers with units stand in quotes)."
+        ) from None
+    except RecursionError:
+        raise InputError(
+            f"Study file `{path}` must have brackets a few deep, but has hundreds in each other; close them earlier."
         ) from None
 
 

@@ -7,13 +7,16 @@ the metric's own unit.
 """
 
 from rfem_jax.description.errors import InputError, require_choice, suggestion
-from rfem_jax.description.units import quantity
+from rfem_jax.description.units import quantity, short
 
 KINDS = (
     *("mean_square_force", "mean_square_moment", "rms_force", "rms_moment", "peak_force"),
     *("peak_moment", "preload_force_square", "preload_moment_square"),
 )
 RUN_METRICS = ("angle_error", "end_energy")
+MOST = 10**9  # of whole numbers without a bound of their own
+MOST_SAMPLES, MOST_AT_ONCE = 10**8, 10**5
+MOST_LIMIT = 1e100
 MODES = ("auto", "forward", "reverse")
 STARTS = {"corners": 4, "random": 4, "sobol": 8}
 
@@ -52,10 +55,16 @@ def limits_of(limits, needed=False) -> dict[str, tuple[float, float]]:
     for name, limit in limits.items():
         pair = tuple(limit) if isinstance(limit, (list, tuple)) else (float("-inf"), limit)
         plain = all(isinstance(end, (int, float)) and not isinstance(end, bool) for end in pair)
+        plain = plain and all(abs(end) < MOST_LIMIT or end in (float("inf"), float("-inf")) for end in pair)
         if len(pair) != 2 or not plain or not pair[0] < pair[1]:
             raise InputError(
                 f"Argument `limits` must give a largest value or [low, high], but `{name}` has "
-                f"{limit!r}; write a number in the metric's unit (inf and -inf are open ends)."
+                f"{short(repr(limit))}; write a number in the metric's unit (inf and -inf are open ends)."
+            )
+        if name not in RUN_METRICS and pair[1] <= 0.0:
+            raise InputError(
+                f"Argument `limits` must leave room for a load, which is never negative, but `{name}` has "
+                f"{limit!r}; write its largest value as a positive number."
             )
         complete[name] = (float(pair[0]), float(pair[1]))
     return complete
@@ -79,12 +88,17 @@ def starts_of(starts) -> dict[str, int]:
     return {name: starts.get(name, 0) for name in STARTS}
 
 
-def whole_number(value, where: str, least: int) -> int:
-    """`value` if it is a whole number of at least `least`. Raises InputError."""
+def whole_number(value, where: str, least: int, most: int = MOST) -> int:
+    """`value` if it is a whole number from `least` to `most`. Raises InputError."""
     if isinstance(value, bool) or not isinstance(value, int) or value < least:
         raise InputError(
             f"Argument `{where}` must be a whole number of at least {least}, but was {value!r}; "
             "correct it."
+        )
+    if value > most:
+        raise InputError(
+            f"Argument `{where}` must be at most {most}, but was {short(value)}; this would not end, or not fit "
+            "into memory: reduce it."
         )
     return value
 

@@ -14,6 +14,8 @@ from rfem_jax.description.allocation_task import AllocationTask
 from rfem_jax.description.errors import InputError, require_choice, require_flag, suggestion
 from rfem_jax.description.task_settings import (
     MODES,
+    MOST_AT_ONCE,
+    MOST_SAMPLES,
     RUN_METRICS,
     STARTS,
     fraction,
@@ -47,7 +49,7 @@ class SensitivityTask:
     def __post_init__(self):
         set_fields(self, metrics=metric_names(self.metrics), at=error_quantities(self.at, "at"))
         require_choice(self.mode, MODES, "mode")
-        whole_number(self.batch, "batch", 1)
+        whole_number(self.batch, "batch", 1, MOST_AT_ONCE)
         require_flag(self.half_step, "half_step")
         if self.order not in (1, 2) or isinstance(self.order, bool):
             raise InputError(
@@ -79,11 +81,11 @@ class MonteCarloTask:
     control_variate: bool = False
 
     def __post_init__(self):
-        whole_number(self.n, "n", 1)
-        whole_number(self.batch, "batch", 1)
+        whole_number(self.n, "n", 2, MOST_SAMPLES)
+        whole_number(self.batch, "batch", 1, MOST_AT_ONCE)
         whole_number(self.seed, "seed", 0)
         if self.lanes is not None:
-            whole_number(self.lanes, "lanes", 1)
+            whole_number(self.lanes, "lanes", 1, MOST_AT_ONCE)
         require_choice(self.sampling, ("sobol", "pseudo_random"), "sampling")
         require_flag(self.sobol_indices, "sobol_indices")
         require_flag(self.control_variate, "control_variate")
@@ -129,8 +131,8 @@ class WorstCaseTask:
         require_choice(self.sense, ("max", "min"), "sense")
         require_choice(self.mode, MODES, "mode")
         whole_number(self.seed, "seed", 0)
-        whole_number(self.evaluations, "evaluations", 1)
-        whole_number(self.batch, "batch", 1)
+        whole_number(self.evaluations, "evaluations", 1, MOST_SAMPLES)
+        whole_number(self.batch, "batch", 1, MOST_AT_ONCE)
         if self.corners is not None:
             require_flag(self.corners, "corners")
         set_fields(self, metrics=metric_names(self.metrics), starts=starts_of(self.starts))
@@ -159,8 +161,7 @@ class Tasks:
             needs tolerances where there are none.
         """
         if self.tolerances is not None:
-            for name in self.tolerances.names:
-                mechanism.require_error(name, "`tolerances`")
+            mechanism.require_sizes(self.tolerances.reaches(), "`tolerances`")
         found = {}
         for name in self.declared:
             task = getattr(self, name)

@@ -137,6 +137,11 @@ class StatedTolerances:
             widths |= group.half_widths
         return widths
 
+    def reaches(self) -> dict[str, float]:
+        """{error: largest magnitude [rad or m] that its interval or half-width has}."""
+        widths = self.half_widths()
+        return widths | {one.error: max(map(abs, one.interval)) for one in self.independent}
+
 
 def error_quantities(values, where: str) -> dict[str, float]:
     """{error: number or string with a unit} in rad and m. Raises InputError."""

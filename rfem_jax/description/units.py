@@ -15,6 +15,22 @@ import numpy as np
 
 from rfem_jax.description.errors import InputError, subject, suggestion
 
+# Magnitudes that no mechanism has, and from which products leave double precision.
+LARGEST, SMALLEST = 1e15, 1e-15
+RANGES = {  # of other dimensions: smallest (where a value must be positive) and largest magnitude
+    "none": (1e-50, 1e50),
+    "length": (1e-12, 1e9),
+    "time": (1e-30, 1e12),
+    "area": (1e-24, 1e18),
+    "second_moment": (1e-48, 1e36),
+    "pressure": (1e-6, 1e20),
+    "axial_stiffness": (1e-20, 1e30),
+    "bending_stiffness": (1e-30, 1e30),
+    "line_density": (1e-18, 1e15),
+    "rotary_inertia": (1e-40, 1e20),
+    "moment_of_inertia": (1e-40, 1e25),
+}
+
 # name: (exponents of kg, m, s, rad; SI unit; an example of a string with a unit)
 DIMENSIONS = {
     "none": ((0, 0, 0, 0), "1", "5 %"),
@@ -84,6 +100,12 @@ def quantity(value, dimension: str, where: str) -> float:
         )
     if not math.isfinite(number):
         raise InputError(f"{subject(where)} must be finite, but was {value}; give a finite number.")
+    largest = RANGES.get(dimension, (SMALLEST, LARGEST))[1]
+    if abs(number) > largest:
+        raise InputError(
+            f"{subject(where)} must not be larger than {largest:g} {si_unit}, but was {short(value)}; "
+            "check the number and its unit."
+        )
     return number
 
 
@@ -93,6 +115,12 @@ def positive_quantity(value, dimension: str, where: str) -> float:
     if number <= 0.0:
         raise InputError(
             f"{subject(where)} must be greater than 0, but was {value}; give a positive value."
+        )
+    smallest = RANGES.get(dimension, (SMALLEST, LARGEST))[0]
+    if number < smallest:
+        raise InputError(
+            f"{subject(where)} must not be smaller than {smallest:g} {DIMENSIONS[dimension][1]}, but was "
+            f"{value}; check the number and its unit."
         )
     return number
 
@@ -132,6 +160,12 @@ def sequence(value, dimension: str, where: str) -> tuple[float, ...]:
     )
 
 
+def short(value) -> str:
+    """A value as text, without the middle of hundreds of digits."""
+    text = str(value)
+    return text if len(text) <= 40 else f"{text[:20]}... ({len(text)} characters)"
+
+
 def _is_number(value) -> bool:
     if isinstance(value, (bool, np.bool_)):
         return False
@@ -143,7 +177,11 @@ def _is_number(value) -> bool:
 def _as_float(value, where: str) -> float:
     try:
         return float(value)
-    except (TypeError, OverflowError):  # a traced value, a complex array, an int beyond a float
+    except OverflowError:
+        raise InputError(
+            f"{subject(where)} must be a number that fits into double precision, but was {short(value)}; check it."
+        ) from None
+    except TypeError:  # a traced value, a complex array
         raise InputError(
             f"{subject(where)} must be a number known before compilation, but was {value!r}; "
             "state it outside `jit`, and vary assembly errors or the model instead."

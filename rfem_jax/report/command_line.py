@@ -16,7 +16,7 @@ import time
 from contextlib import contextmanager
 from pathlib import Path
 
-from rfem_jax.report.process import count_devices, join_processes, set_up_jax
+from rfem_jax.report.process import count_devices, join_processes, require_platform, set_up_jax
 from rfem_jax.report.progress_line import ProgressLine, say, show
 
 # Command: task it does, what it is, what it writes.
@@ -52,6 +52,15 @@ class _Parser(argparse.ArgumentParser):
         self.exit(WRONG_INPUT, f"{message} (see `{self.prog} --help`)\n")
 
 
+def _version() -> str:
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version("rfem-jax")
+    except PackageNotFoundError:
+        return "(not installed)"
+
+
 def build_parser() -> argparse.ArgumentParser:
     """Parser of the command with its subcommands."""
     parser = _Parser(
@@ -60,6 +69,7 @@ def build_parser() -> argparse.ArgumentParser:
         epilog="Exit codes: 0 done; 2 the input is wrong; 3 a case or a task failed; 130 "
         "interrupted.",
     )
+    parser.add_argument("--version", action="version", version=f"rfem-jax {_version()}")
     commands = parser.add_subparsers(title="commands", dest="command", required=True)
     run = commands.add_parser(
         "run",
@@ -131,6 +141,20 @@ def _add_processes(command):
     group.add_argument("--process-id", metavar="I", type=int, help="which one this is, from 0")
 
 
+def require_folder(out) -> None:
+    """See that a folder for the results can be made, without making it. Raises InputError."""
+    if not str(out).strip():
+        from rfem_jax.description.errors import InputError
+
+        raise InputError("Argument `--out` must name a folder, but is empty; write . for the current one.")
+    folder = Path(out).absolute()
+    existing = next(path for path in (folder, *folder.parents) if path.exists())
+    if not existing.is_dir():
+        raise _cannot_write(folder, NotADirectoryError(20, f"{existing} is a file"))
+    if not os.access(existing, os.W_OK | os.X_OK):
+        raise _cannot_write(folder, PermissionError(13, "permission denied"))
+
+
 def open_folder(out) -> Path:
     """Make the folder for the results and see that files can be written into it.
 
@@ -158,10 +182,9 @@ def _cannot_write(folder, problem):
 
 def _settle_method(study):
     """The study with a method whose step is known to be stable; says what "auto" stands for."""
-    from rfem_jax.mechanics import discretise
     from rfem_jax.simulation import check_step
 
-    model = discretise(study.mechanism)
+    model = _discretise(study)
     if study.method.name != "auto":
         _announce("Looking for the largest stable step")
         check_step(model, study.method, study.drive)
@@ -171,9 +194,20 @@ def _settle_method(study):
     from rfem_jax.simulation import choose_method
 
     _announce("Choosing the method and its step")
-    method = choose_method(model, study.method, study.drive, study.duration)
+    method = choose_method(
+        model, study.method, study.drive, study.duration, save_every=study.save_every
+    )
     show(f"Method auto: {method.name} with a step of {method.step:.3g} s.")
     return replace(study, method=method)
+
+
+def _discretise(study):
+    """The model of the study's mechanism; what is wrong with it is said with the file's name."""
+    from rfem_jax.description.errors import located
+    from rfem_jax.mechanics import discretise
+
+    with located(f"Study file `{study.path}`"):
+        return discretise(study.mechanism)
 
 
 def _announce(stage, done=None):
@@ -220,6 +254,7 @@ def _run(arguments) -> int:
     from rfem_jax.report.tables import results_text
     from rfem_jax.simulation import STATUS
 
+    require_folder(arguments.out)
     study = _settle_method(study)
     folder = open_folder(arguments.out)
     runs = _simulate(study)
@@ -261,6 +296,7 @@ def _do_task(arguments) -> int:
     from rfem_jax.report.task_commands import require_task
 
     require_task(study, arguments.task)
+    require_folder(arguments.out)
     study = _settle_method(study)
     folder = open_folder(arguments.out)
     good, written = _write_task(study, arguments.task, folder)
@@ -276,12 +312,12 @@ def _check(arguments) -> int:
     _announce(f"Reading {arguments.study}")
     study = load_study(arguments.study)
 
-    from rfem_jax.mechanics import describe, discretise
+    from rfem_jax.mechanics import describe
     from rfem_jax.report.overview import study_text
     from rfem_jax.report.task_overview import tasks_text
     from rfem_jax.simulation import check_step
 
-    model = discretise(study.mechanism)
+    model = _discretise(study)
     show(study_text(study, describe(model)), end="\n\n")
     if text := tasks_text(study):
         show(text, end="\n\n")
@@ -323,10 +359,17 @@ def _rare_collections():
 def _act(arguments, line) -> int:
     set_up_jax(count_devices(arguments), arguments.cache, getattr(arguments, "out", None))
     join_processes(arguments)
+    require_platform()
     from rfem_jax.compilation.stages import listening
 
     with listening(line):
         return arguments.action(arguments)
+
+
+def _what_is_kept(arguments) -> str:
+    if arguments.command not in ("run", "monte-carlo"):
+        return ""
+    return "; finished chunks of a Monte Carlo study are kept, and the same command continues it"
 
 
 def main(argv=None) -> int:
@@ -350,7 +393,7 @@ def main(argv=None) -> int:
                 say(" ".join(str(problem).split()))
                 return WRONG_INPUT
     except KeyboardInterrupt:
-        print("Interrupted: the results of this study are not complete.", file=sys.stderr)
+        print(f"Interrupted: the results of this study are not complete{_what_is_kept(arguments)}.", file=sys.stderr)
         return INTERRUPTED
 
 

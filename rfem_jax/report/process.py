@@ -7,6 +7,25 @@ import os
 import sys
 
 
+MOST_DEVICES = 64  # on a machine with fewer cores
+
+
+def require_platform() -> None:
+    """See that JAX finds a device. Raises InputError where JAX_PLATFORMS asks for one that is not there."""
+    import jax
+
+    try:
+        jax.devices()
+    except (RuntimeError, AssertionError) as problem:
+        from rfem_jax.description.errors import InputError
+
+        wanted = os.environ.get("JAX_PLATFORMS") or jax.config.jax_platforms
+        raise InputError(
+            f"Environment variable JAX_PLATFORMS must name a kind of device that this machine has, but is {wanted!r} "
+            f"({(str(problem).splitlines() or ['none was found'])[0]}); leave it out, or write cpu."
+        ) from problem
+
+
 def set_up_jax(devices=None, cache=True, out=None) -> None:
     """Double precision, `devices` CPU devices (None: one), XLA's options, and unless not `cache`: programs kept
     in the user's folder, and JAX's own cache (in a folder of the user's choice) for what cannot be kept."""
@@ -60,6 +79,12 @@ def count_devices(arguments) -> int | None:
         raise InputError(
             f"Argument `--devices` must be at least 1, but is {arguments.devices}; leave it out to "
             "use all cores."
+        )
+    most = max(MOST_DEVICES, os.cpu_count() or 1)
+    if arguments.devices > most:
+        raise InputError(
+            f"Argument `--devices` must be at most {most} here, but is {arguments.devices}; each takes memory and "
+            "threads: leave it out to use all cores."
         )
     return arguments.devices
 

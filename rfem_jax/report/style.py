@@ -91,10 +91,10 @@ def add_titles(figure, heading, study) -> None:
     """Put `heading` and the study's title above the figure, the study's note below it."""
     width = figure.get_figwidth()
     lines = textwrap.wrap(heading, int(11 * width)) + textwrap.wrap(study.title, int(11 * width))
-    figure.suptitle("\n".join(lines))
+    figure.suptitle("\n".join(lines), parse_math=False)  # a user's $ is a dollar
     note = textwrap.fill(study_note(study), int(15 * width))
     if note:
-        figure.supxlabel(note, fontsize=7.5, color="#404040")
+        figure.supxlabel(note, fontsize=7.5, color="#404040", parse_math=False)
 
 
 def panel_grid(figure, count, columns=2):

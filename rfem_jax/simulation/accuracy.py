@@ -20,6 +20,7 @@ from rfem_jax.description.errors import InputError
 from rfem_jax.description.methods import Method
 from rfem_jax.mechanics.model import Model
 from rfem_jax.mechanics.realisation import AssemblyErrors, assembly_errors
+from rfem_jax.mechanics.status import OK
 from rfem_jax.simulation import integration
 from rfem_jax.simulation.generalised_alpha import ACCURACY_OF_TOLERANCE
 from rfem_jax.simulation.stability import largest_stable_step, round_down
@@ -29,6 +30,7 @@ TRIAL_INTERVALS = 50
 FIRST, LAST = 2, 256  # steps an interval
 # A joint that carries less than this share of the largest load is judged by that share.
 SMALL_LOAD = 0.05
+SMALL_MOMENT = 0.01  # the same of forces times lengths
 TRIAL_TILT, TRIAL_SHIFT = 2e-3, 5e-4  # rad; of the longest link
 
 
@@ -38,11 +40,13 @@ def choose_method(
     drive=None,
     duration: float | None = None,
     errors: AssemblyErrors | None = None,
+    save_every: float | None = None,
 ) -> Method:
     """The method itself, or, for "auto", the one that it stands for on this mechanism.
 
     **Arguments:** `duration` [s] of the simulation; `errors`: trial assemblies, one along a first axis of
-    every leaf (None: the perfect one, and one with all joints tilted and shifted).
+    every leaf (None: the perfect one, and one with all joints tilted and shifted); `save_every` [s]: saved times are
+    ends of steps, so no step is longer.
 
     **Raises:** `InputError` if "auto" is given without a duration.
     """
@@ -55,16 +59,20 @@ def choose_method(
         )
     accuracy = DEFAULT_ACCURACY if method.accuracy is None else method.accuracy
     implicit = Method("generalised_alpha", step=duration, tolerance=accuracy / ACCURACY_OF_TOLERANCE)
+    longest = duration if save_every is None else min(duration, save_every)
     step = _longest_step(model, implicit, drive, duration, accuracy, errors)
     if step is not None:
-        return replace(implicit, step=float(round_down(step)))
+        return replace(implicit, step=min(float(round_down(step)), longest))
     trial = Method("rk4", step=1e-6, stabilisation=method.stabilisation)
-    limit = largest_stable_step(model, trial, drive)
-    return replace(trial, step=float(round_down(0.9 * limit)))
+    limit = 0.9 * largest_stable_step(model, trial, drive)
+    # Rigid links have no limit, but what was not accurate enough for the implicit method is none for this one.
+    limit = min(limit, duration / TRIAL_INTERVALS / LAST)
+    return replace(trial, step=min(float(round_down(limit)), longest))
 
 
 def _longest_step(model, method: Method, drive, duration, accuracy, errors) -> float | None:
     errors = _trial_errors(model) if errors is None else errors
+    length = float(np.max(np.asarray(model.length)))
     interval = duration / TRIAL_INTERVALS
     method = replace(method, step=interval)
     grid, _ = integration.grid_for(drive, duration, method, interval)
@@ -72,13 +80,16 @@ def _longest_step(model, method: Method, drive, duration, accuracy, errors) -> f
     def loads(steps):
         # Traced: one program for all steps.
         count = jnp.asarray(steps, jnp.float64)
-        return jax.tree.map(np.asarray, rms_loads(model, errors, drive, grid, method, count))
+        loads, residual, assembled = map(np.asarray, rms_loads(model, errors, drive, grid, method, count))
+        # Errors that rigid links cannot give way to say nothing of a step.
+        used = assembled if assembled.any() else np.ones_like(assembled)
+        return loads[used], residual[used].max()
 
     steps, (before, _) = FIRST, loads(FIRST)
     while steps < LAST:
         steps *= 2
         now, residual = loads(steps)
-        error = 4.0 / 3.0 * estimate_change(before, now)
+        error = 4.0 / 3.0 * estimate_change(before, now, length)
         if error <= accuracy and residual <= accuracy:
             longer = min(np.sqrt(accuracy / max(error, 1e-300)), 2.0)
             return 0.9 * longer * interval / (steps / 2)
@@ -86,11 +97,13 @@ def _longest_step(model, method: Method, drive, duration, accuracy, errors) -> f
     return None
 
 
-def estimate_change(one: np.ndarray, other: np.ndarray) -> float:
-    """Largest change of RMS loads (cases, kinds, joints) relative to the load, or, in a joint that carries
-    little, to a twentieth of the largest of its kind; infinite where one is not finite."""
+def estimate_change(one: np.ndarray, other: np.ndarray, length: float) -> float:
+    """Largest change of RMS forces and moments (cases, 2, joints) relative to the load, or, in a joint that carries
+    little, to a twentieth of the largest of its kind; moments at least to a hundredth of the largest force times
+    `length` [m], since a planar mechanism has none; infinite where one is not finite."""
     largest = np.abs(other).max(axis=(0, 2), keepdims=True)
     scale = np.maximum(np.abs(other), SMALL_LOAD * largest)
+    scale[:, 1] = np.maximum(scale[:, 1], SMALL_MOMENT * length * largest[:, 0])
     change = np.abs(one - other) / np.where(scale > 0.0, scale, 1.0)
     return float(change.max()) if np.isfinite(change).all() else np.inf
 
@@ -106,8 +119,8 @@ def _trial_errors(model: Model) -> AssemblyErrors:
 
 @Program
 def rms_loads(model, errors, drive, grid, method, steps):
-    """RMS loads (cases, 2, joints) and the largest share of a load that was left over; `errors`:
-    `AssemblyErrors` or {name: values (cases,)}."""
+    """RMS loads (cases, 2, joints), the largest share of a load that was left over and whether it was assembled, by
+    case; `errors`: `AssemblyErrors` or {name: values (cases,)}."""
 
     def one(errors):
         if not isinstance(errors, AssemblyErrors):
@@ -121,7 +134,7 @@ def rms_loads(model, errors, drive, grid, method, steps):
         force = jnp.stack(list(metrics.rms_force.values()))
         moment = jnp.stack(list(metrics.rms_moment.values()))
         largest = integration.largest_force(carry)
-        return jnp.stack([force, moment]), carry.residual / jnp.where(largest > 0.0, largest, 1.0)
+        residual = carry.residual / jnp.where(largest > 0.0, largest, 1.0)
+        return jnp.stack([force, moment]), residual, prepared.status == OK
 
-    loads, residual = jax.vmap(one)(errors)
-    return loads, jnp.max(residual)
+    return jax.vmap(one)(errors)

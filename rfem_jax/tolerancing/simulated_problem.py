@@ -49,7 +49,7 @@ class Problem(eqx.Module):
 
     def __init__(self, model, drive, duration, metrics, method, save_every=None):
         self.model, self.drive = model, drive
-        self.method = choose_method(model, method, drive, float(duration))
+        self.method = choose_method(model, method, drive, float(duration), save_every=save_every)
         self.duration, self.save_every = float(duration), save_every
         metrics = (metrics,) if isinstance(metrics, (str, Metric)) else tuple(metrics)
         self.metrics = tuple(_known_metric(model, m) for m in metrics)

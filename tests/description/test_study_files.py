@@ -341,7 +341,7 @@ def test_a_study_in_python_is_checked_too(refused):
             replace(study, **{name: value})
     with refused("`P1`", "twice"):
         replace(study, cases=[Case("P1"), Case("P1")])
-    with refused("`P6`", "did you mean `P"):
+    with refused("`P6`", "known are `P1`, `P2`"):
         study.case("P6")
     with refused("`errors` of case `P1`", "`D.d_y`?"):
         replace(study, cases=[Case("P1", {"DD.d_y": 1e-3})])

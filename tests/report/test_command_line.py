@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 import time
+import tomllib
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 
@@ -16,6 +17,7 @@ from rfem_jax.compilation.stages import listening, on_stage
 from rfem_jax.description import InputError
 from rfem_jax.report import command_line
 from rfem_jax.report.command_line import main
+from rfem_jax.report.process import require_platform
 from rfem_jax.report.progress_line import ProgressLine, show
 
 STATUS = {0: ("ok", "The run is complete."), 3: ("diverged", "The run diverged; reduce the step.")}
@@ -135,7 +137,42 @@ def test_an_interruption_is_130(rooms, study_file, tmp_path, capsys):
     assert main(["run", str(study_file), "--out", str(tmp_path)]) == 130
     error = capsys.readouterr().err
     assert error.splitlines()[-1].startswith("Interrupted")
+    assert "the same command continues it" in error
     assert "Traceback" not in error
+
+
+def test_what_no_folder_or_machine_is_is_refused_first(rooms, study_file, tmp_path, capsys):
+    rooms.mechanics.discretise = None
+    assert main(["run", str(study_file), "--out", ""]) == 2
+    assert "`--out` must name a folder" in one_sentence(capsys)
+    assert main(["run", str(study_file), "--out", str(tmp_path), "--devices", "100000"]) == 2
+    assert "`--devices` must be at most" in one_sentence(capsys)
+    (tmp_path / "file").write_text("", encoding="utf-8")
+    assert main(["run", str(study_file), "--out", str(tmp_path / "file" / "results")]) == 2
+    assert "`--out` must be a folder" in one_sentence(capsys)
+
+
+def test_what_is_wrong_with_the_mechanism_is_said_with_the_file(rooms, study_file, tmp_path, capsys):
+    rooms.mechanics.discretise = refuse
+    for command in (["check", str(study_file)], ["run", str(study_file), "--out", str(tmp_path)]):
+        assert main(command) == 2
+        assert str(study_file) in one_sentence(capsys)
+
+
+def test_a_platform_that_is_not_there_is_one_sentence(monkeypatch):
+    def missing():
+        raise AssertionError
+
+    monkeypatch.setattr("jax.devices", missing)
+    monkeypatch.setenv("JAX_PLATFORMS", "cuda")
+    with pytest.raises(InputError, match="JAX_PLATFORMS must name .* 'cuda'"):
+        require_platform()
+
+
+def test_version(capsys):
+    assert main(["--version"]) == 0
+    stated = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8"))
+    assert capsys.readouterr().out == f"rfem-jax {stated['project']['version']}\n"
 
 
 def test_a_fault_of_the_program_is_not_hidden(rooms, study_file):

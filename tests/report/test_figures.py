@@ -1,5 +1,7 @@
 """Pictures: all are there, none is blank, and they show the numbers they should."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.ndimage import label
@@ -69,6 +71,12 @@ def test_the_note_is_the_caption_of_every_picture(study, runs, statuses):
     object.__setattr__(study, "note", "Substitute data.")
     for name, figure in draw_figures(study, runs, summarise(study, runs, statuses)).items():
         assert "Substitute data." in texts(figure), name
+
+
+def test_a_dollar_in_the_title_is_a_dollar(tmp_path, study, runs, statuses):
+    priced = replace(study, title=r"Costs $5, not $\alpha_{", note="$ and $")
+    written = write_figures(tmp_path, priced, runs, summarise(priced, runs, statuses))
+    assert len(written) == len(list(tmp_path.glob("*.png")))
 
 
 def test_curves_and_their_differences(figures, runs):

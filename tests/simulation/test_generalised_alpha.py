@@ -1,5 +1,6 @@
 """The implicit method: order, agreement with Runge-Kutta, clean reactions, derivatives, failures."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import equinox as eqx
@@ -201,25 +202,41 @@ def test_auto_takes_the_step_from_the_accuracy(monkeypatch):
 
 def test_changes_are_relative_to_the_load_or_to_a_twentieth_of_the_largest():
     one, other = np.array([[[1.0, 100.0]]]), np.array([[[1.5, 101.0]]])
-    np.testing.assert_allclose(estimate_change(one, other), 0.5 / (0.05 * 101.0))
-    assert estimate_change(np.full_like(one, np.nan), other) == np.inf
+    one, other = (np.concatenate([x, x], axis=1) for x in (one, other))
+    np.testing.assert_allclose(estimate_change(one, other, 0.3), 0.5 / (0.05 * 101.0))
+    assert estimate_change(np.full_like(one, np.nan), other, 0.3) == np.inf
+    one[:, 1], other[:, 1] = [1e-14, 2e-14], [2e-14, 1e-14]
+    one[:, 0] = other[:, 0]
+    np.testing.assert_allclose(estimate_change(one, other, 0.3), 1e-14 / (0.01 * 0.3 * 101.0))
 
 
-def test_settings_of_the_method():
-    method = Method("generalised_alpha", step="1 ms")
-    assert (method.spectral_radius, method.corrections) == (SPECTRAL_RADIUS, CORRECTIONS)
-    assert method.tolerance == TOLERANCE
-    for bad, message in (
-        ({"spectral_radius": 1.0}, "`spectral_radius` must be less than 1"),
-        ({"corrections": 0}, "`corrections` must be a whole number"),
-        ({"tolerance": 1.0}, "`tolerance` must be less than 1"),
-        ({"tolerance": 0.0}, "`tolerance` of the method"),
-        ({"stabilisation": 0.1}, "`stabilisation` must be left out"),
-        ({"rtol": 1e-3, "atol": 1e-6}, "`rtol` and `atol` must be left out"),
-    ):
-        with pytest.raises(InputError, match=message):
-            Method("generalised_alpha", step=1e-3, **bad)
-    with pytest.raises(InputError, match="`step` must be given"):
-        Method("generalised_alpha")
-    with pytest.raises(InputError, match="`corrections` must be left out"):
-        Method("rk4", step=1e-5, corrections=2)
+@pytest.mark.parametrize("save_every", [1e-4, 2e-2, None])
+def test_auto_takes_no_step_longer_than_between_saved_times(save_every, monkeypatch):
+    study = load_study(STUDY)
+    model = discretise(study.mechanism)
+    for name, free in (("generalised_alpha", 1e-3), ("rk4", None)):
+        monkeypatch.setattr("rfem_jax.simulation.accuracy._longest_step", lambda *_, step=free: step)
+        chosen = choose_method(model, Method("auto"), study.drive, 0.5, save_every=save_every)
+        longest = 1e-3 if free else 0.9 * 1.94e-5
+        np.testing.assert_allclose(chosen.step, min(longest, save_every or 0.5), rtol=0.02)
+        assert chosen.name == name
+
+
+def test_auto_on_rigid_links_that_errors_keep_from_closing():
+    study = load_study(STUDY)
+    links = [replace(link, rigid=True) for link in study.mechanism.links]
+    rigid = replace(study.mechanism, links=links, redundant_reactions="minimum_norm")
+    model = discretise(rigid)
+    chosen = choose_method(model, Method("auto"), study.drive, 0.5)
+    assert chosen.name == "generalised_alpha" and 1e-4 < chosen.step < 1e-2
+    run = simulate(model, drive=study.drive, duration=0.5, method=chosen)
+    assert STATUS[int(run.status)][0] == "ok"
+
+
+def test_a_rigid_mechanism_has_no_longer_steps_than_were_tried(monkeypatch):
+    study = load_study(STUDY)
+    links = [replace(link, rigid=True) for link in study.mechanism.links]
+    model = discretise(replace(study.mechanism, links=links, redundant_reactions="minimum_norm"))
+    monkeypatch.setattr("rfem_jax.simulation.accuracy._longest_step", lambda *_: None)
+    chosen = choose_method(model, Method("auto"), study.drive, 0.5)
+    assert chosen.name == "rk4" and 0.98 * 0.5 / 50 / 256 < chosen.step <= 0.5 / 50 / 256
