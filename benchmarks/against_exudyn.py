@@ -30,6 +30,7 @@ from exudyn_open_chain import all_errors, compare_open_chain  # noqa: E402
 from exudyn_runs import equilibrium, rms_loads, simulate  # noqa: E402
 from exudyn_speed import fastest  # noqa: E402
 from exudyn_tilted_hinge import compare_tilted_hinge  # noqa: E402
+
 from rfem_jax import assemble, assembly_errors, discretise, run_cases  # noqa: E402
 
 __all__ = ["fastest", "simulate"]
@@ -41,9 +42,7 @@ REFERENCE_FORCE = {
     "P2": (41.46875, 38.74036, 31.62188, 31.33896),
 }
 REFERENCE_MOMENT = {"P2": (9.213726, 7.317616, 1.818548, 7.583982)}
-REFERENCE_PRELOAD = {
-    "P2": ((31.34090, 31.28346, 31.25915, 31.40522), (10.43996, 7.85153, 1.53258, 8.68342))
-}
+REFERENCE_PRELOAD = {"P2": ((31.34090, 31.28346, 31.25915, 31.40522), (10.43996, 7.85153, 1.53258, 8.68342))}
 REFERENCE_MOTION = {  # angle turned and rate at 0.1 s, at 0.5 s
     "P1": (0.6678438, 29.776717, 10.5764467, 33.089962),
     "P2": (0.6482074, 28.753503, 10.4551728, 35.134345),
@@ -120,7 +119,8 @@ def compare_preload(report: Report, cases) -> None:
                     across = float(np.linalg.norm(theirs[joint][kind] * [1.0, 1.0 - kind, 1.0]))
                     report.check(
                         f"Exudyn's preload, {case.name} {joint} {unit}, against the reference",
-                        abs(across / given[i] - 1.0), 2e-6,
+                        abs(across / given[i] - 1.0),
+                        2e-6,
                     )
     heads = ["case", "joint", "preload", *(f"ours {f}" for f in models), "exudyn", "reference"]
     report.table("Preload at the start (reference: without the moment that holds A)", heads, rows)
@@ -132,12 +132,14 @@ def compare_preload(report: Report, cases) -> None:
     report.check(
         f"preload forces with all {len(exact.topology.error_names)} errors at once, ours "
         "geometrically exact against Exudyn, over the largest",
-        max(away) / max(np.linalg.norm(theirs[j][0]) for j in JOINTS), 1e-6,
+        max(away) / max(np.linalg.norm(theirs[j][0]) for j in JOINTS),
+        1e-6,
     )
     for form, away in worst.items():
         report.check(
             f"preload vectors in hinge frames, ours {form} against Exudyn, over the largest",
-            away, LIMITS[form][2],
+            away,
+            LIMITS[form][2],
         )
 
 
@@ -145,10 +147,7 @@ def compare_preload(report: Report, cases) -> None:
 def _models() -> dict:
     """Our model of the main study with each form of elements."""
     study, linear = speed.main_study()
-    return {
-        form: linear if form == "linear" else discretise(study.mechanism, elements=form)
-        for form in FORMS
-    }
+    return {form: linear if form == "linear" else discretise(study.mechanism, elements=form) for form in FORMS}
 
 
 def our_runs(cases, duration: float) -> dict:
@@ -179,7 +178,8 @@ def compare_rms(report: Report, cases, theirs: dict, ours: dict) -> None:
                 if reference is not None:
                     report.check(
                         f"Exudyn's RMS {kind}, {case.name} {joint}, against the reference",
-                        abs(value / reference - 1.0), 2e-6,
+                        abs(value / reference - 1.0),
+                        2e-6,
                     )
     mine = [head for form in ours for head in (f"ours {form}", "difference")]
     heads = ["case", "joint", "load", *mine, "exudyn", "reference", "exudyn - reference"]
@@ -204,12 +204,8 @@ def compare_histories(report: Report, cases, ours: dict) -> None:
                 if largest < speed.SMALLEST_LOAD:
                     row += [None, None]
                     continue
-                away = [
-                    np.linalg.norm(theirs[kind][j] - np.asarray(getattr(r.loads[j], kind)), axis=1)
-                    for j in JOINTS
-                ]
-                row += [_short(np.max(away) / largest),
-                        _short(np.sqrt(np.mean(np.square(away))) / largest)]
+                away = [np.linalg.norm(theirs[kind][j] - np.asarray(getattr(r.loads[j], kind)), axis=1) for j in JOINTS]
+                row += [_short(np.max(away) / largest), _short(np.sqrt(np.mean(np.square(away))) / largest)]
             rows.append(row)
             limit_angle, limit_rate = (3e-4, 1e-2) if form == "linear" else (3e-6, 1.5e-3)
             report.check(f"crank angle (rad), {case.name}, ours {form}", row[2], limit_angle)
@@ -218,8 +214,7 @@ def compare_histories(report: Report, cases, ours: dict) -> None:
     report.table(
         f"Time histories, Exudyn extrapolated from {speed.CONVERGED_STEPS} s: largest differences; "
         "loads of all joints as vectors in hinge frames, over the largest load",
-        ["case", "ours", "angle rad", "rate rad/s", "force, largest", "force, RMS",
-         "moment, largest", "moment, RMS"],
+        ["case", "ours", "angle rad", "rate rad/s", "force, largest", "force, RMS", "moment, largest", "moment, RMS"],
         rows,
     )
 
@@ -274,7 +269,8 @@ def _radii(report: Report) -> None:
         rows.append(row)
     report.table(
         "Largest error of an RMS load against the spectral radius, P5",
-        ["spectral radius", "2 ms", "1 ms", "0.5 ms"], rows,
+        ["spectral radius", "2 ms", "1 ms", "0.5 ms"],
+        rows,
     )
 
 
@@ -284,12 +280,18 @@ def time_it(report: Report, quick: bool) -> None:
     for accuracy in (1e-2, 1e-3) if quick else (1e-2, 1e-3, 1e-4):
         b = speed.best("P5", accuracy)
         s = b.settings
-        rows.append([
-            f"{accuracy:g}", 1e3 * b.step, _short(b.error), round(b.cpu, 4),
-            round(b.seconds, 4), f"{b.spread[0]:.4f} - {b.spread[1]:.4f}",
-            f"{s.nodes}, radius {s.spectral_radius}, Newton {s.relative:g}"
-            + (", a Jacobian a step" if s.new_jacobian else ""),
-        ])
+        rows.append(
+            [
+                f"{accuracy:g}",
+                1e3 * b.step,
+                _short(b.error),
+                round(b.cpu, 4),
+                round(b.seconds, 4),
+                f"{b.spread[0]:.4f} - {b.spread[1]:.4f}",
+                f"{s.nodes}, radius {s.spectral_radius}, Newton {s.relative:g}"
+                + (", a Jacobian a step" if s.new_jacobian else ""),
+            ]
+        )
     report.table(
         f"Exudyn {exu.config.Version()}, P5, 0.5 s of motion, one thread, solver alone: fastest "
         f"found (medians of {speed.TIMED})",
@@ -298,10 +300,14 @@ def time_it(report: Report, quick: bool) -> None:
     )
     base = Settings(relative=1e-5, intrinsic=False, new_jacobian=True)
     changes = {
-        "-": {}, "Lie-group nodes": {"nodes": "rotation_vector"},
-        "Euler parameters": {"nodes": "euler_parameters"}, "dense solver": {"sparse": False},
-        "full Newton": {"modified": False}, "Jacobian when slow": {"new_jacobian": False},
-        "Newton to 1e-8": {"relative": 1e-8}, "symmetric connector": {"intrinsic": True},
+        "-": {},
+        "Lie-group nodes": {"nodes": "rotation_vector"},
+        "Euler parameters": {"nodes": "euler_parameters"},
+        "dense solver": {"sparse": False},
+        "full Newton": {"modified": False},
+        "Jacobian when slow": {"new_jacobian": False},
+        "Newton to 1e-8": {"relative": 1e-8},
+        "symmetric connector": {"intrinsic": True},
     }
     rows = []
     for name, change in changes.items():
@@ -348,10 +354,7 @@ def main() -> int:
     duration = 0.02 if options.quick else study.duration
     ours = our_runs(cases, duration)
     if options.quick:
-        theirs = {
-            case.name: rms_loads(speed.converged_runs(case.name)[1].histories, (0.0, duration))
-            for case in cases
-        }
+        theirs = {case.name: rms_loads(speed.converged_runs(case.name)[1].histories, (0.0, duration)) for case in cases}
         print(f"\n--quick: ours over {duration} s only, so without the reference's values.")
         _quick_rms(report, theirs, ours)
     else:

@@ -11,7 +11,7 @@ import argparse
 import time
 from pathlib import Path
 
-from rfem_jax.compilation.options import take_process  # noqa: E402
+from rfem_jax.compilation.options import take_process
 
 take_process()
 
@@ -21,6 +21,7 @@ jax.config.update("jax_enable_x64", True)
 
 import diffrax  # noqa: E402
 import jax.numpy as jnp  # noqa: E402
+
 from rfem_jax import Method, assembly_errors, discretise, load_study  # noqa: E402
 from rfem_jax.simulation import integration, stepping  # noqa: E402
 
@@ -75,9 +76,7 @@ def loads(method: str, mode: str):
         errors = assembly_errors(model, dict(zip(NAMES, point)))
         prepared = integration.prepare(model, errors, study.drive, None)
         carry = integration.start_carry(model, prepared, study.drive, chosen)
-        carry, _ = integration.advance(
-            model, prepared.realised, study.drive, carry, grid, chosen, steps, None
-        )
+        carry, _ = integration.advance(model, prepared.realised, study.drive, carry, grid, chosen, steps, None)
         metrics = integration.metrics_of(model, carry, duration)
         return jnp.stack([*metrics.mean_square_force.values(), *metrics.mean_square_moment.values()])
 

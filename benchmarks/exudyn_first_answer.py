@@ -18,6 +18,7 @@ jax.config.update("jax_enable_x64", True)
 import numpy as np  # noqa: E402
 from exudyn_models import Settings, linkage  # noqa: E402
 from exudyn_runs import equilibrium, run  # noqa: E402
+
 from rfem_jax import assembly_errors, discretise, load_study  # noqa: E402
 
 STUDIES = Path(__file__).resolve().parents[1] / "studies"

@@ -133,9 +133,7 @@ def linkage(model: Model, errors: AssemblyErrors) -> Linkage:
             at_left = np.array([start + float(realised.lever_left[k]), 0.0, 0.0]) - centre[left]
             at_right = np.array([float(realised.lever_right[k]), 0.0, 0.0]) - centre[n + k]
             rows = stiffness[:, k].reshape(2, 3)[:, TURNED].ravel()
-            elements.append(
-                (left, n + k, at_left[TURNED], at_right[TURNED], rows, float(damping[k]))
-            )
+            elements.append((left, n + k, at_left[TURNED], at_right[TURNED], rows, float(damping[k])))
     inertia = np.moveaxis(np.asarray(realised.inertia), 2, 0)
     return Linkage(
         rotation=np.stack([_turned(r) for r in rotation]),
@@ -236,9 +234,7 @@ def build(
     for j, (name, _, parent, child) in enumerate(link.joints):
         markers = [marker(parent[0], parent[2]), marker(child[0], child[2])]
         number = mbs.AddObject(
-            exut.ObjectJointRevoluteZ(
-                markerNumbers=markers, rotationMarker0=parent[1], rotationMarker1=child[1]
-            )
+            exut.ObjectJointRevoluteZ(markerNumbers=markers, rotationMarker0=parent[1], rotationMarker1=child[1])
         )
         kinds = (
             exu.OutputVariableType.ForceLocal,
@@ -265,16 +261,12 @@ def build(
         if moment is not None:
             loads += _drive_loads(mbs, markers, parent, child, moment)
     mbs.Assemble()
-    return System(
-        mbs, container, bodies, hold, hold_sensor, loads, sensors, rate_sensor, place
-    )
+    return System(mbs, container, bodies, hold, hold_sensor, loads, sensors, rate_sensor, place)
 
 
 def _sensor(mbs, number, kind):
     return mbs.AddSensor(
-        exut.SensorObject(
-            objectNumber=number, outputVariableType=kind, storeInternal=True, writeToFile=False
-        )
+        exut.SensorObject(objectNumber=number, outputVariableType=kind, storeInternal=True, writeToFile=False)
     )
 
 
@@ -295,8 +287,4 @@ def _torque(mbs, marker, axis, moment, turning):
         value = moment(t)
         return (value * x, value * y, value * z)
 
-    return mbs.AddLoad(
-        exut.LoadTorqueVector(
-            markerNumber=marker, bodyFixed=turning, loadVectorUserFunction=torque
-        )
-    )
+    return mbs.AddLoad(exut.LoadTorqueVector(markerNumber=marker, bodyFixed=turning, loadVectorUserFunction=torque))

@@ -10,6 +10,7 @@ with the square of Exudyn's step (ours is Runge-Kutta 4 at 5e-6 s).
 import numpy as np
 from exudyn_models import Settings, linkage
 from exudyn_runs import run
+
 from rfem_jax import (
     Joint,
     Link,
@@ -33,21 +34,16 @@ STEPS = (2e-5, 1e-5)
 def open_chain() -> Mechanism:
     """Three links from the base; the joint in the middle of the first is driven."""
     bar = Rectangle("10 mm", "10 mm")
-    steel = Material(
-        "steel", youngs_modulus="210 GPa", poisson_ratio=0.3, density=7850.0, damping=1e-5
-    )
+    steel = Material("steel", youngs_modulus="210 GPa", poisson_ratio=0.3, density=7850.0, damping=1e-5)
     return Mechanism(
         links=(
             Link("a", 0.3, bar, steel, rfes=5, point_masses=(PointMass(0.2, (0.15, 0.0, 0.01)),)),
             Link("b", 0.2, bar, steel, rfes=4),
-            Link("c", 0.25, bar, steel, rigid=True,
-                 point_masses=(PointMass(0.3, (0.25, 0.02, 0.0)),)),
+            Link("c", 0.25, bar, steel, rigid=True, point_masses=(PointMass(0.3, (0.25, 0.02, 0.0)),)),
         ),
         joints=(
             Joint("P", "base", "a", angle=0.3),
-            Joint(
-                "Q", "a", "b", position=(0.17, 0.0, 0.0), orientation=(0.2, 0.1, 0.3), angle=-0.7
-            ),
+            Joint("Q", "a", "b", position=(0.17, 0.0, 0.0), orientation=(0.2, 0.1, 0.3), angle=-0.7),
             Joint("R", "b", "c", angle=0.5),
         ),
         gravity=(0.0, 0.0, -9.81),
@@ -69,8 +65,13 @@ def compare_open_chain(report) -> None:
     errors = assembly_errors(model, all_errors(model))
     drive = MomentRamp("Q", 0.3, 0.02)
     ours = simulate(
-        model, errors, drive=drive, duration=DURATION, method=Method("rk4", step=5e-6),
-        save_every=SAVE_EVERY, start=static_state(model.start_coordinates()),
+        model,
+        errors,
+        drive=drive,
+        duration=DURATION,
+        method=Method("rk4", step=5e-6),
+        save_every=SAVE_EVERY,
+        start=static_state(model.start_coordinates()),
     )
     link = linkage(model, errors)
     start = ((link.rotation, link.centre), {})
@@ -93,5 +94,6 @@ def compare_open_chain(report) -> None:
         report.check(f"open chain, {name}: ratio away from 4", abs(coarse / fine - 4.0), 0.6)
     report.table(
         "Open chain with all errors: differences of the histories, ours exact - Exudyn",
-        ["value", *(f"step {step:g} s" for step in STEPS), "ratio"], rows,
+        ["value", *(f"step {step:g} s" for step in STEPS), "ratio"],
+        rows,
     )

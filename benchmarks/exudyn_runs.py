@@ -11,6 +11,7 @@ multipliers of the joints.
 Units: SI, rad; times of the solver by the clock and of the CPU (this thread).
 """
 
+import itertools
 import time
 from typing import NamedTuple
 
@@ -18,6 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from exudyn_models import BACK, HINGE, Settings, build, exu, linkage
+
 from rfem_jax.description.drives import MomentDrive
 from rfem_jax.mechanics.model import Model
 from rfem_jax.mechanics.realisation import AssemblyErrors
@@ -57,9 +59,7 @@ def _silent_settings(settings: Settings):
     s = exu.SimulationSettings()
     s.solution.file.write = False
     s.parallel.numberOfThreads = 1
-    s.linearSolver.solverType = (
-        exu.LinearSolverType.EigenSparse if settings.sparse else exu.LinearSolverType.EXUdense
-    )
+    s.linearSolver.solverType = exu.LinearSolverType.EigenSparse if settings.sparse else exu.LinearSolverType.EXUdense
     s.staticSolver.verboseMode = 0
     s.timeIntegration.verboseMode = 0
     return s
@@ -72,10 +72,9 @@ def _force_noise(link) -> float:
 
 def poses_of(system):
     """Rotations (n, 3, 3) and centres (n, 3) of all bodies now."""
+
     def output(what):
-        return np.array(
-            [system.mbs.GetObjectOutputBody(b, what, [0.0, 0.0, 0.0]) for b in system.bodies]
-        )
+        return np.array([system.mbs.GetObjectOutputBody(b, what, [0.0, 0.0, 0.0]) for b in system.bodies])
 
     rotations = output(exu.OutputVariableType.RotationMatrix).reshape(-1, 3, 3)
     return rotations, output(exu.OutputVariableType.Position)
@@ -167,9 +166,7 @@ def simulate(
     return run(link, drive, duration, step, settings, window, start=start, track=track)
 
 
-def run(
-    link, drive, duration, step, settings=Settings(), window=None, *, start, track=None
-) -> Result:
+def run(link, drive, duration, step, settings=Settings(), window=None, *, start, track=None) -> Result:
     """`simulate` from a static start that is known already: (poses, preload)."""
     poses, preload = start
     schedule = _Schedule()
@@ -179,7 +176,10 @@ def run(
         rate = float(drive.turn(jnp.zeros(()), 0)[1])
         velocities = quasi_static_velocities(link, settings, poses, rate)
     system = build(
-        link, settings, poses, velocities,
+        link,
+        settings,
+        poses,
+        velocities,
         angle=None if drive is None or given_moment else schedule,
         moment=schedule if given_moment else None,
         track=track,
@@ -196,7 +196,7 @@ def run(
     jumps = [] if drive is None else [b for b in drive.breakpoints() if b < duration]
     edges = [0.0, *jumps, duration]
     seconds, cpu, parts = 0.0, 0.0, []
-    for phase, (begin, end) in enumerate(zip(edges[:-1], edges[1:])):
+    for phase, (begin, end) in enumerate(itertools.pairwise(edges)):
         steps = max(1, round((end - begin) / step))
         _plan(schedule, system, drive, begin, end, steps, phase)
         t.startTime, t.endTime, t.numberOfSteps = begin, end, steps
@@ -239,6 +239,7 @@ def quasi_static_velocities(link, settings, poses, rate):
 
 def _recorded(link, system):
     """Times and columns of one phase."""
+
     def rows(sensor):
         return np.asarray(system.mbs.GetSensorStoredData(sensor))
 
@@ -262,8 +263,12 @@ def _joined(link, parts) -> Histories:
             turned = np.unwrap(turned)
             angle = turned + 2.0 * np.pi * np.round((link.start_angle - turned[0]) / (2.0 * np.pi))
     return Histories(
-        times, angle, rate,
-        {n: force[n] for n in link.order}, {n: moment[n] for n in link.order}, place,
+        times,
+        angle,
+        rate,
+        {n: force[n] for n in link.order},
+        {n: moment[n] for n in link.order},
+        place,
     )
 
 

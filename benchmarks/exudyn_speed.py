@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from exudyn_models import Settings, exu, linkage
 from exudyn_runs import equilibrium, run
+
 from rfem_jax import assembly_errors, discretise, load_study
 
 STUDY = Path(__file__).parents[1] / "studies" / "four_bar" / "study.toml"
@@ -83,8 +84,7 @@ def converged(case: str) -> dict:
     """RMS loads extrapolated from the two smallest steps."""
     coarse, fine = (result.rms for result in converged_runs(case))
     return {
-        kind: {joint: extrapolated(coarse[kind][joint], fine[kind][joint]) for joint in fine[kind]}
-        for kind in fine
+        kind: {joint: extrapolated(coarse[kind][joint], fine[kind][joint]) for joint in fine[kind]} for kind in fine
     }
 
 
@@ -121,7 +121,10 @@ def variants():
         ("angles", "euler_parameters"), (True, False), (1e-4, 1e-5), (0.6, 0.7)
     ):
         yield Settings(
-            spectral_radius=radius, nodes=nodes, new_jacobian=fresh, relative=relative,
+            spectral_radius=radius,
+            nodes=nodes,
+            new_jacobian=fresh,
+            relative=relative,
             intrinsic=False,
         )
 
@@ -151,7 +154,7 @@ def best(case: str, accuracy: float) -> Best:
     rows = survey(case)
     good = [
         row
-        for row, finer in zip(rows, rows[1:])
+        for row, finer in itertools.pairwise(rows)
         if row[2] <= accuracy and finer[0] == row[0] and finer[2] <= accuracy
     ]
     if not good:

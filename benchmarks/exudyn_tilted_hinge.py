@@ -6,10 +6,10 @@ limits of mesh refinement in the window 0.1 s <= t <= 2.4 s by two independent c
 of a geometrically exact chain of m sdes a bar.
 """
 
-
 import numpy as np
 from exudyn_models import Settings
 from exudyn_runs import simulate
+
 from rfem_jax import (
     STATUS,
     GivenSection,
@@ -25,8 +25,14 @@ from rfem_jax import simulate as simulate_ours
 
 WINDOW = (0.1, 2.4)
 STEP = 2e-3
-LIMIT = {"force A": 332.215, "moment A": 67.982, "moment B": 30.470, "moment C": 49.010,
-         "moment D": 23.294, "u_Y of C at 2 s": 2.660182e-3}
+LIMIT = {
+    "force A": 332.215,
+    "moment A": 67.982,
+    "moment B": 30.470,
+    "moment C": 49.010,
+    "moment D": 23.294,
+    "u_Y of C at 2 s": 2.660182e-3,
+}
 JOINTS, KINDS = "ABCD", ("force", "moment")
 NAMES = (*(f"{kind} {j}" for kind in KINDS for j in JOINTS), "u_Y of C at 2 s")
 CHAIN = {4: (0.0197, 0.0350), 8: (0.0049, 0.0086), 16: (0.0012, 0.0022)}  # force A, moment B
@@ -34,9 +40,7 @@ SAVE_EVERY = 4e-3
 
 
 def _section(axial, shear, torsion, bending, density, rotary):
-    return GivenSection(
-        axial, shear, shear, torsion, bending, bending, density, 2.0 * rotary, rotary, rotary
-    )
+    return GivenSection(axial, shear, shear, torsion, bending, bending, density, 2.0 * rotary, rotary, rotary)
 
 
 def tilted_hinge(m: int) -> Mechanism:
@@ -64,9 +68,7 @@ def by_exudyn(m: int, step: float = STEP, settings: Settings = Settings()):
     """The compared values by Exudyn, and its histories."""
     model = discretise(tilted_hinge(m))
     errors = assembly_errors(model, {"C.pin_tilt_x": "5 deg"})
-    result = simulate(
-        model, errors, PrescribedRate("A", 0.6), WINDOW[1], step, settings, WINDOW, track="C"
-    )
+    result = simulate(model, errors, PrescribedRate("A", 0.6), WINDOW[1], step, settings, WINDOW, track="C")
     h = result.histories
     at = int(np.searchsorted(h.times, 2.0 - 0.1 * step))
     values = {f"{kind} {j}": result.rms[kind][j] for kind in KINDS for j in JOINTS}
@@ -82,7 +84,11 @@ def by_us(m: int, form: str):
     model = discretise(tilted_hinge(m), elements=form)
     errors = assembly_errors(model, {"C.pin_tilt_x": "5 deg"})
     run = simulate_ours(
-        model, errors, drive=PrescribedRate("A", 0.6), duration=WINDOW[1], save_every=SAVE_EVERY,
+        model,
+        errors,
+        drive=PrescribedRate("A", 0.6),
+        duration=WINDOW[1],
+        save_every=SAVE_EVERY,
         method=Method("generalised_alpha", step=STEP),
     )
     window = run.window(*WINDOW)
@@ -107,7 +113,8 @@ def compare_histories(report, histories, run) -> None:
             rows.append([f"{kind} {j}", largest, away])
     report.table(
         "Histories with a tilted hinge, m = 4, geometrically exact: largest distance of ours from Exudyn's",
-        ["value", "largest of its kind (N, N m)", "distance over it"], rows,
+        ["value", "largest of its kind (N, N m)", "distance over it"],
+        rows,
     )
     worst = max(row[2] for row in rows)
     report.check("tilted hinge, m = 4: histories of all joint loads", worst, 1e-4)
@@ -127,7 +134,8 @@ def compare_tilted_hinge(report, quick: bool) -> None:
     ]
     report.table(
         f"Four-bar with a hinge tilted by 5 deg, RMS loads in {WINDOW} s (N, N m, m)",
-        ["value", *columns, "published limit"], rows,
+        ["value", *columns, "published limit"],
+        rows,
     )
     coarse = columns["exudyn m = 4"]
     change = max(abs(half[name] / coarse[name] - 1.0) for name in NAMES)
@@ -141,7 +149,8 @@ def compare_tilted_hinge(report, quick: bool) -> None:
             report.check(
                 f"tilted hinge, Exudyn m = {m}: error of {name} ({100 * away:.2f} %) against that "
                 f"of a geometrically exact chain ({100 * error:.2f} %)",
-                abs(away - error), 1.5e-4,
+                abs(away - error),
+                1.5e-4,
             )
     ours = columns.get("ours geometrically_exact m = 4")
     if ours is not None:

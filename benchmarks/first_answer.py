@@ -85,9 +85,7 @@ def command_of(name: str, folder: Path, work: Path) -> list[str]:
 def environment_of(name: str, folder: Path, home: Path) -> dict[str, str]:
     """The environment with a home of its own and without choices about caches or compilation."""
     ours = {
-        key: value
-        for key, value in os.environ.items()
-        if not key.startswith(("JAX_", "XLA_", "RFEM_", "XDG_", "MPL"))
+        key: value for key, value in os.environ.items() if not key.startswith(("JAX_", "XLA_", "RFEM_", "XDG_", "MPL"))
     }
     ours |= {"HOME": str(home), "XDG_CACHE_HOME": str(home / ".cache"), "PYTHONPATH": str(folder)}
     if name in KEEPS_JAX_CACHE:
@@ -147,6 +145,7 @@ def measure_exudyn(name: str, repeat: int, python: str) -> list[dict]:
 
 def table(rows: list[dict]) -> str:
     """Medians as Markdown: CPU and clock seconds by program, state and version, now over old."""
+
     def median(program, version, state, what):
         found = [r[what] for r in rows if (r["program"], r["version"], r["state"]) == (program, version, state)]
         return statistics.median(found) if found else None
@@ -166,9 +165,7 @@ def table(rows: list[dict]) -> str:
                 pair = [median(program, version, state, what) for version in ("now", "old")]
                 shares.append("-" if None in pair else f"{pair[0] / pair[1]:.2f}")
             cells = [cell(program, version, state) for version in ("old", "now", "Exudyn")]
-            lines.append(
-                f"| {program} | {state} | {cells[0]} | {cells[1]} | {', '.join(shares)} | {cells[2]} |"
-            )
+            lines.append(f"| {program} | {state} | {cells[0]} | {cells[1]} | {', '.join(shares)} | {cells[2]} |")
     return "\n".join(lines)
 
 

@@ -19,14 +19,12 @@ import os
 import time
 from pathlib import Path
 
-os.environ.setdefault(
-    "XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
-)
+os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1")
 
 # SciPy's LAPACK keeps its threads spinning after a call: they would count as ours.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from rfem_jax.compilation.options import take_process  # noqa: E402
+from rfem_jax.compilation.options import take_process
 
 take_process()
 
@@ -36,8 +34,13 @@ jax.config.update("jax_enable_x64", True)
 
 import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
+
 from rfem_jax import (  # noqa: E402
-    Method, Problem, discretise, largest_stable_step, load_study,
+    Method,
+    Problem,
+    discretise,
+    largest_stable_step,
+    load_study,
 )
 from rfem_jax.simulation.generalised_alpha import GeneralisedAlpha  # noqa: E402
 

@@ -13,7 +13,7 @@ import statistics
 import time
 from pathlib import Path
 
-from rfem_jax.compilation.options import take_process  # noqa: E402
+from rfem_jax.compilation.options import take_process
 
 take_process()
 
@@ -22,6 +22,7 @@ import jax  # noqa: E402
 jax.config.update("jax_enable_x64", True)
 
 import jax.numpy as jnp  # noqa: E402
+
 from rfem_jax import assembly_errors, discretise, load_study, simulate  # noqa: E402
 from rfem_jax.mechanics.dynamics import accelerations  # noqa: E402
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation  # noqa: E402
@@ -52,7 +53,11 @@ def measure(study, model, samples: int, duration: float) -> None:
 
     def run(errors):
         return simulate(
-            model, errors, drive=study.drive, duration=duration, method=study.method,
+            model,
+            errors,
+            drive=study.drive,
+            duration=duration,
+            method=study.method,
             save_every=study.save_every,
         ).metrics
 
@@ -84,8 +89,10 @@ def compare_formulations(model) -> None:
         return reference_accelerations(realised, state, DriveInput(), gains)[0]
 
     times = [median_time(jax.jit(f), state, repeats=101) for f in (fast, dense)]
-    print(f"One right-hand side: recursive {1e6 * times[0]:.0f} us, dense {1e6 * times[1]:.0f} us, "
-          f"ratio {times[1] / times[0]:.1f}")
+    print(
+        f"One right-hand side: recursive {1e6 * times[0]:.0f} us, dense {1e6 * times[1]:.0f} us, "
+        f"ratio {times[1] / times[0]:.1f}"
+    )
 
 
 def main() -> None:
@@ -95,11 +102,15 @@ def main() -> None:
     options = parser.parse_args()
     study = load_study(STUDY)
     model, build = timed(lambda: discretise(study.mechanism))
-    print(f"{platform.processor() or platform.machine()}, {jax.devices()[0].device_kind}, "
-          f"JAX {jax.__version__}; {study.method.name}, step {study.method.step:g} s")
+    print(
+        f"{platform.processor() or platform.machine()}, {jax.devices()[0].device_kind}, "
+        f"JAX {jax.__version__}; {study.method.name}, step {study.method.step:g} s"
+    )
     print(f"Building the model: {build:.2f} s")
-    print(f"{'samples':>8}{'lower s':>12}{'compile s':>12}{'first s':>12}{'steady s':>12}"
-          f"{'us a step and sample':>22}{'s a sample of 0.5 s':>22}")
+    print(
+        f"{'samples':>8}{'lower s':>12}{'compile s':>12}{'first s':>12}{'steady s':>12}"
+        f"{'us a step and sample':>22}{'s a sample of 0.5 s':>22}"
+    )
     for samples in options.samples:
         measure(study, model, samples, options.duration)
     compare_formulations(model)

@@ -20,6 +20,7 @@ and if Newton's method left so little over in every step that the run's status i
 """
 
 import argparse
+import itertools
 import json
 import os
 import platform
@@ -27,19 +28,26 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
-import speed_scaling
-from speed_timing import (
-    INTERVAL, STUDY, converged, error_of, run_once, sample_errors, simulation, stepping,
-    timed,
-)
-
 import jax
 import jax.numpy as jnp
 import numpy as np
+import speed_scaling
 from jax.sharding import Mesh, PartitionSpec
+from speed_timing import (
+    INTERVAL,
+    STUDY,
+    converged,
+    error_of,
+    run_once,
+    sample_errors,
+    simulation,
+    stepping,
+    timed,
+)
+
 from rfem_jax import Method, discretise
-from rfem_jax.compilation.scalars import in_scalars, nothing_known
 from rfem_jax.compilation.options import explicit_in_scalars
+from rfem_jax.compilation.scalars import in_scalars, nothing_known
 from rfem_jax.mechanics.dynamics import accelerations
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation
 from rfem_jax.mechanics.loads import static_state
@@ -69,28 +77,21 @@ class Found(NamedTuple):
 def search_settings(model, case: str, reference, options) -> dict[float, Found]:
     """The fastest setting within every accuracy whose runs have the status ok."""
     rows = []
-    print("\nSettings of generalised_alpha, batch of 16: error of the case, of all samples, "
-          "left over, CPU ms a sample")
+    print("\nSettings of generalised_alpha, batch of 16: error of the case, of all samples, left over, CPU ms a sample")
     for tolerance in options.tolerances:
         for radius in options.radii:
-            first = Method(
-                "generalised_alpha", step=INTERVAL, tolerance=tolerance, spectral_radius=radius
-            )
+            first = Method("generalised_alpha", step=INTERVAL, tolerance=tolerance, spectral_radius=radius)
             rows.append(_search_steps(model, case, reference, first))
     best = {}
     for accuracy in ACCURACIES:
         good = [
-            one
-            for found in rows
-            for one, finer in zip(found, found[1:])
-            if max(one.error, finer.error) <= accuracy
+            one for found in rows for one, finer in itertools.pairwise(found) if max(one.error, finer.error) <= accuracy
         ]
         converged_ones = [one for one in good if one.residual < RESIDUAL_LIMIT]
         for label, chosen in (("", good), (", status ok", converged_ones)):
             if chosen:
                 one = min(chosen, key=lambda found: found.seconds)
-                print(f"Fastest within {accuracy:g}{label}: {_label(one.method)}, "
-                      f"{1e3 * one.seconds:.2f} ms")
+                print(f"Fastest within {accuracy:g}{label}: {_label(one.method)}, {1e3 * one.seconds:.2f} ms")
         if converged_ones:
             best[accuracy] = min(converged_ones, key=lambda found: found.seconds)
         else:
@@ -109,8 +110,11 @@ def _search_steps(model, case, reference, first: Method) -> list[Found]:
         seconds = min(run[2] for run in runs) / SEARCHED
         method = replace(first, step=INTERVAL / steps)
         one = Found(method, error_of(result[:1], reference), seconds, float(residual))
-        print(f"  {_label(method):<52}{one.error:>10.1e}{error_of(result, reference):>10.1e}"
-              f"{one.residual:>10.1e}{1e3 * seconds:>9.2f}", flush=True)
+        print(
+            f"  {_label(method):<52}{one.error:>10.1e}{error_of(result, reference):>10.1e}"
+            f"{one.residual:>10.1e}{1e3 * seconds:>9.2f}",
+            flush=True,
+        )
         found.append(one)
         finest = len(found) > 1 and max(found[-2].error, one.error) <= ACCURACIES[-1]
         if finest and found[-2].residual < RESIDUAL_LIMIT:
@@ -127,8 +131,10 @@ def _label(method: Method) -> str:
 
 def measure_table(model, case: str, methods, reference, options) -> list[dict]:
     """Every method at every batch size on every platform."""
-    print(f"\n{case}, one device{'':<33}{'batch':>6}{'lower s':>8}{'compile':>8}{'first':>7}"
-          f"{'steady s':>9}{'CPU ms a sample (least, most)':>31}{'error':>9}{'of all':>9}{'MB':>7}")
+    print(
+        f"\n{case}, one device{'':<33}{'batch':>6}{'lower s':>8}{'compile':>8}{'first':>7}"
+        f"{'steady s':>9}{'CPU ms a sample (least, most)':>31}{'error':>9}{'of all':>9}{'MB':>7}"
+    )
     rows = []
     for name in options.platforms:
         for method in methods:
@@ -149,20 +155,28 @@ def _measure_row(model, case, method: Method, batch: int, reference, name: str) 
     # The processor waits for an accelerator: the clock counts there.
     seconds = (timing.cpu, timing.least, timing.most) if name == "cpu" else (timing.clock,) * 3
     row = {
-        "case": case, "platform": name, "method": _label(method), "batch": batch,
-        "lowering_s": timing.lowering, "compilation_s": timing.compilation, "first_s": timing.first,
-        "steady_s": timing.clock, "ms_a_sample": share * seconds[0],
-        "spread_ms": [share * s for s in seconds[1:]], "memory_mb": timing.memory / 1e6,
+        "case": case,
+        "platform": name,
+        "method": _label(method),
+        "batch": batch,
+        "lowering_s": timing.lowering,
+        "compilation_s": timing.compilation,
+        "first_s": timing.first,
+        "steady_s": timing.clock,
+        "ms_a_sample": share * seconds[0],
+        "spread_ms": [share * s for s in seconds[1:]],
+        "memory_mb": timing.memory / 1e6,
         "error": error_of(timing.result[:1], reference) if whole else None,
         "error_of_all": error_of(timing.result, reference) if whole else None,
     }
-    errors_shown = "".join(
-        f"{row[key]:>9.1e}" if whole else f"{'-':>9}" for key in ("error", "error_of_all")
+    errors_shown = "".join(f"{row[key]:>9.1e}" if whole else f"{'-':>9}" for key in ("error", "error_of_all"))
+    print(
+        f"{name + ' ' + row['method']:<48}{batch:>6}{timing.lowering:>8.1f}"
+        f"{timing.compilation:>8.1f}{timing.first:>7.2f}{timing.clock:>9.3f}"
+        f"{row['ms_a_sample']:>14.2f} ({row['spread_ms'][0]:>6.2f}, {row['spread_ms'][1]:>6.2f})"
+        f"{errors_shown}{row['memory_mb']:>7.2f}",
+        flush=True,
     )
-    print(f"{name + ' ' + row['method']:<48}{batch:>6}{timing.lowering:>8.1f}"
-          f"{timing.compilation:>8.1f}{timing.first:>7.2f}{timing.clock:>9.3f}"
-          f"{row['ms_a_sample']:>14.2f} ({row['spread_ms'][0]:>6.2f}, {row['spread_ms'][1]:>6.2f})"
-          f"{errors_shown}{row['memory_mb']:>7.2f}", flush=True)
     return row
 
 
@@ -183,18 +197,20 @@ def compare_with_peer(case: str, best: dict[float, Found], rows: list[dict]) -> 
         }
         if np.isfinite(found.seconds):
             own.setdefault(SEARCHED, 1e3 * found.seconds)
-        print(f"  within {accuracy:g}: Exudyn {1e3 * peer.cpu:.1f} ms (step "
-              f"{1e3 * peer.step:g} ms, error {peer.error:.1e}); ours, error {found.error:.1e}:")
+        print(
+            f"  within {accuracy:g}: Exudyn {1e3 * peer.cpu:.1f} ms (step "
+            f"{1e3 * peer.step:g} ms, error {peer.error:.1e}); ours, error {found.error:.1e}:"
+        )
         for batch, milliseconds in sorted(own.items()):
-            print(f"    batch {batch:>4}: {milliseconds:7.2f} ms a sample, ratio "
-                  f"{1e3 * peer.cpu / milliseconds:6.2f}", flush=True)
+            print(
+                f"    batch {batch:>4}: {milliseconds:7.2f} ms a sample, ratio {1e3 * peer.cpu / milliseconds:6.2f}",
+                flush=True,
+            )
 
 
 def compare_with_dense(model, case: str, best: dict[float, Found], batch: int) -> None:
     """One right-hand side, recursive and dense, and what 0.5 s of Runge-Kutta 4 cost with them."""
-    mechanisms = jax.vmap(lambda values: realise(model, assembly_errors(model, values)))(
-        sample_errors(case, batch)
-    )
+    mechanisms = jax.vmap(lambda values: realise(model, assembly_errors(model, values)))(sample_errors(case, batch))
     state = static_state(model.start_coordinates())
     states = jax.tree.map(lambda x: jnp.stack([x + 1e-9 * i for i in range(batch)]), state)
     gains = Stabilisation(jnp.asarray(1.0), jnp.asarray(1.0), jnp.asarray(0.3))
@@ -208,8 +224,7 @@ def compare_with_dense(model, case: str, best: dict[float, Found], batch: int) -
     if explicit_in_scalars():
         recursive = in_scalars(recursive, (structural_zeros(model.topology), nothing_known(state)))
     evaluations = 4 * STUDY.duration / EXPLICIT_STEP
-    print(f"\nOne right-hand side in a batch of {batch}, CPU; 0.5 s by Runge-Kutta 4 at "
-          f"{1e6 * EXPLICIT_STEP:g} us")
+    print(f"\nOne right-hand side in a batch of {batch}, CPU; 0.5 s by Runge-Kutta 4 at {1e6 * EXPLICIT_STEP:g} us")
     for label, function in (("recursive", recursive), ("naive dense", dense)):
         timing = timed(_repeated(jax.vmap(function)), mechanisms, states)
         one = timing.cpu / REPETITIONS / batch
@@ -249,7 +264,10 @@ def compare_devices(model, case: str, method: Method, batch: int) -> None:
             return
         mesh, across = Mesh(devices, ("samples",)), PartitionSpec("samples")
         run = jax.shard_map(
-            jax.vmap(simulation(model, method)), mesh=mesh, in_specs=across, out_specs=across,
+            jax.vmap(simulation(model, method)),
+            mesh=mesh,
+            in_specs=across,
+            out_specs=across,
             check_vma=False,
         )
         placed = jax.NamedSharding(mesh, across)
@@ -280,9 +298,10 @@ def parse_options():
     parser.add_argument("--tolerances", type=float, nargs="+")
     parser.add_argument("--radii", type=float, nargs="+")
     parser.add_argument("--explicit", nargs="*", default=["rk4", "leapfrog"])
-    parser.add_argument("--sweeps", nargs="+", default=list(speed_scaling.SWEEP_NAMES),
-                        choices=speed_scaling.SWEEP_NAMES)
-    parser.add_argument("--platforms", nargs="+", default=["cpu"], help='JAX platforms: cpu, gpu')
+    parser.add_argument(
+        "--sweeps", nargs="+", default=list(speed_scaling.SWEEP_NAMES), choices=speed_scaling.SWEEP_NAMES
+    )
+    parser.add_argument("--platforms", nargs="+", default=["cpu"], help="JAX platforms: cpu, gpu")
     parser.add_argument("--out", type=Path, default=Path("benchmark_results"))
     # Read by speed_timing, before JAX starts.
     options = parser.parse_args()
@@ -299,9 +318,11 @@ def main() -> None:
     options = parse_options()
     options.out.mkdir(parents=True, exist_ok=True)
     model, build, _ = run_once(lambda: discretise(STUDY.mechanism))
-    print(f"{platform.processor() or platform.machine()}, {jax.devices()[0].device_kind}, "
-          f"JAX {jax.__version__}, XLA_FLAGS {os.environ['XLA_FLAGS']}\n"
-          f"Building the model: {build:.2f} s")
+    print(
+        f"{platform.processor() or platform.machine()}, {jax.devices()[0].device_kind}, "
+        f"JAX {jax.__version__}, XLA_FLAGS {os.environ['XLA_FLAGS']}\n"
+        f"Building the model: {build:.2f} s"
+    )
     explicit = [Method(name, step=EXPLICIT_STEP) for name in options.explicit]
     rows: list[dict] = []
     for case in options.cases:

@@ -12,13 +12,21 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from speed_timing import STUDY, sample_errors, simulation, timed
-
 import jax
 import jax.numpy as jnp
 import numpy as np
+from speed_timing import STUDY, sample_errors, simulation, timed
+
 from rfem_jax import (
-    Joint, Link, Material, Mechanism, Method, MomentRamp, Problem, Rectangle, discretise,
+    Joint,
+    Link,
+    Material,
+    Mechanism,
+    Method,
+    MomentRamp,
+    Problem,
+    Rectangle,
+    discretise,
 )
 
 METHOD = Method("generalised_alpha", step=2.5e-3, tolerance=1e-3)
@@ -50,17 +58,16 @@ class Sweep(NamedTuple):
 def draw(out: Path, quick: bool, names=SWEEP_NAMES) -> None:
     """The named sweeps, printed and drawn to `out`/scaling.png."""
     all_sweeps = {
-        "rfes": Sweep(
-            "rfes in a link", "ms a sample", over_rfes, (3, 5, 9, 17, 33, 65), (3, 9, 33)
-        ),
+        "rfes": Sweep("rfes in a link", "ms a sample", over_rfes, (3, 5, 9, 17, 33, 65), (3, 9, 33)),
         "links": Sweep("links", "ms a sample", over_links, (1, 2, 3, 4, 6), (1, 2, 3)),
         "batch": Sweep(
-            "samples in the batch", "ms the batch", over_batch,
-            (1, 2, 4, 8, 16, 32, 64, 128), (1, 8, 64),
+            "samples in the batch",
+            "ms the batch",
+            over_batch,
+            (1, 2, 4, 8, 16, 32, 64, 128),
+            (1, 8, 64),
         ),
-        "errors": Sweep(
-            "errors in a gradient", "times one simulation", over_errors, (1, 3, 10, 30), (3, 30)
-        ),
+        "errors": Sweep("errors in a gradient", "times one simulation", over_errors, (1, 3, 10, 30), (3, 30)),
     }
     drawn = []
     for name in names:
@@ -86,9 +93,7 @@ def over_rfes(counts) -> list[Points]:
 
 def row_of_parallelograms(cells: int, rfes: int = 3) -> Mechanism:
     """2 `cells` + 1 links and `cells` loops with one degree of freedom; length 0.3 m each."""
-    steel = Material(
-        "steel", youngs_modulus=210e9, density=7850.0, poisson_ratio=0.3, damping=1e-5
-    )
+    steel = Material("steel", youngs_modulus=210e9, density=7850.0, poisson_ratio=0.3, damping=1e-5)
     bar, leaning = Rectangle(0.01, 0.01), np.radians(-100.0)
     links = [Link("crank", 0.3, bar, steel, rigid=True)]
     joints = [Joint("crank_pivot", "base", "crank", position=(0, 0, 0), angle=leaning)]
@@ -148,8 +153,7 @@ def over_errors(counts) -> list[Points]:
         for mode, function in (("forward", jax.jacfwd(values)), ("reverse", jax.grad(one))):
             curves[mode].append(timed(jax.vmap(function), points, repeats=3))
     return [
-        Points(mode, list(counts), [row.cpu / base.cpu for row in rows],
-               [row.compilation for row in rows])
+        Points(mode, list(counts), [row.cpu / base.cpu for row in rows], [row.compilation for row in rows])
         for mode, rows in curves.items()
     ]
 
@@ -166,9 +170,7 @@ def _picture(drawn, path: Path) -> None:
     from matplotlib import pyplot
     from matplotlib.ticker import LogLocator, NullFormatter
 
-    figure, axes = pyplot.subplots(
-        1, len(drawn), figsize=(4.2 * len(drawn), 3.6), layout="constrained", squeeze=False
-    )
+    figure, axes = pyplot.subplots(1, len(drawn), figsize=(4.2 * len(drawn), 3.6), layout="constrained", squeeze=False)
     for axis, (sweep, curves) in zip(axes.flat, drawn):
         for curve in curves:
             axis.loglog(curve.sizes, curve.values, "o-", label=curve.name)

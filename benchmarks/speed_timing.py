@@ -31,6 +31,7 @@ jax.config.update("jax_num_cpu_devices", 2)
 import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
 from jax import Array  # noqa: E402
+
 from rfem_jax import Method, assembly_errors, load_study, simulate  # noqa: E402
 from rfem_jax.simulation.accuracy import rms_loads  # noqa: E402
 from rfem_jax.simulation.integration import grid_for  # noqa: E402
@@ -71,8 +72,15 @@ def timed(function, *arguments, repeats: int = 5) -> Timing:
     runs = [run_once(compiled, *arguments)[1:] for _ in range(repeats)]
     clocks, cpus = zip(*runs)
     return Timing(
-        lowering, compilation, first, statistics.median(clocks), statistics.median(cpus),
-        min(cpus), max(cpus), compiled.memory_analysis().temp_size_in_bytes, result,
+        lowering,
+        compilation,
+        first,
+        statistics.median(clocks),
+        statistics.median(cpus),
+        min(cpus),
+        max(cpus),
+        compiled.memory_analysis().temp_size_in_bytes,
+        result,
     )
 
 
@@ -89,7 +97,11 @@ def simulation(model, method: Method, drive=STUDY.drive, duration=0.5):
 
     def run(errors) -> Array:
         metrics = simulate(
-            model, assembly_errors(model, errors), drive=drive, duration=duration, method=method,
+            model,
+            assembly_errors(model, errors),
+            drive=drive,
+            duration=duration,
+            method=method,
             save_every=min(INTERVAL, duration),
         ).metrics
         kinds = (metrics.rms_force, metrics.rms_moment)

@@ -29,9 +29,7 @@ _ROOMS = {
         "MomentRamp MomentTable PointMass PrescribedFunction PrescribedRate PrescribedSpinUp "
         "PrescribedTable Rectangle Study Tube load_study"
     ),
-    "mechanics": (
-        "AssemblyErrors Coordinates Model State STATUS assemble assembly_errors describe discretise"
-    ),
+    "mechanics": ("AssemblyErrors Coordinates Model State STATUS assemble assembly_errors describe discretise"),
     "tolerancing": (
         "CorrelatedNormal Exponential FunctionProblem Metric Normal Problem Reciprocal "
         "ReciprocalSquared Tolerances Triangular TruncatedNormal Uniform allocate expand metric "

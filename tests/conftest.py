@@ -10,7 +10,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # Tests replace parts of the package, which the key of a kept program does not see.
 os.environ.setdefault("RFEM_JAX_NO_CACHE", "1")
 
-from rfem_jax.compilation import options  # noqa: E402, I001  first: it gives XLA its options
+from rfem_jax.compilation import options
 
 options.take_process()
 

@@ -69,8 +69,15 @@ def twisted_spatial_loop():
         Joint("A", "base", "one", angle=first),
         Joint("B", "one", "two", orientation=(beta, 0, 0), angle=second),
         Joint("C", "two", "three", orientation=(alpha, 0, 0), angle=-first),
-        Joint("D", "base", "three", position=(-a, 0, 0), orientation=(-alpha, 0, 0),
-              child_orientation=(beta, 0, 0), cut=True),
+        Joint(
+            "D",
+            "base",
+            "three",
+            position=(-a, 0, 0),
+            orientation=(-alpha, 0, 0),
+            child_orientation=(beta, 0, 0),
+            cut=True,
+        ),
     ]
     return Mechanism(links, joints, driven_joint="A")
 

@@ -10,7 +10,14 @@ import pytest
 from jax import lax
 
 from rfem_jax import (
-    Joint, Mechanism, Method, MomentRamp, PrescribedRate, assembly_errors, discretise, simulate,
+    Joint,
+    Mechanism,
+    Method,
+    MomentRamp,
+    PrescribedRate,
+    assembly_errors,
+    discretise,
+    simulate,
 )  # fmt: skip
 from rfem_jax.compilation.scalars import in_scalars
 from rfem_jax.mechanics.inputs import Stabilisation
@@ -103,6 +110,7 @@ def test_what_arrays_give(function):
     many = jnp.stack([X, X + 0.1]), jnp.stack([Y, -Y])
     close(jax.jit(jax.vmap(scalar))(*many), jax.vmap(function)(*many))
     if function not in (loops, by_library):
+
         def total(function):
             return lambda x: sum(jnp.sum(jnp.asarray(part) ** 2) for part in jax.tree.leaves(function(x, Y)))
 
@@ -138,7 +146,6 @@ def test_what_no_gradient_goes_through_stays_so():
         return jnp.sum(x * lax.stop_gradient(x))
 
     np.testing.assert_array_equal(jax.grad(in_scalars(function))(X), X)
-
 
 
 @pytest.fixture(scope="module")

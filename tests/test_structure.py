@@ -55,9 +55,7 @@ def test_no_circles_of_files():
 def test_a_file_and_its_functions_have_different_names():
     for path in FILES:
         names = {
-            node.name
-            for node in ast.parse(path.read_text()).body
-            if isinstance(node, (ast.FunctionDef, ast.ClassDef))
+            node.name for node in ast.parse(path.read_text()).body if isinstance(node, (ast.FunctionDef, ast.ClassDef))
         }
         assert path.stem not in names, path
 

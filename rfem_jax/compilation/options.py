@@ -27,9 +27,9 @@ from typing import NamedTuple
 # would double the time of compilation.
 OPTIONS = ("xla_cpu_small_while_loop_byte_threshold=1000000000000000", "xla_cpu_disable_loop_unrolling=true")
 FUSION = "xla_cpu_use_multi_output_fusion=true"
-# LLVM turns every loop over axes round, to vectorise it, and looks through the whole kernel each time: half of the time of
-# compilation, for a tenth of the time of a step.  For this package's kept programs only, and where loops go over three
-# rows and a few rfes: programs of scalars have loops over samples (`note_scalars`).
+# LLVM rotates every loop over axes, to vectorise it, and looks through the whole kernel each time: half of the time
+# of compilation, for a tenth of the time of a step.  For this package's kept programs only, and where loops go over
+# three rows and a few rfes: scalarised programs have loops over samples (`note_scalars`).
 UNTURNED = "-rotation-max-header-size=0"
 # Products of small matrices by a library are calls again, which end the kernel.
 WITHOUT_FUSION = f"--xla_cpu_experimental_ynn_fusion_type= --xla_backend_extra_options={','.join(OPTIONS)}"
@@ -164,7 +164,7 @@ def note_scalars() -> None:
 
 def fusion_holds() -> bool:
     """Whether fusions with several results are made in what this thread compiles now."""
-    return settle().set and (_attempt.fusion or getattr(_own, "program", None) is not None and own_options_hold())
+    return settle().set and (_attempt.fusion or (getattr(_own, "program", None) is not None and own_options_hold()))
 
 
 def explicit_in_scalars() -> bool:

@@ -25,13 +25,13 @@ UNROLLED = 64  # iterations of a scan over rows
 
 # One result from one entry of each operand.
 ELEMENTWISE = frozenset(
-    "sin cos tan asin acos atan atan2 exp exp2 log log1p expm1 sqrt rsqrt cbrt tanh sinh cosh abs max min sign "
-    "floor ceil round is_finite pow rem clamp lt le gt ge eq ne and or not xor nextafter convert_element_type "
-    "name optimization_barrier".split()
+    (
+        "sin cos tan asin acos atan atan2 exp exp2 log log1p expm1 sqrt rsqrt cbrt tanh sinh cosh abs max min "
+        "sign floor ceil round is_finite pow rem clamp lt le gt ge eq ne and or not xor nextafter "
+        "convert_element_type name optimization_barrier"
+    ).split()
 )
-CALLS = frozenset(
-    "jit pjit closed_call checkpoint remat remat2 custom_jvp_call custom_vjp_call".split()
-)
+CALLS = frozenset(["jit", "pjit", "closed_call", "checkpoint", "remat", "remat2", "custom_jvp_call", "custom_vjp_call"])
 # Primitives that move entries, and how many of their operands hold entries; the others are places.
 MOVING = {"gather": 1, "dynamic_slice": 1, "dynamic_update_slice": 2, "pad": 2, "split": 1, "scatter": 2}
 
@@ -290,15 +290,14 @@ def _dot(equation, a, b):
     a = a.transpose([*a_batch, *a_own, *a_summed]).reshape(batch, rows, terms)
     b = b.transpose([*b_batch, *b_own, *b_summed]).reshape(batch, columns, terms)
     sums = (
-        functools.reduce(_add, map(_multiply, a[i, j], b[i, k]), 0.0)
-        for i, j, k in np.ndindex(batch, rows, columns)
+        functools.reduce(_add, map(_multiply, a[i, j], b[i, k]), 0.0) for i, j, k in np.ndindex(batch, rows, columns)
     )
     return [_of_shape(sums, shape)]
 
 
 def _divided(equation, a, b):
     def quotient(a, b):
-        if _known(b) and b == 1 or _known(a) and a == 0 and not _known(b):
+        if (_known(b) and b == 1) or (_known(a) and a == 0 and not _known(b)):
             return a
         return _bound(equation, a, b)
 

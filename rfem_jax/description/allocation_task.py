@@ -101,10 +101,7 @@ class AllocationTask:
         if self.samples is not None:
             whole_number(self.samples, "samples", 1)
         if not isinstance(self.scales, (list, tuple)):
-            raise InputError(
-                f"Argument `scales` must be a list of factors, but was {self.scales!r}; "
-                "write [0.5, 2.0]."
-            )
+            raise InputError(f"Argument `scales` must be a list of factors, but was {self.scales!r}; write [0.5, 2.0].")
         set_fields(
             self,
             limits=limits_of(self.limits, needed=True),
@@ -118,8 +115,7 @@ class AllocationTask:
         missing = [name for name in self.bounds if name not in self.costs]
         if missing:
             raise InputError(
-                f"Argument `costs` must have a cost for every error with bounds, but "
-                f"`{missing[0]}` has none; add it."
+                f"Argument `costs` must have a cost for every error with bounds, but `{missing[0]}` has none; add it."
             )
 
     def _require_own_settings(self):

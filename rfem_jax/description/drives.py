@@ -372,8 +372,7 @@ def _as_tree(function):
     """A function as a pytree: an equinox Module keeps its leaves, a plain function is static."""
     if not callable(function):
         raise InputError(
-            f"Argument `function` must be a function of time, but was {function!r}; "
-            "pass for example lambda t: 0.6 * t."
+            f"Argument `function` must be a function of time, but was {function!r}; pass for example lambda t: 0.6 * t."
         )
     return function if isinstance(function, (eqx.Module, Partial)) else Partial(function)
 
@@ -390,6 +389,5 @@ def _check_scalar(function, with_phase: bool) -> None:
         ) from error
     if getattr(result, "shape", None) != () or result.dtype != jnp.float64:
         raise InputError(
-            f"Argument `function` must return a float64 scalar, but returned {result}; "
-            "return one jax.numpy value."
+            f"Argument `function` must return a float64 scalar, but returned {result}; return one jax.numpy value."
         )

@@ -8,7 +8,6 @@ Every refusal is one sentence of the form "Argument `x` must ..., but ...", and 
 from contextlib import contextmanager
 from difflib import get_close_matches
 
-
 # By difflib, "legnth" is like "length" by 0.83, "rk5" like "rk4" by 0.67, but so is "other" like "note".
 LIKENESS, LIKENESS_OF_SAME_LETTER = 0.7, 0.65
 
@@ -58,13 +57,11 @@ def require_name(name, where: str, reserved=()) -> str:
     plain = name.replace("_", "").replace("-", "")
     if not (plain.isascii() and plain.isalnum()):
         raise InputError(
-            f"{subject(where)} must consist of letters, digits, \"_\" and \"-\", but was {name!r}; "
-            "choose a plain word such as \"crank\"."
+            f'{subject(where)} must consist of letters, digits, "_" and "-", but was {name!r}; '
+            'choose a plain word such as "crank".'
         )
     if name in reserved:
-        raise InputError(
-            f"{subject(where)} must not be a reserved word, but was `{name}`; choose another name."
-        )
+        raise InputError(f"{subject(where)} must not be a reserved word, but was `{name}`; choose another name.")
     return name
 
 
@@ -72,19 +69,14 @@ def require_choice(value, choices, where: str) -> str:
     """Return `value` if it is one of the strings `choices`; else raise InputError."""
     if not (isinstance(value, str) and value in choices):
         listed = ", ".join(f'"{choice}"' for choice in choices)
-        raise InputError(
-            f"{subject(where)} must be one of {listed}, but was {value!r}; "
-            f"{suggestion(value, choices)}"
-        )
+        raise InputError(f"{subject(where)} must be one of {listed}, but was {value!r}; {suggestion(value, choices)}")
     return value
 
 
 def require_flag(value, where: str) -> bool:
     """Return `value` if it is True or False; else raise InputError."""
     if not isinstance(value, bool):
-        raise InputError(
-            f"{subject(where)} must be true or false, but was {value!r}; write it without quotes."
-        )
+        raise InputError(f"{subject(where)} must be true or false, but was {value!r}; write it without quotes.")
     return value
 
 

@@ -123,9 +123,7 @@ class Link:
 
     def _checked_point_masses(self, of: str) -> tuple[PointMass, ...]:
         given = self.point_masses
-        if not isinstance(given, (tuple, list)) or any(
-            not isinstance(entry, PointMass) for entry in given
-        ):
+        if not isinstance(given, (tuple, list)) or any(not isinstance(entry, PointMass) for entry in given):
             raise InputError(
                 f"Argument `point_masses` {of} must be a list of PointMass, but was {given!r}; "
                 "write for example [PointMass(0.05, 0.12)]."

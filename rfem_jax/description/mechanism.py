@@ -198,10 +198,7 @@ def _unique(entries, kind, where: str) -> tuple:
     seen = set()
     for entry in entries:
         if entry.name in seen:
-            raise InputError(
-                f"Argument `{where}` must have unique names, but `{entry.name}` occurs twice; "
-                "rename one."
-            )
+            raise InputError(f"Argument `{where}` must have unique names, but `{entry.name}` occurs twice; rename one.")
         seen.add(entry.name)
     return tuple(entries)
 

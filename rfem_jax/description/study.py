@@ -50,8 +50,7 @@ class Case:
         with located(f"Case `{self.name}`"):
             dimensions = {name: error_dimension(name) for name in self.errors}
         values = {
-            name: quantity(self.errors[name], dimension, f"`{name}` {of}")
-            for name, dimension in dimensions.items()
+            name: quantity(self.errors[name], dimension, f"`{name}` {of}") for name, dimension in dimensions.items()
         }
         object.__setattr__(self, "errors", values)
 
@@ -106,8 +105,7 @@ class Study:
                 return case
         known = [case.name for case in self.cases]
         raise InputError(
-            f"Argument `name` must be a case of the study, but `{name}` is none; "
-            f"{suggestion(name, known)}"
+            f"Argument `name` must be a case of the study, but `{name}` is none; {suggestion(name, known)}"
         )
 
     def _check_kinds(self) -> None:
@@ -118,23 +116,18 @@ class Study:
             if not isinstance(getattr(self, name), kind):
                 wanted = {"title": "string", "drive": "drive or None"}.get(name, name.title())
                 raise InputError(
-                    f"Argument `{name}` of a study must be a {wanted}, but was "
-                    f"{getattr(self, name)!r}; pass one."
+                    f"Argument `{name}` of a study must be a {wanted}, but was {getattr(self, name)!r}; pass one."
                 )
-        if not isinstance(self.cases, (list, tuple)) or any(
-            not isinstance(case, Case) for case in self.cases
-        ):
+        if not isinstance(self.cases, (list, tuple)) or any(not isinstance(case, Case) for case in self.cases):
             raise InputError(
-                f"Argument `cases` must be a list of Case objects, but was {self.cases!r}; "
-                'write [Case("P1"), ...].'
+                f'Argument `cases` must be a list of Case objects, but was {self.cases!r}; write [Case("P1"), ...].'
             )
 
     def _check_times(self) -> None:
         step, saving = self.method.step, self.save_every
         if step is not None and step > self.duration * _ROUNDING:
             raise InputError(
-                f"Argument `step` must not exceed the duration ({self.duration} s), but was {step} "
-                "s; reduce it."
+                f"Argument `step` must not exceed the duration ({self.duration} s), but was {step} s; reduce it."
             )
         if saving is not None and saving > self.duration * _ROUNDING:
             raise InputError(
@@ -167,8 +160,7 @@ class Study:
             reason = "is a cut joint" if cut else "is none"
             fix = "cut another joint of the loop." if cut else suggestion(self.drive.joint, tree)
             raise InputError(
-                "Argument `joint` of the drive must be a joint of the tree, but "
-                f"`{self.drive.joint}` {reason}; {fix}"
+                f"Argument `joint` of the drive must be a joint of the tree, but `{self.drive.joint}` {reason}; {fix}"
             )
         # The model holds the driven joint at assembly, so it has to know which one that is.
         driven = replace(self.mechanism, driven_joint=self.drive.joint)
@@ -238,7 +230,7 @@ def _require_file_name(name) -> None:
     )
     if not allowed or not name or not name[0].isalnum() or name[-1] == ".":
         raise InputError(
-            "Argument `name` of a case must consist of letters, digits, \"_\", \"-\" and \".\" and "
+            'Argument `name` of a case must consist of letters, digits, "_", "-" and "." and '
             f"start with a letter or a digit, but was {name!r}; it is used as a file name."
         )
     if len(name) > LONGEST_NAME:

@@ -128,9 +128,7 @@ def _read_link(table, place: str, materials, sections) -> Link:
     settings = dict(checked_table(table, place, *_keys(Link)))
     settings["section"] = sections[_choice(settings["section"], sections, "section", place)]
     if "material" in settings:
-        settings["material"] = materials[
-            _choice(settings["material"], materials, "material", place)
-        ]
+        settings["material"] = materials[_choice(settings["material"], materials, "material", place)]
     if settings.get("rigid") is True and settings.get("rfes", 1) != 1:
         raise InputError(
             f"{place}: Argument `rfes` must be left out where rigid = true, but was "

@@ -20,8 +20,7 @@ def read_toml(path: Path) -> dict:
         text = path.read_text(encoding="utf-8-sig")  # some editors begin with a mark
     except FileNotFoundError:
         raise InputError(
-            f"Argument `path` must be a study file, but there is no file `{path}`; "
-            "correct the path."
+            f"Argument `path` must be a study file, but there is no file `{path}`; correct the path."
         ) from None
     except OSError as error:
         raise InputError(
@@ -30,8 +29,7 @@ def read_toml(path: Path) -> dict:
         ) from None
     except UnicodeDecodeError as error:
         raise InputError(
-            f"Study file `{path}` must be UTF-8 text, but byte {error.start} is not; "
-            "save it again as UTF-8."
+            f"Study file `{path}` must be UTF-8 text, but byte {error.start} is not; save it again as UTF-8."
         ) from None
     try:
         return tomllib.loads(text)
@@ -60,14 +58,11 @@ def checked_table(data, place: str, required=(), optional=()) -> dict:
     for key in data:
         if key not in (*required, *optional):
             raise InputError(
-                f"{place} must have known keys only, but has `{key}`; "
-                f"{suggestion(key, (*required, *optional))}"
+                f"{place} must have known keys only, but has `{key}`; {suggestion(key, (*required, *optional))}"
             )
     for key in required:
         if key not in data:
-            raise InputError(
-                f"{place} must have the key `{key}`, but it is missing; add `{key}` there."
-            )
+            raise InputError(f"{place} must have the key `{key}`, but it is missing; add `{key}` there.")
     return data
 
 
@@ -75,8 +70,7 @@ def checked_list(data, place: str) -> list:
     """Return `data` if it is a list of tables; `place` is its header, such as "[[cases]]"."""
     if not isinstance(data, list) or any(not isinstance(entry, dict) for entry in data):
         raise InputError(
-            f"{place} must be a list of tables, but was {data!r}; start each with {place} "
-            "in double brackets."
+            f"{place} must be a list of tables, but was {data!r}; start each with {place} in double brackets."
         )
     return data
 

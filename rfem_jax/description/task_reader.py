@@ -52,9 +52,7 @@ def read_tasks(content: dict) -> Tasks:
 def _keys(kind, omit=()):
     """Names of the required and of the optional arguments of a dataclass."""
     named = [one for one in fields(kind) if one.name not in omit]
-    needed = [
-        one.name for one in named if one.default is MISSING and one.default_factory is MISSING
-    ]
+    needed = [one.name for one in named if one.default is MISSING and one.default_factory is MISSING]
     return needed, [one.name for one in named if one.name not in needed]
 
 

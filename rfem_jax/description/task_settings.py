@@ -36,8 +36,7 @@ def metric_names(names) -> tuple[str, ...]:
             continue
         known = [f"{joint or '*'}.{kind}" for kind in KINDS] + list(RUN_METRICS)
         raise InputError(
-            f"Argument `metrics` must hold names of metrics, but {name!r} is none; "
-            f"{suggestion(name, known)}"
+            f"Argument `metrics` must hold names of metrics, but {name!r} is none; {suggestion(name, known)}"
         )
     return tuple(dict.fromkeys(names))
 
@@ -82,8 +81,7 @@ def starts_of(starts) -> dict[str, int]:
         whole_number(count, f"starts.{name}", 0)
     if not any(starts.values()):
         raise InputError(
-            "Argument `starts` must ask for at least one search, but asks for none; "
-            "write { corners = 4 }."
+            "Argument `starts` must ask for at least one search, but asks for none; write { corners = 4 }."
         )
     return {name: starts.get(name, 0) for name in STARTS}
 
@@ -92,8 +90,7 @@ def whole_number(value, where: str, least: int, most: int = MOST) -> int:
     """`value` if it is a whole number from `least` to `most`. Raises InputError."""
     if isinstance(value, bool) or not isinstance(value, int) or value < least:
         raise InputError(
-            f"Argument `{where}` must be a whole number of at least {least}, but was {value!r}; "
-            "correct it."
+            f"Argument `{where}` must be a whole number of at least {least}, but was {value!r}; correct it."
         )
     if value > most:
         raise InputError(
@@ -107,9 +104,7 @@ def fraction(value, where: str) -> float:
     """A number between 0 and 1. Raises InputError."""
     number = quantity(value, "none", where)
     if not 0.0 < number < 1.0:
-        raise InputError(
-            f"Argument `{where}` must lie between 0 and 1, but was {value!r}; 0.95 is usual."
-        )
+        raise InputError(f"Argument `{where}` must lie between 0 and 1, but was {value!r}; 0.95 is usual.")
     return number
 
 

@@ -28,7 +28,6 @@ from rfem_jax.description.task_settings import (
 from rfem_jax.description.tolerances import StatedTolerances, error_quantities
 
 
-
 @dataclass(frozen=True)
 class SensitivityTask:
     """Derivatives of metrics by the errors that have tolerances.
@@ -52,9 +51,7 @@ class SensitivityTask:
         whole_number(self.batch, "batch", 1, MOST_AT_ONCE)
         require_flag(self.half_step, "half_step")
         if self.order not in (1, 2) or isinstance(self.order, bool):
-            raise InputError(
-                f"Argument `order` must be 1 or 2, but was {self.order!r}; 2 gives the Hessian too."
-            )
+            raise InputError(f"Argument `order` must be 1 or 2, but was {self.order!r}; 2 gives the Hessian too.")
 
 
 @dataclass(frozen=True)

@@ -40,8 +40,7 @@ class StatedTolerance:
         if (self.half_width is None) == (self.interval is None):
             found = "neither is" if self.interval is None else "both are"
             raise InputError(
-                f"Argument `half_width` {where} must be given or else `interval`, but {found}; "
-                "keep one of them."
+                f"Argument `half_width` {where} must be given or else `interval`, but {found}; keep one of them."
             )
         if self.deviations is not None and self.distribution not in NORMAL:
             raise InputError(
@@ -152,10 +151,7 @@ def error_quantities(values, where: str) -> dict[str, float]:
         )
     with located(f"`{where}`"):
         dimensions = {name: error_dimension(name) for name in values}
-    return {
-        name: quantity(values[name], dimension, f"`{name}` of `{where}`")
-        for name, dimension in dimensions.items()
-    }
+    return {name: quantity(values[name], dimension, f"`{name}` of `{where}`") for name, dimension in dimensions.items()}
 
 
 def _correlation(correlation, d, where):

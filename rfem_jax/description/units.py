@@ -113,9 +113,7 @@ def positive_quantity(value, dimension: str, where: str) -> float:
     """Like `quantity`, and greater than zero."""
     number = quantity(value, dimension, where)
     if number <= 0.0:
-        raise InputError(
-            f"{subject(where)} must be greater than 0, but was {value}; give a positive value."
-        )
+        raise InputError(f"{subject(where)} must be greater than 0, but was {value}; give a positive value.")
     smallest = RANGES.get(dimension, (SMALLEST, LARGEST))[0]
     if number < smallest:
         raise InputError(
@@ -129,9 +127,7 @@ def non_negative_quantity(value, dimension: str, where: str) -> float:
     """Like `quantity`, and not less than zero."""
     number = quantity(value, dimension, where)
     if number < 0.0:
-        raise InputError(
-            f"{subject(where)} must not be negative, but was {value}; give 0 or a positive value."
-        )
+        raise InputError(f"{subject(where)} must not be negative, but was {value}; give 0 or a positive value.")
     return number
 
 
@@ -140,8 +136,7 @@ def vector(value, dimension: str, where: str) -> tuple[float, float, float]:
     numbers_ = sequence(value, dimension, where)
     if len(numbers_) != 3:
         raise InputError(
-            f"{subject(where)} must have three components (x, y, z), but has {len(numbers_)}; "
-            "write it as [x, y, z]."
+            f"{subject(where)} must have three components (x, y, z), but has {len(numbers_)}; write it as [x, y, z]."
         )
     return numbers_
 
@@ -149,15 +144,9 @@ def vector(value, dimension: str, where: str) -> tuple[float, float, float]:
 def sequence(value, dimension: str, where: str) -> tuple[float, ...]:
     """Return a list of quantities of one dimension as a tuple of floats in SI units."""
     if not isinstance(value, (list, tuple)) and not getattr(value, "ndim", 0):
-        raise InputError(
-            f"{subject(where)} must be a list of numbers, but was {value!r}; "
-            "write it in square brackets."
-        )
+        raise InputError(f"{subject(where)} must be a list of numbers, but was {value!r}; write it in square brackets.")
     name = where if "`" in where else f"`{where}`"
-    return tuple(
-        quantity(entry, dimension, f"{name} (entry {index})")
-        for index, entry in enumerate(value, start=1)
-    )
+    return tuple(quantity(entry, dimension, f"{name} (entry {index})") for index, entry in enumerate(value, start=1))
 
 
 def short(value) -> str:
@@ -171,7 +160,7 @@ def _is_number(value) -> bool:
         return False
     if isinstance(value, numbers.Real):
         return True
-    return getattr(value, "shape", None) == () and getattr(value, "dtype", None) != bool
+    return getattr(value, "shape", None) == () and getattr(value, "dtype", None) != np.dtype(bool)
 
 
 def _as_float(value, where: str) -> float:

@@ -127,14 +127,8 @@ def _carrier_acceleration(topology, now: Motion, links, node: int, accelerations
     k, l = node - topology.n_links, topology.link_of(node)
     rotation, origin = now.links.rotation[:, :, l], now.links.point[:, l]
     relative = jax.tree.map(lambda x: x[..., k], now.relative)
-    turn = (
-        apply(relative.rate_matrix, accelerations.elastic[3:, k]) + relative.rate_bias
-    )
-    moved = (
-        accelerations.elastic[:3, k]
-        - cross(turn, relative.position)
-        - cross(relative.angular, relative.linear)
-    )
+    turn = apply(relative.rate_matrix, accelerations.elastic[3:, k]) + relative.rate_bias
+    moved = accelerations.elastic[:3, k] - cross(turn, relative.position) - cross(relative.angular, relative.linear)
     turn = apply(rotation, turn)
     rate = algebra.spatial(turn, apply(rotation, moved) + cross(origin, turn))
     own = now.carriers.velocity[:, topology.carriers.index(k)] - now.links.velocity[:, l]

@@ -13,9 +13,7 @@ from rfem_jax.mechanics.model import Coordinates, Model
 from rfem_jax.mechanics.realisation import Realisation
 
 
-def link_lines(
-    model: Model, realised: Realisation, position: Coordinates
-) -> dict[str, Array]:
+def link_lines(model: Model, realised: Realisation, position: Coordinates) -> dict[str, Array]:
     """Points (P, 3) [m] in global axes along every link: its origin, the middles of its rfes, its
     end."""
     topology = realised.topology

@@ -58,9 +58,7 @@ def local_carriers(topology: Topology, link: int) -> tuple[int, ...]:
     return tuple(k - first for k in topology.carriers if first <= k < last)
 
 
-def link_operators(
-    realised: Realisation, q_factor: Array, v_factor: Array
-) -> tuple[LinkOperator | None, ...]:
+def link_operators(realised: Realisation, q_factor: Array, v_factor: Array) -> tuple[LinkOperator | None, ...]:
     """Operators of all links (None for rigid ones), undeformed, for steps in which coordinates move by
     q_factor [s^2] and rates by v_factor [s] times their accelerations."""
     realised = jax.lax.stop_gradient(realised)

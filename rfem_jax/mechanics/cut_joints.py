@@ -63,12 +63,8 @@ def closure(realised: Realisation, now: Motion, scale: Array) -> Closure | None:
         n = topology.n_links
         nodes = topology.parents[n:] + topology.children[n:]
         frames = node_frames(topology, now, nodes)
-        turn = jnp.concatenate(
-            [realised.seat_rotation[:, :, n:], realised.bore_rotation[:, :, n:]], axis=2
-        )
-        shift = jnp.concatenate(
-            [realised.seat_position[:, n:], realised.bore_position[:, n:]], axis=1
-        )
+        turn = jnp.concatenate([realised.seat_rotation[:, :, n:], realised.bore_rotation[:, :, n:]], axis=2)
+        shift = jnp.concatenate([realised.seat_position[:, n:], realised.bore_position[:, n:]], axis=1)
         rotation = product(frames.rotation, turn)
         centre = frames.point + apply(frames.rotation, shift)
         spin = frames.velocity[:3]
@@ -80,16 +76,11 @@ def closure(realised: Realisation, now: Motion, scale: Array) -> Closure | None:
         y, y_rate, y_bias = rotation[:, 1, :c], axis_rate[:, 1, :c], axis_bias[:, 1, :c]
         # Columns x and z of P, of their rates and of their biases.
         ends, end_rates, end_biases = (
-            jnp.stack([part[:, 0, c:], part[:, 2, c:]], axis=1)
-            for part in (rotation, axis_rate, axis_bias)
+            jnp.stack([part[:, 0, c:], part[:, 2, c:]], axis=1) for part in (rotation, axis_rate, axis_bias)
         )
         bend = dot(y[:, None], ends)
         bend_rate = dot(y_rate[:, None], ends) + dot(y[:, None], end_rates)
-        bend_bias = (
-            dot(y_bias[:, None], ends)
-            + 2.0 * dot(y_rate[:, None], end_rates)
-            + dot(y[:, None], end_biases)
-        )
+        bend_bias = dot(y_bias[:, None], ends) + 2.0 * dot(y_rate[:, None], end_rates) + dot(y[:, None], end_biases)
         x = apply_transposed(rotation[:, :, :c], rotation[:, 0, c:])
         return Closure(
             residual=jnp.concatenate([centre[:, c:] - centre[:, :c], scale * bend]),

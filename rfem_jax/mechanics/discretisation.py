@@ -53,10 +53,7 @@ def discretise(mechanism, rfes: int | None = None, elements: str | None = None) 
         raise InputError(f"Argument `rfes` must be a whole number of at least 2, but is {rfes}.")
     elements = mechanism.elements if elements is None else elements
     require_choice(elements, ELEMENTS, "elements")
-    counts = {
-        link.name: link.elements if rfes is None or link.elements == 1 else int(rfes)
-        for link in mechanism.links
-    }
+    counts = {link.name: link.elements if rfes is None or link.elements == 1 else int(rfes) for link in mechanism.links}
     model = _close(build_model(mechanism, counts, elements == "geometrically_exact"))
     structure = describe(model)
     if structure.redundant and not model.topology.minimum_norm:
@@ -143,6 +140,4 @@ def _close(model: Model) -> Model:
             f"Argument `mechanism` must close with both hinge axes of joint {worst!r} alike, but "
             "they point in opposite directions; turn the frame of its child by 180 deg."
         )
-    return eqx.tree_at(
-        lambda m: (m.start_angles, m.cut_angles), model, (jnp.asarray(angles), jnp.asarray(turned))
-    )
+    return eqx.tree_at(lambda m: (m.start_angles, m.cut_angles), model, (jnp.asarray(angles), jnp.asarray(turned)))

@@ -93,9 +93,7 @@ def accelerations(
     angular, linear = _loaded(topology, now, root, angular, linear)
     spatial = jnp.stack([root[l] for l in range(topology.n_links)], axis=1)
     root_angular, root_linear = _classical(topology, now, skeleton, spatial)
-    elastic = _relative_accelerations(
-        topology, now, inverse_rate, spin, root_angular, root_linear, angular, linear
-    )
+    elastic = _relative_accelerations(topology, now, inverse_rate, spin, root_angular, root_linear, angular, linear)
     by_cut = (topology.n_cuts, 5) + multipliers.shape[1:]
     return Accelerations(
         coordinates=Coordinates(jnp.stack([_combine(h[None], weights)[0] for h in hinges]), elastic),
@@ -162,9 +160,7 @@ def _skeleton(realised, state: State, now: Motion, force: Array, moment: Array) 
         rotation, where, velocity = node_frames(topology, now, (*range(n), *branching))
         points = jnp.concatenate([now.hinges.point, where[:, n:]], axis=1)
         rows = {node: i for i, node in enumerate((*range(n), *branching))}
-        point = jnp.stack(
-            [points[:, rows[topology.island_of(node)]] for node in rows], axis=1
-        )
+        point = jnp.stack([points[:, rows[topology.island_of(node)]] for node in rows], axis=1)
         velocity = _shifted(velocity, point)
 
         # Elastic wrenches act on a branching rfe, and minus their sum on rfe 0 of the link.
@@ -177,9 +173,7 @@ def _skeleton(realised, state: State, now: Motion, force: Array, moment: Array) 
             k = node - n
             applied_force = jnp.concatenate([applied_force, force[:, k : k + 1]], axis=1)
             applied_moment = jnp.concatenate([applied_moment, moment[:, k : k + 1]], axis=1)
-        applied = algebra.wrench_at_origin(
-            apply(turns, applied_moment), apply(turns, applied_force), where - point
-        )
+        applied = algebra.wrench_at_origin(apply(turns, applied_moment), apply(turns, applied_force), where - point)
 
         pick = np.array((*range(n), *branching))
         centre = where - point + apply(rotation, _like(realised.centre[:, pick], where))
@@ -245,11 +239,7 @@ def _recursion(topology, skeleton: Skeleton, loads, drive: DriveInput):
                     push = push + drive.moment[None] * first
                 record[l] = (axis, bias[:, None] * first[None], push / dot(axis, u)[None], scaled)
                 inertia = inertia - u[:, None] * scaled[None]
-                passed = (
-                    load
-                    - apply(inertia, bias)[:, None] * first[None]
-                    - scaled[:, None] * push[None]
-                )
+                passed = load - apply(inertia, bias)[:, None] * first[None] - scaled[:, None] * push[None]
             if node != BASE:
                 inertias[node] = inertias[node] + inertia
                 loads[node] = loads[node] + passed
@@ -292,9 +282,7 @@ def _free_responses(realised, now: Motion, cuts, angular, linear) -> dict[int, A
         for i, node in enumerate(nodes):
             k = node - topology.n_links
             turn = now.links.rotation[:, :, topology.link_of(node)]
-            applied = algebra.spatial(
-                apply(turn, angular[:, k]), apply(turn, linear[:, k]) - centripetal[:, i]
-            )
+            applied = algebra.spatial(apply(turn, angular[:, k]), apply(turn, linear[:, k]) - centripetal[:, i])
             unit = unit_columns(topology, cuts, node, where[:, i])
             response = product(mobility[:, :, i], unit)
             responses[node] = jnp.concatenate([applied[:, None], response], axis=1)
@@ -309,9 +297,7 @@ def _multipliers(topology, cuts, now, skeleton: Skeleton, response, stabilisatio
     with jax.named_scope("multipliers"):
         points = _points_of(topology, now, skeleton)
         rows = 0.0
-        for node in sorted(set(topology.parents[topology.n_links :]) | set(
-            topology.children[topology.n_links :]
-        )):
+        for node in sorted(set(topology.parents[topology.n_links :]) | set(topology.children[topology.n_links :])):
             if node == BASE:
                 continue
             unit = unit_columns(topology, cuts, node, points[node])
@@ -320,9 +306,7 @@ def _multipliers(topology, cuts, now, skeleton: Skeleton, response, stabilisatio
         def by_cut(values):
             return jnp.swapaxes(values, 0, 1).reshape((-1,) + values.shape[2:])
 
-        correction = (
-            -stabilisation.velocity_gain * cuts.rate - stabilisation.position_gain * cuts.residual
-        )
+        correction = -stabilisation.velocity_gain * cuts.rate - stabilisation.position_gain * cuts.residual
         inverse = invert_closure(topology, rows[:, 1:])
         stabilising = apply(inverse, by_cut(correction))
         return stabilising - apply(inverse, by_cut(cuts.bias) + rows[:, 0]), stabilising
@@ -368,9 +352,7 @@ def _classical(topology, now: Motion, skeleton: Skeleton, spatial):
     return apply_transposed(rotation, spatial[:3]), apply_transposed(rotation, moved)
 
 
-def _relative_accelerations(
-    topology, now: Motion, inverse_rate, spin, root_angular, root_linear, angular, linear
-):
+def _relative_accelerations(topology, now: Motion, inverse_rate, spin, root_angular, root_linear, angular, linear):
     """Second derivatives (6, N) of the elastic coordinates from absolute accelerations."""
     with jax.named_scope("elastic_accelerations"):
         relative = now.relative

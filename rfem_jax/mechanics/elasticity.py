@@ -42,16 +42,12 @@ class ElasticLoads(NamedTuple):
     dissipated: Array
 
 
-def elastic_loads(
-    realised: Realisation, state: State, relative: RelativeMotion, inverse_rate: Array
-) -> ElasticLoads:
+def elastic_loads(realised: Realisation, state: State, relative: RelativeMotion, inverse_rate: Array) -> ElasticLoads:
     """Wrenches of springs and dampers; `inverse_rate` (3, 3, N): of `relative.rate_matrix`."""
     with jax.named_scope("spring_damping_elements"):
         if realised.topology.exact:
             now = exact_elements.deflections(realised, state.position.elastic[:3], relative)
-            return ElasticLoads(
-                *exact_elements.wrenches(realised, now), _dissipated(realised, now.rate)
-            )
+            return ElasticLoads(*exact_elements.wrenches(realised, now), _dissipated(realised, now.rate))
         stretch, rate = _linear_deflections(realised, state)
         generalised = _linear_forces(realised, stretch, rate)
         return ElasticLoads(
@@ -61,9 +57,7 @@ def elastic_loads(
         )
 
 
-def generalised_forces(
-    realised: Realisation, state: State, relative: RelativeMotion
-) -> tuple[Array, Array]:
+def generalised_forces(realised: Realisation, state: State, relative: RelativeMotion) -> tuple[Array, Array]:
     """Generalised forces (6, N) [N, N m] of springs and dampers on the free rfes' coordinates, and the
     power that the dampers take out [W]."""
     with jax.named_scope("spring_damping_elements"):

@@ -118,9 +118,7 @@ def stiffness_blocks(realised: Realisation, u: Array, relative: RelativeMotion) 
         return deflections(realised, u, moved).rate
 
     columns = jnp.arange(6)
-    by_even, by_odd = (
-        jax.vmap(lambda column: rates(column, parity))(columns) for parity in (True, False)
-    )
+    by_even, by_odd = (jax.vmap(lambda column: rates(column, parity))(columns) for parity in (True, False))
     right = jnp.where(even, by_even, by_odd)
     left = jnp.where(even, by_odd, by_even)
     return spring_blocks(realised, right, left)

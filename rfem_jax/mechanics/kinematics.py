@@ -89,9 +89,7 @@ def motion(realised: Realisation, state: State) -> Motion:
         )
 
 
-def relative_motion(
-    realised: Realisation, position: Coordinates, velocity: Coordinates
-) -> RelativeMotion:
+def relative_motion(realised: Realisation, position: Coordinates, velocity: Coordinates) -> RelativeMotion:
     """Motion of the free rfes in their link frames (equation (4) and its rate): R = R_z R_y R_x for
     linear elements, R_y R_z R_x for exact ones, so that in-plane bending has no limit."""
     u, phi = position.elastic[:3], position.elastic[3:]
@@ -212,16 +210,13 @@ def node_frames(topology: Topology, now: Motion, nodes) -> Frames:
             return getattr(now.links, part)[..., node]
         return getattr(now.carriers, part)[..., place[node - n]]
 
-    return Frames(
-        *(jnp.stack([column(part, node) for node in nodes], axis=-1) for part in Frames._fields)
-    )
+    return Frames(*(jnp.stack([column(part, node) for node in nodes], axis=-1) for part in Frames._fields))
 
 
 def spread(topology: Topology, values: Array) -> Array:
     """Values by link (..., L) repeated for every free rfe of the link (..., N)."""
     columns = [
-        jnp.broadcast_to(values[..., l : l + 1], values.shape[:-1] + (n - 1,))
-        for l, n in enumerate(topology.elements)
+        jnp.broadcast_to(values[..., l : l + 1], values.shape[:-1] + (n - 1,)) for l, n in enumerate(topology.elements)
     ]
     return jnp.concatenate(columns, axis=-1)
 

@@ -84,9 +84,7 @@ def chain_loads(
     accelerations (3, nodes) in link axes, and the wrench (6,) at the origin that the base exerts."""
     with jax.named_scope("chain_loads"):
         inertial = inertial_loads(realised, result.motion, angular, linear)
-        wrenches = chain_wrenches(
-            realised, result.motion, result.closure, result.multipliers, inertial
-        )
+        wrenches = chain_wrenches(realised, result.motion, result.closure, result.multipliers, inertial)
         loads = loads_of_wrenches(realised.topology, result, wrenches, drive)
         return loads, base_wrench(realised.topology, wrenches)
 
@@ -113,9 +111,7 @@ def _in_hinge_frames(topology: Topology, result, force, moment, drive: DriveInpu
         arm = cuts.right_centre - cuts.centre
         couple = dot(jnp.swapaxes(cuts.couples, 0, 1), result.multipliers[3:, None])
         couple = couple + cross(arm, result.multipliers[:3])
-        force = jnp.concatenate(
-            [force, apply_transposed(cuts.rotation, result.multipliers[:3])], axis=1
-        )
+        force = jnp.concatenate([force, apply_transposed(cuts.rotation, result.multipliers[:3])], axis=1)
         moment = jnp.concatenate([moment, apply_transposed(cuts.rotation, couple)], axis=1)
     return JointLoads(force, moment)
 
@@ -154,9 +150,7 @@ def cut_wrenches(cuts: Closure | None, multipliers: Array) -> list[Array]:
     if cuts is None:
         return []
     origin = jnp.zeros_like(cuts.centre[:, 0])
-    return [
-        apply(cuts.wrenches(i, "child", origin), multipliers[:, i]) for i in range(multipliers.shape[1])
-    ]
+    return [apply(cuts.wrenches(i, "child", origin), multipliers[:, i]) for i in range(multipliers.shape[1])]
 
 
 def inertial_loads(realised: Realisation, now: Motion, angular: Array, linear: Array):
@@ -166,9 +160,7 @@ def inertial_loads(realised: Realisation, now: Motion, angular: Array, linear: A
     spin, gravity = link_axes(realised, now)
     spin = jnp.concatenate([spin, spread(topology, spin) + now.relative.angular], axis=1)
     gravity = jnp.concatenate([gravity, spread(topology, gravity)], axis=1)
-    identity = jnp.broadcast_to(
-        jnp.asarray(algebra.IDENTITY)[:, :, None], (3, 3, topology.n_links)
-    )
+    identity = jnp.broadcast_to(jnp.asarray(algebra.IDENTITY)[:, :, None], (3, 3, topology.n_links))
     turn = jnp.concatenate([identity, now.relative.rotation], axis=2)
     centre = apply(turn, realised.centre)
     of_centre = linear + cross(angular, centre) + cross(spin, cross(spin, centre))

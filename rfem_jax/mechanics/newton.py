@@ -24,7 +24,14 @@ from jax import Array
 
 from rfem_jax.mechanics import algebra
 from rfem_jax.mechanics.algebra import (
-    apply, apply_transposed, by_component, constant_product, cross, dot, product, transpose,
+    apply,
+    apply_transposed,
+    by_component,
+    constant_product,
+    cross,
+    dot,
+    product,
+    transpose,
 )
 from rfem_jax.mechanics.balance import Balance
 from rfem_jax.mechanics.chains import solve
@@ -120,18 +127,11 @@ def newton_matrix(
             return NewtonMatrix(operators, links, {}, None, None)
         points = _points(topology, now)
         sides = topology.parents[topology.n_links :] + topology.children[topology.n_links :]
-        units = {
-            node: unit_columns(topology, cuts, node, points[node])
-            for node in sorted(set(sides))
-            if node != BASE
-        }
+        units = {node: unit_columns(topology, cuts, node, points[node]) for node in sorted(set(sides)) if node != BASE}
         width = (5 * topology.n_cuts,) + now.axis.shape[2:]
         hinge_loads = jnp.zeros((topology.n_links,) + width)
         responses = _respond(topology, links, hinge_loads, None, None, units, width)
-        rows = sum(
-            product(transpose(unit), _of_node(topology, responses, node))
-            for node, unit in units.items()
-        )
+        rows = sum(product(transpose(unit), _of_node(topology, responses, node)) for node, unit in units.items())
         return NewtonMatrix(operators, links, units, responses, invert_closure(topology, rows))
 
 
@@ -140,9 +140,7 @@ def correction(topology: Topology, matrix: NewtonMatrix, left: Residual) -> Corr
     return correction_and_wrenches(topology, matrix, left)[0]
 
 
-def correction_and_wrenches(
-    topology: Topology, matrix: NewtonMatrix, left: Residual
-) -> tuple[Correction, list[Array]]:
+def correction_and_wrenches(topology: Topology, matrix: NewtonMatrix, left: Residual) -> tuple[Correction, list[Array]]:
     """`correction`, and what it changes of the wrenches (6,) at the global origin in the tree joints."""
     with jax.named_scope("newton_correction"):
         operators = matrix.operators
@@ -157,16 +155,11 @@ def correction_and_wrenches(
             for operator, load in zip(operators, on_rfes)
         )
         width = (1,) + left.hinge.shape[1:]
-        applied = _respond(
-            topology, matrix.links, left.hinge[:, None], on_links, own, {}, width
-        )
+        applied = _respond(topology, matrix.links, left.hinge[:, None], on_links, own, {}, width)
         answer = jax.tree.map(lambda x: x[:, 0], applied)
         multipliers = jnp.zeros_like(left.closing)
         if matrix.inverse is not None:
-            rows = sum(
-                apply_transposed(unit, _of_node(topology, answer, node))
-                for node, unit in matrix.units.items()
-            )
+            rows = sum(apply_transposed(unit, _of_node(topology, answer, node)) for node, unit in matrix.units.items())
             by_cut = jnp.swapaxes(left.closing, 0, 1).reshape((-1,) + left.closing.shape[2:])
             flat = -apply(matrix.inverse, by_cut + rows)
             answer = jax.tree.map(lambda a, b: a + apply(b, flat), answer, matrix.responses)
@@ -205,9 +198,7 @@ def _frame(rotation: Array, arm: Array) -> Array:
 
 def _turned(turns, columns: Array) -> Array:
     """Rows (3 k, n, ...) of k vectors, each by its matrix."""
-    return jnp.concatenate(
-        [product(turn, columns[3 * i : 3 * i + 3]) for i, turn in enumerate(turns)]
-    )
+    return jnp.concatenate([product(turn, columns[3 * i : 3 * i + 3]) for i, turn in enumerate(turns)])
 
 
 def _turns(topology: Topology, now: Motion, link: int) -> tuple[Array, ...]:
@@ -260,12 +251,8 @@ def _eliminate(realised, operators, now: Motion, held) -> tuple[LinkMatrix, ...]
                 hung = _block_diagonal([passed.get(node) for node in carriers], rotation)
                 stiffness = _both(_dual(turns), _constant(operator.stiffness, frame))
                 share = product(algebra.invert_positive(stiffness + hung), stiffness)
-                inertia = inertia + product(
-                    product(transfer, product(hung, share)), transpose(transfer)
-                )
-        axis = algebra.spatial(
-            now.axis[:3, l], now.axis[3:, l] + cross(now.axis[:3, l], points[l])
-        )
+                inertia = inertia + product(product(transfer, product(hung, share)), transpose(transfer))
+        axis = algebra.spatial(now.axis[:3, l], now.axis[3:, l] + cross(now.axis[:3, l], points[l]))
         at_hinge, scaled, pivot = inertia, None, None
         if l not in held:
             pushed = apply(inertia, axis)
@@ -275,9 +262,7 @@ def _eliminate(realised, operators, now: Motion, held) -> tuple[LinkMatrix, ...]
         node = topology.parents[l]
         if node != BASE:
             passed[node] = passed.get(node, 0.0) + inertia
-        links[l] = LinkMatrix(
-            points[l], at_hinge, frame, turns, axis, scaled, pivot, transfer, compliance, hung, share
-        )
+        links[l] = LinkMatrix(points[l], at_hinge, frame, turns, axis, scaled, pivot, transfer, compliance, hung, share)
     return tuple(links[l] for l in range(n))
 
 
@@ -404,6 +389,4 @@ def _relative(topology, matrix, loads: Array, answer: Response) -> Array:
 
 
 def _turned_back(turns, wrench: Array) -> Array:
-    return jnp.concatenate(
-        [apply_transposed(turn, wrench[3 * i : 3 * i + 3]) for i, turn in enumerate(turns)]
-    )
+    return jnp.concatenate([apply_transposed(turn, wrench[3 * i : 3 * i + 3]) for i, turn in enumerate(turns)])

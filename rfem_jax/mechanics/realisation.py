@@ -146,16 +146,26 @@ def realise(model: Model, errors: AssemblyErrors) -> Realisation:
         length = model.length + errors.length
         scale = length / model.length
         seat = _side(
-            model.parent_rotation, model.parent_position, errors.seat, topology.parents,
-            topology.parent_at_end, scale, errors.twist, topology,
+            model.parent_rotation,
+            model.parent_position,
+            errors.seat,
+            topology.parents,
+            topology.parent_at_end,
+            scale,
+            errors.twist,
+            topology,
         )
         bore = _side(
-            model.child_rotation, model.child_position, errors.bore, topology.children,
-            topology.child_at_end, scale, errors.twist, topology,
+            model.child_rotation,
+            model.child_position,
+            errors.bore,
+            topology.children,
+            topology.child_at_end,
+            scale,
+            errors.twist,
+            topology,
         )
-        pin = algebra.product(
-            algebra.rotation_z(errors.pin[1]), algebra.rotation_x(errors.pin[0])
-        )
+        pin = algebra.product(algebra.rotation_z(errors.pin[1]), algebra.rotation_x(errors.pin[0]))
         turn = algebra.rotation_y(jnp.concatenate([model.start_angles, model.cut_angles]))
         pin_in_child = algebra.product(algebra.transpose(turn), algebra.product(pin, turn))
         mass, centre, inertia = _bodies(model, length, scale)
@@ -220,9 +230,7 @@ def _bodies(model: Model, length, scale):
 
     holder = np.array(topology.masses, dtype=int)
     holder_link = np.array([topology.link_of(node) for node in topology.masses], dtype=int)
-    point = jnp.concatenate(
-        [model.point_position[:1] * scale[holder_link][None], model.point_position[1:]]
-    )
+    point = jnp.concatenate([model.point_position[:1] * scale[holder_link][None], model.point_position[1:]])
     # Sums at the nodes that hold them, by products: additions at places would be scatters (`compilation.options`).
     onto = (holder[:, None] == np.arange(nodes)).astype(float)
     total = mass + model.point_mass @ onto
@@ -245,10 +253,7 @@ def _node_fractions(topology: Topology):
     """Link, share of its length and middle of every node, in the order of the nodes."""
     fractions = [rfe_fractions(n) for n in topology.elements]
     link = np.concatenate([np.arange(topology.n_links), topology.link_of_rfe])
-    share, middle = (
-        np.concatenate([[f[k][0] for f in fractions], *[f[k][1:] for f in fractions]])
-        for k in (0, 1)
-    )
+    share, middle = (np.concatenate([[f[k][0] for f in fractions], *[f[k][1:] for f in fractions]]) for k in (0, 1))
     return link.astype(int), share, middle
 
 

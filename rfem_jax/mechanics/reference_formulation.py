@@ -36,10 +36,12 @@ def _about(axis: int, angle):
 def transforms(realised: Realisation, position: Coordinates) -> list[Array]:
     """Transforms (4, 4) of all nodes to the global frame, in the order of the nodes."""
     topology = realised.topology
-    seat = [_transform(realised.seat_rotation[:, :, j], realised.seat_position[:, j])
-            for j in range(len(topology.joints))]
-    bore = [_transform(realised.bore_rotation[:, :, j], realised.bore_position[:, j])
-            for j in range(len(topology.joints))]
+    seat = [
+        _transform(realised.seat_rotation[:, :, j], realised.seat_position[:, j]) for j in range(len(topology.joints))
+    ]
+    bore = [
+        _transform(realised.bore_rotation[:, :, j], realised.bore_position[:, j]) for j in range(len(topology.joints))
+    ]
     frames = {BASE: jnp.eye(4)}
     for l, (a, b) in enumerate(topology.ranges):
         turn = _transform(_about(1, position.angles[l]), jnp.zeros(3))
@@ -63,12 +65,8 @@ def constraints(realised: Realisation, position: Coordinates, scale) -> Array:
     frames = [*transforms(realised, position), jnp.eye(4)]
     rows = []
     for j in topology.cuts:
-        left = frames[topology.parents[j]] @ _transform(
-            realised.seat_rotation[:, :, j], realised.seat_position[:, j]
-        )
-        right = frames[topology.children[j]] @ _transform(
-            realised.bore_rotation[:, :, j], realised.bore_position[:, j]
-        )
+        left = frames[topology.parents[j]] @ _transform(realised.seat_rotation[:, :, j], realised.seat_position[:, j])
+        right = frames[topology.children[j]] @ _transform(realised.bore_rotation[:, :, j], realised.bore_position[:, j])
         y = left[:3, 1]
         rows += [
             right[:3, 3] - left[:3, 3],

@@ -31,7 +31,13 @@ from rfem_jax.mechanics.newton import Residual
 from rfem_jax.mechanics.realisation import AssemblyErrors, Realisation, assembly_errors, realise
 from rfem_jax.mechanics.static_matrix import change_at_rest, matrix_at_rest
 from rfem_jax.mechanics.static_search import (
-    Equations, chord, least_squares, load_steps, newton, solve_dense, solve_linear,
+    Equations,
+    chord,
+    least_squares,
+    load_steps,
+    newton,
+    solve_dense,
+    solve_linear,
 )
 from rfem_jax.mechanics.status import NOT_ASSEMBLED, OK, OUT_OF_RANGE, WRONG_SIDE
 
@@ -51,9 +57,7 @@ class Assembled(NamedTuple):
     status: Array
 
 
-def assemble(
-    model: Model, errors: AssemblyErrors, hold: dict[str, Array] | None = None
-) -> Assembled:
+def assemble(model: Model, errors: AssemblyErrors, hold: dict[str, Array] | None = None) -> Assembled:
     """Put the mechanism together: static equilibrium with some joints held.
 
     **Arguments:** `hold`: joint name -> angle [rad]; None holds the driven joint at its start angle,
@@ -94,8 +98,7 @@ def _require_tree_joints(model: Model, names) -> None:
     for name in names:
         if name not in tree:
             raise InputError(
-                f"Argument `hold` must name joints of the tree, but has {name!r}; "
-                f"{suggestion(name, tree)}"
+                f"Argument `hold` must name joints of the tree, but has {name!r}; {suggestion(name, tree)}"
             )
 
 
@@ -113,9 +116,7 @@ class _Scaled(NamedTuple):
 
     def unknowns(self, position: Coordinates, multipliers: Array) -> Array:
         """Flat, of coordinates and multipliers (5, C)."""
-        return jnp.concatenate(
-            [ravel_pytree(position)[0] / self.units, multipliers.T.reshape(-1) / self.force]
-        )
+        return jnp.concatenate([ravel_pytree(position)[0] / self.units, multipliers.T.reshape(-1) / self.force])
 
     def coordinates(self, unknowns: Array) -> Coordinates:
         return self.unravel(unknowns[: self.units.size] * self.units)
@@ -195,9 +196,7 @@ def equilibrium(model: Model, realised: Realisation, held: dict[int, Array]):
         inverse = _nearly_inverse(scaled, given, goal[0], end)
         return solve_linear(equations, inverse, slope, value)
 
-    unknowns = jax.lax.custom_root(
-        lambda unknowns: residual(unknowns, args), end, lambda _, found: found, solve_slope
-    )
+    unknowns = jax.lax.custom_root(lambda unknowns: residual(unknowns, args), end, lambda _, found: found, solve_slope)
     position = scaled.coordinates(unknowns)
     found = found & jnp.all(jnp.isfinite(unknowns))
     in_range = range_used(topology, position) < 1.0
@@ -265,9 +264,7 @@ def _unbalanced(realised: Realisation, position: Coordinates, multipliers: Array
     return hinge, outside + elastic, jnp.zeros((5, 0)) if cuts is None else cuts.residual
 
 
-def static_loads(
-    model: Model, realised: Realisation, state: State, multipliers: Array
-) -> loads.JointLoads:
+def static_loads(model: Model, realised: Realisation, state: State, multipliers: Array) -> loads.JointLoads:
     """Joint loads at rest, the moment that holds a joint included."""
     now = motion(realised, state)
     at_rest = jnp.zeros((3, realised.mass.shape[0]))
@@ -278,14 +275,10 @@ def static_loads(
 def named(model: Model, joint_loads: loads.JointLoads) -> dict[str, Load]:
     """Loads by the names of the joints, in the order of the description."""
     order = [(name, model.topology.joints.index(name)) for name in model.joint_names]
-    return {
-        name: Load(joint_loads.force[:, j], joint_loads.moment[:, j]) for name, j in order
-    }
+    return {name: Load(joint_loads.force[:, j], joint_loads.moment[:, j]) for name, j in order}
 
 
-def quasi_static_rates(
-    model: Model, realised: Realisation, held: dict[int, Array], driven_rate: Array
-) -> Coordinates:
+def quasi_static_rates(model: Model, realised: Realisation, held: dict[int, Array], driven_rate: Array) -> Coordinates:
     """Rates of the coordinates when the driven joint moves at a rate through equilibria: the
     derivative of the static equilibrium along the driven angle, times the rate."""
     driven = model.topology.driven
@@ -304,11 +297,7 @@ def length_scale(model: Model) -> Array:
 
 def _force_scale(model: Model, realised: Realisation) -> Array:
     """A force [N] of the mechanism: its bending stiffness over a length squared, or its weight."""
-    bending = [
-        model.section[4, l] / model.length[l] ** 2
-        for l, n in enumerate(model.topology.elements)
-        if n > 1
-    ]
+    bending = [model.section[4, l] / model.length[l] ** 2 for l, n in enumerate(model.topology.elements) if n > 1]
     if bending:
         return jax.lax.stop_gradient(jnp.max(jnp.stack(bending)))
     weight = jnp.sum(realised.mass) * jnp.linalg.norm(model.gravity)

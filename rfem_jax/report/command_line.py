@@ -2,8 +2,9 @@
 
 Place in the pipeline: the outermost layer; it calls `load_study` (description), `discretise` and
 `describe` (mechanics), `check_step` and `run_cases` (simulation), `task_commands` for tolerance
-studies, and the other modules of this room; `progress_line` shows what is being done. Exit codes: 0 done; 2 the input is wrong (one sentence
-on standard error); 3 a case or a task failed (results are written all the same); 130 interrupted.
+studies, and the other modules of this package; `progress_line` shows what is being done. Exit codes: 0 done;
+2 the input is wrong (one sentence on standard error); 3 a case or a task failed (results are written all the
+same); 130 interrupted.
 
 Imports that take seconds (JAX, matplotlib) are inside the functions: `--help` is instant.
 """
@@ -45,6 +46,7 @@ TASKS = {
 
 DONE, WRONG_INPUT, CASE_FAILED, INTERRUPTED = 0, 2, 3, 130
 
+
 class _Parser(argparse.ArgumentParser):
     """A parser whose complaints are one sentence, like all others of this command."""
 
@@ -66,8 +68,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser = _Parser(
         prog="rfem-jax",
         description="Loads in the joints of mechanisms with flexible links and assembly errors.",
-        epilog="Exit codes: 0 done; 2 the input is wrong; 3 a case or a task failed; 130 "
-        "interrupted.",
+        epilog="Exit codes: 0 done; 2 the input is wrong; 3 a case or a task failed; 130 interrupted.",
     )
     parser.add_argument("--version", action="version", version=f"rfem-jax {_version()}")
     commands = parser.add_subparsers(title="commands", dest="command", required=True)
@@ -119,9 +120,7 @@ def build_parser() -> argparse.ArgumentParser:
 def _add_common(command):
     command.add_argument("study", metavar="STUDY.toml", help="the study file")
     command.add_argument("--out", metavar="DIR", required=True, help="folder for the results")
-    command.add_argument(
-        "--devices", metavar="K", type=int, help="CPU devices for samples (default: all cores)"
-    )
+    command.add_argument("--devices", metavar="K", type=int, help="CPU devices for samples (default: all cores)")
     _add_cache(command)
 
 
@@ -194,9 +193,7 @@ def _settle_method(study):
     from rfem_jax.simulation import choose_method
 
     _announce("Choosing the method and its step")
-    method = choose_method(
-        model, study.method, study.drive, study.duration, save_every=study.save_every
-    )
+    method = choose_method(model, study.method, study.drive, study.duration, save_every=study.save_every)
     show(f"Method auto: {method.name} with a step of {method.step:.3g} s.")
     return replace(study, method=method)
 

@@ -47,7 +47,7 @@ def history_figure(study, histories, heading, label) -> Figure:
     axes[0].set_ylabel(label)
     add_legend(axes[0])
     if others:
-        name, unit = label.rsplit(",", 1)
+        _name, unit = label.rsplit(",", 1)
         axes[1].set_ylabel(f"difference\nfrom {reference},{unit}")
     axes[-1].set_xlabel("time, s")
     add_titles(figure, heading, study)
@@ -119,10 +119,7 @@ def bars_figure(study, summaries, panels, heading) -> Figure:
 
 
 def _histories(study, runs, values) -> dict:
-    return {
-        case.name: (np.asarray(runs[case.name].times), np.asarray(values(runs[case.name])))
-        for case in study.cases
-    }
+    return {case.name: (np.asarray(runs[case.name].times), np.asarray(values(runs[case.name]))) for case in study.cases}
 
 
 def _motion_figures(study, runs) -> dict[str, Figure]:
@@ -155,13 +152,9 @@ def draw_figures(study, runs, summaries) -> dict[str, Figure]:
         )
         maxima = ((MAX_AXIAL_FORCE, "Maximum axial force"),)
         maxima += ((MAX_NORMAL_FORCE, "Maximum normal force"),)
-        figures["maximum_forces"] = bars_figure(
-            study, summaries, maxima, "Maximum forces in the joints"
-        )
+        figures["maximum_forces"] = bars_figure(study, summaries, maxima, "Maximum forces in the joints")
         means = ((RMS_FORCE, "RMS resultant force"), (RMS_MOMENT, "RMS resultant moment"))
-        figures["rms_loads"] = bars_figure(
-            study, summaries, means, "Root mean square of the loads in the joints"
-        )
+        figures["rms_loads"] = bars_figure(study, summaries, means, "Root mean square of the loads in the joints")
         preloads = ((PRELOAD_FORCE, "Preload force"), (PRELOAD_MOMENT, "Preload moment"))
         heading = "Preload in the joints at the start (weight and holding moment included)"
         figures["preload"] = bars_figure(study, summaries, preloads, heading)

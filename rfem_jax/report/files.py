@@ -59,9 +59,7 @@ def write_history(path, study, run) -> Path:
     columns = history_columns(study, run)
     table = np.stack(list(columns.values()), axis=1)
     with replacing(path) as temporary:
-        np.savetxt(
-            temporary, table, fmt="%.12g", delimiter=",", header=",".join(columns), comments=""
-        )
+        np.savetxt(temporary, table, fmt="%.12g", delimiter=",", header=",".join(columns), comments="")
     return Path(path)
 
 

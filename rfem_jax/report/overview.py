@@ -55,9 +55,7 @@ def joint_rows(study) -> list[list[str]]:
     rows = []
     for joint in study.mechanism.joints:
         angle = "-" if joint.cut else f"{math.degrees(joint.angle or 0.0):.6g}"
-        marks = [
-            word for word, holds in (("cut", joint.cut), ("driven", joint.name == driven)) if holds
-        ]
+        marks = [word for word, holds in (("cut", joint.cut), ("driven", joint.name == driven)) if holds]
         rows.append([joint.name, joint.parent, joint.child, angle, ", ".join(marks) or "-"])
     return rows
 
@@ -73,9 +71,7 @@ def _drive_text(drive) -> str:
         for name, value in values.items()
         if isinstance(value, float) or getattr(value, "shape", None) == ()
     ]
-    return f"{words} on joint {drive.joint}" + (
-        f" (SI: {', '.join(numbers)})" if numbers else ""
-    )
+    return f"{words} on joint {drive.joint}" + (f" (SI: {', '.join(numbers)})" if numbers else "")
 
 
 def _method_text(study) -> str:
@@ -93,8 +89,7 @@ def count_lines(mechanism, description) -> list[str]:
     lines = [
         f"Coordinates: {description.coordinates}; constraint equations at the cut joints: "
         f"{description.constraints}, of rank {description.rank}.",
-        f"Mobility: {description.mobility} with flexible links, "
-        f"{description.rigid_mobility} if all links were rigid.",
+        f"Mobility: {description.mobility} with flexible links, {description.rigid_mobility} if all links were rigid.",
     ]
     if not description.redundant:
         return [*lines, "No redundant constraints: all joint reactions are unique."]

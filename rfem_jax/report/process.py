@@ -6,7 +6,6 @@ Place in the pipeline: command_line calls it before anything else; JAX reads mos
 import os
 import sys
 
-
 MOST_DEVICES = 64  # on a machine with fewer cores
 
 
@@ -77,8 +76,7 @@ def count_devices(arguments) -> int | None:
         return len(usable(0)) if usable else os.cpu_count() or 1
     if arguments.devices < 1:
         raise InputError(
-            f"Argument `--devices` must be at least 1, but is {arguments.devices}; leave it out to "
-            "use all cores."
+            f"Argument `--devices` must be at least 1, but is {arguments.devices}; leave it out to use all cores."
         )
     most = max(MOST_DEVICES, os.cpu_count() or 1)
     if arguments.devices > most:

@@ -3,8 +3,8 @@
 Place in the pipeline: `rfem_jax.compilation.stages` -> **progress line** -> the person who waits.
 
 On a terminal one line that is rewritten every second, with the time that the stage takes and, where it is known,
-what remains; elsewhere plain lines: a stage that takes longer than a moment, then every quarter of it and twice a minute.  What is
-printed by `show` and `say` meanwhile takes the place of the line, which comes back below.
+what remains; elsewhere plain lines: a stage that takes longer than a moment, then every quarter of it and twice a
+minute.  What is printed by `show` and `say` meanwhile takes the place of the line, which comes back below.
 """
 
 import shutil

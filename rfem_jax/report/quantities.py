@@ -24,26 +24,16 @@ class Quantity:
         return f"{self.label}, {self.unit}" if self.unit else self.label
 
 
-RMS_FORCE = Quantity(
-    "rms_force", "N", "RMS resultant force", "root of the mean square over the whole run"
-)
-RMS_MOMENT = Quantity(
-    "rms_moment", "N m", "RMS resultant moment", "root of the mean square over the whole run"
-)
-MAX_AXIAL_FORCE = Quantity(
-    "max_axial_force", "N", "Maximum axial force", "largest |force along the hinge| of the run"
-)
+RMS_FORCE = Quantity("rms_force", "N", "RMS resultant force", "root of the mean square over the whole run")
+RMS_MOMENT = Quantity("rms_moment", "N m", "RMS resultant moment", "root of the mean square over the whole run")
+MAX_AXIAL_FORCE = Quantity("max_axial_force", "N", "Maximum axial force", "largest |force along the hinge| of the run")
 MAX_NORMAL_FORCE = Quantity(
     "max_normal_force", "N", "Maximum normal force", "largest resultant across the hinge of the run"
 )
 JOINT_METRICS = (RMS_FORCE, RMS_MOMENT, MAX_AXIAL_FORCE, MAX_NORMAL_FORCE)
 
-PRELOAD_FORCE = Quantity(
-    "preload_force", "N", "Preload force", "force at the start, x y z of the hinge frame"
-)
-PRELOAD_MOMENT = Quantity(
-    "preload_moment", "N m", "Preload moment", "moment at the start, x y z of the hinge frame"
-)
+PRELOAD_FORCE = Quantity("preload_force", "N", "Preload force", "force at the start, x y z of the hinge frame")
+PRELOAD_MOMENT = Quantity("preload_moment", "N m", "Preload moment", "moment at the start, x y z of the hinge frame")
 PRELOADS = (PRELOAD_FORCE, PRELOAD_MOMENT)
 
 ANGLE_END = Quantity("angle_end", "rad", "Angle at end", "the driven joint's own coordinate")
@@ -57,12 +47,8 @@ BALANCES = (
         "Energy balance",
         "largest change of total - work + dissipation, divided by the largest |energy|",
     ),
-    Quantity(
-        "closure_drift", "m", "Drift", "largest distance of the two centres of a cut joint"
-    ),
-    Quantity(
-        "closure_drift_angle", "rad", "Drift angle", "largest residual of the axis equations"
-    ),
+    Quantity("closure_drift", "m", "Drift", "largest distance of the two centres of a cut joint"),
+    Quantity("closure_drift_angle", "rad", "Drift angle", "largest residual of the axis equations"),
     Quantity(
         "momentum_balance_error",
         "",

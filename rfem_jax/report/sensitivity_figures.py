@@ -38,9 +38,9 @@ def heat_map_figure(study, result) -> Figure:
     wide = min(max(7.2, 0.95 * len(labels) + 2.5), 24.0)
     height = 0.42 * rows + 1.1 * len(groups) + 1.4
     figure = Figure(figsize=(wide, height), layout="constrained")
-    panels = figure.subplots(
-        len(groups), 1, squeeze=False, height_ratios=[len(group) for group in groups.values()]
-    )[:, 0]
+    panels = figure.subplots(len(groups), 1, squeeze=False, height_ratios=[len(group) for group in groups.values()])[
+        :, 0
+    ]
     for axes, ((kind, unit), group) in zip(panels, groups.items(), strict=True):
         effects = np.array([result.effects[position] for _, position in group])
         image = axes.imshow(np.ma.masked_invalid(effects), aspect="auto", cmap="YlOrRd", vmin=0.0)

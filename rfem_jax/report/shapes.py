@@ -29,10 +29,7 @@ def round_factor(value) -> float:
 def largest_deflection(run) -> float:
     """Largest distance of an assembled from its nominal point, m (NaN for a failed run)."""
     lines = run.nominal_lines
-    return max(
-        float(np.linalg.norm(np.asarray(run.centre_lines[link]) - lines[link], axis=1).max())
-        for link in lines
-    )
+    return max(float(np.linalg.norm(np.asarray(run.centre_lines[link]) - lines[link], axis=1).max()) for link in lines)
 
 
 def exaggeration(runs) -> float:
@@ -58,10 +55,7 @@ def exaggerated_lines(run, factor) -> dict[str, np.ndarray]:
 def joint_point(mechanism, joint, lines) -> np.ndarray:
     """Where `joint` sits on the centre line of its child link, (3,) m."""
     length = mechanism.link(joint.child).length
-    if joint.child_position is not None:
-        share = joint.child_position[0] / length
-    else:
-        share = 1.0 if joint.cut else 0.0
+    share = joint.child_position[0] / length if joint.child_position is not None else 1.0 if joint.cut else 0.0
     line = lines[joint.child]
     places = np.linspace(0.0, 1.0, len(line))
     return np.array([np.interp(share, places, line[:, axis]) for axis in range(3)])
@@ -137,9 +131,7 @@ def assembly_figure(study, runs) -> Figure:
         _format_axes(axes, low, high)
         axes.set_title(f"{case}: {_deflection_text(run)}", y=1.0)
     # Layout by hand: the automatic one knows neither labels nor legends of 3D axes.
-    figure.subplots_adjust(
-        left=0.02, right=0.96, bottom=1.1 / height, top=1.0 - 0.8 / height, wspace=0.08, hspace=0.1
-    )
+    figure.subplots_adjust(left=0.02, right=0.96, bottom=1.1 / height, top=1.0 - 0.8 / height, wspace=0.08, hspace=0.1)
     handles, labels = axes.get_legend_handles_labels()
     figure.legend(
         handles,

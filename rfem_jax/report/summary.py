@@ -10,10 +10,7 @@ import numpy as np
 
 from rfem_jax.report.quantities import BALANCES, DRIVEN_JOINT, JOINT_METRICS
 
-
-PLOTS_HINT = (
-    'No pictures were drawn: matplotlib is not installed (pip install "rfem_jax[plots]").'
-)
+PLOTS_HINT = 'No pictures were drawn: matplotlib is not installed (pip install "rfem_jax[plots]").'
 
 
 def joint_names(study) -> tuple[str, ...]:
@@ -41,10 +38,7 @@ def summarise_run(study, run) -> dict[str, Any]:
         row["preload_moment"] = [float(v) for v in np.asarray(run.preload[name].moment)]
         joints[name] = row
     driven = study.drive is not None
-    ends = {
-        q.name: float(getattr(run.driven_joint, q.name)) if driven else float("nan")
-        for q in DRIVEN_JOINT
-    }
+    ends = {q.name: float(getattr(run.driven_joint, q.name)) if driven else float("nan") for q in DRIVEN_JOINT}
     balances = {q.name: float(getattr(run, q.name)) for q in BALANCES}
     return {"joints": joints, "driven_joint": ends, **balances, "branch": branches(run)}
 

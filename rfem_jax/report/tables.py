@@ -62,9 +62,7 @@ def joint_table(summaries, names, quantity) -> str:
     cases = list(summaries)
     values = [summaries[case]["joints"][name][quantity.name] for case in cases for name in names]
     texts = format_numbers(values)
-    rows = [
-        [case, *texts[len(names) * row : len(names) * (row + 1)]] for row, case in enumerate(cases)
-    ]
+    rows = [[case, *texts[len(names) * row : len(names) * (row + 1)]] for row, case in enumerate(cases)]
     blocks = [
         format_table(
             ["case", *names[first : first + 8]],
@@ -91,10 +89,7 @@ def driven_joint_table(study, summaries) -> str:
 def balance_table(summaries) -> str:
     """Balances of all cases, with what each of them means."""
     header = ["case", *(quantity.title for quantity in BALANCES)]
-    rows = [
-        [case, *(_exponent(one[quantity.name]) for quantity in BALANCES)]
-        for case, one in summaries.items()
-    ]
+    rows = [[case, *(_exponent(one[quantity.name]) for quantity in BALANCES)] for case, one in summaries.items()]
     meanings = [f"  {quantity.label}: {quantity.description}" for quantity in BALANCES]
     return "\n".join(["Balances", format_table(header, rows), *meanings])
 
@@ -112,9 +107,7 @@ def results_text(study, summaries) -> str:
     parts = [title_text(study)]
     parts += [joint_table(summaries, names, quantity) for quantity in JOINT_METRICS]
     parts += [balance_table(summaries), driven_joint_table(study, summaries)]
-    failed = [
-        f"Case {case}: {one['message']}" for case, one in summaries.items() if one["status"] != "ok"
-    ]
+    failed = [f"Case {case}: {one['message']}" for case, one in summaries.items() if one["status"] != "ok"]
     if failed:
         parts.append("\n".join(failed))
     return "\n\n".join(parts)

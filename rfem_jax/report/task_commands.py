@@ -102,9 +102,7 @@ def sensitivity_text(result, undamped) -> str:
             changes = result.hessian_change
         rows = [
             [metric, f"{np.max(gradient):.1e}", f"{change:.1e}" if change == change else "-"]
-            for metric, gradient, change in zip(
-                result.metrics, result.gradient_change, changes, strict=True
-            )
+            for metric, gradient, change in zip(result.metrics, result.gradient_change, changes, strict=True)
         ]
         head = "Change with the finer step (of each error's effect, of the largest |H|)"
         parts.append(f"{head}\n{align_columns(header, rows)}")

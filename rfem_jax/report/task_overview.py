@@ -45,9 +45,7 @@ def _tolerances_text(study):
     for number, group in enumerate(study.tasks.tolerances.correlated, start=1):
         for error, width in group.half_widths.items():
             unit = study.mechanism.error_unit(error)
-            low, high = (
-                format_error("", end, unit).removeprefix(" = ") for end in (-width, width)
-            )
+            low, high = (format_error("", end, unit).removeprefix(" = ") for end in (-width, width))
             rows.append([error, low, high, f"normal, correlated in group {number}"])
     return format_table(["tolerance", "from", "to", "distribution"], rows, words=(0, 3))
 

@@ -58,9 +58,7 @@ class AllocationStudy:
 def build_problem(study, metrics, model=None) -> Problem:
     """The study's mechanism, drive and method as a function of its errors."""
     model = discretise(study.mechanism) if model is None else model
-    return Problem(
-        model, study.drive, study.duration, metrics, study.method, save_every=study.save_every
-    )
+    return Problem(model, study.drive, study.duration, metrics, study.method, save_every=study.save_every)
 
 
 def build_tolerances(stated) -> Tolerances:

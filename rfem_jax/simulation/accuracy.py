@@ -127,9 +127,7 @@ def rms_loads(model, errors, drive, grid, method, steps):
             errors = assembly_errors(model, errors)
         prepared = integration.prepare(model, errors, drive, None)
         carry = integration.start_carry(model, prepared, drive, method)
-        carry = integration.advance_unobserved(
-            model, prepared.realised, drive, carry, grid, method, steps
-        )
+        carry = integration.advance_unobserved(model, prepared.realised, drive, carry, grid, method, steps)
         metrics = integration.metrics_of(model, carry, grid.starts[-1] + grid.lengths[-1])
         force = jnp.stack(list(metrics.rms_force.values()))
         moment = jnp.stack(list(metrics.rms_moment.values()))

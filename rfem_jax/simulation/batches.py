@@ -20,8 +20,6 @@ def like_batched(tree, *sources):
     never = jnp.zeros((), bool)
 
     def chosen(x):
-        return jax.lax.select_n(
-            jnp.broadcast_to(never, x.shape), x, jnp.broadcast_to(token.astype(x.dtype), x.shape)
-        )
+        return jax.lax.select_n(jnp.broadcast_to(never, x.shape), x, jnp.broadcast_to(token.astype(x.dtype), x.shape))
 
     return jax.tree.map(chosen, tree)

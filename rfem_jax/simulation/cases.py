@@ -84,9 +84,7 @@ def _prepare(model, errors, drive, method):
 @Program
 def _advance(model, realised, drive, carry, grid, method, steps):
     advance = functools.partial(integration.advance, model)
-    return jax.vmap(
-        lambda realised, carry: advance(realised, drive, carry, grid, method, steps, None)
-    )(realised, carry)
+    return jax.vmap(lambda realised, carry: advance(realised, drive, carry, grid, method, steps, None))(realised, carry)
 
 
 @functools.partial(Program, quick=True)

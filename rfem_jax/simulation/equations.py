@@ -63,9 +63,7 @@ def structural_zeros(conditions: Conditions) -> Conditions:
 def moving_parts(primals, tangents):
     """Leaves that have a tangent, the other leaves, and the tangents: most constants of a mechanism do not
     depend on the errors asked for, and are not linearised."""
-    moves = jax.tree.map(
-        lambda x, dx: eqx.is_inexact_array(x) and not isinstance(dx, SymbolicZero), primals, tangents
-    )
+    moves = jax.tree.map(lambda x, dx: eqx.is_inexact_array(x) and not isinstance(dx, SymbolicZero), primals, tangents)
     inputs, fixed = eqx.partition(primals, moves)
     return inputs, fixed, eqx.filter(tangents, moves)
 

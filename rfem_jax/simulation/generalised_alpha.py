@@ -162,7 +162,7 @@ class GeneralisedAlpha(diffrax.AbstractSolver):
             diffrax.RESULTS.successful,
             diffrax.RESULTS.nonlinear_max_steps_reached,
         )
-        return y1, None, dict(y0=y0, y1=y1), memory, result
+        return y1, None, {"y0": y0, "y1": y1}, memory, result
 
     def factors(self, h):
         """Change of coordinates [s^2] and of rates [s] by a change of the accelerations v1'."""
@@ -268,9 +268,7 @@ class GeneralisedAlpha(diffrax.AbstractSolver):
         _, t1, h, _ = constants
         realised = conditions.realised
         drive = drive_input(conditions.drive, t1, conditions.phase)
-        state, auxiliary = self._reached(
-            h, trajectory, memory, unknowns.accelerations, realised.topology, drive
-        )
+        state, auxiliary = self._reached(h, trajectory, memory, unknowns.accelerations, realised.topology, drive)
         left = left._replace(
             multipliers=unknowns.multipliers,
             wrenches=[*wrenches, *loads.cut_wrenches(left.closure, unknowns.multipliers)],
@@ -297,7 +295,9 @@ class GeneralisedAlpha(diffrax.AbstractSolver):
         rates = Integrals(axial, normal, moment, work, left.dissipated)
         integrals = jax.tree.map(
             lambda sum, old, new: sum + 0.5 * h * (old + new),
-            trajectory.integrals, memory.rates, rates,
+            trajectory.integrals,
+            memory.rates,
+            rates,
         )
         most = jnp.maximum(memory.largest_residual, residual)
         return (
@@ -317,11 +317,16 @@ class GeneralisedAlpha(diffrax.AbstractSolver):
         a1 = jax.tree.map(auxiliary, accelerations, memory.accelerations, a0)
         position = jax.tree.map(
             lambda q, v, a, b: q + h * (v + h * ((0.5 - self.beta) * a + self.beta * b)),
-            trajectory.position, trajectory.velocity, a0, a1,
+            trajectory.position,
+            trajectory.velocity,
+            a0,
+            a1,
         )
         velocity = jax.tree.map(
             lambda v, a, b: v + h * ((1.0 - self.gamma) * a + self.gamma * b),
-            trajectory.velocity, a0, a1,
+            trajectory.velocity,
+            a0,
+            a1,
         )
         return impose(topology, State(position, velocity), drive), a1
 

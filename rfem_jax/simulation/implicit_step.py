@@ -55,9 +55,7 @@ def _differentiate(method, primals, tangents):
     constants, *given = primals
     inputs, fixed, along = equations.moving_parts(given, list(tangents[1:]))
     # With the solution at hand, reverse mode need not repeat Newton's method.
-    solution = jax.tree.map(
-        lambda x: checkpoint_name(x, SOLUTION), _unknowns(method, constants, *given)
-    )
+    solution = jax.tree.map(lambda x: checkpoint_name(x, SOLUTION), _unknowns(method, constants, *given))
     end, tangent = _end_and_tangent(method, constants, solution, inputs, fixed, along)
     return like_batched(end, solution.accelerations.angles), tangent
 

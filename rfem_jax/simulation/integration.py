@@ -230,10 +230,7 @@ def conclude(
         rate=rate,
         drive_moment=record.drive_moment,
         angles={name: record.angles[:, l] for l, name in enumerate(_tree_joints(model))},
-        loads={
-            name: Load(record.loads.force[:, :, j], record.loads.moment[:, :, j])
-            for name, j in _joints(model)
-        },
+        loads={name: Load(record.loads.force[:, :, j], record.loads.moment[:, :, j]) for name, j in _joints(model)},
         preload=named(model, prepared.preload),
         energy=energy,
         metrics=metrics_of(model, carry, times[-1]),
@@ -246,21 +243,15 @@ def conclude(
         stabilisation_share=jnp.max(record.stabilising) / _safe(jnp.max(record.multiplier)),
         solution_residual=residual,
         equation_residual=record.residual,
-        status=_status(
-            model, prepared, carry, error, drift, jnp.max(record.range_used), residual
-        ),
+        status=_status(model, prepared, carry, error, drift, jnp.max(record.range_used), residual),
         ends={name: record.ends[:, :, l] for l, name in enumerate(model.link_names)},
-        branch={
-            model.topology.joints[j]: record.branch[:, i] for i, j in enumerate(model.topology.cuts)
-        },
+        branch={model.topology.joints[j]: record.branch[:, i] for i, j in enumerate(model.topology.cuts)},
         integrals=LoadIntegrals(
             force_square={name: record.square_integrals[:, 0, j] for name, j in _joints(model)},
             moment_square={name: record.square_integrals[:, 1, j] for name, j in _joints(model)},
         ),
         centre_lines=link_lines(model, prepared.realised, prepared.state.position),
-        nominal_lines=link_lines(
-            model, realise(model, assembly_errors(model)), model.start_coordinates()
-        ),
+        nominal_lines=link_lines(model, realise(model, assembly_errors(model)), model.start_coordinates()),
     )
 
 

@@ -69,9 +69,7 @@ class Record(NamedTuple):
     squares: Array
 
 
-def solved_instant(
-    realised: Realisation, result: Accelerations, drive: DriveInput, scale: Array
-) -> Instant:
+def solved_instant(realised: Realisation, result: Accelerations, drive: DriveInput, scale: Array) -> Instant:
     """An instant whose accelerations were solved for."""
     joint, base = loads.chain_loads(realised, result, result.angular, result.linear, drive)
     drift, drift_angle = cut_drift(result.closure, scale)
@@ -131,9 +129,7 @@ def observe(
         topology = realised.topology
         joint, now = instant.loads, instant.motion
         parts = loads.energies(realised, state)
-        force, moment = loads.momentum_residual(
-            realised, state, instant.accelerations, instant.base
-        )
+        force, moment = loads.momentum_residual(realised, state, instant.accelerations, instant.base)
         largest_force = equations.guarded_root(jnp.max(jnp.sum(joint.force**2, axis=0)))
         largest_moment = equations.guarded_root(jnp.max(jnp.sum(joint.moment**2, axis=0)))
         largest_moment = largest_moment + largest_force * instant.arm
@@ -156,9 +152,7 @@ def observe(
             range_used=range_used(topology, state.position),
             ends=link_ends(realised, now)[0],
             branch=_branch(realised, instant),
-            square_integrals=jnp.stack(
-                [integrals.axial_square + integrals.normal_square, integrals.moment_square]
-            ),
+            square_integrals=jnp.stack([integrals.axial_square + integrals.normal_square, integrals.moment_square]),
             residual=instant.residual,
             squares=squares,
         )

@@ -140,8 +140,7 @@ class Run(eqx.Module):
             return f"Run: a batch of {np.shape(self.status)} runs; take one to read its summary."
         lines = [
             f"status {STATUS[int(self.status)].name}, {float(self.times[-1]):g} s simulated",
-            f"{'joint':<12}{'RMS force N':>14}{'RMS moment N m':>16}"
-            f"{'max axial N':>14}{'max normal N':>14}",
+            f"{'joint':<12}{'RMS force N':>14}{'RMS moment N m':>16}{'max axial N':>14}{'max normal N':>14}",
         ]
         m = self.metrics
         lines += [

@@ -69,7 +69,7 @@ class RungeKutta4(diffrax.AbstractSolver):
 
         zeros = jax.tree.map(jnp.zeros_like, y0)
         (_, total), k = jax.lax.scan(stage, (zeros, y0), (nodes, weights))
-        return total, None, dict(y0=y0, y1=total, k=k), None, diffrax.RESULTS.successful
+        return total, None, {"y0": y0, "y1": total, "k": k}, None, diffrax.RESULTS.successful
 
     def func(self, terms, t0, y0, args):
         return terms.vf(t0, y0, args)
@@ -107,7 +107,7 @@ class Leapfrog(diffrax.AbstractSolver):
         integrals = jax.tree.map(lambda a, b: a + h * b, y0.integrals, rate.integrals)
         y1 = type(y0)(_advance(half, velocity, 0.5 * h), velocity, integrals)
         k = jax.tree.map(lambda a: (h * a)[None], rate)
-        return y1, None, dict(y0=y0, y1=y1, k=k), rate.velocity, diffrax.RESULTS.successful
+        return y1, None, {"y0": y0, "y1": y1, "k": k}, rate.velocity, diffrax.RESULTS.successful
 
     def func(self, terms, t0, y0, args):
         return terms.vf(t0, y0, args)
@@ -157,7 +157,7 @@ class PeakTracking(diffrax.AbstractWrappedSolver):
         if error is not None:
             error = (error, jnp.zeros_like(peaks))
         y1 = (motion1, peaks1)
-        return y1, error, dict(y0=y0, y1=y1), solver_state, result
+        return y1, error, {"y0": y0, "y1": y1}, solver_state, result
 
     def func(self, terms, t0, y0, args):
         return terms.vf(t0, y0, args)

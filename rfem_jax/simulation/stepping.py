@@ -77,9 +77,7 @@ def _rate_in_scalars(t, trajectory, conditions):
 @functools.partial(_rate_in_scalars.defjvp, symbolic_zeros=True)
 def _differentiate_rate(primals, tangents):
     inputs, fixed, along = equations.moving_parts(primals, tangents)
-    return jax.jvp(
-        lambda inputs: _batched_rate(*eqx.combine(inputs, fixed)), (inputs,), (along,)
-    )
+    return jax.jvp(lambda inputs: _batched_rate(*eqx.combine(inputs, fixed)), (inputs,), (along,))
 
 
 def _batched_rate(t, trajectory, conditions):
@@ -122,9 +120,7 @@ def _fixed(solver, carry: Carry, start, length, steps, conditions) -> Carry:
         state, _ = jax.lax.scan(lambda *given: (step_or_stand(*given), None), state, indices)
     else:
         count = steps.astype(jnp.int32)
-        state = jax.lax.fori_loop(
-            0, count, lambda i, state: step_or_stand(state, i.astype(jnp.float64)), state
-        )
+        state = jax.lax.fori_loop(0, count, lambda i, state: step_or_stand(state, i.astype(jnp.float64)), state)
     (trajectory, peaks), memory = state
     memory = None if carry.memory is None else memory
     return carry._replace(trajectory=trajectory, peaks=peaks, memory=memory)

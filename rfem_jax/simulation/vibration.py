@@ -81,8 +81,7 @@ class Vibration:
         self.root, self.damping = sparse.diags(np.sqrt(springs)) @ stretch, damping
         # The springs by their damping, which most mechanisms have but one of.
         self.springs = [
-            (stretch.T @ sparse.diags(np.where(damping == rate, springs, 0.0)) @ stretch).tocsr()
-            for rate in self.rates
+            (stretch.T @ sparse.diags(np.where(damping == rate, springs, 0.0)) @ stretch).tocsr() for rate in self.rates
         ]
         self.before = [None] * len(self.rates)
 

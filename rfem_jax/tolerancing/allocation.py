@@ -96,10 +96,7 @@ class Allocation:
     def __str__(self):
         head = f"Allocation ({self.criterion}): status {self.status}, "
         head += f"cost {show_number(self.cost, 7)}"
-        rows = [
-            [n, f"{show_number(t)} {self.units[n]}", self.at_bounds.get(n, "")]
-            for n, t in self.tolerances.items()
-        ]
+        rows = [[n, f"{show_number(t)} {self.units[n]}", self.at_bounds.get(n, "")] for n, t in self.tolerances.items()]
         parts = [head, wrap_lines(self.message)]
         parts.append(align_columns(["error", "tolerance", "bound"], rows))
         header = ["limit", "value", "nominal", "quadratic", "predicted", "verified", "interval"]
@@ -172,9 +169,7 @@ def allocate(
     require_choice(statistic, ("quantile", "mean"), "statistic")
     if not 0 < target < 1:
         raise InputError(f"Argument `target` must lie between 0 and 1, but it is {target}.")
-    request = state_request(
-        problem, limits, cost, bounds, at, mode, batch, model, together=criterion != "worst_case"
-    )
+    request = state_request(problem, limits, cost, bounds, at, mode, batch, model, together=criterion != "worst_case")
     design, refine, verify, last = jax.random.split(key, 4)
     if criterion == "worst_case":
         study = WorstCaseCriterion(request, design, starts)
@@ -249,8 +244,7 @@ def _explain(study, request, criterion, status, verified, key, tolerance):
     """Tell an infeasible request from one that did not converge, and word it."""
     if status == "not_verified":
         return status, (
-            "Fresh runs kept violating a limit beyond their confidence interval; use more samples "
-            "or rounds."
+            "Fresh runs kept violating a limit beyond their confidence interval; use more samples or rounds."
         )
     best = np.minimum(study.best(key), np.where(np.isfinite(verified.h), verified.h, np.inf))
     out = [i for i in range(len(request.limits)) if not best[i] <= tolerance]

@@ -119,16 +119,12 @@ def state_request(problem, limits, cost, bounds, at, mode, batch, model=None, to
 def _read_bounds(problem, bounds):
     if not isinstance(bounds, Mapping) or not bounds:
         raise InputError(
-            "Argument `bounds` must map names of errors to (smallest, largest) half-width, but "
-            "it is "
-            f"{bounds!r}."
+            f"Argument `bounds` must map names of errors to (smallest, largest) half-width, but it is {bounds!r}."
         )
     check_known(bounds, problem.error_names, "bounds")
     for name, pair in bounds.items():
         if len(pair) != 2 or not 0 < pair[0] < pair[1] < np.inf:
-            raise InputError(
-                f"Argument `bounds` must give 0 < smallest < largest, but `{name}` has {pair}."
-            )
+            raise InputError(f"Argument `bounds` must give 0 < smallest < largest, but `{name}` has {pair}.")
     lower, upper = np.array([[float(a), float(b)] for a, b in bounds.values()]).T
     return tuple(bounds), lower, upper
 
@@ -136,9 +132,7 @@ def _read_bounds(problem, bounds):
 def _read_limits(problem, limits, nominal):
     if not isinstance(limits, Mapping) or not limits:
         raise InputError(
-            "Argument `limits` must map names of metrics to an upper limit or (lower, upper), "
-            "but it "
-            f"is {limits!r}."
+            f"Argument `limits` must map names of metrics to an upper limit or (lower, upper), but it is {limits!r}."
         )
     read = []
     for name, bound in limits.items():
@@ -152,7 +146,5 @@ def _read_limits(problem, limits, nominal):
             metric = problem.metrics[index]
             read.append(Limit(metric.name, metric.unit, index, sign, value, at, headroom))
     if not read or not all(np.isfinite(limit.bound) for limit in read):
-        raise InputError(
-            "Argument `limits` must hold finite limits, but has none or a bad one; correct it."
-        )
+        raise InputError("Argument `limits` must hold finite limits, but has none or a bad one; correct it.")
     return tuple(read)

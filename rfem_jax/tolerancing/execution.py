@@ -182,7 +182,7 @@ def fingerprint_problem(problem):
         return keys.digest_content(problem)
     except keys.NotDigestible:
         scalar = jax.ShapeDtypeStruct((), jnp.float64)
-        errors = {name: scalar for name in problem.error_names}
+        errors = dict.fromkeys(problem.error_names, scalar)
         text = jax.jit(lambda e: problem(e)).lower(errors).as_text()
         text = re.sub(r"index = \d+ : ui64", "", text)  # callbacks are counted per Python process
         return hashlib.sha256(text.encode()).hexdigest()

@@ -45,7 +45,10 @@ class Metric(NamedMetric):
 def mean_square_force(joint: str) -> Metric:
     """Mean square of the resultant force [N^2]; smooth everywhere."""
     return Metric(
-        f"{joint}.mean_square_force", "N^2", f"mean square force in {joint}", even=True,
+        f"{joint}.mean_square_force",
+        "N^2",
+        f"mean square force in {joint}",
+        even=True,
         function=lambda run: run.metrics.mean_square_force[joint],
     )
 
@@ -53,7 +56,10 @@ def mean_square_force(joint: str) -> Metric:
 def mean_square_moment(joint: str) -> Metric:
     """Mean square of the resultant moment [(N m)^2]; smooth everywhere."""
     return Metric(
-        f"{joint}.mean_square_moment", "N^2 m^2", f"mean square moment in {joint}", even=True,
+        f"{joint}.mean_square_moment",
+        "N^2 m^2",
+        f"mean square moment in {joint}",
+        even=True,
         function=lambda run: run.metrics.mean_square_moment[joint],
     )
 
@@ -61,7 +67,10 @@ def mean_square_moment(joint: str) -> Metric:
 def rms_force(joint: str) -> Metric:
     """Root mean square of the resultant force [N]."""
     return Metric(
-        f"{joint}.rms_force", "N", f"RMS force in {joint}", even=True,
+        f"{joint}.rms_force",
+        "N",
+        f"RMS force in {joint}",
+        even=True,
         function=lambda run: run.metrics.rms_force[joint],
     )
 
@@ -69,7 +78,10 @@ def rms_force(joint: str) -> Metric:
 def rms_moment(joint: str) -> Metric:
     """Root mean square of the resultant moment [N m]; a cone where it vanishes."""
     return Metric(
-        f"{joint}.rms_moment", "N m", f"RMS moment in {joint}", even=True,
+        f"{joint}.rms_moment",
+        "N m",
+        f"RMS moment in {joint}",
+        even=True,
         function=lambda run: run.metrics.rms_moment[joint],
     )
 
@@ -80,7 +92,10 @@ def peak_force(joint: str, power: int = 16) -> Metric:
     With N saved times, p-norm <= largest saved value <= N^(1/p) p-norm.
     """
     return Metric(
-        f"{joint}.peak_force", "N", f"{power}-norm of the force in {joint}", even=True,
+        f"{joint}.peak_force",
+        "N",
+        f"{power}-norm of the force in {joint}",
+        even=True,
         function=lambda run: _p_norm(run.loads[joint].force, power),
     )
 
@@ -88,7 +103,10 @@ def peak_force(joint: str, power: int = 16) -> Metric:
 def peak_moment(joint: str, power: int = 16) -> Metric:
     """Smooth maximum of the resultant moment [N m], as `peak_force`."""
     return Metric(
-        f"{joint}.peak_moment", "N m", f"{power}-norm of the moment in {joint}", even=True,
+        f"{joint}.peak_moment",
+        "N m",
+        f"{power}-norm of the moment in {joint}",
+        even=True,
         function=lambda run: _p_norm(run.loads[joint].moment, power),
     )
 
@@ -96,7 +114,10 @@ def peak_moment(joint: str, power: int = 16) -> Metric:
 def preload_force(joint: str) -> Metric:
     """Square of the resultant preload force [N^2] after assembly; smooth everywhere."""
     return Metric(
-        f"{joint}.preload_force_square", "N^2", f"squared preload force in {joint}", even=True,
+        f"{joint}.preload_force_square",
+        "N^2",
+        f"squared preload force in {joint}",
+        even=True,
         function=lambda run: jnp.sum(run.preload[joint].force ** 2),
     )
 
@@ -104,8 +125,11 @@ def preload_force(joint: str) -> Metric:
 def preload_moment(joint: str) -> Metric:
     """Square of the resultant preload moment [(N m)^2] after assembly; smooth everywhere."""
     return Metric(
-        f"{joint}.preload_moment_square", "N^2 m^2", f"squared preload moment in {joint}",
-        even=True, function=lambda run: jnp.sum(run.preload[joint].moment ** 2),
+        f"{joint}.preload_moment_square",
+        "N^2 m^2",
+        f"squared preload moment in {joint}",
+        even=True,
+        function=lambda run: jnp.sum(run.preload[joint].moment ** 2),
     )
 
 
@@ -113,7 +137,10 @@ def end_angle(reference: float = 0.0) -> Metric:
     """Driven joint's angle at the end minus a reference [rad]: with the perfect mechanism's angle
     as the reference, the angle error."""
     return Metric(
-        "angle_error", "rad", "angle error at the end", even=True,
+        "angle_error",
+        "rad",
+        "angle error at the end",
+        even=True,
         function=lambda run: run.driven_joint.angle_end - reference,
     )
 
@@ -121,7 +148,10 @@ def end_angle(reference: float = 0.0) -> Metric:
 def end_energy() -> Metric:
     """Mechanical energy at the end [J]."""
     return Metric(
-        "end_energy", "J", "energy at the end", even=True,
+        "end_energy",
+        "J",
+        "energy at the end",
+        even=True,
         function=lambda run: run.energy.total[-1],
     )
 
@@ -151,9 +181,7 @@ def metric(name: str) -> Metric:
     joint, _, kind = name.rpartition(".")
     if not joint or kind not in OF_JOINTS:
         known = [f"{joint or 'A'}.{kind}" for kind in OF_JOINTS] + list(OF_RUNS)
-        raise InputError(
-            f"Argument `metrics` must name metrics, but {name!r} is none; {suggestion(name, known)}"
-        )
+        raise InputError(f"Argument `metrics` must name metrics, but {name!r} is none; {suggestion(name, known)}")
     return OF_JOINTS[kind](joint)
 
 

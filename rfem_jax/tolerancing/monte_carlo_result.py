@@ -80,7 +80,7 @@ class MonteCarloResult:
         causes = ", ".join(f"{count} {cause}" for cause, count in self.failures.items())
         kind = "from independent nets" if self.sampling == "sobol" else "of independent samples"
         head = f"Monte Carlo: {self.samples} samples ({self.sampling}), {failed} failed"
-        head += (f" ({causes})" if causes else "")
+        head += f" ({causes})" if causes else ""
         head += f"; intervals of {100 * self.confidence:g} % confidence, {kind}"
         lines = [wrap_lines(head), self._statistics_table()]
         if self.joint_yield is not None:

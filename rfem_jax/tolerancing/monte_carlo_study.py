@@ -153,10 +153,7 @@ def _summarise(problem, values, status, nets, limits, quantiles, confidence):
     kept = None if nets is None else nets[good]
     return {
         "failures": {_cause(problem, c): int(k) for c, k in zip(codes, counts, strict=True)},
-        "statistics": {
-            name: _describe(values[good, i], quantiles, confidence, kept)
-            for i, name in enumerate(metrics)
-        },
+        "statistics": {name: _describe(values[good, i], quantiles, confidence, kept) for i, name in enumerate(metrics)},
         "yields": yields,
         "joint_yield": joint,
     }
@@ -198,9 +195,7 @@ def _estimate_indices(values, metrics, factors, n, confidence):
     labels = [" + ".join(factor) for factor in factors]
     blocks = values.reshape(len(factors) + 2, n, len(metrics))
     return {
-        name: estimate_sobol_indices(
-            blocks[0, :, i], blocks[1, :, i], blocks[2:, :, i], labels, confidence
-        )
+        name: estimate_sobol_indices(blocks[0, :, i], blocks[1, :, i], blocks[2:, :, i], labels, confidence)
         for i, name in enumerate(metrics)
     }
 
@@ -277,8 +272,12 @@ def _cause(problem, code):
 
 def _identify(problem, tolerances, key):
     """What makes a study this one and no other, apart from the numbers of its call."""
-    versions = {"jax": jax.__version__, "jaxlib": jaxlib.__version__, "numpy": np.__version__,
-                "scipy": scipy.__version__}
+    versions = {
+        "jax": jax.__version__,
+        "jaxlib": jaxlib.__version__,
+        "numpy": np.__version__,
+        "scipy": scipy.__version__,
+    }
     try:
         versions["rfem-jax"] = metadata.version("rfem-jax")
     except metadata.PackageNotFoundError:
@@ -347,7 +346,5 @@ def _check_limits(limits, metrics):
 def _count(value, what, least):
     """`value` as an int of at least `least`. Raises InputError."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
-        raise InputError(
-            f"Argument `{what}` must be a whole number of at least {least}, but it is {value!r}."
-        )
+        raise InputError(f"Argument `{what}` must be a whole number of at least {least}, but it is {value!r}.")
     return int(value)

@@ -37,9 +37,7 @@ class Metric:
 
     def __post_init__(self):
         if not isinstance(self.name, str) or not self.name:
-            raise InputError(
-                f"Argument `name` must be a word, but it is {self.name!r}; give the metric a name."
-            )
+            raise InputError(f"Argument `name` must be a word, but it is {self.name!r}; give the metric a name.")
         if not self.label:
             object.__setattr__(self, "label", self.name)
 
@@ -108,7 +106,5 @@ def _distinct(names, what):
         raise InputError(f"Argument `{what}` must hold at least one name, but it is empty.")
     twice = next((name for i, name in enumerate(names) if name in names[:i]), None)
     if twice is not None:
-        raise InputError(
-            f"Argument `{what}` must not repeat a name, but `{twice}` occurs twice; rename one."
-        )
+        raise InputError(f"Argument `{what}` must not repeat a name, but `{twice}` occurs twice; rename one.")
     return names

@@ -53,7 +53,4 @@ class Progress:
     def _line(self, now):
         rate = (self.done - self.first) / max(now - self.started, 1e-9)
         remaining = (self.total - self.done) / max(rate, 1e-9)
-        return (
-            f"{self.done} of {self.total} samples, {rate:.3g} samples/s, "
-            f"{remaining:.0f} s remaining"
-        )
+        return f"{self.done} of {self.total} samples, {rate:.3g} samples/s, {remaining:.0f} s remaining"

@@ -218,9 +218,7 @@ def expand(problem, at=None, names=None, *, order=2, mode="auto", batch=32):
     metrics = tuple(metric.name for metric in problem.metrics)
     mode = choose_mode(mode, len(names), len(metrics))
     base, x = split_errors(problem, at, names)
-    value, gradient, hessian, asymmetry, status, changes = _expand(
-        problem, names, base, x, order, mode, int(batch)
-    )
+    value, gradient, hessian, asymmetry, status, changes = _expand(problem, names, base, x, order, mode, int(batch))
     return QuadraticModel(
         names, metrics, mode, x, value, gradient, hessian, asymmetry, jnp.asarray(status), None, *changes
     )
@@ -262,9 +260,7 @@ def linearise_points(problem, names, base, points, *, metric=None, mode="auto", 
         width = max(1, min(width, POINTS_WITH_TANGENTS * default_lanes() // k))
 
     def run(points, weights):
-        return run_in_chunks(
-            lambda x, w: _linearise(problem, names, base, x, w, mode), width, points, weights
-        )
+        return run_in_chunks(lambda x, w: _linearise(problem, names, base, x, w, mode), width, points, weights)
 
     if mode == "forward":
         values, slopes, status = run(points, np.zeros((n, m)))
@@ -309,6 +305,4 @@ def expand_by_differences(problem, at, half_widths, *, mode="auto", batch=256):
     arrays = map(jnp.asarray, (values[0], slopes[0] / t, hessian, asymmetry, status[0]))
     value, gradient, hessian, asymmetry, code = arrays
     metrics = tuple(metric.name for metric in problem.metrics)
-    return QuadraticModel(
-        names, metrics, mode, x, value, gradient, hessian, asymmetry, code, jnp.asarray(error)
-    )
+    return QuadraticModel(names, metrics, mode, x, value, gradient, hessian, asymmetry, code, jnp.asarray(error))

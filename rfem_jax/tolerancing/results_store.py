@@ -43,9 +43,7 @@ class StudyFolderError(InputError):
 
     def __init__(self, finding, remedy):
         self.finding, self.remedy = finding, remedy
-        super().__init__(
-            f"Argument `resume` must be a new folder or one of this study, but {finding}; {remedy}."
-        )
+        super().__init__(f"Argument `resume` must be a new folder or one of this study, but {finding}; {remedy}.")
 
 
 class ResultsStore:
@@ -69,8 +67,7 @@ class ResultsStore:
         except OSError as error:
             raise ChunkWriteError(
                 error.errno,
-                f"The folder of the study cannot be used ({error.strerror}); free space or choose "
-                "another folder",
+                f"The folder of the study cannot be used ({error.strerror}); free space or choose another folder",
                 str(self.folder),
             ) from error
 
@@ -87,9 +84,7 @@ class ResultsStore:
                 ) from None
             return False
         except ValueError:
-            raise StudyFolderError(
-                f"`{self.folder / MANIFEST}` cannot be read", "name a new folder"
-            ) from None
+            raise StudyFolderError(f"`{self.folder / MANIFEST}` cannot be read", "name a new folder") from None
         found = found if isinstance(found, dict) else {}
         differing = [
             f"{key} (there {_brief(found.get(key))}, here {_brief(manifest.get(key))})"
@@ -137,7 +132,7 @@ class ResultsStore:
                 return arrays
         except FileNotFoundError:
             return None
-        except Exception:  # noqa: BLE001
+        except Exception:
             # What NumPy, zipfile and zlib raise depends on which byte is wrong: ten kinds and more.
             pass
         if warn:

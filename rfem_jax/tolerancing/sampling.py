@@ -93,6 +93,4 @@ def _typed(key):
         return key
     if dtype == np.uint32 and key.shape == (2,):
         return jax.random.wrap_key_data(jnp.asarray(key))
-    raise InputError(
-        f"Argument `key` must be one JAX random key, but it is {key!r}; write jax.random.key(7)."
-    )
+    raise InputError(f"Argument `key` must be one JAX random key, but it is {key!r}; write jax.random.key(7).")

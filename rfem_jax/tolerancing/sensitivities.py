@@ -102,10 +102,7 @@ class Sensitivities:
             raise InputError("Argument `order` must be 2 for principal directions, but it was 1.")
         i = self._row(metric)
         pairs = zip(self.eigenvalues[i], self.directions[i], strict=True)
-        return [
-            (float(value), dict(zip(self.names, map(float, row), strict=True)))
-            for value, row in pairs
-        ]
+        return [(float(value), dict(zip(self.names, map(float, row), strict=True))) for value, row in pairs]
 
     def root_slope(self, metric, direction):
         """Slope of the root of a cone metric along `direction` {error: rad or m}: sqrt(1/2 e^T H
@@ -192,9 +189,7 @@ _REMARKS = {
 }
 
 
-def sensitivity(
-    problem, at=None, order=2, scale=None, mode="auto", *, names=None, batch=32, refined=None
-):
+def sensitivity(problem, at=None, order=2, scale=None, mode="auto", *, names=None, batch=32, refined=None):
     """First and second derivatives of every metric of `problem` with respect to every named error.
 
     Args: at {error: value} [rad, m], None the nominal point; order 1 or 2; scale a Tolerances

@@ -73,8 +73,7 @@ class Problem(eqx.Module):
         """Unit of an error, "rad" or "m"."""
         if name not in self.error_names:
             raise InputError(
-                f"Argument `name` must be an error of the model, but is {name!r}; "
-                f"{suggestion(name, self.error_names)}"
+                f"Argument `name` must be an error of the model, but is {name!r}; {suggestion(name, self.error_names)}"
             )
         return {"angle": "rad", "length": "m"}[error_dimension(name)]
 
@@ -91,9 +90,7 @@ class Problem(eqx.Module):
 
     def with_method(self, method: Method) -> "Problem":
         """The same problem by another method, for example with a finer step."""
-        return Problem(
-            self.model, self.drive, self.duration, self.metrics, method, self.save_every
-        )
+        return Problem(self.model, self.drive, self.duration, self.metrics, method, self.save_every)
 
     @property
     def derivative_limit(self) -> float | None:
@@ -110,7 +107,11 @@ class Problem(eqx.Module):
         if not isinstance(errors, AssemblyErrors):
             errors = assembly_errors(self.model, dict(errors))
         run = simulate(
-            self.model, errors, drive=self.drive, duration=self.duration, method=self.method,
+            self.model,
+            errors,
+            drive=self.drive,
+            duration=self.duration,
+            method=self.method,
             save_every=self.save_every,
         )
         forces = jnp.stack([load.force for load in run.loads.values()])

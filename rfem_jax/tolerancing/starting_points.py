@@ -133,9 +133,7 @@ def distinct(points, values, distance=1e-3):
     """Indices of points (n, k) that differ from every better one, by falling value; no NaN."""
     kept = []
     for i in np.argsort(-values, kind="stable"):
-        if np.isfinite(values[i]) and all(
-            np.max(np.abs(points[i] - points[j])) > distance for j in kept
-        ):
+        if np.isfinite(values[i]) and all(np.max(np.abs(points[i] - points[j])) > distance for j in kept):
             kept.append(i)
     return np.array(kept, dtype=int)
 
@@ -152,8 +150,7 @@ def start_points(counts, model, region, k, key):
     for kind, count in counts.items():
         if kind not in kinds or count != int(count) or count < 0:
             raise InputError(
-                f"Argument `starts` must give whole numbers of {', '.join(kinds)}, but has "
-                f"{kind!r}: {count!r}."
+                f"Argument `starts` must give whole numbers of {', '.join(kinds)}, but has {kind!r}: {count!r}."
             )
     if sum(counts.values()) < 1:
         raise InputError("Argument `starts` must ask for at least one start, but asks for none.")

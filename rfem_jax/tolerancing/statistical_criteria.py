@@ -133,9 +133,7 @@ class StatisticalCriterion:
         """Cheapest x on the model."""
         budget = (15, 300) if self.joint else (25, 1000)
         model = self.model()
-        solution, unit, h = cheapest(
-            model, self.request.costs, *map(jnp.asarray, (x, lower, upper)), *budget
-        )
+        solution, unit, h = cheapest(model, self.request.costs, *map(jnp.asarray, (x, lower, upper)), *budget)
         x, h = np.asarray(solution.point), np.asarray(h)
         price = np.asarray(solution.multipliers) * float(unit)
         predicted = h

@@ -78,10 +78,7 @@ class ControlledMean:
 def require_confidence(confidence):
     """Return `confidence` if it lies inside (0, 1). Raises InputError."""
     if not (isinstance(confidence, (int, float)) and 0.0 < confidence < 1.0):
-        raise InputError(
-            f"Argument `confidence` must lie between 0 and 1, but it is {confidence!r}; "
-            "0.95 is usual."
-        )
+        raise InputError(f"Argument `confidence` must lie between 0 and 1, but it is {confidence!r}; 0.95 is usual.")
     return float(confidence)
 
 
@@ -158,9 +155,7 @@ def estimate_quantile(samples, fraction, confidence=0.95, nets=None):
         bound it.
     """
     if not 0.0 < fraction < 1.0:
-        raise InputError(
-            f"Argument `quantiles` must lie between 0 and 1, but one is {fraction!r}; write 0.95."
-        )
+        raise InputError(f"Argument `quantiles` must lie between 0 and 1, but one is {fraction!r}; write 0.95.")
     n = len(samples)
     if n == 0:
         return Estimate(math.nan, math.nan, math.nan)
@@ -235,10 +230,7 @@ def estimate_sobol_indices(f_a, f_b, f_ab, labels, confidence=0.95, seed=0):
         resampled.append(sobol_estimates(f_a[drawn], f_b[drawn], f_ab[:, drawn]))
     low, high = np.quantile(np.array(resampled), tails, axis=0)
     first, total = (
-        {
-            label: Estimate(float(values[j][i]), float(low[j, i]), float(high[j, i]))
-            for i, label in enumerate(labels)
-        }
+        {label: Estimate(float(values[j][i]), float(low[j, i]), float(high[j, i])) for i, label in enumerate(labels)}
         for j in (0, 1)
     )
     return SobolIndices(first, total, n)
@@ -262,10 +254,7 @@ def estimate_controlled_mean(samples, model, model_mean, confidence=0.95, nets=N
     coefficients = np.array([_slope(samples[fold != k], model[fold != k]) for k in range(folds)])
     residual = samples - coefficients[fold] * (model - model_mean)
     before, after = np.var(samples, ddof=1), np.var(residual, ddof=1)
-    if before == 0.0:
-        reduction = 1.0
-    else:
-        reduction = math.inf if after == 0.0 else float(before / after)
+    reduction = 1.0 if before == 0.0 else math.inf if after == 0.0 else float(before / after)
     mean = estimate_mean(residual, confidence, nets)
     return ControlledMean(mean, reduction, float(np.mean(coefficients)))
 

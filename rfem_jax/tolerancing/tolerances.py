@@ -136,9 +136,7 @@ class CorrelatedNormal(eqx.Module):
         self.mean = jnp.zeros(d) if mean is None else jnp.asarray(mean, jnp.float64)
         self.deviations = _number(deviations, "deviations", positive=True)
         if len(set(self.names)) != d:
-            raise InputError(
-                f"Argument `names` must not repeat a name, but it is {self.names}; merge the rows."
-            )
+            raise InputError(f"Argument `names` must not repeat a name, but it is {self.names}; merge the rows.")
         for what, array, shape in (
             ("covariance", self.covariance, (d, d)),
             ("mean", self.mean, (d,)),
@@ -175,9 +173,7 @@ class Tolerances(eqx.Module):
 
     def __init__(self, tolerances: Mapping | None = None, *, correlated=()):
         self.independent = dict(tolerances or {})
-        self.correlated = (
-            (correlated,) if isinstance(correlated, CorrelatedNormal) else tuple(correlated)
-        )
+        self.correlated = (correlated,) if isinstance(correlated, CorrelatedNormal) else tuple(correlated)
         for name, tolerance in self.independent.items():
             if not isinstance(tolerance, Tolerance):
                 raise InputError(
@@ -280,9 +276,7 @@ def _number(value, what, positive=False):
         if not (np.isfinite(number) and (number > 0 if positive else number >= 0)):
             bound = "positive" if positive else "zero or positive"
             fix = "3 is usual" if positive else "give a half-width in rad or m"
-            raise InputError(
-                f"Argument `{what}` must be {bound} and finite, but it is {value}; {fix}."
-            )
+            raise InputError(f"Argument `{what}` must be {bound} and finite, but it is {value}; {fix}.")
     return number
 
 
@@ -296,9 +290,7 @@ def _half_width_and_centre(tolerance, interval):
     if interval is None:
         return _number(tolerance, "tolerance"), jnp.zeros((), jnp.float64)
     if len(interval) != 2:
-        raise InputError(
-            f"Argument `interval` must be a pair (low, high), but it is {interval!r}."
-        )
+        raise InputError(f"Argument `interval` must be a pair (low, high), but it is {interval!r}.")
     require_float64()
     low, high = (jnp.asarray(end, jnp.float64) for end in interval)
     if not isinstance(low, jax.core.Tracer) and not isinstance(high, jax.core.Tracer):

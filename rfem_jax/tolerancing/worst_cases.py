@@ -121,8 +121,7 @@ class WorstCase:
         head += f"{self.found_by}, nominal {self._show(self.nominal, 5)})"
         header = ["error", "value", "bound", "slope per tolerance"]
         rows = [
-            [n, show_number(self.errors[n]), self.active.get(n, ""), self._show(self.slopes[n], 5)]
-            for n in self.errors
+            [n, show_number(self.errors[n]), self.active.get(n, ""), self._show(self.slopes[n], 5)] for n in self.errors
         ]
         spent = self.evaluations
         model = f"quadratic model: {self._show(self.quadratic_value)}, "
@@ -215,9 +214,7 @@ def worst_case(
         )
         return values[:, index] / scale, slopes @ matrix / scale
 
-    search = climb_together(
-        function, projection(region), z0, evaluations=evaluations, tolerance=tolerance
-    )
+    search = climb_together(function, projection(region), z0, evaluations=evaluations, tolerance=tolerance)
     found = _collect(search, abs(scale), region, k, corners, values_at)
     error = getattr(model, "hessian_error", None)  # model may be False
     error = np.nan if error is None else float(error[index])
@@ -318,22 +315,18 @@ def _ties(points, values, spread):
 def _active(z, names, region):
     if region == "ellipsoid":
         return {"ellipsoid": "surface"} if np.linalg.norm(z) >= 1 - ON_BOUND else {}
-    return {
-        name: "upper" if x > 0 else "lower"
-        for name, x in zip(names, z, strict=True)
-        if abs(x) >= 1 - ON_BOUND
-    }
+    return {name: "upper" if x > 0 else "lower" for name, x in zip(names, z, strict=True) if abs(x) >= 1 - ON_BOUND}
 
 
 def _predict(scaled, sign, region, key, errors_at):
     if scaled is None:
-        return dict(quadratic_value=np.nan, quadratic_errors={}, quadratic_bound=np.nan)
+        return {"quadratic_value": np.nan, "quadratic_errors": {}, "quadratic_bound": np.nan}
     points, heights = maximise_quadratic(*scaled, region, key)
     bound = sign * quadratic_bound(*scaled, region)
     if not len(points):
-        return dict(quadratic_value=np.nan, quadratic_errors={}, quadratic_bound=bound)
-    return dict(
-        quadratic_value=float(sign * heights[0]),
-        quadratic_errors=errors_at(points[0]),
-        quadratic_bound=bound,
-    )
+        return {"quadratic_value": np.nan, "quadratic_errors": {}, "quadratic_bound": bound}
+    return {
+        "quadratic_value": float(sign * heights[0]),
+        "quadratic_errors": errors_at(points[0]),
+        "quadratic_bound": bound,
+    }

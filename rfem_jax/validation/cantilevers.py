@@ -94,9 +94,7 @@ def _bend(model: Model, force):
 def frequencies(segments: int, shear_stiffness: float, rotary: float) -> np.ndarray:
     """Lowest three frequencies of a clamped link with E I = rho A = L = 1 over Euler-Bernoulli's,
     in the plane of motion (all other stiffnesses are so large that their modes lie above)."""
-    section = GivenSection(
-        1e7, 1e9, shear_stiffness, 1e4, 1.0, 1e4, 1.0, rotary + 1e-9, rotary, 1e-9
-    )
+    section = GivenSection(1e7, 1e9, shear_stiffness, 1e4, 1.0, 1e4, 1.0, rotary + 1e-9, rotary, 1e-9)
     link = Link("beam", 1.0, section, rfes=segments + 1)
     mechanism = Mechanism([link], [Joint("A", "base", "beam")], driven_joint="A")
     values = eigenvalues(discretise(mechanism), PrescribedRate("A", 1.0)).imag
@@ -130,9 +128,7 @@ def _small_load_lines(m: int) -> list[Line]:
         )  # fmt: skip
     slope = np.arcsin(bent.rotation[2, 0])
     known = force * length**2 / (2.0 * ei)
-    lines.append(
-        relative(group, f"m = {m}, tip slope", slope, known, 1e-6, STATICS_SOURCE, "rad")
-    )
+    lines.append(relative(group, f"m = {m}, tip slope", slope, known, 1e-6, STATICS_SOURCE, "rad"))
     return lines
 
 

@@ -74,9 +74,7 @@ ALLOWED = {
 
 def study() -> Study:
     """Cases P1 (perfect) and P2 (joint D tilted by 0.5 deg) of the main study."""
-    steel = Material(
-        "steel", youngs_modulus=210e9, poisson_ratio=0.3, density=7850.0, damping=1e-5
-    )
+    steel = Material("steel", youngs_modulus=210e9, poisson_ratio=0.3, density=7850.0, damping=1e-5)
     bar = Rectangle(0.01, 0.01)
     links = [
         Link("crank", 0.12, bar, steel, rigid=True),
@@ -107,16 +105,12 @@ def validate(full: bool, progress) -> Outcome:
     lines, curves = [], []
     for number, elements in enumerate(ALLOWED):
         model = discretise(stated.mechanism, elements=elements)
-        _, runs = run_cases(
-            stated, model=model, progress=lambda done: progress((number + done) / len(ALLOWED))
-        )
+        _, runs = run_cases(stated, model=model, progress=lambda done: progress((number + done) / len(ALLOWED)))
         lines += checked(elements, runs)
         run = runs["P2"]
         force = np.linalg.norm(run.loads["A"].force, axis=1)
         curves.append(Curve(elements.replace("_", " "), run.times, force))
-    picture = Picture(
-        "main_study", "Main study, P2: resultant force in A", "t, s", "N", tuple(curves)
-    )
+    picture = Picture("main_study", "Main study, P2: resultant force in A", "t, s", "N", tuple(curves))
     return Outcome(lines, [picture])
 
 
@@ -150,8 +144,15 @@ def checked(elements: str, runs) -> list[Line]:
                 by_joint(case, quantity, values, table[case], share, unit)
         holding = run.preload["A"].moment[1]
         lines.append(
-            relative(f"{prefix}: holding moment", f"{case} moment that holds the crank", holding,
-                     HOLDING[case], 1e-5, SOURCE, "N m")
+            relative(
+                f"{prefix}: holding moment",
+                f"{case} moment that holds the crank",
+                holding,
+                HOLDING[case],
+                1e-5,
+                SOURCE,
+                "N m",
+            )
         )
         lines += motion_lines(prefix, allowed, case, run)
     return lines

@@ -60,9 +60,7 @@ class Beam:
             self.line_density, 2.0 * self.rotary, self.rotary, self.rotary,
         )  # fmt: skip
         link = Link("beam", self.length, section, rfes=SEGMENTS + 1)
-        return Mechanism(
-            [link], [Joint("A", "base", "beam")], gravity=(0.0, 0.0, 0.0), driven_joint="A"
-        )
+        return Mechanism([link], [Joint("A", "base", "beam")], gravity=(0.0, 0.0, 0.0), driven_joint="A")
 
     def extension(self) -> float:
         """Steady extension [m]."""

@@ -74,12 +74,8 @@ BRANCHES = {"x1": "parallelogram", "x5": "anti-parallelogram"}
 
 def mechanism(segments: int) -> Mechanism:
     """The three bars with `segments` sdes each."""
-    thick = GivenSection(
-        52.99e6, 16.88e6, 16.88e6, 733.5, 1131.0, 1131.0, 1.997, 2 * 42.6e-6, 42.6e-6, 42.6e-6
-    )
-    thin = GivenSection(
-        13.25e6, 4.22e6, 4.22e6, 45.84, 70.66, 70.66, 0.4992, 2 * 2.662e-6, 2.662e-6, 2.662e-6
-    )
+    thick = GivenSection(52.99e6, 16.88e6, 16.88e6, 733.5, 1131.0, 1131.0, 1.997, 2 * 42.6e-6, 42.6e-6, 42.6e-6)
+    thin = GivenSection(13.25e6, 4.22e6, 4.22e6, 45.84, 70.66, 70.66, 0.4992, 2 * 2.662e-6, 2.662e-6, 2.662e-6)
     links = [
         Link("bar1", 0.12, thick, rfes=segments + 1),
         Link("bar2", 0.24, thick, rfes=segments + 1),
@@ -91,9 +87,7 @@ def mechanism(segments: int) -> Mechanism:
         Joint("D", "base", "bar3", position=(0.24, 0.0, 0.0), angle="-90 deg"),
         Joint("C", "bar2", "bar3", cut=True),
     ]
-    return Mechanism(
-        links, joints, gravity=(0.0, 0.0, 0.0), driven_joint="A", elements=ELEMENTS
-    )
+    return Mechanism(links, joints, gravity=(0.0, 0.0, 0.0), driven_joint="A", elements=ELEMENTS)
 
 
 def study(segments: int, cases: dict[str, dict], duration: float) -> Study:
@@ -269,8 +263,7 @@ def derivative_lines(model: Model, runs: dict[str, Run]) -> list[Line]:
     for joint, kind, unit in (("A", "force", "N^2/rad"), ("B", "moment", "(N m)^2/rad"),
                               ("C", "moment", "(N m)^2/rad")):  # fmt: skip
         more, less = (
-            float(getattr(runs[name].window(*WINDOW), f"mean_square_{kind}")[joint])
-            for name in ("more", "less")
+            float(getattr(runs[name].window(*WINDOW), f"mean_square_{kind}")[joint]) for name in ("more", "less")
         )
         lines.append(
             relative(f"{GROUP}, derivatives", f"m = 2, d(mean-square {kind} {joint}) / d(tilt)",

@@ -81,19 +81,17 @@ def other_errors_figure(study, joints, degrees, names, per_unit) -> Figure:
     """Moments in A and D by tilts of every joint, one panel a joint with the error."""
     figure = Figure(figsize=(7.6, 8.6), layout="constrained")
     panels, legend = panel_grid(figure, 6)
-    groups = [
-        (f"tilt of the seat of {joint}", [f"{joint}.delta_x", f"{joint}.delta_z"])
-        for joint in joints
-    ]
+    groups = [(f"tilt of the seat of {joint}", [f"{joint}.delta_x", f"{joint}.delta_z"]) for joint in joints]
     groups.append(("crooked pin of C", ["C.pin_tilt_x", "C.pin_tilt_z"]))
     groups.append(("twisted link", ["coupler.twist", "rocker.twist"]))
-    for letter, axes, (title, errors) in zip("abcdef", panels, groups):
+    for letter, axes, (_title, errors) in zip("abcdef", panels, groups):
         shown = [(error, joint) for error in errors for joint in "AD"]
         for k, (error, joint) in enumerate(shown):
             moment = sizes(per_unit, names, error, joints.index(joint), 1)
             which = ("first error named", "second error named")[errors.index(error)]
             axes.plot(
-                *closed(degrees, moment), **line_style(k, len(degrees) + 1),
+                *closed(degrees, moment),
+                **line_style(k, len(degrees) + 1),
                 label=f"moment in {joint}, {which}",
             )
         axes.set_title(f"({letter}) {errors[0]}, {errors[1]}", loc="left")
@@ -113,7 +111,9 @@ def peaks_figure(study, joints, rows) -> Figure:
     rows = sorted(rows, key=lambda row: (row["per"], row["error"]))
     figure = Figure(figsize=(7.6, 1.9 + 0.21 * len(rows)), layout="constrained")
     for axes, load, unit, title in zip(
-        figure.subplots(1, 2, sharey=True), ("force", "moment"), ("N", "Nm"),
+        figure.subplots(1, 2, sharey=True),
+        ("force", "moment"),
+        ("N", "Nm"),
         ("(a) force, N", "(b) moment, N m"),
     ):
         values = np.array([[row[f"{j}_{load}_{unit}"] for j in joints] for row in rows])
@@ -123,8 +123,13 @@ def peaks_figure(study, joints, rows) -> Figure:
         for (i, j), value in np.ndenumerate(values):
             dark = value > shown.max() / 4
             axes.text(
-                j, i, f"{value:.3g}" if value > SMALL else "0", ha="center", va="center",
-                fontsize=7.5, color="white" if dark else "black",
+                j,
+                i,
+                f"{value:.3g}" if value > SMALL else "0",
+                ha="center",
+                va="center",
+                fontsize=7.5,
+                color="white" if dark else "black",
             )
         axes.set_xticks(range(len(joints)), joints)
         axes.set_yticks(range(len(rows)), [f"{row['error']}, 1 {row['per']}" for row in rows])
@@ -147,7 +152,8 @@ def drive_figure(study, rows) -> Figure:
             moment = np.array([row["moment_Nm"] for row in found])
             unit = AT_D.get(case, "1 deg")
             axes.plot(
-                *closed(degrees, moment), **line_style(k, len(degrees) + 1),
+                *closed(degrees, moment),
+                **line_style(k, len(degrees) + 1),
                 label=case if case == "perfect" else f"{case}, {unit}",
             )
         axes.set_ylabel("moment, N m")

@@ -32,8 +32,8 @@ jax.config.update("jax_enable_x64", True)
 import equinox as eqx  # noqa: E402
 import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
-
 import preload_figures  # noqa: E402
+
 from rfem_jax import assemble, assembly_errors, discretise, load_study  # noqa: E402
 from rfem_jax.mechanics.discretisation import close_at  # noqa: E402
 from rfem_jax.mechanics.loads import energies  # noqa: E402
@@ -44,8 +44,17 @@ RFES = 9  # a flexible link: 8 spring-damping elements
 OTHERS = (5, 17)  # at the start only, for the discretisation error
 ANGLES = 72  # over a full turn
 SHOWN = (
-    "D.delta_x", "D.delta_z", "D.d_y", "B.delta_x", "B.delta_z", "C.delta_x", "C.child.delta_z",
-    "coupler.twist", "rocker.twist", "coupler.length", "D.d_x",
+    "D.delta_x",
+    "D.delta_z",
+    "D.d_y",
+    "B.delta_x",
+    "B.delta_z",
+    "C.delta_x",
+    "C.child.delta_z",
+    "coupler.twist",
+    "rocker.twist",
+    "coupler.length",
+    "D.d_x",
 )
 UNIT = {"angle": np.pi / 180.0, "length": 1e-3}
 UNIT_NAME = {"angle": "deg", "length": "mm"}
@@ -77,9 +86,7 @@ def held(model, start_angles, cut_angles, errors):
 
     The crank is held where the perfect mechanism is closed, from where Newton's method starts.
     """
-    placed = eqx.tree_at(
-        lambda m: (m.start_angles, m.cut_angles), model, (start_angles, cut_angles)
-    )
+    placed = eqx.tree_at(lambda m: (m.start_angles, m.cut_angles), model, (start_angles, cut_angles))
     driven = model.topology.driven
     hold = {model.topology.joints[driven]: start_angles[driven]}
     assembled = assemble(placed, errors, hold=hold)
@@ -197,12 +204,13 @@ def drive_rows(degrees, angles, moment, energy) -> list[dict]:
     """Moment that holds the crank: perfect, and its change by each unit error."""
     slope = slope_along_turn(energy, angles)
     columns = {"perfect": (moment[:, 0], slope[:, 0])} | {
-        name: (moment[:, e] - moment[:, 0], slope[:, e] - slope[:, 0])
-        for e, name in enumerate(SHOWN, start=1)
+        name: (moment[:, e] - moment[:, 0], slope[:, e] - slope[:, 0]) for e, name in enumerate(SHOWN, start=1)
     }
     return [
         {
-            "case": name, "crank_angle_deg": float(angle), "moment_Nm": float(of_moment[i]),
+            "case": name,
+            "crank_angle_deg": float(angle),
+            "moment_Nm": float(of_moment[i]),
             "slope_of_energy_Nm": float(of_energy[i]),
         }
         for name, (of_moment, of_energy) in columns.items()
@@ -247,16 +255,10 @@ def print_summary(tables, joints) -> None:
             f"off by {row['relative_deviation_of_force']:.1e};  moment "
             f"{row['largest_moment_Nm']:8.4f} N m, off by {row['relative_deviation_of_moment']:.1e}"
         )
-    print(
-        f"\nPreload per unit error at the start against the number of rfes (moments in "
-        f"{', '.join(joints)})"
-    )
+    print(f"\nPreload per unit error at the start against the number of rfes (moments in {', '.join(joints)})")
     for row in tables["discretisation"]:
         numbers = "".join(f"{row[f'{j}_moment_Nm']:10.4f}" for j in joints)
-        print(
-            f"  {row['error']:<10}rfes {row['rfes']:<4}force {row['A_force_N']:9.4f} N   moments "
-            f"{numbers} N m"
-        )
+        print(f"  {row['error']:<10}rfes {row['rfes']:<4}force {row['A_force_N']:9.4f} N   moments {numbers} N m")
     print("\nMoment that holds the crank: extremes over the turn, and the slope of the energy")
     for name in dict.fromkeys(row["case"] for row in tables["drive"]):
         rows = [row for row in tables["drive"] if row["case"] == name]
@@ -315,7 +317,10 @@ def main() -> None:
         write_csv(folder / f"{name}.csv", table)
     small = {name: table for name, table in tables.items() if name != "preload_per_unit_error"}
     content = {
-        "title": study.title, "note": study.note, "rfes": RFES, "angles": ANGLES,
+        "title": study.title,
+        "note": study.note,
+        "rfes": RFES,
+        "angles": ANGLES,
         "tables": small,
     }
     write_json(folder / "results.json", content)

@@ -14,8 +14,11 @@ from rfem_jax.report.style import SETTINGS, add_titles, bar_style, line_style, p
 
 LOADED = ("P2", "P5")  # cases whose errors load the joints
 NAMES = {
-    "rms_force": "RMS force", "rms_moment": "RMS moment", "max_axial_force": "largest axial force",
-    "max_normal_force": "largest normal force", "preload_force": "preload force",
+    "rms_force": "RMS force",
+    "rms_moment": "RMS moment",
+    "max_axial_force": "largest axial force",
+    "max_normal_force": "largest normal force",
+    "preload_force": "preload force",
     "preload_moment": "preload moment",
 }
 
@@ -27,12 +30,11 @@ def write_figures(folder, study, tables) -> list[Path]:
             "rfes": rfes_figure(study, tables["rfes"]),
             "steps": steps_figure(study, tables["steps"]),
             "elements": difference_figure(
-                study, tables["elements"],
+                study,
+                tables["elements"],
                 "Geometrically exact against linear spring-damping elements",
             ),
-            "crank": difference_figure(
-                study, tables["crank"], "Flexible against rigid crank (5 rfes a link)"
-            ),
+            "crank": difference_figure(study, tables["crank"], "Flexible against rigid crank (5 rfes a link)"),
             "damping": damping_figure(study, tables["damping"]),
         }
     return write_pictures(folder, figures)
@@ -48,8 +50,13 @@ def accuracy_lines(axes) -> None:
     for level, text in ((1e-2, "1 %"), (1e-3, "0.1 %")):
         axes.axhline(level, color="#808080", linewidth=0.9, linestyle=":")
         axes.annotate(
-            text, (0.01, level), xycoords=("axes fraction", "data"), ha="left", va="bottom",
-            fontsize=8, color="#606060",
+            text,
+            (0.01, level),
+            xycoords=("axes fraction", "data"),
+            ha="left",
+            va="bottom",
+            fontsize=8,
+            color="#606060",
         )
 
 
@@ -95,10 +102,7 @@ def steps_figure(study, rows) -> Figure:
             own = [row for row in rows if row["method"] == method and row["case"] in LOADED]
             steps = sorted({row["step_s"] for row in own})
             found = [[row for row in own if row["step_s"] == step] for step in steps]
-            errors = [
-                max(row["largest_relative_error"] for row in part if row["metric"] in names)
-                for part in found
-            ]
+            errors = [max(row["largest_relative_error"] for row in part if row["metric"] in names) for part in found]
             seconds = [part[0]["cpu_s_per_case"] for part in found]
             style = {**every_point(k, len(steps)), "label": method}
             panels[2 * line].loglog(steps, errors, **style)
@@ -123,10 +127,7 @@ def difference_figure(study, rows, heading) -> Figure:
     width = 0.8 / len(cases)
     for letter, (name, title), axes in zip("abcdef", NAMES.items(), panels):
         for k, case in enumerate(cases):
-            values = [
-                row["relative_difference"] for row in rows
-                if row["case"] == case and row["metric"] == name
-            ]
+            values = [row["relative_difference"] for row in rows if row["case"] == case and row["metric"] == name]
             heights = [100.0 * (value or 0.0) for value in values]
             places = np.arange(len(joints)) + (k - (len(cases) - 1) / 2) * width
             axes.bar(places, heights, width, label=case, **bar_style(k))
@@ -151,9 +152,9 @@ def damping_figure(study, rows) -> Figure:
     for column, (load, unit, square) in enumerate(kinds):
         for k, (method, step) in enumerate(runs):
             own = [
-                row for row in rows
-                if (row["method"], row["step_s"]) == (method, step)
-                and row["load"] == load and row["joint"] == "A"
+                row
+                for row in rows
+                if (row["method"], row["step_s"]) == (method, step) and row["load"] == load and row["joint"] == "A"
             ]
             # Side by side, so that equal values all show.
             places = [dampings.index(row["damping_s"]) + 0.12 * (k - 1.5) for row in own]
@@ -164,9 +165,7 @@ def damping_figure(study, rows) -> Figure:
             panels[2 + column].plot(places, slopes, label=label, **style)
         panels[column].set_title(f"({'ab'[column]}) RMS {load} in A", loc="left")
         panels[column].set_ylabel(f"{load}, {unit}")
-        panels[2 + column].set_title(
-            f"({'cd'[column]}) slope of its square by D.delta_x", loc="left"
-        )
+        panels[2 + column].set_title(f"({'cd'[column]}) slope of its square by D.delta_x", loc="left")
         panels[2 + column].set_ylabel(f"slope, {square} per deg")
     for axes in panels:
         axes.set_xticks(range(len(dampings)), [f"{damping:g}" for damping in dampings])

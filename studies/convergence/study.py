@@ -32,11 +32,11 @@ import jax  # noqa: E402
 
 jax.config.update("jax_enable_x64", True)
 
+import convergence_figures  # noqa: E402
 import equinox as eqx  # noqa: E402
 import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
 
-import convergence_figures  # noqa: E402
 from rfem_jax import STATUS, Method, assembly_errors, discretise, load_study, simulate  # noqa: E402
 from rfem_jax.report.output import write_csv, write_json  # noqa: E402
 
@@ -74,8 +74,12 @@ def loads_program(study, model, method) -> Program:
     def run(model, errors):
         def one(errors):
             run = simulate(
-                model, errors, drive=study.drive, duration=study.duration,
-                method=Method(method[0], step=method[1]), save_every=SAVE_EVERY,
+                model,
+                errors,
+                drive=study.drive,
+                duration=study.duration,
+                method=Method(method[0], step=method[1]),
+                save_every=SAVE_EVERY,
             )
             return {name: getattr(run.metrics, name) for name in METRICS}, run.preload, run.status
 
@@ -98,8 +102,11 @@ def slopes_program(study, model, method, dampings) -> Program:
 
             def squares(tilt):
                 run = simulate(
-                    damped, assembly_errors(model, {"D.delta_x": tilt}), drive=study.drive,
-                    duration=study.duration, method=Method(method[0], step=method[1]),
+                    damped,
+                    assembly_errors(model, {"D.delta_x": tilt}),
+                    drive=study.drive,
+                    duration=study.duration,
+                    method=Method(method[0], step=method[1]),
                     save_every=SAVE_EVERY,
                 )
                 m = run.metrics
@@ -119,10 +126,7 @@ def programs_of(study) -> dict[tuple, Program]:
     links = [replace(link, rigid=False, rfes=5) for link in study.mechanism.links]
     flexible = discretise(replace(study.mechanism, links=links))
     exact = discretise(study.mechanism, elements="geometrically_exact")
-    programs = {
-        ("rfes", m): loads_program(study, discretise(study.mechanism, rfes=m + 1), USUAL)
-        for m in SDES
-    }
+    programs = {("rfes", m): loads_program(study, discretise(study.mechanism, rfes=m + 1), USUAL) for m in SDES}
     for method in (*STEPS, REFERENCE):
         if method != USUAL:
             programs["steps", *method] = loads_program(study, usual, method)
@@ -197,18 +201,21 @@ def rfes_table(outcomes, joints) -> list[dict]:
     fine, finest = (outcomes["rfes", m] for m in SDES[-2:])
     for case in CASES:
         for name, unit in METRICS.items():
-            limit = {
-                j: (4.0 * metric(finest, name, case, j) - metric(fine, name, case, j)) / 3.0
-                for j in joints
-            }
+            limit = {j: (4.0 * metric(finest, name, case, j) - metric(fine, name, case, j)) / 3.0 for j in joints}
             for m in SDES:
                 outcome = outcomes["rfes", m]
-                rows.append({
-                    "case": case, "metric": name, "unit": unit, "sdes": m, "rfes": m + 1,
-                    **{j: metric(outcome, name, case, j) for j in joints},
-                    "largest_relative_error": worst(outcome, limit, name, case, joints),
-                    "cpu_s_per_case": outcome.seconds,
-                })
+                rows.append(
+                    {
+                        "case": case,
+                        "metric": name,
+                        "unit": unit,
+                        "sdes": m,
+                        "rfes": m + 1,
+                        **{j: metric(outcome, name, case, j) for j in joints},
+                        "largest_relative_error": worst(outcome, limit, name, case, joints),
+                        "cpu_s_per_case": outcome.seconds,
+                    }
+                )
     return rows
 
 
@@ -224,13 +231,19 @@ def steps_table(outcomes, joints) -> list[dict]:
                 status = status_of(outcome)
                 good = status == "ok"
                 error = worst(outcome, limit, name, case, joints) if good else None
-                rows.append({
-                    "method": method[0], "step_s": method[1], "case": case, "metric": name,
-                    "unit": unit, "status": status,
-                    **{j: metric(outcome, name, case, j) if good else None for j in joints},
-                    "largest_relative_error": None if method == REFERENCE else error,
-                    "cpu_s_per_case": outcome.seconds,
-                })
+                rows.append(
+                    {
+                        "method": method[0],
+                        "step_s": method[1],
+                        "case": case,
+                        "metric": name,
+                        "unit": unit,
+                        "status": status,
+                        **{j: metric(outcome, name, case, j) if good else None for j in joints},
+                        "largest_relative_error": None if method == REFERENCE else error,
+                        "cpu_s_per_case": outcome.seconds,
+                    }
+                )
     return rows
 
 
@@ -242,10 +255,17 @@ def comparison_table(names, outcomes, joints) -> list[dict]:
             for joint in joints:
                 one, other = (_any_metric(outcome, name, case, joint) for outcome in outcomes)
                 difference = other / one - 1.0 if one > 1e-3 else None
-                rows.append({
-                    "case": case, "metric": name, "unit": unit, "joint": joint, names[0]: one,
-                    names[1]: other, "relative_difference": difference,
-                })
+                rows.append(
+                    {
+                        "case": case,
+                        "metric": name,
+                        "unit": unit,
+                        "joint": joint,
+                        names[0]: one,
+                        names[1]: other,
+                        "relative_difference": difference,
+                    }
+                )
     return rows
 
 
@@ -264,20 +284,31 @@ def damping_table(outcomes, joints) -> list[dict]:
         for i, damping in enumerate(DAMPINGS[:count]):
             for kind, unit in enumerate(("N", "Nm")):
                 for joint in joints:
-                    rows.append({
-                        "damping_s": damping, "method": name, "step_s": step,
-                        "load": ("force", "moment")[kind], "unit": unit, "joint": joint,
-                        "rms": float(np.sqrt(values[kind][joint][i])),
-                        "slope_of_square_per_deg": float(slopes[kind][joint][i]) * DEGREE,
-                    })
+                    rows.append(
+                        {
+                            "damping_s": damping,
+                            "method": name,
+                            "step_s": step,
+                            "load": ("force", "moment")[kind],
+                            "unit": unit,
+                            "joint": joint,
+                            "rms": float(np.sqrt(values[kind][joint][i])),
+                            "slope_of_square_per_deg": float(slopes[kind][joint][i]) * DEGREE,
+                        }
+                    )
     return rows
 
 
 def print_summary(tables) -> None:
     """What an engineer reads first."""
     print("\nRelative error of RMS loads (largest over the joints) against sdes a link")
-    for case, name in (("P1", "rms_force"), ("P2", "rms_force"), ("P2", "rms_moment"),
-                       ("P5", "rms_force"), ("P5", "rms_moment")):
+    for case, name in (
+        ("P1", "rms_force"),
+        ("P2", "rms_force"),
+        ("P2", "rms_moment"),
+        ("P5", "rms_force"),
+        ("P5", "rms_moment"),
+    ):
         rows = [r for r in tables["rfes"] if r["case"] == case and r["metric"] == name]
         errors = [r["largest_relative_error"] for r in rows]
         order = np.log2(errors[0] / errors[1]), np.log2(errors[1] / errors[2])
@@ -285,14 +316,10 @@ def print_summary(tables) -> None:
         print(f"  {case} {name:<11}{text}  observed order {order[0]:.2f}, {order[1]:.2f}")
     print("\nRelative error of the loads (largest over the joints, P2 and P5) against the step")
     for method in STEPS:
-        rows = [
-            r for r in tables["steps"]
-            if (r["method"], r["step_s"]) == method and r["case"] in ("P2", "P5")
-        ]
+        rows = [r for r in tables["steps"] if (r["method"], r["step_s"]) == method and r["case"] in ("P2", "P5")]
         text = rows[0]["status"]
         if text == "ok":
-            errors = {n: max(r["largest_relative_error"] for r in rows if r["metric"] == n)
-                      for n in METRICS}
+            errors = {n: max(r["largest_relative_error"] for r in rows if r["metric"] == n) for n in METRICS}
             text = "  ".join(f"{n} {e:.1e}" for n, e in errors.items())
         print(f"  {method[0]:<18}{method[1]:8.2g} s  {text}  {rows[0]['cpu_s_per_case']:.3f} s CPU")
     for title in ("elements", "crank"):
@@ -301,9 +328,9 @@ def print_summary(tables) -> None:
             parts = []
             for name in dict.fromkeys(row["metric"] for row in tables[title]):
                 found = [
-                    row["relative_difference"] for row in tables[title]
-                    if row["metric"] == name and row["case"] == case
-                    and row["relative_difference"] is not None
+                    row["relative_difference"]
+                    for row in tables[title]
+                    if row["metric"] == name and row["case"] == case and row["relative_difference"] is not None
                 ]
                 if found:
                     parts.append(f"{name} {max(found, key=abs):+.1e}")
@@ -317,10 +344,7 @@ def print_damping(rows) -> None:
     runs = dict.fromkeys((r["damping_s"], r["method"], r["step_s"]) for r in rows)
     for damping, method, step in sorted(runs):
         wanted = (damping, method, step, "A")
-        force, moment = (
-            r for r in rows
-            if (r["damping_s"], r["method"], r["step_s"], r["joint"]) == wanted
-        )
+        force, moment = (r for r in rows if (r["damping_s"], r["method"], r["step_s"], r["joint"]) == wanted)
         print(
             f"  eta {damping:<7g}{method:<18}{step:8.3g} s  {force['rms']:.5f} N  "
             f"{force['slope_of_square_per_deg']:.2f} N^2/deg  {moment['rms']:.6f} N m  "
@@ -331,13 +355,9 @@ def print_damping(rows) -> None:
         parts = []
         for load in ("force", "moment"):
             for quantity in ("rms", "slope_of_square_per_deg"):
-                own = [
-                    r for r in rows
-                    if (r["damping_s"], r["method"], r["load"]) == (damping, method, load)
-                ]
+                own = [r for r in rows if (r["damping_s"], r["method"], r["load"]) == (damping, method, load)]
                 half = len(own) // 2
-                change = max(abs(b[quantity] / a[quantity] - 1.0)
-                             for a, b in zip(own[:half], own[half:]))
+                change = max(abs(b[quantity] / a[quantity] - 1.0) for a, b in zip(own[:half], own[half:]))
                 parts.append(f"{load} {quantity.split('_')[0]} {change:.1e}")
         print(f"  eta {damping:<7g}{method:<18}{'  '.join(parts)}")
 
@@ -364,11 +384,10 @@ def main() -> None:
         "steps": steps_table(outcomes, joints),
         "elements": comparison_table(
             ("linear", "geometrically_exact"),
-            (usual, outcomes["elements", "geometrically_exact"]), joints,
+            (usual, outcomes["elements", "geometrically_exact"]),
+            joints,
         ),
-        "crank": comparison_table(
-            ("rigid", "flexible"), (usual, outcomes["crank", "flexible"]), joints
-        ),
+        "crank": comparison_table(("rigid", "flexible"), (usual, outcomes["crank", "flexible"]), joints),
         "damping": damping_table(outcomes, joints),
     }
     for name, rows in tables.items():

@@ -3,7 +3,6 @@
 In a file of their own, so that processes that the tests start find them under the same name.
 """
 
-
 from contextlib import contextmanager
 from typing import NamedTuple
 
@@ -74,5 +73,3 @@ def covered(folder):
         keys.COVERED, keeping.statistics = before
         keeping.keep_programs(None)
         swing_kept.clear()
-
-

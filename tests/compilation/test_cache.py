@@ -60,7 +60,9 @@ def test_somebody_elses_folder_is_refused(tmp_path, monkeypatch):
         folder.read(KEY)
 
 
-@pytest.mark.parametrize("damage", [lambda x: x[:-1], lambda x: x[:40] + b"?" + x[41:], lambda x: b"", lambda x: x + b"!"])
+@pytest.mark.parametrize(
+    "damage", [lambda x: x[:-1], lambda x: x[:40] + b"?" + x[41:], lambda x: b"", lambda x: x + b"!"]
+)
 def test_a_damaged_file_is_deleted(tmp_path, damage):
     folder = Folder(tmp_path / "programs")
     folder.write(KEY, bytes(100))
@@ -99,7 +101,7 @@ def _write_and_read(path, letter):
     for i in range(200):
         folder.write(KEY, letter * 1000)
         found = folder.read(KEY)
-        assert found is None or len(set(found)) == 1 and len(found) == 1000
+        assert found is None or (len(set(found)) == 1 and len(found) == 1000)
         folder.write(f"{i:064d}", letter * 500)
 
 

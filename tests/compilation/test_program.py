@@ -61,9 +61,7 @@ def test_what_was_kept_gives_the_same_bits_without_tracing(kept):
 
 def test_ahead_compiles_or_loads_in_the_background_what_the_call_needs(kept):
     expected = by_jax(oscillator(), X)
-    shapes = jax.tree.map(
-        lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype, weak_type=x.weak_type), (oscillator(), X)
-    )
+    shapes = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype, weak_type=x.weak_type), (oscillator(), X))
     for count in (1, 0, 1), (1, 1, 1):
         form = swing_kept.ahead(*shapes)
         assert form.steps == 3
@@ -323,7 +321,8 @@ with covered(sys.argv[1]) as statistics:
     x = jax.device_put(np.arange(8.0).reshape(4, 2), NamedSharding(mesh, PartitionSpec("rows")))
     found = spread_kept(x, mesh)
     second = swing_kept(oscillator(), jax.device_put(np.ones(3), jax.devices()[1])).path
-    print(statistics.traced, statistics.loaded, len(found.devices()), *(d.id for d in second.devices()), *np.asarray(found).ravel())
+    devices = (d.id for d in second.devices())
+print(statistics.traced, statistics.loaded, len(found.devices()), *devices, *np.asarray(found).ravel())
 """
 
 
@@ -331,7 +330,7 @@ def test_programs_of_several_devices_and_of_the_second_one(tmp_path):
     first = in_a_new_process(ON_TWO_DEVICES, str(tmp_path / "programs")).split()
     second = in_a_new_process(ON_TWO_DEVICES, str(tmp_path / "programs")).split()
     assert first[:2] == ["2", "0"] and second[:2] == ["0", "2"]
-    assert first[2:] == second[2:] == ["2", "1", *"0.0 1.0 2.0 4.0 4.0 5.0 10.0 12.0".split()]
+    assert first[2:] == second[2:] == ["2", "1", *["0.0", "1.0", "2.0", "4.0", "4.0", "5.0", "10.0", "12.0"]]
 
 
 def test_two_processes_at_once(tmp_path):

@@ -9,19 +9,19 @@ import pytest
 from rfem_jax.description import Circle, GivenSection, Material, Rectangle, Tube
 
 STEEL = Material("steel", "210 GPa", 7850.0, poisson_ratio=0.3, damping=1e-5)
-GIVEN = dict(
-    axial_stiffness=52.99e6,
-    shear_stiffness_y=16.88e6,
-    shear_stiffness_z="16.9 MN",
-    torsion_stiffness=733.5,
-    bending_stiffness_y=1131.0,
-    bending_stiffness_z="1132 N m^2",
-    line_density=1.997,
-    rotary_inertia_x=85.2e-6,
-    rotary_inertia_y=42.6e-6,
-    rotary_inertia_z=42.6e-6,
-    damping="10 us",
-)
+GIVEN = {
+    "axial_stiffness": 52.99e6,
+    "shear_stiffness_y": 16.88e6,
+    "shear_stiffness_z": "16.9 MN",
+    "torsion_stiffness": 733.5,
+    "bending_stiffness_y": 1131.0,
+    "bending_stiffness_z": "1132 N m^2",
+    "line_density": 1.997,
+    "rotary_inertia_x": 85.2e-6,
+    "rotary_inertia_y": 42.6e-6,
+    "rotary_inertia_z": 42.6e-6,
+    "damping": "10 us",
+}
 
 
 def exact_torsion_constant(long, short):
@@ -79,9 +79,7 @@ def polar_integrals(outer, inner):
     return 2 * math.pi * (weight * r).sum(), math.pi * (weight * r**3).sum()
 
 
-@pytest.mark.parametrize(
-    ("section", "inner"), [(Circle("20 mm"), 0.0), (Tube("20 mm", "3 mm"), 0.014)]
-)
+@pytest.mark.parametrize(("section", "inner"), [(Circle("20 mm"), 0.0), (Tube("20 mm", "3 mm"), 0.014)])
 def test_round_sections_match_integrals(section, inner):
     area, second_moment = polar_integrals(0.02, inner)
     assert section.area == pytest.approx(area, rel=1e-12)

@@ -72,9 +72,7 @@ def test_decimal_units_round_as_the_decimal_number_does():
     assert quantity("0.7 ms", "time", "x") == 7e-4
 
 
-@pytest.mark.parametrize(
-    "kind", [int, float, np.float64, np.float32, np.int64, np.array, jnp.array]
-)
+@pytest.mark.parametrize("kind", [int, float, np.float64, np.float32, np.int64, np.array, jnp.array])
 def test_numbers_of_any_kind_become_floats(kind):
     result = quantity(kind(2), "length", "x")
     assert type(result) is float and result == 2.0

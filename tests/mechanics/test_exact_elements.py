@@ -11,7 +11,6 @@ from rfem_jax.mechanics.kinematics import relative_motion
 from rfem_jax.mechanics.model import Coordinates, State
 from rfem_jax.mechanics.realisation import realise
 from rfem_jax.mechanics.reference_formulation import exact_deflections, transforms
-
 from tests.mechanisms import four_bar, open_chain, random_state, some_errors
 
 
@@ -113,11 +112,13 @@ def test_deflections_meet_the_literal_ones_at_every_size(exact, size):
 
 def angles_of(rotation):
     """Angles of R = R_y R_z R_x."""
-    return jnp.stack([
-        jnp.arctan2(-rotation[1, 2], rotation[1, 1]),
-        jnp.arctan2(-rotation[2, 0], rotation[0, 0]),
-        jnp.arcsin(rotation[1, 0]),
-    ])
+    return jnp.stack(
+        [
+            jnp.arctan2(-rotation[1, 2], rotation[1, 1]),
+            jnp.arctan2(-rotation[2, 0], rotation[0, 0]),
+            jnp.arcsin(rotation[1, 0]),
+        ]
+    )
 
 
 def test_a_rigid_motion_of_both_faces_changes_nothing(exact):
@@ -138,9 +139,7 @@ def test_a_rigid_motion_of_both_faces_changes_nothing(exact):
         position = with_elastic(state.position, moved(share))
         return elasticity.deflections(realised, at_rest(position))[0]
 
-    (before, rate), after = jax.jit(
-        lambda: (jax.jvp(stretch, (0.0,), (1.0,)), stretch(0.8))
-    )()
+    (before, rate), after = jax.jit(lambda: (jax.jvp(stretch, (0.0,), (1.0,)), stretch(0.8)))()
     first = [a for a, b in realised.topology.ranges if b > a]
     inner = np.setdiff1d(np.arange(realised.topology.n_rfes), first)
     np.testing.assert_allclose(after[:, inner], before[:, inner], rtol=0, atol=1e-14)

@@ -13,7 +13,6 @@ from rfem_jax.mechanics.inputs import DriveInput, Stabilisation, impose
 from rfem_jax.mechanics.model import State
 from rfem_jax.mechanics.realisation import realise
 from rfem_jax.mechanics.reference_formulation import constraints, reference_accelerations
-
 from tests.mechanisms import (
     ALL,
     four_bar,
@@ -59,9 +58,7 @@ CASES = [
 ]
 
 
-@pytest.fixture(
-    scope="module", params=CASES, ids=lambda case: "-".join([case[0].__name__, *case[1:]])
-)
+@pytest.fixture(scope="module", params=CASES, ids=lambda case: "-".join([case[0].__name__, *case[1:]]))
 def compared(request):
     """Both formulations on random closed states with random errors, by a moment or a given turn."""
     make, driven, elements = request.param

@@ -16,7 +16,11 @@ from rfem_jax.mechanics.inputs import DriveInput, Stabilisation, impose
 from rfem_jax.mechanics.kinematics import relative_motion
 from rfem_jax.mechanics.model import Coordinates, State
 from rfem_jax.mechanics.newton import (
-    Residual, correction, correction_and_wrenches, newton_matrix, residual_of,
+    Residual,
+    correction,
+    correction_and_wrenches,
+    newton_matrix,
+    residual_of,
 )
 from rfem_jax.mechanics.realisation import realise
 from rfem_jax.mechanics.statics import equilibrium, length_scale
@@ -37,8 +41,9 @@ def loaded_chain():
     return Mechanism(links, joints, driven_joint="A")
 
 
-@pytest.fixture(scope="module", params=PAIRS + [(loaded_chain, False)],
-                ids=lambda pair: pair[0].__name__ + "-turned" * pair[1])
+@pytest.fixture(
+    scope="module", params=PAIRS + [(loaded_chain, False)], ids=lambda pair: pair[0].__name__ + "-turned" * pair[1]
+)
 def mechanism(request):
     """Model, constants, drive and a closed state in motion: links undeformed, all rates at random that
     the closure allows."""
@@ -75,9 +80,17 @@ def test_solved_accelerations_balance(mechanism):
         gains = Stabilisation(jnp.zeros(()), jnp.zeros(()), scale)
         result = accelerations(realised, state, drive, gains)
         left = evaluate_balance(realised, state, result.coordinates, result.multipliers, drive, scale)
-        return result, left, evaluate_balance(
-            realised, state, jax.tree.map(jnp.zeros_like, result.coordinates),
-            jnp.zeros_like(result.multipliers), drive, scale,
+        return (
+            result,
+            left,
+            evaluate_balance(
+                realised,
+                state,
+                jax.tree.map(jnp.zeros_like, result.coordinates),
+                jnp.zeros_like(result.multipliers),
+                drive,
+                scale,
+            ),
         )
 
     result, left, unsolved = both(state)
@@ -191,9 +204,7 @@ def test_matrix_is_the_slope_of_the_balance_at_rest(mechanism):
     @jax.jit
     def both(load):
         start = model.start_coordinates()
-        equations, wrenches, left, unknowns, unravel = equations_at(
-            realised, start, scale, drive, factors, prescribed
-        )
+        equations, wrenches, left, unknowns, unravel = equations_at(realised, start, scale, drive, factors, prescribed)
         slope = jax.jacfwd(equations)(unknowns)
         operators = link_operators(realised, *factors)
         matrix = newton_matrix(realised, operators, left.motion, left.closure, (topology.driven,) * prescribed)
@@ -219,11 +230,9 @@ def test_matrix_holds_for_links_that_are_bent_to_fit(elements):
     @jax.jit
     def left_over():
         start = equilibrium(model, realised, {0: model.start_angles[0]})[0]
-        equations, _, left, unknowns, _ = equations_at(
-            realised, start, scale, DriveInput(), factors, False
-        )
+        equations, _, left, unknowns, _ = equations_at(realised, start, scale, DriveInput(), factors, False)
         slope = jax.jacfwd(equations)(unknowns)
-        parts, unravel = ravel_pytree(residual_of(left))
+        _parts, unravel = ravel_pytree(residual_of(left))
 
         def by(now):
             operators = link_operators(realised, *factors)

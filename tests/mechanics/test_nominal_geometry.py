@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+
 from rfem_jax import assembly_errors, describe, discretise
 from rfem_jax.mechanics import loads
 from rfem_jax.mechanics.cut_joints import closure
@@ -13,7 +14,6 @@ from rfem_jax.mechanics.model import Coordinates
 from rfem_jax.mechanics.nominal_geometry import closure_jacobian, gaps, geometry_of, place
 from rfem_jax.mechanics.realisation import realise
 from rfem_jax.mechanics.statics import length_scale
-
 from tests.mechanisms import link, twisted_spatial_loop, two_loop_six_bar
 
 
@@ -52,10 +52,7 @@ def test_a_long_open_chain_is_described():
     from rfem_jax import Joint, Mechanism
 
     names = [f"l{i}" for i in range(30)]
-    joints = [
-        Joint(f"J{i}", "base" if i == 0 else names[i - 1], name, angle=0.1)
-        for i, name in enumerate(names)
-    ]
+    joints = [Joint(f"J{i}", "base" if i == 0 else names[i - 1], name, angle=0.1) for i, name in enumerate(names)]
     model = discretise(Mechanism([link(name, 0.1, 3) for name in names], joints, driven_joint="J0"))
     structure = describe(model)
     assert (structure.coordinates, structure.rank, structure.rigid_mobility) == (390, 0, 30)

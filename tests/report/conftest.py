@@ -103,15 +103,10 @@ def synthetic_run(size, status=0):
     times = np.linspace(0.0, 0.5, 11)
     numbered = tuple(enumerate(JOINTS))
     loads = {
-        joint: SimpleNamespace(
-            force=joint_vector(size, number), moment=0.1 * joint_vector(size, number)
-        )
+        joint: SimpleNamespace(force=joint_vector(size, number), moment=0.1 * joint_vector(size, number))
         for number, joint in numbered
     }
-    preload = {
-        joint: SimpleNamespace(force=load.force[0], moment=load.moment[0])
-        for joint, load in loads.items()
-    }
+    preload = {joint: SimpleNamespace(force=load.force[0], moment=load.moment[0]) for joint, load in loads.items()}
     nominal = {link: np.linspace(*ends, 9) for link, ends in NOMINAL.items()}
     bend = np.linspace(0.0, 1e-3, 9)[:, None] * np.array([0.0, 1.0, 0.0])
     metrics = {
@@ -142,9 +137,7 @@ def synthetic_run(size, status=0):
         stabilisation_share=5e-6,
         solution_residual=6e-7,
         status=np.int32(status),
-        centre_lines={
-            link: line + (0.0 if link == "crank" else size) * bend for link, line in nominal.items()
-        },
+        centre_lines={link: line + (0.0 if link == "crank" else size) * bend for link, line in nominal.items()},
         nominal_lines=nominal,
         branch={"C": np.where(times < 0.2, 1.0, -1.0)},
     )
@@ -169,4 +162,4 @@ def runs():
 
 @pytest.fixture
 def statuses():
-    return {name: ("ok", "The run is complete.") for name in ("P1", "P2", "P3")}
+    return dict.fromkeys(("P1", "P2", "P3"), ("ok", "The run is complete."))

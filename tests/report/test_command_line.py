@@ -96,9 +96,7 @@ def test_a_step_that_is_too_large_is_refused(rooms, study_file, command, capsys,
     rooms.simulation.check_step = refuse
     rooms.simulation.run_cases = None
     assert main([*command, str(study_file)]) == 2
-    assert one_sentence(capsys) == (
-        "Argument `step` must be at most 1.9e-05 s, but is 1e-3 s; reduce it."
-    )
+    assert one_sentence(capsys) == ("Argument `step` must be at most 1.9e-05 s, but is 1e-3 s; reduce it.")
     assert not Path("unused").exists()
 
 
@@ -111,9 +109,7 @@ def test_wrong_study_files(rooms, study_file, tmp_path, capsys):
     assert "D.delta_q" in one_sentence(capsys)
 
 
-def test_a_folder_that_cannot_be_made_is_refused_before_simulating(
-    rooms, study_file, tmp_path, capsys
-):
+def test_a_folder_that_cannot_be_made_is_refused_before_simulating(rooms, study_file, tmp_path, capsys):
     rooms.simulation.run_cases = None
     (tmp_path / "file").write_text("", encoding="utf-8")
     assert main(["run", str(study_file), "--out", str(tmp_path / "file" / "results")]) == 2
@@ -181,9 +177,7 @@ def test_a_fault_of_the_program_is_not_hidden(rooms, study_file):
         main(["check", str(study_file)])
 
 
-@pytest.mark.parametrize(
-    "arguments", [[], ["simulate"], ["run", "study.toml"], ["check"], ["check", "a", "--fast"]]
-)
+@pytest.mark.parametrize("arguments", [[], ["simulate"], ["run", "study.toml"], ["check"], ["check", "a", "--fast"]])
 def test_a_wrong_call_is_one_sentence(arguments, capsys):
     assert main(arguments) == 2
     assert "--help" in one_sentence(capsys)
@@ -344,7 +338,5 @@ def test_the_first_word_comes_before_anything_is_imported(tmp_path):
         "command_line.ProgressLine.__call__ = said\n"
         "command_line.main(['check', 'study.toml'])\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=True, cwd=tmp_path
-    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, cwd=tmp_path)
     assert done.stdout == "False\n"

@@ -8,14 +8,14 @@ from scipy.ndimage import label
 
 pytest.importorskip("matplotlib", reason="pictures need the extra `plots`")
 
-import matplotlib  # noqa: E402
-from matplotlib.image import imread  # noqa: E402
+import matplotlib
+from matplotlib.image import imread
 
-from rfem_jax.report.figures import draw_figures, write_figures  # noqa: E402
-from rfem_jax.report.output import write_pictures  # noqa: E402
-from rfem_jax.report.shapes import exaggerated_lines, exaggeration, round_factor  # noqa: E402
-from rfem_jax.report.style import SETTINGS, bar_style, line_style  # noqa: E402
-from rfem_jax.report.summary import summarise  # noqa: E402
+from rfem_jax.report.figures import draw_figures, write_figures
+from rfem_jax.report.output import write_pictures
+from rfem_jax.report.shapes import exaggerated_lines, exaggeration, round_factor
+from rfem_jax.report.style import SETTINGS, bar_style, line_style
+from rfem_jax.report.summary import summarise
 
 NAMES = {
     *("angle", "rate", "energy", "maximum_forces", "rms_loads", "preload"),

@@ -75,9 +75,7 @@ def test_csv_has_units_in_its_header_and_the_right_columns(folder, runs):
     header, *rows = (folder / "P2.csv").read_text(encoding="utf-8").splitlines()
     names = header.split(",")
     assert names[:3] == ["time_s", "angle_rad", "rate_rad_s"]
-    assert names[3:9] == [
-        *("kinetic_J", "elastic_J", "gravity_J", "total_J", "work_J", "dissipation_J")
-    ]
+    assert names[3:9] == [*("kinetic_J", "elastic_J", "gravity_J", "total_J", "work_J", "dissipation_J")]
     assert names[9:15] == [
         *("A_force_x_N", "A_force_y_N", "A_force_z_N"),
         *("A_moment_x_Nm", "A_moment_y_Nm", "A_moment_z_Nm"),

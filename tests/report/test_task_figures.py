@@ -8,17 +8,17 @@ import pytest
 
 pytest.importorskip("matplotlib", reason="pictures need the extra `plots`")
 
-import matplotlib  # noqa: E402
-from matplotlib.image import imread  # noqa: E402
+import matplotlib
+from matplotlib.image import imread
 
-from rfem_jax.description import load_study  # noqa: E402
-from rfem_jax.report import task_figures, tasks  # noqa: E402
-from rfem_jax.tolerancing import Tolerances, Uniform, monte_carlo  # noqa: E402
-from rfem_jax.tolerancing.sensitivities import sensitivity  # noqa: E402
+from rfem_jax.description import load_study
+from rfem_jax.report import task_figures, tasks
+from rfem_jax.tolerancing import Tolerances, Uniform, monte_carlo
+from rfem_jax.tolerancing.sensitivities import sensitivity
 
-from . import closed_form  # noqa: E402
-from .conftest import STUDY  # noqa: E402
-from .test_tasks import FORCE, MOMENT, TASKS  # noqa: E402
+from . import closed_form
+from .conftest import STUDY
+from .test_tasks import FORCE, MOMENT, TASKS
 
 WIDTHS = dict(zip(closed_form.NAMES, closed_form.WIDTHS, strict=True))
 

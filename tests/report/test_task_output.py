@@ -77,9 +77,7 @@ def test_another_study_overwrites_results_of_all_tasks_but_monte_carlo(task_file
     assert f"remove `{out / 'monte_carlo'}`" in sentence
 
 
-def test_a_folder_of_samples_that_is_a_file_is_told_in_words_of_the_command(
-    task_file, tmp_path, capsys
-):
+def test_a_folder_of_samples_that_is_a_file_is_told_in_words_of_the_command(task_file, tmp_path, capsys):
     out = tmp_path / "out"
     out.mkdir()
     (out / "monte_carlo").write_text("notes")
@@ -109,9 +107,7 @@ def long_problem(study, metrics, model=None):
 
 
 @pytest.mark.parametrize("command", [*COMMANDS, "check"])
-def test_no_printed_line_is_wider_than_a_terminal(
-    task_file, tmp_path, capsys, monkeypatch, command
-):
+def test_no_printed_line_is_wider_than_a_terminal(task_file, tmp_path, capsys, monkeypatch, command):
     monkeypatch.setattr(tasks, "build_problem", long_problem)
     joints = [f'"{joint}.mean_square_{kind}"' for joint in "ABCD" for kind in ("force", "moment")]
     text = task_file.read_text(encoding="utf-8")

@@ -112,9 +112,7 @@ def test_sensitivity(task_file, tmp_path, capsys):
     assert "damping" not in text
 
 
-def test_a_report_of_derivatives_says_that_there_is_no_damping(
-    task_file, tmp_path, capsys, monkeypatch
-):
+def test_a_report_of_derivatives_says_that_there_is_no_damping(task_file, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(closed_form.ClosedForm, "undamped", True)
     assert call("sensitivity", task_file, tmp_path / "out") == 0
     assert "No flexible link has damping" in capsys.readouterr().out
@@ -334,9 +332,13 @@ def test_two_processes_share_the_samples(task_file, tmp_path):
     environment["PYTHONPATH"] = os.pathsep.join([str(root), environment.get("PYTHONPATH", "")])
     started = [
         subprocess.Popen(
-            [*command, str(number)], cwd=root, env=environment, text=True,
-            stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-        )  # fmt: skip
+            [*command, str(number)],
+            cwd=root,
+            env=environment,
+            text=True,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+        )
         for number in range(2)
     ]
     answers = [process.communicate(timeout=120) for process in started]

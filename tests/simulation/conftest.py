@@ -4,8 +4,8 @@ from typing import NamedTuple
 
 import jax
 import pytest
-from rfem_jax import Method, Model, MomentRamp, assembly_errors, discretise, simulate
 
+from rfem_jax import Method, Model, MomentRamp, assembly_errors, discretise, simulate
 from tests.mechanisms import four_bar
 
 

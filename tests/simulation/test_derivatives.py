@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+
 from rfem_jax import (
     Mechanism,
     Method,
@@ -21,7 +22,6 @@ from rfem_jax import (
     discretise,
     simulate,
 )
-
 from tests.mechanisms import four_bar, link
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("quick_compilation")]
@@ -38,8 +38,10 @@ NAMES = (
 ANGLES = ("delta_x", "delta_z", "pin_tilt_x", "pin_tilt_z", "twist")
 IS_ANGLE = np.array([name.split(".")[-1] in ANGLES for name in NAMES])
 TYPICAL = np.where(IS_ANGLE, np.radians(0.1), 1e-4)
-POINT = TYPICAL * np.random.default_rng(4).uniform(0.3, 1.0, len(NAMES)) * np.where(
-    np.arange(len(NAMES)) % 2 == 0, 1.0, -1.0
+POINT = (
+    TYPICAL
+    * np.random.default_rng(4).uniform(0.3, 1.0, len(NAMES))
+    * np.where(np.arange(len(NAMES)) % 2 == 0, 1.0, -1.0)
 )
 STEPS = 0.015 * TYPICAL
 # Slopes are small at zero error, and so is the extrapolation's error: five times the step for a fifth
@@ -78,9 +80,7 @@ def central_differences(function, point, steps):
 
 @pytest.fixture(scope="module")
 def problem(quick_compilation):
-    return Problem(
-        discretise(four_bar(3)), MomentRamp("A", 1.5, 0.1), 0.5, METRICS, METHOD, save_every=2e-2
-    )
+    return Problem(discretise(four_bar(3)), MomentRamp("A", 1.5, 0.1), 0.5, METRICS, METHOD, save_every=2e-2)
 
 
 @pytest.fixture(scope="module")
@@ -120,9 +120,7 @@ def test_reverse_mode_equals_forward_mode(problem, slopes):
     reverse = jax.jit(jax.grad(lambda x: jnp.asarray(weights) @ function(x)))(jnp.asarray(POINT))
     expected = weights @ slopes
     scale = np.abs(expected * TYPICAL).max()
-    np.testing.assert_allclose(
-        np.asarray(reverse) * TYPICAL, expected * TYPICAL, rtol=1e-8, atol=1e-10 * scale
-    )
+    np.testing.assert_allclose(np.asarray(reverse) * TYPICAL, expected * TYPICAL, rtol=1e-8, atol=1e-10 * scale)
 
 
 def test_at_zero_error(values, forward):

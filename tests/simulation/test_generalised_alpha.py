@@ -23,7 +23,6 @@ from rfem_jax import (
     load_study,
     simulate,
 )
-from rfem_jax.description.methods import CORRECTIONS, SPECTRAL_RADIUS, TOLERANCE
 from rfem_jax.simulation import integration
 from rfem_jax.simulation.accuracy import estimate_change, rms_loads
 from rfem_jax.simulation.time_grid import divide_time
@@ -82,10 +81,7 @@ def test_converges_to_runge_kutta_with_order_two(small, soft):
     method = Method("generalised_alpha", step=2e-3, corrections=4)
     grid, _ = integration.grid_for(small.drive, 0.02, method, 2e-3)
     steps = (4.0, 8.0, 16.0, 32.0)
-    loads = [
-        np.asarray(rms_loads(soft, errors, small.drive, grid, method, jnp.asarray(k))[0])
-        for k in steps
-    ]
+    loads = [np.asarray(rms_loads(soft, errors, small.drive, grid, method, jnp.asarray(k))[0]) for k in steps]
     exact = rms(soft, simulate(soft, assembly_errors(soft, ERRORS), **small.settings))
     changes = np.array([np.abs(one[0].T / exact - 1.0).max() for one in loads])
     np.testing.assert_allclose(np.log2(changes[1:-1] / changes[2:]), 2.0, atol=0.3)
@@ -108,8 +104,12 @@ def test_reactions_do_not_oscillate_from_step_to_step(small):
     rough = []
     for h in (5e-4, 2.5e-4):
         run = simulate(
-            small.model, assembly_errors(small.model, ERRORS), drive=drive, duration=0.02,
-            method=Method("generalised_alpha", step=h), save_every=h,
+            small.model,
+            assembly_errors(small.model, ERRORS),
+            drive=drive,
+            duration=0.02,
+            method=Method("generalised_alpha", step=h),
+            save_every=h,
         )
         force = np.asarray(run.loads["C"].force)[4:]
         rough.append(np.abs(np.diff(force, 2, axis=0)).max() / np.abs(force).max())
@@ -183,10 +183,7 @@ def test_a_jump_restarts_the_method():
 def test_auto_takes_the_step_from_the_accuracy(monkeypatch):
     study = load_study(STUDY)
     model = discretise(study.mechanism)
-    steps = [
-        choose_method(model, Method("auto", accuracy=accuracy), study.drive, 0.5)
-        for accuracy in (1e-2, 1e-3)
-    ]
+    steps = [choose_method(model, Method("auto", accuracy=accuracy), study.drive, 0.5) for accuracy in (1e-2, 1e-3)]
     assert all(method.name == "generalised_alpha" for method in steps)
     assert 1e-3 < steps[0].step < 5e-3 and 3e-4 < steps[1].step < 1.5e-3
     same = Method("leapfrog", step=1e-6)

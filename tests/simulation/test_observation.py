@@ -11,7 +11,6 @@ from rfem_jax.mechanics.kinematics import motion
 from rfem_jax.mechanics.loads import static_state
 from rfem_jax.mechanics.realisation import realise
 from rfem_jax.mechanics.statics import length_scale
-
 from tests.mechanisms import link
 
 pytestmark = pytest.mark.usefixtures("quick_compilation")
@@ -41,9 +40,7 @@ def test_window_is_the_mean_over_its_times(run):
             halves = [getattr(part, f"mean_square_{kind}")[joint] for part in (first, second)]
             np.testing.assert_allclose(np.mean(halves), total, rtol=1e-9)
             assert abs(halves[0] - halves[1]) > 1e-3 * total  # so that the halves say something
-            np.testing.assert_allclose(
-                getattr(first, f"rms_{kind}")[joint] ** 2, halves[0], rtol=1e-12
-            )
+            np.testing.assert_allclose(getattr(first, f"rms_{kind}")[joint] ** 2, halves[0], rtol=1e-12)
 
 
 def test_derivative_of_a_window(small):

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+
 from rfem_jax import (
     STATUS,
     InputError,
@@ -21,7 +22,6 @@ from rfem_jax import (
 from rfem_jax.description.study import Case, Study
 from rfem_jax.mechanics.status import DIVERGED, NOT_ASSEMBLED
 from rfem_jax.simulation import integration, stepping
-
 from tests.mechanisms import STEEL, four_bar, link
 
 pytestmark = pytest.mark.usefixtures("quick_compilation")
@@ -32,9 +32,7 @@ def equations_in(jaxpr) -> int:
     count = 0
     for equation in jaxpr.eqns:
         count += 1
-        for value in jax.tree.leaves(
-            equation.params, is_leaf=lambda x: hasattr(x, "eqns") or hasattr(x, "jaxpr")
-        ):
+        for value in jax.tree.leaves(equation.params, is_leaf=lambda x: hasattr(x, "eqns") or hasattr(x, "jaxpr")):
             inner = getattr(value, "jaxpr", value)
             if hasattr(inner, "eqns"):
                 count += equations_in(inner)
@@ -47,9 +45,9 @@ def test_program_does_not_grow_with_the_number_of_rfes(small, counts, monkeypatc
     sizes = []
     for rfes in counts:
         model = discretise(four_bar(), rfes=rfes)
-        program = jax.make_jaxpr(
-            lambda e, model=model: simulate(model, e, **small.settings).metrics
-        )(assembly_errors(model))
+        program = jax.make_jaxpr(lambda e, model=model: simulate(model, e, **small.settings).metrics)(
+            assembly_errors(model)
+        )
         sizes.append(equations_in(program.jaxpr))
     assert len(set(sizes)) == 1
     assert sizes[0] > 1000
@@ -63,10 +61,12 @@ def test_new_numbers_do_not_retrace(small):
         return traced(model, errors, drive, None).preload.force
 
     heavier = discretise(
-        replace(four_bar(3), links=tuple(
-            link(old.name, old.length * (1.0 + 1e-3), 3 if old.flexible else None)
-            for old in four_bar(3).links
-        ))
+        replace(
+            four_bar(3),
+            links=tuple(
+                link(old.name, old.length * (1.0 + 1e-3), 3 if old.flexible else None) for old in four_bar(3).links
+            ),
+        )
     )
     first = start(small.model, assembly_errors(small.model), small.drive)
     second = start(heavier, assembly_errors(heavier, {"D.d_y": 1e-3}), MomentRamp("A", 2.0, 0.01))
@@ -83,9 +83,7 @@ def test_a_failed_sample_does_not_spoil_its_batch(small):
     runs = jax.jit(jax.vmap(one))(tilts)
     assert list(np.asarray(runs.status)) == [0, 0, NOT_ASSEMBLED]
     alone = small.run({"D.delta_x": jnp.asarray(5e-3)})
-    np.testing.assert_allclose(
-        runs.metrics.rms_moment["A"][1], alone.metrics.rms_moment["A"], rtol=1e-9
-    )
+    np.testing.assert_allclose(runs.metrics.rms_moment["A"][1], alone.metrics.rms_moment["A"], rtol=1e-9)
     assert STATUS[NOT_ASSEMBLED].name == "not_assembled"
 
 
@@ -98,7 +96,12 @@ def test_a_diverging_run_says_so(small):
 
 def test_cases_in_pieces_equal_single_runs(small):
     study = Study(
-        "small", four_bar(3), small.drive, 0.02, small.settings["method"], 1e-3,
+        "small",
+        four_bar(3),
+        small.drive,
+        0.02,
+        small.settings["method"],
+        1e-3,
         cases=(Case("none"), Case("tilted", {"D.delta_x": "0.3 deg"})),
     )
     seen = []
@@ -148,7 +151,5 @@ def test_rigid_loops_need_an_explicit_choice():
     rigid = [link("crank", 0.12), link("coupler", 0.3), link("rocker", 0.3)]
     with pytest.raises(InputError, match='redundant_reactions = "minimum_norm"'):
         discretise(replace(four_bar(3), links=tuple(rigid)))
-    model = discretise(
-        replace(four_bar(3), links=tuple(rigid), redundant_reactions="minimum_norm")
-    )
+    model = discretise(replace(four_bar(3), links=tuple(rigid), redundant_reactions="minimum_norm"))
     assert model.topology.minimum_norm and STEEL.name == "steel"

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+
 from rfem_jax import InputError, Method, MomentFunction, assembly_errors, simulate
 from rfem_jax.simulation import integration
 from rfem_jax.simulation.equations import (
@@ -25,9 +26,7 @@ pytestmark = pytest.mark.usefixtures("quick_compilation")
 def in_one_interval(model, drive, method):
     """Conditions, start and carry of a mechanism with errors."""
     prepared = integration.prepare(model, assembly_errors(model, ERRORS), drive, None)
-    conditions = Conditions(
-        prepared.realised, drive, jnp.asarray(0, jnp.int32), stabilisation_of(model, method)
-    )
+    conditions = Conditions(prepared.realised, drive, jnp.asarray(0, jnp.int32), stabilisation_of(model, method))
     y = (start_trajectory(prepared.state, 4), jnp.zeros((2, 4)))
     return prepared, conditions, y
 
@@ -38,17 +37,22 @@ def test_loop_over_steps_is_diffrax_s_own_loop(small, name):
     model, method = small.model, Method(name, step={"rk4": 2e-5}.get(name, 2.5e-4))
     prepared, conditions, y = in_one_interval(model, small.drive, method)
     solution = jax.jit(
-        lambda y: diffrax.diffeqsolve(
-            diffrax.ODETerm(vector_field), observed_solver(method),
-            t0=0.0, t1=1e-3, dt0=method.step, y0=y, args=conditions,
-        ).ys
+        lambda y: (
+            diffrax.diffeqsolve(
+                diffrax.ODETerm(vector_field),
+                observed_solver(method),
+                t0=0.0,
+                t1=1e-3,
+                dt0=method.step,
+                y0=y,
+                args=conditions,
+            ).ys
+        )
     )(y)
     grid, steps = divide_time(1e-3, method.step, 1e-3, ())
     carry = integration.start_carry(model, prepared, small.drive, method)
     carry, _ = jax.jit(
-        lambda carry: integration.advance(
-            model, prepared.realised, small.drive, carry, grid, method, steps, None
-        )
+        lambda carry: integration.advance(model, prepared.realised, small.drive, carry, grid, method, steps, None)
     )(carry)
     ours, theirs = jax.tree.leaves(carry.trajectory), jax.tree.leaves(solution[0])
     # Newton's method stops at its tolerance, 1e-8.
@@ -64,17 +68,21 @@ def test_diffrax_is_told_that_newton_s_method_failed(small):
     method = Method("generalised_alpha", step=5e-3, corrections=1)
     _, conditions, y = in_one_interval(small.model, small.drive, method)
     solver = observed_solver(method)
-    operators = jax.tree.map(
-        lambda x: 0.1 * x[0], solver.operators(conditions.realised, jnp.asarray([method.step]))
-    )
-    conditions = eqx.tree_at(
-        lambda c: c.operators, conditions, operators, is_leaf=lambda x: x is None
-    )
+    operators = jax.tree.map(lambda x: 0.1 * x[0], solver.operators(conditions.realised, jnp.asarray([method.step])))
+    conditions = eqx.tree_at(lambda c: c.operators, conditions, operators, is_leaf=lambda x: x is None)
     result = jax.jit(
-        lambda y: diffrax.diffeqsolve(
-            diffrax.ODETerm(vector_field), solver, t0=0.0, t1=1e-2, dt0=method.step, y0=y,
-            args=conditions, throw=False,
-        ).result
+        lambda y: (
+            diffrax.diffeqsolve(
+                diffrax.ODETerm(vector_field),
+                solver,
+                t0=0.0,
+                t1=1e-2,
+                dt0=method.step,
+                y0=y,
+                args=conditions,
+                throw=False,
+            ).result
+        )
     )(y)
     assert result == diffrax.RESULTS.nonlinear_max_steps_reached
 
@@ -82,9 +90,7 @@ def test_diffrax_is_told_that_newton_s_method_failed(small):
 def test_peaks_are_the_maxima_of_a_fine_history(small):
     """Running maxima without a history against the saved history at every step."""
     settings = {**small.settings, "save_every": 2e-5}
-    run = jax.jit(
-        lambda values: simulate(small.model, assembly_errors(small.model, values), **settings)
-    )(ERRORS)
+    run = jax.jit(lambda values: simulate(small.model, assembly_errors(small.model, values), **settings))(ERRORS)
     coarse = small.run(ERRORS)
     for name, load in run.loads.items():
         force = np.asarray(load.force)
@@ -98,7 +104,8 @@ def test_mean_squares_are_those_of_a_fine_history(small):
     run = small.run(ERRORS)
     fine = jax.jit(
         lambda values: simulate(
-            small.model, assembly_errors(small.model, values),
+            small.model,
+            assembly_errors(small.model, values),
             **{**small.settings, "save_every": 2e-5},
         )
     )(ERRORS)
@@ -110,9 +117,7 @@ def test_mean_squares_are_those_of_a_fine_history(small):
         integral = np.trapezoid(square[: jump + 1], times[: jump + 1])
         integral += np.trapezoid(square[jump + 1 :], times[jump + 1 :])
         integral += (times[jump + 1] - times[jump]) * square[jump + 1] + times[0] * square[0]
-        np.testing.assert_allclose(
-            run.metrics.mean_square_moment[name], integral / 0.02, rtol=2e-4
-        )
+        np.testing.assert_allclose(run.metrics.mean_square_moment[name], integral / 0.02, rtol=2e-4)
 
 
 @pytest.mark.slow
@@ -130,19 +135,14 @@ def test_other_methods_agree_with_runge_kutta(small, method):
     np.testing.assert_allclose(np.asarray(run.times), np.asarray(exact.times), atol=1e-15)
     for name in "ABCD":
         for kind in ("rms_force", "rms_moment", "max_normal_force"):
-            np.testing.assert_allclose(
-                getattr(run.metrics, kind)[name], getattr(exact.metrics, kind)[name], rtol=3e-4
-            )
+            np.testing.assert_allclose(getattr(run.metrics, kind)[name], getattr(exact.metrics, kind)[name], rtol=3e-4)
     # Loads at saved times are those of steps' ends, not interpolated.
-    np.testing.assert_allclose(
-        run.loads["A"].force[-1], exact.loads["A"].force[-1], rtol=2e-3, atol=2e-3
-    )
+    np.testing.assert_allclose(run.loads["A"].force[-1], exact.loads["A"].force[-1], rtol=2e-3, atol=2e-3)
 
 
 def test_leapfrog_needs_a_velocity_of_second_order():
     """On x'' = -k x - c x' the method is of order 2; its order would drop to 1 if the damping read
     a lagging velocity."""
-
 
     from rfem_jax.mechanics.model import Coordinates
 
@@ -152,9 +152,7 @@ def test_leapfrog_needs_a_velocity_of_second_order():
         integrals: jax.Array
 
     def field(t, y, args):
-        a = Coordinates(
-            -9.0 * y.position.angles - 1.2 * y.velocity.angles, jnp.zeros((6, 0))
-        )
+        a = Coordinates(-9.0 * y.position.angles - 1.2 * y.velocity.angles, jnp.zeros((6, 0)))
         return Y(y.velocity, a, jnp.zeros(()))
 
     start = Coordinates(jnp.ones(1), jnp.zeros((6, 0)))
@@ -164,7 +162,12 @@ def test_leapfrog_needs_a_velocity_of_second_order():
     errors = []
     for steps in (50, 100, 200):
         sol = diffrax.diffeqsolve(
-            diffrax.ODETerm(field), Leapfrog(), 0.0, 1.0, 1.0 / steps, y0,
+            diffrax.ODETerm(field),
+            Leapfrog(),
+            0.0,
+            1.0,
+            1.0 / steps,
+            y0,
         )
         errors.append(abs(float(sol.ys.position.angles[-1, 0]) - exact))
     orders = np.log2(np.array(errors[:-1]) / errors[1:])

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from rfem_jax import (
     InputError,
     Method,
@@ -25,10 +26,7 @@ pytestmark = pytest.mark.usefixtures("quick_compilation")
 
 @pytest.fixture(scope="module")
 def models():
-    return {
-        name: discretise(load_study(STUDIES / f"{name}.toml").mechanism)
-        for name in ("study", "undamped")
-    }
+    return {name: discretise(load_study(STUDIES / f"{name}.toml").mechanism) for name in ("study", "undamped")}
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from rfem_jax import load_study, run_cases
 
 STUDIES = Path(__file__).parents[2] / "studies" / "four_bar"
@@ -56,9 +57,7 @@ def test_rms_moments(runs):
 
 
 def test_maxima(runs):
-    np.testing.assert_allclose(
-        by_joint(runs["P2"].metrics.max_axial_force), MAX_AXIAL["P2"], rtol=3e-3
-    )
+    np.testing.assert_allclose(by_joint(runs["P2"].metrics.max_axial_force), MAX_AXIAL["P2"], rtol=3e-3)
     for case in ("P1", "P2"):
         got = by_joint(runs[case].metrics.max_normal_force)
         np.testing.assert_allclose(got, MAX_NORMAL[case], rtol=8e-3)

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax.flatten_util import ravel_pytree
+
 from rfem_jax import (
     InputError,
     Joint,
@@ -28,7 +29,6 @@ from rfem_jax.mechanics.realisation import realise
 from rfem_jax.simulation import stability, vibration
 from rfem_jax.simulation.stepping import stabilisation_of
 from rfem_jax.simulation.vibration import Modes, Vibration
-
 from tests.mechanisms import four_bar, link
 
 pytestmark = pytest.mark.usefixtures("quick_compilation")
@@ -150,9 +150,7 @@ def test_memory_is_linear_in_the_rfes():
 
 def test_rigid_links_swing_under_gravity():
     """A bar hinged at its end: phi'' = 3 g / (2 L) cos phi, but for its thickness; small about hanging."""
-    mechanism = Mechanism(
-        [link("bar", 0.5)], [Joint("A", "base", "bar", angle=np.pi / 2)], driven_joint="A"
-    )
+    mechanism = Mechanism([link("bar", 0.5)], [Joint("A", "base", "bar", angle=np.pi / 2)], driven_joint="A")
     model = discretise(mechanism)
     modes = Vibration(model).modes(np.array([np.pi / 2]))
     thick = 1.0 + (0.01 / 0.5) ** 2 / 4.0  # I = m (L^2 / 3 + h^2 / 12)
@@ -175,10 +173,7 @@ def test_rigid_chain_by_an_implicit_method():
     )
     model, drive = discretise(mechanism), MomentRamp("A", 0.1, 0.05)
     settings = {"drive": drive, "duration": 0.1, "save_every": 0.1}
-    runs = [
-        simulate(model, method=Method(name, step=1e-3), **settings)
-        for name in ("generalised_alpha", "rk4")
-    ]
+    runs = [simulate(model, method=Method(name, step=1e-3), **settings) for name in ("generalised_alpha", "rk4")]
     assert [int(run.status) for run in runs] == [0, 0]
     assert abs(float(runs[1].angle[-1]) - 0.3) > 1e-3
     np.testing.assert_allclose(runs[0].angle[-1], runs[1].angle[-1], atol=1e-4)

@@ -68,11 +68,13 @@ class ExactFourBar:
         along = (distance**2 + COUPLER**2 - ROCKER**2) / (2.0 * distance)
         up = np.array([-across[1], across[0]]) / distance
         c = b + along * across / distance + np.sqrt(COUPLER**2 - along**2) * up
-        return np.array([
-            crank,
-            np.arctan2(-(c - b)[1], (c - b)[0]),
-            np.arctan2(-(c - d)[1], (c - d)[0]),
-        ])
+        return np.array(
+            [
+                crank,
+                np.arctan2(-(c - b)[1], (c - b)[0]),
+                np.arctan2(-(c - d)[1], (c - d)[0]),
+            ]
+        )
 
     def rates(self, angles, rate):
         """Angular velocities from the loop's velocity equation."""
@@ -94,10 +96,7 @@ class ExactFourBar:
             length * (turn * tangential(a) - w**2 * radial(a))
             for length, a, w, turn in zip(self.lengths, angles, rates, accelerations)
         ]
-        return tuple(
-            np.array([parts[0] / 2.0, parts[0] + parts[1] / 2.0, parts[2] / 2.0])
-            for parts in (v, acc)
-        )
+        return tuple(np.array([parts[0] / 2.0, parts[0] + parts[1] / 2.0, parts[2] / 2.0]) for parts in (v, acc))
 
     def crank_acceleration(self, crank, rate, moment):
         """Lagrange's equation of one coordinate: J phi'' + J'/2 phi'^2 = M - dV/dphi."""
@@ -112,14 +111,21 @@ class ExactFourBar:
 
     def motion(self, moment, pieces, times):
         """Crank angle and rate (2, times) from rest; `pieces` are the ends of the smooth pieces."""
+
         def field(t, y, piece):
             return [y[1], self.crank_acceleration(y[0], y[1], moment(t, piece))]
 
         out, state, begin = np.empty((2, len(times))), [START, 0.0], 0.0
         for piece, end in enumerate(pieces):
             solution = solve_ivp(
-                field, (begin, end), state, method="DOP853", args=(piece,), dense_output=True,
-                rtol=1e-11, atol=1e-12,
+                field,
+                (begin, end),
+                state,
+                method="DOP853",
+                args=(piece,),
+                dense_output=True,
+                rtol=1e-11,
+                atol=1e-12,
             )
             inside = (times >= begin) & (times <= end)
             out[:, inside] = solution.sol(times[inside])
@@ -154,8 +160,9 @@ class ExactFourBar:
         return dict(zip("ABCD", solution[:8].reshape(4, 2))), solution[8]
 
 
-def build_four_bar(cut="C", rigid="crank coupler rocker", rfes=3, stiffness=210e9, damping=0.0,
-                   height=HEIGHT, **settings):
+def build_four_bar(
+    cut="C", rigid="crank coupler rocker", rfes=3, stiffness=210e9, damping=0.0, height=HEIGHT, **settings
+):
     """The four-bar, its loop cut at "B", "C" or "D"; links not named in `rigid` are flexible."""
     steel = Material("steel", stiffness, DENSITY, poisson_ratio=0.3, damping=damping)
     section = Rectangle(height, height)
@@ -240,8 +247,14 @@ def four_bar_loads():
 
 
 OUT_OF_PLANE = {
-    "D.delta_x": 0.008, "D.delta_z": -0.005, "D.d_y": 4e-4, "B.child.delta_x": 0.003,
-    "C.delta_z": 0.004, "C.child.d_y": -2e-4, "A.pin_tilt_x": 0.006, "coupler.twist": 0.007,
+    "D.delta_x": 0.008,
+    "D.delta_z": -0.005,
+    "D.d_y": 4e-4,
+    "B.child.delta_x": 0.003,
+    "C.delta_z": 0.004,
+    "C.child.d_y": -2e-4,
+    "A.pin_tilt_x": 0.006,
+    "coupler.twist": 0.007,
 }
 IN_PLANE = {"D.d_x": 3e-4, "B.d_z": -2e-4, "C.child.d_x": 1e-4, "rocker.length": 2e-4}
 TURN = (0.7, -0.4, 1.9)  # about x, y, z; R_z R_y R_x
@@ -267,7 +280,8 @@ def moved(model):
     place = np.where(on_base, turn @ place + SHIFT[:, None], place)
     axes = np.where(on_base, np.einsum("ij,jkn->ikn", turn, axes), axes)
     return eqx.tree_at(
-        lambda m: (m.parent_position, m.parent_rotation, m.gravity), model,
+        lambda m: (m.parent_position, m.parent_rotation, m.gravity),
+        model,
         (jnp.asarray(place), jnp.asarray(axes), jnp.asarray(turn @ np.asarray(model.gravity))),
     )
 
@@ -297,12 +311,14 @@ def flexible_four_bar_runs():
 
     def simulated(model, errors):
         return simulate(
-            model, errors, drive=MomentRamp("A", MOMENT, RISE), duration=DURATION,
-            method=Method("rk4", step=1e-5), save_every=1e-3,
+            model,
+            errors,
+            drive=MomentRamp("A", MOMENT, RISE),
+            duration=DURATION,
+            method=Method("rk4", step=1e-5),
+            save_every=1e-3,
         )
 
     results = eqx.filter_jit(eqx.filter_vmap(simulated))(*batch)
     assert (np.asarray(results.status) == 0).all()
-    return model, {
-        name: jax.tree.map(lambda x: np.asarray(x)[i], results) for i, name in enumerate(cases)
-    }
+    return model, {name: jax.tree.map(lambda x: np.asarray(x)[i], results) for i, name in enumerate(cases)}

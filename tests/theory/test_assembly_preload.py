@@ -43,8 +43,16 @@ CRANK_AXIS, COUPLER_AXIS, ROCKER_AXIS = (
     (end - start) / np.hypot(*(end - start)) for start, end in ((A, B), (B, C), (D, C))
 )
 ERRORS = (
-    "D.delta_x", "D.delta_z", "D.d_y", "B.delta_x", "B.child.delta_z", "C.delta_z",
-    "C.child.delta_x", "C.child.d_y", "coupler.twist", "rocker.twist",
+    "D.delta_x",
+    "D.delta_z",
+    "D.d_y",
+    "B.delta_x",
+    "B.child.delta_z",
+    "C.delta_z",
+    "C.child.delta_x",
+    "C.child.d_y",
+    "coupler.twist",
+    "rocker.twist",
 )
 IN_PLANE = ("D.d_x", "C.d_z", "coupler.length", "rocker.length")
 

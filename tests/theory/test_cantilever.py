@@ -76,9 +76,7 @@ def loaded(request):
     directions = directions @ rotation_y(HELD).T * (LOAD / TIP_MASS)
     results = assembled(model, jnp.asarray(weights * TIP_MASS), directions, jnp.asarray(errors))
     assert (np.asarray(results.status) == 0).all()
-    return m, {
-        name: jax.tree.map(lambda x: np.asarray(x)[i], results) for i, name in enumerate(cases)
-    }
+    return m, {name: jax.tree.map(lambda x: np.asarray(x)[i], results) for i, name in enumerate(cases)}
 
 
 def test_axial_load_stretches_by_FL_over_EA(loaded):
@@ -92,9 +90,7 @@ def test_axial_load_stretches_by_FL_over_EA(loaded):
     "plane, axis, about, sign, bending, shear",
     [("in_plane", 2, 1, -1.0, EI_Y, GA_Z), ("out_of_plane", 1, 2, 1.0, EI_Z, GA_Y)],
 )
-def test_tip_load_bends_by_the_discrete_beam_formula(
-    loaded, plane, axis, about, sign, bending, shear
-):
+def test_tip_load_bends_by_the_discrete_beam_formula(loaded, plane, axis, about, sign, bending, shear):
     m, results = loaded
     u, phi = tip_of(results[plane].state.position.elastic, LENGTH, m)
     flexure = LOAD * LENGTH**3 / (3.0 * bending) * (1.0 - 1.0 / (4.0 * m**2))
@@ -183,9 +179,7 @@ def bent_frequencies(m, section_y, section_z):
     EI_z 4: twice the frequencies)."""
     (shear_z, rotary_y), (shear_y, rotary_z) = section_y, section_z
     axial, torsion, rotary_x = 1e7, 1e3, rotary_y + rotary_z
-    section = GivenSection(
-        axial, shear_y, shear_z, torsion, 1.0, 4.0, 1.0, rotary_x, rotary_y, rotary_z
-    )
+    section = GivenSection(axial, shear_y, shear_z, torsion, 1.0, 4.0, 1.0, rotary_x, rotary_y, rotary_z)
     link = Link("beam", 1.0, section, rfes=m + 1)
     mechanism = Mechanism([link], [Joint("A", "base", "beam", angle=0.3)], driven_joint="A")
     values = eigenvalues(discretise(mechanism), PrescribedRate("A", 1.0))
@@ -204,9 +198,7 @@ def test_chain_of_the_test_itself_meets_the_bending_table(m):
 
 @pytest.mark.parametrize("m", SHEAR_TABLE)
 def test_chain_of_the_test_itself_meets_the_shear_table(m):
-    np.testing.assert_allclose(
-        chain_frequencies(m, SLENDER_Y * 2.6 * 1.2, SLENDER_Y), SHEAR_TABLE[m], atol=6e-6
-    )
+    np.testing.assert_allclose(chain_frequencies(m, SLENDER_Y * 2.6 * 1.2, SLENDER_Y), SHEAR_TABLE[m], atol=6e-6)
 
 
 @pytest.mark.parametrize("m", [4, 20])

@@ -29,9 +29,7 @@ ORDERS = {"rk4": 4, "leapfrog": 2}
 
 @pytest.fixture(scope="module")
 def model():
-    section = GivenSection(
-        1.5e3, 8e2, 8e2, 20.0, 12.0, 18.0, 1.0, 0.05, 0.02, 0.03, damping=4e-3
-    )
+    section = GivenSection(1.5e3, 8e2, 8e2, 20.0, 12.0, 18.0, 1.0, 0.05, 0.02, 0.03, damping=4e-3)
     link = Link("beam", 1.0, section, rfes=3)
     joint = Joint("A", "base", "beam", orientation=(0.7, 0.0, 0.2))
     return discretise(Mechanism([link], [joint], gravity=(0.0, 0.0, -3.0), driven_joint="A"))
@@ -53,8 +51,12 @@ def runs(request, model):
 
     def simulated(step):
         return simulate(
-            model, drive=drive, duration=0.4, method=Method(request.param, step=step),
-            save_every=0.1, start=start,
+            model,
+            drive=drive,
+            duration=0.4,
+            method=Method(request.param, step=step),
+            save_every=0.1,
+            start=start,
         )
 
     return ORDERS[request.param], [jax.tree.map(np.asarray, simulated(step)) for step in STEPS]

@@ -105,9 +105,7 @@ def test_hinge_between_the_ends_loads_its_own_rfe():
     # The hanger's x points down: the beam pulls it up.
     np.testing.assert_allclose(result.preload["B"].force, [-LOAD, 0.0, 0.0], atol=1e-8 * LOAD)
     np.testing.assert_allclose(result.preload["A"].force, [0.0, 0.0, LOAD], atol=1e-8 * LOAD)
-    np.testing.assert_allclose(
-        result.preload["A"].moment, [0.0, -LOAD * WHERE, 0.0], atol=1e-6 * LOAD
-    )
+    np.testing.assert_allclose(result.preload["A"].moment, [0.0, -LOAD * WHERE, 0.0], atol=1e-6 * LOAD)
 
 
 def test_cut_joint_between_the_ends_props_the_beam():
@@ -120,18 +118,14 @@ def test_cut_joint_between_the_ends_props_the_beam():
         Joint("B", "base", "strut", position=(WHERE, 0.0, -HANGER), angle=-np.pi / 2.0),
         Joint("C", "beam", "strut", position=(WHERE, 0.0, 0.0), cut=True),
     ]
-    model = discretise(
-        Mechanism(links, joints, gravity=(0.0, 0.0, -LOAD / mass), driven_joint="A")
-    )
+    model = discretise(Mechanism(links, joints, gravity=(0.0, 0.0, -LOAD / mass), driven_joint="A"))
     result = eqx.filter_jit(assemble)(model, assembly_errors(model), None)
     assert result.status == 0
     prop = LOAD * flexibility(WHERE, LENGTH) / flexibility(WHERE, WHERE)
     # The beam presses the strut down (C, in the beam's axes); the ground presses it up (B, x up).
     np.testing.assert_allclose(result.preload["C"].force, [0.0, 0.0, -prop], atol=2e-6 * LOAD)
     np.testing.assert_allclose(result.preload["B"].force, [prop, 0.0, 0.0], atol=2e-6 * LOAD)
-    np.testing.assert_allclose(
-        result.preload["A"].force, [0.0, 0.0, LOAD - prop], atol=2e-6 * LOAD
-    )
+    np.testing.assert_allclose(result.preload["A"].force, [0.0, 0.0, LOAD - prop], atol=2e-6 * LOAD)
     elastic = np.asarray(result.state.position.elastic)
     drop = elastic[2, -1] - elastic[4, -1] * LENGTH / (4.0 * SEGMENTS)
     expected = LOAD * flexibility(LENGTH, LENGTH) - prop * flexibility(WHERE, LENGTH)

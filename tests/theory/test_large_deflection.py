@@ -62,9 +62,7 @@ def bent(model, force):
 def solve(m, length, stiffness, forces, elements="geometrically_exact"):
     """Tip's displacement (loads, 3) and angles (loads, 3), and all that `bent` returns."""
     forces = np.concatenate([forces, np.zeros((LOADS - len(forces), 3))])
-    results = jax.tree.map(
-        np.asarray, bent(clamped(m, length, stiffness, elements), jnp.asarray(forces))
-    )
+    results = jax.tree.map(np.asarray, bent(clamped(m, length, stiffness, elements), jnp.asarray(forces)))
     elastic = results[0]
     u, (_, phi_y, phi_z) = elastic[:, :3, -1], elastic[:, 3:, -1].T
     along = np.stack([np.cos(phi_y) * np.cos(phi_z), np.sin(phi_z), -np.sin(phi_y) * np.cos(phi_z)])
@@ -94,13 +92,15 @@ def extrapolated(values):
     return values[1] + (values[1] - values[0]) / 3.0
 
 
-ELASTICA = np.array([
-    [1.0, 0.30172, 0.05643, 0.46135],
-    [2.0, 0.49346, 0.16064, 0.78175],
-    [3.0, 0.60325, 0.25442, 0.98602],
-    [5.0, 0.71379, 0.38763, 1.21537],
-    [10.0, 0.81061, 0.55500, 1.43029],
-])
+ELASTICA = np.array(
+    [
+        [1.0, 0.30172, 0.05643, 0.46135],
+        [2.0, 0.49346, 0.16064, 0.78175],
+        [3.0, 0.60325, 0.25442, 0.98602],
+        [5.0, 0.71379, 0.38763, 1.21537],
+        [10.0, 0.81061, 0.55500, 1.43029],
+    ]
+)
 
 
 def test_elastica_is_met_with_second_order():
@@ -138,13 +138,15 @@ def test_thick_cantilever():
 
 
 PRINCETON = (0.508, section_of_rectangle(71.7e9, 0.31, 3.2024e-3, 12.3777e-3, 5.0 / 6.0, 0.198))
-ANSYS = np.array([  # force, angle from the stiff direction, chordwise, flapwise displacement
-    [8.896, 30.0, 0.010112, 0.079395],
-    [13.345, 30.0, 0.016659, 0.117736],
-    [8.896, 60.0, 0.006605, 0.129888],
-    [13.345, 60.0, 0.011578, 0.181862],
-    [13.345, 90.0, 0.0, 0.200678],
-])
+ANSYS = np.array(
+    [  # force, angle from the stiff direction, chordwise, flapwise displacement
+        [8.896, 30.0, 0.010112, 0.079395],
+        [13.345, 30.0, 0.016659, 0.117736],
+        [8.896, 60.0, 0.006605, 0.129888],
+        [13.345, 60.0, 0.011578, 0.181862],
+        [13.345, 90.0, 0.0, 0.200678],
+    ]
+)
 
 
 def test_princeton_beam():
@@ -221,17 +223,19 @@ def test_an_assembly_out_of_range_says_so():
     assert [STATUS[code].name for code in status[:3]] == ["ok", "ok", "out_of_range"]
 
 
-@pytest.mark.parametrize(
-    "elements, name", [("linear", "out_of_range"), ("geometrically_exact", "ok")]
-)
+@pytest.mark.parametrize("elements, name", [("linear", "out_of_range"), ("geometrically_exact", "ok")])
 def test_a_run_out_of_range_says_so(elements, name):
     """A limp beam let go: it falls past 60 deg, within the range of the exact form alone."""
     section = GivenSection(300.0, 300.0, 300.0, 0.01, 0.01, 0.01, 0.2, 2e-5, 1e-5, 1e-5)
     beam, clamp = Link("beam", 0.5, section, rfes=4), Joint("A", "base", "beam", angle=-0.4)
     model = discretise(Mechanism([beam], [clamp], driven_joint="A", elements=elements))
     run = simulate(
-        model, drive=PrescribedRate("A", 0.0), duration=0.4, method=Method("rk4", step=2e-4),
-        save_every=0.02, start=static_state(model.start_coordinates()),
+        model,
+        drive=PrescribedRate("A", 0.0),
+        duration=0.4,
+        method=Method("rk4", step=2e-4),
+        save_every=0.02,
+        start=static_state(model.start_coordinates()),
     )
     assert STATUS[int(run.status)].name == name
     if elements == "geometrically_exact":

@@ -89,16 +89,17 @@ def single():
 
     def simulated(start):
         return simulate(
-            model, drive=None, duration=0.6, method=Method("rk4", step=1e-4), save_every=0.02,
+            model,
+            drive=None,
+            duration=0.6,
+            method=Method("rk4", step=1e-4),
+            save_every=0.02,
             start=start,
         )
 
     starts = stacked([start_state([lowest + a], [r]) for a, r in SINGLE_STARTS])
     runs = eqx.filter_jit(eqx.filter_vmap(simulated))(starts)
-    exact = [
-        exact_pendulum(body, gravity, lowest, slow, *start, np.asarray(runs.times[0]))
-        for start in SINGLE_STARTS
-    ]
+    exact = [exact_pendulum(body, gravity, lowest, slow, *start, np.asarray(runs.times[0])) for start in SINGLE_STARTS]
     return jax.tree.map(np.asarray, runs), exact
 
 
@@ -181,8 +182,10 @@ DOUBLE_CASES = {  # orientation of B, errors
     "spatial": ((0.5, 0.3, -0.8), {}),
     "longer": ((0.0, 0.0, 0.0), {"upper.length": STRETCH}),
     "seat": ((0.0, 0.0, 0.0), {"B.delta_x": 0.4, "B.delta_z": -0.3, "B.d_y": 0.05, "B.d_z": 0.02}),
-    "bore": ((0.0, 0.0, 0.0), {"B.child.delta_x": 0.4, "B.child.delta_z": -0.3,
-                               "B.child.d_x": 0.03, "B.child.d_y": 0.05}),
+    "bore": (
+        (0.0, 0.0, 0.0),
+        {"B.child.delta_x": 0.4, "B.child.delta_z": -0.3, "B.child.d_x": 0.03, "B.child.d_y": 0.05},
+    ),
 }
 
 
@@ -193,8 +196,13 @@ def double():
 
     def simulated(model, errors):
         return simulate(
-            model, errors, drive=None, duration=0.4, method=Method("rk4", step=1e-4),
-            save_every=0.02, start=start_state(ANGLES, RATES),
+            model,
+            errors,
+            drive=None,
+            duration=0.4,
+            method=Method("rk4", step=1e-4),
+            save_every=0.02,
+            start=start_state(ANGLES, RATES),
         )
 
     runs = eqx.filter_jit(eqx.filter_vmap(simulated))(stacked(models), stacked(errors))
@@ -214,17 +222,24 @@ def lagrange(length_1, distance):
         a, b, va, vb = y
         g = -GRAVITY[2]
         matrix = np.array([[a11, k * np.cos(a - b)], [k * np.cos(a - b), a22]])
-        right = np.array([
-            (m1 * length_1 / 2.0 + m2 * distance) * g * np.cos(a) - k * np.sin(a - b) * vb**2,
-            m2 * LENGTH_2 / 2.0 * g * np.cos(b) + k * np.sin(a - b) * va**2,
-        ])
+        right = np.array(
+            [
+                (m1 * length_1 / 2.0 + m2 * distance) * g * np.cos(a) - k * np.sin(a - b) * vb**2,
+                m2 * LENGTH_2 / 2.0 * g * np.cos(b) + k * np.sin(a - b) * va**2,
+            ]
+        )
         return np.linalg.solve(matrix, right)
 
     def motion(times):
         start = [ANGLES[0], sum(ANGLES), RATES[0], sum(RATES)]
         return solve_ivp(
-            lambda t, y: np.concatenate([y[2:], accelerations(y)]), (0.0, times[-1]), start,
-            method="DOP853", t_eval=times, rtol=1e-12, atol=1e-12,
+            lambda t, y: np.concatenate([y[2:], accelerations(y)]),
+            (0.0, times[-1]),
+            start,
+            method="DOP853",
+            t_eval=times,
+            rtol=1e-12,
+            atol=1e-12,
         ).y
 
     return motion, accelerations
@@ -253,12 +268,8 @@ def test_planar_double_pendulum_by_lagrange(double, name, length_1):
         on_lower = DENSITY * LENGTH_2 * (lower - GRAVITY)
         on_upper = DENSITY * length_1 * (upper - GRAVITY) + on_lower
         scale = 1e-7 * np.abs(on_upper).max()
-        np.testing.assert_allclose(
-            run.loads["B"].force[i], rotation(y=b).T @ on_lower, atol=scale
-        )
-        np.testing.assert_allclose(
-            run.loads["A"].force[i], rotation(y=a).T @ on_upper, atol=scale
-        )
+        np.testing.assert_allclose(run.loads["B"].force[i], rotation(y=b).T @ on_lower, atol=scale)
+        np.testing.assert_allclose(run.loads["A"].force[i], rotation(y=a).T @ on_upper, atol=scale)
 
 
 def tilt(x, z):
@@ -329,15 +340,17 @@ def test_spatial_double_pendulum_by_newton_euler(double, name):
     run, (seat, bore) = double(name), SPATIAL_CASES[name]
     y = solve_ivp(
         lambda t, y: np.concatenate([y[2:], chain_accelerations(seat, bore, y)]),
-        (0.0, run.times[-1]), [*ANGLES, *RATES], method="DOP853", t_eval=run.times,
-        rtol=1e-10, atol=1e-10,
+        (0.0, run.times[-1]),
+        [*ANGLES, *RATES],
+        method="DOP853",
+        t_eval=run.times,
+        rtol=1e-10,
+        atol=1e-10,
     ).y
     np.testing.assert_allclose(run.angles["A"], y[0], atol=1e-7)
     np.testing.assert_allclose(run.angles["B"], y[1], atol=1e-7)
     for i, state in enumerate(y.T):
-        expected = chain_loads(
-            seat, bore, state[:2], state[2:], chain_accelerations(seat, bore, state)
-        )
+        expected = chain_loads(seat, bore, state[:2], state[2:], chain_accelerations(seat, bore, state))
         for joint, (force, moment) in expected.items():
             np.testing.assert_allclose(run.loads[joint].force[i], force, atol=2e-5)
             np.testing.assert_allclose(run.loads[joint].moment[i], moment, atol=1e-5)
@@ -355,8 +368,13 @@ def test_twist_of_a_link_turns_the_frame_at_its_end_and_nothing_else():
     loads = []
     for model, error in zip(models, errors):
         run = simulate(
-            model, assembly_errors(model, error), drive=None, duration=0.02,
-            method=Method("rk4", step=1e-3), save_every=0.01, start=start_state(ANGLES, RATES),
+            model,
+            assembly_errors(model, error),
+            drive=None,
+            duration=0.02,
+            method=Method("rk4", step=1e-3),
+            save_every=0.01,
+            start=start_state(ANGLES, RATES),
         )
         loads.append(np.concatenate([*run.loads["A"], *run.loads["B"]], axis=1))
     twisted, straight, turned, middle_twisted, middle = loads

@@ -21,8 +21,11 @@ def released(request, four_bar):
     """The cut, and the run from rest under the moment ramp."""
     model = four_bar(request.param)
     run = simulate(
-        model, drive=MomentRamp("A", MOMENT, RISE), duration=DURATION,
-        method=Method("rk4", step=1e-4), save_every=0.01,
+        model,
+        drive=MomentRamp("A", MOMENT, RISE),
+        duration=DURATION,
+        method=Method("rk4", step=1e-4),
+        save_every=0.01,
     )
     return request.param, jax.tree.map(np.asarray, run)
 
@@ -57,9 +60,7 @@ def test_motion_follows_lagranges_equation(released, exact_motion, exact_four_ba
         np.testing.assert_allclose(wrapped(run.angles[joint] - expected), 0.0, atol=1e-8)
 
 
-def test_joint_forces_are_those_of_newton_and_euler(
-    released, exact_motion, exact_four_bar, four_bar_loads
-):
+def test_joint_forces_are_those_of_newton_and_euler(released, exact_motion, exact_four_bar, four_bar_loads):
     cut, run = released
     (crank, rate), moment = exact_motion
     largest = np.abs(run.loads["A"].force).max()
@@ -71,9 +72,7 @@ def test_joint_forces_are_those_of_newton_and_euler(
         forces, needed = four_bar_loads(cut, crank[i], rate[i], acceleration)
         np.testing.assert_allclose(needed, applied, atol=1e-9)  # the two theories agree
         for joint, force in forces.items():
-            np.testing.assert_allclose(
-                run.loads[joint].force[i, [0, 2]], force, atol=2e-6 * largest
-            )
+            np.testing.assert_allclose(run.loads[joint].force[i, [0, 2]], force, atol=2e-6 * largest)
 
 
 def test_nothing_happens_out_of_the_plane(released):
@@ -104,8 +103,11 @@ def test_static_start_holds_the_crank(released, exact_four_bar, four_bar_loads):
 def test_prescribed_crank(four_bar, exact_four_bar, four_bar_loads, rise_time):
     """The angle is what was asked for, the drive's moment what Newton and Euler need for it."""
     run = simulate(
-        four_bar("C"), drive=PrescribedRate("A", RATE, rise_time), duration=TURNING,
-        method=Method("rk4", step=2e-4), save_every=0.01,
+        four_bar("C"),
+        drive=PrescribedRate("A", RATE, rise_time),
+        duration=TURNING,
+        method=Method("rk4", step=2e-4),
+        save_every=0.01,
     )
     t = np.asarray(run.times)
     x = t / rise_time if rise_time else np.full_like(t, 2.0)
@@ -117,25 +119,19 @@ def test_prescribed_crank(four_bar, exact_four_bar, four_bar_loads, rise_time):
     assert run.status == 0
     np.testing.assert_allclose(run.angle, -np.pi / 2.0 + turned, atol=1e-12)
     np.testing.assert_allclose(run.rate, rate, atol=1e-12)
-    expected = [
-        four_bar_loads("C", *state) for state in zip(-np.pi / 2.0 + turned, rate, acceleration)
-    ]
+    expected = [four_bar_loads("C", *state) for state in zip(-np.pi / 2.0 + turned, rate, acceleration)]
     moments = np.array([moment for _, moment in expected])
     largest = np.abs(run.loads["A"].force).max()
     np.testing.assert_allclose(run.drive_moment, moments, atol=2e-6 * largest * 0.3)
     np.testing.assert_array_equal(run.drive_moment, run.loads["A"].moment[:, 1])
     for joint in "ABCD":
         forces = np.array([forces[joint] for forces, _ in expected])
-        np.testing.assert_allclose(
-            run.loads[joint].force[:, np.array([0, 2])], forces, atol=2e-6 * largest
-        )
+        np.testing.assert_allclose(run.loads[joint].force[:, np.array([0, 2])], forces, atol=2e-6 * largest)
     for joint, angle in (("B", lambda a: a[1] - a[0]), ("D", lambda a: a[2])):
         angles = [angle(exact_four_bar.angles(a)) for a in -np.pi / 2.0 + turned]
         np.testing.assert_allclose(wrapped(run.angles[joint] - np.array(angles)), 0.0, atol=1e-8)
     energy = np.asarray(run.energy.total)
-    np.testing.assert_allclose(
-        run.energy.work, energy - energy[0], atol=1e-7 * np.abs(energy).max()
-    )
+    np.testing.assert_allclose(run.energy.work, energy - energy[0], atol=1e-7 * np.abs(energy).max())
     assert np.ptp(energy) > 0.02  # J: work is done
 
 
@@ -144,15 +140,17 @@ RELATED = {"D.delta_x": 0.004, "D.delta_z": -0.003, "D.d_y": 3e-4, "D.d_x": 2e-4
 
 def _resultants(loads):
     """Loads of all joints as numbers that no choice of frame or of sign changes."""
-    return np.stack([
-        part
-        for joint in "ABCD"
-        for part in (
-            np.linalg.norm(loads[joint].force, axis=1),
-            np.linalg.norm(loads[joint].moment, axis=1),
-            np.abs(loads[joint].force[:, 1]),
-        )
-    ])
+    return np.stack(
+        [
+            part
+            for joint in "ABCD"
+            for part in (
+                np.linalg.norm(loads[joint].force, axis=1),
+                np.linalg.norm(loads[joint].moment, axis=1),
+                np.abs(loads[joint].force[:, 1]),
+            )
+        ]
+    )
 
 
 @pytest.mark.slow
@@ -161,10 +159,17 @@ def test_flexible_loop_with_errors_moves_the_same_wherever_it_is_cut(four_bar):
     runs = {}
     for cut in ("C", "D"):
         model = four_bar(cut, rigid="crank rocker", rfes=3, damping=2e-5)
-        runs[cut] = jax.tree.map(np.asarray, simulate(
-            model, assembly_errors(model, RELATED), drive=MomentRamp("A", MOMENT, 0.02),
-            duration=0.03, method=Method("rk4", step=2e-5), save_every=1e-3,
-        ))
+        runs[cut] = jax.tree.map(
+            np.asarray,
+            simulate(
+                model,
+                assembly_errors(model, RELATED),
+                drive=MomentRamp("A", MOMENT, 0.02),
+                duration=0.03,
+                method=Method("rk4", step=2e-5),
+                save_every=1e-3,
+            ),
+        )
         assert runs[cut].status == 0
     one, other = (_resultants(runs[cut].loads) for cut in ("C", "D"))
     scale = one.max(axis=1, keepdims=True)

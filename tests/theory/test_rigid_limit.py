@@ -24,9 +24,7 @@ MOMENT, RISE = 16.0, 0.01  # of flexible_four_bar_runs
 STIFFER = 4.0
 
 
-def test_stiff_four_bar_tends_to_the_closed_form(
-    flexible_four_bar_runs, exact_four_bar, four_bar_loads
-):
+def test_stiff_four_bar_tends_to_the_closed_form(flexible_four_bar_runs, exact_four_bar, four_bar_loads):
     """Coupler and rocker flexible, with steel's modulus and with four times that."""
     runs = [flexible_four_bar_runs[1][name] for name in ("perfect", "stiff")]
     times = runs[0].times
@@ -47,9 +45,7 @@ def test_stiff_four_bar_tends_to_the_closed_form(
     steady = (times > 0.25 * RISE) & (times < RISE + 1e-9)
     for joint in "ABCD":
         forces = np.array([loads[joint] for loads in expected])[steady]
-        off = [
-            np.abs(run.loads[joint].force[steady][:, [0, 2]] - forces).max() for run in runs
-        ]
+        off = [np.abs(run.loads[joint].force[steady][:, [0, 2]] - forces).max() for run in runs]
         largest = np.abs(forces).max()
         assert largest > 10.0
         assert off[0] < 3e-2 * largest and off[1] < 0.5 * off[0]
@@ -76,7 +72,11 @@ def tripods():
     def chain(scale, rfes):
         section = GivenSection(
             *(scale * np.array([4e5, 1.5e5, 1.5e5, 300.0, 500.0, 800.0])),
-            1.2, 5e-3, 2e-3, 3e-3, damping=1.5e-4,
+            1.2,
+            5e-3,
+            2e-3,
+            3e-3,
+            damping=1.5e-4,
         )
         links = [
             Link("upper", 0.5, section, rfes=rfes, point_masses=masses),
@@ -90,11 +90,13 @@ def tripods():
 
     def simulated(model):
         elastic = jnp.zeros((6, model.topology.n_rfes))
-        start = State(
-            Coordinates(jnp.array([0.5, 0.8]), elastic), Coordinates(jnp.zeros(2), elastic)
-        )
+        start = State(Coordinates(jnp.array([0.5, 0.8]), elastic), Coordinates(jnp.zeros(2), elastic))
         return simulate(
-            model, drive=None, duration=0.3, method=Method("rk4", step=5e-5), save_every=0.01,
+            model,
+            drive=None,
+            duration=0.3,
+            method=Method("rk4", step=5e-5),
+            save_every=0.01,
             start=start,
         )
 

@@ -119,10 +119,12 @@ def test_exact_elements_meet_the_exact_chain_and_the_elastica():
     expected, tips = (np.stack(part) for part in zip(*pairs))
     np.testing.assert_allclose(seen(elastic), expected, rtol=1e-8, atol=1e-12)
     step = 1e-4
-    differences = np.stack([
-        (chain(k, p * (1.0 + step))[0] - chain(k, p * (1.0 - step))[0]) / (2.0 * step * p)
-        for k, p in zip(ratios, loads)
-    ])
+    differences = np.stack(
+        [
+            (chain(k, p * (1.0 + step))[0] - chain(k, p * (1.0 - step))[0]) / (2.0 * step * p)
+            for k, p in zip(ratios, loads)
+        ]
+    )
     np.testing.assert_allclose(seen(slope), differences, rtol=2e-7, atol=1e-8)
     np.testing.assert_allclose(clamp.force[:, 2], loads, rtol=1e-9)
     np.testing.assert_allclose(clamp.moment[:, 1], -loads * tips[:, 0], rtol=1e-8)
@@ -150,16 +152,18 @@ def blade(thickness, width=0.01):
 
 STEP = 1e-5  # of errors, in differences
 # thickness [m], share of gravity, D.delta_x [rad], D.d_x [m], coupler.length [m]
-CASES = np.array([
-    [1e-3, 1.0, 0.0, 0.0, 0.0],
-    [1e-3, 1.0, 0.02, 5e-4, -3e-4],
-    [1e-3, 1.0, 0.02 + STEP, 5e-4, -3e-4],
-    [1e-3, 1.0, 0.02 - STEP, 5e-4, -3e-4],
-    [1e-4, 0.0, 1e-3, 1e-4, 2e-4],
-    [1e-4, 0.0, 1e-3 + STEP, 1e-4, 2e-4],
-    [1e-4, 0.0, 1e-3 - STEP, 1e-4, 2e-4],
-    [1e-3, 1.0, 0.0, 0.0, 1.0],  # no link bends that far
-])
+CASES = np.array(
+    [
+        [1e-3, 1.0, 0.0, 0.0, 0.0],
+        [1e-3, 1.0, 0.02, 5e-4, -3e-4],
+        [1e-3, 1.0, 0.02 + STEP, 5e-4, -3e-4],
+        [1e-3, 1.0, 0.02 - STEP, 5e-4, -3e-4],
+        [1e-4, 0.0, 1e-3, 1e-4, 2e-4],
+        [1e-4, 0.0, 1e-3 + STEP, 1e-4, 2e-4],
+        [1e-4, 0.0, 1e-3 - STEP, 1e-4, 2e-4],
+        [1e-3, 1.0, 0.0, 0.0, 1.0],  # no link bends that far
+    ]
+)
 
 
 @eqx.filter_jit

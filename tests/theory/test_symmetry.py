@@ -12,6 +12,7 @@ from rfem_jax.mechanics.dynamics import accelerations
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation
 from rfem_jax.mechanics.realisation import realise
 
+
 @pytest.fixture
 def runs(flexible_four_bar_runs):
     return flexible_four_bar_runs[1]
@@ -85,9 +86,7 @@ def test_mirrored_errors_give_mirrored_loads(runs):
         for kind in ("loads", "preload"):
             a, b = getattr(one, kind)[joint], getattr(other, kind)[joint]
             np.testing.assert_allclose(a.force, mirror * b.force, atol=1e-8 * np.abs(a.force).max())
-            np.testing.assert_allclose(
-                a.moment, -mirror * b.moment, atol=1e-8 * np.abs(a.moment).max()
-            )
+            np.testing.assert_allclose(a.moment, -mirror * b.moment, atol=1e-8 * np.abs(a.moment).max())
     for metric in ("rms_force", "rms_moment", "max_axial_force", "max_normal_force"):
         for joint in "ABCD":
             a, b = (getattr(run.metrics, metric)[joint] for run in (one, other))

@@ -133,9 +133,7 @@ def test_two_limits_of_24_errors_hold_in_the_worst_case_and_cannot_all_be_relaxe
 
 def test_yield_of_a_uniform_error_is_its_closed_form_and_a_fresh_run_agrees():
     # P((t u)^2 <= 1) with u uniform on -1..1 is 1/t = 0.9, so t = 1/0.9.
-    result = allocate(
-        SQUARE, {"f": 1.0}, Reciprocal(), bounds(1), "yield", key=KEY, target=0.9, **UNIFORM
-    )
+    result = allocate(SQUARE, {"f": 1.0}, Reciprocal(), bounds(1), "yield", key=KEY, target=0.9, **UNIFORM)
     assert result.status == "ok" and found(result)[0] == pytest.approx(1 / 0.9, rel=1e-2)
     assert result.predicted_yield == pytest.approx(0.9, abs=1e-2)
     assert result.yield_interval[0] < 0.9 < result.yield_interval[1]
@@ -152,9 +150,7 @@ def test_rss_moments_of_an_even_metric_against_a_large_sample():
     f = e @ gradient + 0.5 * np.einsum("ni,ij,nj->n", e, hessian, e)
 
     def statistic(kind, c):
-        model = Moments(
-            quadratic, jnp.asarray(sigma), jnp.asarray(c), jnp.zeros(1), None, jnp.zeros(1), kind
-        )
+        model = Moments(quadratic, jnp.asarray(sigma), jnp.asarray(c), jnp.zeros(1), None, jnp.zeros(1), kind)
         return float(model(jnp.ones(3))[0])
 
     assert statistic("mean", 3.0) == pytest.approx(f.mean(), rel=3e-3)
@@ -170,9 +166,7 @@ def test_mean_of_an_even_metric_is_held_at_its_limit():
     # E f = sum a_i^2 t_i^2 / 9: the closed form of RSS with a_i^2/9 for g_i^2.
     a = np.array([1.0, 2.0, 0.5])
     problem = make({"f": lambda x: jnp.sum((jnp.asarray(a) * x) ** 2)}, 3)
-    result = allocate(
-        problem, {"f": 1.0}, COSTS, bounds(3), "rss", key=KEY, statistic="mean", samples=128
-    )
+    result = allocate(problem, {"f": 1.0}, COSTS, bounds(3), "rss", key=KEY, statistic="mean", samples=128)
     exact = (FACTORS / a**2) ** (1 / 3)
     exact *= 3 / np.linalg.norm(a * exact)
     np.testing.assert_allclose(found(result), exact, rtol=1e-5)
@@ -188,9 +182,7 @@ def test_infeasible_request_names_the_limit_and_the_best_value():
     assert "1.5" in result.message and "on f cannot be met" in result.message
     assert "2.1" in result.message  # 1 + 0.2 (1 + 4 + 0.5)
     assert result.limits[1].verified > 1.5 and "infeasible" in str(result)
-    nominal = allocate(
-        linear(), {"f": 0.5}, COSTS, bounds(3), "yield", key=KEY, samples=256, target=0.9
-    )
+    nominal = allocate(linear(), {"f": 0.5}, COSTS, bounds(3), "yield", key=KEY, samples=256, target=0.9)
     assert nominal.status == "infeasible" and "on f cannot be met" in nominal.message
 
 
@@ -231,9 +223,7 @@ def test_augmented_lagrangian_meets_a_known_problem_with_its_multipliers():
 
 
 def test_cost_models_add_up_and_their_input_is_checked():
-    models = assign_costs(
-        {"a": Reciprocal(2.0, 1.0), "b": Exponential(3.0, 0.5), "c": lambda t: -t}, ("a", "b", "c")
-    )
+    models = assign_costs({"a": Reciprocal(2.0, 1.0), "b": Exponential(3.0, 0.5), "c": lambda t: -t}, ("a", "b", "c"))
     t = jnp.array([4.0, 2.0, 1.0])
     assert float(total_cost(models, t)) == pytest.approx(1.5 + 3 * np.exp(-1.0) - 1.0)
     assert float(ReciprocalSquared(8.0)(jnp.asarray(2.0))) == 2.0

@@ -92,7 +92,11 @@ def start(folder, instant, count):
     script = SCRIPT.format(tests=str(Path(__file__).parent))
     return subprocess.run(
         [sys.executable, "-c", script, str(folder), instant, str(count)],
-        env=environment, capture_output=True, text=True, timeout=120, check=False,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
     )
 
 
@@ -221,9 +225,7 @@ def test_refused_write_of_the_system_is_reported(tmp_path):
         ({"tolerances": Tolerances({"a": Uniform(0.5), "b": Uniform(0.1 + 1e-16)})}, "tolerances"),
         ({"tolerances": Tolerances({"b": Uniform(0.1), "a": Uniform(0.5)})}, "tolerances"),
         (
-            {"problem": FunctionProblem(
-                lambda e: {**swing(e), "z": e["a"] * e["b"] + 1e-15}, ("a", "b"), ("y", "z")
-            )},
+            {"problem": FunctionProblem(lambda e: {**swing(e), "z": e["a"] * e["b"] + 1e-15}, ("a", "b"), ("y", "z"))},
             "problem",
         ),
     ],

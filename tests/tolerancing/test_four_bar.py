@@ -3,6 +3,7 @@
 import jax
 import numpy as np
 import pytest
+
 from rfem_jax import (
     Method,
     MomentRamp,
@@ -18,7 +19,6 @@ from rfem_jax import (
     sensitivity,
     worst_case,
 )
-
 from tests.mechanisms import four_bar
 
 WIDTHS = {"D.delta_x": 2e-3, "D.delta_z": 2e-3, "D.d_y": 1e-4}
@@ -40,9 +40,7 @@ class Counted(Problem):
 @pytest.fixture(scope="module")
 def problem():
     model = discretise(four_bar(3))
-    return Counted(
-        model, MomentRamp("A", 1.5, 0.002), 0.004, METRICS, Method("rk4", step=2.5e-5), 1e-3
-    )
+    return Counted(model, MomentRamp("A", 1.5, 0.002), 0.004, METRICS, Method("rk4", step=2.5e-5), 1e-3)
 
 
 @pytest.fixture(scope="module")

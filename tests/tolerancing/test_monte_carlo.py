@@ -25,9 +25,7 @@ jax.config.update("jax_enable_x64", True)
 KEY = jax.random.key(7)
 NAMES = ("a", "b", "c")
 HESSIAN = np.array([[2.0, 0.5, 0.0], [0.5, 1.0, 0.3], [0.0, 0.3, 3.0]])
-TOLERANCES = Tolerances(
-    {"b": Uniform(0.2), "a": Normal(0.6)}, correlated=CorrelatedNormal("c", [[0.01]])
-)
+TOLERANCES = Tolerances({"b": Uniform(0.2), "a": Normal(0.6)}, correlated=CorrelatedNormal("c", [[0.01]]))
 
 
 def quadratic(errors):
@@ -56,7 +54,12 @@ VIBRATION = FunctionProblem(vibration, NAMES, ("end", "square"))
 @pytest.fixture(scope="module")
 def study():
     return monte_carlo(
-        QUADRATIC, TOLERANCES, 1024, KEY, batch=300, sobol_indices=True,
+        QUADRATIC,
+        TOLERANCES,
+        1024,
+        KEY,
+        batch=300,
+        sobol_indices=True,
         limits={"linear": (-1.0, 1.0)},
     )
 
@@ -110,14 +113,10 @@ def test_correlated_errors_are_one_factor():
 
 def test_sobol_points_beat_pseudo_random_ones():
     def error(sampling, seed):
-        study = monte_carlo(
-            QUADRATIC, TOLERANCES, 512, jax.random.key(seed), batch=512, sampling=sampling
-        )
+        study = monte_carlo(QUADRATIC, TOLERANCES, 512, jax.random.key(seed), batch=512, sampling=sampling)
         return abs(study.statistics["linear"].mean.value)
 
-    assert max(error("sobol", s) for s in range(4)) < 0.3 * np.mean(
-        [error("pseudo_random", s) for s in range(4)]
-    )
+    assert max(error("sobol", s) for s in range(4)) < 0.3 * np.mean([error("pseudo_random", s) for s in range(4)])
 
 
 @pytest.mark.parametrize("sampling", ("sobol", "pseudo_random"))
@@ -205,9 +204,7 @@ def test_control_variate_leaves_the_mean_and_cuts_the_variance():
 
 def test_control_variate_is_refused_where_samples_failed():
     problem = FunctionProblem(lambda e: {"y": jnp.log(0.9 + e["a"])}, ("a",), ("y",))
-    study = monte_carlo(
-        problem, Tolerances({"a": Uniform(1.0)}), 64, KEY, control_variate=True
-    )
+    study = monte_carlo(problem, Tolerances({"a": Uniform(1.0)}), 64, KEY, control_variate=True)
     assert study.good < 64 and study.controlled_means is None
     assert "bias" in study.control_note
 
@@ -293,7 +290,10 @@ def start(folder, port, process, devices):
     script = SCRIPT.format(tests=str(Path(__file__).parent))
     return subprocess.Popen(
         [sys.executable, "-c", script, str(folder), str(port), str(process)],
-        env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
     )
 
 

@@ -156,9 +156,7 @@ def test_controlled_means_of_nets_cover():
     exact = np.sinh(0.5) / 0.5 * np.sin(1.0)
     model, hits, widths, plain = expand(PROBLEM), 0, [], []
     for seed in range(200):
-        found = monte_carlo(
-            PROBLEM, TOLERANCES, 64, jax.random.key(seed), control_variate=model
-        )
+        found = monte_carlo(PROBLEM, TOLERANCES, 64, jax.random.key(seed), control_variate=model)
         mean = found.controlled_means["y"].mean
         hits += mean.low <= exact <= mean.high
         widths.append(mean.high - mean.low)

@@ -63,8 +63,8 @@ def counted(k, m=2):
 def test_an_allocation_compiles_its_problem_twice_and_its_neighbours_not_at_all(k, criterion, mode):
     problem, traces = counted(k)
     few = {"corners": 2, "random": 1, "sobol": 2}
-    bounds = {name: (1e-3, 2.0) for name in problem.error_names}
-    options = dict(key=KEY, starts=few, samples=64, verify_samples=256, target=0.9, mode=mode)
+    bounds = dict.fromkeys(problem.error_names, (0.001, 2.0))
+    options = {"key": KEY, "starts": few, "samples": 64, "verify_samples": 256, "target": 0.9, "mode": mode}
 
     def solve(limit):
         return allocate(problem, {"f0": limit}, Reciprocal(), bounds, criterion, **options)

@@ -171,9 +171,7 @@ def test_table_names_what_symmetry_says_and_a_failed_point_has_its_status(proble
     text = str(sensitivity(problem, scale=WIDTHS))
     assert "0 (symmetry)" in text and "its root is a cone" in text
     assert "take its mean square" in text
-    broken = FunctionProblem(
-        lambda e: ({"a": e["x"]}, jnp.asarray(3)), ("x",), ("a",), statuses={3: "diverged"}
-    )
+    broken = FunctionProblem(lambda e: ({"a": e["x"]}, jnp.asarray(3)), ("x",), ("a",), statuses={3: "diverged"})
     assert sensitivity(broken, order=1).status == "diverged"
 
 

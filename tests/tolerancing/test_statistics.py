@@ -102,9 +102,7 @@ def sobol_g_indices():
     return partial / variance, partial * others / variance
 
 
-@pytest.mark.parametrize(
-    ("function", "exact"), [(ishigami, ishigami_indices()), (sobol_g, sobol_g_indices())]
-)
+@pytest.mark.parametrize(("function", "exact"), [(ishigami, ishigami_indices()), (sobol_g, sobol_g_indices())])
 def test_sobol_indices_of_known_functions(function, exact):
     k, n = len(exact[0]), 4096  # 8 nets of 512 points
     labels = [f"x{i}" for i in range(k)]
@@ -119,12 +117,8 @@ def test_sobol_indices_of_known_functions(function, exact):
     # An independent implementation of the same estimators; it does not centre the values.
     given = {"f_A": values[:1], "f_B": values[1:2], "f_AB": values[2:, None, :]}
     reference = stats.sobol_indices(func=given, n=n)
-    np.testing.assert_allclose(
-        [e.value for e in found.first_order.values()], reference.first_order.ravel(), atol=0.02
-    )
-    np.testing.assert_allclose(
-        [e.value for e in found.total.values()], reference.total_order.ravel(), rtol=1e-10
-    )
+    np.testing.assert_allclose([e.value for e in found.first_order.values()], reference.first_order.ravel(), atol=0.02)
+    np.testing.assert_allclose([e.value for e in found.total.values()], reference.total_order.ravel(), rtol=1e-10)
 
 
 def test_sobol_indices_leave_out_failed_samples_and_constants():

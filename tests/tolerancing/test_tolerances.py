@@ -148,8 +148,11 @@ def test_function_problem_completes_names_and_reports_status():
         return {"y": errors["a"] + 2.0 * errors["b"], "unused": errors["a"]}, status
 
     problem = FunctionProblem(
-        function, ("a", "b"), (Metric("y", "N", even=False),),
-        error_units={"b": "m"}, statuses={3: "does not assemble"},
+        function,
+        ("a", "b"),
+        (Metric("y", "N", even=False),),
+        error_units={"b": "m"},
+        statuses={3: "does not assemble"},
     )
     values, status = jax.jit(problem)({"b": jnp.asarray(1.5)})
     assert values == {"y": 3.0} and status == 3 and status.dtype == jnp.int32

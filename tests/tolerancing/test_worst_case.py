@@ -20,9 +20,7 @@ KEY = jax.random.key(7)
 def make(function, k):
     """A problem "f" of the vector of k errors e0, e1, ..."""
     names = tuple(f"e{i}" for i in range(k))
-    return FunctionProblem(
-        lambda errors: {"f": function(jnp.stack([errors[n] for n in names]))}, names, ("f",)
-    )
+    return FunctionProblem(lambda errors: {"f": function(jnp.stack([errors[n] for n in names]))}, names, ("f",))
 
 
 def widths(values):
@@ -98,9 +96,7 @@ def test_ellipsoid_of_a_linear_metric_has_the_closed_form_with_and_without_corre
 
 
 def test_root_with_no_derivative_at_the_centre_does_not_stop_the_search():
-    result = worst_case(
-        make(lambda x: jnp.sqrt(jnp.sum(x**2)), 2), widths([1.0, 1.0]), "f", key=KEY, corners=False
-    )
+    result = worst_case(make(lambda x: jnp.sqrt(jnp.sum(x**2)), 2), widths([1.0, 1.0]), "f", key=KEY, corners=False)
     assert result.value == pytest.approx(np.sqrt(2.0), rel=1e-14)
     assert np.isnan(result.quadratic_value) and len(result.maximisers) >= 2
 
@@ -142,8 +138,7 @@ def test_quadratic_maximum_on_a_ball_is_the_trust_region_solution():
 
 def test_projected_gradient_meets_a_hard_valley_inside_a_ball():
     def rosenbrock(x):
-        value = -((1 - x[0]) ** 2) - 100 * (x[1] - x[0] ** 2) ** 2
-        return value
+        return -((1 - x[0]) ** 2) - 100 * (x[1] - x[0] ** 2) ** 2
 
     search = climb(
         jax.value_and_grad(rosenbrock), lambda x: 2 * project_ball(x / 2), jnp.array([-1.0, 1.5]),
@@ -193,9 +188,6 @@ def test_the_mirror_image_of_the_best_point_is_tried():
     even = worst_case(make(lambda x: (x[0] + 2 * x[1]) ** 2, 2), widths([1.0, 1.0]), "f", **one)
     assert len(even.maximisers) == 2 and even.value == pytest.approx(9.0)
     # A single search climbs the nearer side of a valley; in one of these two it is the lower one.
-    found = [
-        worst_case(make(lambda x, s=s: x[0] ** 2 + s * x[0], 1), widths([1.0]), "f", **one)
-        for s in (-0.01, 0.01)
-    ]
+    found = [worst_case(make(lambda x, s=s: x[0] ** 2 + s * x[0], 1), widths([1.0]), "f", **one) for s in (-0.01, 0.01)]
     assert {result.found_by for result in found} == {"search", "mirror"}
     assert all(result.value == pytest.approx(1.01) for result in found)

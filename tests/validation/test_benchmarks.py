@@ -6,8 +6,7 @@ import pytest
 from rfem_jax import discretise
 from rfem_jax.mechanics.realisation import assembly_errors
 from rfem_jax.mechanics.statics import assemble
-from rfem_jax.validation import cantilevers, four_bar_study, large_deflections, rotating_beams
-from rfem_jax.validation import tilted_hinge
+from rfem_jax.validation import cantilevers, four_bar_study, large_deflections, rotating_beams, tilted_hinge
 from rfem_jax.validation.lines import NOT_MET, PASS
 
 

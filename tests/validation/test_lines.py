@@ -64,9 +64,7 @@ def test_files(tmp_path):
 
 
 @pytest.mark.parametrize("lines, code", [([GOOD, KNOWN], 0), ([GOOD, BAD], 3)])
-def test_the_command_prints_writes_and_tells_by_its_exit_code(
-    lines, code, monkeypatch, tmp_path, capsys
-):
+def test_the_command_prints_writes_and_tells_by_its_exit_code(lines, code, monkeypatch, tmp_path, capsys):
     asked = []
 
     def run(full, progress):
