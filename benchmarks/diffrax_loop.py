@@ -76,7 +76,7 @@ def loads(method: str, mode: str):
         errors = assembly_errors(model, dict(zip(NAMES, point)))
         prepared = integration.prepare(model, errors, study.drive, None)
         carry = integration.start_carry(model, prepared, study.drive, chosen)
-        carry, _ = integration.advance(model, prepared.realised, study.drive, carry, grid, chosen, steps, None)
+        carry, _ = integration.advance(model, prepared.actual, study.drive, carry, grid, chosen, steps, None)
         metrics = integration.metrics_of(model, carry, duration)
         return jnp.stack([*metrics.mean_square_force.values(), *metrics.mean_square_moment.values()])
 

@@ -2,7 +2,7 @@
 
     Model + errors -> Linkage (plain numbers) -> System -> exudyn_runs: statics, motion, loads
 
-Only numbers are shared (`realise`: masses, inertias, joint frames with their errors, stiffnesses);
+Only numbers are shared (`apply_errors`: masses, inertias, joint frames with their errors, stiffnesses);
 kinematics, element, constraints, statics and integration are Exudyn's own.  Every rfe is a rigid
 body with absolute coordinates, every sde a six-dof connector between its two faces, every joint a
 revolute joint with five multipliers.
@@ -45,7 +45,7 @@ except ImportError as missing:
 from rfem_jax.mechanics.kinematics import all_frames, motion  # noqa: E402
 from rfem_jax.mechanics.loads import static_state  # noqa: E402
 from rfem_jax.mechanics.model import BASE, Model  # noqa: E402
-from rfem_jax.mechanics.realisation import AssemblyErrors, realise  # noqa: E402
+from rfem_jax.mechanics.model_with_errors import AssemblyErrors, apply_errors  # noqa: E402
 
 exu.config.printToConsole = False  # a solver that fails says so by its exception
 
@@ -105,10 +105,10 @@ NODE_TYPES = {
 def linkage(model: Model, errors: AssemblyErrors) -> Linkage:
     """Plain numbers of a model realised with its errors, in Exudyn's axes."""
     topology = model.topology
-    realised, frames = _realised(model, errors)
+    actual, frames = _actual(model, errors)
     rotation, point = (np.asarray(part) for part in frames)
     rotation, point = np.moveaxis(rotation, 2, 0), point.T
-    centre, n = np.asarray(realised.centre).T, topology.n_links
+    centre, n = np.asarray(actual.centre).T, topology.n_links
 
     def side(node, rotations, positions, j):
         """Body, frame and point of a joint's side; the point from the body's centre of mass."""
@@ -119,26 +119,26 @@ def linkage(model: Model, errors: AssemblyErrors) -> Linkage:
         (
             name,
             j >= n,
-            side(topology.parents[j], realised.seat_rotation, realised.seat_position, j),
-            side(topology.children[j], realised.bore_rotation, realised.bore_position, j),
+            side(topology.parents[j], actual.seat_rotation, actual.seat_position, j),
+            side(topology.children[j], actual.bore_rotation, actual.bore_position, j),
         )
         for j, name in enumerate(topology.joints)
     ]
     elements = []
-    stiffness, damping = np.asarray(realised.stiffness), np.asarray(realised.damping)
+    stiffness, damping = np.asarray(actual.stiffness), np.asarray(actual.damping)
     for link, (first, stop) in enumerate(topology.ranges):
         for k in range(first, stop):
             left = link if k == first else n + k - 1
-            start = float(realised.beam_middle[link]) if k == first else 0.0
-            at_left = np.array([start + float(realised.lever_left[k]), 0.0, 0.0]) - centre[left]
-            at_right = np.array([float(realised.lever_right[k]), 0.0, 0.0]) - centre[n + k]
+            start = float(actual.beam_middle[link]) if k == first else 0.0
+            at_left = np.array([start + float(actual.lever_left[k]), 0.0, 0.0]) - centre[left]
+            at_right = np.array([float(actual.lever_right[k]), 0.0, 0.0]) - centre[n + k]
             rows = stiffness[:, k].reshape(2, 3)[:, TURNED].ravel()
             elements.append((left, n + k, at_left[TURNED], at_right[TURNED], rows, float(damping[k])))
-    inertia = np.moveaxis(np.asarray(realised.inertia), 2, 0)
+    inertia = np.moveaxis(np.asarray(actual.inertia), 2, 0)
     return Linkage(
         rotation=np.stack([_turned(r) for r in rotation]),
         centre=(point + np.einsum("nij,nj->ni", rotation, centre))[:, TURNED],
-        mass=np.asarray(realised.mass),
+        mass=np.asarray(actual.mass),
         inertia=np.stack([_turned(i) for i in inertia]),
         joints=joints,
         elements=elements,
@@ -150,11 +150,11 @@ def linkage(model: Model, errors: AssemblyErrors) -> Linkage:
 
 
 @eqx.filter_jit
-def _realised(model: Model, errors: AssemblyErrors):
+def _actual(model: Model, errors: AssemblyErrors):
     """Constants of the equations of motion, and rotations and points of all nodes at the start."""
-    realised = realise(model, errors)
-    now = motion(realised, static_state(model.start_coordinates()))
-    return realised, all_frames(model.topology, now)
+    actual = apply_errors(model, errors)
+    now = motion(actual, static_state(model.start_coordinates()))
+    return actual, all_frames(model.topology, now)
 
 
 def _turned(matrix: np.ndarray) -> np.ndarray:

@@ -22,7 +22,7 @@ from exudyn_models import BACK, HINGE, Settings, build, exu, linkage
 
 from rfem_jax.description.drives import MomentDrive
 from rfem_jax.mechanics.model import Model
-from rfem_jax.mechanics.realisation import AssemblyErrors
+from rfem_jax.mechanics.model_with_errors import AssemblyErrors
 
 ANGLE_DIFFERENCE = 1e-4  # rad, for the quasi-static start velocities
 
@@ -173,7 +173,7 @@ def run(link, drive, duration, step, settings=Settings(), window=None, *, start,
     velocities = None
     given_moment = isinstance(drive, MomentDrive)
     if drive is not None and not given_moment:
-        rate = float(drive.turn(jnp.zeros(()), 0)[1])
+        rate = float(drive.motion_at(jnp.zeros(()), 0)[1])
         velocities = quasi_static_velocities(link, settings, poses, rate)
     system = build(
         link,
@@ -216,13 +216,13 @@ def _plan(schedule, system, drive, begin, end, steps, phase):
         return
     times = np.linspace(begin, end, steps + 1)
     if isinstance(drive, MomentDrive):
-        values = np.asarray(jax.vmap(lambda x: drive.moment(x, phase))(jnp.asarray(times)))
+        values = np.asarray(jax.vmap(lambda x: drive.moment_at(x, phase))(jnp.asarray(times)))
         if not values.any():
             for load in system.loads:
                 system.mbs.SetLoadParameter(load, "loadVectorUserFunction", 0)
                 system.mbs.SetLoadParameter(load, "loadVector", [0.0, 0.0, 0.0])
     else:
-        values = np.asarray(jax.vmap(lambda x: drive.turn(x, phase)[0])(jnp.asarray(times)))
+        values = np.asarray(jax.vmap(lambda x: drive.motion_at(x, phase)[0])(jnp.asarray(times)))
     schedule.set(begin, (end - begin) / steps, values)
 
 

@@ -27,7 +27,7 @@ from rfem_jax import assembly_errors, discretise, load_study, simulate  # noqa: 
 from rfem_jax.mechanics.dynamics import accelerations  # noqa: E402
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation  # noqa: E402
 from rfem_jax.mechanics.loads import static_state  # noqa: E402
-from rfem_jax.mechanics.realisation import realise  # noqa: E402
+from rfem_jax.mechanics.model_with_errors import apply_errors  # noqa: E402
 from rfem_jax.mechanics.reference_formulation import reference_accelerations  # noqa: E402
 
 STUDY = Path(__file__).parents[1] / "studies" / "four_bar" / "study.toml"
@@ -78,15 +78,15 @@ def measure(study, model, samples: int, duration: float) -> None:
 
 def compare_formulations(model) -> None:
     """One right-hand side, recursive against dense, alone."""
-    realised = jax.jit(realise)(model, assembly_errors(model))
+    actual = jax.jit(apply_errors)(model, assembly_errors(model))
     state = static_state(model.start_coordinates())
     gains = Stabilisation(1.0, 1.0, 0.3)
 
     def fast(state):
-        return accelerations(realised, state, DriveInput(), gains).coordinates
+        return accelerations(actual, state, DriveInput(), gains).coordinates
 
     def dense(state):
-        return reference_accelerations(realised, state, DriveInput(), gains)[0]
+        return reference_accelerations(actual, state, DriveInput(), gains)[0]
 
     times = [median_time(jax.jit(f), state, repeats=101) for f in (fast, dense)]
     print(

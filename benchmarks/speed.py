@@ -46,13 +46,13 @@ from speed_timing import (
 )
 
 from rfem_jax import Method, discretise
-from rfem_jax.compilation.options import explicit_in_scalars
-from rfem_jax.compilation.scalars import in_scalars, nothing_known
+from rfem_jax.compilation.options import explicit_methods_scalarised
+from rfem_jax.compilation.scalarisation import nothing_known, scalarised
 from rfem_jax.mechanics.dynamics import accelerations
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation
 from rfem_jax.mechanics.loads import static_state
 from rfem_jax.mechanics.model import State
-from rfem_jax.mechanics.realisation import assembly_errors, realise, structural_zeros
+from rfem_jax.mechanics.model_with_errors import apply_errors, assembly_errors, structural_zeros
 from rfem_jax.mechanics.reference_formulation import reference_accelerations
 from rfem_jax.simulation.integration import RESIDUAL_LIMIT
 
@@ -210,19 +210,21 @@ def compare_with_peer(case: str, best: dict[float, Found], rows: list[dict]) -> 
 
 def compare_with_dense(model, case: str, best: dict[float, Found], batch: int) -> None:
     """One right-hand side, recursive and dense, and what 0.5 s of Runge-Kutta 4 cost with them."""
-    mechanisms = jax.vmap(lambda values: realise(model, assembly_errors(model, values)))(sample_errors(case, batch))
+    mechanisms = jax.vmap(lambda values: apply_errors(model, assembly_errors(model, values)))(
+        sample_errors(case, batch)
+    )
     state = static_state(model.start_coordinates())
     states = jax.tree.map(lambda x: jnp.stack([x + 1e-9 * i for i in range(batch)]), state)
     gains = Stabilisation(jnp.asarray(1.0), jnp.asarray(1.0), jnp.asarray(0.3))
 
-    def recursive(realised, state):
-        return accelerations(realised, state, DriveInput(), gains).coordinates
+    def recursive(actual, state):
+        return accelerations(actual, state, DriveInput(), gains).coordinates
 
-    def dense(realised, state):
-        return reference_accelerations(realised, state, DriveInput(), gains)[0]
+    def dense(actual, state):
+        return reference_accelerations(actual, state, DriveInput(), gains)[0]
 
-    if explicit_in_scalars():
-        recursive = in_scalars(recursive, (structural_zeros(model.topology), nothing_known(state)))
+    if explicit_methods_scalarised():
+        recursive = scalarised(recursive, (structural_zeros(model.topology), nothing_known(state)))
     evaluations = 4 * STUDY.duration / EXPLICIT_STEP
     print(f"\nOne right-hand side in a batch of {batch}, CPU; 0.5 s by Runge-Kutta 4 at {1e6 * EXPLICIT_STEP:g} us")
     for label, function in (("recursive", recursive), ("naive dense", dense)):

@@ -23,7 +23,7 @@ from rfem_jax.compilation import options as _options
 
 _options.offer()
 
-_ROOMS = {
+_PACKAGES = {
     "description": (
         "Case Circle GivenSection InputError Joint Link Material Mechanism Method MomentFunction "
         "MomentRamp MomentTable PointMass PrescribedFunction PrescribedRate PrescribedSpinUp "
@@ -38,15 +38,15 @@ _ROOMS = {
     "compilation.keeping": "keep_programs",
     "simulation": "Run check_step choose_method derivative_residual largest_stable_step run_cases simulate",
 }
-_ROOM_OF = {name: room for room, names in _ROOMS.items() for name in names.split()}
+_PACKAGE_OF = {name: room for room, names in _PACKAGES.items() for name in names.split()}
 
-__all__ = sorted(_ROOM_OF)
+__all__ = sorted(_PACKAGE_OF)
 
 
 def __getattr__(name: str):
-    if name not in _ROOM_OF:
+    if name not in _PACKAGE_OF:
         raise AttributeError(f"module 'rfem_jax' has no attribute {name!r}")
-    return getattr(import_module(f"rfem_jax.{_ROOM_OF[name]}"), name)
+    return getattr(import_module(f"rfem_jax.{_PACKAGE_OF[name]}"), name)
 
 
 def __dir__():

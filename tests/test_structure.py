@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-ROOMS = ("description", "compilation", "mechanics", "simulation", "validation", "tolerancing", "report")
+PACKAGES = ("description", "compilation", "mechanics", "simulation", "validation", "tolerancing", "report")
 FILES = sorted((ROOT / "rfem_jax").glob("*/*.py"))
 
 
@@ -23,11 +23,11 @@ def imported_modules(path: Path):
 
 @pytest.mark.parametrize("path", FILES, ids=lambda p: f"{p.parent.name}/{p.name}")
 def test_imports_run_one_way(path):
-    room = ROOMS.index(path.parent.name)
+    room = PACKAGES.index(path.parent.name)
     for name in imported_modules(path):
         parts = name.split(".")
         if parts[0] == "rfem_jax" and len(parts) > 1:
-            assert ROOMS.index(parts[1]) <= room, f"{path} imports {name}"
+            assert PACKAGES.index(parts[1]) <= room, f"{path} imports {name}"
 
 
 def test_no_circles_of_files():

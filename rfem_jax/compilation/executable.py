@@ -69,13 +69,13 @@ class Traced(NamedTuple):
     lowered: Any
     what: str
     quick: bool
-    scalars: bool
+    scalarised: bool
 
     def finish(self) -> Executable:
         """Compile it."""
         on_stage(f"Compiling the program {self.what!r}, once for all models of its kind")
         options.own_options_hold()
-        with _without_jaxs_cache, options.own_program(self.scalars):
+        with _without_jaxs_cache, options.own_program(self.scalarised):
             return Executable(self.lowered.compile(QUICK if self.quick else None), self.head)
 
 
@@ -109,7 +109,7 @@ def trace(function, arrays, facts, quick: bool) -> Traced:
         traced = jax.jit(function).trace(*arrays)
         lowered = traced.lower()
     results = tuple((x.shape, x.dtype, x.weak_type) for x in traced.jaxpr.out_avals)
-    return Traced(Head(len(arrays), results, facts()), lowered, what, quick, program.scalars)
+    return Traced(Head(len(arrays), results, facts()), lowered, what, quick, program.scalarised)
 
 
 def unpack(content: bytes) -> Packed:

@@ -29,7 +29,7 @@ OPTIONS = ("xla_cpu_small_while_loop_byte_threshold=1000000000000000", "xla_cpu_
 FUSION = "xla_cpu_use_multi_output_fusion=true"
 # LLVM rotates every loop over axes, to vectorise it, and looks through the whole kernel each time: half of the time
 # of compilation, for a tenth of the time of a step.  For this package's kept programs only, and where loops go over
-# three rows and a few rfes: scalarised programs have loops over samples (`note_scalars`).
+# three rows and a few rfes: scalarised programs have loops over samples (`note_scalarised`).
 UNTURNED = "-rotation-max-header-size=0"
 # Products of small matrices by a library are calls again, which end the kernel.
 WITHOUT_FUSION = f"--xla_cpu_experimental_ynn_fusion_type= --xla_backend_extra_options={','.join(OPTIONS)}"
@@ -135,31 +135,31 @@ def warning() -> str:
 
 
 class OwnProgram:
-    """A program of this package alone, while it is traced and compiled; `scalars`: whether parts were scalarised."""
+    """A program of this package alone, while it is traced and compiled; `scalarised`: whether parts were scalarised."""
 
-    def __init__(self, scalars: bool = False):
-        self.scalars = scalars
+    def __init__(self, scalarised: bool = False):
+        self.scalarised = scalarised
 
     def options(self) -> list[str]:
         """Those that hold for it besides the process's."""
-        return ([] if _attempt.fusion else [FUSION]) + ([] if self.scalars else [UNTURNED])
+        return ([] if _attempt.fusion else [FUSION]) + ([] if self.scalarised else [UNTURNED])
 
 
 @contextmanager
-def own_program(scalars: bool = False):
+def own_program(scalarised: bool = False):
     """What this thread traces and compiles within the block is a program of this package alone."""
-    before, _own.program = getattr(_own, "program", None), OwnProgram(scalars)
+    before, _own.program = getattr(_own, "program", None), OwnProgram(scalarised)
     try:
         yield _own.program
     finally:
         _own.program = before
 
 
-def note_scalars() -> None:
+def note_scalarised() -> None:
     """Say that the program that this thread traces now has parts of scalars."""
     program = getattr(_own, "program", None)
     if program is not None:
-        program.scalars = True
+        program.scalarised = True
 
 
 def fusion_holds() -> bool:
@@ -167,7 +167,7 @@ def fusion_holds() -> bool:
     return settle().set and (_attempt.fusion or (getattr(_own, "program", None) is not None and own_options_hold()))
 
 
-def explicit_in_scalars() -> bool:
+def explicit_methods_scalarised() -> bool:
     """Whether right-hand sides of explicit methods are scalarised."""
     import jax
 

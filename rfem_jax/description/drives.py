@@ -37,7 +37,7 @@ class MomentDrive(eqx.Module):
         """Return the times [s] > 0 at which the moment jumps, increasing."""
 
     @abc.abstractmethod
-    def moment(self, t, phase) -> Scalar:
+    def moment_at(self, t, phase) -> Scalar:
         """Return the moment [N m] about +y at the time t, in the piece `phase` (int, from 0)."""
 
 
@@ -51,7 +51,7 @@ class PrescribedDrive(eqx.Module):
         """Return the times [s] > 0 at which a derivative jumps, increasing."""
 
     @abc.abstractmethod
-    def turn(self, t, phase) -> tuple[Scalar, Scalar, Scalar]:
+    def motion_at(self, t, phase) -> tuple[Scalar, Scalar, Scalar]:
         """Return (angle turned since the start, rate, acceleration) at t in the piece `phase`."""
 
 
@@ -65,19 +65,19 @@ class MomentRamp(MomentDrive):
     """
 
     joint: str = eqx.field(static=True)
-    peak: Scalar
+    moment: Scalar
     rise_time: float = eqx.field(static=True)
 
     def __init__(self, joint, moment, rise_time):
         self.joint = _joint_name(joint)
-        self.peak = _leaf(moment, "moment", "moment")
+        self.moment = _leaf(moment, "moment", "moment")
         self.rise_time = positive_quantity(rise_time, "time", "rise_time")
 
     def breakpoints(self):
         return (self.rise_time,)
 
-    def moment(self, t, phase):
-        return jnp.where(_phase(phase) == 0, self.peak * (t / self.rise_time), 0.0)
+    def moment_at(self, t, phase):
+        return jnp.where(_phase(phase) == 0, self.moment * (t / self.rise_time), 0.0)
 
 
 class MomentTable(MomentDrive):
@@ -104,7 +104,7 @@ class MomentTable(MomentDrive):
     def breakpoints(self):
         return (*(self.times[row] for row in self._jump_rows()), self.times[-1])
 
-    def moment(self, t, phase):
+    def moment_at(self, t, phase):
         phase = _phase(phase)
         times, rows = jnp.asarray(self.times), self._jump_rows()
         first = jnp.asarray((0, *rows), jnp.int32)[phase]
@@ -138,7 +138,7 @@ class MomentFunction(MomentDrive):
     def breakpoints(self):
         return self.times
 
-    def moment(self, t, phase):
+    def moment_at(self, t, phase):
         return self.function(jnp.asarray(t, jnp.float64), _phase(phase))
 
 
@@ -163,7 +163,7 @@ class PrescribedRate(PrescribedDrive):
     def breakpoints(self):
         return (self.rise_time,) if self.rise_time > 0.0 else ()
 
-    def turn(self, t, phase):
+    def motion_at(self, t, phase):
         if self.rise_time == 0.0:
             return self.rate * t, self.rate + 0.0 * t, 0.0 * self.rate * t
         x = t / self.rise_time
@@ -199,7 +199,7 @@ class PrescribedSpinUp(PrescribedDrive):
     def breakpoints(self):
         return (self.rise_time,)
 
-    def turn(self, t, phase):
+    def motion_at(self, t, phase):
         x, whole = t / self.rise_time, 2.0 * np.pi
         rising = _phase(phase) == 0
         angle = jnp.where(rising, x**2 / 2.0 + (jnp.cos(whole * x) - 1.0) / whole**2, x - 0.5)
@@ -246,7 +246,7 @@ class PrescribedTable(PrescribedDrive):
     def breakpoints(self):
         return ()
 
-    def turn(self, t, phase):
+    def motion_at(self, t, phase):
         last = self.knots.shape[0] - 2
         piece = jnp.clip(jnp.searchsorted(self.knots, t, side="right") - 1, 0, last)
         a, b, c, d = self.coefficients[:, piece]
@@ -287,7 +287,7 @@ class PrescribedFunction(PrescribedDrive):
     def _angle(self, t, phase):
         return self.function(t, phase) if self.times else self.function(t)
 
-    def turn(self, t, phase):
+    def motion_at(self, t, phase):
         t, phase = jnp.asarray(t, jnp.float64), _phase(phase)
         one = jnp.ones_like(t)
 

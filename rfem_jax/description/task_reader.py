@@ -15,8 +15,8 @@ from rfem_jax.description.tables import checked_list, checked_table
 from rfem_jax.description.tasks import MonteCarloTask, SensitivityTask, Tasks, WorstCaseTask
 from rfem_jax.description.tolerances import (
     CorrelatedTolerances,
-    StatedTolerance,
-    StatedTolerances,
+    SpecifiedTolerance,
+    SpecifiedTolerances,
 )
 from rfem_jax.description.units import positive_quantity
 
@@ -43,8 +43,8 @@ def read_tasks(content: dict) -> Tasks:
             with located(place):
                 found[name] = kind(**table)
     if "allocation" in content:
-        stated = found.get("tolerances")
-        widths = {} if stated is None else stated.half_widths()
+        specified = found.get("tolerances")
+        widths = {} if specified is None else specified.half_widths()
         found["allocation"] = _read_allocation(content["allocation"], widths)
     return Tasks(**found)
 
@@ -56,7 +56,7 @@ def _keys(kind, omit=()):
     return needed, [one.name for one in named if one.name not in needed]
 
 
-def _read_tolerances(table) -> StatedTolerances:
+def _read_tolerances(table) -> SpecifiedTolerances:
     place = "[tolerances]"
     checked_table(table, place, optional=table if isinstance(table, dict) else ())
     alone = []
@@ -67,16 +67,16 @@ def _read_tolerances(table) -> StatedTolerances:
             entry = {"half_width": entry}
         with located(place):
             error_dimension(error)
-        settings = checked_table(entry, f"{place} `{error}`", *_keys(StatedTolerance, ("error",)))
+        settings = checked_table(entry, f"{place} `{error}`", *_keys(SpecifiedTolerance, ("error",)))
         with located(place):
-            alone.append(StatedTolerance(error, **settings))
+            alone.append(SpecifiedTolerance(error, **settings))
     header, groups = "[[tolerances.correlated]]", []
     for entry in checked_list(table.get("correlated", []), header):
         settings = checked_table(entry, header, *_keys(CorrelatedTolerances))
         with located(header):
             groups.append(CorrelatedTolerances(**settings))
     with located(place):
-        return StatedTolerances(tuple(alone), tuple(groups))
+        return SpecifiedTolerances(tuple(alone), tuple(groups))
 
 
 def _read_allocation(table, widths) -> AllocationTask:

@@ -25,7 +25,7 @@ from rfem_jax.description.task_settings import (
     starts_of,
     whole_number,
 )
-from rfem_jax.description.tolerances import StatedTolerances, error_quantities
+from rfem_jax.description.tolerances import SpecifiedTolerances, error_quantities
 
 
 @dataclass(frozen=True)
@@ -139,7 +139,7 @@ class WorstCaseTask:
 class Tasks:
     """The tolerances of a study and its tasks, None where it has none."""
 
-    tolerances: StatedTolerances | None = None
+    tolerances: SpecifiedTolerances | None = None
     sensitivity: SensitivityTask | None = None
     monte_carlo: MonteCarloTask | None = None
     worst_case: WorstCaseTask | None = None

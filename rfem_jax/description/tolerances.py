@@ -20,7 +20,7 @@ NORMAL = ("normal", "truncated_normal")
 
 
 @dataclass(frozen=True)
-class StatedTolerance:
+class SpecifiedTolerance:
     """One error on its own, within centre +- half_width.
 
     Args: error, its name; distribution, one of DISTRIBUTIONS; half_width, or else interval (low,
@@ -107,10 +107,10 @@ class CorrelatedTolerances:
 
 
 @dataclass(frozen=True)
-class StatedTolerances:
+class SpecifiedTolerances:
     """All tolerances of a study, every error once."""
 
-    independent: tuple[StatedTolerance, ...] = ()
+    independent: tuple[SpecifiedTolerance, ...] = ()
     correlated: tuple[CorrelatedTolerances, ...] = ()
 
     def __post_init__(self):

@@ -19,7 +19,7 @@ static_matrix, _search     its equations solved, by the links' structure and by 
 
 from rfem_jax.mechanics.discretisation import Structure, describe, discretise
 from rfem_jax.mechanics.model import Coordinates, Model, State
-from rfem_jax.mechanics.realisation import AssemblyErrors, assembly_errors
+from rfem_jax.mechanics.model_with_errors import AssemblyErrors, assembly_errors
 from rfem_jax.mechanics.statics import Assembled, Load, assemble
 from rfem_jax.mechanics.status import STATUS
 

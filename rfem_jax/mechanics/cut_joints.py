@@ -19,7 +19,7 @@ from rfem_jax.mechanics import algebra
 from rfem_jax.mechanics.algebra import apply, apply_transposed, cross, dot, product
 from rfem_jax.mechanics.kinematics import Motion, node_frames
 from rfem_jax.mechanics.model import BASE, Topology
-from rfem_jax.mechanics.realisation import Realisation
+from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 
 RANK_TOLERANCE = 1e-9  # of singular values, relative to the largest
 
@@ -53,18 +53,18 @@ class Closure(NamedTuple):
         return jnp.concatenate([moments, forces])
 
 
-def closure(realised: Realisation, now: Motion, scale: Array) -> Closure | None:
+def closure(actual: ModelWithErrors, now: Motion, scale: Array) -> Closure | None:
     """Constraints of all cut joints (None without any); `scale` [m] multiplies the two axis
     equations."""
-    topology = realised.topology
+    topology = actual.topology
     if topology.n_cuts == 0:
         return None
     with jax.named_scope("closure"):
         n = topology.n_links
         nodes = topology.parents[n:] + topology.children[n:]
         frames = node_frames(topology, now, nodes)
-        turn = jnp.concatenate([realised.seat_rotation[:, :, n:], realised.bore_rotation[:, :, n:]], axis=2)
-        shift = jnp.concatenate([realised.seat_position[:, n:], realised.bore_position[:, n:]], axis=1)
+        turn = jnp.concatenate([actual.seat_rotation[:, :, n:], actual.bore_rotation[:, :, n:]], axis=2)
+        shift = jnp.concatenate([actual.seat_position[:, n:], actual.bore_position[:, n:]], axis=1)
         rotation = product(frames.rotation, turn)
         centre = frames.point + apply(frames.rotation, shift)
         spin = frames.velocity[:3]
@@ -95,17 +95,17 @@ def closure(realised: Realisation, now: Motion, scale: Array) -> Closure | None:
         )
 
 
-def assembly_modes(realised: Realisation, now: Motion, cuts: Closure) -> Array:
+def assembly_modes(actual: ModelWithErrors, now: Motion, cuts: Closure) -> Array:
     """On which side every cut joint closes its loop (C,): +1, -1, or 0 at the fold itself.
 
     The sign of y_L . (left arm x right arm); an arm reaches from the joint that carries the link on
     that side (the datum for the base) to the cut joint.  A planar four-bar has two closed positions
     for one crank angle; at a fold, where the arms are parallel, it may go over from one to the other.
     """
-    topology = realised.topology
+    topology = actual.topology
 
     def carried_at(node: int) -> Array:
-        return realised.datum if node == BASE else now.hinges.point[:, topology.link_of(node)]
+        return actual.datum if node == BASE else now.hinges.point[:, topology.link_of(node)]
 
     n = topology.n_links
     left = jnp.stack([carried_at(node) for node in topology.parents[n:]], axis=1)

@@ -29,10 +29,10 @@ from rfem_jax.mechanics.elasticity import elastic_loads
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation
 from rfem_jax.mechanics.kinematics import Motion, motion, node_frames, spread, total
 from rfem_jax.mechanics.model import BASE, Coordinates, State, Topology
-from rfem_jax.mechanics.realisation import Realisation
+from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 
 
-class Skeleton(NamedTuple):
+class InterfaceTree(NamedTuple):
     """Links (rfes 0) first, then the free rfes that a link hangs on; n columns.
 
     point (3, n) of the island; velocity (6, n), inertia (6, 6, n) and load (6, n) (applied minus
@@ -66,33 +66,33 @@ class Accelerations(NamedTuple):
     spatial: Array
     motion: Motion
     closure: Closure | None
-    skeleton: Skeleton
+    interface_tree: InterfaceTree
     dissipated: Array
 
 
 def accelerations(
-    realised: Realisation, state: State, drive: DriveInput, stabilisation: Stabilisation
+    actual: ModelWithErrors, state: State, drive: DriveInput, stabilisation: Stabilisation
 ) -> Accelerations:
     """Accelerations of all coordinates and bodies, and the multipliers of the cut joints.
 
     `state` is taken with prescribed values already imposed (`impose`).
     """
-    topology = realised.topology
-    now = motion(realised, state)
-    cuts = closure(realised, now, stabilisation.scale)
+    topology = actual.topology
+    now = motion(actual, state)
+    cuts = closure(actual, now, stabilisation.scale)
     inverse_rate = algebra.invert_block(now.relative.rate_matrix)
-    force, moment, dissipated = elastic_loads(realised, state, now.relative, inverse_rate)
-    spin, gravity = link_axes(realised, now)
-    angular, linear = _free_accelerations(realised, now, spin, gravity, force, moment)
-    skeleton = _skeleton(realised, state, now, force, moment)
-    response, hinges = _recursion(topology, skeleton, _load_columns(topology, cuts, skeleton), drive)
-    response |= _free_responses(realised, now, cuts, angular, linear)
-    multipliers, stabilising = _multipliers(topology, cuts, now, skeleton, response, stabilisation)
+    force, moment, dissipated = elastic_loads(actual, state, now.relative, inverse_rate)
+    spin, gravity = link_axes(actual, now)
+    angular, linear = _free_accelerations(actual, now, spin, gravity, force, moment)
+    interface_tree = _interface_tree(actual, state, now, force, moment)
+    response, hinges = _recursion(topology, interface_tree, _load_columns(topology, cuts, interface_tree), drive)
+    response |= _free_responses(actual, now, cuts, angular, linear)
+    multipliers, stabilising = _multipliers(topology, cuts, now, interface_tree, response, stabilisation)
     weights = jnp.concatenate([jnp.ones((1,) + multipliers.shape[1:]), multipliers])
     root = {node: _combine(columns, weights) for node, columns in response.items()}
     angular, linear = _loaded(topology, now, root, angular, linear)
     spatial = jnp.stack([root[l] for l in range(topology.n_links)], axis=1)
-    root_angular, root_linear = _classical(topology, now, skeleton, spatial)
+    root_angular, root_linear = _classical(topology, now, interface_tree, spatial)
     elastic = _relative_accelerations(topology, now, inverse_rate, spin, root_angular, root_linear, angular, linear)
     by_cut = (topology.n_cuts, 5) + multipliers.shape[1:]
     return Accelerations(
@@ -104,15 +104,15 @@ def accelerations(
         spatial=spatial,
         motion=now,
         closure=cuts,
-        skeleton=skeleton,
+        interface_tree=interface_tree,
         dissipated=dissipated,
     )
 
 
-def link_axes(realised: Realisation, now: Motion) -> tuple[Array, Array]:
+def link_axes(actual: ModelWithErrors, now: Motion) -> tuple[Array, Array]:
     """Angular velocities of the links and gravity (3, L), in link axes."""
     spin = apply_transposed(now.links.rotation, now.links.velocity[:3])
-    gravity = _like(realised.gravity[:, None], spin)
+    gravity = _like(actual.gravity[:, None], spin)
     return spin, apply_transposed(now.links.rotation, jnp.broadcast_to(gravity, spin.shape))
 
 
@@ -121,40 +121,40 @@ def _like(values: Array, example: Array) -> Array:
     return values.reshape(values.shape + (1,) * (example.ndim - 2)) if example.ndim > 2 else values
 
 
-def _free_accelerations(realised, now: Motion, spin, gravity, force, moment):
+def _free_accelerations(actual, now: Motion, spin, gravity, force, moment):
     """Absolute accelerations (3, N) of free bodies under the given wrenches and gravity."""
     with jax.named_scope("free_rfes"):
-        topology, relative = realised.topology, now.relative
+        topology, relative = actual.topology, now.relative
         n = topology.n_links
         spin = spread(topology, spin) + relative.angular
         body_spin = apply_transposed(relative.rotation, spin)
-        body_centre = _like(realised.centre[:, n:], spin)
+        body_centre = _like(actual.centre[:, n:], spin)
         centre = apply(relative.rotation, jnp.broadcast_to(body_centre, spin.shape))
         body_moment = apply_transposed(relative.rotation, moment - cross(centre, force))
-        gyroscopic = cross(body_spin, apply(_like(realised.inertia[:, :, n:], spin), body_spin))
+        gyroscopic = cross(body_spin, apply(_like(actual.inertia[:, :, n:], spin), body_spin))
         angular = apply(
             relative.rotation,
-            apply(_like(realised.inverse_inertia, spin), body_moment - gyroscopic),
+            apply(_like(actual.inverse_inertia, spin), body_moment - gyroscopic),
         )
-        of_centre = force / _like(realised.mass[n:], spin)[None] + spread(topology, gravity)
+        of_centre = force / _like(actual.mass[n:], spin)[None] + spread(topology, gravity)
         return angular, of_centre - cross(angular, centre) - cross(spin, cross(spin, centre))
 
 
 def _branching(topology: Topology) -> tuple[int, ...]:
     """Nodes of the free rfes that a link hangs on."""
-    hung = {node for node in topology.parents[: topology.n_links] if node >= topology.n_links}
-    return tuple(sorted(hung))
+    outboard = {node for node in topology.parents[: topology.n_links] if node >= topology.n_links}
+    return tuple(sorted(outboard))
 
 
 def _loaded_free(topology: Topology) -> tuple[int, ...]:
     """Nodes of the free rfes that carry cut joints only."""
-    nodes = {topology.n_links + k for k in topology.carriers}
+    nodes = {topology.n_links + k for k in topology.interfaces}
     return tuple(sorted(nodes - set(_branching(topology))))
 
 
-def _skeleton(realised, state: State, now: Motion, force: Array, moment: Array) -> Skeleton:
+def _interface_tree(actual, state: State, now: Motion, force: Array, moment: Array) -> InterfaceTree:
     with jax.named_scope("skeleton"):
-        topology = realised.topology
+        topology = actual.topology
         n = topology.n_links
         branching = _branching(topology)
         rotation, where, velocity = node_frames(topology, now, (*range(n), *branching))
@@ -176,17 +176,17 @@ def _skeleton(realised, state: State, now: Motion, force: Array, moment: Array) 
         applied = algebra.wrench_at_origin(apply(turns, applied_moment), apply(turns, applied_force), where - point)
 
         pick = np.array((*range(n), *branching))
-        centre = where - point + apply(rotation, _like(realised.centre[:, pick], where))
-        own = _like(realised.inertia[:, :, pick], where)
+        centre = where - point + apply(rotation, _like(actual.centre[:, pick], where))
+        own = _like(actual.inertia[:, :, pick], where)
         central = algebra.product_transposed(product(rotation, own), rotation)
-        mass = jnp.broadcast_to(_like(realised.mass[pick], where), central.shape[2:])
+        mass = jnp.broadcast_to(_like(actual.mass[pick], where), central.shape[2:])
         inertia = algebra.spatial_inertia(mass, centre, central)
-        gravity = mass[None] * _like(realised.gravity[:, None], centre)
+        gravity = mass[None] * _like(actual.gravity[:, None], centre)
         weight = algebra.wrench_at_origin(jnp.zeros_like(gravity), gravity, centre)
         gyroscopic = algebra.force_cross(velocity, apply(inertia, velocity))
         axis = _shifted(now.axis, point[:, :n])
         carrying = _shifted(now.hinges.velocity, point[:, :n])
-        return Skeleton(
+        return InterfaceTree(
             point=point,
             velocity=velocity,
             inertia=inertia,
@@ -201,45 +201,45 @@ def _shifted(motion: Array, point: Array) -> Array:
     return algebra.spatial(motion[:3], motion[3:] + cross(motion[:3], point))
 
 
-def _load_columns(topology, cuts, skeleton: Skeleton) -> dict[int, Array]:
+def _load_columns(topology, cuts, interface_tree: InterfaceTree) -> dict[int, Array]:
     """Columns of loads on the skeleton's nodes: applied ones, then, in islands that a cut joint
     loads, unit multipliers."""
     sides = topology.parents[topology.n_links :] + topology.children[topology.n_links :]
     loaded = {topology.island_of(node) for node in sides if node != BASE}
     loads = {}
     for i, node in enumerate((*range(topology.n_links), *_branching(topology))):
-        loads[node] = skeleton.load[:, None, i]
+        loads[node] = interface_tree.load[:, None, i]
         if topology.island_of(node) in loaded:
-            unit = unit_columns(topology, cuts, node, skeleton.point[:, i])
+            unit = unit_columns(topology, cuts, node, interface_tree.point[:, i])
             loads[node] = jnp.concatenate([loads[node], unit], axis=1)
     return loads
 
 
-def _recursion(topology, skeleton: Skeleton, loads, drive: DriveInput):
+def _recursion(topology, interface_tree: InterfaceTree, loads, drive: DriveInput):
     """Articulated-body recursion: accelerations (6, K) of the nodes and (K,) of the hinges for K
     load columns at once."""
     with jax.named_scope("articulated_bodies"):
-        inertias = {node: skeleton.inertia[:, :, i] for i, node in enumerate(loads)}
+        inertias = {node: interface_tree.inertia[:, :, i] for i, node in enumerate(loads)}
         loads, record, accelerations, hinges = dict(loads), {}, {}, []
         for l in reversed(range(topology.n_links)):
             node, inertia, load = topology.parents[l], inertias[l], loads[l]
-            axis, bias = skeleton.axis[:, l], skeleton.bias[:, l]
+            axis, bias = interface_tree.axis[:, l], interface_tree.bias[:, l]
             first = np.eye(1, load.shape[1])[0].reshape((-1,) + (1,) * (load.ndim - 2))
             first = jnp.asarray(first)
             driven = l == topology.driven
-            if driven and drive.turn is not None:
-                given = axis * drive.turn[2][None] + bias
-                record[l] = (axis, given[:, None] * first[None], drive.turn[2][None] * first, None)
+            if driven and drive.prescribed is not None:
+                given = axis * drive.prescribed[2][None] + bias
+                record[l] = (axis, given[:, None] * first[None], drive.prescribed[2][None] * first, None)
                 passed = load - apply(inertia, given)[:, None] * first[None]
             else:
                 u = apply(inertia, axis)
                 scaled = u / dot(axis, u)[None]
-                push = dot(axis[:, None], load)
+                torque = dot(axis[:, None], load)
                 if driven and drive.moment is not None:
-                    push = push + drive.moment[None] * first
-                record[l] = (axis, bias[:, None] * first[None], push / dot(axis, u)[None], scaled)
+                    torque = torque + drive.moment[None] * first
+                record[l] = (axis, bias[:, None] * first[None], torque / dot(axis, u)[None], scaled)
                 inertia = inertia - u[:, None] * scaled[None]
-                passed = load - apply(inertia, bias)[:, None] * first[None] - scaled[:, None] * push[None]
+                passed = load - apply(inertia, bias)[:, None] * first[None] - scaled[:, None] * torque[None]
             if node != BASE:
                 inertias[node] = inertias[node] + inertia
                 loads[node] = loads[node] + passed
@@ -258,10 +258,10 @@ def _recursion(topology, skeleton: Skeleton, loads, drive: DriveInput):
         return accelerations, hinges
 
 
-def _free_responses(realised, now: Motion, cuts, angular, linear) -> dict[int, Array]:
+def _free_responses(actual, now: Motion, cuts, angular, linear) -> dict[int, Array]:
     """Accelerations (6, 1 + 5 C) at their middles of the free rfes that carry cut joints only: under
     their applied loads, and for unit multipliers."""
-    topology = realised.topology
+    topology = actual.topology
     nodes = _loaded_free(topology)
     if not nodes:
         return {}
@@ -269,12 +269,12 @@ def _free_responses(realised, now: Motion, cuts, angular, linear) -> dict[int, A
         rotation, where, velocity = node_frames(topology, now, nodes)
         pick = np.array(nodes)
         inverse = algebra.product_transposed(
-            product(rotation, _like(realised.inverse_inertia[:, :, pick - topology.n_links], where)),
+            product(rotation, _like(actual.inverse_inertia[:, :, pick - topology.n_links], where)),
             rotation,
         )
-        centre = apply(rotation, _like(realised.centre[:, pick], where))
+        centre = apply(rotation, _like(actual.centre[:, pick], where))
         mobility = algebra.spatial_mobility(
-            jnp.broadcast_to(_like(realised.mass[pick], where), where.shape[1:]), centre, inverse
+            jnp.broadcast_to(_like(actual.mass[pick], where), where.shape[1:]), centre, inverse
         )
         spin = velocity[:3]
         centripetal = cross(spin, velocity[3:] + cross(spin, where))
@@ -289,13 +289,13 @@ def _free_responses(realised, now: Motion, cuts, angular, linear) -> dict[int, A
         return responses
 
 
-def _multipliers(topology, cuts, now, skeleton: Skeleton, response, stabilisation: Stabilisation):
+def _multipliers(topology, cuts, now, interface_tree: InterfaceTree, response, stabilisation: Stabilisation):
     """Multipliers (5 C,) of equation (19), cut by cut, and their part due to stabilisation."""
     if cuts is None:
-        none = jnp.zeros((0,) + skeleton.load.shape[2:])
+        none = jnp.zeros((0,) + interface_tree.load.shape[2:])
         return none, none
     with jax.named_scope("multipliers"):
-        points = _points_of(topology, now, skeleton)
+        points = _points_of(topology, now, interface_tree)
         rows = 0.0
         for node in sorted(set(topology.parents[topology.n_links :]) | set(topology.children[topology.n_links :])):
             if node == BASE:
@@ -312,12 +312,12 @@ def _multipliers(topology, cuts, now, skeleton: Skeleton, response, stabilisatio
         return stabilising - apply(inverse, by_cut(cuts.bias) + rows[:, 0]), stabilising
 
 
-def _points_of(topology, now: Motion, skeleton: Skeleton) -> dict[int, Array]:
+def _points_of(topology, now: Motion, interface_tree: InterfaceTree) -> dict[int, Array]:
     """The point at which each node's response is given."""
     nodes = (*range(topology.n_links), *_branching(topology))
-    points = {node: skeleton.point[:, i] for i, node in enumerate(nodes)}
-    for i, k in enumerate(topology.carriers):
-        points.setdefault(topology.n_links + k, now.carriers.point[:, i])
+    points = {node: interface_tree.point[:, i] for i, node in enumerate(nodes)}
+    for i, k in enumerate(topology.interfaces):
+        points.setdefault(topology.n_links + k, now.interfaces.point[:, i])
     return points
 
 
@@ -329,8 +329,8 @@ def _combine(columns, weights):
 def _loaded(topology, now: Motion, root, angular, linear):
     """Accelerations (3, N) of the free rfes in link axes, with those that carry joints replaced."""
     n = topology.n_links
-    for i, k in enumerate(topology.carriers):
-        velocity, where = now.carriers.velocity[:, i], now.carriers.point[:, i]
+    for i, k in enumerate(topology.interfaces):
+        velocity, where = now.interfaces.velocity[:, i], now.interfaces.point[:, i]
         turn = now.links.rotation[:, :, topology.link_of(n + k)]
         spin = velocity[:3]
         moved = root[n + k][3:] + cross(spin, velocity[3:] + cross(spin, where))
@@ -342,11 +342,11 @@ def _loaded(topology, now: Motion, root, angular, linear):
     return angular, linear
 
 
-def _classical(topology, now: Motion, skeleton: Skeleton, spatial):
+def _classical(topology, now: Motion, interface_tree: InterfaceTree, spatial):
     """Angular and linear accelerations (3, L) of the links' origins in link axes."""
     n = topology.n_links
-    spin, velocity = skeleton.velocity[:3, :n], skeleton.velocity[3:, :n]
-    arm = now.links.point - skeleton.point[:, :n]
+    spin, velocity = interface_tree.velocity[:3, :n], interface_tree.velocity[3:, :n]
+    arm = now.links.point - interface_tree.point[:, :n]
     moved = spatial[3:] + cross(spatial[:3], arm) + cross(spin, velocity + cross(spin, arm))
     rotation = now.links.rotation
     return apply_transposed(rotation, spatial[:3]), apply_transposed(rotation, moved)

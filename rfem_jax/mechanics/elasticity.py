@@ -24,7 +24,7 @@ from rfem_jax.mechanics.algebra import apply_transposed
 from rfem_jax.mechanics.exact_elements import SpringBlocks, from_left, spring_blocks, to_left
 from rfem_jax.mechanics.kinematics import RelativeMotion, relative_motion
 from rfem_jax.mechanics.model import Coordinates, State
-from rfem_jax.mechanics.realisation import Realisation
+from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 from rfem_jax.mechanics.reordering import reorder
 
 # (a, b) of two vectors as (b_x, b_z, b_y, a_x, a_z, a_y); with these signs, of a vector's product with (1, 0, 0).
@@ -42,84 +42,84 @@ class ElasticLoads(NamedTuple):
     dissipated: Array
 
 
-def elastic_loads(realised: Realisation, state: State, relative: RelativeMotion, inverse_rate: Array) -> ElasticLoads:
+def elastic_loads(actual: ModelWithErrors, state: State, relative: RelativeMotion, inverse_rate: Array) -> ElasticLoads:
     """Wrenches of springs and dampers; `inverse_rate` (3, 3, N): of `relative.rate_matrix`."""
     with jax.named_scope("spring_damping_elements"):
-        if realised.topology.exact:
-            now = exact_elements.deflections(realised, state.position.elastic[:3], relative)
-            return ElasticLoads(*exact_elements.wrenches(realised, now), _dissipated(realised, now.rate))
-        stretch, rate = _linear_deflections(realised, state)
-        generalised = _linear_forces(realised, stretch, rate)
+        if actual.topology.exact:
+            now = exact_elements.deflections(actual, state.position.elastic[:3], relative)
+            return ElasticLoads(*exact_elements.wrenches(actual, now), _dissipated(actual, now.rate))
+        stretch, rate = _linear_deflections(actual, state)
+        generalised = _linear_forces(actual, stretch, rate)
         return ElasticLoads(
             generalised[:3],
             apply_transposed(inverse_rate, generalised[3:]),
-            _dissipated(realised, rate),
+            _dissipated(actual, rate),
         )
 
 
-def generalised_forces(realised: Realisation, state: State, relative: RelativeMotion) -> tuple[Array, Array]:
+def generalised_forces(actual: ModelWithErrors, state: State, relative: RelativeMotion) -> tuple[Array, Array]:
     """Generalised forces (6, N) [N, N m] of springs and dampers on the free rfes' coordinates, and the
     power that the dampers take out [W]."""
     with jax.named_scope("spring_damping_elements"):
-        if realised.topology.exact:
-            now = exact_elements.deflections(realised, state.position.elastic[:3], relative)
-            force, moment = exact_elements.wrenches(realised, now)
+        if actual.topology.exact:
+            now = exact_elements.deflections(actual, state.position.elastic[:3], relative)
+            force, moment = exact_elements.wrenches(actual, now)
             forces = jnp.concatenate([force, apply_transposed(relative.rate_matrix, moment)])
-            return forces, _dissipated(realised, now.rate)
-        stretch, rate = _linear_deflections(realised, state)
-        return _linear_forces(realised, stretch, rate), _dissipated(realised, rate)
+            return forces, _dissipated(actual, now.rate)
+        stretch, rate = _linear_deflections(actual, state)
+        return _linear_forces(actual, stretch, rate), _dissipated(actual, rate)
 
 
-def deflections(realised: Realisation, state: State) -> tuple[Array, Array]:
+def deflections(actual: ModelWithErrors, state: State) -> tuple[Array, Array]:
     """(du, dphi) (6, N) [m, rad] of all sdes and their rates."""
-    if not realised.topology.exact:
-        return _linear_deflections(realised, state)
-    relative = relative_motion(realised, state.position, state.velocity)
-    now = exact_elements.deflections(realised, state.position.elastic[:3], relative)
+    if not actual.topology.exact:
+        return _linear_deflections(actual, state)
+    relative = relative_motion(actual, state.position, state.velocity)
+    now = exact_elements.deflections(actual, state.position.elastic[:3], relative)
     return now.stretch, now.rate
 
 
-def elastic_energy(realised: Realisation, position: Coordinates) -> Array:
+def elastic_energy(actual: ModelWithErrors, position: Coordinates) -> Array:
     """Energy of all springs [J]."""
     at_rest = State(position, jax.tree.map(jnp.zeros_like, position))
-    stretch, _ = deflections(realised, at_rest)
-    return 0.5 * jnp.sum(realised.stiffness * stretch**2, axis=(0, 1))
+    stretch, _ = deflections(actual, at_rest)
+    return 0.5 * jnp.sum(actual.stiffness * stretch**2, axis=(0, 1))
 
 
-def stiffness_blocks(realised: Realisation) -> SpringBlocks:
+def stiffness_blocks(actual: ModelWithErrors) -> SpringBlocks:
     """Stiffness of the springs of undeformed links."""
-    n = realised.topology.n_rfes
+    n = actual.topology.n_rfes
     units = jnp.broadcast_to(jnp.roll(jnp.eye(6), 3, axis=1)[:, :, None], (6, 6, n))
 
     def by_rfe(lever):
         return jax.vmap(lambda unit: _face(unit, lever))(units)
 
-    return spring_blocks(realised, by_rfe(realised.lever_right), -by_rfe(realised.lever_left))
+    return spring_blocks(actual, by_rfe(actual.lever_right), -by_rfe(actual.lever_left))
 
 
-def dissipated_power(realised: Realisation, state: State) -> Array:
+def dissipated_power(actual: ModelWithErrors, state: State) -> Array:
     """Power that all dampers take out [W]."""
-    return _dissipated(realised, deflections(realised, state)[1])
+    return _dissipated(actual, deflections(actual, state)[1])
 
 
-def _dissipated(realised, rate):
-    return jnp.sum(realised.stiffness * realised.damping[None] * rate**2, axis=(0, 1))
+def _dissipated(actual, rate):
+    return jnp.sum(actual.stiffness * actual.damping[None] * rate**2, axis=(0, 1))
 
 
-def _linear_deflections(realised, state: State):
+def _linear_deflections(actual, state: State):
     """Linear in the coordinates, so the same function gives their rates."""
 
     def between_faces(elastic):
-        right = _face(elastic, realised.lever_right)
-        return right - _face(from_left(realised, elastic), realised.lever_left)
+        right = _face(elastic, actual.lever_right)
+        return right - _face(from_left(actual, elastic), actual.lever_left)
 
     return between_faces(state.position.elastic), between_faces(state.velocity.elastic)
 
 
-def _linear_forces(realised, stretch, rate):
-    stress = realised.stiffness * (stretch + realised.damping[None] * rate)
-    on_right = -_face_transposed(stress, realised.lever_right)
-    return on_right + to_left(realised, _face_transposed(stress, realised.lever_left))
+def _linear_forces(actual, stretch, rate):
+    stress = actual.stiffness * (stretch + actual.damping[None] * rate)
+    on_right = -_face_transposed(stress, actual.lever_right)
+    return on_right + to_left(actual, _face_transposed(stress, actual.lever_left))
 
 
 def _face(elastic, lever):

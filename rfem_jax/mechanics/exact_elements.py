@@ -30,7 +30,7 @@ from jax import Array
 from rfem_jax.mechanics import algebra
 from rfem_jax.mechanics.algebra import cross, dot, product, transpose
 from rfem_jax.mechanics.kinematics import RelativeMotion
-from rfem_jax.mechanics.realisation import Realisation
+from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 from rfem_jax.mechanics.reordering import reorder
 
 # (asin(r)/r - 1)/r^2 in powers of r^2, for r below SMALL: angles below 0.1 rad.
@@ -56,7 +56,7 @@ class ExactDeflections(NamedTuple):
     arms: Array
 
 
-def deflections(realised: Realisation, u: Array, relative: RelativeMotion) -> ExactDeflections:
+def deflections(actual: ModelWithErrors, u: Array, relative: RelativeMotion) -> ExactDeflections:
     """Deflections of all sdes from the displacements u (3, N) [m] of the rfes' middles and the
     relative motion."""
     # Displacement, turn and rates of both sides: rfe 0 does not move in its link frame.
@@ -64,10 +64,10 @@ def deflections(realised: Realisation, u: Array, relative: RelativeMotion) -> Ex
     turned = relative.rotation - identity
     shape = u.shape[1:]
     own = jnp.concatenate([turned.reshape((9, *shape)), u, relative.angular, relative.linear])
-    both = jnp.stack([own, from_left(realised, own)], axis=1)
+    both = jnp.stack([own, from_left(actual, own)], axis=1)
     turned = both[:9].reshape((3, 3, 2, *shape))
     rotation = turned + identity[:, :, None]
-    levers = jnp.stack([realised.lever_right, realised.lever_left])[None]
+    levers = jnp.stack([actual.lever_right, actual.lever_left])[None]
     arms = levers * rotation[:, 0]
     spin = both[12:15]
     face = both[9:12] + levers * turned[:, 0]
@@ -104,42 +104,42 @@ class SpringBlocks(NamedTuple):
     beside: Array
 
 
-def stiffness_blocks(realised: Realisation, u: Array, relative: RelativeMotion) -> SpringBlocks:
+def stiffness_blocks(actual: ModelWithErrors, u: Array, relative: RelativeMotion) -> SpringBlocks:
     """Of the springs in the present place, in link axes, without the part of loads that turn.
 
     One rfe in two is moved at a time, so that every sde feels one of its faces only.
     """
-    n = realised.topology.n_rfes
+    n = actual.topology.n_rfes
     even = np.arange(n) % 2 == 0
 
     def rates(column, parity):
         unit = jnp.zeros((6, n)).at[column].set(jnp.where(even == parity, 1.0, 0.0))
         moved = relative._replace(angular=unit[:3], linear=unit[3:])
-        return deflections(realised, u, moved).rate
+        return deflections(actual, u, moved).rate
 
     columns = jnp.arange(6)
     by_even, by_odd = (jax.vmap(lambda column: rates(column, parity))(columns) for parity in (True, False))
     right = jnp.where(even, by_even, by_odd)
     left = jnp.where(even, by_odd, by_even)
-    return spring_blocks(realised, right, left)
+    return spring_blocks(actual, right, left)
 
 
-def spring_blocks(realised: Realisation, right: Array, left: Array) -> SpringBlocks:
+def spring_blocks(actual: ModelWithErrors, right: Array, left: Array) -> SpringBlocks:
     """From the deflections (6, 6, N) of every sde by unit motions (first axis) of its right and its
     left rfe."""
-    inner = _is_inner(realised)[:, None, None]
+    inner = _is_inner(actual)[:, None, None]
 
     def block(one, other):
-        return jnp.einsum("bak,ak,cak->kbc", one, realised.stiffness, other)
+        return jnp.einsum("bak,ak,cak->kbc", one, actual.stiffness, other)
 
     by_left = jnp.roll(inner * block(left, left), -1, axis=0)
     return SpringBlocks(block(right, right) + by_left, inner * block(right, left))
 
 
-def wrenches(realised: Realisation, now: ExactDeflections) -> tuple[Array, Array]:
+def wrenches(actual: ModelWithErrors, now: ExactDeflections) -> tuple[Array, Array]:
     """Force [N] and moment [N m] (3, N) of springs and dampers on the free rfes, at their middles
     in link axes: the transposed tangent map of the deflections."""
-    stress = realised.stiffness * (now.stretch + realised.damping[None] * now.rate)
+    stress = actual.stiffness * (now.stretch + actual.damping[None] * now.rate)
     force, gap = stress[:3], now.stretch[:3]
     couple = _tangent(now.half, now.f, now.g, stress[3:])
     turn = 0.5 * cross(force, gap)  # of the midway frame, shared by both sides
@@ -148,28 +148,28 @@ def wrenches(realised: Realisation, now: ExactDeflections) -> tuple[Array, Array
     back = product(transpose(now.midway), back)
     force = back[:, 0]
     moments = back[:, 1:] - cross(now.arms, jnp.stack([force, -force], axis=1))
-    on_left = to_left(realised, jnp.concatenate([force, moments[:, 1]]))
+    on_left = to_left(actual, jnp.concatenate([force, moments[:, 1]]))
     return on_left[:3] - force, on_left[3:] + moments[:, 0]
 
 
-def from_left(realised: Realisation, values: Array) -> Array:
+def from_left(actual: ModelWithErrors, values: Array) -> Array:
     """Values (k, N) of the left neighbours of the free rfes, zero for rfe 0."""
-    return _expand(_is_inner(realised), values) * _rolled(values, 1)
+    return _expand(_is_inner(actual), values) * _rolled(values, 1)
 
 
-def to_left(realised: Realisation, values: Array) -> Array:
+def to_left(actual: ModelWithErrors, values: Array) -> Array:
     """Values (k, N) of the sdes moved to their left rfes; those of rfe 0 are dropped."""
-    return _rolled(_expand(_is_inner(realised), values) * values, -1)
+    return _rolled(_expand(_is_inner(actual), values) * values, -1)
 
 
 def _rolled(values, shift: int):
     return reorder(values, np.roll(np.arange(values.shape[1]), shift), axis=1)
 
 
-def _is_inner(realised: Realisation) -> np.ndarray:
+def _is_inner(actual: ModelWithErrors) -> np.ndarray:
     """Which free rfes have another free rfe of their link on their left."""
-    inner = np.ones(realised.topology.n_rfes)
-    inner[[a for a, b in realised.topology.ranges if b > a]] = 0.0
+    inner = np.ones(actual.topology.n_rfes)
+    inner[[a for a, b in actual.topology.ranges if b > a]] = 0.0
     return inner
 
 

@@ -17,7 +17,7 @@ class DriveInput(NamedTuple):
     prescribed (angle, rate, acceleration); None for what it does not do."""
 
     moment: Array | None = None
-    turn: tuple[Array, Array, Array] | None = None
+    prescribed: tuple[Array, Array, Array] | None = None
 
 
 class Stabilisation(NamedTuple):
@@ -31,7 +31,7 @@ class Stabilisation(NamedTuple):
 
 def impose(topology: Topology, state: State, drive: DriveInput) -> State:
     """The state with the driven joint's angle and rate replaced by the prescribed ones."""
-    if drive.turn is None:
+    if drive.prescribed is None:
         return state
     is_driven = np.arange(topology.n_links) == topology.driven
 
@@ -40,6 +40,6 @@ def impose(topology: Topology, state: State, drive: DriveInput) -> State:
         return Coordinates(jnp.where(mask, value[None], values.angles), values.elastic)
 
     return State(
-        replace(state.position, jnp.asarray(drive.turn[0])),
-        replace(state.velocity, jnp.asarray(drive.turn[1])),
+        replace(state.position, jnp.asarray(drive.prescribed[0])),
+        replace(state.velocity, jnp.asarray(drive.prescribed[1])),
     )

@@ -19,7 +19,7 @@ from jax import Array
 from rfem_jax.mechanics import algebra
 from rfem_jax.mechanics.algebra import apply, cross, product
 from rfem_jax.mechanics.model import BASE, Coordinates, State, Topology
-from rfem_jax.mechanics.realisation import Realisation
+from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 
 LINEAR_LIMIT = np.radians(60.0)
 EXACT_LIMIT = np.radians(80.0)
@@ -60,22 +60,22 @@ class Motion(NamedTuple):
 
     relative: RelativeMotion
     links: Frames
-    carriers: Frames
+    interfaces: Frames
     hinges: Frames
     axis: Array
 
 
-def motion(realised: Realisation, state: State) -> Motion:
+def motion(actual: ModelWithErrors, state: State) -> Motion:
     """Positions and velocities of all links and rfes at one instant."""
-    topology = realised.topology
+    topology = actual.topology
     with jax.named_scope("kinematics"):
-        relative = relative_motion(realised, state.position, state.velocity)
+        relative = relative_motion(actual, state.position, state.velocity)
         links: list[Frames] = []
         hinges: list[Frames] = []
         axes: list[Array] = []
         for index, node in enumerate(topology.parents[: topology.n_links]):
             parent = _parent_frame(topology, relative, links, node)
-            link, hinge, axis = _place_link(realised, state, index, parent)
+            link, hinge, axis = _place_link(actual, state, index, parent)
             links.append(link)
             hinges.append(hinge)
             axes.append(axis)
@@ -83,13 +83,13 @@ def motion(realised: Realisation, state: State) -> Motion:
         return Motion(
             relative=relative,
             links=stacked,
-            carriers=_carried(topology, relative, stacked),
+            interfaces=_carried(topology, relative, stacked),
             hinges=_stack(hinges),
             axis=_columns(axes, 1),
         )
 
 
-def relative_motion(realised: Realisation, position: Coordinates, velocity: Coordinates) -> RelativeMotion:
+def relative_motion(actual: ModelWithErrors, position: Coordinates, velocity: Coordinates) -> RelativeMotion:
     """Motion of the free rfes in their link frames (equation (4) and its rate): R = R_z R_y R_x for
     linear elements, R_y R_z R_x for exact ones, so that in-plane bending has no limit."""
     u, phi = position.elastic[:3], position.elastic[3:]
@@ -97,7 +97,7 @@ def relative_motion(realised: Realisation, position: Coordinates, velocity: Coor
     (cx, cy, cz), (sx, sy, sz) = jnp.cos(phi), jnp.sin(phi)
     zero, one = jnp.zeros_like(cx), jnp.ones_like(cx)
     # Columns a, b, c of the two outer rotations, then the axes of the middle and the outer one.
-    if realised.topology.exact:
+    if actual.topology.exact:
         a = jnp.stack([cy * cz, sz, -sy * cz])
         b = jnp.stack([-cy * sz, cz, sy * sz])
         c = jnp.stack([sy, zero, cy])
@@ -116,7 +116,7 @@ def relative_motion(realised: Realisation, position: Coordinates, velocity: Coor
     about_outer = outer_rate[None] * outer
     about_both = about_outer + middle_rate[None] * middle
     about_x = rate[0][None] * a
-    rest = jnp.asarray(np.eye(3)[0]).reshape((3, 1) + (1,) * (u.ndim - 2)) * realised.rest[None]
+    rest = jnp.asarray(np.eye(3)[0]).reshape((3, 1) + (1,) * (u.ndim - 2)) * actual.rest[None]
     return RelativeMotion(
         rotation=rotation,
         position=rest + u,
@@ -161,7 +161,7 @@ def _on_link(link: Frames, relative) -> Frames:
 
 
 def _carried(topology: Topology, relative: RelativeMotion, links: Frames) -> Frames:
-    rfes = np.array(topology.carriers, dtype=int)
+    rfes = np.array(topology.interfaces, dtype=int)
     owners = np.array([topology.link_of(topology.n_links + k) for k in rfes], dtype=int)
     return _on_link(
         jax.tree.map(lambda x: _pick(x, owners), links),
@@ -176,12 +176,12 @@ def _pick(values: Array, columns) -> Array:
     return jnp.stack([values[..., int(i)] for i in columns], axis=-1)
 
 
-def _place_link(realised: Realisation, state: State, index: int, parent: Frames):
-    joint_rotation = product(parent.rotation, realised.seat_rotation[:, :, index])
+def _place_link(actual: ModelWithErrors, state: State, index: int, parent: Frames):
+    joint_rotation = product(parent.rotation, actual.seat_rotation[:, :, index])
     hinge_rotation = product(joint_rotation, algebra.rotation_y(state.position.angles[index]))
-    centre = parent.point + apply(parent.rotation, realised.seat_position[:, index])
-    rotation = algebra.product_transposed(hinge_rotation, realised.bore_rotation[:, :, index])
-    origin = centre - apply(rotation, realised.bore_position[:, index])
+    centre = parent.point + apply(parent.rotation, actual.seat_position[:, index])
+    rotation = algebra.product_transposed(hinge_rotation, actual.bore_rotation[:, :, index])
+    origin = centre - apply(rotation, actual.bore_position[:, index])
     y = joint_rotation[:, 1]
     axis = algebra.spatial(y, cross(centre, y))
     velocity = parent.velocity + axis * state.velocity.angles[index][None]
@@ -200,7 +200,7 @@ def _columns(parts, axis: int) -> Array:
 def node_frames(topology: Topology, now: Motion, nodes) -> Frames:
     """Frames of links, carriers or the base (static node numbers), one column each."""
     n = topology.n_links
-    place = {k: i for i, k in enumerate(topology.carriers)}
+    place = {k: i for i, k in enumerate(topology.interfaces)}
 
     def column(part: str, node: int):
         if node == BASE:
@@ -208,7 +208,7 @@ def node_frames(topology: Topology, now: Motion, nodes) -> Frames:
             return jnp.asarray(base[part])
         if node < n:
             return getattr(now.links, part)[..., node]
-        return getattr(now.carriers, part)[..., place[node - n]]
+        return getattr(now.interfaces, part)[..., place[node - n]]
 
     return Frames(*(jnp.stack([column(part, node) for node in nodes], axis=-1) for part in Frames._fields))
 

@@ -25,7 +25,7 @@ from rfem_jax.mechanics.dynamics import Accelerations, link_axes
 from rfem_jax.mechanics.inputs import DriveInput
 from rfem_jax.mechanics.kinematics import Motion, all_frames, motion, spread, total
 from rfem_jax.mechanics.model import BASE, Coordinates, State, Topology
-from rfem_jax.mechanics.realisation import Realisation
+from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 
 
 class JointLoads(NamedTuple):
@@ -51,15 +51,15 @@ class Resting(NamedTuple):
     multipliers: Array
 
 
-def joint_loads(realised: Realisation, result: Accelerations, drive: DriveInput) -> JointLoads:
+def joint_loads(actual: ModelWithErrors, result: Accelerations, drive: DriveInput) -> JointLoads:
     """Loads of all joints by the equations of motion of the rfes 0."""
     with jax.named_scope("joint_loads"):
-        topology, skeleton = realised.topology, result.skeleton
+        topology, interface_tree = actual.topology, result.interface_tree
         n = topology.n_links
-        own = apply(skeleton.inertia[:, :, :n], result.spatial) - skeleton.load[:, :n]
+        own = apply(interface_tree.inertia[:, :, :n], result.spatial) - interface_tree.load[:, :n]
         wrenches: dict[int, Array] = {}
         for l in reversed(range(n)):
-            wrench, point = own[:, l], skeleton.point[:, l]
+            wrench, point = own[:, l], interface_tree.point[:, l]
             for j in range(l + 1, n):
                 if topology.parents[j] == l:
                     wrench = wrench + wrenches[j]
@@ -73,20 +73,20 @@ def joint_loads(realised: Realisation, result: Accelerations, drive: DriveInput)
             wrenches[l] = wrench
         links = jnp.stack([wrenches[l] for l in range(n)], axis=1)
         hinges = result.motion.hinges
-        moment = links[:3] - cross(hinges.point - skeleton.point[:, :n], links[3:])
+        moment = links[:3] - cross(hinges.point - interface_tree.point[:, :n], links[3:])
         return _in_hinge_frames(topology, result, links[3:], moment, drive)
 
 
 def chain_loads(
-    realised: Realisation, result: Accelerations | Resting, angular, linear, drive: DriveInput
+    actual: ModelWithErrors, result: Accelerations | Resting, angular, linear, drive: DriveInput
 ) -> tuple[JointLoads, Array]:
     """Loads of all joints by Newton-Euler over all rfes from the chains' ends to the base, for
     accelerations (3, nodes) in link axes, and the wrench (6,) at the origin that the base exerts."""
     with jax.named_scope("chain_loads"):
-        inertial = inertial_loads(realised, result.motion, angular, linear)
-        wrenches = chain_wrenches(realised, result.motion, result.closure, result.multipliers, inertial)
-        loads = loads_of_wrenches(realised.topology, result, wrenches, drive)
-        return loads, base_wrench(realised.topology, wrenches)
+        inertial = inertial_loads(actual, result.motion, angular, linear)
+        wrenches = chain_wrenches(actual, result.motion, result.closure, result.multipliers, inertial)
+        loads = loads_of_wrenches(actual.topology, result, wrenches, drive)
+        return loads, base_wrench(actual.topology, wrenches)
 
 
 def loads_of_wrenches(topology: Topology, result, wrenches, drive: DriveInput) -> JointLoads:
@@ -117,11 +117,11 @@ def _in_hinge_frames(topology: Topology, result, force, moment, drive: DriveInpu
 
 
 def chain_wrenches(
-    realised: Realisation, now: Motion, cuts: Closure | None, multipliers: Array, inertial
+    actual: ModelWithErrors, now: Motion, cuts: Closure | None, multipliers: Array, inertial
 ) -> list[Array]:
     """Wrenches (6,) at the global origin that the parent side of every joint exerts on the child,
     the moment of a drive included; `inertial` from `inertial_loads`."""
-    topology = realised.topology
+    topology = actual.topology
     n = topology.n_links
     force, moment = inertial
     arms = cross(now.relative.position, force[:, n:])
@@ -153,59 +153,59 @@ def cut_wrenches(cuts: Closure | None, multipliers: Array) -> list[Array]:
     return [apply(cuts.wrenches(i, "child", origin), multipliers[:, i]) for i in range(multipliers.shape[1])]
 
 
-def inertial_loads(realised: Realisation, now: Motion, angular: Array, linear: Array):
+def inertial_loads(actual: ModelWithErrors, now: Motion, angular: Array, linear: Array):
     """Rate of momentum minus gravity of every node: force and moment (3, nodes) at its reference
     point, in link axes; accelerations (3, nodes) likewise."""
-    topology = realised.topology
-    spin, gravity = link_axes(realised, now)
+    topology = actual.topology
+    spin, gravity = link_axes(actual, now)
     spin = jnp.concatenate([spin, spread(topology, spin) + now.relative.angular], axis=1)
     gravity = jnp.concatenate([gravity, spread(topology, gravity)], axis=1)
     identity = jnp.broadcast_to(jnp.asarray(algebra.IDENTITY)[:, :, None], (3, 3, topology.n_links))
     turn = jnp.concatenate([identity, now.relative.rotation], axis=2)
-    centre = apply(turn, realised.centre)
+    centre = apply(turn, actual.centre)
     of_centre = linear + cross(angular, centre) + cross(spin, cross(spin, centre))
-    force = realised.mass[None] * (of_centre - gravity)
+    force = actual.mass[None] * (of_centre - gravity)
     body_spin, body_turn = apply_transposed(turn, spin), apply_transposed(turn, angular)
-    inertia = realised.inertia
+    inertia = actual.inertia
     rate = apply(inertia, body_turn) + cross(body_spin, apply(inertia, body_spin))
     return force, apply(turn, rate) + cross(centre, force)
 
 
-def velocities(realised: Realisation, now: Motion):
+def velocities(actual: ModelWithErrors, now: Motion):
     """Rotation, centre of mass, its velocity and angular velocity (3, nodes) in global axes."""
-    topology = realised.topology
+    topology = actual.topology
     rotation, point = all_frames(topology, now)
     of_links = spread(topology, now.links.rotation)
     spin, at_origin = now.links.velocity[:3], now.links.velocity[3:]
-    carrier_spin = jnp.concatenate([spin, spread(topology, spin)], axis=1)
-    carrier = jnp.concatenate([at_origin, spread(topology, at_origin)], axis=1)
+    interface_spin = jnp.concatenate([spin, spread(topology, spin)], axis=1)
+    interface = jnp.concatenate([at_origin, spread(topology, at_origin)], axis=1)
     none = jnp.zeros_like(spin)
     turning = jnp.concatenate([none, apply(of_links, now.relative.angular)], axis=1)
     moving = jnp.concatenate([none, apply(of_links, now.relative.linear)], axis=1)
-    arm = apply(rotation, realised.centre)
-    velocity = carrier + cross(carrier_spin, point) + moving + cross(carrier_spin + turning, arm)
-    return rotation, point + arm, velocity, carrier_spin + turning
+    arm = apply(rotation, actual.centre)
+    velocity = interface + cross(interface_spin, point) + moving + cross(interface_spin + turning, arm)
+    return rotation, point + arm, velocity, interface_spin + turning
 
 
-def momentum(realised: Realisation, state: State) -> tuple[Array, Array]:
+def momentum(actual: ModelWithErrors, state: State) -> tuple[Array, Array]:
     """Total linear momentum [N s] and angular momentum about the global origin [N m s]."""
-    rotation, centre, velocity, spin = velocities(realised, motion(realised, state))
-    linear = realised.mass[None] * velocity
-    spin_momentum = apply(rotation, apply(realised.inertia, apply_transposed(rotation, spin)))
+    rotation, centre, velocity, spin = velocities(actual, motion(actual, state))
+    linear = actual.mass[None] * velocity
+    spin_momentum = apply(rotation, apply(actual.inertia, apply_transposed(rotation, spin)))
     return jnp.sum(linear, axis=1), jnp.sum(spin_momentum + cross(centre, linear), axis=1)
 
 
-def energies(realised: Realisation, state: State) -> Energies:
+def energies(actual: ModelWithErrors, state: State) -> Energies:
     """Kinetic, elastic and gravity energy at one instant."""
-    rotation, centre, velocity, spin = velocities(realised, motion(realised, state))
+    rotation, centre, velocity, spin = velocities(actual, motion(actual, state))
     body_spin = apply_transposed(rotation, spin)
-    translation = realised.mass * dot(velocity, velocity)
-    rotational = dot(body_spin, apply(realised.inertia, body_spin))
-    above = centre - realised.datum[:, None]
+    translation = actual.mass * dot(velocity, velocity)
+    rotational = dot(body_spin, apply(actual.inertia, body_spin))
+    above = centre - actual.datum[:, None]
     return Energies(
         kinetic=0.5 * jnp.sum(translation + rotational),
-        elastic=elasticity.elastic_energy(realised, state.position),
-        gravity=-jnp.sum(realised.mass * dot(realised.gravity[:, None], above)),
+        elastic=elasticity.elastic_energy(actual, state.position),
+        gravity=-jnp.sum(actual.mass * dot(actual.gravity[:, None], above)),
     )
 
 
@@ -215,7 +215,7 @@ def base_wrench(topology: Topology, wrenches) -> Array:
 
 
 def momentum_residual(
-    realised: Realisation, state: State, accelerations: Coordinates, base: Array
+    actual: ModelWithErrors, state: State, accelerations: Coordinates, base: Array
 ) -> tuple[Array, Array]:
     """Base reactions + gravity - d/dt of the total momentum: force (3,) and moment (3,).
 
@@ -224,12 +224,12 @@ def momentum_residual(
     """
 
     def along(position, velocity):
-        return momentum(realised, State(position, velocity))
+        return momentum(actual, State(position, velocity))
 
     tangents = (state.velocity, accelerations)
     _, (linear_rate, angular_rate) = jax.jvp(along, (state.position, state.velocity), tangents)
-    _, centre, _, _ = velocities(realised, motion(realised, state))
-    weight = realised.mass[None] * realised.gravity[:, None]
+    _, centre, _, _ = velocities(actual, motion(actual, state))
+    weight = actual.mass[None] * actual.gravity[:, None]
     return (
         base[3:] + jnp.sum(weight, axis=1) - linear_rate,
         base[:3] + jnp.sum(cross(centre, weight), axis=1) - angular_rate,

@@ -91,7 +91,7 @@ class Topology(NamedTuple):
         return np.repeat(np.arange(self.n_links), [n - 1 for n in self.elements])
 
     @property
-    def carriers(self) -> tuple[int, ...]:
+    def interfaces(self) -> tuple[int, ...]:
         """Free rfes that carry a joint: the roots of the islands of hinged bodies."""
         nodes = self.parents + self.children[self.n_links :]
         return tuple(sorted({node - self.n_links for node in nodes if node >= self.n_links}))
@@ -122,17 +122,17 @@ class Model(eqx.Module):
     """
 
     topology: Topology = eqx.field(static=True)
-    length: Float[Array, "links"]
+    length: Float[Array, " links"]
     section: Float[Array, "11 links"]
     parent_rotation: Float[Array, "3 3 joints"]
     parent_position: Float[Array, "3 joints"]
     child_rotation: Float[Array, "3 3 joints"]
     child_position: Float[Array, "3 joints"]
-    point_mass: Float[Array, "masses"]
+    point_mass: Float[Array, " masses"]
     point_position: Float[Array, "3 masses"]
     point_inertia: Float[Array, "3 masses"]
-    start_angles: Float[Array, "links"]
-    cut_angles: Float[Array, "cuts"]
+    start_angles: Float[Array, " links"]
+    cut_angles: Float[Array, " cuts"]
     gravity: Float[Array, "3"]
 
     @property

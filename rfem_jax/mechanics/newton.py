@@ -33,13 +33,13 @@ from rfem_jax.mechanics.algebra import (
     product,
     transpose,
 )
-from rfem_jax.mechanics.balance import Balance
-from rfem_jax.mechanics.chains import solve
+from rfem_jax.mechanics.block_tridiagonal import solve
 from rfem_jax.mechanics.condensation import LinkOperator
 from rfem_jax.mechanics.cut_joints import Closure, invert_closure, unit_columns
 from rfem_jax.mechanics.kinematics import Motion
 from rfem_jax.mechanics.model import BASE, Coordinates, Topology
-from rfem_jax.mechanics.realisation import Realisation
+from rfem_jax.mechanics.model_with_errors import ModelWithErrors
+from rfem_jax.mechanics.residual import Evaluation
 
 
 class LinkMatrix(NamedTuple):
@@ -63,11 +63,11 @@ class LinkMatrix(NamedTuple):
     pivot: Array | None
     transfer: Array | None
     compliance: Array | None
-    hung: Array | None
+    outboard: Array | None
     share: Array | None
 
 
-class NewtonMatrix(NamedTuple):
+class IterationMatrix(NamedTuple):
     """Factored matrix of one step: operators, links; units: wrenches (6, 5 C) of unit multipliers by node;
     responses to them; inverse (5 C, 5 C) of the closure's matrix."""
 
@@ -86,11 +86,11 @@ class Response(NamedTuple):
     loads: tuple[Array, ...]
     hinges: Array
     links: tuple[Array, ...]
-    carriers: tuple[Array | None, ...]
-    on_carriers: tuple[Array | None, ...]
+    interfaces: tuple[Array | None, ...]
+    on_interfaces: tuple[Array | None, ...]
 
 
-class Correction(NamedTuple):
+class NewtonIncrement(NamedTuple):
     """What one Newton step adds: accelerations of the coordinates, multipliers (5, C)."""
 
     accelerations: Coordinates
@@ -107,24 +107,24 @@ class Residual(NamedTuple):
     closing: Array
 
 
-def residual_of(left: Balance) -> Residual:
+def residual_of(left: Evaluation) -> Residual:
     """What a correction takes away."""
     return Residual(left.hinge, left.force, left.moment, left.closing)
 
 
-def newton_matrix(
-    realised: Realisation,
+def iteration_matrix(
+    actual: ModelWithErrors,
     operators: tuple[LinkOperator | None, ...],
     now: Motion,
     cuts: Closure | None,
     held: tuple[int, ...] = (),
-) -> NewtonMatrix:
+) -> IterationMatrix:
     """Matrix of the equations at one position; `held`: links whose joint's angle is given."""
-    with jax.named_scope("newton_matrix"):
-        topology = realised.topology
-        links = _eliminate(realised, operators, now, held)
+    with jax.named_scope("iteration_matrix"):
+        topology = actual.topology
+        links = _eliminate(actual, operators, now, held)
         if cuts is None:
-            return NewtonMatrix(operators, links, {}, None, None)
+            return IterationMatrix(operators, links, {}, None, None)
         points = _points(topology, now)
         sides = topology.parents[topology.n_links :] + topology.children[topology.n_links :]
         units = {node: unit_columns(topology, cuts, node, points[node]) for node in sorted(set(sides)) if node != BASE}
@@ -132,26 +132,28 @@ def newton_matrix(
         hinge_loads = jnp.zeros((topology.n_links,) + width)
         responses = _respond(topology, links, hinge_loads, None, None, units, width)
         rows = sum(product(transpose(unit), _of_node(topology, responses, node)) for node, unit in units.items())
-        return NewtonMatrix(operators, links, units, responses, invert_closure(topology, rows))
+        return IterationMatrix(operators, links, units, responses, invert_closure(topology, rows))
 
 
-def correction(topology: Topology, matrix: NewtonMatrix, left: Residual) -> Correction:
+def newton_increment(topology: Topology, matrix: IterationMatrix, left: Residual) -> NewtonIncrement:
     """Solve for the accelerations and multipliers that take away what is left over."""
-    return correction_and_wrenches(topology, matrix, left)[0]
+    return increment_and_wrenches(topology, matrix, left)[0]
 
 
-def correction_and_wrenches(topology: Topology, matrix: NewtonMatrix, left: Residual) -> tuple[Correction, list[Array]]:
-    """`correction`, and what it changes of the wrenches (6,) at the global origin in the tree joints."""
-    with jax.named_scope("newton_correction"):
+def increment_and_wrenches(
+    topology: Topology, matrix: IterationMatrix, left: Residual
+) -> tuple[NewtonIncrement, list[Array]]:
+    """`newton_increment`, and what it changes of the wrenches (6,) at the global origin in the tree joints."""
+    with jax.named_scope("newton_increment"):
         operators = matrix.operators
         loads = jnp.concatenate([left.moment, left.force])
         on_rfes = tuple(by_component(loads[:, a:b]) for a, b in topology.ranges)
         on_links = tuple(
-            None if operator is None else -constant_product(operator.reduced.T, load)
+            None if operator is None else -constant_product(operator.rigid_response.T, load)
             for operator, load in zip(operators, on_rfes)
         )
         own = tuple(
-            None if operator is None else constant_product(operator.pick, load)
+            None if operator is None else constant_product(operator.interface_rows, load)
             for operator, load in zip(operators, on_rfes)
         )
         width = (1,) + left.hinge.shape[1:]
@@ -166,7 +168,7 @@ def correction_and_wrenches(topology: Topology, matrix: NewtonMatrix, left: Resi
             shape = (topology.n_cuts, 5) + flat.shape[1:]
             multipliers = jnp.swapaxes(flat.reshape(shape), 0, 1)
         elastic = _relative(topology, matrix, loads, answer)
-        change = Correction(Coordinates(answer.hinges, elastic), multipliers)
+        change = NewtonIncrement(Coordinates(answer.hinges, elastic), multipliers)
         return change, _wrenches(matrix.links, answer)
 
 
@@ -182,7 +184,7 @@ def _wrenches(links: tuple[LinkMatrix, ...], answer: Response) -> list[Array]:
 def _points(topology: Topology, now: Motion) -> dict[int, Array]:
     """Point at which each node's spatial vectors are taken."""
     n = topology.n_links
-    points = {n + k: now.carriers.point[:, i] for i, k in enumerate(topology.carriers)}
+    points = {n + k: now.interfaces.point[:, i] for i, k in enumerate(topology.interfaces)}
     for l in range(n):
         root = topology.island_of(l)
         points[l] = points[root] if root >= n else now.hinges.point[:, root]
@@ -205,7 +207,7 @@ def _turns(topology: Topology, now: Motion, link: int) -> tuple[Array, ...]:
     rotation, rate_matrix = now.links.rotation[:, :, link], now.relative.rate_matrix
     pairs = [
         (product(rotation, rate_matrix[:, :, node - topology.n_links]), rotation)
-        for node in _carriers_of(topology, link)
+        for node in _interfaces_of(topology, link)
     ]
     return tuple(turn for pair in pairs for turn in pair)
 
@@ -220,14 +222,14 @@ def _constant(values: Array, example: Array) -> Array:
     return values.reshape(values.shape + (1,) * (example.ndim - 2))
 
 
-def _carriers_of(topology: Topology, link: int) -> tuple[int, ...]:
+def _interfaces_of(topology: Topology, link: int) -> tuple[int, ...]:
     first, last = topology.ranges[link]
-    return tuple(topology.n_links + k for k in topology.carriers if first <= k < last)
+    return tuple(topology.n_links + k for k in topology.interfaces if first <= k < last)
 
 
-def _eliminate(realised, operators, now: Motion, held) -> tuple[LinkMatrix, ...]:
+def _eliminate(actual, operators, now: Motion, held) -> tuple[LinkMatrix, ...]:
     """From the chains' ends to the base: articulated inertias."""
-    topology = realised.topology
+    topology = actual.topology
     n = topology.n_links
     points = _points(topology, now)
     passed: dict[int, Array] = {}
@@ -235,34 +237,36 @@ def _eliminate(realised, operators, now: Motion, held) -> tuple[LinkMatrix, ...]
     for l in reversed(range(n)):
         rotation, operator = now.links.rotation[:, :, l], operators[l]
         frame = _frame(rotation, now.links.point[:, l] - points[l])
-        own = _rigid_inertia(realised, l) if operator is None else operator.inertia
+        own = _rigid_inertia(actual, l) if operator is None else operator.inertia
         inertia = algebra.product_transposed(product(frame, _constant(own, frame)), frame)
         inertia = inertia + passed.get(l, 0.0)
-        transfer = compliance = hung = share = None
-        carriers, turns = _carriers_of(topology, l), _turns(topology, now, l)
-        if carriers:
+        transfer = compliance = outboard = share = None
+        interfaces, turns = _interfaces_of(topology, l), _turns(topology, now, l)
+        if interfaces:
             # Rows and columns of the carriers in global axes at their own points.
             identity = _constant(algebra.IDENTITY, frame)
-            shift = jnp.concatenate([_frame(identity, points[k] - points[l]) for k in carriers], axis=1)
-            give = _turned(turns, _constant(operator.give, frame))
-            transfer = shift - product(frame, transpose(give))
+            shift = jnp.concatenate([_frame(identity, points[k] - points[l]) for k in interfaces], axis=1)
+            frame_to_interface = _turned(turns, _constant(operator.frame_to_interface, frame))
+            transfer = shift - product(frame, transpose(frame_to_interface))
             compliance = _both(turns, _constant(operator.compliance, frame))
-            if any(node in passed for node in carriers):
-                hung = _block_diagonal([passed.get(node) for node in carriers], rotation)
+            if any(node in passed for node in interfaces):
+                outboard = _block_diagonal([passed.get(node) for node in interfaces], rotation)
                 stiffness = _both(_dual(turns), _constant(operator.stiffness, frame))
-                share = product(algebra.invert_positive(stiffness + hung), stiffness)
-                inertia = inertia + product(product(transfer, product(hung, share)), transpose(transfer))
+                share = product(algebra.invert_positive(stiffness + outboard), stiffness)
+                inertia = inertia + product(product(transfer, product(outboard, share)), transpose(transfer))
         axis = algebra.spatial(now.axis[:3, l], now.axis[3:, l] + cross(now.axis[:3, l], points[l]))
         at_hinge, scaled, pivot = inertia, None, None
         if l not in held:
-            pushed = apply(inertia, axis)
-            pivot = dot(axis, pushed)
-            scaled = pushed / pivot[None]
-            inertia = inertia - pushed[:, None] * scaled[None]
+            force_rows = apply(inertia, axis)
+            pivot = dot(axis, force_rows)
+            scaled = force_rows / pivot[None]
+            inertia = inertia - force_rows[:, None] * scaled[None]
         node = topology.parents[l]
         if node != BASE:
             passed[node] = passed.get(node, 0.0) + inertia
-        links[l] = LinkMatrix(points[l], at_hinge, frame, turns, axis, scaled, pivot, transfer, compliance, hung, share)
+        links[l] = LinkMatrix(
+            points[l], at_hinge, frame, turns, axis, scaled, pivot, transfer, compliance, outboard, share
+        )
     return tuple(links[l] for l in range(n))
 
 
@@ -282,9 +286,9 @@ def _block_diagonal(blocks, example: Array) -> Array:
     return jnp.concatenate(rows)
 
 
-def _rigid_inertia(realised: Realisation, link: int) -> Array:
-    mass, centre = realised.mass[link], realised.centre[:, link]
-    return algebra.spatial_inertia(mass, centre, realised.inertia[:, :, link])
+def _rigid_inertia(actual: ModelWithErrors, link: int) -> Array:
+    mass, centre = actual.mass[link], actual.centre[:, link]
+    return algebra.spatial_inertia(mass, centre, actual.inertia[:, :, link])
 
 
 def _respond(topology, links, hinge_loads, on_links, own, units, width) -> Response:
@@ -294,71 +298,71 @@ def _respond(topology, links, hinge_loads, on_links, own, units, width) -> Respo
     n = topology.n_links
     none = jnp.zeros((6,) + width)
     loads: dict[int, Array] = dict(units)
-    felt: dict[int, Array] = {}
-    pushes: dict[int, Array] = {}
-    on_carriers: dict[int, Array] = {}
-    freely: dict[int, Array] = {}
+    subtree_loads: dict[int, Array] = {}
+    joint_torques: dict[int, Array] = {}
+    on_interfaces: dict[int, Array] = {}
+    free_accelerations: dict[int, Array] = {}
     for l in reversed(range(n)):
-        link, carriers = links[l], _carriers_of(topology, l)
+        link, interfaces = links[l], _interfaces_of(topology, l)
         load = loads.get(l, none)
         if on_links is not None and on_links[l] is not None:
             load = load + apply(link.frame, on_links[l])[:, None]
-        if carriers:
-            wrench = jnp.concatenate([loads.get(node, none) for node in carriers])
+        if interfaces:
+            wrench = jnp.concatenate([loads.get(node, none) for node in interfaces])
             free = product(link.compliance, wrench)
             if own is not None:
                 free = free + _turned(link.turns, own[l][:, None])
             if link.share is not None:
                 # The wrench of what hangs there, for a frame at rest.
                 free = product(link.share, free)
-                wrench = wrench - product(link.hung, free)
-            freely[l] = free
+                wrench = wrench - product(link.outboard, free)
+            free_accelerations[l] = free
             load = load + product(link.transfer, wrench)
-            on_carriers[l] = wrench
-        felt[l] = load
-        push = hinge_loads[l] + dot(link.axis[:, None], load)
-        pushes[l] = push
+            on_interfaces[l] = wrench
+        subtree_loads[l] = load
+        torque = hinge_loads[l] + dot(link.axis[:, None], load)
+        joint_torques[l] = torque
         node = topology.parents[l]
         if node == BASE:
             continue
         if link.scaled is not None:
-            load = load - link.scaled[:, None] * push[None]
+            load = load - link.scaled[:, None] * torque[None]
         loads[node] = loads.get(node, 0.0) + load
-    return _accelerate(topology, links, felt, pushes, freely, on_carriers, none)
+    return _accelerate(topology, links, subtree_loads, joint_torques, free_accelerations, on_interfaces, none)
 
 
-def _accelerate(topology, links, felt, pushes, freely, wrenches, none) -> Response:
+def _accelerate(topology, links, subtree_loads, joint_torques, free_accelerations, wrenches, none) -> Response:
     """From the base to the chains' ends."""
     n = topology.n_links
-    hinges, spatial, moved, on_carriers = [], [], [], []
+    hinges, spatial, moved, on_interfaces = [], [], [], []
     at: dict[int, Array] = {}
     for l in range(n):
         link, node = links[l], topology.parents[l]
         carried = none if node == BASE else at[node]
         rate = jnp.zeros_like(none[0])
         if link.scaled is not None:
-            rate = pushes[l] / link.pivot[None] - dot(link.scaled[:, None], carried)
+            rate = joint_torques[l] / link.pivot[None] - dot(link.scaled[:, None], carried)
             carried = carried + link.axis[:, None] * rate[None]
         hinges.append(rate)
         spatial.append(carried)
         at[l] = carried
-        carriers = _carriers_of(topology, l)
-        if not carriers:
+        interfaces = _interfaces_of(topology, l)
+        if not interfaces:
             moved.append(None)
-            on_carriers.append(None)
+            on_interfaces.append(None)
             continue
         along = product(transpose(link.transfer), carried)
         wrench = wrenches[l]
         if link.share is not None:
             along = product(link.share, along)
-            wrench = wrench - product(link.hung, along)
-        ends = freely[l] + along
+            wrench = wrench - product(link.outboard, along)
+        ends = free_accelerations[l] + along
         moved.append(ends)
-        on_carriers.append(wrench)
-        for i, carrier in enumerate(carriers):
-            at[carrier] = ends[6 * i : 6 * i + 6]
-    loads = tuple(felt[l] for l in range(n))
-    return Response(loads, jnp.stack(hinges), tuple(spatial), tuple(moved), tuple(on_carriers))
+        on_interfaces.append(wrench)
+        for i, interface in enumerate(interfaces):
+            at[interface] = ends[6 * i : 6 * i + 6]
+    loads = tuple(subtree_loads[l] for l in range(n))
+    return Response(loads, jnp.stack(hinges), tuple(spatial), tuple(moved), tuple(on_interfaces))
 
 
 def _of_node(topology: Topology, response: Response, node: int) -> Array:
@@ -366,8 +370,8 @@ def _of_node(topology: Topology, response: Response, node: int) -> Array:
     if node < topology.n_links:
         return response.links[node]
     l = topology.link_of(node)
-    i = _carriers_of(topology, l).index(node)
-    return response.carriers[l][6 * i : 6 * i + 6]
+    i = _interfaces_of(topology, l).index(node)
+    return response.interfaces[l][6 * i : 6 * i + 6]
 
 
 def _relative(topology, matrix, loads: Array, answer: Response) -> Array:
@@ -378,11 +382,11 @@ def _relative(topology, matrix, loads: Array, answer: Response) -> Array:
             continue
         link = matrix.links[l]
         acceleration = apply_transposed(link.frame, answer.links[l])
-        free = by_component(solve(operator.chain, loads[:, a:b]))
-        y = free - constant_product(operator.reduced, acceleration)
-        if answer.on_carriers[l] is not None:
-            wrench = _turned_back(link.turns, answer.on_carriers[l])
-            y = y + constant_product(operator.pick.T, wrench)
+        free = by_component(solve(operator.factored, loads[:, a:b]))
+        y = free - constant_product(operator.rigid_response, acceleration)
+        if answer.on_interfaces[l] is not None:
+            wrench = _turned_back(link.turns, answer.on_interfaces[l])
+            y = y + constant_product(operator.interface_rows.T, wrench)
         parts.append(y.reshape((6, b - a) + y.shape[1:]))
     y = jnp.concatenate(parts, axis=1)
     return jnp.concatenate([y[3:], y[:3]])

@@ -18,7 +18,7 @@ from jax.flatten_util import ravel_pytree
 from rfem_jax.mechanics import elasticity
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation
 from rfem_jax.mechanics.model import BASE, Coordinates, State
-from rfem_jax.mechanics.realisation import Realisation
+from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 
 
 def _transform(rotation, position):
@@ -33,15 +33,11 @@ def _about(axis: int, angle):
     return matrix.at[i, i].set(c).at[j, j].set(c).at[i, j].set(-s).at[j, i].set(s)
 
 
-def transforms(realised: Realisation, position: Coordinates) -> list[Array]:
+def transforms(actual: ModelWithErrors, position: Coordinates) -> list[Array]:
     """Transforms (4, 4) of all nodes to the global frame, in the order of the nodes."""
-    topology = realised.topology
-    seat = [
-        _transform(realised.seat_rotation[:, :, j], realised.seat_position[:, j]) for j in range(len(topology.joints))
-    ]
-    bore = [
-        _transform(realised.bore_rotation[:, :, j], realised.bore_position[:, j]) for j in range(len(topology.joints))
-    ]
+    topology = actual.topology
+    seat = [_transform(actual.seat_rotation[:, :, j], actual.seat_position[:, j]) for j in range(len(topology.joints))]
+    bore = [_transform(actual.bore_rotation[:, :, j], actual.bore_position[:, j]) for j in range(len(topology.joints))]
     frames = {BASE: jnp.eye(4)}
     for l, (a, b) in enumerate(topology.ranges):
         turn = _transform(_about(1, position.angles[l]), jnp.zeros(3))
@@ -53,20 +49,20 @@ def transforms(realised: Realisation, position: Coordinates) -> list[Array]:
             if topology.exact:
                 outer = _about(1, phi_y) @ _about(2, phi_z)
             rotation = outer @ _about(0, phi_x)
-            rest = jnp.array([1.0, 0.0, 0.0]) * realised.rest[k]
+            rest = jnp.array([1.0, 0.0, 0.0]) * actual.rest[k]
             relative = _transform(rotation, rest + jnp.stack([x, y, z]))
             frames[topology.n_links + k] = frames[l] @ relative
     return [frames[node] for node in range(topology.n_links + topology.n_rfes)]
 
 
-def constraints(realised: Realisation, position: Coordinates, scale) -> Array:
+def constraints(actual: ModelWithErrors, position: Coordinates, scale) -> Array:
     """Equation (18) for all cut joints (5 cuts,)."""
-    topology = realised.topology
-    frames = [*transforms(realised, position), jnp.eye(4)]
+    topology = actual.topology
+    frames = [*transforms(actual, position), jnp.eye(4)]
     rows = []
     for j in topology.cuts:
-        left = frames[topology.parents[j]] @ _transform(realised.seat_rotation[:, :, j], realised.seat_position[:, j])
-        right = frames[topology.children[j]] @ _transform(realised.bore_rotation[:, :, j], realised.bore_position[:, j])
+        left = frames[topology.parents[j]] @ _transform(actual.seat_rotation[:, :, j], actual.seat_position[:, j])
+        right = frames[topology.children[j]] @ _transform(actual.bore_rotation[:, :, j], actual.bore_position[:, j])
         y = left[:3, 1]
         rows += [
             right[:3, 3] - left[:3, 3],
@@ -75,21 +71,21 @@ def constraints(realised: Realisation, position: Coordinates, scale) -> Array:
     return jnp.concatenate(rows) if rows else jnp.zeros(0)
 
 
-def exact_deflections(realised: Realisation, frames: Array) -> Array:
+def exact_deflections(actual: ModelWithErrors, frames: Array) -> Array:
     """(du, theta) (6, N) of geometrically exact sdes from the transforms (nodes, 4, 4) of all nodes:
     of the two faces of every sde."""
-    topology = realised.topology
+    topology = actual.topology
     if topology.n_rfes == 0:
         return jnp.zeros((6, 0))
     left, right, left_face, right_face = [], [], [], []
     for l, (a, b) in enumerate(topology.ranges):
         for k in range(a, b):
             right.append(topology.n_links + k)
-            right_face.append(_along(realised.lever_right[k]))
+            right_face.append(_along(actual.lever_right[k]))
             # rfe 0 is its link's frame: its face is where the sde is at rest.
             left.append(l if k == a else topology.n_links + k - 1)
-            at_rest = realised.rest[k] + realised.lever_right[k]
-            left_face.append(_along(at_rest if k == a else realised.lever_left[k]))
+            at_rest = actual.rest[k] + actual.lever_right[k]
+            left_face.append(_along(at_rest if k == a else actual.lever_left[k]))
     left = frames[jnp.array(left)] @ jnp.stack(left_face)
     right = frames[jnp.array(right)] @ jnp.stack(right_face)
     return jax.vmap(_deflection, out_axes=1)(left, right)
@@ -118,16 +114,16 @@ def _deflection(left, right):
 
 
 def reference_accelerations(
-    realised: Realisation, state: State, drive: DriveInput, stabilisation: Stabilisation
+    actual: ModelWithErrors, state: State, drive: DriveInput, stabilisation: Stabilisation
 ) -> tuple[Coordinates, Array]:
     """Second derivatives of the coordinates and multipliers from the dense augmented system."""
-    topology = realised.topology
+    topology = actual.topology
     q, unravel = ravel_pytree(state.position)
     qd, _ = ravel_pytree(state.velocity)
-    pseudo_inertia = _pseudo_inertia(realised)
+    pseudo_inertia = _pseudo_inertia(actual)
 
     def matrices(q):
-        return jnp.stack(transforms(realised, unravel(q)))
+        return jnp.stack(transforms(actual, unravel(q)))
 
     def rate(q):
         return jax.jvp(matrices, (q,), (qd,))[1]
@@ -140,21 +136,21 @@ def reference_accelerations(
     def potential(q):
         frames = matrices(q)
         weights = jnp.einsum("nabc,nc->nab", frames[:, :3, None, :], pseudo_inertia[:, :, 3])
-        fall = -jnp.sum(weights[:, :, 0] @ realised.gravity)
+        fall = -jnp.sum(weights[:, :, 0] @ actual.gravity)
         if topology.exact:
-            stretch = exact_deflections(realised, frames)
-            return fall + 0.5 * jnp.sum(realised.stiffness * stretch**2)
-        return fall + elasticity.elastic_energy(realised, unravel(q))
+            stretch = exact_deflections(actual, frames)
+            return fall + 0.5 * jnp.sum(actual.stiffness * stretch**2)
+        return fall + elasticity.elastic_energy(actual, unravel(q))
 
     def damping(qd):
         """Half the power that the dampers take out."""
         if topology.exact:
             frame_rates = jnp.einsum("nabi,i->nab", slopes, qd)
-            faces = partial(exact_deflections, realised)
+            faces = partial(exact_deflections, actual)
             rate = jax.jvp(faces, (matrices(q),), (frame_rates,))[1]
-            return 0.5 * jnp.sum(realised.stiffness * realised.damping[None] * rate**2)
+            return 0.5 * jnp.sum(actual.stiffness * actual.damping[None] * rate**2)
         now = State(state.position, unravel(qd))
-        return 0.5 * elasticity.dissipated_power(realised, now)
+        return 0.5 * elasticity.dissipated_power(actual, now)
 
     force = -inertial - jax.grad(potential)(q) - jax.grad(damping)(qd)
     driven = topology.driven
@@ -162,7 +158,7 @@ def reference_accelerations(
         force = force.at[driven].add(drive.moment)
 
     def phi(q):
-        return constraints(realised, unravel(q), stabilisation.scale)
+        return constraints(actual, unravel(q), stabilisation.scale)
 
     def phi_rate(q):
         return jax.jvp(phi, (q,), (qd,))[1]
@@ -171,22 +167,22 @@ def reference_accelerations(
     gamma = -jax.jvp(phi_rate, (q,), (qd,))[1]
     gamma = gamma - stabilisation.velocity_gain * phi_rate(q)
     gamma = gamma - stabilisation.position_gain * phi(q)
-    if drive.turn is not None:
+    if drive.prescribed is not None:
         jacobian = jnp.concatenate([jacobian, jnp.eye(q.size)[driven : driven + 1]])
-        gamma = jnp.concatenate([gamma, jnp.reshape(drive.turn[2], (1,))])
+        gamma = jnp.concatenate([gamma, jnp.reshape(drive.prescribed[2], (1,))])
     n, c = q.size, gamma.size
     system = jnp.block([[mass, -jacobian.T], [jacobian, jnp.zeros((c, c))]])
     solution = jnp.linalg.solve(system, jnp.concatenate([force, gamma]))
     return unravel(solution[:n]), solution[n : n + 5 * topology.n_cuts]
 
 
-def _pseudo_inertia(realised: Realisation) -> Array:
+def _pseudo_inertia(actual: ModelWithErrors) -> Array:
     """H (nodes, 4, 4) of equation (15) about every node's reference point."""
     identity = jnp.eye(3)
     blocks = []
-    for node in range(realised.mass.size):
-        m, c = realised.mass[node], realised.centre[:, node]
-        central = realised.inertia[:, :, node]
+    for node in range(actual.mass.size):
+        m, c = actual.mass[node], actual.centre[:, node]
+        central = actual.inertia[:, :, node]
         second = 0.5 * jnp.trace(central) * identity - central + m * jnp.outer(c, c)
         top = jnp.concatenate([second, (m * c)[:, None]], axis=1)
         bottom = jnp.concatenate([m * c, m[None]])[None]

@@ -19,8 +19,8 @@ from rfem_jax.mechanics.condensation import link_operators
 from rfem_jax.mechanics.cut_joints import closure
 from rfem_jax.mechanics.kinematics import motion
 from rfem_jax.mechanics.model import Coordinates, Topology
-from rfem_jax.mechanics.newton import NewtonMatrix, Residual, correction, newton_matrix
-from rfem_jax.mechanics.realisation import Realisation
+from rfem_jax.mechanics.model_with_errors import ModelWithErrors
+from rfem_jax.mechanics.newton import IterationMatrix, Residual, iteration_matrix, newton_increment
 
 # Springs over inertia, by the stiffness of a link and the mass of all.  The larger, the less a change leaves over,
 # but rounding grows with its square: in spatial loops, 1e6 would lead nowhere.
@@ -30,19 +30,19 @@ STIFFER = 3e2
 class MatrixAtRest(NamedTuple):
     """Matrix of a step whose accelerations move the coordinates by `reach` [s^2] times themselves."""
 
-    matrix: NewtonMatrix
+    matrix: IterationMatrix
     reach: Array
 
 
 def matrix_at_rest(
-    realised: Realisation, position: Coordinates, held: tuple[int, ...], scale: Array, stiffness: Array
+    actual: ModelWithErrors, position: Coordinates, held: tuple[int, ...], scale: Array, stiffness: Array
 ) -> MatrixAtRest:
     """Matrix at one position with undeformed links, joints of the links `held` held; scale [m] as in `closure`,
     stiffness [N/m] of the mechanism."""
-    reach = STIFFER * jnp.sum(realised.mass) / stiffness
-    operators = link_operators(realised, reach, jnp.zeros(()))
-    now = motion(realised, loads.static_state(position))
-    matrix = newton_matrix(realised, operators, now, closure(realised, now, scale), held)
+    reach = STIFFER * jnp.sum(actual.mass) / stiffness
+    operators = link_operators(actual, reach, jnp.zeros(()))
+    now = motion(actual, loads.static_state(position))
+    matrix = iteration_matrix(actual, operators, now, closure(actual, now, scale), held)
     return MatrixAtRest(matrix, reach)
 
 
@@ -50,6 +50,6 @@ def change_at_rest(topology: Topology, static: MatrixAtRest, left: Residual) -> 
     """Change of coordinates and multipliers (5, C) that takes away what is left over of moments, forces and
     closure (`closing` in m); angles held do not change."""
     left = left._replace(closing=left.closing / static.reach)
-    change = correction(topology, static.matrix, left)
+    change = newton_increment(topology, static.matrix, left)
     moved = jax.tree.map(lambda part: static.reach * part, change.accelerations)
     return moved, change.multipliers

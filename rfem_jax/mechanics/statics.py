@@ -27,8 +27,8 @@ from rfem_jax.mechanics.cut_joints import closure
 from rfem_jax.mechanics.inputs import DriveInput
 from rfem_jax.mechanics.kinematics import motion, range_used
 from rfem_jax.mechanics.model import Coordinates, Model, State, Topology
+from rfem_jax.mechanics.model_with_errors import AssemblyErrors, ModelWithErrors, apply_errors, assembly_errors
 from rfem_jax.mechanics.newton import Residual
-from rfem_jax.mechanics.realisation import AssemblyErrors, Realisation, assembly_errors, realise
 from rfem_jax.mechanics.static_matrix import change_at_rest, matrix_at_rest
 from rfem_jax.mechanics.static_search import (
     Equations,
@@ -76,10 +76,10 @@ def assemble(model: Model, errors: AssemblyErrors, hold: dict[str, Array] | None
 
 @Program
 def _assemble(model: Model, errors: AssemblyErrors, hold) -> Assembled:
-    realised = realise(model, errors)
-    position, multipliers, status = equilibrium(model, realised, held_angles(model, hold))
+    actual = apply_errors(model, errors)
+    position, multipliers, status = equilibrium(model, actual, held_angles(model, hold))
     state = loads.static_state(position)
-    return Assembled(state, named(model, static_loads(model, realised, state, multipliers)), status)
+    return Assembled(state, named(model, static_loads(model, actual, state, multipliers)), status)
 
 
 def held_angles(model: Model, hold: dict[str, Array] | None) -> dict[int, Array]:
@@ -136,15 +136,15 @@ class _Scaled(NamedTuple):
         return forces, closing.reshape(self.topology.n_cuts, 5).T * self.length
 
 
-def _scaled(model: Model, realised: Realisation) -> _Scaled:
+def _scaled(model: Model, actual: ModelWithErrors) -> _Scaled:
     length, topology = length_scale(model), model.topology
     displacements = jnp.ones((6, topology.n_rfes)).at[:3].set(length)
     units, _ = ravel_pytree(Coordinates(jnp.ones(topology.n_links), displacements))
     unravel = ravel_pytree(model.start_coordinates())[1]
-    return _Scaled(topology, length, _force_scale(model, realised), units, unravel)
+    return _Scaled(topology, length, _force_scale(model, actual), units, unravel)
 
 
-def equilibrium(model: Model, realised: Realisation, held: dict[int, Array]):
+def equilibrium(model: Model, actual: ModelWithErrors, held: dict[int, Array]):
     """Coordinates, multipliers (5 cuts,) [N] and status of the static equilibrium.
 
     From the undeformed start: with the matrix of the perfect mechanism, which is solved by its structure and
@@ -152,23 +152,23 @@ def equilibrium(model: Model, realised: Realisation, held: dict[int, Array]):
     Geometrically exact elements, whose deflections may be large, are brought there by load steps.
     """
     topology = model.topology
-    scaled = _scaled(model, realised)
+    scaled = _scaled(model, actual)
     given = np.array(list(held), int)
     undeformed = scaled.unknowns(model.start_coordinates(), jnp.zeros((5, topology.n_cuts)))
 
     def residual(unknowns, args):
-        realised, angles = args
+        actual, angles = args
         position, multipliers = scaled.coordinates(unknowns), scaled.multipliers(unknowns)
-        hinge, elastic, closing = _unbalanced(realised, position, multipliers, scaled.length)
+        hinge, elastic, closing = _unbalanced(actual, position, multipliers, scaled.length)
         value = scaled.residual(Coordinates(hinge, elastic), closing)
         return jnp.where(is_given, unknowns - angles @ onto, value)
 
     angles = jnp.array([*held.values()], float)
     onto = (given[:, None] == np.arange(undeformed.size)).astype(float)
     is_given = onto.any(axis=0)
-    args = realised, angles
+    args = actual, angles
     perfect = (
-        eqx.tree_at(lambda r: r.gravity, realise(model, assembly_errors(model)), jnp.zeros(3)),
+        eqx.tree_at(lambda r: r.gravity, apply_errors(model, assembly_errors(model)), jnp.zeros(3)),
         model.start_angles[given],
     )
     guess = jnp.where(is_given, angles @ onto, undeformed)
@@ -187,33 +187,33 @@ def equilibrium(model: Model, realised: Realisation, held: dict[int, Array]):
     elif topology.minimum_norm:
         end, found = newton(equations, guess, goal)
     else:
-        constant = _nearly_inverse(scaled, given, perfect[0], undeformed)
+        constant = _preconditioner(scaled, given, perfect[0], undeformed)
         end, found = chord(equations, constant, _rows(scaled, perfect[0]), guess, goal)
 
     def solve_slope(slope, value):
         if topology.exact or topology.minimum_norm:
             return solve_dense(equations, slope, value)
-        inverse = _nearly_inverse(scaled, given, goal[0], end)
+        inverse = _preconditioner(scaled, given, goal[0], end)
         return solve_linear(equations, inverse, slope, value)
 
     unknowns = jax.lax.custom_root(lambda unknowns: residual(unknowns, args), end, lambda _, found: found, solve_slope)
     position = scaled.coordinates(unknowns)
     found = found & jnp.all(jnp.isfinite(unknowns))
     in_range = range_used(topology, position) < 1.0
-    cuts = closure(realised, motion(realised, loads.static_state(position)), scaled.length)
+    cuts = closure(actual, motion(actual, loads.static_state(position)), scaled.length)
     right_side = True if cuts is None else jnp.all(cuts.alignment > 0.0)
     status = jnp.where(right_side, jnp.where(in_range, OK, OUT_OF_RANGE), WRONG_SIDE)
     status = jnp.where(found, status, NOT_ASSEMBLED)
     return position, scaled.multipliers(unknowns), status.astype(jnp.int32)
 
 
-def _nearly_inverse(scaled: _Scaled, given, realised: Realisation, unknowns: Array) -> Callable:
+def _preconditioner(scaled: _Scaled, given, actual: ModelWithErrors, unknowns: Array) -> Callable:
     """Nearly the inverse of the equations' matrix where the unknowns are: residual -> unknowns; the angles of the
     links `given` are held."""
     topology = scaled.topology
     held, stiffness = tuple(given.tolist()), scaled.force / scaled.length
     position = scaled.coordinates(unknowns)
-    matrix = matrix_at_rest(realised, position, held, scaled.length, stiffness)
+    matrix = matrix_at_rest(actual, position, held, scaled.length, stiffness)
 
     def solve(residual):
         forces, closing = scaled.left_over(residual)
@@ -224,27 +224,27 @@ def _nearly_inverse(scaled: _Scaled, given, realised: Realisation, unknowns: Arr
     return solve
 
 
-def _rows(scaled: _Scaled, realised: Realisation) -> Array:
+def _rows(scaled: _Scaled, actual: ModelWithErrors) -> Array:
     """Sums of the sizes of the entries in every row of the equations' matrix."""
     topology = scaled.topology
-    springs = jnp.roll(jnp.abs(elasticity.stiffness_blocks(realised).own), (3, 3), axis=(1, 2))
+    springs = jnp.roll(jnp.abs(elasticity.stiffness_blocks(actual).own), (3, 3), axis=(1, 2))
     one = scaled.coordinates(jnp.ones(len(scaled.units))).elastic
     hinges = jnp.full(topology.n_links, scaled.force * scaled.length)
     forces = Coordinates(hinges, jnp.einsum("kij,jk->ik", springs, one))
     return scaled.residual(forces, jnp.full((5, topology.n_cuts), scaled.length))
 
 
-def _unbalanced(realised: Realisation, position: Coordinates, multipliers: Array, scale: Array):
+def _unbalanced(actual: ModelWithErrors, position: Coordinates, multipliers: Array, scale: Array):
     """Moments about the hinges (L,) [N m], generalised forces left on the free rfes (6, N) and
     closure residuals (5, C) [m] of a mechanism at rest."""
-    topology = realised.topology
+    topology = actual.topology
     n = topology.n_links
     state = loads.static_state(position)
-    now = motion(realised, state)
-    cuts = closure(realised, now, scale)
+    now = motion(actual, state)
+    cuts = closure(actual, now, scale)
     at_rest = jnp.zeros((3, n + topology.n_rfes))
-    force, moment = loads.inertial_loads(realised, now, at_rest, at_rest)
-    wrenches = loads.chain_wrenches(realised, now, cuts, multipliers, (force, moment))
+    force, moment = loads.inertial_loads(actual, now, at_rest, at_rest)
+    wrenches = loads.chain_wrenches(actual, now, cuts, multipliers, (force, moment))
     hinge = dot(now.axis, jnp.stack(wrenches[:n], axis=1))
     force, moment = -force[:, n:], -moment[:, n:]
     for j, (left, right) in enumerate(zip(topology.parents, topology.children)):
@@ -253,23 +253,23 @@ def _unbalanced(realised: Realisation, position: Coordinates, multipliers: Array
             if node >= n:
                 k = node - n
                 turn = now.links.rotation[:, :, topology.link_of(node)]
-                where = now.carriers.point[:, topology.carriers.index(k)]
+                where = now.interfaces.point[:, topology.interfaces.index(k)]
                 on_force = sign * wrenches[j][3:]
                 on_moment = sign * wrenches[j][:3] - cross(where, on_force)
                 there = jnp.asarray(np.arange(topology.n_rfes) == k, float)[None]
                 force = force + apply_transposed(turn, on_force)[:, None] * there
                 moment = moment + apply_transposed(turn, on_moment)[:, None] * there
     outside = jnp.concatenate([force, apply_transposed(now.relative.rate_matrix, moment)])
-    elastic, _ = elasticity.generalised_forces(realised, state, now.relative)
+    elastic, _ = elasticity.generalised_forces(actual, state, now.relative)
     return hinge, outside + elastic, jnp.zeros((5, 0)) if cuts is None else cuts.residual
 
 
-def static_loads(model: Model, realised: Realisation, state: State, multipliers: Array) -> loads.JointLoads:
+def static_loads(model: Model, actual: ModelWithErrors, state: State, multipliers: Array) -> loads.JointLoads:
     """Joint loads at rest, the moment that holds a joint included."""
-    now = motion(realised, state)
-    at_rest = jnp.zeros((3, realised.mass.shape[0]))
-    resting = loads.Resting(now, closure(realised, now, length_scale(model)), multipliers)
-    return loads.chain_loads(realised, resting, at_rest, at_rest, DriveInput())[0]
+    now = motion(actual, state)
+    at_rest = jnp.zeros((3, actual.mass.shape[0]))
+    resting = loads.Resting(now, closure(actual, now, length_scale(model)), multipliers)
+    return loads.chain_loads(actual, resting, at_rest, at_rest, DriveInput())[0]
 
 
 def named(model: Model, joint_loads: loads.JointLoads) -> dict[str, Load]:
@@ -278,13 +278,15 @@ def named(model: Model, joint_loads: loads.JointLoads) -> dict[str, Load]:
     return {name: Load(joint_loads.force[:, j], joint_loads.moment[:, j]) for name, j in order}
 
 
-def quasi_static_rates(model: Model, realised: Realisation, held: dict[int, Array], driven_rate: Array) -> Coordinates:
+def quasi_static_rates(
+    model: Model, actual: ModelWithErrors, held: dict[int, Array], driven_rate: Array
+) -> Coordinates:
     """Rates of the coordinates when the driven joint moves at a rate through equilibria: the
     derivative of the static equilibrium along the driven angle, times the rate."""
     driven = model.topology.driven
 
     def along(angle):
-        return equilibrium(model, realised, {**held, driven: angle})[0]
+        return equilibrium(model, actual, {**held, driven: angle})[0]
 
     angle = jnp.asarray(held[driven])
     return jax.jvp(along, (angle,), (jnp.asarray(driven_rate),))[1]
@@ -295,10 +297,10 @@ def length_scale(model: Model) -> Array:
     return jnp.max(model.length)
 
 
-def _force_scale(model: Model, realised: Realisation) -> Array:
+def _force_scale(model: Model, actual: ModelWithErrors) -> Array:
     """A force [N] of the mechanism: its bending stiffness over a length squared, or its weight."""
     bending = [model.section[4, l] / model.length[l] ** 2 for l, n in enumerate(model.topology.elements) if n > 1]
     if bending:
         return jax.lax.stop_gradient(jnp.max(jnp.stack(bending)))
-    weight = jnp.sum(realised.mass) * jnp.linalg.norm(model.gravity)
-    return jax.lax.stop_gradient(weight + jnp.sum(realised.mass))
+    weight = jnp.sum(actual.mass) * jnp.linalg.norm(model.gravity)
+    return jax.lax.stop_gradient(weight + jnp.sum(actual.mass))

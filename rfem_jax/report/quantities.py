@@ -91,6 +91,6 @@ def metric_units(result) -> dict[str, str]:
     return {name: unit or "1" for name, unit in pairs}
 
 
-def as_stated(unit) -> tuple[str, float]:
+def as_specified(unit) -> tuple[str, float]:
     """Unit in which people state an error of the SI unit "rad" or "m", and the factor to it."""
     return {"rad": ("deg", math.degrees(1.0)), "m": ("mm", 1e3)}[unit]

@@ -7,7 +7,7 @@ drawn. Errors in deg and mm, metrics in their own units.
 import numpy as np
 from matplotlib.figure import Figure
 
-from rfem_jax.report.quantities import as_stated
+from rfem_jax.report.quantities import as_specified
 from rfem_jax.report.style import BAR_COLOURS, CASE_COLOURS, LINE_STYLES, add_titles, panel_grid
 
 MOST_PANELS = 12
@@ -104,8 +104,8 @@ def _columns(result):
     names, columns = [], []
     for i, (name, unit) in enumerate(zip(result.names, result.error_units, strict=True)):
         if i < MOST_EACH:
-            stated, factor = as_stated(unit)
-            names.append(f"{name}\n{stated}")
+            specified, factor = as_specified(unit)
+            names.append(f"{name}\n{specified}")
             columns.append(factor * errors[:, i])
     for i in sorted(range(len(result.metrics)), key=lambda i: _order(result, i))[:MOST_EACH]:
         names.append(f"{result.metrics[i]}\n{result.metric_units[i] or '1'}")

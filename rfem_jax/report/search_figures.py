@@ -7,7 +7,7 @@ Tolerances in deg and mm, metrics in their own units.
 import numpy as np
 from matplotlib.figure import Figure
 
-from rfem_jax.report.quantities import as_stated
+from rfem_jax.report.quantities import as_specified
 from rfem_jax.report.style import CASE_COLOURS, MARKERS, add_titles
 from rfem_jax.tolerancing.layout import show_number
 
@@ -64,13 +64,13 @@ def tolerances_figure(study, found) -> Figure:
     figure = Figure(figsize=(7.2, height), layout="constrained")
     axes = figure.subplots()
     for place, name in enumerate(reversed(names)):
-        stated, factor = as_stated(answer.units[name])
+        specified, factor = as_specified(answer.units[name])
         low, high = bounds[name]
         after, before = answer.tolerances[name], found.before.get(name)
         axes.plot([low / high, 1.0], [place, place], "|-", color="#A0A0A0", linewidth=1.0)
         if before is not None:
-            _mark(axes, before / high, place, False, f"{factor * before:.3g} {stated}")
-        _mark(axes, after / high, place, True, f"{factor * after:.3g} {stated}")
+            _mark(axes, before / high, place, False, f"{factor * before:.3g} {specified}")
+        _mark(axes, after / high, place, True, f"{factor * after:.3g} {specified}")
     axes.plot([], [], MARKERS[0], color=CASE_COLOURS[0], mfc="white", label="before")
     axes.plot([], [], MARKERS[1], color=CASE_COLOURS[1], label="after")
     axes.plot([], [], "|-", color="#A0A0A0", label="bounds")
@@ -129,10 +129,10 @@ def front_figure(study, found) -> Figure:
     above.set_ylabel("cost")
     above.legend(frameon=False)
     for i, name in enumerate(found.answer.tolerances):
-        stated, factor = as_stated(found.answer.units[name])
+        specified, factor = as_specified(found.answer.units[name])
         widths = [factor * one.tolerances[name] for one in answers]
         below.plot(
-            x, widths, marker=MARKERS[i % len(MARKERS)], label=f"{name}, {stated}",
+            x, widths, marker=MARKERS[i % len(MARKERS)], label=f"{name}, {specified}",
             color=CASE_COLOURS[i % len(CASE_COLOURS)], linewidth=1.2,
         )  # fmt: skip
     below.set_yscale("log")

@@ -7,7 +7,7 @@ gradient and H Hessian per tolerance, all in the unit of the metric.
 import numpy as np
 from matplotlib.figure import Figure
 
-from rfem_jax.report.quantities import as_stated
+from rfem_jax.report.quantities import as_specified
 from rfem_jax.report.style import BAR_COLOURS, HATCHES, add_titles, panel_grid
 
 MOST_PANELS = 12
@@ -26,8 +26,8 @@ def error_labels(result) -> list[str]:
     """Names of the errors with their tolerances, "D.delta_x\\n+-0.5 deg"."""
     labels = []
     for name, unit, width in zip(result.names, result.error_units, result.scale, strict=True):
-        stated, factor = as_stated(unit)
-        labels.append(f"{name}\n\u00b1{factor * width:.3g} {stated}")
+        specified, factor = as_specified(unit)
+        labels.append(f"{name}\n\u00b1{factor * width:.3g} {specified}")
     return labels
 
 
@@ -81,7 +81,7 @@ def tornado_figure(study, result) -> Figure:
         axes.set_yticks(places, [labels[i] for i in order])
         axes.tick_params(axis="y", length=0)
         axes.grid(visible=False, axis="y")
-        zero = result.character[metric] == "cone"  # what is left of it is rounding
+        zero = result.character[metric] == "kink"  # what is left of it is rounding
         value = 0.0 if zero else result.value[metric]
         axes.set_title(f"{result.labels[metric]} = {value:.4g}", loc="left")
         axes.set_xlabel(f"change, {result.metric_units[metric] or '1'}")

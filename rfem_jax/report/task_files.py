@@ -28,14 +28,14 @@ def _plain(value):
 
 def write_task_json(path, study, name, result) -> Path:
     """Write one task's JSON: what was asked for (`task`, `tolerances`) and `result` (a dict)."""
-    stated = study.tasks.tolerances
+    specified = study.tasks.tolerances
     content = {
         "title": study.title,
         "note": study_note(study) or None,
         "duration": study.duration,
         "method": asdict(study.method),
         "task": {"name": name, **asdict(getattr(study.tasks, name))},
-        "tolerances": None if stated is None else asdict(stated),
+        "tolerances": None if specified is None else asdict(specified),
         **result,
         "units": {"duration": "s", "error": "rad or m", **result.get("units", {})},
     }

@@ -61,15 +61,15 @@ def build_problem(study, metrics, model=None) -> Problem:
     return Problem(model, study.drive, study.duration, metrics, study.method, save_every=study.save_every)
 
 
-def build_tolerances(stated) -> Tolerances:
+def build_tolerances(specified) -> Tolerances:
     """Distributions of the errors as `rfem_jax.description.tolerances` states them."""
     independent = {}
-    for one in stated.independent:
+    for one in specified.independent:
         settings = {} if one.deviations is None else {"deviations": one.deviations}
         independent[one.error] = DISTRIBUTIONS[one.distribution](interval=one.interval, **settings)
     groups = [
         CorrelatedNormal(group.half_widths, group.covariance(), deviations=group.deviations)
-        for group in stated.correlated
+        for group in specified.correlated
     ]
     return Tolerances(independent, correlated=groups)
 
@@ -207,8 +207,8 @@ def _closed(end):
 
 def _before(study, costs):
     """The study's own tolerances of the errors allocated, and their cost if it has all of them."""
-    stated = study.tasks.tolerances
-    widths = {} if stated is None else stated.half_widths()
+    specified = study.tasks.tolerances
+    widths = {} if specified is None else specified.half_widths()
     before = {name: widths[name] for name in costs if name in widths}
     if len(before) < len(costs):
         return before, math.nan

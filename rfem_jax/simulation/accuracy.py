@@ -19,7 +19,7 @@ from rfem_jax.compilation.program import Program
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.methods import Method
 from rfem_jax.mechanics.model import Model
-from rfem_jax.mechanics.realisation import AssemblyErrors, assembly_errors
+from rfem_jax.mechanics.model_with_errors import AssemblyErrors, assembly_errors
 from rfem_jax.mechanics.status import OK
 from rfem_jax.simulation import integration
 from rfem_jax.simulation.generalised_alpha import ACCURACY_OF_TOLERANCE
@@ -127,7 +127,7 @@ def rms_loads(model, errors, drive, grid, method, steps):
             errors = assembly_errors(model, errors)
         prepared = integration.prepare(model, errors, drive, None)
         carry = integration.start_carry(model, prepared, drive, method)
-        carry = integration.advance_unobserved(model, prepared.realised, drive, carry, grid, method, steps)
+        carry = integration.advance_unobserved(model, prepared.actual, drive, carry, grid, method, steps)
         metrics = integration.metrics_of(model, carry, grid.starts[-1] + grid.lengths[-1])
         force = jnp.stack(list(metrics.rms_force.values()))
         moment = jnp.stack(list(metrics.rms_moment.values()))

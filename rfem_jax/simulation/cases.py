@@ -13,7 +13,7 @@ import numpy as np
 from rfem_jax.compilation.program import Program
 from rfem_jax.mechanics.discretisation import discretise
 from rfem_jax.mechanics.model import Model
-from rfem_jax.mechanics.realisation import assembly_errors
+from rfem_jax.mechanics.model_with_errors import assembly_errors
 from rfem_jax.simulation import integration
 from rfem_jax.simulation.accuracy import choose_method
 from rfem_jax.simulation.run import Run, one_of
@@ -41,7 +41,7 @@ def run_cases(
     prepared, carry = _prepare(model, errors, study.drive, method)
     ends = []
     for piece in _pieces(grid):
-        carry, reached = _advance(model, prepared.realised, study.drive, carry, piece, method, steps)
+        carry, reached = _advance(model, prepared.actual, study.drive, carry, piece, method, steps)
         ends.append(jax.tree.map(np.asarray, reached))
         if progress is not None:
             progress(float((piece.starts + piece.lengths)[-1] / study.duration))
@@ -66,7 +66,7 @@ def _compile_ahead(model, errors, drive, grid: TimeGrid, method, steps) -> None:
         return
     prepared, carry = started
     piece = next(iter(_pieces(grid)))
-    carry, ends = _advance.ahead(model, prepared.realised, drive, carry, piece, method, steps)
+    carry, ends = _advance.ahead(model, prepared.actual, drive, carry, piece, method, steps)
     cases, count = len(jax.tree.leaves(errors)[0]), len(grid.starts)
     ends = jax.tree.map(lambda x: jax.ShapeDtypeStruct((cases, count, *x.shape[2:]), x.dtype), ends)
     _conclude.ahead(model, prepared, drive, carry, ends, grid, method, steps)
@@ -82,9 +82,9 @@ def _prepare(model, errors, drive, method):
 
 
 @Program
-def _advance(model, realised, drive, carry, grid, method, steps):
+def _advance(model, actual, drive, carry, grid, method, steps):
     advance = functools.partial(integration.advance, model)
-    return jax.vmap(lambda realised, carry: advance(realised, drive, carry, grid, method, steps, None))(realised, carry)
+    return jax.vmap(lambda actual, carry: advance(actual, drive, carry, grid, method, steps, None))(actual, carry)
 
 
 @functools.partial(Program, quick=True)

@@ -13,23 +13,23 @@ from jax import Array
 from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Float, Int
 
-from rfem_jax.compilation.scalars import nothing_known
+from rfem_jax.compilation.scalarisation import nothing_known
 from rfem_jax.description.drives import MomentDrive, PrescribedDrive
-from rfem_jax.mechanics import loads, realisation
+from rfem_jax.mechanics import loads, model_with_errors
 from rfem_jax.mechanics.condensation import LinkOperator
 from rfem_jax.mechanics.dynamics import Accelerations, accelerations
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation, impose
 from rfem_jax.mechanics.model import Coordinates, State, Topology
-from rfem_jax.mechanics.realisation import Realisation
+from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 
 
 class Integrals(eqx.Module):
     """Integrals over time of squared loads (joints,) [N^2 s, (N m)^2 s]: axial (along the hinge) and
     normal force, resultant moment; work of the drive and dissipated energy [J]."""
 
-    axial_square: Float[Array, "joints"]
-    normal_square: Float[Array, "joints"]
-    moment_square: Float[Array, "joints"]
+    axial_square: Float[Array, " joints"]
+    normal_square: Float[Array, " joints"]
+    moment_square: Float[Array, " joints"]
     work: Float[Array, ""]
     dissipation: Float[Array, ""]
 
@@ -47,7 +47,7 @@ class Conditions(eqx.Module):
     and its phase (jumps passed), the stabilisation; for implicit methods the links' operators for the step
     length (None: formed when they are needed)."""
 
-    realised: Realisation
+    actual: ModelWithErrors
     drive: MomentDrive | PrescribedDrive | None
     phase: Int[Array, ""]
     stabilisation: Stabilisation
@@ -56,11 +56,11 @@ class Conditions(eqx.Module):
 
 def structural_zeros(conditions: Conditions) -> Conditions:
     """Entries of the conditions that are zero for all numbers: boolean arrays, or False."""
-    known = realisation.structural_zeros(conditions.realised.topology)
-    return eqx.tree_at(lambda tree: tree.realised, nothing_known(conditions), known)
+    known = model_with_errors.structural_zeros(conditions.actual.topology)
+    return eqx.tree_at(lambda tree: tree.actual, nothing_known(conditions), known)
 
 
-def moving_parts(primals, tangents):
+def active_inputs(primals, tangents):
     """Leaves that have a tangent, the other leaves, and the tangents: most constants of a mechanism do not
     depend on the errors asked for, and are not linearised."""
     moves = jax.tree.map(lambda x, dx: eqx.is_inexact_array(x) and not isinstance(dx, SymbolicZero), primals, tangents)
@@ -71,9 +71,9 @@ def moving_parts(primals, tangents):
 def drive_input(drive, t, phase) -> DriveInput:
     """What the drive does at a time of one phase."""
     if isinstance(drive, MomentDrive):
-        return DriveInput(moment=drive.moment(t, phase))
+        return DriveInput(moment=drive.moment_at(t, phase))
     if isinstance(drive, PrescribedDrive):
-        return DriveInput(turn=drive.turn(t, phase))
+        return DriveInput(prescribed=drive.motion_at(t, phase))
     return DriveInput()
 
 
@@ -81,11 +81,11 @@ def at_instant(
     t: Array, trajectory: Trajectory, conditions: Conditions
 ) -> tuple[State, DriveInput, Accelerations, loads.JointLoads]:
     """State with prescribed values imposed, drive, accelerations and joint loads at one time."""
-    realised = conditions.realised
+    actual = conditions.actual
     drive = drive_input(conditions.drive, t, conditions.phase)
-    state = impose(realised.topology, State(trajectory.position, trajectory.velocity), drive)
-    result = accelerations(realised, state, drive, conditions.stabilisation)
-    return state, drive, result, loads.joint_loads(realised, result, drive)
+    state = impose(actual.topology, State(trajectory.position, trajectory.velocity), drive)
+    result = accelerations(actual, state, drive, conditions.stabilisation)
+    return state, drive, result, loads.joint_loads(actual, result, drive)
 
 
 def right_hand_side(t: Array, trajectory: Trajectory, conditions: Conditions) -> Trajectory:
@@ -99,7 +99,7 @@ def right_hand_side(t: Array, trajectory: Trajectory, conditions: Conditions) ->
             axial_square=axial,
             normal_square=normal,
             moment_square=moment,
-            work=drive_power(conditions.realised.topology, state, drive, joint),
+            work=drive_power(conditions.actual.topology, state, drive, joint),
             dissipation=result.dissipated,
         ),
     )
@@ -122,7 +122,7 @@ def drive_moment(topology: Topology, drive: DriveInput, joint: loads.JointLoads)
     """Moment [N m] of the drive about the driven joint's hinge: given, or what enforces the angle."""
     if drive.moment is not None:
         return drive.moment
-    if drive.turn is not None:
+    if drive.prescribed is not None:
         return joint.moment[1, topology.driven]
     return jnp.zeros(joint.moment.shape[2:])
 
@@ -152,8 +152,8 @@ class _FromStart(PrescribedDrive):
     def breakpoints(self):
         return self.drive.breakpoints()
 
-    def turn(self, t, phase):
-        angle, rate, acceleration = self.drive.turn(t, phase)
+    def motion_at(self, t, phase):
+        angle, rate, acceleration = self.drive.motion_at(t, phase)
         return self.start + angle, rate, acceleration
 
 
@@ -162,7 +162,7 @@ def peaks(rate: Trajectory) -> Array:
     return jnp.stack([rate.integrals.axial_square, rate.integrals.normal_square])
 
 
-def guarded_root(square: Array) -> Array:
+def safe_sqrt(square: Array) -> Array:
     """Square root with derivative zero at zero, where the root is a cone; NaN stays NaN."""
     none = square <= 0.0
     return jnp.where(none, 0.0, jnp.sqrt(jnp.where(none, 1.0, square)))

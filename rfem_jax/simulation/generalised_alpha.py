@@ -34,15 +34,15 @@ from jax import Array
 from rfem_jax.description.drives import PrescribedDrive
 from rfem_jax.description.methods import Method
 from rfem_jax.mechanics import loads
-from rfem_jax.mechanics.balance import Balance, evaluate_balance
 from rfem_jax.mechanics.condensation import LinkOperator, link_operators, present_operators
 from rfem_jax.mechanics.cut_joints import closure
 from rfem_jax.mechanics.elasticity import dissipated_power
 from rfem_jax.mechanics.inputs import DriveInput, impose
 from rfem_jax.mechanics.kinematics import motion
 from rfem_jax.mechanics.model import Coordinates, State, Topology
-from rfem_jax.mechanics.newton import Correction, NewtonMatrix, correction, newton_matrix, residual_of
-from rfem_jax.mechanics.realisation import Realisation
+from rfem_jax.mechanics.model_with_errors import ModelWithErrors
+from rfem_jax.mechanics.newton import IterationMatrix, NewtonIncrement, iteration_matrix, newton_increment, residual_of
+from rfem_jax.mechanics.residual import Evaluation, evaluate_residual
 from rfem_jax.simulation import equations
 from rfem_jax.simulation.equations import Conditions, Integrals, Trajectory, drive_input
 from rfem_jax.simulation.implicit_step import form_matrix, solved_step
@@ -131,7 +131,7 @@ class GeneralisedAlpha(diffrax.AbstractSolver):
 
     def start(self, conditions: Conditions, trajectory: Trajectory) -> Memory:
         """Nothing remembered: the first step must have length zero."""
-        multipliers = jnp.zeros((5, conditions.realised.topology.n_cuts))
+        multipliers = jnp.zeros((5, conditions.actual.topology.n_cuts))
         nothing = jax.tree.map(jnp.zeros_like, trajectory.velocity)
         rates = jax.tree.map(jnp.zeros_like, trajectory.integrals)
         return Memory(nothing, nothing, multipliers, rates, jnp.zeros(()), jnp.zeros(()))
@@ -148,7 +148,7 @@ class GeneralisedAlpha(diffrax.AbstractSolver):
         h, (trajectory, peaks) = t1 - t0, y0
         operators = args.operators
         if operators is None:
-            operators = jax.tree.map(lambda x: x[0], self.operators(args.realised, h[None]))
+            operators = jax.tree.map(lambda x: x[0], self.operators(args.actual, h[None]))
         given = eqx.tree_at(lambda c: c.operators, args, None), trajectory, solver_state
         seen = jnp.maximum(peaks, squared_forces(solver_state.rates))
         constants = t1, h, jnp.sqrt(jnp.max(seen))
@@ -169,9 +169,9 @@ class GeneralisedAlpha(diffrax.AbstractSolver):
         share = (1.0 - self.alpha_f) / (1.0 - self.alpha_m)
         return self.beta * h**2 * share, self.gamma * h * share
 
-    def operators(self, realised: Realisation, lengths: Array) -> tuple[LinkOperator | None, ...]:
+    def operators(self, actual: ModelWithErrors, lengths: Array) -> tuple[LinkOperator | None, ...]:
         """Operators of the links, first axis: step lengths (K,)."""
-        return jax.vmap(lambda h: link_operators(realised, *self.factors(h)))(lengths)
+        return jax.vmap(lambda h: link_operators(actual, *self.factors(h)))(lengths)
 
     def instant(self, t, h, trajectory, memory: Memory, conditions: Conditions):
         """At the end t of a step of length h: squared forces, state, drive, and the solved instant."""
@@ -179,16 +179,16 @@ class GeneralisedAlpha(diffrax.AbstractSolver):
         state = State(trajectory.position, trajectory.velocity)
         drive = drive_input(conditions.drive, t, conditions.phase)
         accelerations, multipliers = memory.accelerations, memory.multipliers
-        left = evaluate_balance(conditions.realised, state, accelerations, multipliers, drive, scale)
-        forces = residual_forces(conditions.realised, self._closing(left, h), drive, scale)
-        topology = conditions.realised.topology
+        left = evaluate_residual(conditions.actual, state, accelerations, multipliers, drive, scale)
+        forces = residual_forces(conditions.actual, self._closing(left, h), drive, scale)
+        topology = conditions.actual.topology
         instant = balanced_instant(topology, left, accelerations, drive, scale, forces)
         return squared_forces(memory.rates), state, drive, instant
 
     def solve(self, constants, conditions, trajectory, memory) -> tuple[Trajectory, Memory]:
         """Newton's method."""
         matrix, _, _, largest = constants
-        topology, given = conditions.realised.topology, (conditions, trajectory, memory)
+        topology, given = conditions.actual.topology, (conditions, trajectory, memory)
         drift = CLOSED * conditions.stabilisation.scale
         first = self.guess(constants, *given)
         left = self.end_of_step(first, constants, *given)[0]
@@ -199,7 +199,7 @@ class GeneralisedAlpha(diffrax.AbstractSolver):
 
         def correct(carry):
             count, _, unknowns, residual, _ = carry
-            change = correction(topology, matrix, residual)
+            change = newton_increment(topology, matrix, residual)
             unknowns = jax.tree.map(jnp.add, unknowns, change)
             left, end = self.end_of_step(unknowns, constants, *given)
             closed = cut_drift(left.closure, conditions.stabilisation.scale)[0] <= drift
@@ -211,28 +211,28 @@ class GeneralisedAlpha(diffrax.AbstractSolver):
         carry = (*start, first, residual_of(left), (trajectory, memory))
         return jax.lax.while_loop(unsettled, correct, carry)[4]
 
-    def matrix(self, operators, constants, conditions: Conditions, trajectory, memory) -> NewtonMatrix:
+    def matrix(self, operators, constants, conditions: Conditions, trajectory, memory) -> IterationMatrix:
         """Newton's matrix, formed where the guess leads; the solution does not depend on it."""
-        (t1, h, _), realised = constants, conditions.realised
+        (t1, h, _), actual = constants, conditions.actual
         scale = conditions.stabilisation.scale
         drive = drive_input(conditions.drive, t1, conditions.phase)
         accelerations, _ = self.guess((None, *constants), conditions, trajectory, memory)
-        state, _ = self._reached(h, trajectory, memory, accelerations, realised.topology, drive)
-        now = motion(realised, state)
-        if realised.topology.exact:
-            operators = present_operators(realised, now.relative, *self.factors(h))
+        state, _ = self._reached(h, trajectory, memory, accelerations, actual.topology, drive)
+        now = motion(actual, state)
+        if actual.topology.exact:
+            operators = present_operators(actual, now.relative, *self.factors(h))
         prescribed = isinstance(conditions.drive, PrescribedDrive)
-        held = (realised.topology.driven,) if prescribed else ()
-        return newton_matrix(realised, operators, now, closure(realised, now, scale), held)
+        held = (actual.topology.driven,) if prescribed else ()
+        return iteration_matrix(actual, operators, now, closure(actual, now, scale), held)
 
-    def guess(self, constants, conditions: Conditions, trajectory: Trajectory, memory) -> Correction:
+    def guess(self, constants, conditions: Conditions, trajectory: Trajectory, memory) -> NewtonIncrement:
         """Accelerations and multipliers before the first correction: those of the last step.
 
         Geometrically exact links keep their shape instead: their matrix is formed where the guess leads,
         which accelerations of stiff vibrations, carried on over a long step, would bend far.
         """
         _, t1, h, _ = constants
-        topology = conditions.realised.topology
+        topology = conditions.actual.topology
         drive = drive_input(conditions.drive, t1, conditions.phase)
         accelerations = memory.accelerations
         if topology.exact:
@@ -243,55 +243,55 @@ class GeneralisedAlpha(diffrax.AbstractSolver):
             mixed = (1.0 - self.alpha_m) * a1 + self.alpha_m * a0 - self.alpha_f * old
             elastic = jnp.where(moving, mixed / (1.0 - self.alpha_f), old)
             accelerations = Coordinates(accelerations.angles, elastic)
-        return Correction(_prescribed(topology, drive, accelerations), memory.multipliers)
+        return NewtonIncrement(_prescribed(topology, drive, accelerations), memory.multipliers)
 
     def end_of_step(
-        self, unknowns: Correction, constants, conditions: Conditions, trajectory, memory
-    ) -> tuple[Balance, tuple[Trajectory, Memory]]:
+        self, unknowns: NewtonIncrement, constants, conditions: Conditions, trajectory, memory
+    ) -> tuple[Evaluation, tuple[Trajectory, Memory]]:
         """Residual with given unknowns (`closing` as an acceleration), and what the step returns if that is
         nothing."""
         _, t1, h, _ = constants
-        realised, scale = conditions.realised, conditions.stabilisation.scale
+        actual, scale = conditions.actual, conditions.stabilisation.scale
         drive = drive_input(conditions.drive, t1, conditions.phase)
         accelerations, multipliers = unknowns
-        state, auxiliary = self._reached(h, trajectory, memory, accelerations, realised.topology, drive)
-        left = evaluate_balance(realised, state, accelerations, multipliers, drive, scale)
+        state, auxiliary = self._reached(h, trajectory, memory, accelerations, actual.topology, drive)
+        left = evaluate_residual(actual, state, accelerations, multipliers, drive, scale)
         left = self._closing(left, h)
         reached = state, auxiliary, unknowns
         return left, self._ended(left, reached, drive, h, conditions, trajectory, memory)
 
     def end_by_wrenches(
-        self, wrenches, unknowns: Correction, left: Balance, constants, conditions, trajectory, memory
+        self, wrenches, unknowns: NewtonIncrement, left: Evaluation, constants, conditions, trajectory, memory
     ) -> tuple[Trajectory, Memory]:
         """What the step returns with given unknowns and wrenches (6,) of the tree joints, in the place of
         the balance `left`."""
         _, t1, h, _ = constants
-        realised = conditions.realised
+        actual = conditions.actual
         drive = drive_input(conditions.drive, t1, conditions.phase)
-        state, auxiliary = self._reached(h, trajectory, memory, unknowns.accelerations, realised.topology, drive)
+        state, auxiliary = self._reached(h, trajectory, memory, unknowns.accelerations, actual.topology, drive)
         left = left._replace(
             multipliers=unknowns.multipliers,
             wrenches=[*wrenches, *loads.cut_wrenches(left.closure, unknowns.multipliers)],
-            dissipated=dissipated_power(realised, state),
+            dissipated=dissipated_power(actual, state),
         )
         reached = state, auxiliary, unknowns
         return self._ended(left, reached, drive, h, conditions, trajectory, memory)
 
-    def _closing(self, left: Balance, h) -> Balance:
+    def _closing(self, left: Evaluation, h) -> Evaluation:
         """The balance with its closure as an acceleration [m/s^2]: the one that closes it within the step."""
         moving, (q_factor, _) = h > 0.0, self.factors(h)
         by_step = left.closing / jnp.where(moving, q_factor, 1.0)
         return left._replace(closing=jnp.where(moving, by_step, left.closing_acceleration))
 
-    def _ended(self, left: Balance, reached, drive, h, conditions, trajectory, memory):
+    def _ended(self, left: Evaluation, reached, drive, h, conditions, trajectory, memory):
         """What the step returns with its balance, and state, auxiliary accelerations and unknowns."""
-        realised, scale = conditions.realised, conditions.stabilisation.scale
+        actual, scale = conditions.actual, conditions.stabilisation.scale
         state, auxiliary, (accelerations, multipliers) = reached
-        residual = jnp.max(jnp.abs(residual_forces(realised, left, drive, scale)), initial=0.0)
+        residual = jnp.max(jnp.abs(residual_forces(actual, left, drive, scale)), initial=0.0)
         residual = jax.lax.stop_gradient(residual)
-        joint = loads.loads_of_wrenches(realised.topology, left, left.wrenches, drive)
+        joint = loads.loads_of_wrenches(actual.topology, left, left.wrenches, drive)
         axial, normal, moment = equations.squares(joint)
-        work = equations.drive_power(realised.topology, state, drive, joint)
+        work = equations.drive_power(actual.topology, state, drive, joint)
         rates = Integrals(axial, normal, moment, work, left.dissipated)
         integrals = jax.tree.map(
             lambda sum, old, new: sum + 0.5 * h * (old + new),
@@ -336,21 +336,21 @@ def squared_forces(rates: Integrals) -> Array:
     return jnp.stack([rates.axial_square, rates.normal_square])
 
 
-def residual_forces(realised, left: Balance, drive: DriveInput, scale: Array) -> Array:
+def residual_forces(actual, left: Evaluation, drive: DriveInput, scale: Array) -> Array:
     """Residual as forces [N] (n,): on the rfes, about the hinges, and to close the cut joints."""
     hinge = left.hinge
-    if drive.turn is not None:
+    if drive.prescribed is not None:
         # The moment that enforces the angle.
-        hinge = jnp.where(np.arange(hinge.shape[0]) == realised.topology.driven, 0.0, hinge)
-    parts = left.force, left.moment / scale, hinge / scale, left.closing * jnp.sum(realised.mass)
+        hinge = jnp.where(np.arange(hinge.shape[0]) == actual.topology.driven, 0.0, hinge)
+    parts = left.force, left.moment / scale, hinge / scale, left.closing * jnp.sum(actual.mass)
     return jnp.concatenate([part.reshape(-1) for part in parts])
 
 
 def _prescribed(topology: Topology, drive: DriveInput, accelerations: Coordinates) -> Coordinates:
     """The accelerations with that of a prescribed joint put in."""
-    if drive.turn is None:
+    if drive.prescribed is None:
         return accelerations
     driven = np.arange(topology.n_links) == topology.driven
     driven = driven.reshape((-1,) + (1,) * (accelerations.angles.ndim - 1))
-    angles = jnp.where(driven, drive.turn[2][None], accelerations.angles)
+    angles = jnp.where(driven, drive.prescribed[2][None], accelerations.angles)
     return Coordinates(angles, accelerations.elastic)

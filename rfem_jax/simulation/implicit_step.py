@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 from jax.ad_checkpoint import checkpoint_name
 
-from rfem_jax.mechanics.newton import Correction, correction, correction_and_wrenches, residual_of
+from rfem_jax.mechanics.newton import NewtonIncrement, increment_and_wrenches, newton_increment, residual_of
 from rfem_jax.simulation import equations
 from rfem_jax.simulation.batches import like_batched
 
@@ -42,7 +42,7 @@ def solved_step(method, constants, *given):
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _unknowns(method, constants, *given):
     _, memory = _solve(method, constants, *given)
-    return Correction(memory.accelerations, memory.multipliers)
+    return NewtonIncrement(memory.accelerations, memory.multipliers)
 
 
 @functools.partial(jax.jit, static_argnums=0)
@@ -53,7 +53,7 @@ def _solve(method, constants, *given):
 
 def _differentiate(method, primals, tangents):
     constants, *given = primals
-    inputs, fixed, along = equations.moving_parts(given, list(tangents[1:]))
+    inputs, fixed, along = equations.active_inputs(given, list(tangents[1:]))
     # With the solution at hand, reverse mode need not repeat Newton's method.
     solution = jax.tree.map(lambda x: checkpoint_name(x, SOLUTION), _unknowns(method, constants, *given))
     end, tangent = _end_and_tangent(method, constants, solution, inputs, fixed, along)
@@ -62,7 +62,7 @@ def _differentiate(method, primals, tangents):
 
 def _differentiate_unknowns(method, primals, tangents):
     ends = _differentiate(method, primals, tangents)
-    return tuple(Correction(end.accelerations, end.multipliers) for _, end in ends)
+    return tuple(NewtonIncrement(end.accelerations, end.multipliers) for _, end in ends)
 
 
 solved_step.defjvp(_differentiate, symbolic_zeros=True)
@@ -87,23 +87,23 @@ def _corrected_tangent(method, constants, solution, inputs, fixed, along):
 
     (_, end), push, left = jax.linearize(at, solution, inputs, has_aux=True)
     given, matrix = eqx.combine(inputs, fixed), constants[0]
-    topology = given[0].realised.topology
+    topology = given[0].actual.topology
 
     def refine(found, _):
-        left_over, _ = push(found, along)
-        return jax.tree.map(jnp.add, found, correction(topology, matrix, left_over)), None
+        remaining, _ = push(found, along)
+        return jax.tree.map(jnp.add, found, newton_increment(topology, matrix, remaining)), None
 
     found = jax.jvp(guess, (inputs,), (along,))[1]
     if method.refinements > 1:
         found, _ = jax.lax.scan(refine, found, None, length=method.refinements - 1)
-    left_over, end_tangent = push(found, along)
+    remaining, end_tangent = push(found, along)
 
     # What the last correction changes of the loads follows from the matrix, too, with errors of the size of
     # those that the correction leaves; to evaluate it costs half as much again.
     def last(wrenches, unknowns):
         return method.end_by_wrenches(wrenches, unknowns, left, constants, *given)
 
-    change, wrenches = correction_and_wrenches(topology, matrix, left_over)
+    change, wrenches = increment_and_wrenches(topology, matrix, remaining)
     tree_joints = list(left.wrenches[: topology.n_links])
     more = jax.jvp(last, (tree_joints, solution), (wrenches, change))[1]
     return end, jax.tree.map(jnp.add, end_tangent, more)

@@ -25,7 +25,7 @@ from rfem_jax.mechanics import loads
 from rfem_jax.mechanics.centre_lines import link_lines
 from rfem_jax.mechanics.discretisation import require_double_precision
 from rfem_jax.mechanics.model import Model, State
-from rfem_jax.mechanics.realisation import AssemblyErrors, Realisation, assembly_errors, realise
+from rfem_jax.mechanics.model_with_errors import AssemblyErrors, ModelWithErrors, apply_errors, assembly_errors
 from rfem_jax.mechanics.statics import (
     Load,
     equilibrium,
@@ -61,7 +61,7 @@ DRIFT_LIMIT = 1e-6
 class Prepared(NamedTuple):
     """A mechanism put together: constants, start state, joint loads at rest, assembly status."""
 
-    realised: Realisation
+    actual: ModelWithErrors
     state: State
     preload: loads.JointLoads
     status: Array
@@ -119,31 +119,31 @@ def grid_for(drive, duration, method: Method, save_every) -> tuple[TimeGrid, int
 def _simulate(model, errors, drive, grid, start, method, steps, adjoint):
     prepared = prepare(model, errors, drive, start)
     carry = start_carry(model, prepared, drive, method)
-    carry, ends = advance(model, prepared.realised, drive, carry, grid, method, steps, adjoint)
+    carry, ends = advance(model, prepared.actual, drive, carry, grid, method, steps, adjoint)
     return conclude(model, prepared, drive, carry, ends, grid, method, steps)
 
 
 def prepare(model: Model, errors: AssemblyErrors, drive, start: State | None) -> Prepared:
     """Put the mechanism together, or take the given start."""
     with jax.named_scope("assembly"):
-        realised = realise(model, errors)
+        actual = apply_errors(model, errors)
         joints = len(model.topology.joints)
         if start is not None:
             unknown = jnp.full((3, joints), jnp.nan)
             preload = loads.JointLoads(unknown, unknown)
-            return Prepared(realised, start, preload, jnp.asarray(OK, jnp.int32))
+            return Prepared(actual, start, preload, jnp.asarray(OK, jnp.int32))
         drive = equations.with_start_angle(model, drive)
         held = held_angles(model, None)
         first = equations.drive_input(drive, jnp.zeros(()), jnp.asarray(0, jnp.int32))
-        if first.turn is not None:
-            held = {model.topology.driven: first.turn[0]}
-        position, multipliers, status = equilibrium(model, realised, held)
+        if first.prescribed is not None:
+            held = {model.topology.driven: first.prescribed[0]}
+        position, multipliers, status = equilibrium(model, actual, held)
         state = loads.static_state(position)
-        preload = static_loads(model, realised, state, multipliers)
-        if first.turn is not None:
-            rates = quasi_static_rates(model, realised, held, first.turn[1])
+        preload = static_loads(model, actual, state, multipliers)
+        if first.prescribed is not None:
+            rates = quasi_static_rates(model, actual, held, first.prescribed[1])
             state = State(position, rates)
-        return Prepared(realised, state, preload, status)
+        return Prepared(actual, state, preload, status)
 
 
 def start_carry(model: Model, prepared: Prepared, drive, method: Method) -> Carry:
@@ -152,7 +152,7 @@ def start_carry(model: Model, prepared: Prepared, drive, method: Method) -> Carr
     trajectory = equations.start_trajectory(prepared.state, joints)
     drive = equations.with_start_angle(model, drive)
     phase, stabilisation = jnp.asarray(0, jnp.int32), stabilisation_of(model, method)
-    conditions = Conditions(prepared.realised, drive, phase, stabilisation)
+    conditions = Conditions(prepared.actual, drive, phase, stabilisation)
     return Carry(
         trajectory=trajectory,
         peaks=jnp.zeros((2, joints)),
@@ -162,9 +162,9 @@ def start_carry(model: Model, prepared: Prepared, drive, method: Method) -> Carr
     )
 
 
-def advance(model, realised, drive, carry, grid: TimeGrid, method: Method, steps, adjoint):
+def advance(model, actual, drive, carry, grid: TimeGrid, method: Method, steps, adjoint):
     """Integrate over the intervals of a grid; returns the carry and the `End` of each interval."""
-    step_over = step_intervals(model, realised, drive, grid, method, steps, adjoint)
+    step_over = step_intervals(model, actual, drive, grid, method, steps, adjoint)
 
     def interval(carry, entry):
         carry = step_over(carry, entry)
@@ -175,9 +175,9 @@ def advance(model, realised, drive, carry, grid: TimeGrid, method: Method, steps
     return carry, unpack(ends, End(carry.trajectory, carry.memory))
 
 
-def advance_unobserved(model, realised, drive, carry, grid: TimeGrid, method: Method, steps):
+def advance_unobserved(model, actual, drive, carry, grid: TimeGrid, method: Method, steps):
     """Integrate without records; with an implicit method `steps` may be traced (forward mode only)."""
-    step_over = step_intervals(model, realised, drive, grid, method, steps, None)
+    step_over = step_intervals(model, actual, drive, grid, method, steps, None)
     return jax.lax.scan(lambda carry, entry: (step_over(carry, entry), None), carry, _entries(grid))[0]
 
 
@@ -185,7 +185,7 @@ def _entries(grid: TimeGrid):
     return tuple(jnp.asarray(x) for x in (grid.starts, grid.lengths, grid.phases, grid.kinds))
 
 
-def observe_ends(model, realised, drive, ends: End, grid: TimeGrid, method: Method, steps) -> Record:
+def observe_ends(model, actual, drive, ends: End, grid: TimeGrid, method: Method, steps) -> Record:
     """Records of the ends of intervals: in a loop of its own, since XLA compiles two loops faster than one with
     the operations of both."""
     solver = observed_solver(method)
@@ -195,10 +195,10 @@ def observe_ends(model, realised, drive, ends: End, grid: TimeGrid, method: Meth
     @jax.checkpoint
     def record(given):
         (start, length, phase, _), end = given
-        conditions = Conditions(realised, drive, phase, stabilisation)
+        conditions = Conditions(actual, drive, phase, stabilisation)
         t, h = start + length, length / steps
         squares, state, now, instant = solver.instant(t, h, end.trajectory, end.memory, conditions)
-        return observe(realised, state, now, end.trajectory.integrals, instant, squares)
+        return observe(actual, state, now, end.trajectory.integrals, instant, squares)
 
     given = _entries(grid), ends
     form = jax.eval_shape(record, jax.tree.map(lambda x: x[0], given))
@@ -209,7 +209,7 @@ def conclude(
     model: Model, prepared: Prepared, drive, carry: Carry, ends: End, grid: TimeGrid, method: Method, steps
 ) -> Run:
     """Loads, metrics, balances and status from the last carry and the ends of all intervals."""
-    record = observe_ends(model, prepared.realised, drive, ends, grid, method, steps)
+    record = observe_ends(model, prepared.actual, drive, ends, grid, method, steps)
     # Steps look at their starts: the maxima do not know the last instant.
     carry = carry._replace(peaks=jnp.maximum(carry.peaks, jnp.max(record.squares, axis=0)))
     record = jax.tree.map(lambda x: x[grid.saved], record)
@@ -250,8 +250,8 @@ def conclude(
             force_square={name: record.square_integrals[:, 0, j] for name, j in _joints(model)},
             moment_square={name: record.square_integrals[:, 1, j] for name, j in _joints(model)},
         ),
-        centre_lines=link_lines(model, prepared.realised, prepared.state.position),
-        nominal_lines=link_lines(model, realise(model, assembly_errors(model)), model.start_coordinates()),
+        centre_lines=link_lines(model, prepared.actual, prepared.state.position),
+        nominal_lines=link_lines(model, apply_errors(model, assembly_errors(model)), model.start_coordinates()),
     )
 
 
@@ -260,7 +260,7 @@ def metrics_of(model: Model, carry: Carry, duration) -> Metrics:
     integrals = carry.trajectory.integrals
     force = (integrals.axial_square + integrals.normal_square) / duration
     moment = integrals.moment_square / duration
-    highest = equations.guarded_root(carry.peaks)
+    highest = equations.safe_sqrt(carry.peaks)
 
     def by_name(values):
         return {name: values[j] for name, j in _joints(model)}
@@ -268,8 +268,8 @@ def metrics_of(model: Model, carry: Carry, duration) -> Metrics:
     return Metrics(
         mean_square_force=by_name(force),
         mean_square_moment=by_name(moment),
-        rms_force=by_name(equations.guarded_root(force)),
-        rms_moment=by_name(equations.guarded_root(moment)),
+        rms_force=by_name(equations.safe_sqrt(force)),
+        rms_moment=by_name(equations.safe_sqrt(moment)),
         max_axial_force=by_name(highest[0]),
         max_normal_force=by_name(highest[1]),
     )
@@ -289,7 +289,7 @@ def _status(model, prepared: Prepared, carry: Carry, error, drift, used, residua
 
 def largest_force(carry: Carry) -> Array:
     """The largest axial or normal force [N] that any joint has carried."""
-    return equations.guarded_root(jnp.max(carry.peaks))
+    return equations.safe_sqrt(jnp.max(carry.peaks))
 
 
 def _safe(value):

@@ -11,14 +11,14 @@ import numpy as np
 from jax import Array
 
 from rfem_jax.mechanics import loads
-from rfem_jax.mechanics.balance import Balance
 from rfem_jax.mechanics.centre_lines import link_ends
 from rfem_jax.mechanics.cut_joints import Closure, assembly_modes
 from rfem_jax.mechanics.dynamics import Accelerations
 from rfem_jax.mechanics.inputs import DriveInput
 from rfem_jax.mechanics.kinematics import Motion, range_used
 from rfem_jax.mechanics.model import Coordinates, State, Topology
-from rfem_jax.mechanics.realisation import Realisation
+from rfem_jax.mechanics.model_with_errors import ModelWithErrors
+from rfem_jax.mechanics.residual import Evaluation
 from rfem_jax.simulation import equations
 from rfem_jax.simulation.equations import Integrals
 from rfem_jax.simulation.run import Energy
@@ -69,9 +69,9 @@ class Record(NamedTuple):
     squares: Array
 
 
-def solved_instant(realised: Realisation, result: Accelerations, drive: DriveInput, scale: Array) -> Instant:
+def solved_instant(actual: ModelWithErrors, result: Accelerations, drive: DriveInput, scale: Array) -> Instant:
     """An instant whose accelerations were solved for."""
-    joint, base = loads.chain_loads(realised, result, result.angular, result.linear, drive)
+    joint, base = loads.chain_loads(actual, result, result.angular, result.linear, drive)
     drift, drift_angle = cut_drift(result.closure, scale)
     return Instant(
         loads=joint,
@@ -90,7 +90,7 @@ def solved_instant(realised: Realisation, result: Accelerations, drive: DriveInp
 
 def balanced_instant(
     topology: Topology,
-    left: Balance,
+    left: Evaluation,
     accelerations: Coordinates,
     drive: DriveInput,
     scale: Array,
@@ -117,7 +117,7 @@ def balanced_instant(
 
 
 def observe(
-    realised: Realisation,
+    actual: ModelWithErrors,
     state: State,
     drive: DriveInput,
     integrals: Integrals,
@@ -126,15 +126,15 @@ def observe(
 ) -> Record:
     """Record of one instant; squares (2, joints): of axial and normal forces."""
     with jax.named_scope("observation"):
-        topology = realised.topology
+        topology = actual.topology
         joint, now = instant.loads, instant.motion
-        parts = loads.energies(realised, state)
-        force, moment = loads.momentum_residual(realised, state, instant.accelerations, instant.base)
-        largest_force = equations.guarded_root(jnp.max(jnp.sum(joint.force**2, axis=0)))
-        largest_moment = equations.guarded_root(jnp.max(jnp.sum(joint.moment**2, axis=0)))
+        parts = loads.energies(actual, state)
+        force, moment = loads.momentum_residual(actual, state, instant.accelerations, instant.base)
+        largest_force = equations.safe_sqrt(jnp.max(jnp.sum(joint.force**2, axis=0)))
+        largest_moment = equations.safe_sqrt(jnp.max(jnp.sum(joint.moment**2, axis=0)))
         largest_moment = largest_moment + largest_force * instant.arm
         passive = np.ones(len(topology.joints))
-        if drive.turn is not None:
+        if drive.prescribed is not None:
             passive[topology.driven] = 0.0
         return Record(
             angles=state.position.angles,
@@ -150,24 +150,24 @@ def observe(
             stabilising=instant.stabilising,
             multiplier=instant.multiplier,
             range_used=range_used(topology, state.position),
-            ends=link_ends(realised, now)[0],
-            branch=_branch(realised, instant),
+            ends=link_ends(actual, now)[0],
+            branch=_branch(actual, instant),
             square_integrals=jnp.stack([integrals.axial_square + integrals.normal_square, integrals.moment_square]),
             residual=instant.residual,
             squares=squares,
         )
 
 
-def _branch(realised: Realisation, instant: Instant) -> Array:
+def _branch(actual: ModelWithErrors, instant: Instant) -> Array:
     """Assembly modes of the cut joints (C,)."""
     if instant.closure is None:
         return jnp.zeros((0,))
-    return assembly_modes(realised, instant.motion, instant.closure)
+    return assembly_modes(actual, instant.motion, instant.closure)
 
 
 def cut_drift(cuts, scale):
     """Of the cut joints: largest distance [m] of two joint centres, and largest axis equation [rad]."""
     if cuts is None:
         return jnp.zeros(()), jnp.zeros(())
-    distance = equations.guarded_root(jnp.max(jnp.sum(cuts.residual[:3] ** 2, axis=0)))
+    distance = equations.safe_sqrt(jnp.max(jnp.sum(cuts.residual[:3] ** 2, axis=0)))
     return distance, jnp.max(jnp.abs(cuts.residual[3:])) / scale

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 class RecordedSteps(diffrax.AbstractStepSizeController):
     """Every step ends at the next of `ends` [s], increasing, padded with infinity."""
 
-    ends: Float[Array, "steps"]
+    ends: Float[Array, " steps"]
 
     def wrap(self, direction):
         del direction

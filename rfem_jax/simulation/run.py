@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 
 from rfem_jax.mechanics.statics import Load
 from rfem_jax.mechanics.status import STATUS
-from rfem_jax.simulation.equations import guarded_root
+from rfem_jax.simulation.equations import safe_sqrt
 
 RESIDUAL_LIMIT = 0.05  # of the largest joint force: equations with a larger residual are not solved
 
@@ -20,11 +20,11 @@ class Energy(eqx.Module):
     """Energies (times,) [J]: kinetic, elastic, gravity (zero level: the first base joint's nominal
     place); work of the drive and dissipated energy since the start."""
 
-    kinetic: Float[Array, "times"]
-    elastic: Float[Array, "times"]
-    gravity: Float[Array, "times"]
-    work: Float[Array, "times"]
-    dissipation: Float[Array, "times"]
+    kinetic: Float[Array, " times"]
+    elastic: Float[Array, " times"]
+    gravity: Float[Array, " times"]
+    work: Float[Array, " times"]
+    dissipation: Float[Array, " times"]
 
     @property
     def total(self) -> Array:
@@ -61,12 +61,12 @@ class WindowLoads(eqx.Module):
     @property
     def rms_force(self) -> dict[str, Array]:
         """[N]"""
-        return {name: guarded_root(value) for name, value in self.mean_square_force.items()}
+        return {name: safe_sqrt(value) for name, value in self.mean_square_force.items()}
 
     @property
     def rms_moment(self) -> dict[str, Array]:
         """[N m]"""
-        return {name: guarded_root(value) for name, value in self.mean_square_moment.items()}
+        return {name: safe_sqrt(value) for name, value in self.mean_square_moment.items()}
 
 
 class DrivenJoint(eqx.Module):
@@ -95,10 +95,10 @@ class Run(eqx.Module):
     `window`.
     """
 
-    times: Float[Array, "times"]
-    angle: Float[Array, "times"]
-    rate: Float[Array, "times"]
-    drive_moment: Float[Array, "times"]
+    times: Float[Array, " times"]
+    angle: Float[Array, " times"]
+    rate: Float[Array, " times"]
+    drive_moment: Float[Array, " times"]
     angles: dict[str, Array]
     loads: dict[str, Load]
     preload: dict[str, Load]

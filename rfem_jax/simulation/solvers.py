@@ -162,9 +162,9 @@ class PeakTracking(diffrax.AbstractWrappedSolver):
     def func(self, terms, t0, y0, args):
         return terms.vf(t0, y0, args)
 
-    def operators(self, realised, lengths):
+    def operators(self, actual, lengths):
         """None are needed."""
-        del realised, lengths
+        del actual, lengths
 
     def start(self, conditions, trajectory):
         """Nothing is remembered from interval to interval."""
@@ -180,7 +180,7 @@ class PeakTracking(diffrax.AbstractWrappedSolver):
         del h, memory
         state, drive, result, _ = equations.at_instant(t, trajectory, conditions)
         scale = conditions.stabilisation.scale
-        instant = solved_instant(conditions.realised, result, drive, scale)
+        instant = solved_instant(conditions.actual, result, drive, scale)
         axial, normal, _ = equations.squares(instant.loads)
         return jnp.stack([axial, normal]), state, drive, instant
 

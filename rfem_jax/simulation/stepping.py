@@ -17,8 +17,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from rfem_jax.compilation.options import explicit_in_scalars
-from rfem_jax.compilation.scalars import in_scalars, nothing_known
+from rfem_jax.compilation.options import explicit_methods_scalarised
+from rfem_jax.compilation.scalarisation import nothing_known, scalarised
 from rfem_jax.description.methods import Method
 from rfem_jax.simulation import equations
 from rfem_jax.simulation.batches import like_batched
@@ -50,17 +50,17 @@ class Carry(NamedTuple):
         return jnp.zeros(()) if self.memory is None else self.memory.largest_residual
 
 
-def step_intervals(model, realised, drive, grid: TimeGrid, method: Method, steps, adjoint):
+def step_intervals(model, actual, drive, grid: TimeGrid, method: Method, steps, adjoint):
     """The function that integrates over one interval (start, length, phase, kind): a carry to that at the end."""
     drive = equations.with_start_angle(model, drive)
     stabilisation = stabilisation_of(model, method)
     solver = observed_solver(method)
-    operators = solver.operators(realised, jnp.asarray(grid.distinct) / steps)
+    operators = solver.operators(actual, jnp.asarray(grid.distinct) / steps)
 
     def step_over(carry, entry):
         start, length, phase, kind = entry
         chosen = jax.tree.map(lambda x: x[kind], operators)
-        conditions = Conditions(realised, drive, phase, stabilisation, chosen)
+        conditions = Conditions(actual, drive, phase, stabilisation, chosen)
         if method.adaptive:
             return _adaptive(solver, carry, start, length, conditions, method, adjoint)
         return _fixed(solver, carry, start, length, steps, conditions)
@@ -69,14 +69,14 @@ def step_intervals(model, realised, drive, grid: TimeGrid, method: Method, steps
 
 
 @jax.custom_jvp
-def _rate_in_scalars(t, trajectory, conditions):
+def _scalarised_rate(t, trajectory, conditions):
     zeros = False, nothing_known(trajectory), equations.structural_zeros(conditions)
-    return in_scalars(_batched_rate, zeros, MOST_OPERATIONS)(t, trajectory, conditions)
+    return scalarised(_batched_rate, zeros, MOST_OPERATIONS)(t, trajectory, conditions)
 
 
-@functools.partial(_rate_in_scalars.defjvp, symbolic_zeros=True)
+@functools.partial(_scalarised_rate.defjvp, symbolic_zeros=True)
 def _differentiate_rate(primals, tangents):
-    inputs, fixed, along = equations.moving_parts(primals, tangents)
+    inputs, fixed, along = equations.active_inputs(primals, tangents)
     return jax.jvp(lambda inputs: _batched_rate(*eqx.combine(inputs, fixed)), (inputs,), (along,))
 
 
@@ -90,7 +90,7 @@ def vector_field(t, y, conditions: Conditions):
     """Rate of the state (trajectory, squared maxima of forces): that of the maxima is zero."""
     trajectory, peaks = y
     # Reverse mode recomputes a stage from its state: storing hundreds of intermediates costs more.
-    rate_of = _rate_in_scalars if explicit_in_scalars() else equations.right_hand_side
+    rate_of = _scalarised_rate if explicit_methods_scalarised() else equations.right_hand_side
     rate = jax.checkpoint(rate_of)(t, trajectory, conditions)
     return rate, jax.tree.map(jnp.zeros_like, peaks)
 

@@ -24,6 +24,7 @@ from scipy.sparse.linalg import LinearOperator, eigsh, splu
 from rfem_jax.compilation.program import Program
 from rfem_jax.mechanics.cut_joints import RANK_TOLERANCE
 from rfem_jax.mechanics.model import BASE, Model
+from rfem_jax.mechanics.model_with_errors import apply_errors, assembly_errors
 from rfem_jax.mechanics.nominal_geometry import (
     NominalGeometry,
     Placed,
@@ -31,7 +32,6 @@ from rfem_jax.mechanics.nominal_geometry import (
     geometry_of,
     place,
 )
-from rfem_jax.mechanics.realisation import assembly_errors, realise
 
 MOST_BODIES = 40  # of which all modes are found
 STIFFEST_TOLERANCE = 1e-6
@@ -178,12 +178,12 @@ class Vibration:
 
 
 @Program
-def _realise_nominal(model: Model):
-    return realise(model, assembly_errors(model))
+def _nominal(model: Model):
+    return apply_errors(model, assembly_errors(model))
 
 
 class _Constants(NamedTuple):
-    """Of `Realisation`, without errors: mass (n,), centre (n, 3), inertia (n, 3, 3) of all nodes; rest, damping,
+    """Of `ModelWithErrors`, without errors: mass (n,), centre (n, 3), inertia (n, 3, 3) of all nodes; rest, damping,
     lever (N,) to the sde on the left, and stiffness (6, N)."""
 
     mass: np.ndarray
@@ -196,7 +196,7 @@ class _Constants(NamedTuple):
 
 
 def _nominal_constants(model: Model) -> _Constants:
-    made = _realise_nominal(model)
+    made = _nominal(model)
     return _Constants(
         mass=np.asarray(made.mass),
         centre=np.asarray(made.centre).T,

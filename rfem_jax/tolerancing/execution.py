@@ -60,8 +60,8 @@ def require_threads(devices):
         return
     usable = getattr(os, "sched_getaffinity", None)
     cores = len(usable(0)) if usable else os.cpu_count() or 1
-    stated = os.environ.get("NPROC", "")
-    threads = max(int(stated) if stated.isdecimal() else cores, count)
+    specified = os.environ.get("NPROC", "")
+    threads = max(int(specified) if specified.isdecimal() else cores, count)
     if threads < 2 * count:
         raise InputError(
             f"Argument `jax_num_cpu_devices` must leave two threads for each device, but {count} "

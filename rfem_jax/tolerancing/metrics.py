@@ -16,7 +16,7 @@ from functools import cache
 import jax.numpy as jnp
 
 from rfem_jax.description.errors import InputError, suggestion
-from rfem_jax.simulation.equations import guarded_root
+from rfem_jax.simulation.equations import safe_sqrt
 from rfem_jax.tolerancing.problem import Metric as NamedMetric
 
 
@@ -191,4 +191,4 @@ def _p_norm(vectors, power):
     safe = jnp.where(largest > 0.0, largest, 1.0)
     mean = jnp.mean((square / safe) ** (power // 2))
     mean = jnp.where(largest > 0.0, mean, 1.0)  # a root of zero has no derivative
-    return guarded_root(largest) * mean ** (1.0 / power)
+    return safe_sqrt(largest) * mean ** (1.0 / power)

@@ -108,7 +108,7 @@ class Sensitivities:
         """Slope of the root of a cone metric along `direction` {error: rad or m}: sqrt(1/2 e^T H
         e)."""
         i = self._row(metric)
-        if self.character[i] != "cone":
+        if self.character[i] != "kink":
             raise InputError(
                 f"Argument `metric` must be a mean square that is zero at the point, but "
                 f"`{self.metrics[i]}` is of character `{self.character[i]}`; use its gradient."
@@ -147,7 +147,7 @@ class Sensitivities:
         header = ["error", "tolerance", "gradient", f"gradient {per}"]
         header += [] if self.hessian is None else [f"1/2 H_ii {per}"]
         header += ["effect"]
-        header += [f"root {per}"] if self.character[m] == "cone" else []
+        header += [f"root {per}"] if self.character[m] == "kink" else []
         rows = []
         for i in np.argsort(-self.effects[m], kind="stable")[:top]:
             width = show_number(self.scale[i]) if self.scaled else "-"
@@ -159,7 +159,7 @@ class Sensitivities:
             if self.hessian is not None:
                 row.append(show_number(0.5 * self.hessian_scaled[m, i, i], scale=size))
             row += [show_number(self.effects[m, i], scale=size)]
-            row += [show_number(self.root_slopes[m, i])] if self.character[m] == "cone" else []
+            row += [show_number(self.root_slopes[m, i])] if self.character[m] == "kink" else []
             rows.append(row)
         left_out = len(self.names) - len(rows)
         tail = f"\n({left_out} more errors with smaller effects)" if left_out > 0 else ""
@@ -183,7 +183,7 @@ _REMARKS = {
     "slope": "",
     "even": "; even here: the gradient vanishes, the Hessian counts",
     "mixed": "; even in some errors: their gradients vanish, the Hessian counts",
-    "cone": "; zero and even here: its root is a cone, with a slope in every direction",
+    "kink": "; zero and even here: its root is a cone, with a slope in every direction",
     "flat": "; no error has an effect",
     "none": "; no finite derivative here (at zero a root is a cone: take its mean square)",
 }
@@ -223,7 +223,7 @@ def _report(problem, model, finer, widths, at, scaled, order):
     character, vanishing = _classify(problem, value, g, h)
     eigenvalues, directions = (None, None) if h is None else _principal(h)
     root = np.full_like(g, np.nan)
-    for m in (i for i, word in enumerate(character) if word == "cone"):
+    for m in (i for i, word in enumerate(character) if word == "kink"):
         root[m] = np.sqrt(0.5 * np.maximum(np.diagonal(h[m]), 0.0))
     gradient_change, hessian_change = _changes(finer, widths, g, h, effects)
     status = describe_status(problem, model.status)
@@ -287,7 +287,7 @@ def _character(value, h, small, influence):
     eigenvalues = np.linalg.eigvalsh(h)
     definite = eigenvalues[0] >= -VANISHING * eigenvalues[-1]
     zero = abs(value) <= ZERO_VALUE * 0.5 * np.sum(np.abs(h))
-    return "cone" if zero and definite else "even"
+    return "kink" if zero and definite else "even"
 
 
 def _principal(h):

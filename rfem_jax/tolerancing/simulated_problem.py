@@ -15,7 +15,7 @@ from rfem_jax.description.drives import MomentDrive, PrescribedDrive
 from rfem_jax.description.errors import InputError, suggestion
 from rfem_jax.description.methods import Method
 from rfem_jax.mechanics.model import Model
-from rfem_jax.mechanics.realisation import AssemblyErrors, assembly_errors, error_dimension
+from rfem_jax.mechanics.model_with_errors import AssemblyErrors, assembly_errors, error_dimension
 from rfem_jax.mechanics.status import STATUS
 from rfem_jax.simulation.accuracy import choose_method
 from rfem_jax.simulation.integration import simulate

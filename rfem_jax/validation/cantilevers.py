@@ -30,7 +30,7 @@ from rfem_jax.mechanics.centre_lines import link_ends
 from rfem_jax.mechanics.discretisation import discretise
 from rfem_jax.mechanics.kinematics import motion
 from rfem_jax.mechanics.model import Model
-from rfem_jax.mechanics.realisation import assembly_errors, realise
+from rfem_jax.mechanics.model_with_errors import apply_errors, assembly_errors
 from rfem_jax.mechanics.statics import assemble
 from rfem_jax.simulation.stability import eigenvalues
 from rfem_jax.validation.lines import Line, Outcome, relative
@@ -85,8 +85,8 @@ def _bend(model: Model, force):
     model = eqx.tree_at(lambda m: m.gravity, model, force)
     errors = assembly_errors(model)
     result = assemble(model, errors, {"A": jnp.zeros(())})
-    realised = realise(model, errors)
-    end, rotation = link_ends(realised, motion(realised, result.state))
+    actual = apply_errors(model, errors)
+    end, rotation = link_ends(actual, motion(actual, result.state))
     straight = jnp.zeros(3).at[0].set(model.length[0])
     return end[:, 0] - straight, rotation[:, :, 0], result.status
 

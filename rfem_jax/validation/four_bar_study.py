@@ -101,11 +101,11 @@ def study() -> Study:
 def validate(full: bool, progress) -> Outcome:
     """Both forms of the spring-damping elements."""
     del full
-    stated = study()
+    specified = study()
     lines, curves = [], []
     for number, elements in enumerate(ALLOWED):
-        model = discretise(stated.mechanism, elements=elements)
-        _, runs = run_cases(stated, model=model, progress=lambda done: progress((number + done) / len(ALLOWED)))
+        model = discretise(specified.mechanism, elements=elements)
+        _, runs = run_cases(specified, model=model, progress=lambda done: progress((number + done) / len(ALLOWED)))
         lines += checked(elements, runs)
         run = runs["P2"]
         force = np.linalg.norm(run.loads["A"].force, axis=1)

@@ -34,7 +34,7 @@ from rfem_jax.mechanics.discretisation import discretise
 from rfem_jax.mechanics.kinematics import motion
 from rfem_jax.mechanics.loads import static_state
 from rfem_jax.mechanics.model import Model
-from rfem_jax.mechanics.realisation import assembly_errors, realise
+from rfem_jax.mechanics.model_with_errors import apply_errors, assembly_errors
 from rfem_jax.mechanics.statics import length_scale
 from rfem_jax.simulation import STATUS, Run, run_cases, simulate
 from rfem_jax.validation.lines import Curve, Line, Outcome, Picture, absolute, relative, same
@@ -178,9 +178,9 @@ def axis_lines() -> list[Line]:
 
 @Program
 def _axis_at_start(model: Model, tilt, error: str):
-    realised = realise(model, assembly_errors(model, {error: tilt}))
-    now = motion(realised, static_state(model.start_coordinates()))
-    return closure(realised, now, length_scale(model)).rotation[:, 1, 0]
+    actual = apply_errors(model, assembly_errors(model, {error: tilt}))
+    now = motion(actual, static_state(model.start_coordinates()))
+    return closure(actual, now, length_scale(model)).rotation[:, 1, 0]
 
 
 def trajectory_lines(coarse: Run, run: Run) -> list[Line]:

@@ -37,7 +37,7 @@ import preload_figures  # noqa: E402
 from rfem_jax import assemble, assembly_errors, discretise, load_study  # noqa: E402
 from rfem_jax.mechanics.discretisation import close_at  # noqa: E402
 from rfem_jax.mechanics.loads import energies  # noqa: E402
-from rfem_jax.mechanics.realisation import error_dimension, realise  # noqa: E402
+from rfem_jax.mechanics.model_with_errors import apply_errors, error_dimension  # noqa: E402
 from rfem_jax.report.output import write_csv, write_json  # noqa: E402
 
 RFES = 9  # a flexible link: 8 spring-damping elements
@@ -90,7 +90,7 @@ def held(model, start_angles, cut_angles, errors):
     driven = model.topology.driven
     hold = {model.topology.joints[driven]: start_angles[driven]}
     assembled = assemble(placed, errors, hold=hold)
-    energy = energies(realise(placed, errors), assembled.state)
+    energy = energies(apply_errors(placed, errors), assembled.state)
     preload = [jnp.stack(assembled.preload[name]) for name in sorted(model.joint_names)]
     return jnp.stack(preload), energy.elastic + energy.gravity, assembled.status
 

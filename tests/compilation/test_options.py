@@ -129,9 +129,9 @@ with covered(sys.argv[1]):
 jax.jit(lambda x: x + 1.0)(2.0)
 print(len(given), options.UNTURNED in given[0])
 with options.own_program():
-    options.note_scalars()
+    options.note_scalarised()
     jax.jit(lambda x: x + 2.0)(2.0)
-options.note_scalars()
+options.note_scalarised()
 print(options.UNTURNED in given[-1])
 """
 

@@ -33,6 +33,7 @@ def again():
 
 def by_jax(*arguments):
     """Without keeping, compiled with the same options."""
+    assert options.own_options_hold()
     with options.own_program():
         return eqx.filter_jit(swing)(*arguments)
 

@@ -146,7 +146,7 @@ def test_the_main_study():
     assert angles == pytest.approx([-90.0, 54.4, -100.8], rel=1e-15)
     assert study.mechanism.driven_joint == "A"
     assert isinstance(study.drive, MomentRamp) and study.drive.breakpoints() == (0.1,)
-    assert float(study.drive.peak) == 1.5
+    assert float(study.drive.moment) == 1.5
     assert (study.duration, study.save_every) == (0.5, 1e-3)
     assert (study.method.name, study.method.step) == ("rk4", 1e-5)
     half = math.radians(0.5)

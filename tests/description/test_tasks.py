@@ -10,7 +10,7 @@ from rfem_jax.description import load_study
 from rfem_jax.description.allocation_task import AllocationTask, ErrorCost
 from rfem_jax.description.task_settings import KINDS, RUN_METRICS
 from rfem_jax.description.tasks import MonteCarloTask, SensitivityTask, Tasks, WorstCaseTask
-from rfem_jax.description.tolerances import CorrelatedTolerances, StatedTolerance
+from rfem_jax.description.tolerances import CorrelatedTolerances, SpecifiedTolerance
 
 STUDIES = Path(__file__).parents[2] / "studies"
 FOUR_BAR = (STUDIES / "four_bar" / "study.toml").read_text(encoding="utf-8")
@@ -190,8 +190,8 @@ def test_what_is_wrong_is_refused_in_one_sentence(tmp_path, refused, text, piece
         (lambda: MonteCarloTask(4), ("`metrics`",)),
         (lambda: WorstCaseTask(("D.rms_force",), sense="up"), ("`sense`", "'up'")),
         (lambda: AllocationTask({"D.rms_force": 1.0}, {"D.d_y": (1e-4, 1e-3)}, {}), ("`costs`",)),
-        (lambda: StatedTolerance("D.d_y"), ("`half_width`", "neither")),
-        (lambda: StatedTolerance("D.d_y", 1e-3, interval=(0, 1)), ("`half_width`", "both")),
+        (lambda: SpecifiedTolerance("D.d_y"), ("`half_width`", "neither")),
+        (lambda: SpecifiedTolerance("D.d_y", 1e-3, interval=(0, 1)), ("`half_width`", "both")),
         (lambda: CorrelatedTolerances({"D.d_y": 1e-3}, 0.5), ("two errors or more",)),
         (lambda: CorrelatedTolerances({"D.d_y": 1.0, "D.d_x": 1.0}, [[1, 0]]), ("matrix of 2",)),
     ],

@@ -9,14 +9,14 @@ from rfem_jax import InputError, Mechanism, assembly_errors, discretise
 from rfem_jax.mechanics import elasticity
 from rfem_jax.mechanics.kinematics import relative_motion
 from rfem_jax.mechanics.model import Coordinates, State
-from rfem_jax.mechanics.realisation import realise
+from rfem_jax.mechanics.model_with_errors import apply_errors
 from rfem_jax.mechanics.reference_formulation import exact_deflections, transforms
 from tests.mechanisms import four_bar, open_chain, random_state, some_errors
 
 
-def realised_chain(elements, errors=None):
+def actual_chain(elements, errors=None):
     model = discretise(open_chain(), elements=elements)
-    return model, realise(model, assembly_errors(model) if errors is None else errors)
+    return model, apply_errors(model, assembly_errors(model) if errors is None else errors)
 
 
 @pytest.fixture(scope="module")
@@ -24,13 +24,13 @@ def exact():
     """Model of the open chain with errors, realised, and a state far from equilibrium."""
     model = discretise(open_chain(), elements="geometrically_exact")
     rng = np.random.default_rng(3)
-    realised = realise(model, some_errors(model, rng))
-    return model, realised, random_state(model, rng)
+    actual = apply_errors(model, some_errors(model, rng))
+    return model, actual, random_state(model, rng)
 
 
-def generalised(realised, state):
-    relative = relative_motion(realised, state.position, state.velocity)
-    return elasticity.generalised_forces(realised, state, relative)[0]
+def generalised(actual, state):
+    relative = relative_motion(actual, state.position, state.velocity)
+    return elasticity.generalised_forces(actual, state, relative)[0]
 
 
 def with_elastic(position, elastic):
@@ -42,67 +42,67 @@ def at_rest(position):
 
 
 @jax.jit
-def spring_forces(realised, elastic):
-    position = Coordinates(jnp.zeros(realised.topology.n_links), elastic)
-    return generalised(realised, at_rest(position))
+def spring_forces(actual, elastic):
+    position = Coordinates(jnp.zeros(actual.topology.n_links), elastic)
+    return generalised(actual, at_rest(position))
 
 
-def energy(realised, elastic):
-    position = Coordinates(jnp.zeros(realised.topology.n_links), elastic)
-    return elasticity.elastic_energy(realised, position)
+def energy(actual, elastic):
+    position = Coordinates(jnp.zeros(actual.topology.n_links), elastic)
+    return elasticity.elastic_energy(actual, position)
 
 
 def test_spring_forces_are_minus_the_gradient_of_the_energy(exact):
-    _, realised, state = exact
-    slope = np.asarray(jax.jit(jax.grad(energy, argnums=1))(realised, state.position.elastic))
-    forces = np.asarray(spring_forces(realised, state.position.elastic))
+    _, actual, state = exact
+    slope = np.asarray(jax.jit(jax.grad(energy, argnums=1))(actual, state.position.elastic))
+    forces = np.asarray(spring_forces(actual, state.position.elastic))
     scale = np.abs(slope).max(axis=1, keepdims=True)
     np.testing.assert_allclose(forces / scale, -slope / scale, rtol=0, atol=1e-11)
 
 
 def test_dampers_take_out_the_dissipated_power(exact):
     """Also: their generalised forces are minus half the slope of the power in the rates."""
-    _, realised, state = exact
+    _, actual, state = exact
 
     @jax.jit
-    def both(realised, state):
-        damping = generalised(realised, state) - generalised(realised, at_rest(state.position))
+    def both(actual, state):
+        damping = generalised(actual, state) - generalised(actual, at_rest(state.position))
 
         def power(rates):
             velocity = Coordinates(state.velocity.angles, rates)
-            return elasticity.dissipated_power(realised, State(state.position, velocity))
+            return elasticity.dissipated_power(actual, State(state.position, velocity))
 
         value, slope = jax.value_and_grad(power)(state.velocity.elastic)
         return damping, value, slope
 
-    damping, power, slope = map(np.asarray, both(realised, state))
+    damping, power, slope = map(np.asarray, both(actual, state))
     assert power > 1.0
     np.testing.assert_allclose(-np.sum(damping * state.velocity.elastic), power, rtol=1e-9)
     np.testing.assert_allclose(damping, -0.5 * slope, rtol=0, atol=1e-9 * np.abs(slope).max())
 
 
 def test_rates_of_the_deflections_are_their_derivatives(exact):
-    _, realised, state = exact
+    _, actual, state = exact
 
     @jax.jit
-    def both(realised, state):
+    def both(actual, state):
         def stretch(position):
-            return elasticity.deflections(realised, at_rest(position))[0]
+            return elasticity.deflections(actual, at_rest(position))[0]
 
         along = jax.jvp(stretch, (state.position,), (state.velocity,))[1]
-        return along, elasticity.deflections(realised, state)[1]
+        return along, elasticity.deflections(actual, state)[1]
 
-    along, rate = map(np.asarray, both(realised, state))
+    along, rate = map(np.asarray, both(actual, state))
     np.testing.assert_allclose(rate, along, rtol=1e-10, atol=1e-12 * np.abs(along).max())
 
 
 @pytest.mark.parametrize("size", [0.0, 1e-9, 1e-4, 0.04, 0.15, 0.5, 1.0])
 def test_deflections_meet_the_literal_ones_at_every_size(exact, size):
     """From angles inside the series to turns beyond 90 deg between neighbours."""
-    _, realised, state = exact
+    _, actual, state = exact
     position = with_elastic(state.position, size * state.position.elastic)
-    ours, _ = elasticity.deflections(realised, at_rest(position))
-    literal = exact_deflections(realised, jnp.stack(transforms(realised, position)))
+    ours, _ = elasticity.deflections(actual, at_rest(position))
+    literal = exact_deflections(actual, jnp.stack(transforms(actual, position)))
     # The literal ones subtract places of global size.
     np.testing.assert_allclose(ours[:3], literal[:3], rtol=0, atol=1e-15)
     np.testing.assert_allclose(ours[3:], literal[3:], rtol=1e-14, atol=1e-15)
@@ -123,25 +123,25 @@ def angles_of(rotation):
 
 def test_a_rigid_motion_of_both_faces_changes_nothing(exact):
     """All free rfes of a link turn and shift together: only its first sde notices."""
-    _, realised, state = exact
+    _, actual, state = exact
     spin, shift = jnp.array([0.3, -0.5, 0.4]), jnp.array([0.02, 0.01, -0.03])
     skew = jnp.cross(jnp.eye(3), spin)
-    relative = relative_motion(realised, state.position, state.velocity)
+    relative = relative_motion(actual, state.position, state.velocity)
 
     def moved(share):
         turn = jax.scipy.linalg.expm(share * skew)
         place = turn @ relative.position + share * shift[:, None]
-        u = place.at[0].add(-realised.rest)
+        u = place.at[0].add(-actual.rest)
         turned = jnp.einsum("ij,jkn->ikn", turn, relative.rotation)
         return jnp.concatenate([u, jax.vmap(angles_of, 2, 1)(turned)])
 
     def stretch(share):
         position = with_elastic(state.position, moved(share))
-        return elasticity.deflections(realised, at_rest(position))[0]
+        return elasticity.deflections(actual, at_rest(position))[0]
 
     (before, rate), after = jax.jit(lambda: (jax.jvp(stretch, (0.0,), (1.0,)), stretch(0.8)))()
-    first = [a for a, b in realised.topology.ranges if b > a]
-    inner = np.setdiff1d(np.arange(realised.topology.n_rfes), first)
+    first = [a for a, b in actual.topology.ranges if b > a]
+    inner = np.setdiff1d(np.arange(actual.topology.n_rfes), first)
     np.testing.assert_allclose(after[:, inner], before[:, inner], rtol=0, atol=1e-14)
     np.testing.assert_allclose(rate[:, inner], 0.0, atol=1e-14)
     assert np.abs(after[:, first] - before[:, first]).min(axis=1).max() > 0.1
@@ -151,10 +151,10 @@ def test_both_forms_have_the_same_stiffness_when_undeformed():
     """The Hessian of the exact energy, by differentiating twice at zero, is the linear stiffness."""
     hessians = []
     for elements in ("linear", "geometrically_exact"):
-        _, realised = realised_chain(elements)
-        zero = jnp.zeros((6, realised.topology.n_rfes))
-        hessian = jax.jit(jax.hessian(energy, argnums=1))(realised, zero)
-        by_force = -jax.jit(jax.jacfwd(spring_forces, argnums=1))(realised, zero)
+        _, actual = actual_chain(elements)
+        zero = jnp.zeros((6, actual.topology.n_rfes))
+        hessian = jax.jit(jax.hessian(energy, argnums=1))(actual, zero)
+        by_force = -jax.jit(jax.jacfwd(spring_forces, argnums=1))(actual, zero)
         n = zero.size
         hessians += [np.asarray(hessian).reshape(n, n), np.asarray(by_force).reshape(n, n)]
     scale = np.sqrt(np.diag(hessians[0]))
@@ -165,11 +165,11 @@ def test_both_forms_have_the_same_stiffness_when_undeformed():
 
 def test_second_derivatives_of_forces_at_zero_are_those_nearby():
     """No limit of a quotient, root or inverse sine may make them NaN or wrong."""
-    _, realised = realised_chain("geometrically_exact")
-    zero = jnp.zeros((6, realised.topology.n_rfes))
+    _, actual = actual_chain("geometrically_exact")
+    zero = jnp.zeros((6, actual.topology.n_rfes))
     curve = jax.jit(jax.jacfwd(jax.jacrev(spring_forces, argnums=1), argnums=1))
-    at_zero = np.asarray(curve(realised, zero))
-    nearby = np.asarray(curve(realised, zero + 1e-8))
+    at_zero = np.asarray(curve(actual, zero))
+    nearby = np.asarray(curve(actual, zero + 1e-8))
     assert np.isfinite(at_zero).all() and np.abs(at_zero).max() > 1.0
     np.testing.assert_allclose(at_zero, nearby, rtol=0, atol=1e-6 * np.abs(nearby).max())
 
@@ -180,7 +180,7 @@ def test_both_forms_differ_in_second_order(exact):
     for size in (1e-3, 5e-4):
         elastic = size * state.position.elastic
         linear, large = (
-            np.asarray(spring_forces(realised_chain(elements)[1], elastic))
+            np.asarray(spring_forces(actual_chain(elements)[1], elastic))
             for elements in ("linear", "geometrically_exact")
         )
         gaps.append(np.abs(large - linear).max(axis=1) / np.abs(linear).max(axis=1))

@@ -11,7 +11,7 @@ from rfem_jax.mechanics import loads
 from rfem_jax.mechanics.dynamics import accelerations
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation, impose
 from rfem_jax.mechanics.model import State
-from rfem_jax.mechanics.realisation import realise
+from rfem_jax.mechanics.model_with_errors import apply_errors
 from rfem_jax.mechanics.reference_formulation import constraints, reference_accelerations
 from tests.mechanisms import (
     ALL,
@@ -26,19 +26,19 @@ GAINS = Stabilisation(3.0, 7.0, 0.3)
 STATES = 5
 
 
-def close(realised, state):
+def close(actual, state):
     """The nearest state whose cut joints are closed (positions only; the rates stay free)."""
     flat, unravel = ravel_pytree(state.position)
-    if realised.topology.n_cuts == 0:
+    if actual.topology.n_cuts == 0:
         return state
     # The driven angle is imposed again in the formulations, so it must not move here.
     moves = jnp.ones_like(flat)
-    if realised.topology.driven is not None:
-        moves = moves.at[realised.topology.driven].set(0.0)
+    if actual.topology.driven is not None:
+        moves = moves.at[actual.topology.driven].set(0.0)
 
     def newton(flat, _):
         def residual(q):
-            value = constraints(realised, unravel(q), 0.3)
+            value = constraints(actual, unravel(q), 0.3)
             return value, value
 
         slope, value = jax.jacfwd(residual, has_aux=True)(flat)
@@ -67,18 +67,18 @@ def compared(request):
     rng = np.random.default_rng(7)
 
     def both(errors, state):
-        realised = realise(model, errors)
+        actual = apply_errors(model, errors)
         drive = DriveInput()
         if model.topology.driven is not None:
             angle, rate = jnp.asarray(0.3), jnp.asarray(-2.0)
             moment = DriveInput(moment=jnp.asarray(1.7))
-            drive = DriveInput(turn=(angle, rate, jnp.asarray(11.0))) if prescribed else moment
-        state = close(realised, impose(model.topology, state, drive))
-        fast = accelerations(realised, state, drive, GAINS)
-        slow, multipliers = reference_accelerations(realised, state, drive, GAINS)
-        joint = loads.joint_loads(realised, fast, drive)
-        chain, base = loads.chain_loads(realised, fast, fast.angular, fast.linear, drive)
-        residual = loads.momentum_residual(realised, state, fast.coordinates, base)
+            drive = DriveInput(prescribed=(angle, rate, jnp.asarray(11.0))) if prescribed else moment
+        state = close(actual, impose(model.topology, state, drive))
+        fast = accelerations(actual, state, drive, GAINS)
+        slow, multipliers = reference_accelerations(actual, state, drive, GAINS)
+        joint = loads.joint_loads(actual, fast, drive)
+        chain, base = loads.chain_loads(actual, fast, fast.angular, fast.linear, drive)
+        residual = loads.momentum_residual(actual, state, fast.coordinates, base)
         own = fast.multipliers.T.reshape(-1)
         return fast.coordinates, own, slow, multipliers, residual, joint, chain
 

@@ -9,20 +9,20 @@ from jax.flatten_util import ravel_pytree
 
 from rfem_jax import Joint, Link, Material, Mechanism, PointMass, Rectangle, assembly_errors, discretise
 from rfem_jax.mechanics import elasticity, exact_elements
-from rfem_jax.mechanics.balance import evaluate_balance
 from rfem_jax.mechanics.condensation import link_operators, present_operators
 from rfem_jax.mechanics.dynamics import accelerations
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation, impose
 from rfem_jax.mechanics.kinematics import relative_motion
 from rfem_jax.mechanics.model import Coordinates, State
+from rfem_jax.mechanics.model_with_errors import apply_errors
 from rfem_jax.mechanics.newton import (
     Residual,
-    correction,
-    correction_and_wrenches,
-    newton_matrix,
+    increment_and_wrenches,
+    iteration_matrix,
+    newton_increment,
     residual_of,
 )
-from rfem_jax.mechanics.realisation import realise
+from rfem_jax.mechanics.residual import evaluate_residual
 from rfem_jax.mechanics.statics import equilibrium, length_scale
 from tests.mechanisms import four_bar, twisted_spatial_loop, two_loop_six_bar
 
@@ -49,19 +49,19 @@ def mechanism(request):
     the closure allows."""
     make, prescribed = request.param
     model = discretise(make())
-    realised = realise(model, assembly_errors(model))
+    actual = apply_errors(model, assembly_errors(model))
     rng = np.random.default_rng(3)
     size = (6, model.topology.n_rfes)
     drive = DriveInput()
     if model.topology.driven is not None:
         turn = (model.start_angles[model.topology.driven], jnp.asarray(-2.0), jnp.asarray(11.0))
-        drive = DriveInput(turn=turn) if prescribed else DriveInput(moment=jnp.asarray(1.7))
+        drive = DriveInput(prescribed=turn) if prescribed else DriveInput(moment=jnp.asarray(1.7))
     rates = Coordinates(
         jnp.asarray(rng.normal(size=model.topology.n_links) * 3.0),
         jnp.asarray(rng.normal(size=size) * np.array([0.02] * 3 + [1.0] * 3)[:, None]),
     )
     state = impose(model.topology, State(model.start_coordinates(), rates), drive)
-    return model, realised, drive, state, prescribed
+    return model, actual, drive, state, prescribed
 
 
 def worst(left):
@@ -72,19 +72,19 @@ def worst(left):
 
 
 def test_solved_accelerations_balance(mechanism):
-    model, realised, drive, state, prescribed = mechanism
+    model, actual, drive, state, prescribed = mechanism
     scale = length_scale(model)
 
     @jax.jit
     def both(state):
         gains = Stabilisation(jnp.zeros(()), jnp.zeros(()), scale)
-        result = accelerations(realised, state, drive, gains)
-        left = evaluate_balance(realised, state, result.coordinates, result.multipliers, drive, scale)
+        result = accelerations(actual, state, drive, gains)
+        left = evaluate_residual(actual, state, result.coordinates, result.multipliers, drive, scale)
         return (
             result,
             left,
-            evaluate_balance(
-                realised,
+            evaluate_residual(
+                actual,
                 state,
                 jax.tree.map(jnp.zeros_like, result.coordinates),
                 jnp.zeros_like(result.multipliers),
@@ -104,26 +104,26 @@ def test_solved_accelerations_balance(mechanism):
 
 
 def test_corrections_at_a_given_state_find_the_accelerations(mechanism):
-    model, realised, drive, state, prescribed = mechanism
+    model, actual, drive, state, prescribed = mechanism
     scale, topology = length_scale(model), model.topology
 
     @jax.jit
     def solve(state):
         gains = Stabilisation(jnp.zeros(()), jnp.zeros(()), scale)
-        result = accelerations(realised, state, drive, gains)
-        operators = link_operators(realised, jnp.zeros(()), jnp.zeros(()))
+        result = accelerations(actual, state, drive, gains)
+        operators = link_operators(actual, jnp.zeros(()), jnp.zeros(()))
         found = jax.tree.map(jnp.zeros_like, result.coordinates)
         if prescribed:
-            angles = jnp.where(np.arange(topology.n_links) == topology.driven, drive.turn[2], 0.0)
+            angles = jnp.where(np.arange(topology.n_links) == topology.driven, drive.prescribed[2], 0.0)
             found = Coordinates(angles, found.elastic)
         multipliers = jnp.zeros_like(result.multipliers)
 
         def correct(carry, _):
             found, multipliers = carry
-            left = evaluate_balance(realised, state, found, multipliers, drive, scale)
-            matrix = newton_matrix(realised, operators, left.motion, left.closure, (topology.driven,) * prescribed)
+            left = evaluate_residual(actual, state, found, multipliers, drive, scale)
+            matrix = iteration_matrix(actual, operators, left.motion, left.closure, (topology.driven,) * prescribed)
             left = left._replace(closing=left.closing_acceleration)
-            change = correction(topology, matrix, residual_of(left))
+            change = newton_increment(topology, matrix, residual_of(left))
             found = jax.tree.map(jnp.add, found, change.accelerations)
             return (found, multipliers + change.multipliers), None
 
@@ -141,10 +141,10 @@ def test_corrections_at_a_given_state_find_the_accelerations(mechanism):
             np.testing.assert_allclose(one / scale, other / scale, atol=1e-9)
 
 
-def equations_at(realised, start, scale, drive, factors, prescribed):
+def equations_at(actual, start, scale, drive, factors, prescribed):
     """Residual (unknowns) of an implicit step from `start`, at rest: flat function, wrenches of the tree joints
     likewise, balance at zero, unravel."""
-    topology = realised.topology
+    topology = actual.topology
     q_factor, v_factor = factors
     driven = np.arange(topology.n_links) == topology.driven
     zero = jax.tree.map(jnp.zeros_like, start)
@@ -154,7 +154,7 @@ def equations_at(realised, start, scale, drive, factors, prescribed):
         found, multipliers = unravel(flat)
         position = jax.tree.map(lambda q, a: q + q_factor * a, start, found)
         velocity = jax.tree.map(lambda a: v_factor * a, found)
-        return evaluate_balance(realised, State(position, velocity), found, multipliers, drive, scale)
+        return evaluate_residual(actual, State(position, velocity), found, multipliers, drive, scale)
 
     def equations(flat):
         left = evaluate(flat)
@@ -191,26 +191,26 @@ def largest_gap(change, exact):
 
 def test_matrix_is_the_slope_of_the_balance_at_rest(mechanism):
     """Undeformed and at rest, without weight, one correction solves the differentiated equations."""
-    model, realised, _, _, prescribed = mechanism
+    model, actual, _, _, prescribed = mechanism
     topology, scale = model.topology, length_scale(model)
-    realised = jax.tree.map(lambda x: x, realised)
-    object.__setattr__(realised, "gravity", jnp.zeros(3))
+    actual = jax.tree.map(lambda x: x, actual)
+    object.__setattr__(actual, "gravity", jnp.zeros(3))
     factors = jnp.asarray(3e-7), jnp.asarray(6e-4)
     drive = DriveInput()
     if prescribed:
         nothing = jnp.zeros(())
-        drive = DriveInput(turn=(model.start_angles[topology.driven], nothing, nothing))
+        drive = DriveInput(prescribed=(model.start_angles[topology.driven], nothing, nothing))
 
     @jax.jit
     def both(load):
         start = model.start_coordinates()
-        equations, wrenches, left, unknowns, unravel = equations_at(realised, start, scale, drive, factors, prescribed)
+        equations, wrenches, left, unknowns, unravel = equations_at(actual, start, scale, drive, factors, prescribed)
         slope = jax.jacfwd(equations)(unknowns)
-        operators = link_operators(realised, *factors)
-        matrix = newton_matrix(realised, operators, left.motion, left.closure, (topology.driven,) * prescribed)
+        operators = link_operators(actual, *factors)
+        matrix = iteration_matrix(actual, operators, left.motion, left.closure, (topology.driven,) * prescribed)
         exact = jnp.linalg.solve(slope, -ravel_pytree(load)[0])
         by_exact = jax.jvp(wrenches, (unknowns,), (exact,))[1]
-        return unravel(exact), by_exact, correction_and_wrenches(topology, matrix, load)
+        return unravel(exact), by_exact, increment_and_wrenches(topology, matrix, load)
 
     free = np.arange(topology.n_links) != topology.driven if prescribed else 1.0
     exact, by_exact, (change, by_change) = both(random_load(topology, free))
@@ -223,23 +223,23 @@ def test_matrix_holds_for_links_that_are_bent_to_fit(elements):
     """Assembled with an error of 1 deg, over a step that makes springs as good as rigid: what a correction
     leaves over of any error, and what it would with rfes taken as not turned (spectral radii)."""
     model = discretise(four_bar(3), elements=elements)
-    realised = realise(model, assembly_errors(model, {"D.delta_x": np.radians(1.0)}))
+    actual = apply_errors(model, assembly_errors(model, {"D.delta_x": np.radians(1.0)}))
     topology, scale = model.topology, length_scale(model)
     factors = jnp.asarray(3e-6), jnp.asarray(2e-3)
 
     @jax.jit
     def left_over():
-        start = equilibrium(model, realised, {0: model.start_angles[0]})[0]
-        equations, _, left, unknowns, _ = equations_at(realised, start, scale, DriveInput(), factors, False)
+        start = equilibrium(model, actual, {0: model.start_angles[0]})[0]
+        equations, _, left, unknowns, _ = equations_at(actual, start, scale, DriveInput(), factors, False)
         slope = jax.jacfwd(equations)(unknowns)
         _parts, unravel = ravel_pytree(residual_of(left))
 
         def by(now):
-            operators = link_operators(realised, *factors)
+            operators = link_operators(actual, *factors)
             if topology.exact:
-                operators = present_operators(realised, now.relative, *factors)
-            matrix = newton_matrix(realised, operators, now, left.closure)
-            solve = jax.vmap(lambda load: ravel_pytree(correction(topology, matrix, unravel(load)))[0])
+                operators = present_operators(actual, now.relative, *factors)
+            matrix = iteration_matrix(actual, operators, now, left.closure)
+            solve = jax.vmap(lambda load: ravel_pytree(newton_increment(topology, matrix, unravel(load)))[0])
             return jnp.eye(len(unknowns)) + solve(slope.T).T
 
         identity = jnp.broadcast_to(jnp.eye(3)[:, :, None], left.motion.relative.rate_matrix.shape)
@@ -253,16 +253,16 @@ def test_matrix_holds_for_links_that_are_bent_to_fit(elements):
 @pytest.fixture(scope="module")
 def exact_chain():
     model = discretise(loaded_chain(), elements="geometrically_exact")
-    return model, realise(model, assembly_errors(model))
+    return model, apply_errors(model, assembly_errors(model))
 
 
 def test_operators_of_exact_elements_are_the_linear_ones_at_the_undeformed_state(exact_chain):
-    model, realised = exact_chain
+    model, actual = exact_chain
     factors = jnp.asarray(3e-7), jnp.asarray(6e-4)
     rest = model.start_coordinates()
-    relative = relative_motion(realised, rest, jax.tree.map(jnp.zeros_like, rest))
-    present = jax.jit(present_operators)(realised, relative, *factors)
-    constant = jax.jit(lambda r: link_operators(r, *factors))(realised)
+    relative = relative_motion(actual, rest, jax.tree.map(jnp.zeros_like, rest))
+    present = jax.jit(present_operators)(actual, relative, *factors)
+    constant = jax.jit(lambda r: link_operators(r, *factors))(actual)
     for one, other in zip(jax.tree.leaves(present), jax.tree.leaves(constant)):
         np.testing.assert_allclose(one, other, rtol=0, atol=1e-8 * np.abs(other).max(initial=1e-300))
 
@@ -274,9 +274,9 @@ def test_operators_of_a_batch_leave_lapack_alone(exact_chain):
     rest = model.start_coordinates()
 
     def operators(length):
-        realised = realise(model, assembly_errors(model, {"one.length": length}))
-        relative = relative_motion(realised, rest, jax.tree.map(jnp.zeros_like, rest))
-        return link_operators(realised, *factors), present_operators(realised, relative, *factors)
+        actual = apply_errors(model, assembly_errors(model, {"one.length": length}))
+        relative = relative_motion(actual, rest, jax.tree.map(jnp.zeros_like, rest))
+        return link_operators(actual, *factors), present_operators(actual, relative, *factors)
 
     program = jax.jit(jax.vmap(operators)).lower(jnp.zeros(4)).as_text()
     assert "lapack" not in program and "stablehlo.multiply" in program
@@ -291,29 +291,29 @@ def quadratic_form(springs, x):
 
 def test_stiffness_of_undeformed_links_holds_their_elastic_energy():
     model = discretise(loaded_chain())
-    realised = realise(model, assembly_errors(model, {f"{model.link_names[0]}.length": 3e-3}))
+    actual = apply_errors(model, assembly_errors(model, {f"{model.link_names[0]}.length": 3e-3}))
     elastic = jnp.asarray(np.random.default_rng(12).normal(size=(6, model.topology.n_rfes)))
-    form = quadratic_form(elasticity.stiffness_blocks(realised), jnp.roll(elastic, 3, axis=0))
-    energy = elasticity.elastic_energy(realised, Coordinates(model.start_angles, elastic))
+    form = quadratic_form(elasticity.stiffness_blocks(actual), jnp.roll(elastic, 3, axis=0))
+    energy = elasticity.elastic_energy(actual, Coordinates(model.start_angles, elastic))
     np.testing.assert_allclose(form, 2.0 * energy, rtol=1e-12)
 
 
 def test_stiffness_of_exact_elements_holds_the_power_of_the_springs(exact_chain):
     """For random twists of the rfes at a large deflection: v K v = sum of C rate^2."""
-    model, realised = exact_chain
+    model, actual = exact_chain
     n = model.topology.n_rfes
     rng = np.random.default_rng(11)
     elastic = rng.normal(size=(6, n)) * np.array([0.01] * 3 + [0.5] * 3)[:, None]
     position = Coordinates(model.start_angles, jnp.asarray(elastic))
-    relative = relative_motion(realised, position, jax.tree.map(jnp.zeros_like, position))
+    relative = relative_motion(actual, position, jax.tree.map(jnp.zeros_like, position))
     twists = jnp.asarray(rng.normal(size=(6, n)))
 
     @jax.jit
     def both():
-        springs = exact_elements.stiffness_blocks(realised, position.elastic[:3], relative)
+        springs = exact_elements.stiffness_blocks(actual, position.elastic[:3], relative)
         moved = relative._replace(angular=twists[:3], linear=twists[3:])
-        rate = exact_elements.deflections(realised, position.elastic[:3], moved).rate
-        return quadratic_form(springs, twists), jnp.sum(realised.stiffness * rate**2)
+        rate = exact_elements.deflections(actual, position.elastic[:3], moved).rate
+        return quadratic_form(springs, twists), jnp.sum(actual.stiffness * rate**2)
 
     form, power = both()
     np.testing.assert_allclose(form, power, rtol=1e-11)

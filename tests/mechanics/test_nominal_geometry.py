@@ -11,8 +11,8 @@ from rfem_jax.mechanics import loads
 from rfem_jax.mechanics.cut_joints import closure
 from rfem_jax.mechanics.kinematics import motion
 from rfem_jax.mechanics.model import Coordinates
+from rfem_jax.mechanics.model_with_errors import apply_errors
 from rfem_jax.mechanics.nominal_geometry import closure_jacobian, gaps, geometry_of, place
-from rfem_jax.mechanics.realisation import realise
 from rfem_jax.mechanics.statics import length_scale
 from tests.mechanisms import link, twisted_spatial_loop, two_loop_six_bar
 
@@ -22,8 +22,8 @@ def _traced(model, angles):
     scale = length_scale(model)
 
     def residual(position):
-        realised = realise(model, assembly_errors(model))
-        cuts = closure(realised, motion(realised, loads.static_state(position)), scale)
+        actual = apply_errors(model, assembly_errors(model))
+        cuts = closure(actual, motion(actual, loads.static_state(position)), scale)
         out = cuts.residual.T.reshape(-1) / scale
         return out, (out, cuts.alignment, cuts.angle)
 

@@ -8,7 +8,7 @@ import pytest
 
 from rfem_jax import Coordinates, Joint, Mechanism, discretise
 from rfem_jax.mechanics import static_search, statics
-from rfem_jax.mechanics.realisation import assembly_errors, realise
+from rfem_jax.mechanics.model_with_errors import apply_errors, assembly_errors
 from rfem_jax.mechanics.status import NOT_ASSEMBLED, OK
 from tests.mechanisms import four_bar, link, some_errors, twisted_spatial_loop
 
@@ -23,8 +23,8 @@ def equilibria(make):
     errors = some_errors(model, np.random.default_rng(2))
 
     def at(share, turn):
-        realised = realise(model, jax.tree.map(lambda x: share * x, errors))
-        *found, status = statics.equilibrium(model, realised, {0: model.start_angles[0] + turn})
+        actual = apply_errors(model, jax.tree.map(lambda x: share * x, errors))
+        *found, status = statics.equilibrium(model, actual, {0: model.start_angles[0] + turn})
         return found, status
 
     return at
@@ -78,20 +78,20 @@ def test_structure_alone_finds_the_equilibrium_and_its_derivatives(make, monkeyp
 def test_a_change_leaves_little_over(make, most):
     """Of a mechanism at rest, undeformed: spectral radius of what is left over."""
     model = discretise(make())
-    realised = eqx.tree_at(lambda r: r.gravity, realise(model, assembly_errors(model)), jnp.zeros(3))
-    scaled = statics._scaled(model, realised)
+    actual = eqx.tree_at(lambda r: r.gravity, apply_errors(model, assembly_errors(model)), jnp.zeros(3))
+    scaled = statics._scaled(model, actual)
     start = scaled.unknowns(model.start_coordinates(), jnp.zeros((5, model.topology.n_cuts)))
     given = np.array([0])
 
     def residual(unknowns):
         position, multipliers = scaled.coordinates(unknowns), scaled.multipliers(unknowns)
-        hinge, *others = statics._unbalanced(realised, position, multipliers, scaled.length)
+        hinge, *others = statics._unbalanced(actual, position, multipliers, scaled.length)
         value = scaled.residual(Coordinates(hinge, others[0]), others[1])
         return value.at[given].set(unknowns[given])
 
     @jax.jit
     def left_over():
-        inverse = statics._nearly_inverse(scaled, given, realised, start)
+        inverse = statics._preconditioner(scaled, given, actual, start)
         return jnp.eye(start.size) - jax.vmap(inverse, 1, 1)(jax.jacfwd(residual)(start))
 
     assert 0.0 < np.abs(np.linalg.eigvals(left_over())).max() < most
@@ -100,10 +100,10 @@ def test_a_change_leaves_little_over(make, most):
 def test_where_structure_does_not_lead_the_matrix_does(monkeypatch):
     """Weight alone holds a pendulum: no spring does."""
     model = discretise(Mechanism([link("rod", 0.3, 3)], [Joint("A", "base", "rod", angle=1.4)]))
-    realised = realise(model, assembly_errors(model))
+    actual = apply_errors(model, assembly_errors(model))
 
     def at(gravity):
-        now = eqx.tree_at(lambda r: r.gravity, realised, gravity)
+        now = eqx.tree_at(lambda r: r.gravity, actual, gravity)
         position, _, status = statics.equilibrium(model, now, {})
         return position.angles[0], status
 

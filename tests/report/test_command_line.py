@@ -167,8 +167,8 @@ def test_a_platform_that_is_not_there_is_one_sentence(monkeypatch):
 
 def test_version(capsys):
     assert main(["--version"]) == 0
-    stated = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8"))
-    assert capsys.readouterr().out == f"rfem-jax {stated['project']['version']}\n"
+    specified = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8"))
+    assert capsys.readouterr().out == f"rfem-jax {specified['project']['version']}\n"
 
 
 def test_a_fault_of_the_program_is_not_hidden(rooms, study_file):

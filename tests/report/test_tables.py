@@ -87,7 +87,7 @@ def test_the_overview_says_what_was_understood(study):
     assert words["C"] == ["C", "coupler", "rocker", "-", "cut"]
     assert "Coordinates: 51; constraint equations at the cut joints: 5, of rank 5." in text
     assert "No redundant constraints" in text
-    assert "moment ramp on joint A (SI: peak 1.5, rise time 0.1)" in text
+    assert "moment ramp on joint A (SI: moment 1.5, rise time 0.1)" in text
     assert "rk4, step = 1e-05" in text
     assert "P2    D.delta_x = 0.5 deg" in text
     assert "P3    D.d_y = 0.5 mm; coupler.length = -0.1 mm" in text

@@ -92,7 +92,7 @@ def test_sensitivity(task_file, tmp_path, capsys):
     found = read(out / "sensitivity.json")
     assert (found["status"], found["undamped"]) == ("ok", False)
     moment, force = found["metrics"][MOMENT], found["metrics"][FORCE]
-    assert moment["character"] == "cone"
+    assert moment["character"] == "kink"
     expected = {"D.delta_x": 16.0, "D.delta_z": 4.0, "D.d_y": 1.0}
     assert moment["effects"] == pytest.approx(expected)
     assert force["gradient"]["D.delta_x"] == pytest.approx(30.0 / closed_form.WIDTHS[0])

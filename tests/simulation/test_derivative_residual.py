@@ -40,11 +40,11 @@ def test_it_bounds_the_error_of_a_derivative(small):
 
 def test_a_derivative_that_has_not_converged_is_seen(small, monkeypatch):
     """The run as it should be, its derivative corrected by half of what the matrix says."""
-    correct = implicit_step.correction_and_wrenches
+    correct = implicit_step.increment_and_wrenches
 
     def half(*given):
         return jax.tree.map(lambda x: 0.5 * x, correct(*given))
 
-    monkeypatch.setattr(implicit_step, "correction_and_wrenches", half)
+    monkeypatch.setattr(implicit_step, "increment_and_wrenches", half)
     # Another tolerance than above: a step is traced once for each.
     assert derivative_residual(change_of_run(small.model, 2e-3)) > RESIDUAL_LIMIT

@@ -9,7 +9,7 @@ from rfem_jax import Joint, Mechanism, assembly_errors, discretise
 from rfem_jax.mechanics.cut_joints import assembly_modes, closure
 from rfem_jax.mechanics.kinematics import motion
 from rfem_jax.mechanics.loads import static_state
-from rfem_jax.mechanics.realisation import realise
+from rfem_jax.mechanics.model_with_errors import apply_errors
 from rfem_jax.mechanics.statics import length_scale
 from tests.mechanisms import link
 
@@ -75,9 +75,9 @@ def four_bar_on_the_side(sign):
 
 @eqx.filter_jit
 def mode_of(model):
-    realised = realise(model, assembly_errors(model))
-    now = motion(realised, static_state(model.start_coordinates()))
-    return assembly_modes(realised, now, closure(realised, now, length_scale(model)))
+    actual = apply_errors(model, assembly_errors(model))
+    now = motion(actual, static_state(model.start_coordinates()))
+    return assembly_modes(actual, now, closure(actual, now, length_scale(model)))
 
 
 def test_the_two_ways_to_close_a_four_bar_are_two_branches():

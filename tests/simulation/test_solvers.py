@@ -11,7 +11,7 @@ from rfem_jax import InputError, Method, MomentFunction, assembly_errors, simula
 from rfem_jax.simulation import integration
 from rfem_jax.simulation.equations import (
     Conditions,
-    guarded_root,
+    safe_sqrt,
     start_trajectory,
 )
 from rfem_jax.simulation.solvers import Leapfrog, observed_solver
@@ -26,7 +26,7 @@ pytestmark = pytest.mark.usefixtures("quick_compilation")
 def in_one_interval(model, drive, method):
     """Conditions, start and carry of a mechanism with errors."""
     prepared = integration.prepare(model, assembly_errors(model, ERRORS), drive, None)
-    conditions = Conditions(prepared.realised, drive, jnp.asarray(0, jnp.int32), stabilisation_of(model, method))
+    conditions = Conditions(prepared.actual, drive, jnp.asarray(0, jnp.int32), stabilisation_of(model, method))
     y = (start_trajectory(prepared.state, 4), jnp.zeros((2, 4)))
     return prepared, conditions, y
 
@@ -52,7 +52,7 @@ def test_loop_over_steps_is_diffrax_s_own_loop(small, name):
     grid, steps = divide_time(1e-3, method.step, 1e-3, ())
     carry = integration.start_carry(model, prepared, small.drive, method)
     carry, _ = jax.jit(
-        lambda carry: integration.advance(model, prepared.realised, small.drive, carry, grid, method, steps, None)
+        lambda carry: integration.advance(model, prepared.actual, small.drive, carry, grid, method, steps, None)
     )(carry)
     ours, theirs = jax.tree.leaves(carry.trajectory), jax.tree.leaves(solution[0])
     # Newton's method stops at its tolerance, 1e-8.
@@ -68,7 +68,7 @@ def test_diffrax_is_told_that_newton_s_method_failed(small):
     method = Method("generalised_alpha", step=5e-3, corrections=1)
     _, conditions, y = in_one_interval(small.model, small.drive, method)
     solver = observed_solver(method)
-    operators = jax.tree.map(lambda x: 0.1 * x[0], solver.operators(conditions.realised, jnp.asarray([method.step])))
+    operators = jax.tree.map(lambda x: 0.1 * x[0], solver.operators(conditions.actual, jnp.asarray([method.step])))
     conditions = eqx.tree_at(lambda c: c.operators, conditions, operators, is_leaf=lambda x: x is None)
     result = jax.jit(
         lambda y: (
@@ -210,6 +210,6 @@ def test_adaptive_methods_do_not_integrate_where_no_time_passes(small):
 
 
 def test_the_root_of_a_mean_square_is_guarded_at_zero_only():
-    values, slopes = jax.vmap(jax.value_and_grad(guarded_root))(jnp.asarray([0.0, 4.0, np.nan]))
+    values, slopes = jax.vmap(jax.value_and_grad(safe_sqrt))(jnp.asarray([0.0, 4.0, np.nan]))
     np.testing.assert_array_equal(values, [0.0, 2.0, np.nan])
     np.testing.assert_array_equal(slopes[:2], [0.0, 0.25])

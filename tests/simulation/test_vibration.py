@@ -25,7 +25,7 @@ from rfem_jax import (
 from rfem_jax.mechanics.dynamics import accelerations
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation
 from rfem_jax.mechanics.model import Coordinates, State
-from rfem_jax.mechanics.realisation import realise
+from rfem_jax.mechanics.model_with_errors import apply_errors
 from rfem_jax.simulation import stability, vibration
 from rfem_jax.simulation.stepping import stabilisation_of
 from rfem_jax.simulation.vibration import Modes, Vibration
@@ -37,12 +37,12 @@ pytestmark = pytest.mark.usefixtures("quick_compilation")
 @eqx.filter_jit
 def _accelerations_linearised(model, angles, stabilisation):
     """d q_ddot / d (q, q_dot) (n, 2 n) at rest, undeformed: nothing of `vibration` is used."""
-    realised = realise(model, assembly_errors(model))
+    actual = apply_errors(model, assembly_errors(model))
     position = Coordinates(angles, jnp.zeros((6, model.topology.n_rfes)))
     flat, unravel = ravel_pytree(State(position, jax.tree.map(jnp.zeros_like, position)))
 
     def rate(flat):
-        result = accelerations(realised, unravel(flat), DriveInput(), stabilisation)
+        result = accelerations(actual, unravel(flat), DriveInput(), stabilisation)
         return ravel_pytree(result.coordinates)[0]
 
     return jax.jacfwd(rate)(flat)

@@ -24,7 +24,7 @@ import pytest
 
 from rfem_jax import assemble, assembly_errors, discretise, load_study
 from rfem_jax.mechanics.loads import static_state
-from rfem_jax.mechanics.realisation import realise
+from rfem_jax.mechanics.model_with_errors import apply_errors
 from rfem_jax.mechanics.statics import equilibrium, named, static_loads
 
 STUDIES = Path(__file__).parents[2] / "studies"
@@ -206,10 +206,10 @@ def test_crooked_pins_follow_from_seat_and_bore(study_script):
     assert (np.abs(values[0][..., pins]) < 1e-8 * largest).all()
 
     def preload(tilt):
-        realised = realise(model, assembly_errors(model, {"C.pin_tilt_x": tilt}))
+        actual = apply_errors(model, assembly_errors(model, {"C.pin_tilt_x": tilt}))
         guess = dataclasses.replace(model, start_angles=poses[0][2], cut_angles=poses[1][2])
-        position, multipliers, _ = equilibrium(guess, realised, {0: poses[0][2][0]})
-        loads = named(guess, static_loads(guess, realised, static_state(position), multipliers))
+        position, multipliers, _ = equilibrium(guess, actual, {0: poses[0][2][0]})
+        loads = named(guess, static_loads(guess, actual, static_state(position), multipliers))
         return jnp.stack([jnp.stack(loads[name]) for name in sorted(model.joint_names)])
 
     found = np.asarray(jax.jit(jax.jacfwd(preload))(0.0))

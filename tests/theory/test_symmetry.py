@@ -10,7 +10,7 @@ import pytest
 from rfem_jax import Coordinates, State, assembly_errors
 from rfem_jax.mechanics.dynamics import accelerations
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation
-from rfem_jax.mechanics.realisation import realise
+from rfem_jax.mechanics.model_with_errors import apply_errors
 
 
 @pytest.fixture
@@ -56,7 +56,7 @@ def test_planar_state_has_planar_accelerations(flexible_four_bar_runs):
     @eqx.filter_jit
     def at(model, state):
         drive, none = DriveInput(moment=zero + 3.0), Stabilisation(zero, zero, zero + 0.3)
-        return accelerations(realise(model, assembly_errors(model)), state, drive, none)
+        return accelerations(apply_errors(model, assembly_errors(model)), state, drive, none)
 
     result = at(model, State(position, velocity))
     elastic = np.abs(np.asarray(result.coordinates.elastic))

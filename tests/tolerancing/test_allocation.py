@@ -240,9 +240,9 @@ def test_bad_requests_are_refused():
         allocate(LINEAR, {"f": 2.0}, Reciprocal(), bounds(3), "robust", key=KEY)
     with pytest.raises(InputError, match="finite limits"):
         allocate(LINEAR, {"f": np.inf}, Reciprocal(), bounds(3), key=KEY)
-    cone = make({"f": lambda x: jnp.sqrt(jnp.sum(x**2))}, 2)
+    kink = make({"f": lambda x: jnp.sqrt(jnp.sum(x**2))}, 2)
     with pytest.raises(InputError, match="limit its mean square"):
-        allocate(cone, {"f": 1.0}, Reciprocal(), bounds(2), key=KEY)
+        allocate(kink, {"f": 1.0}, Reciprocal(), bounds(2), key=KEY)
 
 
 def test_quantile_weights_recover_quantiles():

@@ -308,11 +308,11 @@ def test_samples_of_one_bad_lane_do_not_touch_their_neighbours():
         (2, 8, "many", False),  # XLA ignores what is no number
     ],
 )
-def test_devices_without_spare_threads_are_refused(monkeypatch, devices, cores, stated, refused):
+def test_devices_without_spare_threads_are_refused(monkeypatch, devices, cores, specified, refused):
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(cores)), raising=False)
     monkeypatch.delenv("NPROC", raising=False)
-    if stated is not None:
-        monkeypatch.setenv("NPROC", stated)
+    if specified is not None:
+        monkeypatch.setenv("NPROC", specified)
     found = [types.SimpleNamespace(platform="cpu")] * devices
     if not refused:
         execution.require_threads(found)

@@ -64,7 +64,7 @@ def worst_corner(problem):
 
 def test_gradients_vanish_and_hessians_are_symmetric(problem, quadratic):
     found = sensitivity(problem, scale=WIDTHS)
-    assert "even" in str(found) or "cone" in str(found)
+    assert "even" in str(found) or "kink" in str(found)
     hessians = np.asarray(quadratic.hessian)
     np.testing.assert_allclose(hessians, np.swapaxes(hessians, -1, -2), rtol=1e-7)
     t = np.array(list(WIDTHS.values()))

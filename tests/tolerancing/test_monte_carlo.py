@@ -184,9 +184,9 @@ def test_a_study_where_every_sample_fails_says_so():
 def test_control_variate_leaves_the_mean_and_cuts_the_variance():
     def function(errors):
         a, b = errors["a"], errors["b"]
-        return {"y": jnp.exp(a) * jnp.cos(b), "cone": jnp.sqrt(a**2)}
+        return {"y": jnp.exp(a) * jnp.cos(b), "kink": jnp.sqrt(a**2)}
 
-    problem = FunctionProblem(function, NAMES, ("y", "cone"))
+    problem = FunctionProblem(function, NAMES, ("y", "kink"))
     tolerances = Tolerances({"b": Uniform(interval=(-0.2, 0.4)), "a": Normal(0.6)})
     exact = np.exp(0.02) * (np.sin(0.4) + np.sin(0.2)) / 0.6
     options = {"batch": 400, "sampling": "pseudo_random"}
@@ -195,7 +195,7 @@ def test_control_variate_leaves_the_mean_and_cuts_the_variance():
     assert controlled.mean.low < exact < controlled.mean.high
     assert controlled.variance_reduction > 100
     assert controlled.mean.high - controlled.mean.low < 0.1 * (plain.high - plain.low)
-    assert "cone" not in study.controlled_means and "cone" in study.control_note
+    assert "kink" not in study.controlled_means and "kink" in study.control_note
     away = expand(problem, at={"a": 0.1, "c": 0.5}, names=("c", "a"))  # another point, fewer errors
     other = monte_carlo(problem, tolerances, 400, KEY, control_variate=away, **options)
     assert other.controlled_means["y"].mean.low < exact < other.controlled_means["y"].mean.high

@@ -87,7 +87,7 @@ def test_mode_follows_the_numbers_and_can_be_set(problem):
 
 def test_mean_square_that_vanishes_is_a_cone_with_the_slope_of_its_hessian(problem):
     result = sensitivity(problem, scale=WIDTHS)
-    assert result.character == ("cone", "none", "mixed")
+    assert result.character == ("kink", "none", "mixed")
     assert list(result.vanishing[0]) == [True, True, False]
     np.testing.assert_allclose(result.hessian[0], HESSIAN, atol=1e-14)
     np.testing.assert_allclose(result.root_slopes[0], np.sqrt([2.0, 1.5, 0.0]) * [0.5, 0.25, 0.1])

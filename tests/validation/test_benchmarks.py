@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rfem_jax import discretise
-from rfem_jax.mechanics.realisation import assembly_errors
+from rfem_jax.mechanics.model_with_errors import assembly_errors
 from rfem_jax.mechanics.statics import assemble
 from rfem_jax.validation import cantilevers, four_bar_study, large_deflections, rotating_beams, tilted_hinge
 from rfem_jax.validation.lines import NOT_MET, PASS
@@ -83,7 +83,7 @@ def test_the_study_is_the_study_file():
     from rfem_jax import load_study
 
     path = Path(__file__).parents[2] / "studies" / "four_bar" / "study.toml"
-    ours, stated = four_bar_study.study(), load_study(path)
-    assert ours.mechanism == stated.mechanism and ours.method == stated.method
-    assert ours.cases == stated.cases[:2]
-    assert (ours.duration, ours.save_every) == (stated.duration, stated.save_every)
+    ours, specified = four_bar_study.study(), load_study(path)
+    assert ours.mechanism == specified.mechanism and ours.method == specified.method
+    assert ours.cases == specified.cases[:2]
+    assert (ours.duration, ours.save_every) == (specified.duration, specified.save_every)

@@ -21,10 +21,10 @@ from rfem_jax.mechanics.elasticity import generalised_forces
 from rfem_jax.mechanics.inputs import DriveInput
 from rfem_jax.mechanics.kinematics import Motion, motion, spread
 from rfem_jax.mechanics.model import BASE, Coordinates, State
-from rfem_jax.mechanics.realisation import Realisation
+from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 
 
-class Balance(NamedTuple):
+class Evaluation(NamedTuple):
     """What is left over at one instant.
 
     hinge (L,): drive minus moment about every tree joint's hinge [N m]; force, moment (3, N): on the
@@ -49,36 +49,36 @@ class Balance(NamedTuple):
     dissipated: Array
 
 
-def evaluate_balance(
-    realised: Realisation,
+def evaluate_residual(
+    actual: ModelWithErrors,
     state: State,
     accelerations: Coordinates,
     multipliers: Array,
     drive: DriveInput,
     scale: Array,
-) -> Balance:
+) -> Evaluation:
     """What is left over for given accelerations of the coordinates and multipliers (5, C) [N].
 
     `state` is taken with prescribed values already imposed; `scale` [m] as in `closure`.
     """
     with jax.named_scope("balance"):
-        topology = realised.topology
+        topology = actual.topology
         n = topology.n_links
-        now = motion(realised, state)
-        cuts = closure(realised, now, scale)
-        spatial, carried = _spatial_accelerations(realised, now, state, accelerations)
+        now = motion(actual, state)
+        cuts = closure(actual, now, scale)
+        spatial, carried = _spatial_accelerations(actual, now, state, accelerations)
         angular, linear = _node_accelerations(topology, now, spatial, accelerations)
-        inertial = loads.inertial_loads(realised, now, angular, linear)
-        wrenches = loads.chain_wrenches(realised, now, cuts, multipliers, inertial)
+        inertial = loads.inertial_loads(actual, now, angular, linear)
+        wrenches = loads.chain_wrenches(actual, now, cuts, multipliers, inertial)
         hinge = -dot(now.axis, jnp.stack(wrenches[:n], axis=1))
         if drive.moment is not None:
             driven = (np.arange(n) == topology.driven).reshape((-1,) + (1,) * (hinge.ndim - 1))
             hinge = hinge + jnp.where(driven, drive.moment[None], 0.0)
-        elastic, dissipated = generalised_forces(realised, state, now.relative)
+        elastic, dissipated = generalised_forces(actual, state, now.relative)
         on_force, on_moment = _carried_loads(topology, now, wrenches)
         moment = apply_transposed(now.relative.rate_matrix, on_moment - inertial[1][:, n:])
         nothing = jnp.zeros((5, 0) + hinge.shape[1:])
-        return Balance(
+        return Evaluation(
             hinge=hinge,
             force=elastic[:3] + on_force - inertial[0][:, n:],
             moment=elastic[3:] + moment,
@@ -97,9 +97,9 @@ def evaluate_balance(
         )
 
 
-def _spatial_accelerations(realised, now: Motion, state: State, accelerations: Coordinates):
+def _spatial_accelerations(actual, now: Motion, state: State, accelerations: Coordinates):
     """Spatial accelerations (6,) at the global origin of the links and of the carriers, by node."""
-    topology = realised.topology
+    topology = actual.topology
     n = topology.n_links
     bias = algebra.motion_cross(now.hinges.velocity, now.axis * state.velocity.angles[None])
     along = now.axis * accelerations.angles[None] + bias
@@ -112,17 +112,17 @@ def _spatial_accelerations(realised, now: Motion, state: State, accelerations: C
         if node < n:
             return links[node]
         if node not in carried:
-            carried[node] = _carrier_acceleration(topology, now, links, node, accelerations)
+            carried[node] = _interface_acceleration(topology, now, links, node, accelerations)
         return carried[node]
 
     for l in range(n):
         links[l] = of(topology.parents[l]) + along[:, l]
-    for k in topology.carriers:
+    for k in topology.interfaces:
         of(n + k)
     return links, carried
 
 
-def _carrier_acceleration(topology, now: Motion, links, node: int, accelerations: Coordinates):
+def _interface_acceleration(topology, now: Motion, links, node: int, accelerations: Coordinates):
     """Spatial acceleration of a free rfe at the global origin."""
     k, l = node - topology.n_links, topology.link_of(node)
     rotation, origin = now.links.rotation[:, :, l], now.links.point[:, l]
@@ -131,7 +131,7 @@ def _carrier_acceleration(topology, now: Motion, links, node: int, accelerations
     moved = accelerations.elastic[:3, k] - cross(turn, relative.position) - cross(relative.angular, relative.linear)
     turn = apply(rotation, turn)
     rate = algebra.spatial(turn, apply(rotation, moved) + cross(origin, turn))
-    own = now.carriers.velocity[:, topology.carriers.index(k)] - now.links.velocity[:, l]
+    own = now.interfaces.velocity[:, topology.interfaces.index(k)] - now.links.velocity[:, l]
     return links[l] + algebra.motion_cross(now.links.velocity[:, l], own) + rate
 
 
@@ -177,7 +177,7 @@ def _carried_loads(topology, now: Motion, wrenches):
                 continue
             k = node - n
             turn = now.links.rotation[:, :, topology.link_of(node)]
-            where = now.carriers.point[:, topology.carriers.index(k)]
+            where = now.interfaces.point[:, topology.interfaces.index(k)]
             force = sign * wrenches[j][3:]
             moment = sign * wrenches[j][:3] - cross(where, force)
             forces[k] = forces[k] + apply_transposed(turn, force)

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax.mechanics import chains
+from rfem_jax.mechanics import block_tridiagonal
 
 
 def blocks(m: int):
@@ -33,18 +33,18 @@ def test_solution_of_a_chain(m):
     loads = np.random.default_rng(7).normal(size=(6, m, 2))
     flat = np.linalg.solve(dense(diagonal, beside), loads.swapaxes(0, 1).reshape(6 * m, 2))
     expected = flat.reshape(m, 6, 2).swapaxes(0, 1)
-    chain = chains.factor(jnp.asarray(diagonal), jnp.asarray(beside))
-    np.testing.assert_allclose(chains.solve(chain, jnp.asarray(loads)), expected, atol=1e-13)
+    chain = block_tridiagonal.factor(jnp.asarray(diagonal), jnp.asarray(beside))
+    np.testing.assert_allclose(block_tridiagonal.solve(chain, jnp.asarray(loads)), expected, atol=1e-13)
 
 
 def test_work_grows_with_the_number_of_rfes():
     """Segments hold all rfes and no more than fill the last, and as many numbers for each."""
     for m in (1, 7, 8, 9, 20, 64, 65):
-        n, g = chains.segments(m)
-        assert g <= chains.SEGMENT and m <= n * g < m + n
+        n, g = block_tridiagonal.partition(m)
+        assert g <= block_tridiagonal.BLOCK and m <= n * g < m + n
 
     def numbers(m):
-        shapes = jax.eval_shape(chains.factor, *map(jnp.asarray, blocks(m)))
+        shapes = jax.eval_shape(block_tridiagonal.factor, *map(jnp.asarray, blocks(m)))
         return sum(x.size for x in jax.tree.leaves(shapes))
 
     assert numbers(64) - numbers(32) == numbers(96) - numbers(64)

@@ -2,7 +2,7 @@
 
 Place in the pipeline: model + errors -> **realisation** -> kinematics, dynamics, loads.
 
-`AssemblyErrors` says how the mechanism is wrong (all zero: perfect); `realise` turns model and
+`AssemblyErrors` says how the mechanism is wrong (all zero: perfect); `apply_errors` turns model and
 errors into the constants of the equations of motion: joint frames (MODEL equation (8), generalised
 to every joint and both its sides), masses, inertias, stiffnesses.  Everything that does not change
 in time is computed here, once a simulation.
@@ -37,8 +37,8 @@ class AssemblyErrors(eqx.Module):
     seat: Float[Array, "5 joints"]
     bore: Float[Array, "5 joints"]
     pin: Float[Array, "2 joints"]
-    length: Float[Array, "links"]
-    twist: Float[Array, "links"]
+    length: Float[Array, " links"]
+    twist: Float[Array, " links"]
 
 
 def assembly_errors(model: Model, values: dict | None = None) -> AssemblyErrors:
@@ -106,7 +106,7 @@ def _locate(topology: Topology, name: str):
     return ("bore" if middle else "seat"), (COMPONENTS.index(kind), joint)
 
 
-class Realisation(eqx.Module):
+class ModelWithErrors(eqx.Module):
     """The constants of the equations of motion of one mechanism with its errors.
 
     seat_*, bore_*: frames of the joints relative to the parent's and the child's node (F E, F_c E_c);
@@ -125,23 +125,23 @@ class Realisation(eqx.Module):
     seat_position: Float[Array, "3 joints"]
     bore_rotation: Float[Array, "3 3 joints"]
     bore_position: Float[Array, "3 joints"]
-    mass: Float[Array, "nodes"]
+    mass: Float[Array, " nodes"]
     centre: Float[Array, "3 nodes"]
     inertia: Float[Array, "3 3 nodes"]
     inverse_inertia: Float[Array, "3 3 rfes"]
-    rest: Float[Array, "rfes"]
+    rest: Float[Array, " rfes"]
     stiffness: Float[Array, "6 rfes"]
-    damping: Float[Array, "rfes"]
-    lever_left: Float[Array, "rfes"]
-    lever_right: Float[Array, "rfes"]
-    beam_middle: Float[Array, "links"]
+    damping: Float[Array, " rfes"]
+    lever_left: Float[Array, " rfes"]
+    lever_right: Float[Array, " rfes"]
+    beam_middle: Float[Array, " links"]
     gravity: Float[Array, "3"]
     datum: Float[Array, "3"]
 
 
-def realise(model: Model, errors: AssemblyErrors) -> Realisation:
+def apply_errors(model: Model, errors: AssemblyErrors) -> ModelWithErrors:
     """Apply the errors to the model."""
-    with jax.named_scope("realise"):
+    with jax.named_scope("apply_errors"):
         topology = model.topology
         length = model.length + errors.length
         scale = length / model.length
@@ -170,7 +170,7 @@ def realise(model: Model, errors: AssemblyErrors) -> Realisation:
         pin_in_child = algebra.product(algebra.transpose(turn), algebra.product(pin, turn))
         mass, centre, inertia = _bodies(model, length, scale)
         n = topology.n_links
-        return Realisation(
+        return ModelWithErrors(
             topology=topology,
             seat_rotation=algebra.product(seat[0], pin),
             seat_position=seat[1],
@@ -187,7 +187,7 @@ def realise(model: Model, errors: AssemblyErrors) -> Realisation:
         )
 
 
-def structural_zeros(topology: Topology) -> Realisation:
+def structural_zeros(topology: Topology) -> ModelWithErrors:
     """Entries that are zero for all numbers and errors: boolean arrays, or False.
 
     A segment's centre of mass lies on its axis and its inertia is diagonal, unless it has a point mass.
@@ -198,8 +198,8 @@ def structural_zeros(topology: Topology) -> Realisation:
     off_axis[0, n:] = plain[n:]
     off_diagonal = ~np.eye(3, dtype=bool)[:, :, None] & plain
     known = {"centre": off_axis, "inertia": off_diagonal, "inverse_inertia": off_diagonal[:, :, n:]}
-    names = [field.name for field in dataclasses.fields(Realisation) if field.name != "topology"]
-    return Realisation(topology, **(dict.fromkeys(names, False) | known))
+    names = [field.name for field in dataclasses.fields(ModelWithErrors) if field.name != "topology"]
+    return ModelWithErrors(topology, **(dict.fromkeys(names, False) | known))
 
 
 def _side(rotation, position, error, nodes, at_end, scale, twist, topology):

@@ -19,9 +19,9 @@ from rfem_jax import (
     discretise,
     simulate,
 )  # fmt: skip
-from rfem_jax.compilation.scalars import in_scalars
+from rfem_jax.compilation.scalarisation import scalarised
 from rfem_jax.mechanics.inputs import Stabilisation
-from rfem_jax.mechanics.realisation import realise
+from rfem_jax.mechanics.model_with_errors import apply_errors
 from rfem_jax.simulation import equations, implicit_step, integration, stepping
 from rfem_jax.simulation.equations import Conditions
 from rfem_jax.simulation.generalised_alpha import GeneralisedAlpha
@@ -103,7 +103,7 @@ def test_what_arrays_give(function):
     def forward(function):
         return lambda x, y: jax.jvp(function, (x, y), (jnp.cos(x), y))
 
-    scalar = in_scalars(function)
+    scalar = scalarised(function)
     assert jax.tree.structure(jax.eval_shape(scalar, X, Y)) == jax.tree.structure(jax.eval_shape(function, X, Y))
     close(jax.jit(scalar)(X, Y), function(X, Y))
     close(jax.jit(forward(scalar))(X, Y), forward(function)(X, Y))
@@ -129,23 +129,23 @@ def test_zeros_that_are_known_are_gone():
     def product(matrix, vector):
         return jnp.sum(matrix * vector[None], axis=1)
 
-    names = primitives(in_scalars(product, zeros), matrix, vector)
+    names = primitives(scalarised(product, zeros), matrix, vector)
     assert names.count("mul") == 3 and "add" not in names
-    names = primitives(in_scalars(product), matrix, vector)
+    names = primitives(scalarised(product), matrix, vector)
     assert names.count("mul") == 9 and names.count("add") == 6
-    np.testing.assert_array_equal(in_scalars(product, zeros)(matrix, vector), matrix @ vector)
+    np.testing.assert_array_equal(scalarised(product, zeros)(matrix, vector), matrix @ vector)
 
 
 def test_a_function_of_very_many_operations_stays_as_it_is():
-    assert primitives(in_scalars(jnp.sin, most=11), X) == ["sin"]
-    assert primitives(in_scalars(jnp.sin, most=11), X[:2]).count("sin") == 8
+    assert primitives(scalarised(jnp.sin, most=11), X) == ["sin"]
+    assert primitives(scalarised(jnp.sin, most=11), X[:2]).count("sin") == 8
 
 
 def test_what_no_gradient_goes_through_stays_so():
     def function(x):
         return jnp.sum(x * lax.stop_gradient(x))
 
-    np.testing.assert_array_equal(jax.grad(in_scalars(function))(X), X)
+    np.testing.assert_array_equal(jax.grad(scalarised(function))(X), X)
 
 
 @pytest.fixture(scope="module")
@@ -160,11 +160,11 @@ def steps_of_a_four_bar():
     prepared = integration.prepare(model, assembly_errors(model, {"D.delta_x": 2e-3}), drive, None)
     carry = integration.start_carry(model, prepared, drive, method)
     phase, gains = jnp.asarray(0, jnp.int32), stepping.stabilisation_of(model, method)
-    conditions = Conditions(prepared.realised, drive, phase, gains)
+    conditions = Conditions(prepared.actual, drive, phase, gains)
     implicit = GeneralisedAlpha(method)
     trajectory, memory = carry.trajectory, carry.memory
     for h, t1 in ((0.0, 0.0), (2.5e-3, 2.5e-3), (2.5e-3, 5e-3)):
-        operators = jax.tree.map(lambda x: x[0], implicit.operators(prepared.realised, jnp.asarray([h])))
+        operators = jax.tree.map(lambda x: x[0], implicit.operators(prepared.actual, jnp.asarray([h])))
         constants = jnp.asarray(t1), jnp.asarray(h), jnp.asarray(10.0)
         given = conditions, trajectory, memory
         matrix = implicit_step.form_matrix(implicit, operators, constants, *given)
@@ -183,19 +183,19 @@ def assert_same(found, expected):
 def test_a_right_hand_side_and_its_derivative_are_the_same(four_bar_in_motion):
     _, _, conditions, trajectory, _ = four_bar_in_motion
     given = jnp.asarray(5e-3), trajectory, conditions
-    found = jax.jit(stepping._rate_in_scalars)(*given)
+    found = jax.jit(stepping._scalarised_rate)(*given)
     assert_same(found, equations.right_hand_side(*given))
 
     def along(rate):
         return jax.jvp(lambda trajectory: rate(given[0], trajectory, conditions), (trajectory,), (found,))[1]
 
-    assert_same(along(stepping._rate_in_scalars), along(equations.right_hand_side))
+    assert_same(along(stepping._scalarised_rate), along(equations.right_hand_side))
 
     def back(rate):
         _, pull = jax.vjp(lambda trajectory: jax.checkpoint(rate)(given[0], trajectory, conditions), trajectory)
         return pull(found)
 
-    assert_same(back(stepping._rate_in_scalars), back(equations.right_hand_side))
+    assert_same(back(stepping._scalarised_rate), back(equations.right_hand_side))
 
 
 def test_explicit_methods_are_scalarised(four_bar_in_motion, monkeypatch):
@@ -207,7 +207,7 @@ def test_explicit_methods_are_scalarised(four_bar_in_motion, monkeypatch):
         return str(program).count(" mul ")
 
     many = products()
-    monkeypatch.setattr(stepping, "explicit_in_scalars", lambda: False)
+    monkeypatch.setattr(stepping, "explicit_methods_scalarised", lambda: False)
     assert many > 3 * products()
 
 
@@ -220,13 +220,13 @@ def test_right_hand_sides_of_all_mechanisms_are_the_same(make, elements, quick_c
     monkeypatch.setattr(stepping, "MOST_OPERATIONS", 10**6)
     model, rng = discretise(make(), elements=elements), np.random.default_rng(5)
     state = random_state(model, rng, angle=0.2, rate=2.0)
-    realised = realise(model, some_errors(model, rng))
+    actual = apply_errors(model, some_errors(model, rng))
     gains = Stabilisation(jnp.asarray(20.0), jnp.asarray(100.0), jnp.asarray(0.1))
     drive = None if model.driven_joint is None else PrescribedRate(model.driven_joint, 3.0)
-    conditions = Conditions(realised, drive, jnp.asarray(0, jnp.int32), gains)
+    conditions = Conditions(actual, drive, jnp.asarray(0, jnp.int32), gains)
     given = jnp.asarray(0.1), equations.start_trajectory(state, len(model.topology.joints)), conditions
-    assert_same(stepping._rate_in_scalars(*given), jax.jit(equations.right_hand_side)(*given))
-    names = primitives(stepping._rate_in_scalars.fun, *given)
+    assert_same(stepping._scalarised_rate(*given), jax.jit(equations.right_hand_side)(*given))
+    names = primitives(stepping._scalarised_rate.fun, *given)
     assert names.count("mul") > 300 and not {"dot_general", "gather", "reduce_sum"} & set(names)
 
 
@@ -236,8 +236,8 @@ import jax
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_disable_most_optimizations", True)
 import rfem_jax
-from tests import test_scalars
-getattr(test_scalars, sys.argv[1])(*sys.argv[2:])
+from tests.compilation import test_scalarisation
+getattr(test_scalarisation, sys.argv[1])(*sys.argv[2:])
 """  # as XLA compiles else, programs of so many scalars take gigabytes
 
 

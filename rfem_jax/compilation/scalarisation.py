@@ -1,6 +1,6 @@
 """Programs of scalars: a function of small arrays, evaluated entry by entry.
 
-Place in the pipeline: simulation wraps its innermost functions in `in_scalars`.
+Place in the pipeline: simulation wraps its innermost functions in `scalarised`.
 
 XLA runs an operation on an array as a loop, and a mechanism's arrays have three rows: most of the time goes
 into the bookkeeping of loops, slices and joined parts.  Taken apart while it is traced, the same function is
@@ -18,7 +18,7 @@ import numpy as np
 from jax import Array, lax
 from jax.extend.core import ClosedJaxpr, Literal
 
-from rfem_jax.compilation.options import note_scalars
+from rfem_jax.compilation.options import note_scalarised
 
 MOST_OPERATIONS = 65_000
 UNROLLED = 64  # iterations of a scan over rows
@@ -36,7 +36,7 @@ CALLS = frozenset(["jit", "pjit", "closed_call", "checkpoint", "remat", "remat2"
 MOVING = {"gather": 1, "dynamic_slice": 1, "dynamic_update_slice": 2, "pad": 2, "split": 1, "scatter": 2}
 
 
-def in_scalars(function, zeros=None, most=MOST_OPERATIONS):
+def scalarised(function, zeros=None, most=MOST_OPERATIONS):
     """The function, evaluated entry by entry.
 
     **Arguments:** `zeros`: a tuple of trees like the arguments, of boolean arrays that say which entries are
@@ -54,7 +54,7 @@ def in_scalars(function, zeros=None, most=MOST_OPERATIONS):
         )(*like)
         if operations(program) > most:
             return function(*arguments)
-        note_scalars()
+        note_scalarised()
         entries = [_entries(x) for x in given]
         if zeros is not None:
             known = jax.tree.leaves(zeros)
