@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from rfem_jax.compilation.program import Program
 from rfem_jax.description.drives import MomentDrive, PrescribedDrive
 from rfem_jax.description.errors import InputError, suggestion
 from rfem_jax.description.methods import Method
@@ -99,16 +100,14 @@ class Problem(eqx.Module):
         return RESIDUAL_LIMIT if self.method.implicit else None
 
     def __call__(self, errors: Mapping | AssemblyErrors) -> tuple[dict[str, Array], Array]:
-        return self.with_residual(errors)[:2]
+        return _values_and_status(self, self._as_errors(errors))
 
     def with_residual(self, errors: Mapping | AssemblyErrors):
         """Metrics, status, forces [N] left over in the equations of motion (times, n), and joint forces [N]
         (joints, times, 3): the derivatives of these two say how accurate derivatives are."""
-        if not isinstance(errors, AssemblyErrors):
-            errors = assembly_errors(self.model, dict(errors))
         run = simulate(
             self.model,
-            errors,
+            self._as_errors(errors),
             drive=self.drive,
             duration=self.duration,
             method=self.method,
@@ -117,6 +116,15 @@ class Problem(eqx.Module):
         forces = jnp.stack([load.force for load in run.loads.values()])
         values = {m.name: jnp.asarray(m(run)) for m in self.metrics}
         return values, run.status, run.equation_residual, forces
+
+    def _as_errors(self, errors: Mapping | AssemblyErrors) -> AssemblyErrors:
+        return errors if isinstance(errors, AssemblyErrors) else assembly_errors(self.model, dict(errors))
+
+
+@Program
+def _values_and_status(problem: Problem, errors: AssemblyErrors):
+    """A program of its own: that of `simulate` differentiates the histories, too."""
+    return problem.with_residual(errors)[:2]
 
 
 def _known_metric(model: Model, metric) -> Metric:

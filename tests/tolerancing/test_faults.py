@@ -297,7 +297,7 @@ def test_samples_of_one_bad_lane_do_not_touch_their_neighbours():
 
 
 @pytest.mark.parametrize(
-    ("devices", "cores", "stated", "refused"),
+    ("devices", "cores", "specified", "refused"),
     [
         (1, 1, None, False),
         (2, 2, None, True),  # XLA's own choice: as many threads as devices
