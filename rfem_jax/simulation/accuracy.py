@@ -48,6 +48,9 @@ def choose_method(
     every leaf (None: the perfect one, and one with all joints tilted and shifted); `save_every` [s]: saved times are
     ends of steps, so no step is longer.
 
+    Trial steps go by factors of two, so that a slightly different mechanism may get a step that is longer or shorter
+    by a factor of up to about two and a half (docs/theory/11_accuracy.md); both keep the accuracy.
+
     **Raises:** `InputError` if "auto" is given without a duration.
     """
     if method.name != "auto":
