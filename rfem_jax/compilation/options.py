@@ -144,6 +144,14 @@ class OwnProgram:
         """Those that hold for it besides the process's."""
         return ([] if _attempt.fusion else [FUSION]) + ([] if self.scalarised else [UNTURNED])
 
+    def add_to(self, options):
+        """The options of a compilation with these."""
+        options = _with(self.options(), options)
+        if not self.scalarised:
+            # LLVM's vectorisers find next to nothing in loops that are not rotated, and take a quarter of the time.
+            options.executable_build_options.debug_options.xla_llvm_disable_expensive_passes = True
+        return options
+
 
 @contextmanager
 def own_program(scalarised: bool = False):
@@ -190,7 +198,7 @@ def own_options_hold() -> bool:
 
         def create(*args, **kwargs):
             options, program = made(*args, **kwargs), getattr(_own, "program", None)
-            return options if program is None else _with(program.options(), options)
+            return options if program is None else program.add_to(options)
 
         create.of_rfem_jax = True
         pxla.create_compile_options = create

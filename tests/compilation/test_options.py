@@ -153,6 +153,16 @@ def test_options_of_one_program_are_added_to_the_others():
         assert content.count(name) >= 1 and name + b"\x12" + bytes([len(value)]) + value in content
 
 
+def test_expensive_passes_are_left_out_of_own_programs_without_scalars():
+    from jaxlib import xla_client
+
+    def left_out(program):
+        made = program.add_to(xla_client.CompileOptions())
+        return made.executable_build_options.debug_options.xla_llvm_disable_expensive_passes
+
+    assert left_out(options.OwnProgram()) and not left_out(options.OwnProgram(scalarised=True))
+
+
 def test_an_older_jaxlib_is_left_alone_and_a_newer_one_is_tried_once(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr(options, "user_cache_folder", lambda: tmp_path / "cache")
