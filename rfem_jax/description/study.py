@@ -16,9 +16,9 @@ from rfem_jax.description.mechanism import Mechanism
 from rfem_jax.description.methods import Method
 from rfem_jax.description.study_reader import read_drive, read_mechanism, read_simulation
 from rfem_jax.description.tables import checked_list, checked_table, named_place, read_toml
-from rfem_jax.description.task_reader import TABLES, read_tasks
-from rfem_jax.description.tasks import Tasks
+from rfem_jax.description.tasks.study_tasks import Tasks, read_tasks
 from rfem_jax.description.units import positive_quantity, quantity
+from rfem_jax.task_kinds import task_kinds
 
 MOST_STEPS, MOST_SAVED = 1e9, 1e6
 LONGEST_NAME = 100
@@ -198,7 +198,7 @@ def load_study(path) -> Study:
     path = Path(path)
     content = read_toml(path)
     with located(f"Study file `{path}`"):
-        keys = ("mechanism", "simulation"), ("title", "note", "drive", "cases", *TABLES)
+        keys = ("mechanism", "simulation"), ("title", "note", "drive", "cases", "tolerances", *task_kinds())
         checked_table(content, "The top level", *keys)
         duration, method, save_every = read_simulation(content["simulation"])
         return Study(

@@ -5,7 +5,7 @@ The keys are the names of the arguments of Material, Link, Joint, ...; "shape" c
 a section, "kind" that of a drive.
 """
 
-from dataclasses import MISSING, fields
+from dataclasses import fields
 
 from rfem_jax.description.drives import (
     MomentRamp,
@@ -21,7 +21,7 @@ from rfem_jax.description.materials import Material
 from rfem_jax.description.mechanism import Mechanism
 from rfem_jax.description.methods import Method
 from rfem_jax.description.sections import Circle, GivenSection, Rectangle, Tube
-from rfem_jax.description.tables import checked_list, checked_table, named_place
+from rfem_jax.description.tables import checked_list, checked_table, keys_of, named_place
 
 SHAPES = {"rectangle": Rectangle, "circle": Circle, "tube": Tube, "given": GivenSection}
 DRIVES = {
@@ -76,13 +76,6 @@ def read_simulation(table) -> tuple[object, Method, object]:
     return table["duration"], method, table.get("save_every")
 
 
-def _keys(kind, omit=()) -> tuple[list[str], list[str]]:
-    """Names of the required and the optional arguments of a dataclass."""
-    named = [field for field in fields(kind) if field.name not in omit]
-    required = [field.name for field in named if field.default is MISSING]
-    return required, [field.name for field in named if field.name not in required]
-
-
 def _choice(value, known, key: str, place: str) -> str:
     if not known:
         raise InputError(
@@ -108,7 +101,7 @@ def _read_list(entries, header: str, read, *known) -> list:
 
 
 def _read_material(name, table, place: str) -> Material:
-    table = checked_table(table, place, *_keys(Material, omit=("name",)))
+    table = checked_table(table, place, *keys_of(Material, omit=("name",)))
     with located(place):
         return Material(name=name, **table)
 
@@ -117,7 +110,7 @@ def _read_section(name, table, place: str):
     keys = {field.name for kind in SHAPES.values() for field in fields(kind)}
     checked_table(table, place, ("shape",), sorted(keys))
     shape = _choice(table["shape"], SHAPES, "shape", place)
-    required, optional = _keys(SHAPES[shape])
+    required, optional = keys_of(SHAPES[shape])
     checked_table(table, f'{place} of shape "{shape}"', ("shape", *required), optional)
     with located(place):
         require_name(name, "`name` of a section")
@@ -125,7 +118,7 @@ def _read_section(name, table, place: str):
 
 
 def _read_link(table, place: str, materials, sections) -> Link:
-    settings = dict(checked_table(table, place, *_keys(Link)))
+    settings = dict(checked_table(table, place, *keys_of(Link)))
     settings["section"] = sections[_choice(settings["section"], sections, "section", place)]
     if "material" in settings:
         settings["material"] = materials[_choice(settings["material"], materials, "material", place)]
@@ -140,12 +133,12 @@ def _read_link(table, place: str, materials, sections) -> Link:
 
 
 def _read_point_mass(table, place: str) -> PointMass:
-    table = checked_table(table, place, *_keys(PointMass))
+    table = checked_table(table, place, *keys_of(PointMass))
     with located(place):
         return PointMass(**table)
 
 
 def _read_joint(table, place: str) -> Joint:
-    table = checked_table(table, place, *_keys(Joint))
+    table = checked_table(table, place, *keys_of(Joint))
     with located(place):
         return Joint(**table)

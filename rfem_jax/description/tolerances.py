@@ -13,6 +13,7 @@ import numpy as np
 
 from rfem_jax.description.error_catalogue import error_dimension
 from rfem_jax.description.errors import InputError, located, require_choice
+from rfem_jax.description.tables import checked_list, checked_table, keys_of
 from rfem_jax.description.units import positive_quantity, quantity
 
 DISTRIBUTIONS = ("uniform", "triangular", "normal", "truncated_normal")
@@ -140,6 +141,30 @@ class SpecifiedTolerances:
         """{error: largest magnitude [rad or m] that its interval or half-width has}."""
         widths = self.half_widths()
         return widths | {one.error: max(map(abs, one.interval)) for one in self.independent}
+
+
+def read_tolerances(table: object) -> SpecifiedTolerances:
+    """The tolerances of the table [tolerances]. Raises: InputError for unknown keys and bad values."""
+    place = "[tolerances]"
+    checked = checked_table(table, place, optional=table if isinstance(table, dict) else ())
+    alone = []
+    for error, entry in checked.items():
+        if error == "correlated":
+            continue
+        if not isinstance(entry, dict):
+            entry = {"half_width": entry}
+        with located(place):
+            error_dimension(error)
+        settings = checked_table(entry, f"{place} `{error}`", *keys_of(SpecifiedTolerance, ("error",)))
+        with located(place):
+            alone.append(SpecifiedTolerance(error, **settings))
+    header, groups = "[[tolerances.correlated]]", []
+    for entry in checked_list(checked.get("correlated", []), header):
+        settings = checked_table(entry, header, *keys_of(CorrelatedTolerances))
+        with located(header):
+            groups.append(CorrelatedTolerances(**settings))
+    with located(place):
+        return SpecifiedTolerances(tuple(alone), tuple(groups))
 
 
 def error_quantities(values, where: str) -> dict[str, float]:

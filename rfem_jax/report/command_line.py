@@ -1,10 +1,10 @@
 """The command `rfem-jax`: from a study file to tables, files and pictures.
 
-Place in the pipeline: the outermost layer; it calls `load_study` (description), `discretise` and
-`describe` (mechanics), `check_step` and `run_cases` (simulation), `task_commands` for tolerance
-studies, and the other modules of this package; `progress_line` shows what is being done. Exit codes: 0 done;
-2 the input is wrong (one sentence on standard error); 3 a case or a task failed (results are written all the
-same); 130 interrupted.
+Place in the pipeline: the outermost layer; it calls `load_study` (description), `discretise` and `describe`
+(mechanics), `check_step` and `run_cases` (simulation), `tasks` for tolerance studies (one subcommand for every kind of
+task), and the other modules of this package; `progress_line` shows what is being done. Exit codes: 0 done; 2 the input
+is wrong (one sentence on standard error); 3 a case or a task failed (results are written all the same); 130
+interrupted.
 
 Imports that take seconds (JAX, matplotlib) are inside the functions: `--help` is instant.
 """
@@ -19,30 +19,7 @@ from pathlib import Path
 
 from rfem_jax.report.process import count_devices, join_processes, require_platform, set_up_jax
 from rfem_jax.report.progress_line import ProgressLine, say, show
-
-# Command: task it does, what it is, what it writes.
-TASKS = {
-    "sensitivity": (
-        "sensitivity",
-        "derivatives of joint loads with respect to assembly errors",
-        "ranked tables, principal directions, heat map, tornado chart",
-    ),
-    "monte-carlo": (
-        "monte_carlo",
-        "scatter, quantiles and yield over the tolerances; continues an interrupted run",
-        "statistics, all samples, histograms, scatter matrix; chunks of samples in DIR/monte_carlo",
-    ),
-    "worst-case": (
-        "worst_case",
-        "largest loads anywhere within the tolerances",
-        "the worst errors, all corners, the quadratic model's prediction",
-    ),
-    "allocate": (
-        "allocation",
-        "the cheapest tolerances that keep limits on loads",
-        "tolerances before and after, verified margins, cost against limits",
-    ),
-}
+from rfem_jax.task_kinds import task_kinds
 
 DONE, WRONG_INPUT, CASE_FAILED, INTERRUPTED = 0, 2, 3, 130
 
@@ -77,22 +54,22 @@ def build_parser() -> argparse.ArgumentParser:
         help="simulate all cases of a study, then do every task that it declares",
         description="Simulate all cases of a study together, print the loads in all joints and "
         "write results.json, one CSV of time histories per case, and pictures; then do every task "
-        "that the study declares ([sensitivity], [monte_carlo], [worst_case], [allocation]).",
+        f"that the study declares ({', '.join(f'[{name}]' for name in task_kinds())}).",
         epilog="Pictures need the extra `plots`. Compiled programs are kept in the user's cache "
         "folder, so that the next run starts at once.",
     )
     _add_common(run)
-    run.set_defaults(action=_run)
-    for command, (task, purpose, written) in TASKS.items():
+    run.set_defaults(action=_run, kept=" and ".join(kind.kept for kind in task_kinds().values() if kind.kept))
+    for kind in task_kinds().values():
         one = commands.add_parser(
-            command,
-            help=purpose,
-            description=f"Do the task of the study's table [{task}]: {purpose}. Writes JSON, CSV "
-            f"and pictures: {written}.",
+            kind.command or kind.name,
+            help=kind.purpose,
+            description=f"Do the task of the study's table [{kind.name}]: {kind.purpose}. Writes JSON, CSV "
+            f"and pictures: {kind.results}.",
         )
         _add_common(one)
-        one.set_defaults(action=_do_task, task=task)
-        if task == "monte_carlo":
+        one.set_defaults(action=_do_task, task=kind.name, kept=kind.kept)
+        if kind.many_processes:
             _add_processes(one)
     check = commands.add_parser(
         "check",
@@ -275,7 +252,7 @@ def _run(arguments) -> int:
 
 
 def _write_task(study, task, folder):
-    from rfem_jax.report.task_commands import do_task
+    from rfem_jax.report.tasks.task_report import do_task
 
     try:
         return do_task(study, task, folder)
@@ -290,7 +267,7 @@ def _do_task(arguments) -> int:
     _announce(f"Reading {arguments.study}")
     study = load_study(arguments.study)
 
-    from rfem_jax.report.task_commands import require_task
+    from rfem_jax.report.tasks.task_report import require_task
 
     require_task(study, arguments.task)
     require_folder(arguments.out)
@@ -311,7 +288,7 @@ def _check(arguments) -> int:
 
     from rfem_jax.mechanics import describe
     from rfem_jax.report.overview import study_text
-    from rfem_jax.report.task_overview import tasks_text
+    from rfem_jax.report.tasks.task_overview import tasks_text
     from rfem_jax.simulation import check_step
 
     model = _discretise(study)
@@ -364,9 +341,8 @@ def _act(arguments, line) -> int:
 
 
 def _what_is_kept(arguments) -> str:
-    if arguments.command not in ("run", "monte-carlo"):
-        return ""
-    return "; finished chunks of a Monte Carlo study are kept, and the same command continues it"
+    kept = getattr(arguments, "kept", "")
+    return f"; {kept} are kept, and the same command continues it" if kept else ""
 
 
 def main(argv=None) -> int:

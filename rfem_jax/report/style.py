@@ -6,8 +6,16 @@ colour-blind. Colours: M. Okabe, K. Ito, "Color universal design" (2008).
 """
 
 import textwrap
+from typing import TYPE_CHECKING, Any
 
 from rfem_jax.report.summary import study_note
+
+# Matplotlib may not be installed, and takes a while to import: at run time its types are not looked at.
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+else:
+    Axes = Figure = Any
 
 CASE_COLOURS = ("#000000", "#D55E00", "#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9")
 LINE_STYLES = (
@@ -36,6 +44,13 @@ SETTINGS = {
     "savefig.dpi": 200,
     "savefig.facecolor": "white",
 }
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """An empty figure of this size [inches], whose parts find their places by themselves."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), layout="constrained")
 
 
 def line_style(index, points) -> dict:

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from rfem_jax.description import load_study
-from rfem_jax.description.allocation_task import AllocationTask, ErrorCost
-from rfem_jax.description.task_settings import KINDS, RUN_METRICS
 from rfem_jax.description.tasks import MonteCarloTask, SensitivityTask, Tasks, WorstCaseTask
+from rfem_jax.description.tasks.allocation import AllocationTask, ErrorCost
+from rfem_jax.description.tasks.settings import KINDS, RUN_METRICS
 from rfem_jax.description.tolerances import CorrelatedTolerances, SpecifiedTolerance
 
 STUDIES = Path(__file__).parents[2] / "studies"

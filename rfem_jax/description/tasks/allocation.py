@@ -1,15 +1,19 @@
-"""The allocation task of a study: limits, bounds and costs of the tolerances to be found.
+"""What is asked of an allocation: limits, bounds and costs of the tolerances to be found; the table [allocation].
 
-Place in the pipeline: task_settings -> **allocation_task** -> tasks, which holds it.
+Place in the pipeline: task -> **allocation** -> `rfem_jax.report.tasks.allocation`. The tables [allocation.bounds]
+and [allocation.cost] are by error, and a cost may be given once for all of them.
 
 Symbols: bounds and `at` in m and rad (`error_catalogue`), or strings with a unit; limits in the
 metric's own unit.
 """
 
 from dataclasses import MISSING, dataclass, field, fields
+from typing import Any, ClassVar, Self
 
-from rfem_jax.description.errors import InputError, require_choice
-from rfem_jax.description.task_settings import (
+from rfem_jax.description.error_catalogue import error_dimension
+from rfem_jax.description.errors import InputError, located, require_choice
+from rfem_jax.description.tables import checked_table, keys_of
+from rfem_jax.description.tasks.settings import (
     MODES,
     STARTS,
     fraction,
@@ -18,7 +22,8 @@ from rfem_jax.description.task_settings import (
     starts_of,
     whole_number,
 )
-from rfem_jax.description.tolerances import error_quantities
+from rfem_jax.description.tasks.task import Task
+from rfem_jax.description.tolerances import SpecifiedTolerances, error_quantities
 from rfem_jax.description.units import positive_quantity, quantity
 
 COST_MODELS = ("reciprocal", "reciprocal_squared", "exponential")
@@ -59,7 +64,7 @@ _CRITERIA_OF = {
 
 
 @dataclass(frozen=True)
-class AllocationTask:
+class AllocationTask(Task):
     """The cheapest tolerances that keep limits.
 
     Args: limits {metric: largest, or (low, high)}; bounds {error: (smallest, largest half-width)};
@@ -70,6 +75,8 @@ class AllocationTask:
         nominal value multiplied by these; mode; seed; batch, simulations at once.
     Raises: InputError for everything that cannot be meant.
     """
+
+    needs_tolerances: ClassVar[bool] = False
 
     limits: dict[str, tuple[float, float]]
     bounds: dict[str, tuple[float, float]]
@@ -118,6 +125,18 @@ class AllocationTask:
                 f"Argument `costs` must have a cost for every error with bounds, but `{missing[0]}` has none; add it."
             )
 
+    @classmethod
+    def read(cls, table: object, place: str, tolerances: SpecifiedTolerances | None) -> Self:
+        """As `Task.read`; the tolerances serve as scales of the costs."""
+        required, optional = keys_of(cls, omit=("costs",))
+        checked = checked_table(table, place, required, ("cost", *optional))
+        settings = {name: value for name, value in checked.items() if name != "cost"}
+        bounds = settings["bounds"] if isinstance(settings["bounds"], dict) else {}
+        widths = {} if tolerances is None else tolerances.half_widths()
+        costs = _read_costs(checked.get("cost", {}), bounds, widths)
+        with located(place):
+            return cls(costs=costs, **settings)
+
     def _require_own_settings(self):
         for one in fields(self):
             criteria = _CRITERIA_OF.get(one.name, (self.criterion,))
@@ -154,3 +173,25 @@ def _bounds(bounds):
             )
         complete[name] = (low, high)
     return complete
+
+
+def _read_costs(table: object, bounds: dict[str, Any], widths: dict[str, float]) -> dict[str, ErrorCost]:
+    """The cost of every error of `bounds`; keys that are no errors are the same for all.
+
+    `at` that is not given is the error's tolerance in [tolerances], else its largest bound.
+    """
+    place = "[allocation.cost]"
+    required, optional = keys_of(ErrorCost)
+    common = tuple(key for key in (*required, *optional) if key != "at")
+    checked = checked_table(table, place, optional=(*common, *bounds))
+    shared = {key: value for key, value in checked.items() if key in common}
+    costs = {}
+    for name in bounds:
+        own = checked_table(checked.get(name, {}), f"{place} `{name}`", required, optional)
+        with located(place):
+            dimension = error_dimension(name)
+            pair = bounds[name] if isinstance(bounds[name], list) and bounds[name] else [1.0]
+            at = own.get("at", widths.get(name, pair[-1]))
+            at = positive_quantity(at, dimension, f"`at` of the cost of `{name}`")
+            costs[name] = ErrorCost(**{**shared, **own, "at": at})
+    return costs

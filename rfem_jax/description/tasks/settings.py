@@ -1,6 +1,6 @@
 """Settings that several tasks share, and their checks: metrics, limits, starts, numbers.
 
-Place in the pipeline: units, errors -> **task_settings** -> tasks, allocation_task.
+Place in the pipeline: units, errors -> **settings** -> the tasks.
 
 Metrics are named "JOINT.KIND" (KINDS below), "*.KIND" for all joints, or by RUN_METRICS; limits are in
 the metric's own unit.
