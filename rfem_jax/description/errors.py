@@ -5,6 +5,7 @@ Place in the pipeline: used by every room; imports nothing of the library.
 Every refusal is one sentence of the form "Argument `x` must ..., but ...", and the fix.
 """
 
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from difflib import get_close_matches
 
@@ -16,6 +17,13 @@ class InputError(ValueError):
     """What the user stated cannot be used; the message says where, why, and how to fix it."""
 
 
+class ChecksItself:
+    """Base of the dataclasses that a user makes: `__post_init__` says in a sentence what is wrong with an argument, and
+    converts what is right, so that a checker of types at run time leaves the arguments to it."""
+
+    __no_type_check__ = True
+
+
 def subject(where: str) -> str:
     """Return the start of a message: "Argument `where`".
 
@@ -25,7 +33,7 @@ def subject(where: str) -> str:
     return f"Argument {where}" if "`" in where else f"Argument `{where}`"
 
 
-def nearest(name, known) -> str | None:
+def nearest(name: object, known: Iterable[object]) -> str | None:
     """Return the entry of `known` (strings) that `name` may be a slip of the pen for, or None."""
     by_lower_case = {str(entry).lower(): str(entry) for entry in known}
     name = str(name).lower()
@@ -35,7 +43,7 @@ def nearest(name, known) -> str | None:
     return by_lower_case[found[0]] if found else None
 
 
-def suggestion(name, known) -> str:
+def suggestion(name: object, known: Iterable[object]) -> str:
     """Return "did you mean `x`?", or the list of what is known where nothing is near."""
     known = [str(entry) for entry in known]
     match = nearest(name, known)
@@ -47,7 +55,7 @@ def suggestion(name, known) -> str:
     return f"known are {shown}{' and more' if len(known) > 20 else ''}."
 
 
-def require_name(name, where: str, reserved=()) -> str:
+def require_name(name: object, where: str, reserved: Collection[str] = ()) -> str:
     """Return `name` if it is a word of letters, digits, "_" and "-"; else raise InputError.
 
     Names become parts of error names ("D.delta_x") and of columns, hence no dots or spaces.
@@ -65,7 +73,7 @@ def require_name(name, where: str, reserved=()) -> str:
     return name
 
 
-def require_choice(value, choices, where: str) -> str:
+def require_choice(value: object, choices: Collection[str], where: str) -> str:
     """Return `value` if it is one of the strings `choices`; else raise InputError."""
     if not (isinstance(value, str) and value in choices):
         listed = ", ".join(f'"{choice}"' for choice in choices)
@@ -73,7 +81,7 @@ def require_choice(value, choices, where: str) -> str:
     return value
 
 
-def require_flag(value, where: str) -> bool:
+def require_flag(value: object, where: str) -> bool:
     """Return `value` if it is True or False; else raise InputError."""
     if not isinstance(value, bool):
         raise InputError(f"{subject(where)} must be true or false, but was {value!r}; write it without quotes.")
@@ -81,7 +89,7 @@ def require_flag(value, where: str) -> bool:
 
 
 @contextmanager
-def located(place: str):
+def located(place: str) -> Iterator[None]:
     """Prefix the message of an InputError raised inside with `place` (a table of a study file)."""
     try:
         yield

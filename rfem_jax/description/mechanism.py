@@ -8,20 +8,24 @@ Source: MODEL.md section 1.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, TypeVar
 
 from rfem_jax.description.error_catalogue import JOINT_ERRORS, LINK_ERRORS, error_dimension, error_unit
-from rfem_jax.description.errors import InputError, require_choice, subject, suggestion
+from rfem_jax.description.errors import ChecksItself, InputError, require_choice, subject, suggestion
 from rfem_jax.description.joints import Joint
 from rfem_jax.description.links import Link
 from rfem_jax.description.units import vector
+
+Part = TypeVar("Part", Link, Joint)
 
 ELEMENTS = ("linear", "geometrically_exact")
 _ROUNDING = 1e-12  # a position at the end of a link may exceed its length by rounding
 
 
 @dataclass(frozen=True)
-class Mechanism:
+class Mechanism(ChecksItself):
     """Links and joints, checked to form a tree with cut joints.
 
     Args:
@@ -189,7 +193,7 @@ class Mechanism:
             )
 
 
-def _unique(entries, kind, where: str) -> tuple:
+def _unique(entries: Any, kind: type[Part], where: str) -> tuple[Part, ...]:
     if not isinstance(entries, (list, tuple)) or any(not isinstance(e, kind) for e in entries):
         raise InputError(
             f"Argument `{where}` must be a list of {kind.__name__} objects, but was {entries!r}; "
@@ -203,7 +207,7 @@ def _unique(entries, kind, where: str) -> tuple:
     return tuple(entries)
 
 
-def _find(entries, name: str, kind: str):
+def _find(entries: Sequence[Part], name: str, kind: str) -> Part:
     for entry in entries:
         if entry.name == name:
             return entry
@@ -227,7 +231,7 @@ def _check_reaches_base(name: str, parents: dict[str, Joint]) -> None:
         seen.append(name)
 
 
-def _sorted_tree(links, parents: dict[str, Joint]) -> tuple[Joint, ...]:
+def _sorted_tree(links: Sequence[Link], parents: dict[str, Joint]) -> tuple[Joint, ...]:
     placed, ordered, waiting = {"base"}, [], [link.name for link in links]
     while waiting:
         name = next(name for name in waiting if parents[name].parent in placed)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from rfem_jax.description.drives import MomentDrive, PrescribedDrive, PrescribedTable
 from rfem_jax.description.error_catalogue import error_dimension
-from rfem_jax.description.errors import InputError, located, suggestion
+from rfem_jax.description.errors import ChecksItself, InputError, located, suggestion
 from rfem_jax.description.mechanism import Mechanism
 from rfem_jax.description.methods import Method
 from rfem_jax.description.study_reader import read_drive, read_mechanism, read_simulation
@@ -26,7 +26,7 @@ _ROUNDING = 1.0 + 1e-9  # 0.5 / 1e-3 and the like must not fail by rounding
 
 
 @dataclass(frozen=True)
-class Case:
+class Case(ChecksItself):
     """One set of assembly errors.
 
     Args:
@@ -56,7 +56,7 @@ class Case:
 
 
 @dataclass(frozen=True)
-class Study:
+class Study(ChecksItself):
     """A complete study, checked as a whole.
 
     Args:
@@ -186,7 +186,7 @@ class Study:
             self.mechanism.require_sizes(sizes, f"`errors` of case `{case.name}`")
 
 
-def load_study(path) -> Study:
+def load_study(path: str | Path) -> Study:
     """Read a study file.
 
     Args:
@@ -215,26 +215,25 @@ def load_study(path) -> Study:
         )
 
 
-def _read_cases(entries) -> list[Case]:
+def _read_cases(entries: object) -> tuple[Case, ...]:
     header, cases = "[[cases]]", []
     for number, entry in enumerate(checked_list(entries, header), start=1):
         place = named_place(header, entry, number)
         checked_table(entry, place, ("name",), ("errors",))
         cases.append(Case(entry["name"], entry.get("errors", {})))
-    return cases
+    return tuple(cases)
 
 
-def _require_file_name(name) -> None:
-    allowed = isinstance(name, str) and all(
-        letter.isascii() and (letter.isalnum() or letter in "_-.") for letter in name
-    )
-    if not allowed or not name or not name[0].isalnum() or name[-1] == ".":
+def _require_file_name(name: object) -> None:
+    text = name if isinstance(name, str) else ""
+    allowed = all(letter.isascii() and (letter.isalnum() or letter in "_-.") for letter in text)
+    if not allowed or not text or not text[0].isalnum() or text[-1] == ".":
         raise InputError(
             'Argument `name` of a case must consist of letters, digits, "_", "-" and "." and '
             f"start with a letter or a digit, but was {name!r}; it is used as a file name."
         )
-    if len(name) > LONGEST_NAME:
+    if len(text) > LONGEST_NAME:
         raise InputError(
-            f"Argument `name` of a case must have at most {LONGEST_NAME} characters, but has {len(name)}; it is used "
+            f"Argument `name` of a case must have at most {LONGEST_NAME} characters, but has {len(text)}; it is used "
             "as a file name."
         )

@@ -5,11 +5,15 @@ The keys are the names of the arguments of Material, Link, Joint, ...; "shape" c
 a section, "kind" that of a drive.
 """
 
+from collections.abc import Callable, Mapping
 from dataclasses import fields
+from typing import Any, TypeVar
 
 from rfem_jax.description.drives import (
+    MomentDrive,
     MomentRamp,
     MomentTable,
+    PrescribedDrive,
     PrescribedRate,
     PrescribedSpinUp,
     PrescribedTable,
@@ -20,8 +24,10 @@ from rfem_jax.description.links import Link, PointMass
 from rfem_jax.description.materials import Material
 from rfem_jax.description.mechanism import Mechanism
 from rfem_jax.description.methods import Method
-from rfem_jax.description.sections import Circle, GivenSection, Rectangle, Tube
+from rfem_jax.description.sections import Circle, GivenSection, Rectangle, Section, Tube
 from rfem_jax.description.tables import checked_list, checked_table, keys_of, named_place
+
+Part = TypeVar("Part")
 
 SHAPES = {"rectangle": Rectangle, "circle": Circle, "tube": Tube, "given": GivenSection}
 DRIVES = {
@@ -38,45 +44,45 @@ _METHOD_KEYS = (
 )  # fmt: skip
 
 
-def read_mechanism(table) -> Mechanism:
+def read_mechanism(table: object) -> Mechanism:
     """Return the Mechanism of the table [mechanism]."""
     place = "[mechanism]"
     optional = ("materials", "sections", *_MECHANISM_OPTIONS)
-    table = checked_table(table, place, ("links", "joints"), optional)
-    materials = _read_named(table.get("materials", {}), "mechanism.materials", _read_material)
-    sections = _read_named(table.get("sections", {}), "mechanism.sections", _read_section)
-    links = _read_list(table["links"], "[[mechanism.links]]", _read_link, materials, sections)
-    joints = _read_list(table["joints"], "[[mechanism.joints]]", _read_joint)
-    options = {key: table[key] for key in _MECHANISM_OPTIONS if key in table}
+    content = checked_table(table, place, ("links", "joints"), optional)
+    materials = _read_named(content.get("materials", {}), "mechanism.materials", _read_material)
+    sections = _read_named(content.get("sections", {}), "mechanism.sections", _read_section)
+    links = _read_list(content["links"], "[[mechanism.links]]", _read_link, materials, sections)
+    joints = _read_list(content["joints"], "[[mechanism.joints]]", _read_joint)
+    options = {key: content[key] for key in _MECHANISM_OPTIONS if key in content}
     with located(place):
-        return Mechanism(links=links, joints=joints, **options)
+        return Mechanism(links=tuple(links), joints=tuple(joints), **options)
 
 
-def read_drive(table):
+def read_drive(table: object) -> MomentDrive | PrescribedDrive:
     """Return the drive of the table [drive]."""
     place = "[drive]"
     keys = {key for _, required, optional in DRIVES.values() for key in (*required, *optional)}
-    checked_table(table, place, ("kind",), ("joint", *sorted(keys)))
-    kind = _choice(table["kind"], DRIVES, "kind", place)
+    content = checked_table(table, place, ("kind",), ("joint", *sorted(keys)))
+    kind = _choice(content["kind"], DRIVES, "kind", place)
     build, required, optional = DRIVES[kind]
     required = ("joint", "kind", *required)
-    table = checked_table(table, f'{place} of kind "{kind}"', required, optional)
+    checked_table(content, f'{place} of kind "{kind}"', required, optional)
     with located(place):
-        return build(**{key: value for key, value in table.items() if key != "kind"})
+        return build(**{key: value for key, value in content.items() if key != "kind"})
 
 
-def read_simulation(table) -> tuple[object, Method, object]:
+def read_simulation(table: object) -> tuple[Any, Method, Any]:
     """Return (duration, Method, save_every or None) of the table [simulation]."""
     place = "[simulation]"
     optional = ("method", "save_every", *_METHOD_KEYS)
-    table = checked_table(table, place, ("duration",), optional)
-    settings = {key: table[key] for key in _METHOD_KEYS if key in table}
+    content = checked_table(table, place, ("duration",), optional)
+    settings = {key: content[key] for key in _METHOD_KEYS if key in content}
     with located(place):
-        method = Method(table.get("method", "rk4" if "step" in table else "auto"), **settings)
-    return table["duration"], method, table.get("save_every")
+        method = Method(content.get("method", "rk4" if "step" in content else "auto"), **settings)
+    return content["duration"], method, content.get("save_every")
 
 
-def _choice(value, known, key: str, place: str) -> str:
+def _choice(value: object, known: Mapping[str, object], key: str, place: str) -> str:
     if not known:
         raise InputError(
             f"{place}: Argument `{key}` must name a table [mechanism.{key}s.NAME], but there is "
@@ -86,13 +92,13 @@ def _choice(value, known, key: str, place: str) -> str:
         return require_choice(value, tuple(known), key)
 
 
-def _read_named(tables, header: str, read) -> dict:
+def _read_named(tables: object, header: str, read: Callable[[str, object, str], Part]) -> dict[str, Part]:
     """Read tables [header.NAME] by read(name, table, place)."""
-    checked_table(tables, f"[{header}]", optional=tables if isinstance(tables, dict) else ())
-    return {name: read(name, table, f"[{header}.{name}]") for name, table in tables.items()}
+    checked = checked_table(tables, f"[{header}]", optional=tables if isinstance(tables, dict) else ())
+    return {name: read(name, table, f"[{header}.{name}]") for name, table in checked.items()}
 
 
-def _read_list(entries, header: str, read, *known) -> list:
+def _read_list(entries: object, header: str, read: Callable[..., Part], *known: Mapping[str, object]) -> list[Part]:
     """Read tables [[header]] by read(table, place, *known)."""
     return [
         read(entry, named_place(header, entry, number), *known)
@@ -100,24 +106,24 @@ def _read_list(entries, header: str, read, *known) -> list:
     ]
 
 
-def _read_material(name, table, place: str) -> Material:
-    table = checked_table(table, place, *keys_of(Material, omit=("name",)))
+def _read_material(name: str, table: object, place: str) -> Material:
+    content = checked_table(table, place, *keys_of(Material, omit=("name",)))
     with located(place):
-        return Material(name=name, **table)
+        return Material(name=name, **content)
 
 
-def _read_section(name, table, place: str):
+def _read_section(name: str, table: object, place: str) -> Section:
     keys = {field.name for kind in SHAPES.values() for field in fields(kind)}
-    checked_table(table, place, ("shape",), sorted(keys))
-    shape = _choice(table["shape"], SHAPES, "shape", place)
+    content = checked_table(table, place, ("shape",), sorted(keys))
+    shape = _choice(content["shape"], SHAPES, "shape", place)
     required, optional = keys_of(SHAPES[shape])
-    checked_table(table, f'{place} of shape "{shape}"', ("shape", *required), optional)
+    checked_table(content, f'{place} of shape "{shape}"', ("shape", *required), optional)
     with located(place):
         require_name(name, "`name` of a section")
-        return SHAPES[shape](**{key: value for key, value in table.items() if key != "shape"})
+        return SHAPES[shape](**{key: value for key, value in content.items() if key != "shape"})
 
 
-def _read_link(table, place: str, materials, sections) -> Link:
+def _read_link(table: object, place: str, materials: Mapping[str, Material], sections: Mapping[str, Section]) -> Link:
     settings = dict(checked_table(table, place, *keys_of(Link)))
     settings["section"] = sections[_choice(settings["section"], sections, "section", place)]
     if "material" in settings:
@@ -129,16 +135,16 @@ def _read_link(table, place: str, materials, sections) -> Link:
         )
     masses = _read_list(settings.get("point_masses", []), f"{place} point_masses", _read_point_mass)
     with located(place):
-        return Link(**{**settings, "point_masses": masses})
+        return Link(**{**settings, "point_masses": tuple(masses)})
 
 
-def _read_point_mass(table, place: str) -> PointMass:
-    table = checked_table(table, place, *keys_of(PointMass))
+def _read_point_mass(table: object, place: str) -> PointMass:
+    content = checked_table(table, place, *keys_of(PointMass))
     with located(place):
-        return PointMass(**table)
+        return PointMass(**content)
 
 
-def _read_joint(table, place: str) -> Joint:
-    table = checked_table(table, place, *keys_of(Joint))
+def _read_joint(table: object, place: str) -> Joint:
+    content = checked_table(table, place, *keys_of(Joint))
     with located(place):
-        return Joint(**table)
+        return Joint(**content)

@@ -8,20 +8,22 @@ that a half-width holds (3 where nothing is said); correlation C [1].
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from rfem_jax.description.error_catalogue import error_dimension
-from rfem_jax.description.errors import InputError, located, require_choice
+from rfem_jax.description.errors import ChecksItself, InputError, located, require_choice
 from rfem_jax.description.tables import checked_list, checked_table, keys_of
-from rfem_jax.description.units import positive_quantity, quantity
+from rfem_jax.description.units import DERIVED, positive_quantity, quantity
 
 DISTRIBUTIONS = ("uniform", "triangular", "normal", "truncated_normal")
 NORMAL = ("normal", "truncated_normal")
 
 
 @dataclass(frozen=True)
-class SpecifiedTolerance:
+class SpecifiedTolerance(ChecksItself):
     """One error on its own, within centre +- half_width.
 
     Args: error, its name; distribution, one of DISTRIBUTIONS; half_width, or else interval (low,
@@ -30,9 +32,9 @@ class SpecifiedTolerance:
     """
 
     error: str
-    half_width: float | None = None
+    half_width: float = DERIVED
     distribution: str = "uniform"
-    interval: tuple[float, float] | None = None
+    interval: tuple[float, float] = DERIVED
     deviations: float | None = None
 
     def __post_init__(self):
@@ -74,7 +76,7 @@ class SpecifiedTolerance:
 
 
 @dataclass(frozen=True)
-class CorrelatedTolerances:
+class CorrelatedTolerances(ChecksItself):
     """Several normal errors that vary together.
 
     Args: half_widths {error: k standard deviations}; correlation, a number for every pair or a
@@ -101,14 +103,14 @@ class CorrelatedTolerances:
         object.__setattr__(self, "deviations", k)
         object.__setattr__(self, "correlation", _correlation(self.correlation, len(widths), where))
 
-    def covariance(self) -> np.ndarray:
+    def covariance(self) -> Float[np.ndarray, "errors errors"]:
         """Covariance (d, d) of the errors [rad^2, m^2, rad m], in their order."""
         sigma = np.array(list(self.half_widths.values())) / self.deviations
         return np.array(self.correlation) * np.outer(sigma, sigma)
 
 
 @dataclass(frozen=True)
-class SpecifiedTolerances:
+class SpecifiedTolerances(ChecksItself):
     """All tolerances of a study, every error once."""
 
     independent: tuple[SpecifiedTolerance, ...] = ()
@@ -167,7 +169,7 @@ def read_tolerances(table: object) -> SpecifiedTolerances:
         return SpecifiedTolerances(tuple(alone), tuple(groups))
 
 
-def error_quantities(values, where: str) -> dict[str, float]:
+def error_quantities(values: object, where: str) -> dict[str, float]:
     """{error: number or string with a unit} in rad and m. Raises InputError."""
     if not isinstance(values, dict):
         raise InputError(
@@ -179,7 +181,7 @@ def error_quantities(values, where: str) -> dict[str, float]:
     return {name: quantity(values[name], dimension, f"`{name}` of `{where}`") for name, dimension in dimensions.items()}
 
 
-def _correlation(correlation, d, where):
+def _correlation(correlation: Any, d: int, where: str) -> tuple[tuple[float, ...], ...]:
     if isinstance(correlation, (int, float)) and not isinstance(correlation, bool):
         matrix = np.full((d, d), float(correlation)) + (1.0 - correlation) * np.eye(d)
     else:
@@ -195,4 +197,5 @@ def _correlation(correlation, d, where):
             f"matrix of {d} rows with ones on its diagonal, but was {correlation!r}; write 0.5 for "
             "example."
         )
-    return tuple(tuple(float(entry) for entry in row) for row in matrix)
+    rows: Any = matrix.tolist()
+    return tuple(tuple(row) for row in rows)

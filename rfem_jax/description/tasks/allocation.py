@@ -8,10 +8,10 @@ metric's own unit.
 """
 
 from dataclasses import MISSING, dataclass, field, fields
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 from rfem_jax.description.error_catalogue import error_dimension
-from rfem_jax.description.errors import InputError, located, require_choice
+from rfem_jax.description.errors import ChecksItself, InputError, located, require_choice
 from rfem_jax.description.tables import checked_table, keys_of
 from rfem_jax.description.tasks.settings import (
     MODES,
@@ -30,7 +30,7 @@ COST_MODELS = ("reciprocal", "reciprocal_squared", "exponential")
 
 
 @dataclass(frozen=True)
-class ErrorCost:
+class ErrorCost(ChecksItself):
     """What a tolerance t of one error costs.
 
     Args: model "reciprocal" fixed + price at/t, "reciprocal_squared" fixed + price (at/t)^2, or
@@ -126,7 +126,7 @@ class AllocationTask(Task):
             )
 
     @classmethod
-    def read(cls, table: object, place: str, tolerances: SpecifiedTolerances | None) -> Self:
+    def read(cls, table: object, place: str, tolerances: SpecifiedTolerances | None) -> "AllocationTask":
         """As `Task.read`; the tolerances serve as scales of the costs."""
         required, optional = keys_of(cls, omit=("costs",))
         checked = checked_table(table, place, required, ("cost", *optional))
@@ -137,12 +137,12 @@ class AllocationTask(Task):
         with located(place):
             return cls(costs=costs, **settings)
 
-    def _require_own_settings(self):
+    def _require_own_settings(self) -> None:
         for one in fields(self):
             criteria = _CRITERIA_OF.get(one.name, (self.criterion,))
             if self.criterion in criteria:
                 continue
-            default = one.default_factory() if one.default is MISSING else one.default
+            default = one.default if one.default_factory is MISSING else one.default_factory()
             if getattr(self, one.name) != default:
                 others = " or ".join(f'"{name}"' for name in criteria)
                 raise InputError(
@@ -156,7 +156,7 @@ class AllocationTask(Task):
         return tuple(self.limits)
 
 
-def _bounds(bounds):
+def _bounds(bounds: object) -> dict[str, tuple[float, float]]:
     if not isinstance(bounds, dict) or not bounds:
         raise InputError(
             f"Argument `bounds` must be a table of errors and their smallest and largest "

@@ -7,7 +7,7 @@ its mechanism, `rfem_jax.report.tasks` does them. The kinds are those of `rfem_j
 from dataclasses import dataclass
 from typing import Any
 
-from rfem_jax.description.errors import InputError, suggestion
+from rfem_jax.description.errors import ChecksItself, InputError, suggestion
 from rfem_jax.description.mechanism import Mechanism
 from rfem_jax.description.tasks.task import Task
 from rfem_jax.description.tolerances import SpecifiedTolerances, read_tolerances
@@ -15,7 +15,7 @@ from rfem_jax.task_kinds import task_kinds
 
 
 @dataclass(frozen=True, init=False)
-class Tasks:
+class Tasks(ChecksItself):
     """The tolerances of a study, and what is asked about them; `tasks.NAME` is one task, None where it is not asked.
 
     Args:

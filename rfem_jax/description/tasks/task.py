@@ -6,9 +6,9 @@ outside the package begins here too (`rfem_jax.task_kinds`).
 
 from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
-from rfem_jax.description.errors import InputError, located, suggestion
+from rfem_jax.description.errors import ChecksItself, InputError, located, suggestion
 from rfem_jax.description.mechanism import Mechanism
 from rfem_jax.description.tables import checked_table, keys_of
 from rfem_jax.description.tasks.settings import RUN_METRICS
@@ -16,7 +16,7 @@ from rfem_jax.description.tolerances import SpecifiedTolerances
 
 
 @dataclass(frozen=True)
-class Task:
+class Task(ChecksItself):
     """What is asked of one kind of task: a frozen dataclass whose fields are the keys of its table.
 
     Four names of fields have a meaning for all kinds: `metrics` (a tuple of names) and `limits` (a dict by name) may
@@ -26,7 +26,7 @@ class Task:
     needs_tolerances: ClassVar[bool] = True
 
     @classmethod
-    def read(cls, table: object, place: str, tolerances: SpecifiedTolerances | None) -> Self:
+    def read(cls, table: object, place: str, tolerances: SpecifiedTolerances | None) -> "Task":
         """The task of its `table`, which stands at `place` ("[name]") of a study file with these tolerances.
 
         Raises: InputError for unknown and missing keys and bad values.
@@ -35,7 +35,7 @@ class Task:
         with located(place):
             return cls(**settings)
 
-    def resolved(self, mechanism: Mechanism, name: str) -> Self:
+    def resolved(self, mechanism: Mechanism, name: str) -> "Task":
         """The same task, called `name`, with "*" replaced by the mechanism's joints.
 
         Raises: InputError for errors and joints that the mechanism has not.
