@@ -14,9 +14,12 @@ import gc
 import os
 import sys
 import time
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import NoReturn
 
+from rfem_jax.report.annotations import Model, Run, Study, Summaries
 from rfem_jax.report.process import count_devices, join_processes, require_platform, set_up_jax
 from rfem_jax.report.progress_line import ProgressLine, say, show
 from rfem_jax.task_kinds import task_kinds
@@ -27,7 +30,7 @@ DONE, WRONG_INPUT, CASE_FAILED, INTERRUPTED = 0, 2, 3, 130
 class _Parser(argparse.ArgumentParser):
     """A parser whose complaints are one sentence, like all others of this command."""
 
-    def error(self, message):
+    def error(self, message: str) -> NoReturn:
         self.exit(WRONG_INPUT, f"{message} (see `{self.prog} --help`)\n")
 
 
@@ -94,20 +97,20 @@ def build_parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _add_common(command):
+def _add_common(command: argparse.ArgumentParser) -> None:
     command.add_argument("study", metavar="STUDY.toml", help="the study file")
     command.add_argument("--out", metavar="DIR", required=True, help="folder for the results")
     command.add_argument("--devices", metavar="K", type=int, help="CPU devices for samples (default: all cores)")
     _add_cache(command)
 
 
-def _add_cache(command):
+def _add_cache(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--no-cache", dest="cache", action="store_false", help="keep no compiled programs, and use none"
     )
 
 
-def _add_processes(command):
+def _add_processes(command: argparse.ArgumentParser) -> None:
     group = command.add_argument_group(
         "several processes or machines",
         "Start the same command once per process; they share the folder DIR.",
@@ -117,7 +120,7 @@ def _add_processes(command):
     group.add_argument("--process-id", metavar="I", type=int, help="which one this is, from 0")
 
 
-def require_folder(out) -> None:
+def require_folder(out: str | Path) -> None:
     """See that a folder for the results can be made, without making it. Raises InputError."""
     if not str(out).strip():
         from rfem_jax.description.errors import InputError
@@ -131,7 +134,7 @@ def require_folder(out) -> None:
         raise _cannot_write(folder, PermissionError(13, "permission denied"))
 
 
-def open_folder(out) -> Path:
+def open_folder(out: str | Path) -> Path:
     """Make the folder for the results and see that files can be written into it.
 
     Raises InputError before anything is simulated, not after.
@@ -147,7 +150,7 @@ def open_folder(out) -> Path:
     return folder
 
 
-def _cannot_write(folder, problem):
+def _cannot_write(folder: str | Path, problem: OSError) -> ValueError:
     from rfem_jax.description.errors import InputError
 
     return InputError(
@@ -156,7 +159,7 @@ def _cannot_write(folder, problem):
     )
 
 
-def _settle_method(study):
+def _settle_method(study: Study) -> Study:
     """The study with a method whose step is known to be stable; says what "auto" stands for."""
     from rfem_jax.simulation import check_step
 
@@ -175,7 +178,7 @@ def _settle_method(study):
     return replace(study, method=method)
 
 
-def _discretise(study):
+def _discretise(study: Study) -> Model:
     """The model of the study's mechanism; what is wrong with it is said with the file's name."""
     from rfem_jax.description.errors import located
     from rfem_jax.mechanics import discretise
@@ -184,14 +187,14 @@ def _discretise(study):
         return discretise(study.mechanism)
 
 
-def _announce(stage, done=None):
+def _announce(stage: str, done: float | None = None) -> None:
     """Tell the progress line what begins, or how much of it is done."""
     from rfem_jax.compilation.stages import on_stage
 
     on_stage(stage, done)
 
 
-def _simulate(study):
+def _simulate(study: Study) -> dict[str, Run]:
     """All cases with their progress on standard error; returns {case: run}."""
     from rfem_jax.simulation import run_cases
 
@@ -202,7 +205,7 @@ def _simulate(study):
     return runs
 
 
-def _write_pictures(folder, study, runs, summaries) -> list[Path]:
+def _write_pictures(folder: Path, study: Study, runs: dict[str, Run], summaries: Summaries) -> list[Path]:
     try:
         import matplotlib  # noqa: F401
     except ImportError:
@@ -216,7 +219,7 @@ def _write_pictures(folder, study, runs, summaries) -> list[Path]:
     return write_figures(folder, study, runs, summaries)
 
 
-def _run(arguments) -> int:
+def _run(arguments: argparse.Namespace) -> int:
     from rfem_jax.description import load_study
 
     started = time.perf_counter()
@@ -251,7 +254,7 @@ def _run(arguments) -> int:
     return DONE if good else CASE_FAILED
 
 
-def _write_task(study, task, folder):
+def _write_task(study: Study, task: str, folder: Path) -> tuple[bool, list[Path]]:
     from rfem_jax.report.tasks.task_report import do_task
 
     try:
@@ -260,7 +263,7 @@ def _write_task(study, task, folder):
         raise _cannot_write(folder, problem) from problem
 
 
-def _do_task(arguments) -> int:
+def _do_task(arguments: argparse.Namespace) -> int:
     from rfem_jax.description import load_study
 
     started = time.perf_counter()
@@ -280,7 +283,7 @@ def _do_task(arguments) -> int:
     return DONE if good else CASE_FAILED
 
 
-def _check(arguments) -> int:
+def _check(arguments: argparse.Namespace) -> int:
     from rfem_jax.description import load_study
 
     _announce(f"Reading {arguments.study}")
@@ -305,13 +308,15 @@ def _check(arguments) -> int:
     return DONE
 
 
-def _validate(arguments) -> int:
+def _validate(arguments: argparse.Namespace) -> int:
     from rfem_jax.report.validation_command import validate
 
     folder = None if arguments.out is None else open_folder(arguments.out)
     try:
         good, written = validate(arguments.only, arguments.full, folder, _announce)
     except OSError as problem:
+        if folder is None:
+            raise
         raise _cannot_write(folder, problem) from problem
     if written:
         show(f"{len(written)} files written to {folder}.")
@@ -319,7 +324,7 @@ def _validate(arguments) -> int:
 
 
 @contextmanager
-def _rare_collections():
+def _rare_collections() -> Iterator[None]:
     """Hundreds of thousands of objects of JAX and matplotlib live as long as the command: looking through them for
     garbage as often as Python does by itself takes a tenth of the time."""
     before = gc.get_threshold()
@@ -330,7 +335,7 @@ def _rare_collections():
         gc.set_threshold(*before)
 
 
-def _act(arguments, line) -> int:
+def _act(arguments: argparse.Namespace, line: ProgressLine) -> int:
     set_up_jax(count_devices(arguments), arguments.cache, getattr(arguments, "out", None))
     join_processes(arguments)
     require_platform()
@@ -340,12 +345,12 @@ def _act(arguments, line) -> int:
         return arguments.action(arguments)
 
 
-def _what_is_kept(arguments) -> str:
+def _what_is_kept(arguments: argparse.Namespace) -> str:
     kept = getattr(arguments, "kept", "")
     return f"; {kept} are kept, and the same command continues it" if kept else ""
 
 
-def main(argv=None) -> int:
+def main(argv: Sequence[str] | None = None) -> int:
     """Run the command with the arguments `argv` (default: those of the process).
 
     Returns the exit code; wrong input, an interruption and files that cannot be written become

@@ -199,3 +199,9 @@ def test_what_is_wrong_is_refused_in_one_sentence(tmp_path, refused, text, piece
 def test_what_is_wrong_in_python_is_refused_too(refused, make, pieces):
     with refused(*pieces):
         make()
+
+
+def test_a_cost_without_a_scale_refers_to_the_largest_bound():
+    bounds = {"D.d_y": ("0.1 mm", "1 mm"), "D.d_x": (1e-4, 2e-3)}
+    task = AllocationTask({"D.rms_force": 1.0}, bounds, {"D.d_y": ErrorCost(price=3.0), "D.d_x": ErrorCost(at=5e-4)})
+    assert (task.costs["D.d_y"].price, task.costs["D.d_y"].at, task.costs["D.d_x"].at) == (3.0, 1e-3, 5e-4)

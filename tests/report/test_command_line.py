@@ -201,7 +201,7 @@ def test_without_matplotlib_the_rest_is_written(rooms, study_file, tmp_path, cap
     assert 'pip install "rfem_jax[plots]"' in capsys.readouterr().out
 
 
-LIGHT = {"report.process", "report.progress_line", "task_kinds"}
+LIGHT = {"report.annotations", "report.process", "report.progress_line", "task_kinds"}
 
 
 @pytest.mark.parametrize("module", ["report.command_line", *sorted(LIGHT)])

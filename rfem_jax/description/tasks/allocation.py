@@ -7,7 +7,7 @@ Symbols: bounds and `at` in m and rad (`error_catalogue`), or strings with a uni
 metric's own unit.
 """
 
-from dataclasses import MISSING, dataclass, field, fields
+from dataclasses import MISSING, dataclass, field, fields, replace
 from typing import Any, ClassVar
 
 from rfem_jax.description.error_catalogue import error_dimension
@@ -24,7 +24,7 @@ from rfem_jax.description.tasks.settings import (
 )
 from rfem_jax.description.tasks.task import Task
 from rfem_jax.description.tolerances import SpecifiedTolerances, error_quantities
-from rfem_jax.description.units import positive_quantity, quantity
+from rfem_jax.description.units import DERIVED, positive_quantity, quantity
 
 COST_MODELS = ("reciprocal", "reciprocal_squared", "exponential")
 
@@ -34,12 +34,12 @@ class ErrorCost(ChecksItself):
     """What a tolerance t of one error costs.
 
     Args: model "reciprocal" fixed + price at/t, "reciprocal_squared" fixed + price (at/t)^2, or
-        "exponential" fixed + price exp(-t/at); price and fixed in any currency; at [rad or m].
+        "exponential" fixed + price exp(-t/at); price and fixed in any currency; at [rad or m], None the largest bound of the error.
     """
 
     model: str = "reciprocal"
     price: float = 1.0
-    at: float | None = None
+    at: float = DERIVED
     fixed: float = 0.0
 
     def __post_init__(self):
@@ -124,6 +124,9 @@ class AllocationTask(Task):
             raise InputError(
                 f"Argument `costs` must have a cost for every error with bounds, but `{missing[0]}` has none; add it."
             )
+        given = {name: self.costs[name] for name in self.bounds}
+        complete = {name: replace(one, at=self.bounds[name][1]) for name, one in given.items() if one.at is None}
+        set_fields(self, costs={**self.costs, **complete})
 
     @classmethod
     def read(cls, table: object, place: str, tolerances: SpecifiedTolerances | None) -> "AllocationTask":

@@ -5,6 +5,7 @@ Pictures show tolerances in deg and mm, metrics in their own units.
 """
 
 import math
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -15,18 +16,24 @@ import jax.numpy as jnp
 import numpy as np
 
 from rfem_jax.compilation.stages import on_stage
+from rfem_jax.description.study import Study
 from rfem_jax.description.tasks.allocation import AllocationTask, ErrorCost
+from rfem_jax.report.annotations import Axes, Figure
 from rfem_jax.report.output import write_csv
 from rfem_jax.report.overview import format_error
 from rfem_jax.report.quantities import as_specified
-from rfem_jax.report.style import CASE_COLOURS, MARKERS, Figure, add_titles, new_figure
+from rfem_jax.report.style import CASE_COLOURS, MARKERS, add_titles, new_figure
 from rfem_jax.report.tasks import study_problem
 from rfem_jax.report.tasks.task_files import write_task_json
 from rfem_jax.report.tasks.task_report import TaskReport
 from rfem_jax.tolerancing import Exponential, Reciprocal, ReciprocalSquared, allocate
+from rfem_jax.tolerancing.allocation import Allocation, LimitCheck
 from rfem_jax.tolerancing.cost_models import total_cost
 from rfem_jax.tolerancing.layout import align_columns
 from rfem_jax.tolerancing.quadratic_model import choose_mode, expand_by_differences
+
+CostModel = Reciprocal | ReciprocalSquared | Exponential
+Limits = dict[str, tuple[float | None, float | None]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,9 +42,9 @@ class AllocationStudy:
     nominal values: Allocation}, scale 1 the answer itself; `before` {error: half-width} of the
     study's own tolerances (empty without), `cost_before` their cost (NaN without)."""
 
-    answer: object
-    front: dict
-    before: dict
+    answer: Allocation
+    front: dict[float, Allocation]
+    before: dict[str, float]
     cost_before: float
 
 
@@ -144,7 +151,7 @@ def _cost(name: str, cost: ErrorCost, unit: str) -> str:
     return f"{name} {cost.model.replace('_', ' ')}, {cost.price:g} at {at}{fixed}"
 
 
-def build_cost(cost):
+def build_cost(cost: ErrorCost) -> CostModel:
     """Callable of one half-width [rad or m] for an `ErrorCost`."""
     if cost.model == "reciprocal":
         return Reciprocal(cost.price * cost.at, cost.fixed)
@@ -153,12 +160,12 @@ def build_cost(cost):
     return Exponential(cost.price, 1.0 / cost.at, cost.fixed)
 
 
-def scaled_limits(checks, scale) -> dict:
+def scaled_limits(checks: Iterable[LimitCheck], scale: float) -> Limits:
     """Limits {metric: (low, high)} with their distances from the nominal values times `scale`.
 
     Arguments: checks, the `LimitCheck`s of an allocation with the limits as stated.
     """
-    limits = {}
+    limits: Limits = {}
     for check in checks:
         low, high = limits.get(check.metric, (None, None))
         moved = check.nominal + scale * (check.limit - check.nominal)
@@ -166,12 +173,12 @@ def scaled_limits(checks, scale) -> dict:
     return limits
 
 
-def _closed(end):
+def _closed(end: float) -> float | None:
     """An end of a limit, None where it is open."""
     return end if math.isfinite(end) else None
 
 
-def _before(study, costs):
+def _before(study: Study, costs: Mapping[str, CostModel]) -> tuple[dict[str, float], float]:
     """The study's own tolerances of the errors allocated, and their cost if it has all of them."""
     specified = study.tasks.tolerances
     widths = {} if specified is None else specified.half_widths()
@@ -182,14 +189,14 @@ def _before(study, costs):
     return before, float(total_cost(models, jnp.asarray(list(before.values()))))
 
 
-def _allocation(one):
+def _allocation(one: Allocation) -> dict[str, Any]:
     keys = ("criterion", "status", "message", "tolerances", "cost", "at_bounds", "level")
     keys += ("predicted_yield", "verified_yield", "yield_interval", "verified_by", "history")
     found = {key: getattr(one, key) for key in (*keys, "failed", "hessian_error")}
     return found | {"limits": [asdict(check) for check in one.limits]}
 
 
-def allocation_text(found) -> str:
+def allocation_text(found: AllocationStudy) -> str:
     """The answer, its cost beside that of the study's own tolerances, and the scaled limits."""
     parts = [str(found.answer)]
     if np.isfinite(found.cost_before):
@@ -204,7 +211,7 @@ def allocation_text(found) -> str:
     return "\n\n".join(parts)
 
 
-def tolerances_figure(study, bounds, found) -> Figure:
+def tolerances_figure(study: Study, bounds: Mapping[str, tuple[float, float]], found: AllocationStudy) -> Figure:
     """Tolerances before and after within their bounds, each on a scale of its own."""
     answer = found.answer
     names = list(answer.tolerances)
@@ -236,7 +243,7 @@ def tolerances_figure(study, bounds, found) -> Figure:
     return figure
 
 
-def _mark(axes, x, place, after, text):
+def _mark(axes: Axes, x: float, place: int, after: bool, text: str) -> None:
     colour, marker = (CASE_COLOURS[1], MARKERS[1]) if after else (CASE_COLOURS[0], MARKERS[0])
     fill = colour if after else "white"
     axes.plot([x], [place], marker, color=colour, markerfacecolor=fill, zorder=3)
@@ -247,7 +254,7 @@ def _mark(axes, x, place, after, text):
     )  # fmt: skip
 
 
-def front_figure(study, found) -> Figure:
+def front_figure(study: Study, found: AllocationStudy) -> Figure:
     """Cost against the limits (all distances from the nominal values scaled together), and the
     tolerances that belong to each."""
     scales = np.array(list(found.front))

@@ -10,27 +10,30 @@ from typing import Any
 
 import jax
 import numpy as np
+from jaxtyping import Float
 
 from rfem_jax.compilation.stages import on_stage
 from rfem_jax.description.errors import InputError
+from rfem_jax.description.study import Study
 from rfem_jax.description.tasks.monte_carlo import MonteCarloTask
+from rfem_jax.report.annotations import Axes, Figure
 from rfem_jax.report.output import write_csv
-from rfem_jax.report.quantities import as_specified, metric_units
+from rfem_jax.report.quantities import as_specified
 from rfem_jax.report.style import (
     BAR_COLOURS,
     CASE_COLOURS,
     LINE_STYLES,
-    Figure,
     add_titles,
     new_figure,
     panel_grid,
 )
 from rfem_jax.report.tasks import study_problem
-from rfem_jax.report.tasks.task_files import write_task_json
+from rfem_jax.report.tasks.task_files import metric_units, write_task_json
 from rfem_jax.report.tasks.task_report import TaskReport
 from rfem_jax.tolerancing import monte_carlo as sample_problem
 from rfem_jax.tolerancing.monte_carlo_result import MonteCarloResult
 from rfem_jax.tolerancing.results_store import StudyFolderError
+from rfem_jax.tolerancing.statistics import Estimate
 
 MOST_PANELS = 12
 MOST_EACH = 4  # errors and metrics of a scatter matrix
@@ -45,19 +48,24 @@ class MonteCarloReport(TaskReport[MonteCarloTask, MonteCarloResult]):
         Raises: InputError for a folder of another study (in the words of the command line, where the
             folder is in DIR of `--out DIR`); ChunkWriteError for a full disk.
         """
-        task, tolerances = self.task, study_problem.build_tolerances(self.study.tasks.tolerances)
+        task, tolerances = self.task, study_problem.build_tolerances(self.tolerances)
         stage = (
             f"Sampling {task.n} mechanisms on {jax.local_device_count()} devices"
             f" of {jax.process_count()} process{'es' if jax.process_count() > 1 else ''}"
         )
         on_stage(stage)
+
+        def report(done: int, total: int) -> None:
+            on_stage(stage, done / total)
+
+        progress: Any = report
         try:
             return sample_problem(
                 study_problem.build_problem(self.study, task.metrics), tolerances, task.n,
                 jax.random.key(task.seed), batch=task.batch, lanes=task.lanes, sampling=task.sampling,
                 limits=task.limits, quantiles=task.quantiles, confidence=task.confidence,
                 sobol_indices=task.sobol_indices, control_variate=task.control_variate or None,
-                resume=folder / self.name, progress=lambda done, total: on_stage(stage, done / total),
+                resume=folder / self.name, progress=progress,
             )  # fmt: skip
         except StudyFolderError as problem:
             raise InputError(
@@ -88,7 +96,7 @@ class MonteCarloReport(TaskReport[MonteCarloTask, MonteCarloResult]):
             "joint_yield_of_good": None if together is None else _estimate(together.of_good),
             "joint_yield_of_all": None if together is None else _estimate(together.of_all),
             "control_note": result.control_note,
-            "units": metric_units(result),
+            "units": metric_units(result.metrics, result.metric_units),
         }
         return [
             write_task_json(folder / "monte_carlo.json", self.study, self.name, content),
@@ -114,11 +122,11 @@ def sample_rows(result: MonteCarloResult) -> list[dict[str, Any]]:
     return rows
 
 
-def _estimate(estimate):
+def _estimate(estimate: Estimate) -> dict[str, float]:
     return {"value": estimate.value, "low": estimate.low, "high": estimate.high}
 
 
-def _statistics(result, metric):
+def _statistics(result: MonteCarloResult, metric: str) -> dict[str, Any]:
     found = result.statistics[metric]
     one = {
         "mean": _estimate(found.mean),
@@ -142,13 +150,15 @@ def _statistics(result, metric):
     return one
 
 
-def good_samples(result) -> tuple[np.ndarray, np.ndarray]:
+def good_samples(
+    result: MonteCarloResult,
+) -> tuple[Float[np.ndarray, "samples errors"], Float[np.ndarray, "samples metrics"]]:
     """Errors (n, d) [rad, m] and values (n, m) of the random samples that did not fail."""
     good = result.status[: result.samples] == 0
     return result.errors[: result.samples][good], result.values[: result.samples][good]
 
 
-def histogram_figure(study, result) -> Figure:
+def histogram_figure(study: Study, result: MonteCarloResult) -> Figure:
     """Histogram of every metric with its mean, its quantiles and its limits."""
     shown = min(len(result.metrics), MOST_PANELS)
     figure = new_figure(8.4, 2.1 * -(-shown // 2) + 1.6)
@@ -187,7 +197,7 @@ def histogram_figure(study, result) -> Figure:
     return figure
 
 
-def scatter_matrix_figure(study, result) -> Figure:
+def scatter_matrix_figure(study: Study, result: MonteCarloResult) -> Figure:
     """Every pair of errors and metrics (four of each): points below, rank correlations
     above, histograms on the diagonal."""
     names, samples = _columns(result)
@@ -226,7 +236,7 @@ def scatter_matrix_figure(study, result) -> Figure:
     return figure
 
 
-def _columns(result):
+def _columns(result: MonteCarloResult) -> tuple[list[str], Float[np.ndarray, "samples columns"]]:
     """Labels and samples (n, p) of the errors and metrics that are drawn."""
     errors, values = good_samples(result)
     names, columns = [], []
@@ -241,13 +251,13 @@ def _columns(result):
     return names, np.stack(columns, axis=1)
 
 
-def _order(result, i):
+def _order(result: MonteCarloResult, i: int) -> tuple[bool, int, int]:
     """Metrics with limits come first, then one of each kind before the second of a kind."""
     kinds = [name.rpartition(".")[2] for name in result.metrics]
     return result.metrics[i] not in result.limits, kinds[:i].count(kinds[i]), i
 
 
-def _write_correlation(axes, first, second):
+def _write_correlation(axes: Axes, first: Float[np.ndarray, " samples"], second: Float[np.ndarray, " samples"]) -> None:
     axes.set_axis_off()
     spread = len(first) > 1 and np.std(first) > 0 and np.std(second) > 0
     correlation = np.corrcoef(first, second)[0, 1] if spread else np.nan

@@ -10,15 +10,18 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from rfem_jax.compilation.stages import on_stage
 from rfem_jax.description.methods import Method
+from rfem_jax.description.study import Study
 from rfem_jax.description.tasks.sensitivity import SensitivityTask
+from rfem_jax.report.annotations import Figure
 from rfem_jax.report.output import write_csv
-from rfem_jax.report.quantities import as_specified, metric_units
-from rfem_jax.report.style import BAR_COLOURS, HATCHES, Figure, add_titles, new_figure, panel_grid
+from rfem_jax.report.quantities import as_specified
+from rfem_jax.report.style import BAR_COLOURS, HATCHES, add_titles, new_figure, panel_grid
 from rfem_jax.report.tasks import study_problem
-from rfem_jax.report.tasks.task_files import write_task_json
+from rfem_jax.report.tasks.task_files import metric_units, write_task_json
 from rfem_jax.report.tasks.task_report import TaskReport
 from rfem_jax.tolerancing import sensitivity as differentiate
 from rfem_jax.tolerancing.layout import align_columns, wrap_lines
@@ -49,7 +52,7 @@ class SensitivityReport(TaskReport[SensitivityTask, Derivatives]):
         on_stage(f"Differentiating {len(task.metrics)} metrics to order {task.order}{twice}")
         problem = study_problem.build_problem(study, task.metrics)
         refined = problem.with_method(finer_method(study.method)) if task.half_step else None
-        tolerances = study_problem.build_tolerances(study.tasks.tolerances)
+        tolerances = study_problem.build_tolerances(self.tolerances)
         found = differentiate(problem, task.at, task.order, tolerances, task.mode, batch=task.batch, refined=refined)
         return Derivatives(found, bool(getattr(problem, "undamped", False)))
 
@@ -70,7 +73,7 @@ class SensitivityReport(TaskReport[SensitivityTask, Derivatives]):
             "errors": list(found.names),
             "half_widths": dict(zip(found.names, found.scale, strict=True)),
             "metrics": {metric: _metric_content(found, m) for m, metric in enumerate(found.metrics)},
-            "units": metric_units(found),
+            "units": metric_units(found.metrics, found.metric_units),
         }
         return [
             write_task_json(folder / "sensitivity.json", self.study, self.name, content),
@@ -88,7 +91,7 @@ def finer_method(method: Method) -> Method:
     """The same method with half the step, or a tenth of its tolerances."""
     if method.step is not None:
         return replace(method, step=0.5 * method.step)
-    if method.adaptive:
+    if method.rtol is not None and method.atol is not None:
         return replace(method, rtol=0.1 * method.rtol, atol=0.1 * method.atol)
     accuracy = 1e-4 if method.accuracy is None else method.accuracy
     return replace(method, accuracy=0.1 * accuracy)
@@ -144,16 +147,16 @@ def _metric_content(result: Sensitivities, m: int) -> dict[str, Any]:
     return one
 
 
-def group_metrics(result) -> dict:
+def group_metrics(result: Sensitivities) -> dict[tuple[str, str], list[tuple[str, int]]]:
     """{(kind, unit): [(joint, position)]} of the metrics; one of no joint is its own kind."""
-    groups = {}
+    groups: dict[tuple[str, str], list[tuple[str, int]]] = {}
     for position, (name, unit) in enumerate(zip(result.metrics, result.metric_units, strict=True)):
         joint, _, kind = name.rpartition(".")
         groups.setdefault((kind, unit), []).append((joint or "-", position))
     return groups
 
 
-def error_labels(result) -> list[str]:
+def error_labels(result: Sensitivities) -> list[str]:
     """Names of the errors with their tolerances, "D.delta_x\\n+-0.5 deg"."""
     labels = []
     for name, unit, width in zip(result.names, result.error_units, result.scale, strict=True):
@@ -162,7 +165,7 @@ def error_labels(result) -> list[str]:
     return labels
 
 
-def heat_map_figure(study, result) -> Figure:
+def heat_map_figure(study: Study, result: Sensitivities) -> Figure:
     """Largest change of every metric by each error alone within its tolerance: joint x error."""
     groups, labels = group_metrics(result), error_labels(result)
     rows = sum(len(group) for group in groups.values())
@@ -191,7 +194,7 @@ def heat_map_figure(study, result) -> Figure:
     return figure
 
 
-def tornado_figure(study, result) -> Figure:
+def tornado_figure(study: Study, result: Sensitivities) -> Figure:
     """Change of each metric at both ends of every error's tolerance, by the quadratic model."""
     shown = min(len(result.metrics), MOST_PANELS)
     height = -(-shown // 2) * (0.26 * len(result.names) + 1.25) + 1.6
@@ -225,7 +228,9 @@ def tornado_figure(study, result) -> Figure:
     return figure
 
 
-def end_changes(result, metric) -> tuple[np.ndarray, np.ndarray]:
+def end_changes(
+    result: Sensitivities, metric: int
+) -> tuple[Float[np.ndarray, " errors"], Float[np.ndarray, " errors"]]:
     """Changes (k,) of metric number `metric` at the lower and the upper ends of the tolerances."""
     gradient = result.gradient_scaled[metric]
     curved = np.zeros_like(gradient)

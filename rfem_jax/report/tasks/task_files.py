@@ -5,6 +5,7 @@ open limit or a missing number is null. Nothing in a file depends on how long a 
 interrupted.
 """
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,11 @@ def _plain(value: Any) -> Any:
     if isinstance(value, np.ndarray):
         return value.tolist()
     return value.item() if isinstance(value, np.generic) else value
+
+
+def metric_units(metrics: Sequence[str], units: Sequence[str]) -> dict[str, str]:
+    """{metric: unit}, "1" where it has no dimension."""
+    return {name: unit or "1" for name, unit in zip(metrics, units, strict=True)}
 
 
 def write_task_json(path: Path, study: Study, name: str, result: dict[str, Any]) -> Path:

@@ -5,6 +5,7 @@ people state them; limits in units of their metrics.
 """
 
 from rfem_jax.description.study import Study
+from rfem_jax.description.tolerances import SpecifiedTolerances
 from rfem_jax.report.overview import format_error
 from rfem_jax.report.tables import format_table
 from rfem_jax.task_kinds import task_kinds
@@ -13,7 +14,7 @@ from rfem_jax.task_kinds import task_kinds
 def tasks_text(study: Study) -> str:
     """Tolerances and tasks of a study, "" where it declares none."""
     tasks = study.tasks
-    parts = [] if tasks.tolerances is None else [_tolerances_text(study)]
+    parts = [] if tasks.tolerances is None else [_tolerances_text(study, tasks.tolerances)]
     if tasks.declared:
         # Takes seconds: only where there is something to show.
         from rfem_jax.report.tasks.task_report import report_on
@@ -27,16 +28,16 @@ def tasks_text(study: Study) -> str:
     return "\n\n".join(parts)
 
 
-def _tolerances_text(study):
+def _tolerances_text(study: Study, tolerances: SpecifiedTolerances) -> str:
     rows = []
-    for one in study.tasks.tolerances.independent:
+    for one in tolerances.independent:
         unit = study.mechanism.error_unit(one.error)
         low, high = (format_error("", end, unit).removeprefix(" = ") for end in one.interval)
         shape = one.distribution.replace("_", " ")
         if one.deviations is not None:
             shape += f", {one.deviations:g} deviations in the half-width"
         rows.append([one.error, low, high, shape])
-    for number, group in enumerate(study.tasks.tolerances.correlated, start=1):
+    for number, group in enumerate(tolerances.correlated, start=1):
         for error, width in group.half_widths.items():
             unit = study.mechanism.error_unit(error)
             low, high = (format_error("", end, unit).removeprefix(" = ") for end in (-width, width))

@@ -18,10 +18,12 @@ from rfem_jax.compilation.stages import on_stage
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.study import Study
 from rfem_jax.description.tasks.task import Task
+from rfem_jax.description.tolerances import SpecifiedTolerances
+from rfem_jax.report.annotations import Figure
 from rfem_jax.report.output import write_pictures
 from rfem_jax.report.overview import format_error
 from rfem_jax.report.progress_line import say, show
-from rfem_jax.report.style import SETTINGS, Figure
+from rfem_jax.report.style import SETTINGS
 from rfem_jax.report.summary import PLOTS_HINT
 from rfem_jax.report.tables import title_text
 from rfem_jax.task_kinds import task_kinds
@@ -68,6 +70,14 @@ class TaskReport(abc.ABC, Generic[Asked, Result]):
     def text_of_helper(self, result: Result) -> str:
         """What is printed by all processes but the first, which do not write (a task shared by several)."""
         return f"Process {jax.process_index()} is done."
+
+    @property
+    def tolerances(self) -> SpecifiedTolerances:
+        """The tolerances of the study, which is not read without them where the task needs them."""
+        found = self.study.tasks.tolerances
+        if found is None:
+            raise InputError(f"Task `{self.name}` must have tolerances, but the study has none; add [tolerances].")
+        return found
 
     def settings(self) -> Iterator[tuple[str, str]]:
         """(name, text) of everything that is asked, but the metrics and what is left out, for `check`."""

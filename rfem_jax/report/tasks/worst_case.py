@@ -5,14 +5,17 @@ Place in the pipeline: `rfem_jax.description.tasks.worst_case` -> **worst_case**
 
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
 
 from rfem_jax.compilation.stages import on_stage
+from rfem_jax.description.study import Study
 from rfem_jax.description.tasks.worst_case import WorstCaseTask
+from rfem_jax.report.annotations import Figure
 from rfem_jax.report.output import write_csv
-from rfem_jax.report.style import CASE_COLOURS, MARKERS, Figure, add_titles, new_figure
+from rfem_jax.report.style import CASE_COLOURS, MARKERS, add_titles, new_figure
 from rfem_jax.report.tasks import study_problem
 from rfem_jax.report.tasks.task_files import write_task_json
 from rfem_jax.report.tasks.task_report import TaskReport
@@ -31,15 +34,16 @@ class WorstCaseReport(TaskReport[WorstCaseTask, dict[str, WorstCase]]):
         """The worst cases of all metrics, with one quadratic model for all of them."""
         task = self.task
         problem = study_problem.build_problem(self.study, task.metrics)
-        tolerances = study_problem.build_tolerances(self.study.tasks.tolerances)
+        tolerances = study_problem.build_tolerances(self.tolerances)
         keys = jax.random.split(jax.random.key(task.seed), len(task.metrics))
         on_stage("Expanding to second order")
         centre = {name: float(mean) for name, mean in tolerances.means().items()}
         mode = choose_mode(task.mode, len(tolerances.names), 1)  # that of the searches: one program
         model = expand_by_differences(problem, centre, tolerances, mode=mode, batch=task.batch)
+        corners: Any = "auto" if task.corners is None else task.corners
         search = partial(
             search_worst_case, problem, tolerances, model=model, region=task.region, starts=task.starts,
-            sense=task.sense, corners="auto" if task.corners is None else task.corners, mode=mode,
+            sense=task.sense, corners=corners, mode=mode,
             evaluations=task.evaluations, batch=task.batch,
         )  # fmt: skip
         found = {}
@@ -89,7 +93,7 @@ class WorstCaseReport(TaskReport[WorstCaseTask, dict[str, WorstCase]]):
         return {"corners": worst_case_figure(self.study, result)}
 
 
-def worst_case_figure(study, results) -> Figure:
+def worst_case_figure(study: Study, results: dict[str, WorstCase]) -> Figure:
     """Values at all corners (sorted) and at the ends of all searches, against the worst found."""
     shown = list(results.values())[:MOST_PANELS]
     figure = new_figure(7.2, 2.5 * len(shown) + 1.5)
