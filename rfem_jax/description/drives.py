@@ -1,13 +1,13 @@
 """Drives: a moment on a joint, or a prescribed angle of a joint, as functions of time.
 
-Place in the pipeline: stated in a study; `mechanics` and `simulation` evaluate them inside compiled
+Place in the pipeline: specified in a study; `mechanics` and `simulation` evaluate them inside compiled
 code (jit, vmap, forward and reverse differentiation).
 
 A drive may jump at its breakpoints, which are static (they divide the run into integrations).
 Pieces are chosen by `phase`, the number of breakpoints passed, never by comparing t with a jump.
 Values are float64 JAX arrays: new values do not compile anew.
 
-Symbols: t [s]; moment [N m] about +y of the joint; angle turned since the start [rad], rate
+Symbols: t [s]; moment [N m] about +y of the joint; change of the angle since the start [rad], rate
 [rad/s], acceleration [rad/s^2]. Source: MODEL.md section 6, equation (21).
 """
 
@@ -67,7 +67,7 @@ class PrescribedDrive(eqx.Module):
 
     @abc.abstractmethod
     def motion_at(self, t: Time, phase: Phase) -> tuple[Scalar, Scalar, Scalar]:
-        """Return (angle turned since the start, rate, acceleration) at t in the piece `phase`."""
+        """Return (change of the angle since the start, rate, acceleration) at t in the piece `phase`."""
 
 
 class MomentRamp(MomentDrive):
@@ -228,12 +228,12 @@ class PrescribedSpinUp(PrescribedDrive):
 
 
 class PrescribedTable(PrescribedDrive):
-    """Angles turned, given at times and joined by a cubic spline (C2, "not-a-knot" ends).
+    """Changes of the angle, given at times and joined by a cubic spline (C2, "not-a-knot" ends).
 
     Args:
         joint: the joint's name.
         times: [s], increasing from 0; at least two.
-        angles: angles turned [rad], as many as times, the first 0.
+        angles: changes of the angle since the start [rad], as many as times, the first 0.
     """
 
     joint: str = eqx.field(static=True)
@@ -248,7 +248,7 @@ class PrescribedTable(PrescribedDrive):
         if angles[0] != 0.0:
             raise InputError(
                 f"Argument `angles` must start with 0, but starts with {angles[0]}; give the "
-                "angles turned since the start."
+                "changes of the angle since the start."
             )
         # A third of a second that no other study needs to wait for.
         from scipy.interpolate import CubicSpline
@@ -271,11 +271,11 @@ class PrescribedTable(PrescribedDrive):
 
 
 class PrescribedFunction(PrescribedDrive):
-    """Angle turned as a Python function written in JAX; its derivatives are taken by JAX.
+    """Change of the angle as a Python function written in JAX; its derivatives are taken by JAX.
 
     Args:
         joint: the joint's name.
-        function: t [s] -> angle turned [rad], a float64 scalar, 0 at t = 0 and twice
+        function: t [s] -> change of the angle [rad], a float64 scalar, 0 at t = 0 and twice
             differentiable; with breakpoints it is called as function(t, phase) instead.
         breakpoints: times [s] > 0 at which a derivative jumps, increasing.
     """
@@ -292,8 +292,8 @@ class PrescribedFunction(PrescribedDrive):
         start = self._angle(jnp.zeros((), jnp.float64), 0)
         if not isinstance(start, Tracer) and not abs(float(start)) <= 1e-12:
             raise InputError(
-                f"Argument `function` must be 0 at t = 0, but was {float(start)}; return the angle "
-                "turned since the start."
+                f"Argument `function` must be 0 at t = 0, but was {float(start)}; return the change "
+                "of the angle since the start."
             )
 
     def breakpoints(self) -> tuple[float, ...]:

@@ -1,6 +1,6 @@
 """InputError, the one exception for bad input, and the wording its sentences share.
 
-Place in the pipeline: used by every room; imports nothing of the library.
+Place in the pipeline: used by every package; imports nothing of the library.
 
 Every refusal is one sentence of the form "Argument `x` must ..., but ...", and the fix.
 """
@@ -14,7 +14,7 @@ LIKENESS, LIKENESS_OF_SAME_LETTER = 0.7, 0.65
 
 
 class InputError(ValueError):
-    """What the user stated cannot be used; the message says where, why, and how to fix it."""
+    """What the user wrote cannot be used; the message says where, why, and how to fix it."""
 
 
 class ChecksItself:

@@ -131,7 +131,7 @@ class Mechanism(ChecksItself):
                     )
 
     def _check_tree(self) -> None:
-        """Each link hangs on exactly one joint of the tree, and on the base in the end."""
+        """Each link is the child of exactly one joint of the tree, which begins at the base."""
         parents: dict[str, Joint] = {}
         for joint in (joint for joint in self.joints if not joint.cut):
             other = parents.setdefault(joint.child, joint)
@@ -225,7 +225,7 @@ def _check_reaches_base(name: str, parents: dict[str, Joint]) -> None:
             loop = " -> ".join((*seen[seen.index(name) :], name))
             raise InputError(
                 f"Argument `joints` must connect every link to the base, but the links {loop} only "
-                "hang on each other: a closed loop; declare one joint of the loop cut = true and "
+                "follow each other: a closed loop; declare one joint of the loop cut = true and "
                 "join one of its links to the base."
             )
         seen.append(name)

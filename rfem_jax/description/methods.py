@@ -1,6 +1,6 @@
 """Method: the name of an integration method and its settings.
 
-Place in the pipeline: stated in a study; `simulation` turns it into a solver.
+Place in the pipeline: specified in a study; `simulation` turns it into a solver.
 
 Symbols: step h [s]; rtol, atol [1] relative and absolute tolerance of adaptive steps; stabilisation
 [1] dimensionless Baumgarte gain; accuracy [1] relative accuracy asked of the method "auto".
@@ -40,8 +40,8 @@ class Method(ChecksItself):
         accuracy: > 0, < 1; for "auto" only, which chooses step and tolerances itself.
         spectral_radius: of "generalised_alpha" at infinite frequency, from 0 (such vibrations vanish in one
             step) to below 1 (they stay); default 0.6.
-        corrections: of Newton's method in every step of "generalised_alpha", at most; at least 1, default 5.
-        tolerance: share of the largest joint load that they may leave over, > 0, < 1; default 1e-8.
+        corrections: largest number of Newton increments in a step of "generalised_alpha"; at least 1, default 5.
+        tolerance: largest residual allowed, as a share of the largest joint load, > 0, < 1; default 1e-8.
     Raises:
         InputError: an unknown name, a value out of range, or settings that do not fit the method.
     """

@@ -1,6 +1,6 @@
 """Study: a mechanism, its drive, how it is simulated, and the cases of assembly errors to compare.
 
-Place in the pipeline: what `load_study` makes of a study file (TOML) or a user states in Python;
+Place in the pipeline: what `load_study` makes of a study file (TOML) or a user makes in Python;
 `report` runs it.
 
 Symbols: duration, save_every [s]; errors of a case in m and rad (`error_catalogue`).
@@ -69,7 +69,7 @@ class Study(ChecksItself):
         cases: Case objects with unique names; none means one case "nominal" without errors.
         path: the file it was read from.
         note: what a reader of the results must know; shown with every table and picture.
-        tasks: tolerances of the errors and the tolerance studies that are asked for.
+        tasks: tolerances of the errors and the tolerance studies to do.
     Raises:
         InputError: parts do not fit each other.
     """

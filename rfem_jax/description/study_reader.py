@@ -1,4 +1,4 @@
-"""From the tables of a study file to the objects of this room: mechanism, drive, method.
+"""From the tables of a study file to the objects of this package: mechanism, drive, method.
 
 Place in the pipeline: called by `study.load_study`; each function takes one table of the TOML.
 The keys are the names of the arguments of Material, Link, Joint, ...; "shape" chooses the class of

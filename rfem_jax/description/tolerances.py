@@ -1,10 +1,10 @@
-"""Tolerances as a user states them: which errors vary, how far, and how they are distributed.
+"""Tolerances as a user specifies them: which errors vary, how far, and how they are distributed.
 
 Place in the pipeline: the table [tolerances] of a study file; `tasks` holds it, `report` makes the
 distributions of `rfem_jax.tolerancing.tolerances` of it.
 
 Symbols: half-widths t and centres c of errors in m and rad; deviations k [1], standard deviations
-that a half-width holds (3 where nothing is said); correlation C [1].
+that a half-width holds (3 unless specified); correlation C [1].
 """
 
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ class SpecifiedTolerance(ChecksItself):
 
     Args: error, its name; distribution, one of DISTRIBUTIONS; half_width, or else interval (low,
         high); deviations k of the normal ones.
-    Raises: InputError for names, numbers or settings that cannot be meant.
+    Raises: InputError for names, numbers or settings that are out of range or do not fit each other.
     """
 
     error: str

@@ -1,4 +1,4 @@
-"""Numbers with units: every number the user states passes through here and leaves in SI.
+"""Numbers with units: every number of the user passes through here and leaves in SI.
 
 Place in the pipeline: used by all of `description`, and wherever a number or a string with a unit
 ("0.5 deg", "0.5 mm", "210 GPa", "1.5 N m", "7.85 g/cm^3") enters; imports only `errors`.
@@ -85,7 +85,7 @@ UNITS = {
 }  # fmt: skip
 
 _NUMBER = re.compile(r"\s*([+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*$", re.DOTALL)
-_ASCII = str.maketrans(  # what people paste from documents: degree sign, micro, middle dot, powers
+_ASCII = str.maketrans(  # as pasted from documents: degree sign, micro, middle dot, powers
     {"\u00b0": " deg", "\u00b5": "u", "\u03bc": "u", "\u00b7": " ", "\u00b2": "^2", "\u00b3": "^3"}
 )
 _UNIT = re.compile(r"([A-Za-z]+|%|1)(?:(?:\^|\*\*)([+-]?\d+))?$")
@@ -187,7 +187,7 @@ def _as_float(value: Any, where: str) -> float:
     except TypeError:  # a traced value, a complex array
         raise InputError(
             f"{subject(where)} must be a number known before compilation, but was {value!r}; "
-            "state it outside `jit`, and vary assembly errors or the model instead."
+            "give it outside `jit`, and vary assembly errors or the model instead."
         ) from None
 
 

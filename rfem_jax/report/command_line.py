@@ -155,7 +155,7 @@ def _cannot_write(folder: str | Path, problem: OSError) -> ValueError:
 
     return InputError(
         f"Argument `--out` must be a folder that can be written, but {folder} is not "
-        f"({problem.strerror or problem}); choose another one or make room."
+        f"({problem.strerror or problem}); choose another one or free some space."
     )
 
 

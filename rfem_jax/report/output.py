@@ -1,6 +1,6 @@
 """How files are written: whole or not at all, without NaN, with the versions that made them.
 
-Place in the pipeline: used by every module of this room that writes, and by the studies' scripts.
+Place in the pipeline: used by every module of this package that writes, and by the studies' scripts.
 A file is written beside its final place and then renamed.  JSON has no NaN; a value that does not
 exist is null, in CSV an empty cell.
 """

@@ -1,7 +1,7 @@
-"""What a study says, in words and tables: the text of the command `check`.
+"""What a study specifies, in words and tables: the text of the command `check`.
 
 Place in the pipeline: after `rfem_jax.mechanics.describe`. Lengths m, masses kg; angles in degrees
-and errors in degrees and millimetres, as people state them.
+and errors in degrees and millimetres, as users write them.
 """
 
 import math
@@ -17,7 +17,7 @@ from rfem_jax.report.tables import format_table, title_text
 
 
 def format_error(name: str, value: float, unit: str) -> str:
-    """One assembly error as people state it, "D.delta_x = 0.5 deg"; `unit` is "rad" or "m"."""
+    """One assembly error as users write it, "D.delta_x = 0.5 deg"; `unit` is "rad" or "m"."""
     if unit == "rad":
         return f"{name} = {math.degrees(value):.6g} deg"
     return f"{name} = {1e3 * value:.6g} mm"

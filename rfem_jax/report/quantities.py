@@ -64,8 +64,8 @@ BALANCES = (
     Quantity(
         "solution_residual",
         "",
-        "Newton's rest",
-        "largest force that an implicit step left over, divided by the largest joint force",
+        "Newton residual",
+        "largest residual force of an implicit step, divided by the largest joint force",
     ),
 )
 
@@ -86,5 +86,5 @@ def units() -> dict[str, str]:
 
 
 def as_specified(unit: str) -> tuple[str, float]:
-    """Unit in which people state an error of the SI unit "rad" or "m", and the factor to it."""
+    """Unit in which users write an error of the SI unit "rad" or "m", and the factor to it."""
     return {"rad": ("deg", math.degrees(1.0)), "m": ("mm", 1e3)}[unit]

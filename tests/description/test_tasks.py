@@ -89,13 +89,13 @@ def test_tasks_are_read_and_a_star_stands_for_all_joints(tasks):
     assert tasks.allocation.scales == (0.5, 2.0)
 
 
-def test_costs_are_shared_and_refer_to_the_stated_tolerance(tasks):
+def test_costs_are_shared_and_refer_to_the_specified_tolerance(tasks):
     costs, bounds = tasks.allocation.costs, tasks.allocation.bounds
     assert bounds["D.delta_x"] == pytest.approx((math.radians(0.05), math.radians(1.0)))
     expected = ErrorCost("reciprocal", 2.0, pytest.approx(math.radians(0.25)))
     assert costs["D.delta_x"] == expected
     assert costs["B.d_x"] == ErrorCost("exponential", 2.0, pytest.approx(2e-4))
-    # No tolerance of this error is stated: its largest bound.
+    # No tolerance of this error is specified: its largest bound.
     assert costs["C.d_x"].at == pytest.approx(1e-3)
 
 

@@ -286,7 +286,7 @@ def test_the_finer_method(method, expected):
     assert finer.atol == (None if expected.atol is None else pytest.approx(expected.atol))
 
 
-def test_distributions_are_those_that_are_stated(tmp_path):
+def test_distributions_are_those_that_are_specified(tmp_path):
     path = tmp_path / "study.toml"
     text = """
 [tolerances]

@@ -34,7 +34,8 @@ class ErrorCost(ChecksItself):
     """What a tolerance t of one error costs.
 
     Args: model "reciprocal" fixed + price at/t, "reciprocal_squared" fixed + price (at/t)^2, or
-        "exponential" fixed + price exp(-t/at); price and fixed in any currency; at [rad or m], None the largest bound of the error.
+        "exponential" fixed + price exp(-t/at); price and fixed in any currency; at [rad or m], None the
+        largest bound of the error.
     """
 
     model: str = "reciprocal"
@@ -73,7 +74,7 @@ class AllocationTask(Task):
         starts, rounds, accuracy as `rfem_jax.allocate` says (accuracy is its `tolerance`);
         distribution of the errors; scales, further allocations with every limit's distance to the
         nominal value multiplied by these; mode; seed; batch, simulations at once.
-    Raises: InputError for everything that cannot be meant.
+    Raises: InputError for settings that are out of range or do not fit each other.
     """
 
     needs_tolerances: ClassVar[bool] = False

@@ -28,7 +28,7 @@ class MonteCarloTask(Task):
         {metric: largest, or (low, high)}; sampling "sobol" or "pseudo_random"; quantiles and
         confidence in (0, 1); sobol_indices, control_variate; lanes, samples each device computes at
         once, None for its default.
-    Raises: InputError for everything that cannot be meant.
+    Raises: InputError for settings that are out of range or do not fit each other.
     """
 
     n: int

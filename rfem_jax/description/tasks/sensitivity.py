@@ -20,7 +20,7 @@ class SensitivityTask(Task):
     Args: metrics, names; order 1 or 2; at {error: value} of the point, else nominal; mode "auto",
         "forward" or "reverse"; batch, directions at once; half_step, True to repeat everything with
         half the step (a tenth of the tolerances of an adaptive method) and show the change.
-    Raises: InputError for everything that cannot be meant.
+    Raises: InputError for settings that are out of range or do not fit each other.
     """
 
     metrics: tuple[str, ...]

@@ -62,7 +62,7 @@ def limits_of(limits: object, needed: bool = False) -> dict[str, tuple[float, fl
             )
         if name not in RUN_METRICS and pair[1] <= 0.0:
             raise InputError(
-                f"Argument `limits` must leave room for a load, which is never negative, but `{name}` has "
+                f"Argument `limits` must allow a load, which is never negative, but `{name}` has "
                 f"{limit!r}; write its largest value as a positive number."
             )
         complete[name] = (float(pair[0]), float(pair[1]))

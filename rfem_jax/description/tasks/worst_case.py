@@ -27,7 +27,7 @@ class WorstCaseTask(Task):
         {"corners", "random", "sobol": number of searches}; corners True, False or None (all of
         them where there are few); evaluations, the most of each search; mode; batch, simulations
         at once.
-    Raises: InputError for everything that cannot be meant.
+    Raises: InputError for settings that are out of range or do not fit each other.
     """
 
     metrics: tuple[str, ...]

@@ -163,7 +163,7 @@ def build_cost(cost: ErrorCost) -> CostModel:
 def scaled_limits(checks: Iterable[LimitCheck], scale: float) -> Limits:
     """Limits {metric: (low, high)} with their distances from the nominal values times `scale`.
 
-    Arguments: checks, the `LimitCheck`s of an allocation with the limits as stated.
+    Arguments: checks, the `LimitCheck`s of an allocation with the limits as specified.
     """
     limits: Limits = {}
     for check in checks:

@@ -70,7 +70,7 @@ class MonteCarloReport(TaskReport[MonteCarloTask, MonteCarloResult]):
         except StudyFolderError as problem:
             raise InputError(
                 "Argument `--out` must be a folder in which this Monte Carlo study can start or "
-                f"continue, but {problem.finding}; choose another folder, state the same study, or "
+                f"continue, but {problem.finding}; choose another folder, specify the same study, or "
                 f"remove `{folder / self.name}` and its samples."
             ) from None
 

@@ -30,7 +30,7 @@ from rfem_jax.tolerancing.sensitivities import Sensitivities
 UNDAMPED = (
     "No flexible link has damping: derivatives of mean-square and RMS forces are dominated by the "
     "phase of\nundamped 1-20 kHz vibrations and may even have the wrong sign (those of moments "
-    "stay smooth).\nState a small damping of the material for a study of derivatives."
+    "stay smooth).\nGive the material a small damping for a study of derivatives."
 )
 MOST_PANELS = 12
 

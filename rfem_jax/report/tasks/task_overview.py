@@ -1,7 +1,7 @@
 """What a study's tasks say, in words and tables: part of the text of the command `check`.
 
 Place in the pipeline: after `load_study`; computes nothing. Errors in degrees and millimetres, as
-people state them; limits in units of their metrics.
+users write them; limits in units of their metrics.
 """
 
 from rfem_jax.description.study import Study
