@@ -2,7 +2,8 @@
 
 Place in the pipeline: used by every package; imports nothing of the library.
 
-Every refusal is one sentence of the form "Argument `x` must ..., but ...", and the fix.
+Every refusal is one sentence of the form "Argument `x` must ..., but ...", and the fix; where a reader can go on after
+a mistake, it collects the sentences (`Problems`).
 """
 
 from collections.abc import Collection, Iterable, Iterator
@@ -14,7 +15,44 @@ LIKENESS, LIKENESS_OF_SAME_LETTER = 0.7, 0.65
 
 
 class InputError(ValueError):
-    """What the user wrote cannot be used; the message says where, why, and how to fix it."""
+    """What the user wrote cannot be used; the message says where, why, and how to fix it.
+
+    Args: problems, a sentence for each mistake; the message has a line for each.
+    """
+
+    def __init__(self, *problems: str):
+        super().__init__(*problems)
+        self.problems = problems
+
+    def __str__(self) -> str:
+        return "\n".join(self.problems)
+
+
+class Problems:
+    """Mistakes in several places, which are told together.
+
+    problems = Problems()
+    for entry in entries:
+        with problems.noted():
+            read(entry)
+    problems.refuse()
+    """
+
+    def __init__(self) -> None:
+        self.found: list[str] = []
+
+    @contextmanager
+    def noted(self) -> Iterator[None]:
+        """Note an InputError that the block raises, and go on after the block."""
+        try:
+            yield
+        except InputError as error:
+            self.found += error.problems
+
+    def refuse(self) -> None:
+        """Raise InputError with all that was noted, if there is anything."""
+        if self.found:
+            raise InputError(*dict.fromkeys(self.found)) from None
 
 
 class ChecksItself:
@@ -94,4 +132,4 @@ def located(place: str) -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        raise InputError(f"{place}: {error}") from None
+        raise InputError(*(f"{place}: {problem}" for problem in error.problems)) from None

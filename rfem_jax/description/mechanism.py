@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from rfem_jax.description.error_catalogue import JOINT_ERRORS, LINK_ERRORS, error_dimension, error_unit
-from rfem_jax.description.errors import ChecksItself, InputError, require_choice, subject, suggestion
+from rfem_jax.description.errors import ChecksItself, InputError, Problems, require_choice, subject, suggestion
 from rfem_jax.description.joints import Joint
 from rfem_jax.description.links import Link
 from rfem_jax.description.units import vector
@@ -60,9 +60,13 @@ class Mechanism(ChecksItself):
             raise InputError("Argument `links` must hold at least one link, but is empty; add one.")
         self._check_references()
         self._check_tree()
+        problems = Problems()
         for joint in self.joints:
-            self._check_positions(joint)
-        self._check_driven_joint()
+            with problems.noted():
+                self._check_positions(joint)
+        with problems.noted():
+            self._check_driven_joint()
+        problems.refuse()
 
     def link(self, name: str) -> Link:
         """Return the link `name`; raises InputError with the nearest name if there is none."""
@@ -106,29 +110,35 @@ class Mechanism(ChecksItself):
         """Raise InputError unless `sizes` {error: magnitude [rad or m]} are errors of this mechanism and none turns
         anything by a right angle or shifts it by the length of the longest link."""
         longest = max(link.length for link in self.links)
+        problems = Problems()
         for name, size in sizes.items():
-            self.require_error(name, where)
-            most, unit = (0.5 * math.pi, "rad") if error_dimension(name) == "angle" else (longest, "m")
-            if not size <= most:
-                raise InputError(
-                    f"{subject(where)} must be less than {most:.4g} {unit} (a right angle, or the longest link), "
-                    f"but `{name}` has {size:g} {unit}; check the number and its unit."
-                )
+            with problems.noted():
+                self.require_error(name, where)
+                most, unit = (0.5 * math.pi, "rad") if error_dimension(name) == "angle" else (longest, "m")
+                if not size <= most:
+                    raise InputError(
+                        f"{subject(where)} must be less than {most:.4g} {unit} (a right angle, or the longest link), "
+                        f"but `{name}` has {size:g} {unit}; check the number and its unit."
+                    )
+        problems.refuse()
 
     def _parent_joints(self) -> dict[str, Joint]:
         return {joint.child: joint for joint in self.joints if not joint.cut}
 
     def _check_references(self) -> None:
         names = [link.name for link in self.links]
+        problems = []
         for joint in self.joints:
             for side, known in (("parent", ["base", *names]), ("child", names)):
                 name = getattr(joint, side)
                 if name not in known:
-                    raise InputError(
+                    problems.append(
                         f"Argument `{side}` of joint `{joint.name}` must be "
                         f"{'the base or ' if side == 'parent' else ''}a link of the mechanism, but "
                         f"there is no link `{name}`; {suggestion(name, known)}"
                     )
+        if problems:
+            raise InputError(*problems)
 
     def _check_tree(self) -> None:
         """Each link is the child of exactly one joint of the tree, which begins at the base."""

@@ -5,7 +5,7 @@ The keys are the names of the arguments of Material, Link, Joint, ...; "shape" c
 a section, "kind" that of a drive.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import fields
 from typing import Any, TypeVar
 
@@ -18,7 +18,7 @@ from rfem_jax.description.drives import (
     PrescribedSpinUp,
     PrescribedTable,
 )
-from rfem_jax.description.errors import InputError, located, require_choice, require_name
+from rfem_jax.description.errors import InputError, Problems, located, require_choice, require_name
 from rfem_jax.description.joints import Joint
 from rfem_jax.description.links import Link, PointMass
 from rfem_jax.description.materials import Material
@@ -49,10 +49,15 @@ def read_mechanism(table: object) -> Mechanism:
     place = "[mechanism]"
     optional = ("materials", "sections", *_MECHANISM_OPTIONS)
     content = checked_table(table, place, ("links", "joints"), optional)
-    materials = _read_named(content.get("materials", {}), "mechanism.materials", _read_material)
-    sections = _read_named(content.get("sections", {}), "mechanism.sections", _read_section)
-    links = _read_list(content["links"], "[[mechanism.links]]", _read_link, materials, sections)
-    joints = _read_list(content["joints"], "[[mechanism.joints]]", _read_joint)
+    problems = Problems()
+    materials = _read_named(content.get("materials", {}), "mechanism.materials", _read_material, problems)
+    sections = _read_named(content.get("sections", {}), "mechanism.sections", _read_section, problems)
+    links, joints = [], []
+    with problems.noted():
+        links = _read_list(content["links"], "[[mechanism.links]]", _read_link, materials, sections)
+    with problems.noted():
+        joints = _read_list(content["joints"], "[[mechanism.joints]]", _read_joint)
+    problems.refuse()
     options = {key: content[key] for key in _MECHANISM_OPTIONS if key in content}
     with located(place):
         return Mechanism(links=tuple(links), joints=tuple(joints), **options)
@@ -92,18 +97,31 @@ def _choice(value: object, known: Mapping[str, object], key: str, place: str) ->
         return require_choice(value, tuple(known), key)
 
 
-def _read_named(tables: object, header: str, read: Callable[[str, object, str], Part]) -> dict[str, Part]:
-    """Read tables [header.NAME] by read(name, table, place)."""
-    checked = checked_table(tables, f"[{header}]", optional=tables if isinstance(tables, dict) else ())
-    return {name: read(name, table, f"[{header}.{name}]") for name, table in checked.items()}
+def _read_named(
+    tables: object, header: str, read: Callable[[str, object, str], Part], problems: Problems
+) -> dict[str, Part | None]:
+    """Read tables [header.NAME] by read(name, table, place); None stands for those with a mistake, which is noted."""
+    found: dict[str, Part | None] = {}
+    with problems.noted():
+        for name, table in checked_table(tables, f"[{header}]", optional=_own_keys(tables)).items():
+            found[name] = None
+            with problems.noted():
+                found[name] = read(name, table, f"[{header}.{name}]")
+    return found
+
+
+def _own_keys(table: object) -> Collection[str]:
+    return table if isinstance(table, dict) else ()
 
 
 def _read_list(entries: object, header: str, read: Callable[..., Part], *known: Mapping[str, object]) -> list[Part]:
     """Read tables [[header]] by read(table, place, *known)."""
-    return [
-        read(entry, named_place(header, entry, number), *known)
-        for number, entry in enumerate(checked_list(entries, header), start=1)
-    ]
+    found, problems = [], Problems()
+    for number, entry in enumerate(checked_list(entries, header), start=1):
+        with problems.noted():
+            found.append(read(entry, named_place(header, entry, number), *known))
+    problems.refuse()
+    return found
 
 
 def _read_material(name: str, table: object, place: str) -> Material:
@@ -123,11 +141,15 @@ def _read_section(name: str, table: object, place: str) -> Section:
         return SHAPES[shape](**{key: value for key, value in content.items() if key != "shape"})
 
 
-def _read_link(table: object, place: str, materials: Mapping[str, Material], sections: Mapping[str, Section]) -> Link:
+def _read_link(
+    table: object, place: str, materials: Mapping[str, Material | None], sections: Mapping[str, Section | None]
+) -> Link:
     settings = dict(checked_table(table, place, *keys_of(Link)))
-    settings["section"] = sections[_choice(settings["section"], sections, "section", place)]
-    if "material" in settings:
-        settings["material"] = materials[_choice(settings["material"], materials, "material", place)]
+    for key, known in (("section", sections), ("material", materials)):
+        if key in settings:
+            settings[key] = known[_choice(settings[key], known, key, place)]
+            if settings[key] is None:
+                raise InputError()  # nothing to add: the mistake in that table is noted
     if settings.get("rigid") is True and settings.get("rfes", 1) != 1:
         raise InputError(
             f"{place}: Argument `rfes` must be left out where rigid = true, but was "

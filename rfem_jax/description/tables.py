@@ -10,7 +10,7 @@ from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Any
 
-from rfem_jax.description.errors import InputError, suggestion
+from rfem_jax.description.errors import InputError, nearest, suggestion
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -67,14 +67,17 @@ def checked_table(
     """
     if not isinstance(data, dict):
         raise InputError(f"{place} must be a table, but was {data!r}; write it as {place}.")
-    for key in data:
-        if key not in (*required, *optional):
-            raise InputError(
-                f"{place} must have known keys only, but has `{key}`; {suggestion(key, (*required, *optional))}"
-            )
-    for key in required:
-        if key not in data:
-            raise InputError(f"{place} must have the key `{key}`, but it is missing; add `{key}` there.")
+    known = (*required, *optional)
+    unknown = [key for key in data if key not in known]
+    problems = [f"{place} must have known keys only, but has `{key}`; {suggestion(key, known)}" for key in unknown]
+    meant = [nearest(key, known) for key in unknown]
+    problems += [
+        f"{place} must have the key `{key}`, but it is missing; add `{key}` there."
+        for key in required
+        if key not in data and key not in meant
+    ]
+    if problems:
+        raise InputError(*problems)
     return data
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from rfem_jax.description.error_catalogue import error_dimension
-from rfem_jax.description.errors import ChecksItself, InputError, located, require_choice
+from rfem_jax.description.errors import ChecksItself, InputError, Problems, located, require_choice
 from rfem_jax.description.tables import checked_list, checked_table, keys_of
 from rfem_jax.description.units import DERIVED, positive_quantity, quantity
 
@@ -149,22 +149,23 @@ def read_tolerances(table: object) -> SpecifiedTolerances:
     """The tolerances of the table [tolerances]. Raises: InputError for unknown keys and bad values."""
     place = "[tolerances]"
     checked = checked_table(table, place, optional=table if isinstance(table, dict) else ())
-    alone = []
+    alone, groups, problems = [], [], Problems()
     for error, entry in checked.items():
         if error == "correlated":
             continue
-        if not isinstance(entry, dict):
-            entry = {"half_width": entry}
-        with located(place):
-            error_dimension(error)
-        settings = checked_table(entry, f"{place} `{error}`", *keys_of(SpecifiedTolerance, ("error",)))
-        with located(place):
-            alone.append(SpecifiedTolerance(error, **settings))
-    header, groups = "[[tolerances.correlated]]", []
-    for entry in checked_list(checked.get("correlated", []), header):
-        settings = checked_table(entry, header, *keys_of(CorrelatedTolerances))
-        with located(header):
-            groups.append(CorrelatedTolerances(**settings))
+        with problems.noted():
+            settings = entry if isinstance(entry, dict) else {"half_width": entry}
+            with located(place):
+                error_dimension(error)
+            checked_table(settings, f"{place} `{error}`", *keys_of(SpecifiedTolerance, ("error",)))
+            with located(place):
+                alone.append(SpecifiedTolerance(error, **settings))
+    header = "[[tolerances.correlated]]"
+    with problems.noted():
+        for entry in checked_list(checked.get("correlated", []), header):
+            with problems.noted(), located(header):
+                groups.append(CorrelatedTolerances(**checked_table(entry, header, *keys_of(CorrelatedTolerances))))
+    problems.refuse()
     with located(place):
         return SpecifiedTolerances(tuple(alone), tuple(groups))
 

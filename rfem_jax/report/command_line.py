@@ -368,7 +368,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             try:
                 return _act(arguments, line)
             except InputError as problem:
-                say(" ".join(str(problem).split()))
+                for sentence in problem.problems:
+                    say(" ".join(sentence.split()))
                 return WRONG_INPUT
     except KeyboardInterrupt:
         print(f"Interrupted: the results of this study are not complete{_what_is_kept(arguments)}.", file=sys.stderr)

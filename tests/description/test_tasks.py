@@ -173,7 +173,7 @@ def changed(old, new):
         (changed("[allocation]", "[allocation]\ncriterion = 'rss'\ntarget = 0.99"), ("`target`", "yield")),
         (changed("[allocation]", "[allocation]\ncriterion = 'yield'\ncoverage = 2"), ("`coverage`", "rss")),
         (changed("[allocation]", "[allocation]\nsamples = 64"), ("`samples`", "worst_case")),
-        (without("tolerances"), ("`sensitivity`", "[tolerances]")),
+        (without("tolerances", "monte_carlo", "worst_case"), ("`sensitivity`", "[tolerances]")),
         ("[sensitivity]\nmetrics = []\n[tolerances]\n'D.d_y' = 1e-3", ("`metrics`", "[]")),
     ],
 )

@@ -110,6 +110,15 @@ def test_wrong_study_files(packages, study_file, tmp_path, capsys):
     assert "D.delta_q" in one_sentence(capsys)
 
 
+def test_every_mistake_of_a_study_file_is_a_line(packages, study_file, capsys):
+    text = study_file.read_text(encoding="utf-8").replace("D.delta_x", "D.delta_q").replace("rfes = 5", "rfes = 0")
+    study_file.write_text(text, encoding="utf-8")
+    assert main(["check", str(study_file)]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert ["D.delta_q" in line for line in lines] == [False, False, True]
+    assert all("`rfes`" in line for line in lines[:2])
+
+
 def test_a_folder_that_cannot_be_made_is_refused_before_simulating(packages, study_file, tmp_path, capsys):
     packages.simulation.run_cases = None
     (tmp_path / "file").write_text("", encoding="utf-8")

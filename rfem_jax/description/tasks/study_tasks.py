@@ -7,7 +7,7 @@ its mechanism, `rfem_jax.report.tasks` does them. The kinds are those of `rfem_j
 from dataclasses import dataclass
 from typing import Any
 
-from rfem_jax.description.errors import ChecksItself, InputError, suggestion
+from rfem_jax.description.errors import ChecksItself, InputError, Problems, suggestion
 from rfem_jax.description.mechanism import Mechanism
 from rfem_jax.description.tasks.task import Task
 from rfem_jax.description.tolerances import SpecifiedTolerances, read_tolerances
@@ -57,16 +57,19 @@ class Tasks(ChecksItself):
         Raises: InputError for errors and joints that the mechanism has not, and for a task that
             needs tolerances where there are none.
         """
-        if self.tolerances is not None:
-            mechanism.require_sizes(self.tolerances.reaches(), "`tolerances`")
-        found = {}
+        found, problems = {}, Problems()
+        with problems.noted():
+            if self.tolerances is not None:
+                mechanism.require_sizes(self.tolerances.reaches(), "`tolerances`")
         for name, task in self.asked.items():
-            if self.tolerances is None and task.needs_tolerances:
-                raise InputError(
-                    f"Task `{name}` must have tolerances of the errors, but the study specifies none; "
-                    'add a table [tolerances], for example with "D.delta_x" = "0.5 deg".'
-                )
-            found[name] = task.resolved(mechanism, name)
+            with problems.noted():
+                if self.tolerances is None and task.needs_tolerances:
+                    raise InputError(
+                        f"Task `{name}` must have tolerances of the errors, but the study specifies none; "
+                        'add a table [tolerances], for example with "D.delta_x" = "0.5 deg".'
+                    )
+                found[name] = task.resolved(mechanism, name)
+        problems.refuse()
         return Tasks(self.tolerances, **found)
 
 
@@ -75,10 +78,12 @@ def read_tasks(content: dict[str, Any]) -> Tasks:
 
     Raises: InputError, with the table's name, for unknown keys and bad values.
     """
-    tolerances = read_tolerances(content["tolerances"]) if "tolerances" in content else None
-    found = {
-        name: kind.asked_class().read(content[name], f"[{name}]", tolerances)
-        for name, kind in task_kinds().items()
-        if name in content
-    }
+    tolerances, found, problems = None, {}, Problems()
+    with problems.noted():
+        tolerances = read_tolerances(content["tolerances"]) if "tolerances" in content else None
+    for name, kind in task_kinds().items():
+        with problems.noted():
+            if name in content:
+                found[name] = kind.asked_class().read(content[name], f"[{name}]", tolerances)
+    problems.refuse()
     return Tasks(tolerances, **found)
