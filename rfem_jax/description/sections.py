@@ -136,7 +136,12 @@ class Rectangle(_Shape):
 
 @dataclass(frozen=True)
 class Circle(_Shape):
-    """A solid circle of `diameter` [m]; shear_factor kappa = 10/9 is the static value."""
+    """A solid circle.
+
+    Args:
+        diameter: [m], > 0.
+        shear_factor: kappa [1], > 0; 10/9 is the static value.
+    """
 
     diameter: float
     shear_factor: float = 10.0 / 9.0

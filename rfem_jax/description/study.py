@@ -24,6 +24,8 @@ from rfem_jax.task_kinds import task_kinds
 
 MOST_STEPS, MOST_SAVED = 1e9, 1e6
 LONGEST_NAME = 100
+STUDY_KEYS = (("mechanism", "simulation"), ("title", "note", "drive", "cases", "tolerances"))  # and those of tasks
+CASE_KEYS = (("name",), ("errors",))
 _ROUNDING = 1.0 + 1e-9  # 0.5 / 1e-3 and the like must not fail by rounding
 
 
@@ -215,8 +217,8 @@ def _read_study(content: dict[str, Any], path: Path) -> Study:
     """The study of the tables of a file; what is wrong in one table does not hide what is wrong in others."""
     problems = Problems()
     with problems.noted():
-        keys = ("mechanism", "simulation"), ("title", "note", "drive", "cases", "tolerances", *task_kinds())
-        checked_table(content, "The top level", *keys)
+        required, optional = STUDY_KEYS
+        checked_table(content, "The top level", required, (*optional, *task_kinds()))
     parts: dict[str, Any] = {"title": content.get("title", path.stem), "note": content.get("note", "")}
     readers: dict[str, Callable[[Any], Any]] = {
         "mechanism": read_mechanism, "drive": read_drive, "simulation": read_simulation, "cases": _read_cases
@@ -243,7 +245,7 @@ def _read_cases(entries: object) -> tuple[Case, ...]:
     for number, entry in enumerate(checked_list(entries, header), start=1):
         with problems.noted():
             place = named_place(header, entry, number)
-            checked_table(entry, place, ("name",), ("errors",))
+            checked_table(entry, place, *CASE_KEYS)
             cases.append(Case(entry["name"], entry.get("errors", {})))
     problems.refuse()
     return tuple(cases)

@@ -38,17 +38,18 @@ DRIVES = {
     "prescribed_table": (PrescribedTable, ("times", "angles"), ()),
 }
 _MECHANISM_OPTIONS = ("gravity", "redundant_reactions", "elements")
+MECHANISM_KEYS = (("links", "joints"), ("materials", "sections", *_MECHANISM_OPTIONS))
 _METHOD_KEYS = (
     "step", "rtol", "atol", "stabilisation", "accuracy", "spectral_radius", "corrections",
     "tolerance",
 )  # fmt: skip
+SIMULATION_KEYS = (("duration",), ("method", "save_every", *_METHOD_KEYS))
 
 
 def read_mechanism(table: object) -> Mechanism:
     """Return the Mechanism of the table [mechanism]."""
     place = "[mechanism]"
-    optional = ("materials", "sections", *_MECHANISM_OPTIONS)
-    content = checked_table(table, place, ("links", "joints"), optional)
+    content = checked_table(table, place, *MECHANISM_KEYS)
     problems = Problems()
     materials = _read_named(content.get("materials", {}), "mechanism.materials", _read_material, problems)
     sections = _read_named(content.get("sections", {}), "mechanism.sections", _read_section, problems)
@@ -79,8 +80,7 @@ def read_drive(table: object) -> MomentDrive | PrescribedDrive:
 def read_simulation(table: object) -> tuple[Any, Method, Any]:
     """Return (duration, Method, save_every or None) of the table [simulation]."""
     place = "[simulation]"
-    optional = ("method", "save_every", *_METHOD_KEYS)
-    content = checked_table(table, place, ("duration",), optional)
+    content = checked_table(table, place, *SIMULATION_KEYS)
     settings = {key: content[key] for key in _METHOD_KEYS if key in content}
     with located(place):
         method = Method(content.get("method", "rk4" if "step" in content else "auto"), **settings)

@@ -26,8 +26,12 @@ NORMAL = ("normal", "truncated_normal")
 class SpecifiedTolerance(ChecksItself):
     """One error on its own, within centre +- half_width.
 
-    Args: error, its name; distribution, one of DISTRIBUTIONS; half_width, or else interval (low,
-        high); deviations k of the normal ones.
+    Args:
+        error: its name.
+        half_width: t [rad or m], > 0; this or else `interval`.
+        distribution: "uniform", "triangular", "normal" or "truncated_normal".
+        interval: (low, high) [rad or m].
+        deviations: k, standard deviations in a half-width of the normal ones; None is 3.
     Raises: InputError for names, numbers or settings that are out of range or do not fit each other.
     """
 
@@ -79,8 +83,10 @@ class SpecifiedTolerance(ChecksItself):
 class CorrelatedTolerances(ChecksItself):
     """Several normal errors that vary together.
 
-    Args: half_widths {error: k standard deviations}; correlation, a number for every pair or a
-        matrix in the order of the errors; deviations k.
+    Args:
+        half_widths: {error: k standard deviations} [rad or m], two or more.
+        correlation: a number for every pair, or a matrix in the order of the errors.
+        deviations: k, standard deviations in a half-width.
     Raises: InputError for wrong shapes and a correlation that is not positive definite.
     """
 

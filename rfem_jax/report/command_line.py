@@ -83,6 +83,16 @@ def build_parser() -> argparse.ArgumentParser:
     check.add_argument("study", metavar="STUDY.toml", help="the study file")
     _add_cache(check)
     check.set_defaults(action=_check)
+    keys = commands.add_parser(
+        "keys",
+        help="print all keys of study files",
+        description="Print all tables and keys that a study file may have, their defaults, and what they mean. "
+        'Numbers are in SI units and radians, or strings with a unit such as "0.5 deg".',
+    )
+    keys.add_argument(
+        "table", metavar="WORD", nargs="?", help='tables with this word in their header, such as "joints"'
+    )
+    keys.set_defaults(action=_keys, cache=True)
     validate = commands.add_parser(
         "validate",
         help="compute published benchmarks and compare with their reference values",
@@ -305,6 +315,13 @@ def _check(arguments: argparse.Namespace) -> int:
     step = check_step(model, study.method, study.drive)
     found = "any, or chosen by the method" if step is None else f"{float(step):.3g} s"
     show(f"Largest stable step of {study.method.name}: {found}.")
+    return DONE
+
+
+def _keys(arguments: argparse.Namespace) -> int:
+    from rfem_jax.report.keys_text import keys_text
+
+    show(keys_text(arguments.table))
     return DONE
 
 

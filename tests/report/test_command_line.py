@@ -175,6 +175,18 @@ def test_a_platform_that_is_not_there_is_one_sentence(monkeypatch):
         require_platform()
 
 
+def test_keys_prints_the_reference(packages, capsys):
+    assert main(["keys"]) == 0
+    text = capsys.readouterr().out
+    for word in ("[[mechanism.joints]]", "[allocation.cost]", "child_position", "needed", "0.01, 0.05, 0.5"):
+        assert word in text
+    assert max(map(len, text.splitlines())) <= 120
+    assert main(["keys", "cases"]) == 0
+    assert capsys.readouterr().out.startswith("[[cases]]\n---------\n  name    needed  letters")
+    assert main(["keys", "plots"]) == 2
+    assert "`plots` is in none" in one_sentence(capsys)
+
+
 def test_version(capsys):
     assert main(["--version"]) == 0
     specified = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8"))
@@ -193,7 +205,7 @@ def test_a_wrong_call_is_one_sentence(arguments, capsys):
     assert "--help" in one_sentence(capsys)
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["run", "--help"], ["check", "--help"]])
+@pytest.mark.parametrize("arguments", [["--help"], ["run", "--help"], ["check", "--help"], ["keys", "--help"]])
 def test_help(arguments, capsys):
     assert main(arguments) == 0
     text = capsys.readouterr().out

@@ -7,6 +7,7 @@ Symbols: bounds and `at` in m and rad (`error_catalogue`), or strings with a uni
 metric's own unit.
 """
 
+from collections.abc import Collection
 from dataclasses import MISSING, dataclass, field, fields, replace
 from typing import Any, ClassVar
 
@@ -33,9 +34,13 @@ COST_MODELS = ("reciprocal", "reciprocal_squared", "exponential")
 class ErrorCost(ChecksItself):
     """What a tolerance t of one error costs.
 
-    Args: model "reciprocal" fixed + price at/t, "reciprocal_squared" fixed + price (at/t)^2, or
-        "exponential" fixed + price exp(-t/at); price and fixed in any currency; at [rad or m], None the
-        largest bound of the error.
+    Args:
+        model: "reciprocal" fixed + price at/t, "reciprocal_squared" fixed + price (at/t)^2, or
+            "exponential" fixed + price exp(-t/at).
+        price: in any currency, > 0.
+        at: scale of the half-width t [rad or m]; None the largest bound of the error (in a study file: its
+            tolerance, where it has one).
+        fixed: in the same currency.
     """
 
     model: str = "reciprocal"
@@ -68,12 +73,25 @@ _CRITERIA_OF = {
 class AllocationTask(Task):
     """The cheapest tolerances that keep limits.
 
-    Args: limits {metric: largest, or (low, high)}; bounds {error: (smallest, largest half-width)};
-        costs {error: ErrorCost} with `at` in SI, one for each of the bounds; criterion
-        "worst_case", "rss" or "yield"; target, coverage, statistic, samples, verify_samples,
-        starts, rounds, accuracy as `rfem_jax.allocate` says (accuracy is its `tolerance`);
-        distribution of the errors; scales, further allocations with every limit's distance to the
-        nominal value multiplied by these; mode; seed; batch, simulations at once.
+    Args:
+        limits: {metric: largest value, or (low, high)} in the metric's unit.
+        bounds: {error: (smallest, largest half-width)} in rad and m.
+        costs: {error: ErrorCost}, one for each of the bounds.
+        criterion: "worst_case", "rss" or "yield".
+        target: share of good mechanisms, between 0 and 1; of the criterion "yield" alone.
+        coverage: standard deviations within the limits; of "rss" alone.
+        statistic: "quantile" or "mean"; of "rss" alone.
+        distribution: of the errors: "uniform", "triangular", "normal" or "truncated_normal".
+        samples: simulations that the statistics come from; None for the default. Not of "worst_case".
+        verify_samples: fresh simulations that verify the answer. Not of "worst_case".
+        starts: numbers of searches by the kind of their starting points, {"corners", "random", "sobol"};
+            of "worst_case" alone.
+        rounds: the most corrections until the answer settles.
+        accuracy: relative, of the limits.
+        scales: further allocations, with every limit's distance to the nominal value multiplied by these.
+        seed: of random starts and samples.
+        mode: of differentiation: "auto", "forward" or "reverse".
+        batch: simulations at once.
     Raises: InputError for settings that are out of range or do not fit each other.
     """
 
@@ -130,10 +148,16 @@ class AllocationTask(Task):
         set_fields(self, costs={**self.costs, **complete})
 
     @classmethod
+    def tables(cls, header: str) -> list[tuple[str, type, Collection[str], Collection[str]]]:
+        """As `Task.tables`, with that of the costs."""
+        required, optional = keys_of(cls, omit=("costs",))
+        return [(header, cls, required, ("cost", *optional)), ("[allocation.cost]", ErrorCost, *keys_of(ErrorCost))]
+
+    @classmethod
     def read(cls, table: object, place: str, tolerances: SpecifiedTolerances | None) -> "AllocationTask":
         """As `Task.read`; the tolerances serve as scales of the costs."""
-        required, optional = keys_of(cls, omit=("costs",))
-        checked = checked_table(table, place, required, ("cost", *optional))
+        (_, _, required, optional), _ = cls.tables(place)
+        checked = checked_table(table, place, required, optional)
         settings = {name: value for name, value in checked.items() if name != "cost"}
         bounds = settings["bounds"] if isinstance(settings["bounds"], dict) else {}
         widths = {} if tolerances is None else tolerances.half_widths()

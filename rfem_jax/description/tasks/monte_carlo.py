@@ -24,10 +24,19 @@ from rfem_jax.description.tasks.task import Task
 class MonteCarloTask(Task):
     """Scatter of metrics over the tolerances.
 
-    Args: n samples, in chunks of batch; seed; metrics, names (those of limits are added); limits
-        {metric: largest, or (low, high)}; sampling "sobol" or "pseudo_random"; quantiles and
-        confidence in (0, 1); sobol_indices, control_variate; lanes, samples each device computes at
-        once, None for its default.
+    Args:
+        n: number of samples, at least 2; best a power of 2.
+        metrics: names of metrics; "*" stands for all joints; those of `limits` are added.
+        limits: {metric: largest value, or (low, high)} in the metric's unit; their yield is estimated.
+        batch: samples in a chunk, the unit that is stored, and lost when a run is interrupted.
+        lanes: samples that each device computes at once; None for its default.
+        seed: of the random samples.
+        sampling: "sobol" or "pseudo_random".
+        quantiles: fractions between 0 and 1.
+        confidence: of the intervals, between 0 and 1.
+        sobol_indices: True to estimate Sobol' indices, with d + 2 times as many simulations for d
+            independent errors.
+        control_variate: True to estimate means with the help of the quadratic model.
     Raises: InputError for settings that are out of range or do not fit each other.
     """
 

@@ -17,9 +17,14 @@ from rfem_jax.description.tolerances import error_quantities
 class SensitivityTask(Task):
     """Derivatives of metrics by the errors that have tolerances.
 
-    Args: metrics, names; order 1 or 2; at {error: value} of the point, else nominal; mode "auto",
-        "forward" or "reverse"; batch, directions at once; half_step, True to repeat everything with
-        half the step (a tenth of the tolerances of an adaptive method) and show the change.
+    Args:
+        metrics: names of metrics, such as "D.mean_square_moment"; "*" stands for all joints.
+        order: 1, or 2 for the Hessian too.
+        at: the point, {error: value} in rad and m; errors not named are 0.
+        mode: of differentiation: "auto", "forward" or "reverse".
+        batch: directions at once.
+        half_step: True to repeat everything with half the step (a tenth of the tolerances of an
+            adaptive method) and show the change.
     Raises: InputError for settings that are out of range or do not fit each other.
     """
 

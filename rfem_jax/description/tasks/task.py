@@ -4,7 +4,7 @@ Place in the pipeline: settings -> **task** -> sensitivity, monte_carlo, worst_c
 outside the package begins here too (`rfem_jax.task_kinds`).
 """
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, fields, replace
 from typing import Any, ClassVar
 
@@ -24,6 +24,12 @@ class Task(ChecksItself):
     """
 
     needs_tolerances: ClassVar[bool] = True
+
+    @classmethod
+    def tables(cls, header: str) -> list[tuple[str, type, Collection[str], Collection[str]]]:
+        """The tables of a study file, for `rfem-jax keys`: (header, class whose arguments are the keys, required keys,
+        optional keys)."""
+        return [(header, cls, *keys_of(cls))]
 
     @classmethod
     def read(cls, table: object, place: str, tolerances: SpecifiedTolerances | None) -> "Task":

@@ -23,10 +23,16 @@ from rfem_jax.description.tasks.task import Task
 class WorstCaseTask(Task):
     """Largest (or smallest) value of metrics over the tolerances.
 
-    Args: metrics, names; region "box" or "ellipsoid"; sense "max" or "min"; seed; starts
-        {"corners", "random", "sobol": number of searches}; corners True, False or None (all of
-        them where there are few); evaluations, the most of each search; mode; batch, simulations
-        at once.
+    Args:
+        metrics: names of metrics; "*" stands for all joints.
+        region: "box" or "ellipsoid" of the tolerances.
+        sense: "max" or "min".
+        seed: of the random starts.
+        starts: numbers of searches by the kind of their starting points, {"corners", "random", "sobol"}.
+        corners: True to compute all corners of the box, False for none, None where there are few.
+        evaluations: the most of each search.
+        mode: of differentiation: "auto", "forward" or "reverse".
+        batch: simulations at once.
     Raises: InputError for settings that are out of range or do not fit each other.
     """
 
