@@ -36,9 +36,10 @@ _PACKAGES = {
         "monte_carlo sensitivity worst_case"
     ),
     "compilation.keeping": "keep_programs",
+    "task_kinds": "TaskKind register_task",
     "simulation": "Run check_step choose_method derivative_residual largest_stable_step run_cases simulate",
 }
-_PACKAGE_OF = {name: room for room, names in _PACKAGES.items() for name in names.split()}
+_PACKAGE_OF = {name: package for package, names in _PACKAGES.items() for name in names.split()}
 
 __all__ = sorted(_PACKAGE_OF)
 

@@ -1,4 +1,4 @@
-"""The rooms import one way only: report -> validation, tolerancing -> simulation ->
+"""The packages import one way only: report -> validation, tolerancing -> simulation ->
 mechanics -> compilation -> description."""
 
 import ast
@@ -8,7 +8,9 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("description", "compilation", "mechanics", "simulation", "validation", "tolerancing", "report")
-FILES = sorted((ROOT / "rfem_jax").glob("*/*.py"))
+FILES = sorted(path for path in (ROOT / "rfem_jax").rglob("*.py") if path.parent != ROOT / "rfem_jax")
+
+BESIDE = ("task_kinds",)  # modules that all packages may import
 
 
 def imported_modules(path: Path):
@@ -21,20 +23,36 @@ def imported_modules(path: Path):
             yield node.module
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda p: f"{p.parent.name}/{p.name}")
+def package_of(path: Path) -> str:
+    """The package of the pipeline that a file belongs to, in a sub-package or not."""
+    return path.relative_to(ROOT / "rfem_jax").parts[0]
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(ROOT / "rfem_jax")))
 def test_imports_run_one_way(path):
-    room = PACKAGES.index(path.parent.name)
+    level = PACKAGES.index(package_of(path))
     for name in imported_modules(path):
         parts = name.split(".")
-        if parts[0] == "rfem_jax" and len(parts) > 1:
-            assert PACKAGES.index(parts[1]) <= room, f"{path} imports {name}"
+        if parts[0] == "rfem_jax" and len(parts) > 1 and parts[1] not in BESIDE:
+            assert PACKAGES.index(parts[1]) <= level, f"{path} imports {name}"
+
+
+@pytest.mark.parametrize("name", BESIDE)
+def test_what_stands_beside_the_packages_imports_none_of_them(name):
+    assert not [one for one in imported_modules(ROOT / "rfem_jax" / f"{name}.py") if one.startswith("rfem_jax")]
+
+
+def imported_files(path: Path):
+    """Names of all modules of this project that a file imports; `from package import module` names a module too."""
+    yield from (name for name in imported_modules(path) if name.startswith("rfem_jax."))
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("rfem_jax."):
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
 
 
 def test_no_circles_of_files():
     imports = {
-        "rfem_jax." + ".".join(p.relative_to(ROOT / "rfem_jax").with_suffix("").parts): {
-            name for name in imported_modules(p) if name.startswith("rfem_jax.")
-        }
+        "rfem_jax." + ".".join(p.relative_to(ROOT / "rfem_jax").with_suffix("").parts): set(imported_files(p))
         for p in FILES
         if p.name != "__init__.py"
     }

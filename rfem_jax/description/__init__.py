@@ -1,6 +1,6 @@
-"""What the user states: materials, sections, links, joints, the mechanism, its drive, a study.
+"""What the user specifies: materials, sections, links, joints, the mechanism, its drive, a study.
 
-Place in the pipeline: the first room; imports nothing of the others. Everything is checked where it
+Place in the pipeline: the first package; imports nothing of the others. Everything is checked where it
 enters and converted to SI floats.
 """
 

@@ -1,30 +1,45 @@
 """Drives: a moment on a joint, or a prescribed angle of a joint, as functions of time.
 
-Place in the pipeline: stated in a study; `mechanics` and `simulation` evaluate them inside compiled
+Place in the pipeline: specified in a study; `mechanics` and `simulation` evaluate them inside compiled
 code (jit, vmap, forward and reverse differentiation).
 
 A drive may jump at its breakpoints, which are static (they divide the run into integrations).
 Pieces are chosen by `phase`, the number of breakpoints passed, never by comparing t with a jump.
 Values are float64 JAX arrays: new values do not compile anew.
 
-Symbols: t [s]; moment [N m] about +y of the joint; angle turned since the start [rad], rate
+Symbols: t [s]; moment [N m] about +y of the joint; change of the angle since the start [rad], rate
 [rad/s], acceleration [rad/s^2]. Source: MODEL.md section 6, equation (21).
 """
 
 import abc
 from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jax.tree_util import Partial
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from rfem_jax.description.errors import InputError, require_name, subject
-from rfem_jax.description.units import non_negative_quantity, positive_quantity, quantity, sequence
+from rfem_jax.description.units import (
+    Quantities,
+    Quantity,
+    non_negative_quantity,
+    positive_quantity,
+    quantity,
+    sequence,
+)
 
 Scalar = Float[Array, ""]
+Time = Float[Array, ""] | float
+Phase = Int[Array, ""] | int | np.integer
+if TYPE_CHECKING:
+    Law = Callable[..., Scalar]
+else:
+    Law = Any  # what is no function is refused in a sentence
 
 
 class MomentDrive(eqx.Module):
@@ -37,7 +52,7 @@ class MomentDrive(eqx.Module):
         """Return the times [s] > 0 at which the moment jumps, increasing."""
 
     @abc.abstractmethod
-    def moment_at(self, t, phase) -> Scalar:
+    def moment_at(self, t: Time, phase: Phase) -> Scalar:
         """Return the moment [N m] about +y at the time t, in the piece `phase` (int, from 0)."""
 
 
@@ -51,8 +66,8 @@ class PrescribedDrive(eqx.Module):
         """Return the times [s] > 0 at which a derivative jumps, increasing."""
 
     @abc.abstractmethod
-    def motion_at(self, t, phase) -> tuple[Scalar, Scalar, Scalar]:
-        """Return (angle turned since the start, rate, acceleration) at t in the piece `phase`."""
+    def motion_at(self, t: Time, phase: Phase) -> tuple[Scalar, Scalar, Scalar]:
+        """Return (change of the angle since the start, rate, acceleration) at t in the piece `phase`."""
 
 
 class MomentRamp(MomentDrive):
@@ -68,15 +83,15 @@ class MomentRamp(MomentDrive):
     moment: Scalar
     rise_time: float = eqx.field(static=True)
 
-    def __init__(self, joint, moment, rise_time):
+    def __init__(self, joint: str, moment: Quantity, rise_time: Quantity):
         self.joint = _joint_name(joint)
         self.moment = _leaf(moment, "moment", "moment")
         self.rise_time = positive_quantity(rise_time, "time", "rise_time")
 
-    def breakpoints(self):
+    def breakpoints(self) -> tuple[float, ...]:
         return (self.rise_time,)
 
-    def moment_at(self, t, phase):
+    def moment_at(self, t: Time, phase: Phase) -> Scalar:
         return jnp.where(_phase(phase) == 0, self.moment * (t / self.rise_time), 0.0)
 
 
@@ -90,10 +105,10 @@ class MomentTable(MomentDrive):
     """
 
     joint: str = eqx.field(static=True)
-    values: Float[Array, " n"]
+    values: Float[Array, " times"]
     times: tuple[float, ...] = eqx.field(static=True)
 
-    def __init__(self, joint, times, moments):
+    def __init__(self, joint: str, times: Quantities, moments: Quantities):
         self.joint = _joint_name(joint)
         self.times = _table_times(times, strictly=False)
         self.values = _column(moments, "moment", "moments", len(self.times))
@@ -101,10 +116,10 @@ class MomentTable(MomentDrive):
     def _jump_rows(self) -> tuple[int, ...]:
         return tuple(i for i in range(1, len(self.times)) if self.times[i] == self.times[i - 1])
 
-    def breakpoints(self):
+    def breakpoints(self) -> tuple[float, ...]:
         return (*(self.times[row] for row in self._jump_rows()), self.times[-1])
 
-    def moment_at(self, t, phase):
+    def moment_at(self, t: Time, phase: Phase) -> Scalar:
         phase = _phase(phase)
         times, rows = jnp.asarray(self.times), self._jump_rows()
         first = jnp.asarray((0, *rows), jnp.int32)[phase]
@@ -126,19 +141,19 @@ class MomentFunction(MomentDrive):
     """
 
     joint: str = eqx.field(static=True)
-    function: Callable
+    function: Callable[..., Scalar]
     times: tuple[float, ...] = eqx.field(static=True)
 
-    def __init__(self, joint, function, breakpoints=()):
+    def __init__(self, joint: str, function: Law, breakpoints: Quantities = ()):
         self.joint = _joint_name(joint)
         self.times = _breakpoints(breakpoints)
         self.function = _as_tree(function)
         _check_scalar(self.function, with_phase=True)
 
-    def breakpoints(self):
+    def breakpoints(self) -> tuple[float, ...]:
         return self.times
 
-    def moment_at(self, t, phase):
+    def moment_at(self, t: Time, phase: Phase) -> Scalar:
         return self.function(jnp.asarray(t, jnp.float64), _phase(phase))
 
 
@@ -155,15 +170,15 @@ class PrescribedRate(PrescribedDrive):
     rate: Scalar
     rise_time: float = eqx.field(static=True)
 
-    def __init__(self, joint, rate, rise_time=0.0):
+    def __init__(self, joint: str, rate: Quantity, rise_time: Quantity = 0.0):
         self.joint = _joint_name(joint)
         self.rate = _leaf(rate, "rate", "rate")
         self.rise_time = non_negative_quantity(rise_time, "time", "rise_time")
 
-    def breakpoints(self):
+    def breakpoints(self) -> tuple[float, ...]:
         return (self.rise_time,) if self.rise_time > 0.0 else ()
 
-    def motion_at(self, t, phase):
+    def motion_at(self, t: Time, phase: Phase) -> tuple[Scalar, Scalar, Scalar]:
         if self.rise_time == 0.0:
             return self.rate * t, self.rate + 0.0 * t, 0.0 * self.rate * t
         x = t / self.rise_time
@@ -191,15 +206,15 @@ class PrescribedSpinUp(PrescribedDrive):
     rate: Scalar
     rise_time: float = eqx.field(static=True)
 
-    def __init__(self, joint, rate, rise_time):
+    def __init__(self, joint: str, rate: Quantity, rise_time: Quantity):
         self.joint = _joint_name(joint)
         self.rate = _leaf(rate, "rate", "rate")
         self.rise_time = positive_quantity(rise_time, "time", "rise_time")
 
-    def breakpoints(self):
+    def breakpoints(self) -> tuple[float, ...]:
         return (self.rise_time,)
 
-    def motion_at(self, t, phase):
+    def motion_at(self, t: Time, phase: Phase) -> tuple[Scalar, Scalar, Scalar]:
         x, whole = t / self.rise_time, 2.0 * np.pi
         rising = _phase(phase) == 0
         angle = jnp.where(rising, x**2 / 2.0 + (jnp.cos(whole * x) - 1.0) / whole**2, x - 0.5)
@@ -213,27 +228,27 @@ class PrescribedSpinUp(PrescribedDrive):
 
 
 class PrescribedTable(PrescribedDrive):
-    """Angles turned, given at times and joined by a cubic spline (C2, "not-a-knot" ends).
+    """Changes of the angle, given at times and joined by a cubic spline (C2, "not-a-knot" ends).
 
     Args:
         joint: the joint's name.
         times: [s], increasing from 0; at least two.
-        angles: angles turned [rad], as many as times, the first 0.
+        angles: changes of the angle since the start [rad], as many as times, the first 0.
     """
 
     joint: str = eqx.field(static=True)
-    knots: Float[Array, " n"]
-    coefficients: Float[Array, "4 n-1"]
+    knots: Float[Array, " times"]
+    coefficients: Float[Array, "4 times-1"]
     end: float = eqx.field(static=True)
 
-    def __init__(self, joint, times, angles):
+    def __init__(self, joint: str, times: Quantities, angles: Quantities):
         self.joint = _joint_name(joint)
         times = _table_times(times, strictly=True)
         angles = np.asarray(_column(angles, "angle", "angles", len(times)))
         if angles[0] != 0.0:
             raise InputError(
                 f"Argument `angles` must start with 0, but starts with {angles[0]}; give the "
-                "angles turned since the start."
+                "changes of the angle since the start."
             )
         # A third of a second that no other study needs to wait for.
         from scipy.interpolate import CubicSpline
@@ -243,10 +258,10 @@ class PrescribedTable(PrescribedDrive):
         self.coefficients = jnp.asarray(spline.c)
         self.end = times[-1]
 
-    def breakpoints(self):
+    def breakpoints(self) -> tuple[float, ...]:
         return ()
 
-    def motion_at(self, t, phase):
+    def motion_at(self, t: Time, phase: Phase) -> tuple[Scalar, Scalar, Scalar]:
         last = self.knots.shape[0] - 2
         piece = jnp.clip(jnp.searchsorted(self.knots, t, side="right") - 1, 0, last)
         a, b, c, d = self.coefficients[:, piece]
@@ -256,54 +271,54 @@ class PrescribedTable(PrescribedDrive):
 
 
 class PrescribedFunction(PrescribedDrive):
-    """Angle turned as a Python function written in JAX; its derivatives are taken by JAX.
+    """Change of the angle as a Python function written in JAX; its derivatives are taken by JAX.
 
     Args:
         joint: the joint's name.
-        function: t [s] -> angle turned [rad], a float64 scalar, 0 at t = 0 and twice
+        function: t [s] -> change of the angle [rad], a float64 scalar, 0 at t = 0 and twice
             differentiable; with breakpoints it is called as function(t, phase) instead.
         breakpoints: times [s] > 0 at which a derivative jumps, increasing.
     """
 
     joint: str = eqx.field(static=True)
-    function: Callable
+    function: Callable[..., Scalar]
     times: tuple[float, ...] = eqx.field(static=True)
 
-    def __init__(self, joint, function, breakpoints=()):
+    def __init__(self, joint: str, function: Law, breakpoints: Quantities = ()):
         self.joint = _joint_name(joint)
         self.times = _breakpoints(breakpoints)
         self.function = _as_tree(function)
         _check_scalar(self.function, with_phase=bool(self.times))
         start = self._angle(jnp.zeros((), jnp.float64), 0)
-        if not isinstance(start, jax.core.Tracer) and not abs(float(start)) <= 1e-12:
+        if not isinstance(start, Tracer) and not abs(float(start)) <= 1e-12:
             raise InputError(
-                f"Argument `function` must be 0 at t = 0, but was {float(start)}; return the angle "
-                "turned since the start."
+                f"Argument `function` must be 0 at t = 0, but was {float(start)}; return the change "
+                "of the angle since the start."
             )
 
-    def breakpoints(self):
+    def breakpoints(self) -> tuple[float, ...]:
         return self.times
 
-    def _angle(self, t, phase):
+    def _angle(self, t: Time, phase: Phase) -> Scalar:
         return self.function(t, phase) if self.times else self.function(t)
 
-    def motion_at(self, t, phase):
+    def motion_at(self, t: Time, phase: Phase) -> tuple[Scalar, Scalar, Scalar]:
         t, phase = jnp.asarray(t, jnp.float64), _phase(phase)
         one = jnp.ones_like(t)
 
-        def angle_and_rate(time):
+        def angle_and_rate(time: Scalar) -> tuple[Scalar, Scalar]:
             return jax.jvp(lambda s: self._angle(s, phase), (time,), (one,))
 
         (angle, rate), (_, acceleration) = jax.jvp(angle_and_rate, (t,), (one,))
         return angle, rate, acceleration
 
 
-def _phase(phase):
+def _phase(phase: Phase) -> Int[Array, ""]:
     return jnp.asarray(phase, jnp.int32)
 
 
-def _joint_name(joint) -> str:
-    if not jax.config.jax_enable_x64:
+def _joint_name(joint: object) -> str:
+    if not jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]  # JAX adds it at run time
         raise InputError(
             "A drive must be built in double precision, but JAX is set to single precision; paste "
             'jax.config.update("jax_enable_x64", True) at the start of your program.'
@@ -311,9 +326,9 @@ def _joint_name(joint) -> str:
     return require_name(joint, "`joint` of the drive")
 
 
-def _leaf(value, dimension: str, where: str) -> Scalar:
+def _leaf(value: Any, dimension: str, where: str) -> Scalar:
     """A float64 scalar array; a traced value stays traced, so that it can be differentiated."""
-    if isinstance(value, jax.core.Tracer):
+    if isinstance(value, Tracer):
         if value.shape != () or value.dtype != jnp.float64:
             raise InputError(
                 f"{subject(where)} must be a float64 scalar, but has the type {value.dtype} and "
@@ -323,20 +338,22 @@ def _leaf(value, dimension: str, where: str) -> Scalar:
     return jnp.asarray(quantity(value, dimension, where), jnp.float64)
 
 
-def _column(values, dimension: str, where: str, length: int) -> Float[Array, " n"]:
-    if isinstance(values, jax.core.Tracer) and values.dtype == jnp.float64 and values.ndim == 1:
-        column = values
-    else:
-        column = jnp.asarray(sequence(values, dimension, where), jnp.float64)
-    if column.shape[0] != length:
+def _column(values: Any, dimension: str, where: str, length: int) -> Float[Array, " times"]:
+    if not _is_traced_column(values):
+        values = jnp.asarray(sequence(values, dimension, where), jnp.float64)
+    if values.shape[0] != length:
         raise InputError(
             f"{subject(where)} must have as many entries as `times` ({length}), but has "
-            f"{column.shape[0]}; give one for each time."
+            f"{values.shape[0]}; give one for each time."
         )
-    return column
+    return values
 
 
-def _table_times(times, strictly: bool) -> tuple[float, ...]:
+def _is_traced_column(values: object) -> bool:
+    return isinstance(values, Tracer) and values.dtype == jnp.float64 and values.ndim == 1
+
+
+def _table_times(times: Quantities, strictly: bool) -> tuple[float, ...]:
     times = sequence(times, "time", "times")
     if len(times) < 2 or times[0] != 0.0:
         raise InputError(
@@ -358,7 +375,7 @@ def _table_times(times, strictly: bool) -> tuple[float, ...]:
     return times
 
 
-def _breakpoints(times) -> tuple[float, ...]:
+def _breakpoints(times: Quantities) -> tuple[float, ...]:
     times = sequence(times, "time", "breakpoints")
     if any(later <= earlier for earlier, later in zip((0.0, *times), times)):
         raise InputError(
@@ -368,7 +385,7 @@ def _breakpoints(times) -> tuple[float, ...]:
     return times
 
 
-def _as_tree(function):
+def _as_tree(function: object) -> Any:
     """A function as a pytree: an equinox Module keeps its leaves, a plain function is static."""
     if not callable(function):
         raise InputError(
@@ -377,7 +394,7 @@ def _as_tree(function):
     return function if isinstance(function, (eqx.Module, Partial)) else Partial(function)
 
 
-def _check_scalar(function, with_phase: bool) -> None:
+def _check_scalar(function: Callable[..., Any], with_phase: bool) -> None:
     t, phase = jax.ShapeDtypeStruct((), jnp.float64), jax.ShapeDtypeStruct((), jnp.int32)
     signature = "(t, phase)" if with_phase else "(t)"
     try:

@@ -28,13 +28,13 @@ LINK_ERRORS = {"length": "length", "twist": "angle"}
 _KNOWN = {**JOINT_ERRORS, **LINK_ERRORS}
 
 
-def error_dimension(name: str) -> str:
+def error_dimension(name: object) -> str:
     """Return "angle" or "length" for the error `name`, such as "D.delta_x" or "coupler.length".
 
     Raises:
         InputError: the part after the joint's or link's name is no error's name.
     """
-    owner, dot, component = name.partition(".") if isinstance(name, str) else ("", "", "")
+    owner, dot, component = str(name).partition(".")
     if not (owner and dot):
         raise InputError(
             "Argument `name` of an error must be a joint or a link, a dot and the kind of error, "

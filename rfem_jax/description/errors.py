@@ -1,10 +1,12 @@
 """InputError, the one exception for bad input, and the wording its sentences share.
 
-Place in the pipeline: used by every room; imports nothing of the library.
+Place in the pipeline: used by every package; imports nothing of the library.
 
-Every refusal is one sentence of the form "Argument `x` must ..., but ...", and the fix.
+Every refusal is one sentence of the form "Argument `x` must ..., but ...", and the fix; where a reader can go on after
+a mistake, it collects the sentences (`Problems`).
 """
 
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from difflib import get_close_matches
 
@@ -13,7 +15,51 @@ LIKENESS, LIKENESS_OF_SAME_LETTER = 0.7, 0.65
 
 
 class InputError(ValueError):
-    """What the user stated cannot be used; the message says where, why, and how to fix it."""
+    """What the user wrote cannot be used; the message says where, why, and how to fix it.
+
+    Args: problems, a sentence for each mistake; the message has a line for each.
+    """
+
+    def __init__(self, *problems: str):
+        super().__init__(*problems)
+        self.problems = problems
+
+    def __str__(self) -> str:
+        return "\n".join(self.problems)
+
+
+class Problems:
+    """Mistakes in several places, which are told together.
+
+    problems = Problems()
+    for entry in entries:
+        with problems.noted():
+            read(entry)
+    problems.refuse()
+    """
+
+    def __init__(self) -> None:
+        self.found: list[str] = []
+
+    @contextmanager
+    def noted(self) -> Iterator[None]:
+        """Note an InputError that the block raises, and go on after the block."""
+        try:
+            yield
+        except InputError as error:
+            self.found += error.problems
+
+    def refuse(self) -> None:
+        """Raise InputError with all that was noted, if there is anything."""
+        if self.found:
+            raise InputError(*dict.fromkeys(self.found)) from None
+
+
+class ChecksItself:
+    """Base of the dataclasses that a user makes: `__post_init__` says in a sentence what is wrong with an argument, and
+    converts what is right, so that a checker of types at run time leaves the arguments to it."""
+
+    __no_type_check__ = True
 
 
 def subject(where: str) -> str:
@@ -25,7 +71,7 @@ def subject(where: str) -> str:
     return f"Argument {where}" if "`" in where else f"Argument `{where}`"
 
 
-def nearest(name, known) -> str | None:
+def nearest(name: object, known: Iterable[object]) -> str | None:
     """Return the entry of `known` (strings) that `name` may be a slip of the pen for, or None."""
     by_lower_case = {str(entry).lower(): str(entry) for entry in known}
     name = str(name).lower()
@@ -35,7 +81,7 @@ def nearest(name, known) -> str | None:
     return by_lower_case[found[0]] if found else None
 
 
-def suggestion(name, known) -> str:
+def suggestion(name: object, known: Iterable[object]) -> str:
     """Return "did you mean `x`?", or the list of what is known where nothing is near."""
     known = [str(entry) for entry in known]
     match = nearest(name, known)
@@ -47,7 +93,7 @@ def suggestion(name, known) -> str:
     return f"known are {shown}{' and more' if len(known) > 20 else ''}."
 
 
-def require_name(name, where: str, reserved=()) -> str:
+def require_name(name: object, where: str, reserved: Collection[str] = ()) -> str:
     """Return `name` if it is a word of letters, digits, "_" and "-"; else raise InputError.
 
     Names become parts of error names ("D.delta_x") and of columns, hence no dots or spaces.
@@ -65,7 +111,7 @@ def require_name(name, where: str, reserved=()) -> str:
     return name
 
 
-def require_choice(value, choices, where: str) -> str:
+def require_choice(value: object, choices: Collection[str], where: str) -> str:
     """Return `value` if it is one of the strings `choices`; else raise InputError."""
     if not (isinstance(value, str) and value in choices):
         listed = ", ".join(f'"{choice}"' for choice in choices)
@@ -73,7 +119,7 @@ def require_choice(value, choices, where: str) -> str:
     return value
 
 
-def require_flag(value, where: str) -> bool:
+def require_flag(value: object, where: str) -> bool:
     """Return `value` if it is True or False; else raise InputError."""
     if not isinstance(value, bool):
         raise InputError(f"{subject(where)} must be true or false, but was {value!r}; write it without quotes.")
@@ -81,9 +127,9 @@ def require_flag(value, where: str) -> bool:
 
 
 @contextmanager
-def located(place: str):
+def located(place: str) -> Iterator[None]:
     """Prefix the message of an InputError raised inside with `place` (a table of a study file)."""
     try:
         yield
     except InputError as error:
-        raise InputError(f"{place}: {error}") from None
+        raise InputError(*(f"{place}: {problem}" for problem in error.problems)) from None

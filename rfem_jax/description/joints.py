@@ -10,12 +10,12 @@ Source: MODEL.md section 1.
 
 from dataclasses import dataclass
 
-from rfem_jax.description.errors import InputError, require_flag, require_name
+from rfem_jax.description.errors import ChecksItself, InputError, require_flag, require_name
 from rfem_jax.description.units import quantity, vector
 
 
 @dataclass(frozen=True)
-class Joint:
+class Joint(ChecksItself):
     """A hinge about the y axis of its frame.
 
     Args:

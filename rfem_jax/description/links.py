@@ -8,10 +8,11 @@ Source: MODEL.md sections 1 and 2.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from rfem_jax.description.errors import InputError, require_flag, require_name
+from rfem_jax.description.errors import ChecksItself, InputError, require_flag, require_name
 from rfem_jax.description.materials import Material
 from rfem_jax.description.sections import (
     Circle,
@@ -28,7 +29,7 @@ MOST_RFES = 1000
 
 
 @dataclass(frozen=True)
-class PointMass:
+class PointMass(ChecksItself):
     """A mass fixed on a link (a bearing, a pin).
 
     Args:
@@ -44,10 +45,11 @@ class PointMass:
     def __post_init__(self):
         mass = positive_quantity(self.mass, "mass", "`mass` of a point mass")
         where = "`position` of a point mass"
-        if isinstance(self.position, str) or np.ndim(self.position) == 0:
-            position = (quantity(self.position, "length", where), 0.0, 0.0)
+        place: Any = self.position  # a number on the axis, too
+        if isinstance(place, str) or np.ndim(place) == 0:
+            position = (quantity(place, "length", where), 0.0, 0.0)
         else:
-            position = vector(self.position, "length", where)
+            position = vector(place, "length", where)
         where = "`inertia` of a point mass"
         inertia = vector(self.inertia, "moment_of_inertia", where)
         for entry in inertia:
@@ -59,7 +61,7 @@ class PointMass:
 
 
 @dataclass(frozen=True)
-class Link:
+class Link(ChecksItself):
     """A rigid or flexible link; its frame has x along the beam and its origin at its start.
 
     Args:

@@ -7,14 +7,15 @@ density rho [kg/m^3]; damping eta [s] (Kelvin-Voigt: damping matrix = eta * stif
 Source: MODEL.md section 2.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
-from rfem_jax.description.errors import InputError, require_name
+from rfem_jax.description.errors import ChecksItself, InputError, require_name
 from rfem_jax.description.units import non_negative_quantity, positive_quantity, quantity
 
 
 @dataclass(frozen=True)
-class Material:
+class Material(ChecksItself):
     """A linear elastic, isotropic material; numbers in SI or strings with a unit.
 
     Args:
@@ -50,20 +51,22 @@ class Material:
         if self.shear_modulus is not None:
             self._set("shear_modulus", positive_quantity, "pressure", where)
         else:
-            self._set("poisson_ratio", quantity, "none", where)
-            if not -1.0 < self.poisson_ratio <= 0.5:
+            ratio = self._set("poisson_ratio", quantity, "none", where)
+            if not -1.0 < ratio <= 0.5:
                 raise InputError(
                     f"Argument `poisson_ratio` {where} must be above -1 and at most 0.5, but was "
-                    f"{self.poisson_ratio}; metals have about 0.3."
+                    f"{ratio}; metals have about 0.3."
                 )
 
-    def _set(self, field, convert, dimension, where):
+    def _set(self, field: str, convert: Callable[[float, str, str], float], dimension: str, where: str) -> float:
         value = convert(getattr(self, field), dimension, f"`{field}` {where}")
         object.__setattr__(self, field, value)
+        return value
 
     @property
     def modulus_of_rigidity(self) -> float:
         """G [Pa], as given or from E and nu."""
         if self.shear_modulus is not None:
             return self.shear_modulus
-        return self.youngs_modulus / (2.0 * (1.0 + self.poisson_ratio))
+        ratio = 0.0 if self.poisson_ratio is None else self.poisson_ratio
+        return self.youngs_modulus / (2.0 * (1.0 + ratio))

@@ -8,20 +8,24 @@ Source: MODEL.md section 1.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, TypeVar
 
 from rfem_jax.description.error_catalogue import JOINT_ERRORS, LINK_ERRORS, error_dimension, error_unit
-from rfem_jax.description.errors import InputError, require_choice, subject, suggestion
+from rfem_jax.description.errors import ChecksItself, InputError, Problems, require_choice, subject, suggestion
 from rfem_jax.description.joints import Joint
 from rfem_jax.description.links import Link
 from rfem_jax.description.units import vector
+
+Part = TypeVar("Part", Link, Joint)
 
 ELEMENTS = ("linear", "geometrically_exact")
 _ROUNDING = 1e-12  # a position at the end of a link may exceed its length by rounding
 
 
 @dataclass(frozen=True)
-class Mechanism:
+class Mechanism(ChecksItself):
     """Links and joints, checked to form a tree with cut joints.
 
     Args:
@@ -56,9 +60,13 @@ class Mechanism:
             raise InputError("Argument `links` must hold at least one link, but is empty; add one.")
         self._check_references()
         self._check_tree()
+        problems = Problems()
         for joint in self.joints:
-            self._check_positions(joint)
-        self._check_driven_joint()
+            with problems.noted():
+                self._check_positions(joint)
+        with problems.noted():
+            self._check_driven_joint()
+        problems.refuse()
 
     def link(self, name: str) -> Link:
         """Return the link `name`; raises InputError with the nearest name if there is none."""
@@ -102,32 +110,38 @@ class Mechanism:
         """Raise InputError unless `sizes` {error: magnitude [rad or m]} are errors of this mechanism and none turns
         anything by a right angle or shifts it by the length of the longest link."""
         longest = max(link.length for link in self.links)
+        problems = Problems()
         for name, size in sizes.items():
-            self.require_error(name, where)
-            most, unit = (0.5 * math.pi, "rad") if error_dimension(name) == "angle" else (longest, "m")
-            if not size <= most:
-                raise InputError(
-                    f"{subject(where)} must be less than {most:.4g} {unit} (a right angle, or the longest link), "
-                    f"but `{name}` has {size:g} {unit}; check the number and its unit."
-                )
+            with problems.noted():
+                self.require_error(name, where)
+                most, unit = (0.5 * math.pi, "rad") if error_dimension(name) == "angle" else (longest, "m")
+                if not size <= most:
+                    raise InputError(
+                        f"{subject(where)} must be less than {most:.4g} {unit} (a right angle, or the longest link), "
+                        f"but `{name}` has {size:g} {unit}; check the number and its unit."
+                    )
+        problems.refuse()
 
     def _parent_joints(self) -> dict[str, Joint]:
         return {joint.child: joint for joint in self.joints if not joint.cut}
 
     def _check_references(self) -> None:
         names = [link.name for link in self.links]
+        problems = []
         for joint in self.joints:
             for side, known in (("parent", ["base", *names]), ("child", names)):
                 name = getattr(joint, side)
                 if name not in known:
-                    raise InputError(
+                    problems.append(
                         f"Argument `{side}` of joint `{joint.name}` must be "
                         f"{'the base or ' if side == 'parent' else ''}a link of the mechanism, but "
                         f"there is no link `{name}`; {suggestion(name, known)}"
                     )
+        if problems:
+            raise InputError(*problems)
 
     def _check_tree(self) -> None:
-        """Each link hangs on exactly one joint of the tree, and on the base in the end."""
+        """Each link is the child of exactly one joint of the tree, which begins at the base."""
         parents: dict[str, Joint] = {}
         for joint in (joint for joint in self.joints if not joint.cut):
             other = parents.setdefault(joint.child, joint)
@@ -189,7 +203,7 @@ class Mechanism:
             )
 
 
-def _unique(entries, kind, where: str) -> tuple:
+def _unique(entries: Any, kind: type[Part], where: str) -> tuple[Part, ...]:
     if not isinstance(entries, (list, tuple)) or any(not isinstance(e, kind) for e in entries):
         raise InputError(
             f"Argument `{where}` must be a list of {kind.__name__} objects, but was {entries!r}; "
@@ -203,7 +217,7 @@ def _unique(entries, kind, where: str) -> tuple:
     return tuple(entries)
 
 
-def _find(entries, name: str, kind: str):
+def _find(entries: Sequence[Part], name: str, kind: str) -> Part:
     for entry in entries:
         if entry.name == name:
             return entry
@@ -221,13 +235,13 @@ def _check_reaches_base(name: str, parents: dict[str, Joint]) -> None:
             loop = " -> ".join((*seen[seen.index(name) :], name))
             raise InputError(
                 f"Argument `joints` must connect every link to the base, but the links {loop} only "
-                "hang on each other: a closed loop; declare one joint of the loop cut = true and "
+                "follow each other: a closed loop; declare one joint of the loop cut = true and "
                 "join one of its links to the base."
             )
         seen.append(name)
 
 
-def _sorted_tree(links, parents: dict[str, Joint]) -> tuple[Joint, ...]:
+def _sorted_tree(links: Sequence[Link], parents: dict[str, Joint]) -> tuple[Joint, ...]:
     placed, ordered, waiting = {"base"}, [], [link.name for link in links]
     while waiting:
         name = next(name for name in waiting if parents[name].parent in placed)

@@ -1,16 +1,18 @@
 """Method: the name of an integration method and its settings.
 
-Place in the pipeline: stated in a study; `simulation` turns it into a solver.
+Place in the pipeline: specified in a study; `simulation` turns it into a solver.
 
 Symbols: step h [s]; rtol, atol [1] relative and absolute tolerance of adaptive steps; stabilisation
 [1] dimensionless Baumgarte gain; accuracy [1] relative accuracy asked of the method "auto".
 Source: MODEL.md sections 4 and 6.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from numbers import Real
 
-from rfem_jax.description.errors import InputError, require_choice
-from rfem_jax.description.units import non_negative_quantity, positive_quantity
+from rfem_jax.description.errors import ChecksItself, InputError, require_choice
+from rfem_jax.description.units import Quantity, non_negative_quantity, positive_quantity
 
 ADAPTIVE_METHODS = ("tsit5", "dopri5", "dopri8", "bosh3", "heun", "midpoint", "ralston")
 FIXED_METHODS = ("rk4", "leapfrog")
@@ -25,7 +27,7 @@ _IMPLICIT_SETTINGS = {
 
 
 @dataclass(frozen=True)
-class Method:
+class Method(ChecksItself):
     """An integration method; numbers in SI or strings with a unit.
 
     Args:
@@ -38,8 +40,8 @@ class Method:
         accuracy: > 0, < 1; for "auto" only, which chooses step and tolerances itself.
         spectral_radius: of "generalised_alpha" at infinite frequency, from 0 (such vibrations vanish in one
             step) to below 1 (they stay); default 0.6.
-        corrections: of Newton's method in every step of "generalised_alpha", at most; at least 1, default 5.
-        tolerance: share of the largest joint load that they may leave over, > 0, < 1; default 1e-8.
+        corrections: largest number of Newton increments in a step of "generalised_alpha"; at least 1, default 5.
+        tolerance: largest residual allowed, as a share of the largest joint load, > 0, < 1; default 1e-8.
     Raises:
         InputError: an unknown name, a value out of range, or settings that do not fit the method.
     """
@@ -111,21 +113,21 @@ class Method:
                 'Argument `stabilisation` must be left out with the method "generalised_alpha", which '
                 "closes the joints in every step, but was given; remove it."
             )
-        self._set("spectral_radius", non_negative_quantity, "none")
-        if self.spectral_radius >= 1.0:
+        radius = self._set("spectral_radius", non_negative_quantity, "none")
+        if radius is not None and radius >= 1.0:
             raise InputError(
                 "Argument `spectral_radius` must be less than 1, but is "
-                f"{self.spectral_radius:g}: the joint loads would oscillate from step to step; "
+                f"{radius:g}: the joint loads would oscillate from step to step; "
                 f"the default is {SPECTRAL_RADIUS}."
             )
-        self._set("tolerance", positive_quantity, "none")
-        if self.tolerance >= 1.0:
+        tolerance = self._set("tolerance", positive_quantity, "none")
+        if tolerance is not None and tolerance >= 1.0:
             raise InputError(
-                f"Argument `tolerance` must be less than 1, but is {self.tolerance:g}; it is a share of the "
+                f"Argument `tolerance` must be less than 1, but is {tolerance:g}; it is a share of the "
                 f"largest joint load, such as {TOLERANCE:g}."
             )
         count = self.corrections
-        if isinstance(count, bool) or count != int(count) or count < 1:
+        if isinstance(count, bool) or not isinstance(count, Real) or count != int(count) or count < 1:
             raise InputError(
                 f"Argument `corrections` must be a whole number of at least 1, but is {count}; the "
                 f"default is {CORRECTIONS}."
@@ -156,8 +158,10 @@ class Method:
                 "and `atol`, but neither is complete; add for example rtol = 1e-8 and atol = 1e-10."
             )
 
-    def _set(self, field, convert, dimension):
-        value = getattr(self, field)
-        if value is not None:
-            value = convert(value, dimension, f"`{field}` of the method")
-            object.__setattr__(self, field, value)
+    def _set(self, field: str, convert: Callable[[Quantity, str, str], float], dimension: str) -> float | None:
+        given = getattr(self, field)
+        if given is None:
+            return None
+        value = convert(given, dimension, f"`{field}` of the method")
+        object.__setattr__(self, field, value)
+        return value

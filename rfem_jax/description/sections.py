@@ -8,12 +8,14 @@ torsion constant; kappa [1] shear factor (effective shear stiffness = G A / kapp
 Source: MODEL.md section 2; G. R. Cowper, J. Appl. Mech. 33 (1966) 335-340 (tube, nu = 0).
 """
 
+import abc
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 
-from rfem_jax.description.errors import InputError
+from rfem_jax.description.errors import ChecksItself, InputError
 from rfem_jax.description.materials import Material
-from rfem_jax.description.units import non_negative_quantity, positive_quantity
+from rfem_jax.description.units import DERIVED, non_negative_quantity, positive_quantity
 
 
 @dataclass(frozen=True)
@@ -38,10 +40,32 @@ class SectionProperties:
     damping: float
 
 
-class _Shape:
+class _Shape(abc.ABC, ChecksItself):
     """A homogeneous section of known geometry; subclasses give area, I_y, I_z, J_t and kappa."""
 
-    def properties(self, material: Material) -> SectionProperties:
+    shear_factor: float
+
+    @property
+    @abc.abstractmethod
+    def area(self) -> float:
+        """A [m^2]."""
+
+    @property
+    @abc.abstractmethod
+    def second_moment_y(self) -> float:
+        """I_y [m^4]."""
+
+    @property
+    @abc.abstractmethod
+    def second_moment_z(self) -> float:
+        """I_z [m^4]."""
+
+    @property
+    @abc.abstractmethod
+    def torsion_constant(self) -> float:
+        """J_t [m^4]."""
+
+    def properties(self, material: Material | None) -> SectionProperties:
         """Return the properties per unit length of this section made of `material`."""
         if not isinstance(material, Material):
             raise InputError(
@@ -112,7 +136,12 @@ class Rectangle(_Shape):
 
 @dataclass(frozen=True)
 class Circle(_Shape):
-    """A solid circle of `diameter` [m]; shear_factor kappa = 10/9 is the static value."""
+    """A solid circle.
+
+    Args:
+        diameter: [m], > 0.
+        shear_factor: kappa [1], > 0; 10/9 is the static value.
+    """
 
     diameter: float
     shear_factor: float = 10.0 / 9.0
@@ -151,7 +180,7 @@ class Tube(_Shape):
 
     outer_diameter: float
     wall: float
-    shear_factor: float | None = None
+    shear_factor: float = DERIVED
 
     def __post_init__(self):
         _set(self, "outer_diameter", positive_quantity, "length")
@@ -189,7 +218,7 @@ class Tube(_Shape):
 
 
 @dataclass(frozen=True)
-class GivenSection:
+class GivenSection(ChecksItself):
     """A section given by its own stiffnesses and inertias per unit length; takes no material.
 
     Args:
@@ -229,7 +258,7 @@ class GivenSection:
         inertias = self.rotary_inertia_x, self.rotary_inertia_y, self.rotary_inertia_z
         require_triangle(inertias, "`rotary_inertia_x`, `_y` and `_z` of GivenSection")
 
-    def properties(self, material: None = None) -> SectionProperties:
+    def properties(self, material: Material | None = None) -> SectionProperties:
         """Return the given values; `material` must be None."""
         if material is not None:
             raise InputError(
@@ -242,7 +271,7 @@ class GivenSection:
 Section = Rectangle | Circle | Tube | GivenSection
 
 
-def require_triangle(inertias, where: str) -> None:
+def require_triangle(inertias: tuple[float, float, float], where: str) -> None:
     """Raise InputError unless no principal inertia exceeds the sum of the two others."""
     largest = max(inertias)
     if largest > (sum(inertias) - largest) * (1.0 + 1e-9):
@@ -252,6 +281,6 @@ def require_triangle(inertias, where: str) -> None:
         )
 
 
-def _set(section, field, convert, dimension):
+def _set(section: object, field: str, convert: Callable[[float, str, str], float], dimension: str) -> None:
     where = f"`{field}` of {type(section).__name__}"
     object.__setattr__(section, field, convert(getattr(section, field), dimension, where))

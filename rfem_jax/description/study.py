@@ -1,32 +1,36 @@
 """Study: a mechanism, its drive, how it is simulated, and the cases of assembly errors to compare.
 
-Place in the pipeline: what `load_study` makes of a study file (TOML) or a user states in Python;
+Place in the pipeline: what `load_study` makes of a study file (TOML) or a user makes in Python;
 `report` runs it.
 
 Symbols: duration, save_every [s]; errors of a case in m and rad (`error_catalogue`).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 from rfem_jax.description.drives import MomentDrive, PrescribedDrive, PrescribedTable
 from rfem_jax.description.error_catalogue import error_dimension
-from rfem_jax.description.errors import InputError, located, suggestion
+from rfem_jax.description.errors import ChecksItself, InputError, Problems, located, suggestion
 from rfem_jax.description.mechanism import Mechanism
 from rfem_jax.description.methods import Method
 from rfem_jax.description.study_reader import read_drive, read_mechanism, read_simulation
 from rfem_jax.description.tables import checked_list, checked_table, named_place, read_toml
-from rfem_jax.description.task_reader import TABLES, read_tasks
-from rfem_jax.description.tasks import Tasks
+from rfem_jax.description.tasks.study_tasks import Tasks, read_tasks
 from rfem_jax.description.units import positive_quantity, quantity
+from rfem_jax.task_kinds import task_kinds
 
 MOST_STEPS, MOST_SAVED = 1e9, 1e6
 LONGEST_NAME = 100
+STUDY_KEYS = (("mechanism", "simulation"), ("title", "note", "drive", "cases", "tolerances"))  # and those of tasks
+CASE_KEYS = (("name",), ("errors",))
 _ROUNDING = 1.0 + 1e-9  # 0.5 / 1e-3 and the like must not fail by rounding
 
 
 @dataclass(frozen=True)
-class Case:
+class Case(ChecksItself):
     """One set of assembly errors.
 
     Args:
@@ -46,17 +50,18 @@ class Case:
                 f"Argument `errors` of case `{self.name}` must be a table of names and values, but "
                 f'was {self.errors!r}; write for example {{ "D.delta_x" = "0.5 deg" }}.'
             )
-        of = f"of case `{self.name}`"
-        with located(f"Case `{self.name}`"):
-            dimensions = {name: error_dimension(name) for name in self.errors}
-        values = {
-            name: quantity(self.errors[name], dimension, f"`{name}` {of}") for name, dimension in dimensions.items()
-        }
+        values, problems = {}, Problems()
+        for name, value in self.errors.items():
+            with problems.noted():
+                with located(f"Case `{self.name}`"):
+                    dimension = error_dimension(name)
+                values[name] = quantity(value, dimension, f"`{name}` of case `{self.name}`")
+        problems.refuse()
         object.__setattr__(self, "errors", values)
 
 
 @dataclass(frozen=True)
-class Study:
+class Study(ChecksItself):
     """A complete study, checked as a whole.
 
     Args:
@@ -69,7 +74,7 @@ class Study:
         cases: Case objects with unique names; none means one case "nominal" without errors.
         path: the file it was read from.
         note: what a reader of the results must know; shown with every table and picture.
-        tasks: tolerances of the errors and the tolerance studies that are asked for.
+        tasks: tolerances of the errors and the tolerance studies to do.
     Raises:
         InputError: parts do not fit each other.
     """
@@ -93,10 +98,11 @@ class Study:
             saving = positive_quantity(self.save_every, "time", "save_every")
             object.__setattr__(self, "save_every", saving)
         object.__setattr__(self, "cases", tuple(self.cases) or (Case("nominal"),))
-        self._check_times()
-        self._check_drive()
-        self._check_cases()
-        object.__setattr__(self, "tasks", self.tasks.resolved(self.mechanism))
+        problems = Problems()
+        for check in (self._check_times, self._check_drive, self._check_cases, self._check_tasks):
+            with problems.noted():
+                check()
+        problems.refuse()
 
     def case(self, name: str) -> Case:
         """Return the case `name`; raises InputError with the nearest name if there is none."""
@@ -173,68 +179,88 @@ class Study:
             )
 
     def _check_cases(self) -> None:
-        seen = set()
+        seen: set[str] = set()
+        problems = Problems()
         for case in self.cases:
-            # Names of files: "p1" and "P1" are one file on some machines.
-            if case.name.lower() in seen:
-                raise InputError(
-                    "Argument `cases` must have unique names (upper and lower case count as "
-                    f"equal), but `{case.name}` occurs twice; rename one."
-                )
-            seen.add(case.name.lower())
-            sizes = {name: abs(value) for name, value in case.errors.items()}
-            self.mechanism.require_sizes(sizes, f"`errors` of case `{case.name}`")
+            with problems.noted():
+                # Names of files: "p1" and "P1" are one file on some machines.
+                if case.name.lower() in seen:
+                    raise InputError(
+                        "Argument `cases` must have unique names (upper and lower case count as "
+                        f"equal), but `{case.name}` occurs twice; rename one."
+                    )
+                seen.add(case.name.lower())
+                sizes = {name: abs(value) for name, value in case.errors.items()}
+                self.mechanism.require_sizes(sizes, f"`errors` of case `{case.name}`")
+        problems.refuse()
+
+    def _check_tasks(self) -> None:
+        object.__setattr__(self, "tasks", self.tasks.resolved(self.mechanism))
 
 
-def load_study(path) -> Study:
+def load_study(path: str | Path) -> Study:
     """Read a study file.
 
     Args:
         path: of a TOML file.
     Raises:
-        InputError: the file cannot be read or anything in it is wrong: one sentence that says
-            where and how to correct it.
+        InputError: the file cannot be read or anything in it is wrong: for each mistake that can be
+            found, a line that says where it is and how to correct it.
     """
     path = Path(path)
     content = read_toml(path)
     with located(f"Study file `{path}`"):
-        keys = ("mechanism", "simulation"), ("title", "note", "drive", "cases", *TABLES)
-        checked_table(content, "The top level", *keys)
-        duration, method, save_every = read_simulation(content["simulation"])
-        return Study(
-            title=content.get("title", path.stem),
-            mechanism=read_mechanism(content["mechanism"]),
-            drive=read_drive(content["drive"]) if "drive" in content else None,
-            duration=duration,
-            method=method,
-            save_every=save_every,
-            cases=_read_cases(content.get("cases", [])),
-            path=path,
-            note=content.get("note", ""),
-            tasks=read_tasks(content),
-        )
+        return _read_study(content, path)
 
 
-def _read_cases(entries) -> list[Case]:
-    header, cases = "[[cases]]", []
+def _read_study(content: dict[str, Any], path: Path) -> Study:
+    """The study of the tables of a file; what is wrong in one table does not hide what is wrong in others."""
+    problems = Problems()
+    with problems.noted():
+        required, optional = STUDY_KEYS
+        checked_table(content, "The top level", required, (*optional, *task_kinds()))
+    parts: dict[str, Any] = {"title": content.get("title", path.stem), "note": content.get("note", "")}
+    readers: dict[str, Callable[[Any], Any]] = {
+        "mechanism": read_mechanism, "drive": read_drive, "simulation": read_simulation, "cases": _read_cases
+    }  # fmt: skip
+    for name, read in readers.items():
+        with problems.noted():
+            if name in content:
+                parts[name] = read(content[name])
+    with problems.noted():
+        parts["tasks"] = read_tasks(content)
+    if "mechanism" in parts and "simulation" in parts:
+        duration, method, save_every = parts.pop("simulation")
+        parts.setdefault("drive", None)
+        with problems.noted():
+            study = Study(duration=duration, method=method, save_every=save_every, path=path, **parts)
+            if not problems.found:
+                return study
+    problems.refuse()
+    raise AssertionError("what is missing has been noted")
+
+
+def _read_cases(entries: object) -> tuple[Case, ...]:
+    header, cases, problems = "[[cases]]", [], Problems()
     for number, entry in enumerate(checked_list(entries, header), start=1):
-        place = named_place(header, entry, number)
-        checked_table(entry, place, ("name",), ("errors",))
-        cases.append(Case(entry["name"], entry.get("errors", {})))
-    return cases
+        with problems.noted():
+            place = named_place(header, entry, number)
+            checked_table(entry, place, *CASE_KEYS)
+            cases.append(Case(entry["name"], entry.get("errors", {})))
+    problems.refuse()
+    return tuple(cases)
 
 
-def _require_file_name(name) -> None:
-    allowed = isinstance(name, str) and all(
-        letter.isascii() and (letter.isalnum() or letter in "_-.") for letter in name
-    )
-    if not allowed or not name or not name[0].isalnum() or name[-1] == ".":
+def _require_file_name(name: object) -> None:
+    text = name if isinstance(name, str) else ""
+    allowed = all(letter.isascii() and (letter.isalnum() or letter in "_-.") for letter in text)
+    if not allowed or not text or not text[0].isalnum() or text[-1] == ".":
         raise InputError(
             'Argument `name` of a case must consist of letters, digits, "_", "-" and "." and '
             f"start with a letter or a digit, but was {name!r}; it is used as a file name."
         )
-    if len(name) > LONGEST_NAME:
+    if len(text) > LONGEST_NAME:
         raise InputError(
-            f"Argument `name` of a case must have at most {LONGEST_NAME} characters, but has {len(name)}; it is used "
+            f"Argument `name` of a case must have at most {LONGEST_NAME} characters, but has {len(text)}; it is used "
             "as a file name."
         )

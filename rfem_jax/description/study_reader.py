@@ -1,27 +1,33 @@
-"""From the tables of a study file to the objects of this room: mechanism, drive, method.
+"""From the tables of a study file to the objects of this package: mechanism, drive, method.
 
 Place in the pipeline: called by `study.load_study`; each function takes one table of the TOML.
 The keys are the names of the arguments of Material, Link, Joint, ...; "shape" chooses the class of
 a section, "kind" that of a drive.
 """
 
-from dataclasses import MISSING, fields
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import fields
+from typing import Any, TypeVar
 
 from rfem_jax.description.drives import (
+    MomentDrive,
     MomentRamp,
     MomentTable,
+    PrescribedDrive,
     PrescribedRate,
     PrescribedSpinUp,
     PrescribedTable,
 )
-from rfem_jax.description.errors import InputError, located, require_choice, require_name
+from rfem_jax.description.errors import InputError, Problems, located, require_choice, require_name
 from rfem_jax.description.joints import Joint
 from rfem_jax.description.links import Link, PointMass
 from rfem_jax.description.materials import Material
 from rfem_jax.description.mechanism import Mechanism
 from rfem_jax.description.methods import Method
-from rfem_jax.description.sections import Circle, GivenSection, Rectangle, Tube
-from rfem_jax.description.tables import checked_list, checked_table, named_place
+from rfem_jax.description.sections import Circle, GivenSection, Rectangle, Section, Tube
+from rfem_jax.description.tables import checked_list, checked_table, keys_of, named_place
+
+Part = TypeVar("Part")
 
 SHAPES = {"rectangle": Rectangle, "circle": Circle, "tube": Tube, "given": GivenSection}
 DRIVES = {
@@ -32,58 +38,56 @@ DRIVES = {
     "prescribed_table": (PrescribedTable, ("times", "angles"), ()),
 }
 _MECHANISM_OPTIONS = ("gravity", "redundant_reactions", "elements")
+MECHANISM_KEYS = (("links", "joints"), ("materials", "sections", *_MECHANISM_OPTIONS))
 _METHOD_KEYS = (
     "step", "rtol", "atol", "stabilisation", "accuracy", "spectral_radius", "corrections",
     "tolerance",
 )  # fmt: skip
+SIMULATION_KEYS = (("duration",), ("method", "save_every", *_METHOD_KEYS))
 
 
-def read_mechanism(table) -> Mechanism:
+def read_mechanism(table: object) -> Mechanism:
     """Return the Mechanism of the table [mechanism]."""
     place = "[mechanism]"
-    optional = ("materials", "sections", *_MECHANISM_OPTIONS)
-    table = checked_table(table, place, ("links", "joints"), optional)
-    materials = _read_named(table.get("materials", {}), "mechanism.materials", _read_material)
-    sections = _read_named(table.get("sections", {}), "mechanism.sections", _read_section)
-    links = _read_list(table["links"], "[[mechanism.links]]", _read_link, materials, sections)
-    joints = _read_list(table["joints"], "[[mechanism.joints]]", _read_joint)
-    options = {key: table[key] for key in _MECHANISM_OPTIONS if key in table}
+    content = checked_table(table, place, *MECHANISM_KEYS)
+    problems = Problems()
+    materials = _read_named(content.get("materials", {}), "mechanism.materials", _read_material, problems)
+    sections = _read_named(content.get("sections", {}), "mechanism.sections", _read_section, problems)
+    links, joints = [], []
+    with problems.noted():
+        links = _read_list(content["links"], "[[mechanism.links]]", _read_link, materials, sections)
+    with problems.noted():
+        joints = _read_list(content["joints"], "[[mechanism.joints]]", _read_joint)
+    problems.refuse()
+    options = {key: content[key] for key in _MECHANISM_OPTIONS if key in content}
     with located(place):
-        return Mechanism(links=links, joints=joints, **options)
+        return Mechanism(links=tuple(links), joints=tuple(joints), **options)
 
 
-def read_drive(table):
+def read_drive(table: object) -> MomentDrive | PrescribedDrive:
     """Return the drive of the table [drive]."""
     place = "[drive]"
     keys = {key for _, required, optional in DRIVES.values() for key in (*required, *optional)}
-    checked_table(table, place, ("kind",), ("joint", *sorted(keys)))
-    kind = _choice(table["kind"], DRIVES, "kind", place)
+    content = checked_table(table, place, ("kind",), ("joint", *sorted(keys)))
+    kind = _choice(content["kind"], DRIVES, "kind", place)
     build, required, optional = DRIVES[kind]
     required = ("joint", "kind", *required)
-    table = checked_table(table, f'{place} of kind "{kind}"', required, optional)
+    checked_table(content, f'{place} of kind "{kind}"', required, optional)
     with located(place):
-        return build(**{key: value for key, value in table.items() if key != "kind"})
+        return build(**{key: value for key, value in content.items() if key != "kind"})
 
 
-def read_simulation(table) -> tuple[object, Method, object]:
+def read_simulation(table: object) -> tuple[Any, Method, Any]:
     """Return (duration, Method, save_every or None) of the table [simulation]."""
     place = "[simulation]"
-    optional = ("method", "save_every", *_METHOD_KEYS)
-    table = checked_table(table, place, ("duration",), optional)
-    settings = {key: table[key] for key in _METHOD_KEYS if key in table}
+    content = checked_table(table, place, *SIMULATION_KEYS)
+    settings = {key: content[key] for key in _METHOD_KEYS if key in content}
     with located(place):
-        method = Method(table.get("method", "rk4" if "step" in table else "auto"), **settings)
-    return table["duration"], method, table.get("save_every")
+        method = Method(content.get("method", "rk4" if "step" in content else "auto"), **settings)
+    return content["duration"], method, content.get("save_every")
 
 
-def _keys(kind, omit=()) -> tuple[list[str], list[str]]:
-    """Names of the required and the optional arguments of a dataclass."""
-    named = [field for field in fields(kind) if field.name not in omit]
-    required = [field.name for field in named if field.default is MISSING]
-    return required, [field.name for field in named if field.name not in required]
-
-
-def _choice(value, known, key: str, place: str) -> str:
+def _choice(value: object, known: Mapping[str, object], key: str, place: str) -> str:
     if not known:
         raise InputError(
             f"{place}: Argument `{key}` must name a table [mechanism.{key}s.NAME], but there is "
@@ -93,42 +97,59 @@ def _choice(value, known, key: str, place: str) -> str:
         return require_choice(value, tuple(known), key)
 
 
-def _read_named(tables, header: str, read) -> dict:
-    """Read tables [header.NAME] by read(name, table, place)."""
-    checked_table(tables, f"[{header}]", optional=tables if isinstance(tables, dict) else ())
-    return {name: read(name, table, f"[{header}.{name}]") for name, table in tables.items()}
+def _read_named(
+    tables: object, header: str, read: Callable[[str, object, str], Part], problems: Problems
+) -> dict[str, Part | None]:
+    """Read tables [header.NAME] by read(name, table, place); None stands for those with a mistake, which is noted."""
+    found: dict[str, Part | None] = {}
+    with problems.noted():
+        for name, table in checked_table(tables, f"[{header}]", optional=_own_keys(tables)).items():
+            found[name] = None
+            with problems.noted():
+                found[name] = read(name, table, f"[{header}.{name}]")
+    return found
 
 
-def _read_list(entries, header: str, read, *known) -> list:
+def _own_keys(table: object) -> Collection[str]:
+    return table if isinstance(table, dict) else ()
+
+
+def _read_list(entries: object, header: str, read: Callable[..., Part], *known: Mapping[str, object]) -> list[Part]:
     """Read tables [[header]] by read(table, place, *known)."""
-    return [
-        read(entry, named_place(header, entry, number), *known)
-        for number, entry in enumerate(checked_list(entries, header), start=1)
-    ]
+    found, problems = [], Problems()
+    for number, entry in enumerate(checked_list(entries, header), start=1):
+        with problems.noted():
+            found.append(read(entry, named_place(header, entry, number), *known))
+    problems.refuse()
+    return found
 
 
-def _read_material(name, table, place: str) -> Material:
-    table = checked_table(table, place, *_keys(Material, omit=("name",)))
+def _read_material(name: str, table: object, place: str) -> Material:
+    content = checked_table(table, place, *keys_of(Material, omit=("name",)))
     with located(place):
-        return Material(name=name, **table)
+        return Material(name=name, **content)
 
 
-def _read_section(name, table, place: str):
+def _read_section(name: str, table: object, place: str) -> Section:
     keys = {field.name for kind in SHAPES.values() for field in fields(kind)}
-    checked_table(table, place, ("shape",), sorted(keys))
-    shape = _choice(table["shape"], SHAPES, "shape", place)
-    required, optional = _keys(SHAPES[shape])
-    checked_table(table, f'{place} of shape "{shape}"', ("shape", *required), optional)
+    content = checked_table(table, place, ("shape",), sorted(keys))
+    shape = _choice(content["shape"], SHAPES, "shape", place)
+    required, optional = keys_of(SHAPES[shape])
+    checked_table(content, f'{place} of shape "{shape}"', ("shape", *required), optional)
     with located(place):
         require_name(name, "`name` of a section")
-        return SHAPES[shape](**{key: value for key, value in table.items() if key != "shape"})
+        return SHAPES[shape](**{key: value for key, value in content.items() if key != "shape"})
 
 
-def _read_link(table, place: str, materials, sections) -> Link:
-    settings = dict(checked_table(table, place, *_keys(Link)))
-    settings["section"] = sections[_choice(settings["section"], sections, "section", place)]
-    if "material" in settings:
-        settings["material"] = materials[_choice(settings["material"], materials, "material", place)]
+def _read_link(
+    table: object, place: str, materials: Mapping[str, Material | None], sections: Mapping[str, Section | None]
+) -> Link:
+    settings = dict(checked_table(table, place, *keys_of(Link)))
+    for key, known in (("section", sections), ("material", materials)):
+        if key in settings:
+            settings[key] = known[_choice(settings[key], known, key, place)]
+            if settings[key] is None:
+                raise InputError()  # nothing to add: the mistake in that table is noted
     if settings.get("rigid") is True and settings.get("rfes", 1) != 1:
         raise InputError(
             f"{place}: Argument `rfes` must be left out where rigid = true, but was "
@@ -136,16 +157,16 @@ def _read_link(table, place: str, materials, sections) -> Link:
         )
     masses = _read_list(settings.get("point_masses", []), f"{place} point_masses", _read_point_mass)
     with located(place):
-        return Link(**{**settings, "point_masses": masses})
+        return Link(**{**settings, "point_masses": tuple(masses)})
 
 
-def _read_point_mass(table, place: str) -> PointMass:
-    table = checked_table(table, place, *_keys(PointMass))
+def _read_point_mass(table: object, place: str) -> PointMass:
+    content = checked_table(table, place, *keys_of(PointMass))
     with located(place):
-        return PointMass(**table)
+        return PointMass(**content)
 
 
-def _read_joint(table, place: str) -> Joint:
-    table = checked_table(table, place, *_keys(Joint))
+def _read_joint(table: object, place: str) -> Joint:
+    content = checked_table(table, place, *keys_of(Joint))
     with located(place):
-        return Joint(**table)
+        return Joint(**content)

@@ -5,12 +5,15 @@ no key is ever ignored.
 """
 
 import tomllib
+from collections.abc import Collection
+from dataclasses import MISSING, fields
 from pathlib import Path
+from typing import Any
 
-from rfem_jax.description.errors import InputError, suggestion
+from rfem_jax.description.errors import InputError, nearest, suggestion
 
 
-def read_toml(path: Path) -> dict:
+def read_toml(path: Path) -> dict[str, Any]:
     """Return the content of the TOML file `path`.
 
     Raises:
@@ -44,7 +47,16 @@ def read_toml(path: Path) -> dict:
         ) from None
 
 
-def checked_table(data, place: str, required=(), optional=()) -> dict:
+def keys_of(kind: type, omit: Collection[str] = ()) -> tuple[list[str], list[str]]:
+    """Names of the required and the optional arguments of a dataclass, which are the keys of its table."""
+    named = [one for one in fields(kind) if one.init and one.name not in omit]
+    required = [one.name for one in named if one.default is MISSING and one.default_factory is MISSING]
+    return required, [one.name for one in named if one.name not in required]
+
+
+def checked_table(
+    data: object, place: str, required: Collection[str] = (), optional: Collection[str] = ()
+) -> dict[str, Any]:
     """Return `data` if it is a table with all `required` and no other than `optional` keys.
 
     Args:
@@ -55,18 +67,21 @@ def checked_table(data, place: str, required=(), optional=()) -> dict:
     """
     if not isinstance(data, dict):
         raise InputError(f"{place} must be a table, but was {data!r}; write it as {place}.")
-    for key in data:
-        if key not in (*required, *optional):
-            raise InputError(
-                f"{place} must have known keys only, but has `{key}`; {suggestion(key, (*required, *optional))}"
-            )
-    for key in required:
-        if key not in data:
-            raise InputError(f"{place} must have the key `{key}`, but it is missing; add `{key}` there.")
+    known = (*required, *optional)
+    unknown = [key for key in data if key not in known]
+    problems = [f"{place} must have known keys only, but has `{key}`; {suggestion(key, known)}" for key in unknown]
+    meant = [nearest(key, known) for key in unknown]
+    problems += [
+        f"{place} must have the key `{key}`, but it is missing; add `{key}` there."
+        for key in required
+        if key not in data and key not in meant
+    ]
+    if problems:
+        raise InputError(*problems)
     return data
 
 
-def checked_list(data, place: str) -> list:
+def checked_list(data: object, place: str) -> list[dict[str, Any]]:
     """Return `data` if it is a list of tables; `place` is its header, such as "[[cases]]"."""
     if not isinstance(data, list) or any(not isinstance(entry, dict) for entry in data):
         raise InputError(
@@ -75,7 +90,7 @@ def checked_list(data, place: str) -> list:
     return data
 
 
-def named_place(header: str, entry: dict, number: int) -> str:
+def named_place(header: str, entry: dict[str, Any], number: int) -> str:
     """Return the header of one table of a list with its name, or its number without one."""
     name = entry.get("name")
     return f"{header} `{name}`" if isinstance(name, str) else f"{header} number {number}"

@@ -1,37 +1,44 @@
-"""Tolerances as a user states them: which errors vary, how far, and how they are distributed.
+"""Tolerances as a user specifies them: which errors vary, how far, and how they are distributed.
 
 Place in the pipeline: the table [tolerances] of a study file; `tasks` holds it, `report` makes the
 distributions of `rfem_jax.tolerancing.tolerances` of it.
 
 Symbols: half-widths t and centres c of errors in m and rad; deviations k [1], standard deviations
-that a half-width holds (3 where nothing is said); correlation C [1].
+that a half-width holds (3 unless specified); correlation C [1].
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from rfem_jax.description.error_catalogue import error_dimension
-from rfem_jax.description.errors import InputError, located, require_choice
-from rfem_jax.description.units import positive_quantity, quantity
+from rfem_jax.description.errors import ChecksItself, InputError, Problems, located, require_choice
+from rfem_jax.description.tables import checked_list, checked_table, keys_of
+from rfem_jax.description.units import DERIVED, positive_quantity, quantity
 
 DISTRIBUTIONS = ("uniform", "triangular", "normal", "truncated_normal")
 NORMAL = ("normal", "truncated_normal")
 
 
 @dataclass(frozen=True)
-class SpecifiedTolerance:
+class SpecifiedTolerance(ChecksItself):
     """One error on its own, within centre +- half_width.
 
-    Args: error, its name; distribution, one of DISTRIBUTIONS; half_width, or else interval (low,
-        high); deviations k of the normal ones.
-    Raises: InputError for names, numbers or settings that cannot be meant.
+    Args:
+        error: its name.
+        half_width: t [rad or m], > 0; this or else `interval`.
+        distribution: "uniform", "triangular", "normal" or "truncated_normal".
+        interval: (low, high) [rad or m].
+        deviations: k, standard deviations in a half-width of the normal ones; None is 3.
+    Raises: InputError for names, numbers or settings that are out of range or do not fit each other.
     """
 
     error: str
-    half_width: float | None = None
+    half_width: float = DERIVED
     distribution: str = "uniform"
-    interval: tuple[float, float] | None = None
+    interval: tuple[float, float] = DERIVED
     deviations: float | None = None
 
     def __post_init__(self):
@@ -73,11 +80,13 @@ class SpecifiedTolerance:
 
 
 @dataclass(frozen=True)
-class CorrelatedTolerances:
+class CorrelatedTolerances(ChecksItself):
     """Several normal errors that vary together.
 
-    Args: half_widths {error: k standard deviations}; correlation, a number for every pair or a
-        matrix in the order of the errors; deviations k.
+    Args:
+        half_widths: {error: k standard deviations} [rad or m], two or more.
+        correlation: a number for every pair, or a matrix in the order of the errors.
+        deviations: k, standard deviations in a half-width.
     Raises: InputError for wrong shapes and a correlation that is not positive definite.
     """
 
@@ -100,14 +109,14 @@ class CorrelatedTolerances:
         object.__setattr__(self, "deviations", k)
         object.__setattr__(self, "correlation", _correlation(self.correlation, len(widths), where))
 
-    def covariance(self) -> np.ndarray:
+    def covariance(self) -> Float[np.ndarray, "errors errors"]:
         """Covariance (d, d) of the errors [rad^2, m^2, rad m], in their order."""
         sigma = np.array(list(self.half_widths.values())) / self.deviations
         return np.array(self.correlation) * np.outer(sigma, sigma)
 
 
 @dataclass(frozen=True)
-class SpecifiedTolerances:
+class SpecifiedTolerances(ChecksItself):
     """All tolerances of a study, every error once."""
 
     independent: tuple[SpecifiedTolerance, ...] = ()
@@ -142,7 +151,32 @@ class SpecifiedTolerances:
         return widths | {one.error: max(map(abs, one.interval)) for one in self.independent}
 
 
-def error_quantities(values, where: str) -> dict[str, float]:
+def read_tolerances(table: object) -> SpecifiedTolerances:
+    """The tolerances of the table [tolerances]. Raises: InputError for unknown keys and bad values."""
+    place = "[tolerances]"
+    checked = checked_table(table, place, optional=table if isinstance(table, dict) else ())
+    alone, groups, problems = [], [], Problems()
+    for error, entry in checked.items():
+        if error == "correlated":
+            continue
+        with problems.noted():
+            settings = entry if isinstance(entry, dict) else {"half_width": entry}
+            with located(place):
+                error_dimension(error)
+            checked_table(settings, f"{place} `{error}`", *keys_of(SpecifiedTolerance, ("error",)))
+            with located(place):
+                alone.append(SpecifiedTolerance(error, **settings))
+    header = "[[tolerances.correlated]]"
+    with problems.noted():
+        for entry in checked_list(checked.get("correlated", []), header):
+            with problems.noted(), located(header):
+                groups.append(CorrelatedTolerances(**checked_table(entry, header, *keys_of(CorrelatedTolerances))))
+    problems.refuse()
+    with located(place):
+        return SpecifiedTolerances(tuple(alone), tuple(groups))
+
+
+def error_quantities(values: object, where: str) -> dict[str, float]:
     """{error: number or string with a unit} in rad and m. Raises InputError."""
     if not isinstance(values, dict):
         raise InputError(
@@ -154,7 +188,7 @@ def error_quantities(values, where: str) -> dict[str, float]:
     return {name: quantity(values[name], dimension, f"`{name}` of `{where}`") for name, dimension in dimensions.items()}
 
 
-def _correlation(correlation, d, where):
+def _correlation(correlation: Any, d: int, where: str) -> tuple[tuple[float, ...], ...]:
     if isinstance(correlation, (int, float)) and not isinstance(correlation, bool):
         matrix = np.full((d, d), float(correlation)) + (1.0 - correlation) * np.eye(d)
     else:
@@ -170,4 +204,5 @@ def _correlation(correlation, d, where):
             f"matrix of {d} rows with ones on its diagonal, but was {correlation!r}; write 0.5 for "
             "example."
         )
-    return tuple(tuple(float(entry) for entry in row) for row in matrix)
+    rows: Any = matrix.tolist()
+    return tuple(tuple(row) for row in rows)

@@ -1,4 +1,4 @@
-"""Numbers with units: every number the user states passes through here and leaves in SI.
+"""Numbers with units: every number of the user passes through here and leaves in SI.
 
 Place in the pipeline: used by all of `description`, and wherever a number or a string with a unit
 ("0.5 deg", "0.5 mm", "210 GPa", "1.5 N m", "7.85 g/cm^3") enters; imports only `errors`.
@@ -10,10 +10,23 @@ that a rate in "Hz" or a length in "deg" is refused. SI units, angles in radians
 import math
 import numbers
 import re
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from rfem_jax.description.errors import InputError, subject, suggestion
+
+# What a user may write for a number. At run time anything may come, and is refused in a sentence (not by a check of
+# types) where it is no number.
+if TYPE_CHECKING:
+    from jax.typing import ArrayLike
+
+    Quantity = ArrayLike | str
+    Quantities = list[Quantity] | tuple[Quantity, ...] | np.ndarray
+else:
+    Quantity = Quantities = Any
+
+DERIVED: Any = None  # default of a field that `__post_init__` makes of the others: None is never seen
 
 # Magnitudes that no mechanism has, and from which products leave double precision.
 LARGEST, SMALLEST = 1e15, 1e-15
@@ -72,13 +85,13 @@ UNITS = {
 }  # fmt: skip
 
 _NUMBER = re.compile(r"\s*([+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*$", re.DOTALL)
-_ASCII = str.maketrans(  # what people paste from documents: degree sign, micro, middle dot, powers
+_ASCII = str.maketrans(  # as pasted from documents: degree sign, micro, middle dot, powers
     {"\u00b0": " deg", "\u00b5": "u", "\u03bc": "u", "\u00b7": " ", "\u00b2": "^2", "\u00b3": "^3"}
 )
 _UNIT = re.compile(r"([A-Za-z]+|%|1)(?:(?:\^|\*\*)([+-]?\d+))?$")
 
 
-def quantity(value, dimension: str, where: str) -> float:
+def quantity(value: Quantity, dimension: str, where: str) -> float:
     """Return `value` as a finite float in SI units.
 
     Args:
@@ -109,7 +122,7 @@ def quantity(value, dimension: str, where: str) -> float:
     return number
 
 
-def positive_quantity(value, dimension: str, where: str) -> float:
+def positive_quantity(value: Quantity, dimension: str, where: str) -> float:
     """Like `quantity`, and greater than zero."""
     number = quantity(value, dimension, where)
     if number <= 0.0:
@@ -123,7 +136,7 @@ def positive_quantity(value, dimension: str, where: str) -> float:
     return number
 
 
-def non_negative_quantity(value, dimension: str, where: str) -> float:
+def non_negative_quantity(value: Quantity, dimension: str, where: str) -> float:
     """Like `quantity`, and not less than zero."""
     number = quantity(value, dimension, where)
     if number < 0.0:
@@ -131,17 +144,18 @@ def non_negative_quantity(value, dimension: str, where: str) -> float:
     return number
 
 
-def vector(value, dimension: str, where: str) -> tuple[float, float, float]:
+def vector(value: Quantities, dimension: str, where: str) -> tuple[float, float, float]:
     """Return three quantities, along (or about) x, y and z, as a tuple of floats in SI units."""
-    numbers_ = sequence(value, dimension, where)
-    if len(numbers_) != 3:
+    components = sequence(value, dimension, where)
+    if len(components) != 3:
         raise InputError(
-            f"{subject(where)} must have three components (x, y, z), but has {len(numbers_)}; write it as [x, y, z]."
+            f"{subject(where)} must have three components (x, y, z), but has {len(components)}; write it as [x, y, z]."
         )
-    return numbers_
+    x, y, z = components
+    return x, y, z
 
 
-def sequence(value, dimension: str, where: str) -> tuple[float, ...]:
+def sequence(value: Quantities, dimension: str, where: str) -> tuple[float, ...]:
     """Return a list of quantities of one dimension as a tuple of floats in SI units."""
     if not isinstance(value, (list, tuple)) and not getattr(value, "ndim", 0):
         raise InputError(f"{subject(where)} must be a list of numbers, but was {value!r}; write it in square brackets.")
@@ -149,13 +163,13 @@ def sequence(value, dimension: str, where: str) -> tuple[float, ...]:
     return tuple(quantity(entry, dimension, f"{name} (entry {index})") for index, entry in enumerate(value, start=1))
 
 
-def short(value) -> str:
+def short(value: object) -> str:
     """A value as text, without the middle of hundreds of digits."""
     text = str(value)
     return text if len(text) <= 40 else f"{text[:20]}... ({len(text)} characters)"
 
 
-def _is_number(value) -> bool:
+def _is_number(value: object) -> bool:
     if isinstance(value, (bool, np.bool_)):
         return False
     if isinstance(value, numbers.Real):
@@ -163,7 +177,7 @@ def _is_number(value) -> bool:
     return getattr(value, "shape", None) == () and getattr(value, "dtype", None) != np.dtype(bool)
 
 
-def _as_float(value, where: str) -> float:
+def _as_float(value: Any, where: str) -> float:
     try:
         return float(value)
     except OverflowError:
@@ -173,7 +187,7 @@ def _as_float(value, where: str) -> float:
     except TypeError:  # a traced value, a complex array
         raise InputError(
             f"{subject(where)} must be a number known before compilation, but was {value!r}; "
-            "state it outside `jit`, and vary assembly errors or the model instead."
+            "give it outside `jit`, and vary assembly errors or the model instead."
         ) from None
 
 
@@ -205,7 +219,7 @@ def _parse(text: str, dimension: str, where: str) -> float:
     return number * factor
 
 
-def _unit(unit: str, text: str, where: str, dimension: str):
+def _unit(unit: str, text: str, where: str, dimension: str) -> tuple[float, tuple[int, ...]]:
     """Return (factor to SI, exponents) of a product of units such as "kg/m^3" or "N m^2"."""
     wanted, _, example = DIMENSIONS[dimension]
     factor, exponents = 1.0, (0, 0, 0, 0)
@@ -233,7 +247,7 @@ def _phrase(dimension: str) -> str:
     return f"{'an' if name[0] in 'aeiou' else 'a'} {name}"
 
 
-def _name(exponents) -> str:
+def _name(exponents: tuple[int, ...]) -> str:
     for dimension, (known, _, _) in DIMENSIONS.items():
         if known == exponents:
             return _phrase(dimension)

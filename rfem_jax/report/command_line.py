@@ -1,10 +1,10 @@
 """The command `rfem-jax`: from a study file to tables, files and pictures.
 
-Place in the pipeline: the outermost layer; it calls `load_study` (description), `discretise` and
-`describe` (mechanics), `check_step` and `run_cases` (simulation), `task_commands` for tolerance
-studies, and the other modules of this package; `progress_line` shows what is being done. Exit codes: 0 done;
-2 the input is wrong (one sentence on standard error); 3 a case or a task failed (results are written all the
-same); 130 interrupted.
+Place in the pipeline: the outermost layer; it calls `load_study` (description), `discretise` and `describe`
+(mechanics), `check_step` and `run_cases` (simulation), `tasks` for tolerance studies (one subcommand for every kind of
+task), and the other modules of this package; `progress_line` shows what is being done. Exit codes: 0 done; 2 the input
+is wrong (one sentence on standard error); 3 a case or a task failed (results are written all the same); 130
+interrupted.
 
 Imports that take seconds (JAX, matplotlib) are inside the functions: `--help` is instant.
 """
@@ -14,35 +14,15 @@ import gc
 import os
 import sys
 import time
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import NoReturn
 
+from rfem_jax.report.annotations import Model, Run, Study, Summaries
 from rfem_jax.report.process import count_devices, join_processes, require_platform, set_up_jax
 from rfem_jax.report.progress_line import ProgressLine, say, show
-
-# Command: task it does, what it is, what it writes.
-TASKS = {
-    "sensitivity": (
-        "sensitivity",
-        "derivatives of joint loads with respect to assembly errors",
-        "ranked tables, principal directions, heat map, tornado chart",
-    ),
-    "monte-carlo": (
-        "monte_carlo",
-        "scatter, quantiles and yield over the tolerances; continues an interrupted run",
-        "statistics, all samples, histograms, scatter matrix; chunks of samples in DIR/monte_carlo",
-    ),
-    "worst-case": (
-        "worst_case",
-        "largest loads anywhere within the tolerances",
-        "the worst errors, all corners, the quadratic model's prediction",
-    ),
-    "allocate": (
-        "allocation",
-        "the cheapest tolerances that keep limits on loads",
-        "tolerances before and after, verified margins, cost against limits",
-    ),
-}
+from rfem_jax.task_kinds import task_kinds
 
 DONE, WRONG_INPUT, CASE_FAILED, INTERRUPTED = 0, 2, 3, 130
 
@@ -50,7 +30,7 @@ DONE, WRONG_INPUT, CASE_FAILED, INTERRUPTED = 0, 2, 3, 130
 class _Parser(argparse.ArgumentParser):
     """A parser whose complaints are one sentence, like all others of this command."""
 
-    def error(self, message):
+    def error(self, message: str) -> NoReturn:
         self.exit(WRONG_INPUT, f"{message} (see `{self.prog} --help`)\n")
 
 
@@ -77,22 +57,22 @@ def build_parser() -> argparse.ArgumentParser:
         help="simulate all cases of a study, then do every task that it declares",
         description="Simulate all cases of a study together, print the loads in all joints and "
         "write results.json, one CSV of time histories per case, and pictures; then do every task "
-        "that the study declares ([sensitivity], [monte_carlo], [worst_case], [allocation]).",
+        f"that the study declares ({', '.join(f'[{name}]' for name in task_kinds())}).",
         epilog="Pictures need the extra `plots`. Compiled programs are kept in the user's cache "
         "folder, so that the next run starts at once.",
     )
     _add_common(run)
-    run.set_defaults(action=_run)
-    for command, (task, purpose, written) in TASKS.items():
+    run.set_defaults(action=_run, kept=" and ".join(kind.kept for kind in task_kinds().values() if kind.kept))
+    for kind in task_kinds().values():
         one = commands.add_parser(
-            command,
-            help=purpose,
-            description=f"Do the task of the study's table [{task}]: {purpose}. Writes JSON, CSV "
-            f"and pictures: {written}.",
+            kind.command or kind.name,
+            help=kind.purpose,
+            description=f"Do the task of the study's table [{kind.name}]: {kind.purpose}. Writes JSON, CSV "
+            f"and pictures: {kind.results}.",
         )
         _add_common(one)
-        one.set_defaults(action=_do_task, task=task)
-        if task == "monte_carlo":
+        one.set_defaults(action=_do_task, task=kind.name, kept=kind.kept)
+        if kind.many_processes:
             _add_processes(one)
     check = commands.add_parser(
         "check",
@@ -103,6 +83,16 @@ def build_parser() -> argparse.ArgumentParser:
     check.add_argument("study", metavar="STUDY.toml", help="the study file")
     _add_cache(check)
     check.set_defaults(action=_check)
+    keys = commands.add_parser(
+        "keys",
+        help="print all keys of study files",
+        description="Print all tables and keys that a study file may have, their defaults, and what they mean. "
+        'Numbers are in SI units and radians, or strings with a unit such as "0.5 deg".',
+    )
+    keys.add_argument(
+        "table", metavar="WORD", nargs="?", help='tables with this word in their header, such as "joints"'
+    )
+    keys.set_defaults(action=_keys, cache=True)
     validate = commands.add_parser(
         "validate",
         help="compute published benchmarks and compare with their reference values",
@@ -117,20 +107,20 @@ def build_parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _add_common(command):
+def _add_common(command: argparse.ArgumentParser) -> None:
     command.add_argument("study", metavar="STUDY.toml", help="the study file")
     command.add_argument("--out", metavar="DIR", required=True, help="folder for the results")
     command.add_argument("--devices", metavar="K", type=int, help="CPU devices for samples (default: all cores)")
     _add_cache(command)
 
 
-def _add_cache(command):
+def _add_cache(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--no-cache", dest="cache", action="store_false", help="keep no compiled programs, and use none"
     )
 
 
-def _add_processes(command):
+def _add_processes(command: argparse.ArgumentParser) -> None:
     group = command.add_argument_group(
         "several processes or machines",
         "Start the same command once per process; they share the folder DIR.",
@@ -140,7 +130,7 @@ def _add_processes(command):
     group.add_argument("--process-id", metavar="I", type=int, help="which one this is, from 0")
 
 
-def require_folder(out) -> None:
+def require_folder(out: str | Path) -> None:
     """See that a folder for the results can be made, without making it. Raises InputError."""
     if not str(out).strip():
         from rfem_jax.description.errors import InputError
@@ -154,7 +144,7 @@ def require_folder(out) -> None:
         raise _cannot_write(folder, PermissionError(13, "permission denied"))
 
 
-def open_folder(out) -> Path:
+def open_folder(out: str | Path) -> Path:
     """Make the folder for the results and see that files can be written into it.
 
     Raises InputError before anything is simulated, not after.
@@ -170,16 +160,16 @@ def open_folder(out) -> Path:
     return folder
 
 
-def _cannot_write(folder, problem):
+def _cannot_write(folder: str | Path, problem: OSError) -> ValueError:
     from rfem_jax.description.errors import InputError
 
     return InputError(
         f"Argument `--out` must be a folder that can be written, but {folder} is not "
-        f"({problem.strerror or problem}); choose another one or make room."
+        f"({problem.strerror or problem}); choose another one or free some space."
     )
 
 
-def _settle_method(study):
+def _settle_method(study: Study) -> Study:
     """The study with a method whose step is known to be stable; says what "auto" stands for."""
     from rfem_jax.simulation import check_step
 
@@ -198,7 +188,7 @@ def _settle_method(study):
     return replace(study, method=method)
 
 
-def _discretise(study):
+def _discretise(study: Study) -> Model:
     """The model of the study's mechanism; what is wrong with it is said with the file's name."""
     from rfem_jax.description.errors import located
     from rfem_jax.mechanics import discretise
@@ -207,14 +197,14 @@ def _discretise(study):
         return discretise(study.mechanism)
 
 
-def _announce(stage, done=None):
+def _announce(stage: str, done: float | None = None) -> None:
     """Tell the progress line what begins, or how much of it is done."""
     from rfem_jax.compilation.stages import on_stage
 
     on_stage(stage, done)
 
 
-def _simulate(study):
+def _simulate(study: Study) -> dict[str, Run]:
     """All cases with their progress on standard error; returns {case: run}."""
     from rfem_jax.simulation import run_cases
 
@@ -225,7 +215,7 @@ def _simulate(study):
     return runs
 
 
-def _write_pictures(folder, study, runs, summaries) -> list[Path]:
+def _write_pictures(folder: Path, study: Study, runs: dict[str, Run], summaries: Summaries) -> list[Path]:
     try:
         import matplotlib  # noqa: F401
     except ImportError:
@@ -239,7 +229,7 @@ def _write_pictures(folder, study, runs, summaries) -> list[Path]:
     return write_figures(folder, study, runs, summaries)
 
 
-def _run(arguments) -> int:
+def _run(arguments: argparse.Namespace) -> int:
     from rfem_jax.description import load_study
 
     started = time.perf_counter()
@@ -274,8 +264,8 @@ def _run(arguments) -> int:
     return DONE if good else CASE_FAILED
 
 
-def _write_task(study, task, folder):
-    from rfem_jax.report.task_commands import do_task
+def _write_task(study: Study, task: str, folder: Path) -> tuple[bool, list[Path]]:
+    from rfem_jax.report.tasks.task_report import do_task
 
     try:
         return do_task(study, task, folder)
@@ -283,14 +273,14 @@ def _write_task(study, task, folder):
         raise _cannot_write(folder, problem) from problem
 
 
-def _do_task(arguments) -> int:
+def _do_task(arguments: argparse.Namespace) -> int:
     from rfem_jax.description import load_study
 
     started = time.perf_counter()
     _announce(f"Reading {arguments.study}")
     study = load_study(arguments.study)
 
-    from rfem_jax.report.task_commands import require_task
+    from rfem_jax.report.tasks.task_report import require_task
 
     require_task(study, arguments.task)
     require_folder(arguments.out)
@@ -303,7 +293,7 @@ def _do_task(arguments) -> int:
     return DONE if good else CASE_FAILED
 
 
-def _check(arguments) -> int:
+def _check(arguments: argparse.Namespace) -> int:
     from rfem_jax.description import load_study
 
     _announce(f"Reading {arguments.study}")
@@ -311,7 +301,7 @@ def _check(arguments) -> int:
 
     from rfem_jax.mechanics import describe
     from rfem_jax.report.overview import study_text
-    from rfem_jax.report.task_overview import tasks_text
+    from rfem_jax.report.tasks.task_overview import tasks_text
     from rfem_jax.simulation import check_step
 
     model = _discretise(study)
@@ -328,13 +318,22 @@ def _check(arguments) -> int:
     return DONE
 
 
-def _validate(arguments) -> int:
+def _keys(arguments: argparse.Namespace) -> int:
+    from rfem_jax.report.keys_text import keys_text
+
+    show(keys_text(arguments.table))
+    return DONE
+
+
+def _validate(arguments: argparse.Namespace) -> int:
     from rfem_jax.report.validation_command import validate
 
     folder = None if arguments.out is None else open_folder(arguments.out)
     try:
         good, written = validate(arguments.only, arguments.full, folder, _announce)
     except OSError as problem:
+        if folder is None:
+            raise
         raise _cannot_write(folder, problem) from problem
     if written:
         show(f"{len(written)} files written to {folder}.")
@@ -342,7 +341,7 @@ def _validate(arguments) -> int:
 
 
 @contextmanager
-def _rare_collections():
+def _rare_collections() -> Iterator[None]:
     """Hundreds of thousands of objects of JAX and matplotlib live as long as the command: looking through them for
     garbage as often as Python does by itself takes a tenth of the time."""
     before = gc.get_threshold()
@@ -353,7 +352,7 @@ def _rare_collections():
         gc.set_threshold(*before)
 
 
-def _act(arguments, line) -> int:
+def _act(arguments: argparse.Namespace, line: ProgressLine) -> int:
     set_up_jax(count_devices(arguments), arguments.cache, getattr(arguments, "out", None))
     join_processes(arguments)
     require_platform()
@@ -363,13 +362,12 @@ def _act(arguments, line) -> int:
         return arguments.action(arguments)
 
 
-def _what_is_kept(arguments) -> str:
-    if arguments.command not in ("run", "monte-carlo"):
-        return ""
-    return "; finished chunks of a Monte Carlo study are kept, and the same command continues it"
+def _what_is_kept(arguments: argparse.Namespace) -> str:
+    kept = getattr(arguments, "kept", "")
+    return f"; {kept} are kept, and the same command continues it" if kept else ""
 
 
-def main(argv=None) -> int:
+def main(argv: Sequence[str] | None = None) -> int:
     """Run the command with the arguments `argv` (default: those of the process).
 
     Returns the exit code; wrong input, an interruption and files that cannot be written become
@@ -387,7 +385,8 @@ def main(argv=None) -> int:
             try:
                 return _act(arguments, line)
             except InputError as problem:
-                say(" ".join(str(problem).split()))
+                for sentence in problem.problems:
+                    say(" ".join(sentence.split()))
                 return WRONG_INPUT
     except KeyboardInterrupt:
         print(f"Interrupted: the results of this study are not complete{_what_is_kept(arguments)}.", file=sys.stderr)

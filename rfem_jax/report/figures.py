@@ -5,12 +5,16 @@ a screen and whose global settings stay as they are. Times s, angles rad, forces
 energies J, lengths m; force components in the hinge frame (y along the hinge).
 """
 
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 from matplotlib import rc_context
-from matplotlib.figure import Figure
 
+from rfem_jax.description.study import Study
+from rfem_jax.report.annotations import Figure, Run, Summaries
 from rfem_jax.report.output import write_pictures
 from rfem_jax.report.quantities import (
     MAX_AXIAL_FORCE,
@@ -19,13 +23,17 @@ from rfem_jax.report.quantities import (
     PRELOAD_MOMENT,
     RMS_FORCE,
     RMS_MOMENT,
+    Quantity,
 )
 from rfem_jax.report.shapes import assembly_figure
-from rfem_jax.report.style import SETTINGS, add_legend, add_titles, bar_style, line_style
+from rfem_jax.report.style import SETTINGS, add_legend, add_titles, bar_style, line_style, new_figure
 from rfem_jax.report.summary import joint_names, reference_case, total_energy
 
+# {case: times and values}
+Histories = dict[str, tuple[Float[np.ndarray, " times"], Float[np.ndarray, " times"]]]
 
-def history_figure(study, histories, heading, label) -> Figure:
+
+def history_figure(study: Study, histories: Histories, heading: str, label: str) -> Figure:
     """Curves of one quantity for all cases, and below them their differences from a reference.
 
     Arguments: histories, {case: (times (T,) s, values (T,))}; heading, what is shown; label, the
@@ -34,7 +42,7 @@ def history_figure(study, histories, heading, label) -> Figure:
     reference = reference_case(study)
     others = [case for case in histories if case != reference]
     panels = 2 if others else 1
-    figure = Figure(figsize=(7.2, 3.4 + 2.2 * (panels - 1)), layout="constrained")
+    figure = new_figure(7.2, 3.4 + 2.2 * (panels - 1))
     heights = [1.6, 1.0][:panels]
     axes = figure.subplots(panels, 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
     for index, (case, (times, values)) in enumerate(histories.items()):
@@ -54,7 +62,7 @@ def history_figure(study, histories, heading, label) -> Figure:
     return figure
 
 
-def component_figure(study, runs, summaries, joint) -> Figure:
+def component_figure(study: Study, runs: Mapping[str, Run], summaries: Summaries, joint: str) -> Figure:
     """Force components in `joint` without and with errors (the paper's Fig. 12).
 
     Shows the reference case, the case with the largest RMS force in the joint and the last one.
@@ -66,7 +74,7 @@ def component_figure(study, runs, summaries, joint) -> Figure:
     if others:
         worst = max(others, key=lambda case: np.nan_to_num(loads[case], nan=-1.0))
         shown += [case for case in others if case in (worst, others[-1])]
-    figure = Figure(figsize=(7.2, 7.2), layout="constrained")
+    figure = new_figure(7.2, 7.2)
     axes = figure.subplots(3, 1, sharex=True)
     order = [case.name for case in study.cases]
     names = ("(a) x, across the hinge", "(b) y, along the hinge", "(c) z, across the hinge")
@@ -86,7 +94,7 @@ def component_figure(study, runs, summaries, joint) -> Figure:
     return figure
 
 
-def bars_figure(study, summaries, panels, heading) -> Figure:
+def bars_figure(study: Study, summaries: Summaries, panels: Sequence[tuple[Quantity, str]], heading: str) -> Figure:
     """Grouped bars, one panel per quantity: joints side by side, one bar per case.
 
     Arguments: panels, two or more (quantity, title); a list of components is shown by its
@@ -95,7 +103,7 @@ def bars_figure(study, summaries, panels, heading) -> Figure:
     names, cases = joint_names(study), list(summaries)
     width = 0.84 / len(cases)
     wide = min(max(7.2, 0.17 * len(cases) * len(names) + 2.0), 24.0)
-    figure = Figure(figsize=(wide, 2.9 * len(panels) + 0.9), layout="constrained")
+    figure = new_figure(wide, 2.9 * len(panels) + 0.9)
     all_axes = figure.subplots(len(panels), 1, squeeze=False)[:, 0]
     for letter, axes, (quantity, title) in zip("abcdef", all_axes, panels, strict=False):
         for index, case in enumerate(cases):
@@ -118,11 +126,11 @@ def bars_figure(study, summaries, panels, heading) -> Figure:
     return figure
 
 
-def _histories(study, runs, values) -> dict:
+def _histories(study: Study, runs: Mapping[str, Run], values: Callable[[Run], Any]) -> Histories:
     return {case.name: (np.asarray(runs[case.name].times), np.asarray(values(runs[case.name]))) for case in study.cases}
 
 
-def _motion_figures(study, runs) -> dict[str, Figure]:
+def _motion_figures(study: Study, runs: Mapping[str, Run]) -> dict[str, Figure]:
     """Angle and rate of the driven joint (none without a drive)."""
     if study.drive is None:
         return {}
@@ -136,7 +144,7 @@ def _motion_figures(study, runs) -> dict[str, Figure]:
     }
 
 
-def draw_figures(study, runs, summaries) -> dict[str, Figure]:
+def draw_figures(study: Study, runs: Mapping[str, Run], summaries: Summaries) -> dict[str, Figure]:
     """All pictures of a study, {file name without ending: figure}.
 
     Arguments: study as loaded; runs, {case: run of NumPy arrays}; summaries from
@@ -164,6 +172,6 @@ def draw_figures(study, runs, summaries) -> dict[str, Figure]:
     return figures
 
 
-def write_figures(folder, study, runs, summaries) -> list[Path]:
+def write_figures(folder: str | Path, study: Study, runs: Mapping[str, Run], summaries: Summaries) -> list[Path]:
     """Draw all pictures and write them into `folder` as PNG (200 dpi); returns their paths."""
     return write_pictures(folder, draw_figures(study, runs, summaries))

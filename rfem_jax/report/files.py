@@ -7,18 +7,22 @@ joint `A_force_x_N` ... `A_moment_z_Nm` in its hinge frame (y along the hinge); 
 `drive_moment_Nm`.
 """
 
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
 
 from rfem_jax.compilation.keeping import state
+from rfem_jax.description.study import Study
+from rfem_jax.report.annotations import Run, Summaries
 from rfem_jax.report.output import replacing, write_json
 from rfem_jax.report.quantities import ENERGIES, units
 from rfem_jax.report.summary import joint_names, study_note, total_energy
 
 
-def write_results(path, study, summaries) -> Path:
+def write_results(path: str | Path, study: Study, summaries: Summaries) -> Path:
     """Write `results.json`; `summaries` as `rfem_jax.report.summary.summarise` returns them."""
     content = {
         "title": study.title,
@@ -33,7 +37,7 @@ def write_results(path, study, summaries) -> Path:
     return write_json(path, content)
 
 
-def history_columns(study, run) -> dict[str, np.ndarray]:
+def history_columns(study: Study, run: Run) -> dict[str, Float[np.ndarray, " times"]]:
     """Time histories of one run, {column name with unit: (T,) array}, in the order of the CSV."""
     times = np.asarray(run.times)
     columns = {
@@ -54,7 +58,7 @@ def history_columns(study, run) -> dict[str, np.ndarray]:
     return columns
 
 
-def write_history(path, study, run) -> Path:
+def write_history(path: str | Path, study: Study, run: Run) -> Path:
     """Write the time histories of one run as CSV (12 digits, one row per saved time)."""
     columns = history_columns(study, run)
     table = np.stack(list(columns.values()), axis=1)
@@ -63,7 +67,7 @@ def write_history(path, study, run) -> Path:
     return Path(path)
 
 
-def write_files(folder, study, runs, summaries) -> list[Path]:
+def write_files(folder: str | Path, study: Study, runs: Mapping[str, Run], summaries: Summaries) -> list[Path]:
     """Write `results.json` and `<case>.csv` of every case into `folder`; returns their paths."""
     folder = Path(folder)
     written = [write_results(folder / "results.json", study, summaries)]

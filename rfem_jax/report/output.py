@@ -1,6 +1,6 @@
 """How files are written: whole or not at all, without NaN, with the versions that made them.
 
-Place in the pipeline: used by every module of this room that writes, and by the studies' scripts.
+Place in the pipeline: used by every module of this package that writes, and by the studies' scripts.
 A file is written beside its final place and then renamed.  JSON has no NaN; a value that does not
 exist is null, in CSV an empty cell.
 """
@@ -11,6 +11,7 @@ import json
 import math
 import os
 import platform
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib import metadata
 from pathlib import Path
@@ -18,11 +19,13 @@ from typing import Any
 
 import numpy as np
 
+from rfem_jax.report.annotations import Figure
+
 _PACKAGES = ("rfem_jax", "jax", "jaxlib", "diffrax", "equinox", "optimistix", "lineax", "numpy")
 
 
 @contextmanager
-def replacing(path: Path):
+def replacing(path: str | Path) -> Iterator[Path]:
     """Give a temporary path beside `path`; rename it to `path` when the block ends well."""
     path = Path(path)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
@@ -55,7 +58,7 @@ def versions() -> dict[str, str | None]:
     return found
 
 
-def write_json(path, content: dict) -> Path:
+def write_json(path: str | Path, content: dict[str, Any]) -> Path:
     """Write `content` with the versions beside it."""
     text = json.dumps(without_nan({**content, "versions": versions()}), indent=2, allow_nan=False)
     with replacing(path) as temporary:
@@ -63,7 +66,7 @@ def write_json(path, content: dict) -> Path:
     return Path(path)
 
 
-def write_csv(path, rows) -> Path:
+def write_csv(path: str | Path, rows: Sequence[Mapping[str, Any]]) -> Path:
     """Write rows (dicts with the same keys) as CSV; NaN is an empty cell."""
     text = io.StringIO()
     writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
@@ -75,13 +78,13 @@ def write_csv(path, rows) -> Path:
     return Path(path)
 
 
-def _cell(value):
+def _cell(value: Any) -> Any:
     if isinstance(value, (float, np.floating)):
         return "" if np.isnan(value) else f"{value:.12g}"
     return value
 
 
-def write_pictures(folder, figures: dict) -> list[Path]:
+def write_pictures(folder: str | Path, figures: Mapping[str, Figure]) -> list[Path]:
     """Write {name: figure} into `folder` as PNG (200 dpi); returns their paths."""
     from matplotlib import rc_context
 
@@ -97,7 +100,7 @@ def write_pictures(folder, figures: dict) -> list[Path]:
     return written
 
 
-def _render(figure, path) -> None:
+def _render(figure: Figure, path: Path) -> None:
     """What `Figure.savefig` does, with the layout found once (it draws a figure twice for it), and without a
     channel that is opaque everywhere; zlib's usual level would take five times as long for files a fifth smaller."""
     from matplotlib import rcParams

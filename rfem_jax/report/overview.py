@@ -1,29 +1,34 @@
-"""What a study says, in words and tables: the text of the command `check`.
+"""What a study specifies, in words and tables: the text of the command `check`.
 
 Place in the pipeline: after `rfem_jax.mechanics.describe`. Lengths m, masses kg; angles in degrees
-and errors in degrees and millimetres, as people state them.
+and errors in degrees and millimetres, as users write them.
 """
 
 import math
 import re
 from dataclasses import fields
 
+from rfem_jax.description.drives import MomentDrive, PrescribedDrive
+from rfem_jax.description.mechanism import Mechanism
+from rfem_jax.description.sections import Section
+from rfem_jax.description.study import Case, Study
+from rfem_jax.report.annotations import Structure
 from rfem_jax.report.tables import format_table, title_text
 
 
-def format_error(name, value, unit) -> str:
-    """One assembly error as people state it, "D.delta_x = 0.5 deg"; `unit` is "rad" or "m"."""
+def format_error(name: str, value: float, unit: str) -> str:
+    """One assembly error as users write it, "D.delta_x = 0.5 deg"; `unit` is "rad" or "m"."""
     if unit == "rad":
         return f"{name} = {math.degrees(value):.6g} deg"
     return f"{name} = {1e3 * value:.6g} mm"
 
 
-def _errors_text(mechanism, case) -> str:
-    errors = [format_error(*item, mechanism.error_unit(item[0])) for item in case.errors.items()]
+def _errors_text(mechanism: Mechanism, case: Case) -> str:
+    errors = [format_error(name, value, mechanism.error_unit(name)) for name, value in case.errors.items()]
     return "; ".join(errors) or "none"
 
 
-def section_text(section) -> str:
+def section_text(section: Section) -> str:
     """Shape of a section with its dimensions in mm."""
     shape = type(section).__name__
     if shape == "GivenSection":
@@ -36,7 +41,7 @@ def section_text(section) -> str:
     return ", ".join([shape.lower(), *sizes])
 
 
-def link_rows(mechanism) -> list[list[str]]:
+def link_rows(mechanism: Mechanism) -> list[list[str]]:
     """One row per link: name, length, mass with point masses, rfes, section."""
     rows = []
     for link in mechanism.links:
@@ -49,7 +54,7 @@ def link_rows(mechanism) -> list[list[str]]:
     return rows
 
 
-def joint_rows(study) -> list[list[str]]:
+def joint_rows(study: Study) -> list[list[str]]:
     """One row per joint: name, parent, child, start angle, what is special about it."""
     driven = None if study.drive is None else study.drive.joint
     rows = []
@@ -60,7 +65,7 @@ def joint_rows(study) -> list[list[str]]:
     return rows
 
 
-def _drive_text(drive) -> str:
+def _drive_text(drive: MomentDrive | PrescribedDrive | None) -> str:
     """Kind of a drive in words ("MomentRamp" is "moment ramp"), its joint, its scalar numbers."""
     if drive is None:
         return "none"
@@ -74,7 +79,7 @@ def _drive_text(drive) -> str:
     return f"{words} on joint {drive.joint}" + (f" (SI: {', '.join(numbers)})" if numbers else "")
 
 
-def _method_text(study) -> str:
+def _method_text(study: Study) -> str:
     options = {
         field.name: getattr(study.method, field.name)
         for field in fields(study.method)
@@ -84,7 +89,7 @@ def _method_text(study) -> str:
     return ", ".join(words)
 
 
-def count_lines(mechanism, description) -> list[str]:
+def count_lines(mechanism: Mechanism, description: Structure) -> list[str]:
     """Coordinates, constraints, rank, mobility and redundancy, a sentence each."""
     lines = [
         f"Coordinates: {description.coordinates}; constraint equations at the cut joints: "
@@ -99,7 +104,7 @@ def count_lines(mechanism, description) -> list[str]:
     return [*lines, 'Make a link flexible, or choose redundant_reactions = "minimum_norm".']
 
 
-def study_text(study, description) -> str:
+def study_text(study: Study, description: Structure) -> str:
     """Everything the command `check` prints, but the stable step.
 
     Arguments: study as loaded; description from `rfem_jax.mechanics.describe(model)`.

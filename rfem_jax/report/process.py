@@ -3,8 +3,10 @@
 Place in the pipeline: command_line calls it before anything else; JAX reads most of it only once.
 """
 
+import argparse
 import os
 import sys
+from pathlib import Path
 
 MOST_DEVICES = 64  # on a machine with fewer cores
 
@@ -18,14 +20,14 @@ def require_platform() -> None:
     except (RuntimeError, AssertionError) as problem:
         from rfem_jax.description.errors import InputError
 
-        wanted = os.environ.get("JAX_PLATFORMS") or jax.config.jax_platforms
+        wanted = os.environ.get("JAX_PLATFORMS") or jax.config.jax_platforms  # pyright: ignore[reportAttributeAccessIssue]  # added at run time
         raise InputError(
             f"Environment variable JAX_PLATFORMS must name a kind of device that this machine has, but is {wanted!r} "
             f"({(str(problem).splitlines() or ['none was found'])[0]}); leave it out, or write cpu."
         ) from problem
 
 
-def set_up_jax(devices=None, cache=True, out=None) -> None:
+def set_up_jax(devices: int | None = None, cache: bool = True, out: str | Path | None = None) -> None:
     """Double precision, `devices` CPU devices (None: one), XLA's options, and unless not `cache`: programs kept
     in the user's folder, and JAX's own cache (in a folder of the user's choice) for what cannot be kept."""
     # SciPy's LAPACK keeps its threads spinning after every call, which would take half of the processor.
@@ -49,7 +51,7 @@ def set_up_jax(devices=None, cache=True, out=None) -> None:
         keeping.keep_programs(None)
         jax.config.update("jax_enable_compilation_cache", False)
         return
-    if jax.config.jax_compilation_cache_dir is not None:
+    if jax.config.jax_compilation_cache_dir is not None:  # pyright: ignore[reportAttributeAccessIssue]  # as above
         return
     try:
         folder = options.user_cache_folder() / "compiled"
@@ -62,7 +64,7 @@ def set_up_jax(devices=None, cache=True, out=None) -> None:
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
 
 
-def count_devices(arguments) -> int | None:
+def count_devices(arguments: argparse.Namespace) -> int | None:
     """CPU devices that the command asks for: all cores unless it says otherwise; None for `check`.
 
     Raises InputError for a number below 1.
@@ -87,7 +89,7 @@ def count_devices(arguments) -> int | None:
     return arguments.devices
 
 
-def join_processes(arguments) -> None:
+def join_processes(arguments: argparse.Namespace) -> None:
     """Join the other processes of a Monte Carlo study, if the command names them.
 
     Raises InputError for an incomplete or impossible set of options, and when the coordinator does
@@ -99,7 +101,7 @@ def join_processes(arguments) -> None:
     from rfem_jax.description.errors import InputError
 
     address, processes, process = given
-    if None in given or processes < 1 or not 0 <= process < processes:
+    if address is None or processes is None or process is None or processes < 1 or not 0 <= process < processes:
         raise InputError(
             "Arguments `--coordinator`, `--processes` and `--process-id` must all be given, with "
             f"0 <= I < N, but are {address}, {processes} and {process}; complete them."

@@ -64,8 +64,8 @@ BALANCES = (
     Quantity(
         "solution_residual",
         "",
-        "Newton's rest",
-        "largest force that an implicit step left over, divided by the largest joint force",
+        "Newton residual",
+        "largest residual force of an implicit step, divided by the largest joint force",
     ),
 )
 
@@ -85,12 +85,6 @@ def units() -> dict[str, str]:
     return {quantity.name: quantity.unit or "1" for quantity in listed}
 
 
-def metric_units(result) -> dict[str, str]:
-    """Unit of every metric of a sensitivity or Monte Carlo result by its name."""
-    pairs = zip(result.metrics, result.metric_units, strict=True)
-    return {name: unit or "1" for name, unit in pairs}
-
-
-def as_specified(unit) -> tuple[str, float]:
-    """Unit in which people state an error of the SI unit "rad" or "m", and the factor to it."""
+def as_specified(unit: str) -> tuple[str, float]:
+    """Unit in which users write an error of the SI unit "rad" or "m", and the factor to it."""
     return {"rad": ("deg", math.degrees(1.0)), "m": ("mm", 1e3)}[unit]

@@ -6,18 +6,25 @@ what is drawn is nominal + factor * (assembled - nominal).
 """
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
-from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
+from jaxtyping import Float
 
-from rfem_jax.report.style import CASE_COLOURS, LINE_STYLES, add_titles
+from rfem_jax.description.joints import Joint
+from rfem_jax.description.mechanism import Mechanism
+from rfem_jax.description.study import Study
+from rfem_jax.report.annotations import Axes3D, Figure, Run
+from rfem_jax.report.style import CASE_COLOURS, LINE_STYLES, add_titles, new_figure
 
 _MOST_PANELS = 6
 _SHARE = 0.2
 
+Line = Float[np.ndarray, "points 3"]
+Point = Float[np.ndarray, " 3"]
 
-def round_factor(value) -> float:
+
+def round_factor(value: float) -> float:
     """Largest of 1, 2, 5, 10, 20, 50, ... that is not above `value`; at least 1."""
     if not math.isfinite(value) or value <= 1.0:
         return 1.0
@@ -26,13 +33,13 @@ def round_factor(value) -> float:
     return step * power
 
 
-def largest_deflection(run) -> float:
+def largest_deflection(run: Run) -> float:
     """Largest distance of an assembled from its nominal point, m (NaN for a failed run)."""
     lines = run.nominal_lines
     return max(float(np.linalg.norm(np.asarray(run.centre_lines[link]) - lines[link], axis=1).max()) for link in lines)
 
 
-def exaggeration(runs) -> float:
+def exaggeration(runs: Mapping[str, Run]) -> float:
     """Factor that makes the largest deflection a fifth of the mechanism's size at most."""
     deflections = [largest_deflection(run) for run in runs.values()]
     deflection = max((value for value in deflections if math.isfinite(value)), default=0.0)
@@ -43,7 +50,7 @@ def exaggeration(runs) -> float:
     return round_factor(_SHARE * size / deflection) if deflection > 1e-6 * size else 1.0
 
 
-def exaggerated_lines(run, factor) -> dict[str, np.ndarray]:
+def exaggerated_lines(run: Run, factor: float) -> dict[str, Line]:
     """Centre lines of one run with deflections times `factor`, {link: (P, 3) m}."""
     lines = {}
     for link, nominal in run.nominal_lines.items():
@@ -52,7 +59,7 @@ def exaggerated_lines(run, factor) -> dict[str, np.ndarray]:
     return lines
 
 
-def joint_point(mechanism, joint, lines) -> np.ndarray:
+def joint_point(mechanism: Mechanism, joint: Joint, lines: Mapping[str, Line]) -> Point:
     """Where `joint` sits on the centre line of its child link, (3,) m."""
     length = mechanism.link(joint.child).length
     share = joint.child_position[0] / length if joint.child_position is not None else 1.0 if joint.cut else 0.0
@@ -61,7 +68,7 @@ def joint_point(mechanism, joint, lines) -> np.ndarray:
     return np.array([np.interp(share, places, line[:, axis]) for axis in range(3)])
 
 
-def _limits(study, runs, factor) -> tuple[np.ndarray, np.ndarray]:
+def _limits(runs: Mapping[str, Run], factor: float) -> tuple[Point, Point]:
     """Lower and upper corner (3,) of a box around all that is drawn, no side too thin."""
     points = [np.asarray(line) for run in runs.values() for line in run.nominal_lines.values()]
     points += [line for run in runs.values() for line in exaggerated_lines(run, factor).values()]
@@ -73,7 +80,7 @@ def _limits(study, runs, factor) -> tuple[np.ndarray, np.ndarray]:
     return middle - half, middle + half
 
 
-def _draw_mechanism(axes, mechanism, run, factor) -> None:
+def _draw_mechanism(axes: Axes3D, mechanism: Mechanism, run: Run, factor: float) -> None:
     """Nominal lines thin and grey, assembled lines thick, joints with their names."""
     lines = exaggerated_lines(run, factor)
     for index, link in enumerate(lines):
@@ -91,40 +98,42 @@ def _draw_mechanism(axes, mechanism, run, factor) -> None:
         marker, size = ("^", 7) if joint.parent == "base" else ("o", 5)
         axes.plot(*point[:, None], marker=marker, markersize=size, color="black", mfc="white")
         if np.isfinite(point).all():
-            axes.text(*point, f"  {joint.name}", fontsize=9, weight="bold")
+            axes.text(point[0], point[1], point[2], f"  {joint.name}", fontsize=9, weight="bold")
 
 
-def _format_axes(axes, low, high) -> None:
+def _format_axes(axes: Axes3D, low: Point, high: Point) -> None:
+    from matplotlib.ticker import MaxNLocator
+
     for axis, letter, lower, upper in zip("xyz", "XYZ", low, high, strict=True):
         axes.set(**{f"{axis}lim": (lower, upper), f"{axis}label": f"{letter}, m"})
         getattr(axes, f"{axis}axis").set_major_locator(MaxNLocator(3))
-    axes.set_box_aspect(high - low, zoom=0.95)
+    axes.set_box_aspect(high - low, zoom=0.95)  # pyright: ignore[reportArgumentType]  # a float, says its documentation
     axes.view_init(elev=22.0, azim=-48.0)
     axes.tick_params(labelsize=7, pad=0)
 
 
-def _deflection_text(run) -> str:
+def _deflection_text(run: Run) -> str:
     deflection = largest_deflection(run)
     if not math.isfinite(deflection):
         return "not assembled"
     return f"largest deflection {1e3 * deflection:.3g} mm"
 
 
-def assembly_figure(study, runs) -> Figure:
+def assembly_figure(study: Study, runs: Mapping[str, Run]) -> Figure:
     """The assembled mechanism at the start, nominal and assembled, one panel per case.
 
     All panels have the same factor, which the title names. Of more than six cases those with the
     largest deflections are shown.
     """
     deflections = {name: np.nan_to_num(largest_deflection(run)) for name, run in runs.items()}
-    kept = sorted(deflections, key=deflections.get, reverse=True)[:_MOST_PANELS]
+    kept = sorted(deflections, key=lambda name: deflections[name], reverse=True)[:_MOST_PANELS]
     shown = {name: runs[name] for name in runs if name in kept}
     factor = exaggeration(shown)
-    low, high = _limits(study, shown, factor)
+    low, high = _limits(shown, factor)
     columns = min(len(shown), 3)
     rows = -(-len(shown) // columns)
     width, height = max(3.9 * columns, 6.0), 3.7 * rows + 1.9
-    figure = Figure(figsize=(width, height))
+    figure = new_figure(width, height, layout=None)
     for index, (case, run) in enumerate(shown.items()):
         axes = figure.add_subplot(rows, columns, index + 1, projection="3d", facecolor="none")
         _draw_mechanism(axes, study.mechanism, run, factor)
@@ -132,7 +141,7 @@ def assembly_figure(study, runs) -> Figure:
         axes.set_title(f"{case}: {_deflection_text(run)}", y=1.0)
     # Layout by hand: the automatic one knows neither labels nor legends of 3D axes.
     figure.subplots_adjust(left=0.02, right=0.96, bottom=1.1 / height, top=1.0 - 0.8 / height, wspace=0.08, hspace=0.1)
-    handles, labels = axes.get_legend_handles_labels()
+    handles, labels = figure.axes[-1].get_legend_handles_labels()
     figure.legend(
         handles,
         labels,

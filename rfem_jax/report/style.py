@@ -6,7 +6,11 @@ colour-blind. Colours: M. Okabe, K. Ito, "Color universal design" (2008).
 """
 
 import textwrap
+from collections.abc import Callable, Sequence
+from typing import Any, Literal
 
+from rfem_jax.description.study import Study
+from rfem_jax.report.annotations import Axes, Figure
 from rfem_jax.report.summary import study_note
 
 CASE_COLOURS = ("#000000", "#D55E00", "#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9")
@@ -18,7 +22,7 @@ MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 HATCHES = ("", "////", "....", "xxxx", "\\\\\\\\", "oo", "++")
 BAR_COLOURS = ("#4D4D4D", "#F3B48B", "#8CBFE0", "#FBE3A6", "#8AD3BD", "#E8C5D8", "#CFE8F7")
 
-SETTINGS = {
+SETTINGS: dict[Any, Any] = {
     "font.size": 9.5,
     "axes.titlesize": 10.5,
     "axes.labelsize": 10,
@@ -38,7 +42,14 @@ SETTINGS = {
 }
 
 
-def line_style(index, points) -> dict:
+def new_figure(width: float, height: float, layout: Literal["constrained"] | None = "constrained") -> Figure:
+    """An empty figure of this size [inches], whose parts find their places by themselves (None: do not)."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), layout=layout)
+
+
+def line_style(index: int, points: int) -> dict[str, Any]:
     """Arguments of `Axes.plot` for case number `index` and a curve of `points` points.
 
     Markers are sparse and start at another place for each case, so that curves that lie on each
@@ -59,7 +70,7 @@ def line_style(index, points) -> dict:
     }
 
 
-def bar_style(index) -> dict:
+def bar_style(index: int) -> dict[str, Any]:
     """Arguments of `Axes.bar` for case number `index`."""
     kind = index % len(BAR_COLOURS)
     return {
@@ -70,11 +81,12 @@ def bar_style(index) -> dict:
     }
 
 
-def add_legend(axes) -> None:
+def add_legend(axes: Axes) -> None:
     """Put the legend of the cases above the axes (and their title), where no curve runs."""
     _, labels = axes.get_legend_handles_labels()
     # About 12 characters fit into an inch; the sample and the gaps take as much as nine.
-    columns = int(12 * axes.figure.get_figwidth() / (9 + max(map(len, labels))))
+    figure: Any = axes.figure  # a figure, not a part of one
+    columns = int(12 * figure.get_figwidth() / (9 + max(map(len, labels))))
     axes.legend(
         title="case",
         loc="lower right",
@@ -87,7 +99,7 @@ def add_legend(axes) -> None:
     )
 
 
-def add_titles(figure, heading, study) -> None:
+def add_titles(figure: Figure, heading: str, study: Study) -> None:
     """Put `heading` and the study's title above the figure, the study's note below it."""
     width = figure.get_figwidth()
     lines = textwrap.wrap(heading, int(11 * width)) + textwrap.wrap(study.title, int(11 * width))
@@ -97,7 +109,9 @@ def add_titles(figure, heading, study) -> None:
         figure.supxlabel(note, fontsize=7.5, color="#404040", parse_math=False)
 
 
-def panel_grid(figure, count, columns=2):
+def panel_grid(
+    figure: Figure, count: int, columns: int = 2
+) -> tuple[list[Axes], Callable[[Sequence[Any], Sequence[str]], None]]:
     """Axes of `count` panels in `columns` columns, and a line below them for a shared legend.
 
     Returns (list of axes, function that draws the legend from handles and labels).
@@ -109,7 +123,7 @@ def panel_grid(figure, count, columns=2):
     below = figure.add_subplot(grid[lines, :])
     below.set_axis_off()
 
-    def add_shared_legend(handles, labels):
+    def add_shared_legend(handles: Sequence[Any], labels: Sequence[str]) -> None:
         below.legend(handles, labels, loc="center", ncols=len(labels), frameon=False)
 
     return panels, add_shared_legend

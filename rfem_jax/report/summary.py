@@ -4,36 +4,40 @@ Place in the pipeline: after `rfem_jax.simulation.run_cases`; what it returns is
 of `results.json` with NaN still in it.
 """
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
+from rfem_jax.description.study import Study
+from rfem_jax.report.annotations import Run, Summaries
 from rfem_jax.report.quantities import BALANCES, DRIVEN_JOINT, JOINT_METRICS
 
 PLOTS_HINT = 'No pictures were drawn: matplotlib is not installed (pip install "rfem_jax[plots]").'
 
 
-def joint_names(study) -> tuple[str, ...]:
+def joint_names(study: Study) -> tuple[str, ...]:
     """Names of all joints, cut ones included, in the order of the description."""
     return tuple(joint.name for joint in study.mechanism.joints)
 
 
-def study_note(study) -> str:
+def study_note(study: Study) -> str:
     """What a reader must know about the study's data, or "" (a study may carry a `note`)."""
     return getattr(study, "note", None) or ""
 
 
-def total_energy(run) -> np.ndarray:
+def total_energy(run: Run) -> Float[np.ndarray, " times"]:
     """Kinetic + elastic + gravity energy of one run, (T,) J."""
     energy = run.energy
     return np.asarray(energy.kinetic) + np.asarray(energy.elastic) + np.asarray(energy.gravity)
 
 
-def summarise_run(study, run) -> dict[str, Any]:
+def summarise_run(study: Study, run: Run) -> dict[str, Any]:
     """Metrics, preload, end of the driven joint, balances and branch of one run (numbers, SI)."""
-    joints = {}
+    joints: dict[str, dict[str, Any]] = {}
     for name in joint_names(study):
-        row = {q.name: float(getattr(run.metrics, q.name)[name]) for q in JOINT_METRICS}
+        row: dict[str, Any] = {q.name: float(getattr(run.metrics, q.name)[name]) for q in JOINT_METRICS}
         row["preload_force"] = [float(v) for v in np.asarray(run.preload[name].force)]
         row["preload_moment"] = [float(v) for v in np.asarray(run.preload[name].moment)]
         joints[name] = row
@@ -43,7 +47,7 @@ def summarise_run(study, run) -> dict[str, Any]:
     return {"joints": joints, "driven_joint": ends, **balances, "branch": branches(run)}
 
 
-def branches(run) -> dict[str, dict[str, int]]:
+def branches(run: Run) -> dict[str, dict[str, int]]:
     """{cut joint: {"start", "end": assembly mode +1 or -1, "changes": passages through a fold}}.
 
     Runs whose branches differ are not to be averaged, nor differentiated across.
@@ -61,7 +65,7 @@ def branches(run) -> dict[str, dict[str, int]]:
     return found
 
 
-def summarise(study, runs, statuses) -> dict[str, dict[str, Any]]:
+def summarise(study: Study, runs: Mapping[str, Run], statuses: Mapping[str, tuple[str, str]]) -> Summaries:
     """Summary of every case.
 
     Arguments:
@@ -84,7 +88,7 @@ def summarise(study, runs, statuses) -> dict[str, dict[str, Any]]:
     return summaries
 
 
-def reference_case(study) -> str:
+def reference_case(study: Study) -> str:
     """Name of the case the others are compared with: the first one without errors, or the first."""
     for case in study.cases:
         if not any(case.errors.values()):

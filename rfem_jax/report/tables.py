@@ -6,14 +6,17 @@ tables with `format_table`. SI units, named in every heading.
 
 import math
 import textwrap
+from collections.abc import Collection, Iterable, Sequence
 
-from rfem_jax.report.quantities import BALANCES, DRIVEN_JOINT, JOINT_METRICS
+from rfem_jax.description.study import Study
+from rfem_jax.report.annotations import Summaries
+from rfem_jax.report.quantities import BALANCES, DRIVEN_JOINT, JOINT_METRICS, Quantity
 from rfem_jax.report.summary import joint_names, study_note
 
 _WIDTH = 96
 
 
-def format_table(header, rows, words=(0,)) -> str:
+def format_table(header: Sequence[str], rows: Iterable[Sequence[str]], words: Collection[int] = (0,)) -> str:
     """Align columns under `header`: columns of words to the left, of numbers to the right.
 
     Arguments: header, a sequence of strings; rows, sequences of as many strings; words, the
@@ -32,7 +35,7 @@ def format_table(header, rows, words=(0,)) -> str:
     return "\n".join(lines)
 
 
-def format_numbers(values, digits=6) -> list[str]:
+def format_numbers(values: Sequence[float], digits: int = 6) -> list[str]:
     """Write numbers with the same decimals, `digits` significant ones in the largest; NaN is "-".
 
     One scale for all, so that columns compare at a glance; a number that is not zero but would
@@ -57,7 +60,7 @@ def format_numbers(values, digits=6) -> list[str]:
     return texts
 
 
-def joint_table(summaries, names, quantity) -> str:
+def joint_table(summaries: Summaries, names: Sequence[str], quantity: Quantity) -> str:
     """One metric for all cases (rows) and joints (columns)."""
     cases = list(summaries)
     values = [summaries[case]["joints"][name][quantity.name] for case in cases for name in names]
@@ -73,7 +76,7 @@ def joint_table(summaries, names, quantity) -> str:
     return "\n".join([f"{quantity.title}  ({quantity.description})", *blocks])
 
 
-def driven_joint_table(study, summaries) -> str:
+def driven_joint_table(study: Study, summaries: Summaries) -> str:
     """End of the driven joint (where there is one) and status of all cases."""
     header, columns = ["case", "status"], [list(summaries)]
     columns.append([one["status"] for one in summaries.values()])
@@ -86,7 +89,7 @@ def driven_joint_table(study, summaries) -> str:
     return table if study.drive is None else f"Driven joint {study.drive.joint}\n{table}"
 
 
-def balance_table(summaries) -> str:
+def balance_table(summaries: Summaries) -> str:
     """Balances of all cases, with what each of them means."""
     header = ["case", *(quantity.title for quantity in BALANCES)]
     rows = [[case, *(_exponent(one[quantity.name]) for quantity in BALANCES)] for case, one in summaries.items()]
@@ -94,11 +97,11 @@ def balance_table(summaries) -> str:
     return "\n".join(["Balances", format_table(header, rows), *meanings])
 
 
-def _exponent(value) -> str:
+def _exponent(value: float) -> str:
     return f"{value:.1e}" if math.isfinite(value) else "-"
 
 
-def results_text(study, summaries) -> str:
+def results_text(study: Study, summaries: Summaries) -> str:
     """Everything the command `run` prints about its results.
 
     Arguments: study as loaded; summaries from `rfem_jax.report.summary.summarise`.
@@ -113,7 +116,7 @@ def results_text(study, summaries) -> str:
     return "\n\n".join(parts)
 
 
-def title_text(study) -> str:
+def title_text(study: Study) -> str:
     """Title of the study, underlined, and its note."""
     lines = [study.title, "=" * len(study.title)]
     return "\n".join([*lines, *textwrap.wrap(study_note(study), _WIDTH)])

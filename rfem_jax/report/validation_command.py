@@ -5,7 +5,7 @@ Place in the pipeline: called by `command_line`; `validation` computes, `validat
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -18,10 +18,12 @@ from rfem_jax.report.validation_tables import (
     write_validation,
 )
 from rfem_jax.validation.catalogue import chosen, compute
-from rfem_jax.validation.lines import Line, Picture
+from rfem_jax.validation.lines import Benchmark, Line, Picture
 
 
-def validate(names, full: bool, folder: Path | None, announce: Callable) -> tuple[bool, list[Path]]:
+def validate(
+    names: Sequence[str] | None, full: bool, folder: Path | None, announce: Callable[..., None]
+) -> tuple[bool, list[Path]]:
     """Compute the chosen benchmarks, print each as soon as it is there, write everything.
 
     Arguments: names of benchmarks (None: all); full: the lines that take long too; folder for the
@@ -35,7 +37,7 @@ def validate(names, full: bool, folder: Path | None, announce: Callable) -> tupl
     pictures: list[Picture] = []
     numbers = {one.name: i for i, one in enumerate(benchmarks, 1)}
 
-    def watched(benchmark):
+    def watched(benchmark: Benchmark) -> Callable[[float], None]:
         stage = f"{numbers[benchmark.name]} of {len(benchmarks)}, {benchmark.title}"
         announce(stage)
         return partial(announce, stage)

@@ -7,16 +7,16 @@ matplotlib (the extra `plots`).
 from pathlib import Path
 
 from matplotlib import rc_context
-from matplotlib.figure import Figure
 
+from rfem_jax.report.annotations import Figure
 from rfem_jax.report.output import write_pictures
-from rfem_jax.report.style import CASE_COLOURS, LINE_STYLES, MARKERS, SETTINGS
+from rfem_jax.report.style import CASE_COLOURS, LINE_STYLES, MARKERS, SETTINGS, new_figure
 from rfem_jax.validation.lines import Picture
 
 
 def validation_figure(picture: Picture) -> Figure:
     """One panel; a curve and the reference that follows it share a colour."""
-    figure = Figure(figsize=(7.2, 4.6), layout="constrained")
+    figure = new_figure(7.2, 4.6)
     axes = figure.add_subplot()
     number = -1
     for curve in picture.curves:
@@ -35,7 +35,7 @@ def validation_figure(picture: Picture) -> Figure:
     return figure
 
 
-def write_validation_figures(folder, pictures: list[Picture]) -> list[Path]:
+def write_validation_figures(folder: str | Path, pictures: list[Picture]) -> list[Path]:
     """Draw all pictures into `folder`; returns their paths."""
     with rc_context(SETTINGS):
         figures = {one.name: validation_figure(one) for one in pictures}

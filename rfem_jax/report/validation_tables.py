@@ -7,6 +7,7 @@ import math
 from collections import Counter
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 from rfem_jax.report.output import replacing, write_csv, write_json
 from rfem_jax.report.tables import format_table
@@ -83,7 +84,7 @@ def _cells(line: Line) -> tuple[str, ...]:
     )
 
 
-def _number(value, unit: str) -> str:
+def _number(value: float | str, unit: str) -> str:
     if isinstance(value, str):
         return value
     return f"{value:.6g} {unit}".rstrip()
@@ -98,7 +99,7 @@ def _difference(line: Line, value: float, form: str) -> str:
     return f"{100.0 * value:{sign}.2g} %"
 
 
-def write_validation(folder, lines: list[Line], settings: dict) -> list[Path]:
+def write_validation(folder: str | Path, lines: list[Line], settings: dict[str, Any]) -> list[Path]:
     """Write validation.json, validation.csv and validation.md; returns their paths.
 
     Arguments: settings, what the command was asked for (names of benchmarks, full) and took.

@@ -1,4 +1,4 @@
-"""Shared by the tests of the description room: a check of how input is refused."""
+"""Shared by the tests of the description package: a check of how input is refused."""
 
 import re
 from contextlib import contextmanager

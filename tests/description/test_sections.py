@@ -47,7 +47,7 @@ def test_torsion_constant_of_a_rectangle_is_near_the_series(ratio, bound):
         assert section.torsion_constant == pytest.approx(exact, rel=bound)
 
 
-def test_torsion_constant_of_a_square_is_the_value_of_the_stated_formula():
+def test_torsion_constant_of_a_square_is_the_value_of_the_documented_formula():
     assert Rectangle(2.0, 2.0).torsion_constant == pytest.approx(16 * (1 / 3 - 0.21 * 11 / 12))
 
 

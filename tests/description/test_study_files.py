@@ -249,14 +249,13 @@ def changed(old, new):
         (changed('joint = "A"\n', ""), ("[drive]", "moment_ramp", "`joint`", "missing")),
         (changed("rise_time = 0.1\n", ""), ("[drive]", "`rise_time`", "missing")),
         (changed('shape = "rectangle"\n', ""), ("[mechanism.sections.bar]", "`shape`", "missing")),
-        (changed('shape = "rectangle"', 'shape = "circle"'), ("sections.bar", "`width`")),
         (changed("length = 0.12\n", ""), ("links]] `crank`", "`length`", "missing")),
         (changed('parent = "crank"\n', ""), ("joints]] `B`", "`parent`", "missing")),
         (changed('name = "P3"\n', ""), ("[[cases]] number 3", "`name`", "missing")),
         (changed('name = "crank"\n', ""), ("[[mechanism.links]] number 1", "`name`", "missing")),
         # kinds of tables
         ("cases = 3\n" + TEXT.split("[[cases]]")[0], ("[[cases]]", "list of tables")),
-        ("drive = 3\n" + TEXT.replace("[drive]", "[[cases]]"), ("[drive]", "table")),
+        ("drive = 3\n" + TEXT[: TEXT.index("[drive]")] + TEXT[TEXT.index("[simulation]") :], ("[drive]", "table")),
         (changed("[drive]", "[[drive]]"), ("[drive]", "table")),
         (TEXT.replace("[[mechanism.links]]", "[mechanism.links.x]", 1), ("TOML", "line")),
         ("title = 3\n" + TEXT.replace("title =", "#", 1), ("`title`", "3")),
@@ -352,3 +351,58 @@ def test_nearest():
     assert nearest("LENGTH", ["width", "length"]) == "length"
     assert nearest("xyz", ["width", "length"]) is None
     assert nearest("a", []) is None
+
+
+WRONG = (  # what is changed in the main study, and what the line about it holds
+    ("gravity = [0.0, 0.0, -9.81]", "gravty = [0.0, 0.0, -9.81]", ("[mechanism]", "`gravty`", "`gravity`?")),
+    ('joint = "A"\nkind', 'joint = "A"\nrise = 1\nkind', ("[drive]", "`rise`")),
+    ("step = 1e-5\n", 'step = "1 mm"\n', ("[simulation]", "`step`", "time")),
+    ('name = "P3"', 'name = "P/3"', ("'P/3'", "file name")),
+    ('"D.d_y" = "0.5 mm"', '"D.d_y" = "0.5 deg", "D.delta" = 1', ("`D.d_y` of case `P4`", "a length")),
+    ("", '\n[tolerances]\n"D.d_y" = -1\n"D.d_q" = 1\n[monte_carlo]\nn = 1', ("`half_width`", "-1")),
+)
+
+
+def test_all_mistakes_are_reported_at_once(load):
+    text = TEXT
+    for old, new, _ in WRONG:
+        text = text.replace(old, new, 1) if old else text + new
+    with pytest.raises(InputError) as caught:
+        load(text)
+    lines = str(caught.value).splitlines()
+    assert lines == list(caught.value.problems)
+    assert all(line.startswith("Study file `") for line in lines)
+    for pieces in (*(pieces for *_, pieces in WRONG), ("Case `P4`", "`delta`"), ("`d_q`",), ("[monte_carlo]", "`n`")):
+        assert len([line for line in lines if all(piece in line for piece in pieces)]) == 1, (pieces, lines)
+    assert len(lines) == len(WRONG) + 3
+
+
+def test_mistakes_of_the_mechanism_are_reported_together(load):
+    text = changed('width = "10 mm"', 'width = "-10 mm"').replace('"210 GPa"', '"210 GN"', 1)
+    text = text.replace("length = 0.12", "length = -0.12", 1).replace("cut = true", "cut = 1", 1)
+    with pytest.raises(InputError) as caught:
+        load(text)
+    # Links of a section with a mistake are not judged: they say nothing.
+    places = [line.split(": ")[1] for line in caught.value.problems]
+    assert places == ["[mechanism.materials.steel]", "[mechanism.sections.bar]", "[[mechanism.joints]] `C`"]
+    with pytest.raises(InputError) as caught:
+        load(changed("length = 0.12", "length = -0.12").replace("rfes = 5", "rfes = 0", 2))
+    assert [line.split(": ")[1].split("`")[1] for line in caught.value.problems] == ["crank", "coupler", "rocker"]
+
+
+def test_a_wrong_shape_is_told_with_all_keys_that_do_not_fit(load):
+    with pytest.raises(InputError) as caught:
+        load(changed('shape = "rectangle"', 'shape = "circle"'))
+    keys = [re.search("`(width|height|diameter)`", line).group(1) for line in caught.value.problems]
+    assert keys == ["width", "height", "diameter"]
+    assert all('[mechanism.sections.bar] of shape "circle"' in line for line in caught.value.problems)
+
+
+def test_parts_that_do_not_fit_are_reported_together(load):
+    text = changed('joint = "A"\nkind', 'joint = "C"\nkind').replace("save_every = 1e-3", "save_every = 1", 1)
+    text = text.replace('"D.delta_x" =', '"E.delta_x" =', 1).replace('"D.d_y" =', '"E.d_y" =', 1)
+    with pytest.raises(InputError) as caught:
+        load(text + '[tolerances]\n"Q.d_y" = "1 mm"\n')
+    for word in ("`save_every`", "cut joint", "`E.delta_x`", "`E.d_y`", "`Q.d_y`"):
+        assert sum(word in line for line in caught.value.problems) == 1, word
+    assert len(caught.value.problems) == 5

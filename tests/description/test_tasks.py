@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from rfem_jax.description import load_study
-from rfem_jax.description.allocation_task import AllocationTask, ErrorCost
-from rfem_jax.description.task_settings import KINDS, RUN_METRICS
 from rfem_jax.description.tasks import MonteCarloTask, SensitivityTask, Tasks, WorstCaseTask
+from rfem_jax.description.tasks.allocation import AllocationTask, ErrorCost
+from rfem_jax.description.tasks.settings import KINDS, RUN_METRICS
 from rfem_jax.description.tolerances import CorrelatedTolerances, SpecifiedTolerance
 
 STUDIES = Path(__file__).parents[2] / "studies"
@@ -89,13 +89,13 @@ def test_tasks_are_read_and_a_star_stands_for_all_joints(tasks):
     assert tasks.allocation.scales == (0.5, 2.0)
 
 
-def test_costs_are_shared_and_refer_to_the_stated_tolerance(tasks):
+def test_costs_are_shared_and_refer_to_the_specified_tolerance(tasks):
     costs, bounds = tasks.allocation.costs, tasks.allocation.bounds
     assert bounds["D.delta_x"] == pytest.approx((math.radians(0.05), math.radians(1.0)))
     expected = ErrorCost("reciprocal", 2.0, pytest.approx(math.radians(0.25)))
     assert costs["D.delta_x"] == expected
     assert costs["B.d_x"] == ErrorCost("exponential", 2.0, pytest.approx(2e-4))
-    # No tolerance of this error is stated: its largest bound.
+    # No tolerance of this error is specified: its largest bound.
     assert costs["C.d_x"].at == pytest.approx(1e-3)
 
 
@@ -173,7 +173,7 @@ def changed(old, new):
         (changed("[allocation]", "[allocation]\ncriterion = 'rss'\ntarget = 0.99"), ("`target`", "yield")),
         (changed("[allocation]", "[allocation]\ncriterion = 'yield'\ncoverage = 2"), ("`coverage`", "rss")),
         (changed("[allocation]", "[allocation]\nsamples = 64"), ("`samples`", "worst_case")),
-        (without("tolerances"), ("`sensitivity`", "[tolerances]")),
+        (without("tolerances", "monte_carlo", "worst_case"), ("`sensitivity`", "[tolerances]")),
         ("[sensitivity]\nmetrics = []\n[tolerances]\n'D.d_y' = 1e-3", ("`metrics`", "[]")),
     ],
 )
@@ -199,3 +199,9 @@ def test_what_is_wrong_is_refused_in_one_sentence(tmp_path, refused, text, piece
 def test_what_is_wrong_in_python_is_refused_too(refused, make, pieces):
     with refused(*pieces):
         make()
+
+
+def test_a_cost_without_a_scale_refers_to_the_largest_bound():
+    bounds = {"D.d_y": ("0.1 mm", "1 mm"), "D.d_x": (1e-4, 2e-3)}
+    task = AllocationTask({"D.rms_force": 1.0}, bounds, {"D.d_y": ErrorCost(price=3.0), "D.d_x": ErrorCost(at=5e-4)})
+    assert (task.costs["D.d_y"].price, task.costs["D.d_y"].at, task.costs["D.d_x"].at) == (3.0, 1e-3, 5e-4)

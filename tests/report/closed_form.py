@@ -1,7 +1,7 @@
 """A closed-form stand-in for the simulator: quadratic loads of the four-bar's errors at joint D.
 
-Place in the tests: replaces `rfem_jax.report.tasks.build_problem`; also imported by the processes
-that the tests start.
+Place in the tests: replaces `rfem_jax.report.tasks.study_problem.build_problem`; also imported by the
+processes that the tests start.
 """
 
 import math
@@ -48,5 +48,5 @@ def build(metrics, factor=1.0):
 
 
 def build_problem(study, metrics, model=None):
-    """In place of `rfem_jax.report.tasks.build_problem`."""
+    """In place of `rfem_jax.report.tasks.study_problem.build_problem`."""
     return build(metrics)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from rfem_jax.description import load_study
+from tests.description.conftest import refused  # noqa: F401
 
 STUDY = """
 title = "Test four-bar"

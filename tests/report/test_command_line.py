@@ -12,6 +12,7 @@ from types import ModuleType, SimpleNamespace
 
 import pytest
 
+import rfem_jax
 from rfem_jax.compilation.options import user_cache_folder
 from rfem_jax.compilation.stages import listening, on_stage
 from rfem_jax.description import InputError
@@ -24,7 +25,7 @@ STATUS = {0: ("ok", "The run is complete."), 3: ("diverged", "The run diverged; 
 
 
 @pytest.fixture
-def rooms(monkeypatch, runs):
+def packages(monkeypatch, runs):
     """Stand-ins for mechanics and simulation; what they do can be changed by a test."""
     mechanics, simulation = ModuleType("mechanics"), ModuleType("simulation")
     counts = {"coordinates": 51, "constraints": 5, "rank": 5, "mobility": 46, "rigid_mobility": 1}
@@ -55,7 +56,7 @@ def one_sentence(capsys):
     return lines[0]
 
 
-def test_run_prints_and_writes_everything(rooms, runs, study_file, tmp_path, capsys):
+def test_run_prints_and_writes_everything(packages, runs, study_file, tmp_path, capsys):
     out = tmp_path / "deep" / "results"
     assert main(["run", str(study_file), "--out", str(out)]) == 0
     names = {path.name for path in out.iterdir()}
@@ -67,7 +68,7 @@ def test_run_prints_and_writes_everything(rooms, runs, study_file, tmp_path, cap
     assert "Simulating 3 cases: 100 %" in captured.err
 
 
-def test_a_failed_case_is_exit_code_3_and_is_written(rooms, runs, study_file, tmp_path, capsys):
+def test_a_failed_case_is_exit_code_3_and_is_written(packages, runs, study_file, tmp_path, capsys):
     runs["P2"].status = 3
     assert main(["run", str(study_file), "--out", str(tmp_path)]) == 3
     assert '"status": "diverged"' in (tmp_path / "results.json").read_text(encoding="utf-8")
@@ -75,8 +76,8 @@ def test_a_failed_case_is_exit_code_3_and_is_written(rooms, runs, study_file, tm
     assert "Case P2: The run diverged; reduce the step." in capsys.readouterr().out
 
 
-def test_check_prints_what_was_understood(rooms, study_file, capsys):
-    rooms.simulation.run_cases = None
+def test_check_prints_what_was_understood(packages, study_file, capsys):
+    packages.simulation.run_cases = None
     assert main(["check", str(study_file)]) == 0
     text = capsys.readouterr().out
     assert "Test four-bar" in text
@@ -84,23 +85,23 @@ def test_check_prints_what_was_understood(rooms, study_file, capsys):
     assert "Largest stable step of rk4: 1.94e-05 s." in text
 
 
-def test_check_of_an_adaptive_method(rooms, study_file, capsys):
-    rooms.simulation.check_step = lambda model, method, drive: None
+def test_check_of_an_adaptive_method(packages, study_file, capsys):
+    packages.simulation.check_step = lambda model, method, drive: None
     assert main(["check", str(study_file)]) == 0
     assert "Largest stable step of rk4: any, or chosen by the method." in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("command", [["check"], ["run", "--out", "unused"]])
-def test_a_step_that_is_too_large_is_refused(rooms, study_file, command, capsys, monkeypatch):
+def test_a_step_that_is_too_large_is_refused(packages, study_file, command, capsys, monkeypatch):
     monkeypatch.chdir(study_file.parent)
-    rooms.simulation.check_step = refuse
-    rooms.simulation.run_cases = None
+    packages.simulation.check_step = refuse
+    packages.simulation.run_cases = None
     assert main([*command, str(study_file)]) == 2
     assert one_sentence(capsys) == ("Argument `step` must be at most 1.9e-05 s, but is 1e-3 s; reduce it.")
     assert not Path("unused").exists()
 
 
-def test_wrong_study_files(rooms, study_file, tmp_path, capsys):
+def test_wrong_study_files(packages, study_file, tmp_path, capsys):
     assert main(["check", str(tmp_path / "missing.toml")]) == 2
     assert "missing.toml" in one_sentence(capsys)
     text = study_file.read_text(encoding="utf-8").replace("D.delta_x", "D.delta_q")
@@ -109,14 +110,23 @@ def test_wrong_study_files(rooms, study_file, tmp_path, capsys):
     assert "D.delta_q" in one_sentence(capsys)
 
 
-def test_a_folder_that_cannot_be_made_is_refused_before_simulating(rooms, study_file, tmp_path, capsys):
-    rooms.simulation.run_cases = None
+def test_every_mistake_of_a_study_file_is_a_line(packages, study_file, capsys):
+    text = study_file.read_text(encoding="utf-8").replace("D.delta_x", "D.delta_q").replace("rfes = 5", "rfes = 0")
+    study_file.write_text(text, encoding="utf-8")
+    assert main(["check", str(study_file)]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert ["D.delta_q" in line for line in lines] == [False, False, True]
+    assert all("`rfes`" in line for line in lines[:2])
+
+
+def test_a_folder_that_cannot_be_made_is_refused_before_simulating(packages, study_file, tmp_path, capsys):
+    packages.simulation.run_cases = None
     (tmp_path / "file").write_text("", encoding="utf-8")
     assert main(["run", str(study_file), "--out", str(tmp_path / "file" / "results")]) == 2
     assert "`--out` must be a folder" in one_sentence(capsys)
 
 
-def test_a_full_disk_is_one_sentence(rooms, study_file, tmp_path, capsys, monkeypatch):
+def test_a_full_disk_is_one_sentence(packages, study_file, tmp_path, capsys, monkeypatch):
     def fail(*_):
         raise OSError(28, "No space left on device")
 
@@ -125,11 +135,11 @@ def test_a_full_disk_is_one_sentence(rooms, study_file, tmp_path, capsys, monkey
     assert "No space left on device" in capsys.readouterr().err.splitlines()[-1]
 
 
-def test_an_interruption_is_130(rooms, study_file, tmp_path, capsys):
+def test_an_interruption_is_130(packages, study_file, tmp_path, capsys):
     def interrupt(study, progress):
         raise KeyboardInterrupt
 
-    rooms.simulation.run_cases = interrupt
+    packages.simulation.run_cases = interrupt
     assert main(["run", str(study_file), "--out", str(tmp_path)]) == 130
     error = capsys.readouterr().err
     assert error.splitlines()[-1].startswith("Interrupted")
@@ -137,8 +147,8 @@ def test_an_interruption_is_130(rooms, study_file, tmp_path, capsys):
     assert "Traceback" not in error
 
 
-def test_what_no_folder_or_machine_is_is_refused_first(rooms, study_file, tmp_path, capsys):
-    rooms.mechanics.discretise = None
+def test_what_no_folder_or_machine_is_is_refused_first(packages, study_file, tmp_path, capsys):
+    packages.mechanics.discretise = None
     assert main(["run", str(study_file), "--out", ""]) == 2
     assert "`--out` must name a folder" in one_sentence(capsys)
     assert main(["run", str(study_file), "--out", str(tmp_path), "--devices", "100000"]) == 2
@@ -148,8 +158,8 @@ def test_what_no_folder_or_machine_is_is_refused_first(rooms, study_file, tmp_pa
     assert "`--out` must be a folder" in one_sentence(capsys)
 
 
-def test_what_is_wrong_with_the_mechanism_is_said_with_the_file(rooms, study_file, tmp_path, capsys):
-    rooms.mechanics.discretise = refuse
+def test_what_is_wrong_with_the_mechanism_is_said_with_the_file(packages, study_file, tmp_path, capsys):
+    packages.mechanics.discretise = refuse
     for command in (["check", str(study_file)], ["run", str(study_file), "--out", str(tmp_path)]):
         assert main(command) == 2
         assert str(study_file) in one_sentence(capsys)
@@ -165,14 +175,26 @@ def test_a_platform_that_is_not_there_is_one_sentence(monkeypatch):
         require_platform()
 
 
+def test_keys_prints_the_reference(packages, capsys):
+    assert main(["keys"]) == 0
+    text = capsys.readouterr().out
+    for word in ("[[mechanism.joints]]", "[allocation.cost]", "child_position", "needed", "0.01, 0.05, 0.5"):
+        assert word in text
+    assert max(map(len, text.splitlines())) <= 120
+    assert main(["keys", "cases"]) == 0
+    assert capsys.readouterr().out.startswith("[[cases]]\n---------\n  name    needed  letters")
+    assert main(["keys", "plots"]) == 2
+    assert "`plots` is in none" in one_sentence(capsys)
+
+
 def test_version(capsys):
     assert main(["--version"]) == 0
     specified = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8"))
     assert capsys.readouterr().out == f"rfem-jax {specified['project']['version']}\n"
 
 
-def test_a_fault_of_the_program_is_not_hidden(rooms, study_file):
-    rooms.simulation.check_step = lambda model, method, drive: 1 / 0
+def test_a_fault_of_the_program_is_not_hidden(packages, study_file):
+    packages.simulation.check_step = lambda model, method, drive: 1 / 0
     with pytest.raises(ZeroDivisionError):
         main(["check", str(study_file)])
 
@@ -183,7 +205,7 @@ def test_a_wrong_call_is_one_sentence(arguments, capsys):
     assert "--help" in one_sentence(capsys)
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["run", "--help"], ["check", "--help"]])
+@pytest.mark.parametrize("arguments", [["--help"], ["run", "--help"], ["check", "--help"], ["keys", "--help"]])
 def test_help(arguments, capsys):
     assert main(arguments) == 0
     text = capsys.readouterr().out
@@ -191,7 +213,7 @@ def test_help(arguments, capsys):
     assert "run" in arguments or "--out" not in text
 
 
-def test_without_matplotlib_the_rest_is_written(rooms, study_file, tmp_path, capsys, monkeypatch):
+def test_without_matplotlib_the_rest_is_written(packages, study_file, tmp_path, capsys, monkeypatch):
     out = tmp_path / "results"
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     assert main(["run", str(study_file), "--out", str(out)]) == 0
@@ -200,17 +222,17 @@ def test_without_matplotlib_the_rest_is_written(rooms, study_file, tmp_path, cap
     assert 'pip install "rfem_jax[plots]"' in capsys.readouterr().out
 
 
-LIGHT = ("process", "progress_line")
+LIGHT = {"report.annotations", "report.process", "report.progress_line", "task_kinds"}
 
 
-@pytest.mark.parametrize("file", ["command_line.py", *(f"{name}.py" for name in LIGHT)])
-def test_the_command_imports_nothing_heavy_at_its_top(file):
-    path = Path(command_line.__file__).parent / file
+@pytest.mark.parametrize("module", ["report.command_line", *sorted(LIGHT)])
+def test_the_command_imports_nothing_heavy_at_its_top(module):
+    path = Path(rfem_jax.__file__).parent / f"{module.replace('.', '/')}.py"
     names = set()
     for node in ast.parse(path.read_text(encoding="utf-8")).body:
         if isinstance(node, ast.Import):
             names |= {alias.name.split(".")[0] for alias in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.module.split(".")[-1] not in LIGHT:
+        elif isinstance(node, ast.ImportFrom) and node.module.removeprefix("rfem_jax.") not in LIGHT:
             names.add(node.module.split(".")[0])
     assert names <= set(sys.stdlib_module_names)
 

@@ -12,7 +12,10 @@ import matplotlib
 from matplotlib.image import imread
 
 from rfem_jax.description import load_study
-from rfem_jax.report import task_figures, tasks
+from rfem_jax.report.output import write_pictures
+from rfem_jax.report.tasks import study_problem
+from rfem_jax.report.tasks.sensitivity import Derivatives
+from rfem_jax.report.tasks.task_report import report_on
 from rfem_jax.tolerancing import Tolerances, Uniform, monte_carlo
 from rfem_jax.tolerancing.sensitivities import sensitivity
 
@@ -25,7 +28,7 @@ WIDTHS = dict(zip(closed_form.NAMES, closed_form.WIDTHS, strict=True))
 
 @pytest.fixture
 def study(tmp_path, monkeypatch):
-    monkeypatch.setattr(tasks, "build_problem", closed_form.build_problem)
+    monkeypatch.setattr(study_problem, "build_problem", closed_form.build_problem)
     path = tmp_path / "tasks.toml"
     path.write_text(STUDY + TASKS, encoding="utf-8")
     return load_study(path)
@@ -46,17 +49,15 @@ def words_of(figure):
 
 
 def draw(study, name, result):
-    return task_figures.draw_task_figures(study, name, result)
+    return report_on(study, name).pictures(result)
 
 
 def test_no_picture_is_blank(study, problem, tmp_path):
-    written = task_figures.write_task_figures(tmp_path, study, "monte_carlo", scatter(problem))
-    result = sensitivity(problem, scale=WIDTHS)
-    written += task_figures.write_task_figures(tmp_path, study, "sensitivity", result)
-    results = tasks.run_worst_case(study)
-    written += task_figures.write_task_figures(tmp_path, study, "worst_case", results)
-    found = tasks.run_allocation(study)
-    written += task_figures.write_task_figures(tmp_path, study, "allocation", found)
+    figures = draw(study, "monte_carlo", scatter(problem))
+    figures |= draw(study, "sensitivity", Derivatives(sensitivity(problem, scale=WIDTHS), False))
+    for name in ("worst_case", "allocation"):
+        figures |= draw(study, name, report_on(study, name).run(tmp_path))
+    written = write_pictures(tmp_path, figures)
     names = {path.name for path in written}
     assert len(names) == 7
     for path in written:
@@ -67,7 +68,7 @@ def test_no_picture_is_blank(study, problem, tmp_path):
 
 
 def test_heat_map_and_tornado_show_the_effects(study, problem):
-    figures = draw(study, "sensitivity", sensitivity(problem, scale=WIDTHS))
+    figures = draw(study, "sensitivity", Derivatives(sensitivity(problem, scale=WIDTHS), False))
     heat = figures["sensitivity_heat_map"]
     panels = {axes.get_title(loc="left"): axes for axes in heat.axes if axes.images}
     moments = panels["Change of mean square moment, N^2 m^2"]
@@ -110,15 +111,15 @@ def test_the_scatter_matrix_shows_every_sample(study, problem):
     assert figure.axes[20].get_xlabel() == "D.delta_x\ndeg"
 
 
-def test_worst_cases_and_allocations_show_their_answers(study):
-    results = tasks.run_worst_case(study)
+def test_worst_cases_and_allocations_show_their_answers(study, tmp_path):
+    results = report_on(study, "worst_case").run(tmp_path)
     axes = draw(study, "worst_case", results)["worst_case_corners"].axes[1]
     curves = {line.get_label(): line for line in axes.lines}
     corners = curves["corners of the box"].get_ydata()
     np.testing.assert_allclose(corners, [875.0] * 4 + [935.0] * 4)
     assert curves["worst found: 935"].get_ydata()[0] == pytest.approx(935.0)
 
-    found = tasks.run_allocation(study)
+    found = report_on(study, "allocation").run(tmp_path)
     figures = draw(study, "allocation", found)
     above, below = figures["allocation_front"].axes
     costs = next(line for line in above.lines if line.get_label() == "limits verified")

@@ -5,9 +5,10 @@ import math
 import pytest
 
 import rfem_jax.simulation
-from rfem_jax.report import command_line, tasks
+from rfem_jax.report import command_line
 from rfem_jax.report.command_line import main
-from rfem_jax.report.task_figures import draw_task_figures
+from rfem_jax.report.tasks import study_problem
+from rfem_jax.report.tasks.task_report import report_on
 from rfem_jax.tolerancing.layout import WIDTH, align_columns, show_number, wrap_lines
 from rfem_jax.tolerancing.problem import FunctionProblem, Metric
 
@@ -21,7 +22,7 @@ COMMANDS = ("sensitivity", "monte-carlo", "worst-case", "allocate")
 @pytest.fixture
 def task_file(tmp_path, monkeypatch):
     """A study file with all tasks, and the simulator replaced by a closed form."""
-    monkeypatch.setattr(tasks, "build_problem", closed_form.build_problem)
+    monkeypatch.setattr(study_problem, "build_problem", closed_form.build_problem)
     monkeypatch.setattr(command_line, "set_up_jax", lambda *_: None)
     monkeypatch.setattr(rfem_jax.simulation, "check_step", lambda model, method, drive: 1.9e-5)
     path = tmp_path / "tasks.toml"
@@ -108,7 +109,7 @@ def long_problem(study, metrics, model=None):
 
 @pytest.mark.parametrize("command", [*COMMANDS, "check"])
 def test_no_printed_line_is_wider_than_a_terminal(task_file, tmp_path, capsys, monkeypatch, command):
-    monkeypatch.setattr(tasks, "build_problem", long_problem)
+    monkeypatch.setattr(study_problem, "build_problem", long_problem)
     joints = [f'"{joint}.mean_square_{kind}"' for joint in "ABCD" for kind in ("force", "moment")]
     text = task_file.read_text(encoding="utf-8")
     pair = f'metrics = ["{MOMENT}", "A.mean_square_force"]'
@@ -157,14 +158,15 @@ def test_rounding_next_to_large_numbers_is_shown_as_zero(task_file, tmp_path, ca
         units = {"D.d_y": "m"}
         return FunctionProblem(function, exact.error_names, exact.metrics, error_units=units)
 
-    monkeypatch.setattr(tasks, "build_problem", build)
+    monkeypatch.setattr(study_problem, "build_problem", build)
     for command in ("worst-case", "allocate"):
         assert call(command, task_file, tmp_path / "out") == 0
     printed = capsys.readouterr().out
     assert "nominal 0)" in printed and "e-33" not in printed
     study = rfem_jax.description.load_study(task_file)
-    results = tasks.run_worst_case(study)
+    report = report_on(study, "worst_case")
+    results = report.run(tmp_path)
     assert results[MOMENT].nominal == 3e-33  # files keep what was computed
-    figure = draw_task_figures(study, "worst_case", results)["worst_case_corners"]
+    figure = report.pictures(results)["worst_case_corners"]
     labels = [line.get_label() for line in figure.axes[0].lines]
     assert "nominal: 0" in labels

@@ -14,9 +14,11 @@ import pytest
 
 import rfem_jax.simulation
 from rfem_jax.description import Method, load_study
-from rfem_jax.report import command_line, task_commands, task_files, tasks
+from rfem_jax.report import command_line
 from rfem_jax.report.command_line import main
-from rfem_jax.report.task_overview import tasks_text
+from rfem_jax.report.tasks import study_problem, task_report, worst_case
+from rfem_jax.report.tasks.sensitivity import finer_method
+from rfem_jax.report.tasks.task_overview import tasks_text
 from rfem_jax.tolerancing.results_store import ResultsStore
 
 from . import closed_form
@@ -48,14 +50,14 @@ scales = [0.5, 2.0]
 "D.delta_z" = ["0.02 deg", "2 deg"]
 "D.d_y" = ["0.02 mm", "2 mm"]
 """
-BUILD_PROBLEM = tasks.build_problem
+BUILD_PROBLEM = study_problem.build_problem
 MOMENT, FORCE = "D.mean_square_moment", "A.mean_square_force"
 
 
 @pytest.fixture(autouse=True)
 def closed(monkeypatch):
     """The simulator replaced by a closed form; no settings of the process are changed."""
-    monkeypatch.setattr(tasks, "build_problem", closed_form.build_problem)
+    monkeypatch.setattr(study_problem, "build_problem", closed_form.build_problem)
     monkeypatch.setattr(command_line, "set_up_jax", lambda *_: None)
     monkeypatch.setattr(rfem_jax.simulation, "check_step", lambda model, method, drive: 1.9e-5)
 
@@ -176,7 +178,7 @@ def test_a_full_disk_is_one_sentence(task_file, tmp_path, capsys, monkeypatch):
     def full(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(task_files, "write_csv", full)
+    monkeypatch.setattr(worst_case, "write_csv", full)
     assert call("worst-case", task_file, tmp_path / "out") == 2
     assert "No space left on device" in capsys.readouterr().err.splitlines()[-1]
 
@@ -235,7 +237,7 @@ def test_run_does_the_cases_and_then_every_task(task_file, tmp_path, capsys, mon
         done.append(name)
         return name != "worst_case", [folder / name]
 
-    monkeypatch.setattr(task_commands, "do_task", do_task)
+    monkeypatch.setattr(task_report, "do_task", do_task)
     assert call("run", task_file, tmp_path / "out") == 3  # one task did not succeed
     assert done == ["sensitivity", "monte_carlo", "worst_case", "allocation"]
     assert "16 files written" in capsys.readouterr().out
@@ -278,13 +280,13 @@ def test_wrong_options_are_one_sentence(task_file, tmp_path, capsys, options, wo
     ],
 )
 def test_the_finer_method(method, expected):
-    finer = tasks.finer_method(method)
+    finer = finer_method(method)
     assert (finer.name, finer.step) == (expected.name, expected.step)
     assert finer.rtol == (None if expected.rtol is None else pytest.approx(expected.rtol))
     assert finer.atol == (None if expected.atol is None else pytest.approx(expected.atol))
 
 
-def test_distributions_are_those_that_are_stated(tmp_path):
+def test_distributions_are_those_that_are_specified(tmp_path):
     path = tmp_path / "study.toml"
     text = """
 [tolerances]
@@ -295,7 +297,7 @@ half_widths = { "B.d_x" = 3e-3, "B.d_z" = 6e-3 }
 correlation = -0.5
 """
     path.write_text(STUDY + text, encoding="utf-8")
-    found = tasks.build_tolerances(load_study(path).tasks.tolerances)
+    found = study_problem.build_tolerances(load_study(path).tasks.tolerances)
     assert found.names == ("D.delta_x", "D.d_y", "B.d_x", "B.d_z")
     means = {name: float(mean) for name, mean in found.means().items()}
     assert means["D.d_y"] == pytest.approx(1e-3)
@@ -309,13 +311,13 @@ PROCESS = """
 import sys
 from rfem_jax.report import command_line
 command_line.set_up_jax(1)
-from rfem_jax.report import tasks
+from rfem_jax.report.tasks import study_problem
 import rfem_jax.simulation
 rfem_jax.simulation.check_step = lambda model, method, drive: None
 def build_problem(study, metrics, model=None):
     from tests.report import closed_form
     return closed_form.build_problem(study, metrics)
-tasks.build_problem = build_problem
+study_problem.build_problem = build_problem
 sys.exit(command_line.main(sys.argv[1:]))
 """
 
@@ -390,7 +392,7 @@ lanes = 2
 
 @pytest.mark.slow
 def test_the_simulator_itself_serves_as_the_problem(tmp_path, monkeypatch):
-    monkeypatch.setattr(tasks, "build_problem", BUILD_PROBLEM)
+    monkeypatch.setattr(study_problem, "build_problem", BUILD_PROBLEM)
     path, out = tmp_path / "study.toml", tmp_path / "out"
     path.write_text(PENDULUM, encoding="utf-8")
     assert call("monte-carlo", path, out) == 0

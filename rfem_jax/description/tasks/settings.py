@@ -1,13 +1,13 @@
 """Settings that several tasks share, and their checks: metrics, limits, starts, numbers.
 
-Place in the pipeline: units, errors -> **task_settings** -> tasks, allocation_task.
+Place in the pipeline: units, errors -> **settings** -> the tasks.
 
 Metrics are named "JOINT.KIND" (KINDS below), "*.KIND" for all joints, or by RUN_METRICS; limits are in
 the metric's own unit.
 """
 
 from rfem_jax.description.errors import InputError, require_choice, suggestion
-from rfem_jax.description.units import quantity, short
+from rfem_jax.description.units import Quantity, quantity, short
 
 KINDS = (
     *("mean_square_force", "mean_square_moment", "rms_force", "rms_moment", "peak_force"),
@@ -21,7 +21,7 @@ MODES = ("auto", "forward", "reverse")
 STARTS = {"corners": 4, "random": 4, "sobol": 8}
 
 
-def metric_names(names) -> tuple[str, ...]:
+def metric_names(names: object) -> tuple[str, ...]:
     """Names of metrics, checked but for their joints. Raises InputError with the nearest name."""
     if isinstance(names, str):
         names = (names,)
@@ -41,7 +41,7 @@ def metric_names(names) -> tuple[str, ...]:
     return tuple(dict.fromkeys(names))
 
 
-def limits_of(limits, needed=False) -> dict[str, tuple[float, float]]:
+def limits_of(limits: object, needed: bool = False) -> dict[str, tuple[float, float]]:
     """{metric: (low, high)}, open ends infinite, from {metric: high, or (low, high)}."""
     if not isinstance(limits, dict) or (needed and not limits):
         raise InputError(
@@ -62,14 +62,14 @@ def limits_of(limits, needed=False) -> dict[str, tuple[float, float]]:
             )
         if name not in RUN_METRICS and pair[1] <= 0.0:
             raise InputError(
-                f"Argument `limits` must leave room for a load, which is never negative, but `{name}` has "
+                f"Argument `limits` must allow a load, which is never negative, but `{name}` has "
                 f"{limit!r}; write its largest value as a positive number."
             )
         complete[name] = (float(pair[0]), float(pair[1]))
     return complete
 
 
-def starts_of(starts) -> dict[str, int]:
+def starts_of(starts: object) -> dict[str, int]:
     """Numbers of starts by kind; kinds that are missing are 0. Raises InputError."""
     if not isinstance(starts, dict):
         raise InputError(
@@ -86,7 +86,7 @@ def starts_of(starts) -> dict[str, int]:
     return {name: starts.get(name, 0) for name in STARTS}
 
 
-def whole_number(value, where: str, least: int, most: int = MOST) -> int:
+def whole_number(value: object, where: str, least: int, most: int = MOST) -> int:
     """`value` if it is a whole number from `least` to `most`. Raises InputError."""
     if isinstance(value, bool) or not isinstance(value, int) or value < least:
         raise InputError(
@@ -100,7 +100,7 @@ def whole_number(value, where: str, least: int, most: int = MOST) -> int:
     return value
 
 
-def fraction(value, where: str) -> float:
+def fraction(value: Quantity, where: str) -> float:
     """A number between 0 and 1. Raises InputError."""
     number = quantity(value, "none", where)
     if not 0.0 < number < 1.0:
@@ -108,7 +108,7 @@ def fraction(value, where: str) -> float:
     return number
 
 
-def set_fields(task, **values) -> None:
+def set_fields(task: object, **values: object) -> None:
     """Set fields of a frozen task."""
     for name, value in values.items():
         object.__setattr__(task, name, value)

@@ -1,0 +1,159 @@
+"""All keys of a study file, as its reader knows them: the reference that `rfem-jax keys` prints.
+
+Place in the pipeline: study_reader, tasks -> **study_keys** -> `rfem_jax.report.keys_text`. A table's keys are the
+arguments of a class, and what they mean is said in that class's docstring; what differs in a file is said here.
+"""
+
+import inspect
+import re
+from collections.abc import Collection, Mapping
+from dataclasses import MISSING, dataclass, fields, is_dataclass
+from typing import Any
+
+from rfem_jax.description.joints import Joint
+from rfem_jax.description.links import Link, PointMass
+from rfem_jax.description.materials import Material
+from rfem_jax.description.mechanism import Mechanism
+from rfem_jax.description.methods import Method
+from rfem_jax.description.study import CASE_KEYS, STUDY_KEYS, Case, Study
+from rfem_jax.description.study_reader import DRIVES, MECHANISM_KEYS, SHAPES, SIMULATION_KEYS
+from rfem_jax.description.tables import keys_of
+from rfem_jax.description.tolerances import CorrelatedTolerances, SpecifiedTolerance
+from rfem_jax.task_kinds import task_kinds
+
+NEEDED = "needed"
+_IN_A_FILE = {  # where a file has something else than the class
+    "materials": "tables [mechanism.materials.NAME]",
+    "sections": "tables [mechanism.sections.NAME]",
+    "links": "tables [[mechanism.links]], at least one",
+    "joints": "tables [[mechanism.joints]]; each link is the child of exactly one that is not cut",
+    "section": "name of a table [mechanism.sections.NAME] (a rigid link needs it for its mass)",
+    "material": 'name of a table [mechanism.materials.NAME]; none with a section of shape "given"',
+    "point_masses": "list of tables, [{mass = ..., position = ...}, ...]",
+    "cases": "tables [[cases]]; none means one case without errors",
+    "mechanism": "the table [mechanism]",
+    "simulation": "the table [simulation]",
+    "drive": "the table [drive]; none means no drive",
+    "tolerances": "the table [tolerances]",
+    "bounds": "the table [allocation.bounds]: ERROR = [smallest, largest half-width]",
+    "cost": "the table [allocation.cost]: its keys for all errors, ERROR = { ... } for one",
+}
+
+
+@dataclass(frozen=True)
+class Key:
+    """A key of a table: its name; what stands where it is left out (NEEDED: it must be there); what it means."""
+
+    name: str
+    default: str
+    meaning: str
+
+
+@dataclass(frozen=True)
+class KeyTable:
+    """A table of a study file: its header, and its keys."""
+
+    header: str
+    keys: tuple[Key, ...]
+
+
+def study_keys() -> list[KeyTable]:
+    """All tables that a study file may have, tasks from outside the package included."""
+    required, optional = STUDY_KEYS
+    own = {name: f"the table [{name}]" for name in task_kinds()}
+    top = _table("top level", Study, required, (*optional, *task_kinds()), {**_IN_A_FILE, **own})
+    tables = [top, _table("[mechanism]", Mechanism, *MECHANISM_KEYS, _IN_A_FILE)]
+    tables.append(_table("[mechanism.materials.NAME]", Material, *keys_of(Material, omit=("name",))))
+    for shape, kind in SHAPES.items():
+        required, optional = keys_of(kind)
+        header, own = f'[mechanism.sections.NAME] of shape "{shape}"', {"shape": f'"{shape}"'}
+        tables.append(_table(header, kind, ["shape", *required], optional, own))
+    for header, kind in (
+        ("[[mechanism.links]]", Link),
+        ("point_masses of [[mechanism.links]]", PointMass),
+        ("[[mechanism.joints]]", Joint),
+    ):
+        tables.append(_table(header, kind, *keys_of(kind), _IN_A_FILE))
+    for name, (kind, required, optional) in DRIVES.items():
+        header, own = f'[drive] of kind "{name}"', {"kind": f'"{name}"'}
+        tables.append(_table(header, kind, ("joint", "kind", *required), optional, own))
+    tables.append(_simulation_table())
+    tables.append(_table("[[cases]]", Case, *CASE_KEYS))
+    tolerance = _table("[tolerances] ERROR", SpecifiedTolerance, *keys_of(SpecifiedTolerance, omit=("error",)))
+    either = Key("ERROR = ...", "-", "a half-width alone, or a table { ... } of the keys below")
+    tables.append(KeyTable(tolerance.header, (either, *tolerance.keys)))
+    tables.append(_table("[[tolerances.correlated]]", CorrelatedTolerances, *keys_of(CorrelatedTolerances)))
+    for name, kind in task_kinds().items():
+        for header, described, required, optional in kind.asked_class().tables(f"[{name}]"):
+            tables.append(_table(header, described, required, optional))
+    return tables
+
+
+def argument_meanings(kind: type) -> dict[str, str]:
+    """{argument: what it means} from the section "Args:" of the docstring of a class."""
+    _, _, section = (inspect.getdoc(kind) or "").partition("Args:\n")
+    meanings: dict[str, str] = {}
+    names: list[str] = []
+    for line in section.splitlines():
+        indent = len(line) - len(line.lstrip())
+        if indent == 0:
+            break
+        if indent == 4:
+            first, _, text = line.strip().partition(": ")
+            names = first.split(", ")
+            meanings |= dict.fromkeys(names, text)
+        else:
+            meanings |= {name: f"{meanings[name]} {line.strip()}" for name in names}
+    return meanings
+
+
+def _simulation_table() -> KeyTable:
+    required, optional = SIMULATION_KEYS
+    study, method = argument_meanings(Study), argument_meanings(Method)["name"]
+    own = {"duration": study["duration"], "save_every": study["save_every"], "method": method}
+    return _table("[simulation]", Method, required, optional, own)
+
+
+def _table(
+    header: str,
+    kind: type,
+    required: Collection[str],
+    optional: Collection[str],
+    own: Mapping[str, str] | None = None,
+) -> KeyTable:
+    meanings = {"cost": _IN_A_FILE["cost"], **argument_meanings(kind), **(own or {})}
+    keys = [Key(name, NEEDED, _in_a_file(meanings.get(name, ""))) for name in required]
+    keys += [Key(name, _default(kind, name), _in_a_file(meanings.get(name, ""))) for name in optional]
+    return KeyTable(header, tuple(keys))
+
+
+def _in_a_file(meaning: str) -> str:
+    """In the words of TOML, which has no None."""
+    for python, toml in (("None", "left out"), ("True", "true"), ("False", "false")):
+        meaning = re.sub(rf"\b{python}\b", toml, meaning)
+    return meaning
+
+
+def _default(kind: type, name: str) -> str:
+    """The default of an argument of a class, written as in a study file."""
+    factories = {one.name: one.default_factory for one in fields(kind)} if is_dataclass(kind) else {}
+    factory = factories.get(name, MISSING)
+    if factory is not MISSING:
+        return _written(factory())
+    parameter = inspect.signature(kind).parameters.get(name)
+    return "-" if parameter is None or parameter.default is parameter.empty else _written(parameter.default)
+
+
+def _written(value: Any) -> str:
+    """A default as it would stand in a study file; "-" for nothing."""
+    if value is None or value is MISSING or value == () or value == {} or value == "":
+        return "-"
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        return f'"{value}"'
+    if isinstance(value, (tuple, list)):
+        return f"[{', '.join(_written(one) for one in value)}]"
+    if isinstance(value, dict):
+        return f"{{ {', '.join(f'{key} = {_written(one)}' for key, one in value.items())} }}"
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,225 @@
+"""What is asked of an allocation: limits, bounds and costs of the tolerances to be found; the table [allocation].
+
+Place in the pipeline: task -> **allocation** -> `rfem_jax.report.tasks.allocation`. The tables [allocation.bounds]
+and [allocation.cost] are by error, and a cost may be given once for all of them.
+
+Symbols: bounds and `at` in m and rad (`error_catalogue`), or strings with a unit; limits in the
+metric's own unit.
+"""
+
+from collections.abc import Collection
+from dataclasses import MISSING, dataclass, field, fields, replace
+from typing import Any, ClassVar
+
+from rfem_jax.description.error_catalogue import error_dimension
+from rfem_jax.description.errors import ChecksItself, InputError, located, require_choice
+from rfem_jax.description.tables import checked_table, keys_of
+from rfem_jax.description.tasks.settings import (
+    MODES,
+    STARTS,
+    fraction,
+    limits_of,
+    set_fields,
+    starts_of,
+    whole_number,
+)
+from rfem_jax.description.tasks.task import Task
+from rfem_jax.description.tolerances import SpecifiedTolerances, error_quantities
+from rfem_jax.description.units import DERIVED, positive_quantity, quantity
+
+COST_MODELS = ("reciprocal", "reciprocal_squared", "exponential")
+
+
+@dataclass(frozen=True)
+class ErrorCost(ChecksItself):
+    """What a tolerance t of one error costs.
+
+    Args:
+        model: "reciprocal" fixed + price at/t, "reciprocal_squared" fixed + price (at/t)^2, or
+            "exponential" fixed + price exp(-t/at).
+        price: in any currency, > 0.
+        at: scale of the half-width t [rad or m]; None the largest bound of the error (in a study file: its
+            tolerance, where it has one).
+        fixed: in the same currency.
+    """
+
+    model: str = "reciprocal"
+    price: float = 1.0
+    at: float = DERIVED
+    fixed: float = 0.0
+
+    def __post_init__(self):
+        require_choice(self.model, COST_MODELS, "`model` of a cost")
+        set_fields(
+            self,
+            price=positive_quantity(self.price, "none", "`price` of a cost"),
+            fixed=quantity(self.fixed, "none", "`fixed` of a cost"),
+        )
+
+
+# Settings that count for some criteria only.
+_CRITERIA_OF = {
+    "target": ("yield",),
+    "coverage": ("rss",),
+    "statistic": ("rss",),
+    "distribution": ("rss", "yield"),
+    "samples": ("rss", "yield"),
+    "verify_samples": ("rss", "yield"),
+    "starts": ("worst_case",),
+}
+
+
+@dataclass(frozen=True)
+class AllocationTask(Task):
+    """The cheapest tolerances that keep limits.
+
+    Args:
+        limits: {metric: largest value, or (low, high)} in the metric's unit.
+        bounds: {error: (smallest, largest half-width)} in rad and m.
+        costs: {error: ErrorCost}, one for each of the bounds.
+        criterion: "worst_case", "rss" or "yield".
+        target: share of good mechanisms, between 0 and 1; of the criterion "yield" alone.
+        coverage: standard deviations within the limits; of "rss" alone.
+        statistic: "quantile" or "mean"; of "rss" alone.
+        distribution: of the errors: "uniform", "triangular", "normal" or "truncated_normal".
+        samples: simulations that the statistics come from; None for the default. Not of "worst_case".
+        verify_samples: fresh simulations that verify the answer. Not of "worst_case".
+        starts: numbers of searches by the kind of their starting points, {"corners", "random", "sobol"};
+            of "worst_case" alone.
+        rounds: the most corrections until the answer settles.
+        accuracy: relative, of the limits.
+        scales: further allocations, with every limit's distance to the nominal value multiplied by these.
+        seed: of random starts and samples.
+        mode: of differentiation: "auto", "forward" or "reverse".
+        batch: simulations at once.
+    Raises: InputError for settings that are out of range or do not fit each other.
+    """
+
+    needs_tolerances: ClassVar[bool] = False
+
+    limits: dict[str, tuple[float, float]]
+    bounds: dict[str, tuple[float, float]]
+    costs: dict[str, ErrorCost]
+    criterion: str = "worst_case"
+    target: float = 0.9973
+    coverage: float = 3.0
+    statistic: str = "quantile"
+    distribution: str = "normal"
+    samples: int | None = None
+    verify_samples: int = 4096
+    starts: dict[str, int] = field(default_factory=lambda: dict(STARTS))
+    rounds: int = 12
+    accuracy: float = 1e-4
+    scales: tuple[float, ...] = ()
+    seed: int = 0
+    mode: str = "auto"
+    batch: int = 64
+
+    def __post_init__(self):
+        require_choice(self.criterion, ("worst_case", "rss", "yield"), "criterion")
+        require_choice(self.statistic, ("quantile", "mean"), "statistic")
+        known = ("uniform", "triangular", "normal", "truncated_normal")
+        require_choice(self.distribution, known, "distribution")
+        require_choice(self.mode, MODES, "mode")
+        self._require_own_settings()
+        for name, least in (("verify_samples", 1), ("rounds", 1), ("seed", 0), ("batch", 1)):
+            whole_number(getattr(self, name), name, least)
+        if self.samples is not None:
+            whole_number(self.samples, "samples", 1)
+        if not isinstance(self.scales, (list, tuple)):
+            raise InputError(f"Argument `scales` must be a list of factors, but was {self.scales!r}; write [0.5, 2.0].")
+        set_fields(
+            self,
+            limits=limits_of(self.limits, needed=True),
+            bounds=_bounds(self.bounds),
+            target=fraction(self.target, "target"),
+            coverage=positive_quantity(self.coverage, "none", "coverage"),
+            accuracy=positive_quantity(self.accuracy, "none", "accuracy"),
+            starts=starts_of(self.starts),
+            scales=tuple(positive_quantity(one, "none", "scales") for one in self.scales),
+        )
+        missing = [name for name in self.bounds if name not in self.costs]
+        if missing:
+            raise InputError(
+                f"Argument `costs` must have a cost for every error with bounds, but `{missing[0]}` has none; add it."
+            )
+        given = {name: self.costs[name] for name in self.bounds}
+        complete = {name: replace(one, at=self.bounds[name][1]) for name, one in given.items() if one.at is None}
+        set_fields(self, costs={**self.costs, **complete})
+
+    @classmethod
+    def tables(cls, header: str) -> list[tuple[str, type, Collection[str], Collection[str]]]:
+        """As `Task.tables`, with that of the costs."""
+        required, optional = keys_of(cls, omit=("costs",))
+        return [(header, cls, required, ("cost", *optional)), ("[allocation.cost]", ErrorCost, *keys_of(ErrorCost))]
+
+    @classmethod
+    def read(cls, table: object, place: str, tolerances: SpecifiedTolerances | None) -> "AllocationTask":
+        """As `Task.read`; the tolerances serve as scales of the costs."""
+        (_, _, required, optional), _ = cls.tables(place)
+        checked = checked_table(table, place, required, optional)
+        settings = {name: value for name, value in checked.items() if name != "cost"}
+        bounds = settings["bounds"] if isinstance(settings["bounds"], dict) else {}
+        widths = {} if tolerances is None else tolerances.half_widths()
+        costs = _read_costs(checked.get("cost", {}), bounds, widths)
+        with located(place):
+            return cls(costs=costs, **settings)
+
+    def _require_own_settings(self) -> None:
+        for one in fields(self):
+            criteria = _CRITERIA_OF.get(one.name, (self.criterion,))
+            if self.criterion in criteria:
+                continue
+            default = one.default if one.default_factory is MISSING else one.default_factory()
+            if getattr(self, one.name) != default:
+                others = " or ".join(f'"{name}"' for name in criteria)
+                raise InputError(
+                    f'Argument `{one.name}` must be left out with the criterion "{self.criterion}", '
+                    f"but is given; remove it, or take the criterion {others}."
+                )
+
+    @property
+    def metrics(self) -> tuple[str, ...]:
+        """The metrics that have limits."""
+        return tuple(self.limits)
+
+
+def _bounds(bounds: object) -> dict[str, tuple[float, float]]:
+    if not isinstance(bounds, dict) or not bounds:
+        raise InputError(
+            f"Argument `bounds` must be a table of errors and their smallest and largest "
+            f'half-width, but was {bounds!r}; write {{ "D.delta_x" = ["0.05 deg", "1 deg"] }}.'
+        )
+    complete = {}
+    for name, pair in bounds.items():
+        ends = pair if isinstance(pair, (list, tuple)) and len(pair) == 2 else (0.0, 0.0)
+        low, high = (error_quantities({name: end}, "bounds")[name] for end in ends)
+        if not 0.0 < low < high:
+            raise InputError(
+                f"Argument `bounds` must give [smallest, largest] half-widths above 0, but "
+                f'`{name}` has {pair!r}; write for example ["0.05 deg", "1 deg"].'
+            )
+        complete[name] = (low, high)
+    return complete
+
+
+def _read_costs(table: object, bounds: dict[str, Any], widths: dict[str, float]) -> dict[str, ErrorCost]:
+    """The cost of every error of `bounds`; keys that are no errors are the same for all.
+
+    `at` that is not given is the error's tolerance in [tolerances], else its largest bound.
+    """
+    place = "[allocation.cost]"
+    required, optional = keys_of(ErrorCost)
+    common = tuple(key for key in (*required, *optional) if key != "at")
+    checked = checked_table(table, place, optional=(*common, *bounds))
+    shared = {key: value for key, value in checked.items() if key in common}
+    costs = {}
+    for name in bounds:
+        own = checked_table(checked.get(name, {}), f"{place} `{name}`", required, optional)
+        with located(place):
+            dimension = error_dimension(name)
+            pair = bounds[name] if isinstance(bounds[name], list) and bounds[name] else [1.0]
+            at = own.get("at", widths.get(name, pair[-1]))
+            at = positive_quantity(at, dimension, f"`at` of the cost of `{name}`")
+            costs[name] = ErrorCost(**{**shared, **own, "at": at})
+    return costs

@@ -1,0 +1,74 @@
+"""The base of all tasks: a table of a study file as a checked object.
+
+Place in the pipeline: settings -> **task** -> sensitivity, monte_carlo, worst_case, allocation; a kind of task from
+outside the package begins here too (`rfem_jax.task_kinds`).
+"""
+
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass, fields, replace
+from typing import Any, ClassVar
+
+from rfem_jax.description.errors import ChecksItself, InputError, located, suggestion
+from rfem_jax.description.mechanism import Mechanism
+from rfem_jax.description.tables import checked_table, keys_of
+from rfem_jax.description.tasks.settings import RUN_METRICS
+from rfem_jax.description.tolerances import SpecifiedTolerances
+
+
+@dataclass(frozen=True)
+class Task(ChecksItself):
+    """What is asked of one kind of task: a frozen dataclass whose fields are the keys of its table.
+
+    Four names of fields have a meaning for all kinds: `metrics` (a tuple of names) and `limits` (a dict by name) may
+    have "*" for all joints; `at` and `bounds` (dicts by name) hold assembly errors, which the mechanism must have.
+    """
+
+    needs_tolerances: ClassVar[bool] = True
+
+    @classmethod
+    def tables(cls, header: str) -> list[tuple[str, type, Collection[str], Collection[str]]]:
+        """The tables of a study file, for `rfem-jax keys`: (header, class whose arguments are the keys, required keys,
+        optional keys)."""
+        return [(header, cls, *keys_of(cls))]
+
+    @classmethod
+    def read(cls, table: object, place: str, tolerances: SpecifiedTolerances | None) -> "Task":
+        """The task of its `table`, which stands at `place` ("[name]") of a study file with these tolerances.
+
+        Raises: InputError for unknown and missing keys and bad values.
+        """
+        settings = checked_table(table, place, *keys_of(cls))
+        with located(place):
+            return cls(**settings)
+
+    def resolved(self, mechanism: Mechanism, name: str) -> "Task":
+        """The same task, called `name`, with "*" replaced by the mechanism's joints.
+
+        Raises: InputError for errors and joints that the mechanism has not.
+        """
+        for error in (*getattr(self, "at", ()), *getattr(self, "bounds", ())):
+            mechanism.require_error(error, f"`{name}`")
+        joints = tuple(joint.name for joint in mechanism.joints)
+        own = {one.name: getattr(self, one.name) for one in fields(self)}
+        changes: dict[str, Any] = {}
+        if "limits" in own:
+            changes["limits"] = {
+                metric: limit for pattern, limit in own["limits"].items() for metric in _resolve(pattern, joints, name)
+            }
+        if "metrics" in own:
+            metrics = (metric for pattern in own["metrics"] for metric in _resolve(pattern, joints, name))
+            changes["metrics"] = tuple(dict.fromkeys(metrics))
+        return replace(self, **changes)
+
+
+def _resolve(pattern: str, joints: Iterable[str], task: str) -> list[str]:
+    """Names of the metrics that one name with "*" stands for; the joint must be there."""
+    joint, _, kind = pattern.rpartition(".")
+    if joint == "*":
+        return [f"{name}.{kind}" for name in joints]
+    if pattern not in RUN_METRICS and joint not in joints:
+        raise InputError(
+            f"Argument `metrics` of the task `{task}` must be of joints of the mechanism, but "
+            f"`{joint}` in `{pattern}` is none; {suggestion(joint, joints)}"
+        )
+    return [pattern]

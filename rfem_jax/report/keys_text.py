@@ -1,0 +1,42 @@
+"""The keys of study files as text: what the command `keys` prints.
+
+Place in the pipeline: after `rfem_jax.description.study_keys`.
+"""
+
+import textwrap
+
+from rfem_jax.description.errors import InputError, suggestion
+from rfem_jax.description.study_keys import Key, KeyTable, study_keys
+
+WIDTH = 120  # columns of a terminal
+WIDEST = 14  # columns of a default
+
+
+def keys_text(word: str | None = None) -> str:
+    """All tables of a study file with their keys, defaults and meanings; with a word, those with it in their header.
+
+    Raises: InputError for a word that is in no header.
+    """
+    tables = study_keys()
+    chosen = [table for table in tables if word is None or word in table.header]
+    if not chosen:
+        raise InputError(
+            f"Argument `WORD` must be in the header of a table, but `{word}` is in none; "
+            f"{suggestion(word, [table.header for table in tables])}"
+        )
+    return "\n\n".join(_table_text(table) for table in chosen)
+
+
+def _table_text(table: KeyTable) -> str:
+    name = max(len(key.name) for key in table.keys)
+    default = min(max(len(key.default) for key in table.keys), WIDEST)
+    return "\n".join([table.header, "-" * len(table.header), *(_row(key, name, default) for key in table.keys)])
+
+
+def _row(key: Key, name: int, default: int) -> str:
+    begin = f"  {key.name:<{name}}  {key.default:<{default}}  "
+    indent = " " * (name + default + 6)
+    meaning = textwrap.wrap(key.meaning, WIDTH - len(indent), break_on_hyphens=False)
+    if len(begin) > len(indent):  # a default wider than its column has a line of its own
+        return "\n".join([begin.rstrip(), *(indent + line for line in meaning)])
+    return "\n".join([begin + (meaning or [""])[0], *(indent + line for line in meaning[1:])]).rstrip()

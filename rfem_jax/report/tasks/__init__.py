@@ -1,0 +1,9 @@
+"""How each kind of task is computed, printed, written and drawn: one file a kind.
+
+    task_report     the base of all, and the order in which a task is done
+    study_problem   the study's mechanism as a problem of the tolerance studies
+    task_files      what their JSON files have in common
+    sensitivity, monte_carlo, worst_case, allocation
+
+Place in the pipeline: `command_line` does the tasks that a study declares; `rfem_jax.task_kinds` lists the kinds.
+"""

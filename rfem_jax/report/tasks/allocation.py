@@ -1,0 +1,306 @@
+"""Allocations: the cheapest tolerances that keep limits, beside the study's own, and their cost against the limits.
+
+Place in the pipeline: `rfem_jax.description.tasks.allocation` -> **allocation** -> terminal, files and pictures.
+Pictures show tolerances in deg and mm, metrics in their own units.
+"""
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rfem_jax.compilation.stages import on_stage
+from rfem_jax.description.study import Study
+from rfem_jax.description.tasks.allocation import AllocationTask, ErrorCost
+from rfem_jax.report.annotations import Axes, Figure
+from rfem_jax.report.output import write_csv
+from rfem_jax.report.overview import format_error
+from rfem_jax.report.quantities import as_specified
+from rfem_jax.report.style import CASE_COLOURS, MARKERS, add_titles, new_figure
+from rfem_jax.report.tasks import study_problem
+from rfem_jax.report.tasks.task_files import write_task_json
+from rfem_jax.report.tasks.task_report import TaskReport
+from rfem_jax.tolerancing import Exponential, Reciprocal, ReciprocalSquared, allocate
+from rfem_jax.tolerancing.allocation import Allocation, LimitCheck
+from rfem_jax.tolerancing.cost_models import total_cost
+from rfem_jax.tolerancing.layout import align_columns
+from rfem_jax.tolerancing.quadratic_model import choose_mode, expand_by_differences
+
+CostModel = Reciprocal | ReciprocalSquared | Exponential
+Limits = dict[str, tuple[float | None, float | None]]
+
+
+@dataclass(frozen=True, eq=False)
+class AllocationStudy:
+    """An allocation and its neighbours: `answer`; `front` {scale of the limits' distance from the
+    nominal values: Allocation}, scale 1 the answer itself; `before` {error: half-width} of the
+    study's own tolerances (empty without), `cost_before` their cost (NaN without)."""
+
+    answer: Allocation
+    front: dict[float, Allocation]
+    before: dict[str, float]
+    cost_before: float
+
+
+class AllocationReport(TaskReport[AllocationTask, AllocationStudy]):
+    """The cheapest tolerances that keep limits on loads."""
+
+    def run(self, folder: Path) -> AllocationStudy:
+        """The cheapest tolerances, and those of the task's scaled limits."""
+        task = self.task
+        problem = study_problem.build_problem(self.study, task.metrics)
+        costs = {name: build_cost(cost) for name, cost in task.costs.items()}
+        keys = jax.random.split(jax.random.key(task.seed), 1 + len(task.scales))
+        solve = partial(
+            allocate, problem, cost=costs, bounds=task.bounds, criterion=task.criterion,
+            target=task.target, coverage=task.coverage, statistic=task.statistic,
+            distribution=study_problem.DISTRIBUTIONS[task.distribution], samples=task.samples,
+            verify_samples=task.verify_samples, starts=task.starts, rounds=task.rounds,
+            tolerance=task.accuracy, batch=task.batch,
+        )  # fmt: skip
+        on_stage("Expanding to second order")
+        together = task.criterion != "worst_case"
+        mode = choose_mode(task.mode, len(task.bounds), len(problem.metrics) if together else 1)
+        typical = {name: math.sqrt(low * high) for name, (low, high) in task.bounds.items()}
+        model = expand_by_differences(problem, None, typical, mode=mode, batch=task.batch)
+        solve = partial(solve, model=model, mode=mode)
+        on_stage(f"Allocating {len(task.bounds)} tolerances")
+        limits = {name: tuple(map(_closed, pair)) for name, pair in task.limits.items()}
+        answer = solve(limits, key=keys[0])
+        front = {1.0: answer}
+        for scale, key in zip(task.scales, keys[1:], strict=True):
+            if scale not in front:
+                on_stage(f"Allocating with limits scaled by {scale:g}")
+                front[scale] = solve(scaled_limits(answer.limits, scale), key=key)
+        before, cost = _before(self.study, costs)
+        return AllocationStudy(answer, dict(sorted(front.items())), before, cost)
+
+    def succeeded(self, result: AllocationStudy) -> bool:
+        return result.answer.status == "ok"
+
+    def text(self, result: AllocationStudy) -> str:
+        return allocation_text(result)
+
+    def write(self, folder: Path, result: AllocationStudy) -> list[Path]:
+        """Write allocation.json, allocation.csv (tolerances before and after) and, with scaled limits,
+        allocation_front.csv (cost, limits and tolerances of each)."""
+        answer = result.answer
+        content = {
+            **_allocation(answer),
+            "before": {"tolerances": result.before, "cost": result.cost_before},
+            "front": [{"scale": scale, **_allocation(one)} for scale, one in result.front.items()],
+            "units": {**answer.units, **{check.metric: check.unit for check in answer.limits}},
+        }
+        rows = [
+            {
+                "error": name,
+                "unit": answer.units[name],
+                "before": result.before.get(name, float("nan")),
+                "after": after,
+                "smallest": self.task.bounds[name][0],
+                "largest": self.task.bounds[name][1],
+                "at_bound": answer.at_bounds.get(name, ""),
+            }
+            for name, after in answer.tolerances.items()
+        ]
+        written = [
+            write_task_json(folder / "allocation.json", self.study, self.name, content),
+            write_csv(folder / "allocation.csv", rows),
+        ]
+        if len(result.front) > 1:
+            rows = []
+            for scale, one in result.front.items():
+                row = {"scale": scale, "status": one.status, "cost": one.cost}
+                for check in one.limits:
+                    row[f"{check.metric}_{check.side}_limit"] = check.limit
+                    row[f"{check.metric}_{check.side}_verified"] = check.verified
+                rows.append(row | one.tolerances)
+            written.append(write_csv(folder / "allocation_front.csv", rows))
+        return written
+
+    def draw(self, result: AllocationStudy) -> dict[str, Figure]:
+        figures = {"tolerances": tolerances_figure(self.study, self.task.bounds, result)}
+        if len(result.front) > 1:
+            figures["front"] = front_figure(self.study, result)
+        return figures
+
+    def setting_text(self, name: str, value: Any) -> str:
+        """Bounds and costs too in deg and mm."""
+        unit = self.study.mechanism.error_unit
+        if name == "bounds":
+            return ", ".join(_bound(error, pair, unit(error)) for error, pair in value.items())
+        if name == "costs":
+            return ", ".join(_cost(error, cost, unit(error)) for error, cost in value.items())
+        return super().setting_text(name, value)
+
+
+def _bound(name: str, pair: tuple[float, float], unit: str) -> str:
+    low, high = (format_error("", end, unit).removeprefix(" = ") for end in pair)
+    return f"{name} {low} to {high}"
+
+
+def _cost(name: str, cost: ErrorCost, unit: str) -> str:
+    at = format_error("", cost.at, unit).removeprefix(" = ")
+    fixed = f" + {cost.fixed:g}" if cost.fixed else ""
+    return f"{name} {cost.model.replace('_', ' ')}, {cost.price:g} at {at}{fixed}"
+
+
+def build_cost(cost: ErrorCost) -> CostModel:
+    """Callable of one half-width [rad or m] for an `ErrorCost`."""
+    if cost.model == "reciprocal":
+        return Reciprocal(cost.price * cost.at, cost.fixed)
+    if cost.model == "reciprocal_squared":
+        return ReciprocalSquared(cost.price * cost.at**2, cost.fixed)
+    return Exponential(cost.price, 1.0 / cost.at, cost.fixed)
+
+
+def scaled_limits(checks: Iterable[LimitCheck], scale: float) -> Limits:
+    """Limits {metric: (low, high)} with their distances from the nominal values times `scale`.
+
+    Arguments: checks, the `LimitCheck`s of an allocation with the limits as specified.
+    """
+    limits: Limits = {}
+    for check in checks:
+        low, high = limits.get(check.metric, (None, None))
+        moved = check.nominal + scale * (check.limit - check.nominal)
+        limits[check.metric] = (low, moved) if check.side == "upper" else (moved, high)
+    return limits
+
+
+def _closed(end: float) -> float | None:
+    """An end of a limit, None where it is open."""
+    return end if math.isfinite(end) else None
+
+
+def _before(study: Study, costs: Mapping[str, CostModel]) -> tuple[dict[str, float], float]:
+    """The study's own tolerances of the errors allocated, and their cost if it has all of them."""
+    specified = study.tasks.tolerances
+    widths = {} if specified is None else specified.half_widths()
+    before = {name: widths[name] for name in costs if name in widths}
+    if len(before) < len(costs):
+        return before, math.nan
+    models = tuple(costs[name] for name in before)
+    return before, float(total_cost(models, jnp.asarray(list(before.values()))))
+
+
+def _allocation(one: Allocation) -> dict[str, Any]:
+    keys = ("criterion", "status", "message", "tolerances", "cost", "at_bounds", "level")
+    keys += ("predicted_yield", "verified_yield", "yield_interval", "verified_by", "history")
+    found = {key: getattr(one, key) for key in (*keys, "failed", "hessian_error")}
+    return found | {"limits": [asdict(check) for check in one.limits]}
+
+
+def allocation_text(found: AllocationStudy) -> str:
+    """The answer, its cost beside that of the study's own tolerances, and the scaled limits."""
+    parts = [str(found.answer)]
+    if np.isfinite(found.cost_before):
+        parts.append(f"The study's own tolerances cost {found.cost_before:.6g}.")
+    if len(found.front) > 1:
+        rows = [
+            [f"{scale:g}", one.status, f"{one.cost:.5g}", *(f"{c.limit:.5g}" for c in one.limits)]
+            for scale, one in found.front.items()
+        ]
+        header = ["scale of limits", "status", "cost", *(c.metric for c in found.answer.limits)]
+        parts.append(f"Cost against limits\n{align_columns(header, rows)}")
+    return "\n\n".join(parts)
+
+
+def tolerances_figure(study: Study, bounds: Mapping[str, tuple[float, float]], found: AllocationStudy) -> Figure:
+    """Tolerances before and after within their bounds, each on a scale of its own."""
+    answer = found.answer
+    names = list(answer.tolerances)
+    height = 0.55 * len(names) + 2.0
+    figure = new_figure(7.2, height)
+    axes = figure.subplots()
+    for place, name in enumerate(reversed(names)):
+        specified, factor = as_specified(answer.units[name])
+        low, high = bounds[name]
+        after, before = answer.tolerances[name], found.before.get(name)
+        axes.plot([low / high, 1.0], [place, place], "|-", color="#A0A0A0", linewidth=1.0)
+        if before is not None:
+            _mark(axes, before / high, place, False, f"{factor * before:.3g} {specified}")
+        _mark(axes, after / high, place, True, f"{factor * after:.3g} {specified}")
+    axes.plot([], [], MARKERS[0], color=CASE_COLOURS[0], mfc="white", label="before")
+    axes.plot([], [], MARKERS[1], color=CASE_COLOURS[1], label="after")
+    axes.plot([], [], "|-", color="#A0A0A0", label="bounds")
+    axes.set_xscale("log")
+    axes.set_ylim(-0.6, len(names) - 0.4)
+    axes.set_yticks(range(len(names)), list(reversed(names)))
+    axes.grid(visible=False, axis="y")
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.set_xlabel("tolerance / its largest bound")
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, frameon=False)
+    heading = f"Tolerances before and after: cost {answer.cost:.4g}"
+    if np.isfinite(found.cost_before):
+        heading += f", before {found.cost_before:.4g}"
+    add_titles(figure, f"{heading} ({answer.criterion.replace('_', ' ')}, {answer.status})", study)
+    return figure
+
+
+def _mark(axes: Axes, x: float, place: int, after: bool, text: str) -> None:
+    colour, marker = (CASE_COLOURS[1], MARKERS[1]) if after else (CASE_COLOURS[0], MARKERS[0])
+    fill = colour if after else "white"
+    axes.plot([x], [place], marker, color=colour, markerfacecolor=fill, zorder=3)
+    where = (0, 7) if after else (0, -13)
+    axes.annotate(
+        text, (x, place), xytext=where, textcoords="offset points", ha="center", fontsize=8,
+        color=colour,
+    )  # fmt: skip
+
+
+def front_figure(study: Study, found: AllocationStudy) -> Figure:
+    """Cost against the limits (all distances from the nominal values scaled together), and the
+    tolerances that belong to each."""
+    scales = np.array(list(found.front))
+    answers = list(found.front.values())
+    good = np.array([one.status == "ok" for one in answers])
+    costs = np.array([one.cost for one in answers])
+    single = len(found.answer.limits) == 1
+    check = found.answer.limits[0]
+    x = np.array([one.limits[0].limit for one in answers]) if single else scales
+    label = f"limit on {check.metric}, {check.unit or '1'}" if single else "scale of all limits"
+    figure = new_figure(7.2, 6.4)
+    above, below = figure.subplots(2, 1, sharex=True)
+    above.plot(x, np.where(good, costs, np.nan), "-", color=CASE_COLOURS[0], linewidth=1.2)
+    above.plot(x[good], costs[good], MARKERS[0], color=CASE_COLOURS[0], label="limits verified")
+    if not good.all():
+        above.plot(x[~good], costs[~good], "x", color=CASE_COLOURS[1], label="limits not met")
+    here = list(found.front).index(1.0)
+    above.plot(
+        x[here], costs[here], MARKERS[0], ms=12, mfc="none", color=CASE_COLOURS[1],
+        label="asked for",
+    )  # fmt: skip
+    if np.isfinite(found.cost_before):
+        above.axhline(
+            found.cost_before, color="#808080", linestyle="--", linewidth=1.0,
+            label="cost of the tolerances before",
+        )  # fmt: skip
+    above.set_ylabel("cost")
+    above.legend(frameon=False)
+    for i, name in enumerate(found.answer.tolerances):
+        specified, factor = as_specified(found.answer.units[name])
+        widths = [factor * one.tolerances[name] for one in answers]
+        below.plot(
+            x, widths, marker=MARKERS[i % len(MARKERS)], label=f"{name}, {specified}",
+            color=CASE_COLOURS[i % len(CASE_COLOURS)], linewidth=1.2,
+        )  # fmt: skip
+    below.set_yscale("log")
+    scaled = [below.yaxis]
+    if x.min() > 0.0:
+        below.set_xscale("log")
+        scaled.append(below.xaxis)
+    for axis in scaled:
+        axis.set_major_formatter("{x:g}")
+        axis.set_minor_formatter("{x:g}")
+        axis.set_tick_params(which="both", labelsize=8)
+    below.set_ylabel("tolerance (half-width)")
+    below.set_xlabel(label)
+    below.legend(frameon=False)
+    add_titles(figure, "Cheapest tolerances against the limit that they keep", study)
+    return figure

@@ -1,0 +1,267 @@
+"""Monte Carlo studies: scatter of all metrics over the tolerances, their statistics, histograms and scatter matrix.
+
+Place in the pipeline: `rfem_jax.description.tasks.monte_carlo` -> **monte_carlo** -> terminal, files and pictures.
+Failed samples are counted, and not drawn; a study succeeds as long as any sample does. Pictures show errors in deg and
+mm, metrics in their own units.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from rfem_jax.compilation.stages import on_stage
+from rfem_jax.description.errors import InputError
+from rfem_jax.description.study import Study
+from rfem_jax.description.tasks.monte_carlo import MonteCarloTask
+from rfem_jax.report.annotations import Axes, Figure
+from rfem_jax.report.output import write_csv
+from rfem_jax.report.quantities import as_specified
+from rfem_jax.report.style import (
+    BAR_COLOURS,
+    CASE_COLOURS,
+    LINE_STYLES,
+    add_titles,
+    new_figure,
+    panel_grid,
+)
+from rfem_jax.report.tasks import study_problem
+from rfem_jax.report.tasks.task_files import metric_units, write_task_json
+from rfem_jax.report.tasks.task_report import TaskReport
+from rfem_jax.tolerancing import monte_carlo as sample_problem
+from rfem_jax.tolerancing.monte_carlo_result import MonteCarloResult
+from rfem_jax.tolerancing.results_store import StudyFolderError
+from rfem_jax.tolerancing.statistics import Estimate
+
+MOST_PANELS = 12
+MOST_EACH = 4  # errors and metrics of a scatter matrix
+
+
+class MonteCarloReport(TaskReport[MonteCarloTask, MonteCarloResult]):
+    """Scatter of metrics over the tolerances."""
+
+    def run(self, folder: Path) -> MonteCarloResult:
+        """The scatter of all metrics; chunks are kept in `folder`/monte_carlo, where a run continues.
+
+        Raises: InputError for a folder of another study (in the words of the command line, where the
+            folder is in DIR of `--out DIR`); ChunkWriteError for a full disk.
+        """
+        task, tolerances = self.task, study_problem.build_tolerances(self.tolerances)
+        stage = (
+            f"Sampling {task.n} mechanisms on {jax.local_device_count()} devices"
+            f" of {jax.process_count()} process{'es' if jax.process_count() > 1 else ''}"
+        )
+        on_stage(stage)
+
+        def report(done: int, total: int) -> None:
+            on_stage(stage, done / total)
+
+        progress: Any = report
+        try:
+            return sample_problem(
+                study_problem.build_problem(self.study, task.metrics), tolerances, task.n,
+                jax.random.key(task.seed), batch=task.batch, lanes=task.lanes, sampling=task.sampling,
+                limits=task.limits, quantiles=task.quantiles, confidence=task.confidence,
+                sobol_indices=task.sobol_indices, control_variate=task.control_variate or None,
+                resume=folder / self.name, progress=progress,
+            )  # fmt: skip
+        except StudyFolderError as problem:
+            raise InputError(
+                "Argument `--out` must be a folder in which this Monte Carlo study can start or "
+                f"continue, but {problem.finding}; choose another folder, specify the same study, or "
+                f"remove `{folder / self.name}` and its samples."
+            ) from None
+
+    def succeeded(self, result: MonteCarloResult) -> bool:
+        return result.good > 0
+
+    def text(self, result: MonteCarloResult) -> str:
+        return str(result)
+
+    def text_of_helper(self, result: MonteCarloResult) -> str:
+        return f"Process {jax.process_index()} computed {result.chunks_computed} chunks."
+
+    def write(self, folder: Path, result: MonteCarloResult) -> list[Path]:
+        """Write monte_carlo.json and monte_carlo.csv (one row per sample: status, errors, metrics)."""
+        together = result.joint_yield
+        content = {
+            "samples": result.samples,
+            "good": result.good,
+            "failures": result.failures,
+            "confidence": result.confidence,
+            "sampling": result.sampling,
+            "metrics": {metric: _statistics(result, metric) for metric in result.metrics},
+            "joint_yield_of_good": None if together is None else _estimate(together.of_good),
+            "joint_yield_of_all": None if together is None else _estimate(together.of_all),
+            "control_note": result.control_note,
+            "units": metric_units(result.metrics, result.metric_units),
+        }
+        return [
+            write_task_json(folder / "monte_carlo.json", self.study, self.name, content),
+            write_csv(folder / "monte_carlo.csv", sample_rows(result)),
+        ]
+
+    def draw(self, result: MonteCarloResult) -> dict[str, Figure]:
+        return {
+            "histograms": histogram_figure(self.study, result),
+            "scatter_matrix": scatter_matrix_figure(self.study, result),
+        }
+
+
+def sample_rows(result: MonteCarloResult) -> list[dict[str, Any]]:
+    """One row per sample: its number, status, errors [rad, m] and metrics."""
+    errors = [f"{n}_{u}" for n, u in zip(result.names, result.error_units, strict=True)]
+    rows: list[dict[str, Any]] = []
+    for index in range(result.samples):
+        row = {"sample": index, "status": int(result.status[index])}
+        row |= dict(zip(errors, result.errors[index], strict=True))
+        row |= dict(zip(result.metrics, result.values[index], strict=True))
+        rows.append(row)
+    return rows
+
+
+def _estimate(estimate: Estimate) -> dict[str, float]:
+    return {"value": estimate.value, "low": estimate.low, "high": estimate.high}
+
+
+def _statistics(result: MonteCarloResult, metric: str) -> dict[str, Any]:
+    found = result.statistics[metric]
+    one = {
+        "mean": _estimate(found.mean),
+        "std": _estimate(found.std),
+        "quantiles": {f"{q:g}": _estimate(e) for q, e in found.quantiles.items()},
+        "smallest": found.smallest,
+        "largest": found.largest,
+    }
+    if metric in result.yields:
+        one["limits"] = result.limits[metric]
+        one["yield_of_good"] = _estimate(result.yields[metric].of_good)
+        one["yield_of_all"] = _estimate(result.yields[metric].of_all)
+    if result.sobol_indices is not None:
+        indices = result.sobol_indices[metric]
+        one["first_order_indices"] = {k: _estimate(v) for k, v in indices.first_order.items()}
+        one["total_indices"] = {k: _estimate(v) for k, v in indices.total.items()}
+    controlled = (result.controlled_means or {}).get(metric)
+    if controlled is not None:
+        one["controlled_mean"] = _estimate(controlled.mean)
+        one["variance_reduction"] = controlled.variance_reduction
+    return one
+
+
+def good_samples(
+    result: MonteCarloResult,
+) -> tuple[Float[np.ndarray, "samples errors"], Float[np.ndarray, "samples metrics"]]:
+    """Errors (n, d) [rad, m] and values (n, m) of the random samples that did not fail."""
+    good = result.status[: result.samples] == 0
+    return result.errors[: result.samples][good], result.values[: result.samples][good]
+
+
+def histogram_figure(study: Study, result: MonteCarloResult) -> Figure:
+    """Histogram of every metric with its mean, its quantiles and its limits."""
+    shown = min(len(result.metrics), MOST_PANELS)
+    figure = new_figure(8.4, 2.1 * -(-shown // 2) + 1.6)
+    panels, add_shared_legend = panel_grid(figure, shown)
+    _, values = good_samples(result)
+    styles = {}
+    for index, axes in enumerate(panels):
+        metric = result.metrics[index]
+        samples = values[:, index]
+        if len(samples):
+            bins = int(np.clip(2.0 * np.cbrt(len(samples)), 5, 60))
+            axes.hist(samples, bins, color=BAR_COLOURS[2], edgecolor="black", linewidth=0.5)
+        found = result.statistics[metric]
+        marks = [("mean", found.mean.value, CASE_COLOURS[0], "-")]
+        marks += [
+            (f"{100 * q:g} %", estimate.value, CASE_COLOURS[2], LINE_STYLES[1 + i % 6])
+            for i, (q, estimate) in enumerate(found.quantiles.items())
+        ]
+        ends = result.limits.get(metric, ())
+        marks += [("limit", end, CASE_COLOURS[1], "-") for end in ends if np.isfinite(end)]
+        for word, place, colour, style in marks:
+            if np.isfinite(place):
+                wide = 2.2 if word == "limit" else 1.3
+                line = axes.axvline(place, color=colour, linestyle=style, linewidth=wide)
+                styles.setdefault(word, line)
+        title = result.labels[index]
+        if metric in result.yields:
+            title += f": {100 * result.yields[metric].of_all.value:.3g} % within"
+        axes.set_title(title, loc="left")
+        axes.set_xlabel(result.metric_units[index] or "1")
+        axes.set_ylabel("samples")
+    add_shared_legend(list(styles.values()), list(styles))
+    failed = result.samples - result.good
+    heading = f"Scatter over the tolerances: {result.samples} samples, {failed} failed"
+    add_titles(figure, heading, study)
+    return figure
+
+
+def scatter_matrix_figure(study: Study, result: MonteCarloResult) -> Figure:
+    """Every pair of errors and metrics (four of each): points below, rank correlations
+    above, histograms on the diagonal."""
+    names, samples = _columns(result)
+    size = len(names)
+    figure = new_figure(1.35 * size + 1.0, 1.35 * size + 1.4)
+    panels = figure.subplots(size, size, squeeze=False)
+    ranks = np.argsort(np.argsort(samples, axis=0), axis=0).astype(float)
+    point = float(np.clip(80.0 / np.sqrt(len(samples)), 1.0, 2.5))
+    for row in range(size):
+        for column in range(size):
+            axes = panels[row, column]
+            axes.grid(visible=False)
+            if column > row:
+                _write_correlation(axes, ranks[:, row], ranks[:, column])
+                continue
+            if column == row:
+                axes.hist(samples[:, row], 12, color=BAR_COLOURS[2], edgecolor="black", lw=0.4)
+                axes.set_yticks([])
+            else:
+                axes.plot(
+                    samples[:, column], samples[:, row], ".", ms=point, mew=0.0,
+                    color=CASE_COLOURS[2],
+                )  # fmt: skip
+            axes.tick_params(labelsize=7, labelbottom=row == size - 1)
+            axes.tick_params(labelleft=column == 0 and row > 0)
+            if row == size - 1:
+                axes.set_xlabel(names[column], fontsize=8)
+            if column == 0:
+                axes.set_ylabel(names[row], fontsize=8)
+            axes.locator_params(nbins=3)
+    left_out = len(result.names) + len(result.metrics) - size
+    heading = "Errors and metrics of all samples; above the diagonal rank correlations"
+    if left_out:
+        heading += f" ({left_out} more are in the CSV)"
+    add_titles(figure, heading, study)
+    return figure
+
+
+def _columns(result: MonteCarloResult) -> tuple[list[str], Float[np.ndarray, "samples columns"]]:
+    """Labels and samples (n, p) of the errors and metrics that are drawn."""
+    errors, values = good_samples(result)
+    names, columns = [], []
+    for i, (name, unit) in enumerate(zip(result.names, result.error_units, strict=True)):
+        if i < MOST_EACH:
+            specified, factor = as_specified(unit)
+            names.append(f"{name}\n{specified}")
+            columns.append(factor * errors[:, i])
+    for i in sorted(range(len(result.metrics)), key=lambda i: _order(result, i))[:MOST_EACH]:
+        names.append(f"{result.metrics[i]}\n{result.metric_units[i] or '1'}")
+        columns.append(values[:, i])
+    return names, np.stack(columns, axis=1)
+
+
+def _order(result: MonteCarloResult, i: int) -> tuple[bool, int, int]:
+    """Metrics with limits come first, then one of each kind before the second of a kind."""
+    kinds = [name.rpartition(".")[2] for name in result.metrics]
+    return result.metrics[i] not in result.limits, kinds[:i].count(kinds[i]), i
+
+
+def _write_correlation(axes: Axes, first: Float[np.ndarray, " samples"], second: Float[np.ndarray, " samples"]) -> None:
+    axes.set_axis_off()
+    spread = len(first) > 1 and np.std(first) > 0 and np.std(second) > 0
+    correlation = np.corrcoef(first, second)[0, 1] if spread else np.nan
+    # Adding zero takes the sign off what rounds to zero.
+    text = f"{round(correlation, 2) + 0.0:+.2f}" if np.isfinite(correlation) else "-"
+    shade = "black" if abs(correlation) > 0.3 else "#808080"
+    axes.text(0.5, 0.5, text, ha="center", va="center", color=shade, transform=axes.transAxes)

@@ -1,0 +1,239 @@
+"""Sensitivity studies: derivatives of all metrics, their tables and files, heat map and tornado chart.
+
+Place in the pipeline: `rfem_jax.description.tasks.sensitivity` -> **sensitivity** -> terminal, files and pictures.
+
+Symbols: t tolerances, g gradient and H Hessian per tolerance, all in the unit of the metric.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from rfem_jax.compilation.stages import on_stage
+from rfem_jax.description.methods import Method
+from rfem_jax.description.study import Study
+from rfem_jax.description.tasks.sensitivity import SensitivityTask
+from rfem_jax.report.annotations import Figure
+from rfem_jax.report.output import write_csv
+from rfem_jax.report.quantities import as_specified
+from rfem_jax.report.style import BAR_COLOURS, HATCHES, add_titles, new_figure, panel_grid
+from rfem_jax.report.tasks import study_problem
+from rfem_jax.report.tasks.task_files import metric_units, write_task_json
+from rfem_jax.report.tasks.task_report import TaskReport
+from rfem_jax.tolerancing import sensitivity as differentiate
+from rfem_jax.tolerancing.layout import align_columns, wrap_lines
+from rfem_jax.tolerancing.sensitivities import Sensitivities
+
+UNDAMPED = (
+    "No flexible link has damping: derivatives of mean-square and RMS forces are dominated by the "
+    "phase of\nundamped 1-20 kHz vibrations and may even have the wrong sign (those of moments "
+    "stay smooth).\nGive the material a small damping for a study of derivatives."
+)
+MOST_PANELS = 12
+
+
+class Derivatives(NamedTuple):
+    """Result of a sensitivity study: the derivatives, and whether no flexible link has damping."""
+
+    found: Sensitivities
+    undamped: bool
+
+
+class SensitivityReport(TaskReport[SensitivityTask, Derivatives]):
+    """Derivatives of joint loads with respect to assembly errors."""
+
+    def run(self, folder: Path) -> Derivatives:
+        """Derivatives of all metrics of the task."""
+        task, study = self.task, self.study
+        twice = " (twice: with the finer step too)" if task.half_step else ""
+        on_stage(f"Differentiating {len(task.metrics)} metrics to order {task.order}{twice}")
+        problem = study_problem.build_problem(study, task.metrics)
+        refined = problem.with_method(finer_method(study.method)) if task.half_step else None
+        tolerances = study_problem.build_tolerances(self.tolerances)
+        found = differentiate(problem, task.at, task.order, tolerances, task.mode, batch=task.batch, refined=refined)
+        return Derivatives(found, bool(getattr(problem, "undamped", False)))
+
+    def succeeded(self, result: Derivatives) -> bool:
+        return result.found.status == "ok"
+
+    def text(self, result: Derivatives) -> str:
+        return sensitivity_text(*result)
+
+    def write(self, folder: Path, result: Derivatives) -> list[Path]:
+        """Write sensitivity.json and sensitivity.csv (one row per metric and error, ranked)."""
+        found = result.found
+        content = {
+            "status": found.status,
+            "derivative_residual": found.derivative_residual,
+            "undamped": result.undamped,
+            "mode": found.mode,
+            "errors": list(found.names),
+            "half_widths": dict(zip(found.names, found.scale, strict=True)),
+            "metrics": {metric: _metric_content(found, m) for m, metric in enumerate(found.metrics)},
+            "units": metric_units(found.metrics, found.metric_units),
+        }
+        return [
+            write_task_json(folder / "sensitivity.json", self.study, self.name, content),
+            write_csv(folder / "sensitivity.csv", found.rows()),
+        ]
+
+    def draw(self, result: Derivatives) -> dict[str, Figure]:
+        return {
+            "heat_map": heat_map_figure(self.study, result.found),
+            "tornado": tornado_figure(self.study, result.found),
+        }
+
+
+def finer_method(method: Method) -> Method:
+    """The same method with half the step, or a tenth of its tolerances."""
+    if method.step is not None:
+        return replace(method, step=0.5 * method.step)
+    if method.rtol is not None and method.atol is not None:
+        return replace(method, rtol=0.1 * method.rtol, atol=0.1 * method.atol)
+    accuracy = 1e-4 if method.accuracy is None else method.accuracy
+    return replace(method, accuracy=0.1 * accuracy)
+
+
+def sensitivity_text(result: Sensitivities, undamped: bool) -> str:
+    """Tables, principal directions, change with the step, and what damping means for them."""
+    parts = [str(result)]
+    if result.hessian is not None and len(result.names) > 1:
+        lines = []
+        for metric in result.metrics:
+            value, direction = result.principal_directions(metric)[0]
+            # Number and name stay together where a line is broken.
+            words = ", ".join(f"{part:+.2f}\0{name}" for name, part in direction.items())
+            text = f"{metric}: 1/2 eigenvalue {0.5 * value:.5g}, direction {words}"
+            lines.append(wrap_lines(text, indent=4).replace("\0", " "))
+        head = "Combination of errors (in tolerances) that raises each metric most: the first "
+        head += "principal direction"
+        parts.append("\n".join([head, *lines]))
+    if result.gradient_change is not None:
+        header = ["metric", "largest change of a gradient", "change of the Hessian"]
+        changes = [np.nan] * len(result.metrics)
+        if result.hessian_change is not None:
+            changes = result.hessian_change
+        rows = [
+            [metric, f"{np.max(gradient):.1e}", f"{change:.1e}" if change == change else "-"]
+            for metric, gradient, change in zip(result.metrics, result.gradient_change, changes, strict=True)
+        ]
+        head = "Change with the finer step (of each error's effect, of the largest |H|)"
+        parts.append(f"{head}\n{align_columns(header, rows)}")
+    return "\n\n".join([*parts, *([UNDAMPED] if undamped else [])])
+
+
+def _metric_content(result: Sensitivities, m: int) -> dict[str, Any]:
+    """The part of sensitivity.json about metric number `m`."""
+    metric = result.metrics[m]
+    rows = [row for row in result.rows() if row["metric"] == metric]
+    one = {
+        "value": result.value[m],
+        "character": result.character[m],
+        "gradient": dict(zip(result.names, result.gradient[m], strict=True)),
+        "effects": {row["error"]: row["effect"] for row in rows},
+    }
+    if result.hessian is not None:
+        pairs = result.principal_directions(metric)
+        one["hessian"] = result.hessian[m]
+        one["principal_directions"] = [{"eigenvalue": v, "direction": d} for v, d in pairs]
+    if result.gradient_change is not None:
+        change = dict(zip(result.names, result.gradient_change[m], strict=True))
+        one["gradient_change_at_finer_step"] = change
+        if result.hessian_change is not None:
+            one["hessian_change_at_finer_step"] = result.hessian_change[m]
+    return one
+
+
+def group_metrics(result: Sensitivities) -> dict[tuple[str, str], list[tuple[str, int]]]:
+    """{(kind, unit): [(joint, position)]} of the metrics; one of no joint is its own kind."""
+    groups: dict[tuple[str, str], list[tuple[str, int]]] = {}
+    for position, (name, unit) in enumerate(zip(result.metrics, result.metric_units, strict=True)):
+        joint, _, kind = name.rpartition(".")
+        groups.setdefault((kind, unit), []).append((joint or "-", position))
+    return groups
+
+
+def error_labels(result: Sensitivities) -> list[str]:
+    """Names of the errors with their tolerances, "D.delta_x\\n+-0.5 deg"."""
+    labels = []
+    for name, unit, width in zip(result.names, result.error_units, result.scale, strict=True):
+        specified, factor = as_specified(unit)
+        labels.append(f"{name}\n\u00b1{factor * width:.3g} {specified}")
+    return labels
+
+
+def heat_map_figure(study: Study, result: Sensitivities) -> Figure:
+    """Largest change of every metric by each error alone within its tolerance: joint x error."""
+    groups, labels = group_metrics(result), error_labels(result)
+    rows = sum(len(group) for group in groups.values())
+    wide = min(max(7.2, 0.95 * len(labels) + 2.5), 24.0)
+    height = 0.42 * rows + 1.1 * len(groups) + 1.4
+    figure = new_figure(wide, height)
+    panels = figure.subplots(len(groups), 1, squeeze=False, height_ratios=[len(group) for group in groups.values()])[
+        :, 0
+    ]
+    for axes, ((kind, unit), group) in zip(panels, groups.items(), strict=True):
+        effects = np.array([result.effects[position] for _, position in group])
+        image = axes.imshow(np.ma.masked_invalid(effects), aspect="auto", cmap="YlOrRd", vmin=0.0)
+        figure.colorbar(image, ax=axes, label=unit or "1", pad=0.02)
+        middle = 0.55 * np.nanmax(effects, initial=0.0)
+        for (row, column), value in np.ndenumerate(effects):
+            text = f"{value:.3g}" if np.isfinite(value) else "n/a"
+            colour = "white" if value > middle else "black"
+            axes.text(column, row, text, ha="center", va="center", fontsize=8.5, color=colour)
+        axes.set_yticks(range(len(group)), [joint for joint, _ in group])
+        axes.set_xticks(range(len(labels)), labels)
+        axes.set_ylabel("joint")
+        axes.set_title(f"Change of {kind.replace('_', ' ')}, {unit or '1'}", loc="left")
+        axes.grid(visible=False)
+        axes.tick_params(length=0)
+    add_titles(figure, "Effect of each error alone, anywhere within its tolerance", study)
+    return figure
+
+
+def tornado_figure(study: Study, result: Sensitivities) -> Figure:
+    """Change of each metric at both ends of every error's tolerance, by the quadratic model."""
+    shown = min(len(result.metrics), MOST_PANELS)
+    height = -(-shown // 2) * (0.26 * len(result.names) + 1.25) + 1.6
+    figure = new_figure(8.4, height)
+    panels, add_shared_legend = panel_grid(figure, shown)
+    labels = [label.split("\n")[0] for label in error_labels(result)]
+    for metric, axes in enumerate(panels):
+        low, high = end_changes(result, metric)
+        order = np.argsort(np.fmax(np.abs(low), np.abs(high)), kind="stable")
+        places = np.arange(len(order))
+        for shift, changes, index, word in ((-0.2, low, 2, "lower"), (0.2, high, 1, "upper")):
+            axes.barh(
+                places - shift, changes[order], 0.38, color=BAR_COLOURS[index],
+                hatch=HATCHES[index], edgecolor="black", linewidth=0.6,
+                label=f"{word} end of the tolerance",
+            )  # fmt: skip
+        axes.axvline(0.0, color="black", linewidth=0.8)
+        axes.set_yticks(places, [labels[i] for i in order])
+        axes.tick_params(axis="y", length=0)
+        axes.grid(visible=False, axis="y")
+        zero = result.character[metric] == "kink"  # what is left of it is rounding
+        value = 0.0 if zero else result.value[metric]
+        axes.set_title(f"{result.labels[metric]} = {value:.4g}", loc="left")
+        axes.set_xlabel(f"change, {result.metric_units[metric] or '1'}")
+    add_shared_legend(*panels[0].get_legend_handles_labels())
+    left_out = len(result.metrics) - shown
+    heading = "Change by each error alone at the ends of its tolerance (quadratic model)"
+    if left_out > 0:
+        heading += f"; {left_out} more metrics are in the tables"
+    add_titles(figure, heading, study)
+    return figure
+
+
+def end_changes(
+    result: Sensitivities, metric: int
+) -> tuple[Float[np.ndarray, " errors"], Float[np.ndarray, " errors"]]:
+    """Changes (k,) of metric number `metric` at the lower and the upper ends of the tolerances."""
+    gradient = result.gradient_scaled[metric]
+    curved = np.zeros_like(gradient)
+    if result.hessian_scaled is not None:
+        curved = 0.5 * np.diagonal(result.hessian_scaled[metric])
+    return curved - gradient, curved + gradient

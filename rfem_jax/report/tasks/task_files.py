@@ -1,0 +1,49 @@
+"""What the JSON files of all tasks have in common, and numbers with their confidence intervals.
+
+Place in the pipeline: used by the reports on tasks. SI units (rad, m) and the metrics' own units; JSON has no NaN, an
+open limit or a missing number is null. Nothing in a file depends on how long a run took or how often it was
+interrupted.
+"""
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rfem_jax.description.study import Study
+from rfem_jax.report.output import write_json
+from rfem_jax.report.summary import study_note
+
+
+def _plain(value: Any) -> Any:
+    """NumPy arrays and scalars of nested dicts and lists as Python's own."""
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def metric_units(metrics: Sequence[str], units: Sequence[str]) -> dict[str, str]:
+    """{metric: unit}, "1" where it has no dimension."""
+    return {name: unit or "1" for name, unit in zip(metrics, units, strict=True)}
+
+
+def write_task_json(path: Path, study: Study, name: str, result: dict[str, Any]) -> Path:
+    """Write one task's JSON: what was asked for (`task`, `tolerances`) and `result` (a dict)."""
+    specified = study.tasks.tolerances
+    content = {
+        "title": study.title,
+        "note": study_note(study) or None,
+        "duration": study.duration,
+        "method": asdict(study.method),
+        "task": {"name": name, **asdict(study.tasks.asked[name])},
+        "tolerances": None if specified is None else asdict(specified),
+        **result,
+        "units": {"duration": "s", "error": "rad or m", **result.get("units", {})},
+    }
+    return write_json(path, _plain(content))

@@ -1,0 +1,163 @@
+"""The base of all reports on tasks, and what the commands for tasks do.
+
+Place in the pipeline: called by `command_line` with a study as loaded; each task is computed, printed, written and
+drawn. A kind of task from outside the package begins here too (`rfem_jax.task_kinds`).
+"""
+
+import abc
+import math
+import time
+from collections.abc import Iterator
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+import jax
+
+from rfem_jax.compilation.stages import on_stage
+from rfem_jax.description.errors import InputError
+from rfem_jax.description.study import Study
+from rfem_jax.description.tasks.task import Task
+from rfem_jax.description.tolerances import SpecifiedTolerances
+from rfem_jax.report.annotations import Figure
+from rfem_jax.report.output import write_pictures
+from rfem_jax.report.overview import format_error
+from rfem_jax.report.progress_line import say, show
+from rfem_jax.report.style import SETTINGS
+from rfem_jax.report.summary import PLOTS_HINT
+from rfem_jax.report.tables import title_text
+from rfem_jax.task_kinds import task_kinds
+
+Asked = TypeVar("Asked", bound=Task)
+Result = TypeVar("Result")
+
+
+class TaskReport(abc.ABC, Generic[Asked, Result]):
+    """One task of one study: how it is computed, printed, written and drawn.
+
+    Args:
+        study: as loaded, with this task.
+        name: of the kind of task.
+        task: what is asked.
+    """
+
+    def __init__(self, study: Study, name: str, task: Asked):
+        self.study, self.name, self.task = study, name, task
+
+    @abc.abstractmethod
+    def run(self, folder: Path) -> Result:
+        """Compute the result; `folder` is that of the command, for what a later run continues with.
+
+        Raises: InputError for what cannot be computed.
+        """
+
+    @abc.abstractmethod
+    def text(self, result: Result) -> str:
+        """What is printed, without the title of the study."""
+
+    @abc.abstractmethod
+    def write(self, folder: Path, result: Result) -> list[Path]:
+        """Write the result into `folder`; returns the files. Raises: OSError."""
+
+    def draw(self, result: Result) -> dict[str, Figure]:
+        """{name: picture}; the files are called "<name of the task>_<name>.png". None unless a kind has some."""
+        return {}
+
+    def succeeded(self, result: Result) -> bool:
+        """Whether the result answers what was asked; otherwise the command ends with exit code 3."""
+        return getattr(result, "status", "ok") == "ok"
+
+    def text_of_helper(self, result: Result) -> str:
+        """What is printed by all processes but the first, which do not write (a task shared by several)."""
+        return f"Process {jax.process_index()} is done."
+
+    @property
+    def tolerances(self) -> SpecifiedTolerances:
+        """The tolerances of the study, which is not read without them where the task needs them."""
+        found = self.study.tasks.tolerances
+        if found is None:
+            raise InputError(f"Task `{self.name}` must have tolerances, but the study has none; add [tolerances].")
+        return found
+
+    def settings(self) -> Iterator[tuple[str, str]]:
+        """(name, text) of everything that is asked, but the metrics and what is left out, for `check`."""
+        for one in fields(self.task):
+            value = getattr(self.task, one.name)
+            if one.name != "metrics" and value is not None and value != {} and value != ():
+                yield one.name.replace("_", " "), self.setting_text(one.name, value)
+
+    def setting_text(self, name: str, value: Any) -> str:
+        """One setting in words; errors in deg and mm."""
+        if name == "limits":
+            return ", ".join(_limit(*item) for item in value.items())
+        if name == "at":
+            unit = self.study.mechanism.error_unit
+            return ", ".join(format_error(error, one, unit(error)) for error, one in value.items())
+        if isinstance(value, dict):
+            return ", ".join(f"{key} {item}" for key, item in value.items())
+        if isinstance(value, tuple):
+            return ", ".join(f"{item:g}" if isinstance(item, (int, float)) else str(item) for item in value)
+        if isinstance(value, bool):
+            return "yes" if value else "no"
+        return f"{value:g}" if isinstance(value, float) else str(value).replace("_", " ")
+
+    def pictures(self, result: Result) -> dict[str, Figure]:
+        """All pictures by their files' names without ending."""
+        from matplotlib import rc_context
+
+        with rc_context(SETTINGS):
+            return {f"{self.name}_{what}": figure for what, figure in self.draw(result).items()}
+
+    def do(self, folder: Path) -> tuple[bool, list[Path]]:
+        """Compute, print, write and draw; returns whether it succeeded, and the files written."""
+        result = self.run(folder)
+        good = self.succeeded(result)
+        if jax.process_index() != 0:
+            show(self.text_of_helper(result))
+            return good, []
+        show(f"{title_text(self.study)}\n\n{self.text(result)}", end="\n\n")
+        return good, self.write(folder, result) + self._draw(folder, result)
+
+    def _draw(self, folder: Path, result: Result) -> list[Path]:
+        try:
+            import matplotlib  # noqa: F401
+        except ImportError:
+            show(PLOTS_HINT)
+            return []
+        on_stage("Drawing pictures")
+        return write_pictures(folder, self.pictures(result))
+
+
+def _limit(name: str, pair: tuple[float, float]) -> str:
+    low, high = pair
+    if not math.isfinite(low):
+        return f"{name} <= {high:g}"
+    return f"{name} >= {low:g}" if not math.isfinite(high) else f"{low:g} <= {name} <= {high:g}"
+
+
+def report_on(study: Study, name: str) -> TaskReport:
+    """The report on the task `name` of a study that declares it."""
+    return task_kinds()[name].report_class()(study, name, study.tasks.asked[name])
+
+
+def require_task(study: Study, name: str) -> None:
+    """Raise InputError if the study does not declare the task `name`."""
+    if name not in study.tasks.declared:
+        declared = ", ".join(f"[{one}]" for one in study.tasks.declared) or "none"
+        raise InputError(
+            f"Argument `STUDY.toml` must have a table [{name}] for this command, but its tasks are "
+            f"{declared}; add the table."
+        )
+
+
+def do_task(study: Study, name: str, folder: str | Path) -> tuple[bool, list[Path]]:
+    """Compute, print, write and draw one declared task.
+
+    Returns: whether the result is good, and the files written (none but by process 0 of several).
+    Raises: InputError; OSError for files that cannot be written.
+    """
+    require_task(study, name)
+    started = time.perf_counter()
+    good, written = report_on(study, name).do(Path(folder))
+    say(f"{name.replace('_', ' ').capitalize()} done after {time.perf_counter() - started:.1f} s.")
+    return good, written

@@ -1,0 +1,139 @@
+"""The kinds of tasks that a study may declare: the one list that everything else follows.
+
+Place in the pipeline: beside all packages, and imports none of them. The reader of study files takes the tables
+from here (`description`), the command line its subcommands, and `check` its overview (`report`).
+
+A kind has two classes: what is asked (a subclass of `rfem_jax.description.tasks.task.Task`, whose fields are the
+keys of the table), and how it is computed and shown (a subclass of `rfem_jax.report.tasks.task_report.TaskReport`).
+They may be named by strings "module:Class", which are imported when they are needed, so that `rfem-jax --help`
+does not wait for JAX. A kind from outside the package is added by `register_task`.
+"""
+
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any
+
+
+@dataclass(frozen=True)
+class TaskKind:
+    """A kind of task, from the table of a study file to the files with its results.
+
+    Args:
+        name: of the table [name] in a study file, and of the files written; letters, digits and "_".
+        asks: the class of what is asked, or "module:Class".
+        reports: the class that computes and shows it, or "module:Class".
+        purpose: what it finds out, for `--help`.
+        results: what it writes, for `--help`.
+        title: its name in words; None makes them of `name`.
+        command: the subcommand that does it alone; None makes it of `name`, with "-" for "_".
+        many_processes: True if several processes can share its work (the command then has options for them).
+        kept: what an interrupted run leaves for the same command to continue with; "" for nothing.
+    """
+
+    name: str
+    asks: type | str
+    reports: type | str
+    purpose: str
+    results: str
+    title: str | None = None
+    command: str | None = None
+    many_processes: bool = False
+    kept: str = ""
+
+    def __post_init__(self):
+        if not self.name.isidentifier() or not self.name.isascii():
+            raise ValueError(
+                f'Argument `name` of a kind of task must consist of letters, digits and "_", but was {self.name!r}; '
+                "it names a table of study files."
+            )
+        words = self.name.replace("_", " ")
+        object.__setattr__(self, "title", self.title or words[:1].upper() + words[1:])
+        object.__setattr__(self, "command", self.command or self.name.replace("_", "-"))
+
+    def asked_class(self) -> Any:
+        """The class of what is asked."""
+        return _imported(self.asks)
+
+    def report_class(self) -> Any:
+        """The class that computes and shows it."""
+        return _imported(self.reports)
+
+
+# Names that study files and the command line use for something else.
+RESERVED_TABLES = ("title", "note", "mechanism", "drive", "simulation", "cases", "tolerances")
+RESERVED_COMMANDS = ("run", "check", "keys", "validate")
+
+_kinds: dict[str, TaskKind] = {}
+
+
+def task_kinds() -> dict[str, TaskKind]:
+    """{name: kind} of all kinds that are known, in the order in which a study's tasks are done."""
+    return dict(_kinds)
+
+
+def register_task(kind: TaskKind) -> TaskKind:
+    """Make a kind of task known: study files may then have its table, and `rfem-jax` has its subcommand.
+
+    Returns: the kind.
+    Raises: ValueError if its name or its command is in use.
+    """
+    if kind.name in (*_kinds, *RESERVED_TABLES):
+        raise ValueError(
+            f"Argument `name` of a kind of task must be a new one, but `{kind.name}` is in use; choose another."
+        )
+    commands = [one.command for one in _kinds.values()]
+    if kind.command in (*commands, *RESERVED_COMMANDS):
+        raise ValueError(
+            f"Argument `command` of a kind of task must be a new one, but `{kind.command}` is in use; choose another."
+        )
+    _kinds[kind.name] = kind
+    return kind
+
+
+def _imported(named: type | str) -> Any:
+    if not isinstance(named, str):
+        return named
+    module, _, name = named.partition(":")
+    return getattr(import_module(module), name)
+
+
+register_task(
+    TaskKind(
+        "sensitivity",
+        asks="rfem_jax.description.tasks.sensitivity:SensitivityTask",
+        reports="rfem_jax.report.tasks.sensitivity:SensitivityReport",
+        purpose="derivatives of joint loads with respect to assembly errors",
+        results="ranked tables, principal directions, heat map, tornado chart",
+    )
+)
+register_task(
+    TaskKind(
+        "monte_carlo",
+        asks="rfem_jax.description.tasks.monte_carlo:MonteCarloTask",
+        reports="rfem_jax.report.tasks.monte_carlo:MonteCarloReport",
+        title="Monte Carlo",
+        purpose="scatter, quantiles and yield over the tolerances; continues an interrupted run",
+        results="statistics, all samples, histograms, scatter matrix; chunks of samples in DIR/monte_carlo",
+        many_processes=True,
+        kept="finished chunks of a Monte Carlo study",
+    )
+)
+register_task(
+    TaskKind(
+        "worst_case",
+        asks="rfem_jax.description.tasks.worst_case:WorstCaseTask",
+        reports="rfem_jax.report.tasks.worst_case:WorstCaseReport",
+        purpose="largest loads anywhere within the tolerances",
+        results="the worst errors, all corners, the quadratic model's prediction",
+    )
+)
+register_task(
+    TaskKind(
+        "allocation",
+        asks="rfem_jax.description.tasks.allocation:AllocationTask",
+        reports="rfem_jax.report.tasks.allocation:AllocationReport",
+        command="allocate",
+        purpose="the cheapest tolerances that keep limits on loads",
+        results="tolerances before and after, verified margins, cost against limits",
+    )
+)

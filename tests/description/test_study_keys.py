@@ -1,0 +1,108 @@
+"""The reference of all keys: what the reader asks for, table by table, with a meaning for each."""
+
+import re
+
+import pytest
+
+from rfem_jax.description import load_study, study, study_reader, tolerances
+from rfem_jax.description.study_keys import NEEDED, argument_meanings, study_keys
+from rfem_jax.description.tasks import allocation, task
+
+from .test_study_files import FULL
+from .test_tasks import TASKS
+
+DRIVES = """
+[drive]
+joint = "A"
+kind = "moment_ramp"
+moment = 1
+rise_time = 1
+[drive]
+joint = "A"
+kind = "moment_table"
+times = [0, 1]
+moments = [0, 1]
+[drive]
+joint = "A"
+kind = "prescribed_spin_up"
+rate = 1
+rise_time = 1
+[drive]
+joint = "A"
+kind = "prescribed_table"
+times = [0, 1]
+angles = [0, 1]
+"""
+RECTANGLE = '[mechanism.sections.flat]\nshape = "rectangle"\nwidth = 1e-2\nheight = 1e-2\n'
+
+
+def header_of(place):
+    """The header in the reference of a place that the reader names."""
+    place = re.sub(r"^The top level$", "top level", place)
+    place = re.sub(r"^\[\[mechanism\.links\]\] .* point_masses.*", "point_masses of [[mechanism.links]]", place)
+    place = re.sub(r"\[mechanism\.(materials|sections)\.\w+\]", r"[mechanism.\1.NAME]", place)
+    place = re.sub(r"^(\[\[[\w.]+\]\]) (`|number).*", r"\1", place)
+    place = re.sub(r"^\[tolerances\] `.*", "[tolerances] ERROR", place)
+    return re.sub(r"^\[allocation\.cost\] `.*", "[allocation.cost]", place)
+
+
+@pytest.fixture
+def asked(tmp_path, monkeypatch):
+    """{header: (required, optional keys)} of all tables that are checked while complete studies are read."""
+    found = {}
+
+    def recorded(checked_table):
+        def check(data, place, required=(), optional=()):
+            found[header_of(place)] = set(required), set(optional)
+            return checked_table(data, place, required, optional)
+
+        return check
+
+    for module in (study, study_reader, tolerances, task, allocation):
+        monkeypatch.setattr(module, "checked_table", recorded(module.checked_table))
+    full = FULL.replace("[mechanism.sections.round]", f"{RECTANGLE}[mechanism.sections.round]")
+    start, end = full.index("[drive]"), full.index("[simulation]")
+    for drive in [full[start:end], *(f"[drive]{part}" for part in DRIVES.split("[drive]")[1:])]:
+        path = tmp_path / "study.toml"
+        path.write_text(full[:start] + drive + full[end:] + TASKS, encoding="utf-8")
+        load_study(path)
+    return found
+
+
+def test_the_reference_holds_what_the_reader_asks_for(asked):
+    reference = {table.header: table for table in study_keys()}
+    # Asked before the shape and the kind are known, or by names of the user.
+    for place in (
+        "[mechanism.sections.NAME]",
+        "[drive]",
+        "[mechanism.materials]",
+        "[mechanism.sections]",
+        "[tolerances]",
+    ):
+        asked.pop(place)
+    assert set(reference) == set(asked)
+    for header, (required, optional) in asked.items():
+        keys = [key for key in reference[header].keys if not key.name.startswith("ERROR")]
+        assert {key.name for key in keys if key.default == NEEDED} == required, header
+        assert {key.name for key in keys if key.default != NEEDED} == optional - {"D.delta_x", "B.d_x", "C.d_x"}, header
+
+
+def test_every_key_has_a_meaning():
+    for table in study_keys():
+        assert all(len(key.meaning) > 4 for key in table.keys), table
+        assert not any(re.search(r"\b(None|True|False)\b", key.meaning) for key in table.keys), table
+
+
+def test_meanings_come_from_docstrings():
+    class Documented:
+        """A class.
+
+        Args:
+            one: first line
+                and second.
+            two, three: both.
+        Raises:
+            four: no argument.
+        """
+
+    assert argument_meanings(Documented) == {"one": "first line and second.", "two": "both.", "three": "both."}
