@@ -22,9 +22,10 @@ from rfem_jax import (
 from rfem_jax.compilation.scalarisation import scalarised
 from rfem_jax.mechanics.inputs import Stabilisation
 from rfem_jax.mechanics.model_with_errors import apply_errors
-from rfem_jax.simulation import equations, implicit_step, integration, stepping
+from rfem_jax.simulation import equations, integration, stepping
 from rfem_jax.simulation.equations import Conditions
 from rfem_jax.simulation.generalised_alpha import GeneralisedAlpha
+from rfem_jax.simulation.implicit_step import StepConstants, StepStart, form_matrix, solved_step
 from tests.mechanisms import ALL, four_bar, link, open_chain, random_state, some_errors
 from tests.processes import in_a_new_process
 
@@ -165,11 +166,10 @@ def steps_of_a_four_bar():
     trajectory, memory = carry.trajectory, carry.memory
     for h, t1 in ((0.0, 0.0), (2.5e-3, 2.5e-3), (2.5e-3, 5e-3)):
         operators = jax.tree.map(lambda x: x[0], implicit.operators(prepared.actual, jnp.asarray([h])))
-        constants = jnp.asarray(t1), jnp.asarray(h), jnp.asarray(10.0)
-        given = conditions, trajectory, memory
-        matrix = implicit_step.form_matrix(implicit, operators, constants, *given)
-        constants = matrix, *constants
-        trajectory, memory = implicit_step.solved_step(implicit, constants, *given)
+        constants = StepConstants(jnp.asarray(t1), jnp.asarray(h), jnp.asarray(10.0))
+        start = StepStart(conditions, trajectory, memory)
+        matrix = form_matrix(implicit, operators, constants, start)
+        trajectory, memory = solved_step(implicit, matrix, constants, start)
     return implicit, constants, conditions, trajectory, memory
 
 
