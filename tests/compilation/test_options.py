@@ -127,12 +127,12 @@ options._with = lambda more, made: given.append(more) or before(more, made)
 with covered(sys.argv[1]):
     swing_kept(oscillator(), np.linspace(0.0, 1.0, 4))
 jax.jit(lambda x: x + 1.0)(2.0)
-print(len(given), options.UNTURNED in given[0])
+print(len(given), options.NO_LOOP_ROTATION in given[0])
 with options.own_program():
     options.note_scalarised()
     jax.jit(lambda x: x + 2.0)(2.0)
 options.note_scalarised()
-print(options.UNTURNED in given[-1])
+print(options.NO_LOOP_ROTATION in given[-1])
 """
 
 
@@ -145,9 +145,9 @@ def test_options_of_one_program_are_added_to_the_others():
 
     made = xla_client.CompileOptions()
     made.num_replicas = 3
-    more = options._with([options.UNTURNED, options.FUSION], made)
+    more = options._with([options.NO_LOOP_ROTATION, options.FUSION], made)
     assert more.num_replicas == 3
-    for option in (options.UNTURNED, options.FUSION):
+    for option in (options.NO_LOOP_ROTATION, options.FUSION):
         name, value = option.encode().split(b"=")
         content = more.SerializeAsString()
         assert content.count(name) >= 1 and name + b"\x12" + bytes([len(value)]) + value in content
