@@ -1,4 +1,4 @@
-"""The rooms import one way only: report -> validation, tolerancing -> simulation ->
+"""The packages import one way only: report -> validation, tolerancing -> simulation ->
 mechanics -> compilation -> description."""
 
 import ast
@@ -23,11 +23,11 @@ def imported_modules(path: Path):
 
 @pytest.mark.parametrize("path", FILES, ids=lambda p: f"{p.parent.name}/{p.name}")
 def test_imports_run_one_way(path):
-    room = PACKAGES.index(path.parent.name)
+    package = PACKAGES.index(path.parent.name)
     for name in imported_modules(path):
         parts = name.split(".")
         if parts[0] == "rfem_jax" and len(parts) > 1:
-            assert PACKAGES.index(parts[1]) <= room, f"{path} imports {name}"
+            assert PACKAGES.index(parts[1]) <= package, f"{path} imports {name}"
 
 
 def test_no_circles_of_files():

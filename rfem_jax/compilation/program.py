@@ -20,7 +20,7 @@ import jax
 from rfem_jax.compilation import keeping, keys, options
 from rfem_jax.compilation.call import Call, call_of, kind
 from rfem_jax.compilation.executable import Place
-from rfem_jax.compilation.transformations import bind, no_transformation, no_staging
+from rfem_jax.compilation.transformations import bind, no_staging, no_transformation
 
 options.settle()
 
