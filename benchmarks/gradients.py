@@ -116,7 +116,7 @@ def measure_accuracy(rfes: int) -> None:
             method = Method("generalised_alpha", step=step, tolerance=tolerance)
             off = np.abs((influences(step, tolerance, rfes) - exact) / scale).max(axis=(1, 2))
             shown = "".join(f"{one:>10.1e}" for one in off)
-            count = GeneralisedAlpha(method).refinements
+            count = GeneralisedAlpha(method).tangent_increments
             print(f"{1e3 * step:>8g}{tolerance:>11g}{count:>13}   {shown}", flush=True)
 
 

@@ -64,9 +64,7 @@ def test_equations_are_numbered_in_order(path):
     assert len(found) == len(re.findall(r"^\$\$$", text, flags=re.MULTILINE)) / 2, "an equation has no number"
 
 
-@pytest.mark.parametrize(
-    "path", [*CHAPTERS, THEORY / "README.md", *PICTURES], ids=lambda path: path.name
-)
+@pytest.mark.parametrize("path", [*CHAPTERS, THEORY / "README.md", *PICTURES], ids=lambda path: path.name)
 def test_equations_referred_to_in_the_theory_exist(path):
     missing = set(NUMBER.findall(prose(path.read_text(encoding="utf-8")))) - equations()
     assert not missing, f"{path} refers to {sorted(missing)}"

@@ -1,12 +1,11 @@
-"""Executables kept on disk for the next process.
+"""Compiled programs kept on disk for the next process.
 
-Place in the pipeline: `program` reads and writes them here.
+Place in the pipeline: `call` reads and writes them here, through `keeping`.
 
-To load an executable is to run code, so the folder must be the user's own (mode 0700, no link) or it is not
-used; every operation goes through one descriptor of the folder that was checked.  A file is written under
-another name and renamed: several processes may read and write at once.  Its first bytes are the SHA-256
-of the rest; a damaged file is deleted.  When all files are larger than the limit, those that were not used
-for longest go.
+Loading a program runs its code, so the folder must belong to the user (mode 0700, no link) or it is not used; every
+operation uses the descriptor of the folder that was checked.  A file is written under another name and renamed, so
+several processes may read and write at once.  Its first 32 bytes are the SHA-256 of the others; a damaged file is
+deleted.  When the files exceed the limit, the least recently used ones are deleted.
 """
 
 import hashlib
@@ -14,6 +13,7 @@ import os
 import secrets
 import stat
 import time
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -24,12 +24,14 @@ OFF = "RFEM_JAX_NO_CACHE"
 
 
 class Folder:
-    """The folder `path` of kept executables; made if it is missing.
+    """The folder `path` of kept programs; made if it is missing.
 
-    **Raises:** `UnsafeFolder` if somebody else could write there, OSError if it cannot be used.
+    **Arguments:** `limit`: of the size of all files [bytes].
+
+    **Raises:** `UnsafeFolder` if another user could write there, OSError if it cannot be used.
     """
 
-    def __init__(self, path, limit: int = LIMIT):
+    def __init__(self, path: str | os.PathLike, limit: int = LIMIT):
         self.path, self.limit = Path(path), limit
         self.path.parent.mkdir(parents=True, exist_ok=True)
         with suppress(FileExistsError):
@@ -38,7 +40,7 @@ class Folder:
             pass
 
     def read(self, key: str) -> bytes | None:
-        """What was written under a key (hexadecimal), or None; counts as a use."""
+        """What was written under a key (hexadecimal), or None; marks it as used."""
         with self._opened() as folder:
             content = _content(key + ENDING, folder)
             if content is None:
@@ -52,7 +54,7 @@ class Folder:
             return content[32:]
 
     def write(self, key: str, content: bytes) -> None:
-        """Keep `content` under a key; older files go where all are larger than the limit."""
+        """Keep `content` under a key, and delete older files while all are larger than the limit."""
         with self._opened() as folder:
             name = f"{key}.{secrets.token_hex(8)}{UNFINISHED}"
             new = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW
@@ -67,13 +69,13 @@ class Folder:
             self._evict(folder, key + ENDING)
 
     def delete(self, key: str) -> None:
-        """Forget what was kept under a key."""
+        """Delete what was kept under a key."""
         with self._opened() as folder, suppress(FileNotFoundError):
             os.unlink(key + ENDING, dir_fd=folder)
 
     @contextmanager
-    def _opened(self):
-        """Descriptor of the folder after it was checked."""
+    def _opened(self) -> Iterator[int]:
+        """Descriptor of the folder after the checks."""
         try:
             folder = os.open(self.path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
         except NotADirectoryError:
@@ -108,7 +110,7 @@ class Folder:
 
 
 class UnsafeFolder(Exception):
-    """The folder of kept executables could be written by somebody else."""
+    """Another user could write to the folder of kept programs."""
 
 
 def _content(name: str, folder: int) -> bytes | None:

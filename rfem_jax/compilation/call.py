@@ -1,25 +1,32 @@
-"""A function of flat arrays that is compiled once and kept, and its transformations.
+"""A function of flat arrays whose compiled program is kept, and its transformations.
 
-Place in the pipeline: `program` makes a `Call` of a function and its static arguments, `transformations` the
-calls that derivatives and batches of it are.
+Place in the pipeline: `program` makes a `Call` of a function and its static arguments, `transformations` the calls
+that are its derivatives and batches.
 
-    steps of a call        arrays in                             arrays out
-    ()                     arguments                             results
-    ("jvp", moving)        arguments, tangents of the moving     results, tangents of the inexact ones
-    ("linear", moving)     arguments, tangents of the moving     tangents of the inexact results
-    ("vjp", moving, seen)  arguments, cotangents of the seen     cotangents of the moving arguments
-    ("vmap", size, axes)   arguments with a batch axis (or not)  results with a first axis (or not)
+    step                     arrays in                               arrays out
+    ()                       arguments                               results
+    ("jvp", active)          arguments, tangents of the active ones  results, tangents of the inexact ones
+    ("linear", active)       arguments, tangents of the active ones  tangents of the inexact results
+    ("vjp", active, used)    arguments, cotangents of the used ones  cotangents of the active arguments
+    ("vmap", size, axes)     arguments with a batch axis (or not)    results with a first axis (or not)
 
-`moving` is a boolean for each argument, `seen` for each inexact result.  Each step is one of the call before it.
+`active` has a boolean for each argument, whether it is differentiated by; `used` one for each inexact result, whether
+it has a cotangent; `axes` the batch axis (None) of each argument.  Each step transforms the call before it.
 """
 
 import threading
+from collections.abc import Callable, Sequence
 from contextlib import suppress
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
+from jax.core import Tracer
+from jax.tree_util import PyTreeDef
+from jax.typing import ArrayLike
 
 from rfem_jax.compilation import keeping, keys
 from rfem_jax.compilation.executable import Executable, Packed, Place, Traced, trace, unpack
@@ -29,35 +36,43 @@ _tracing = threading.RLock()
 
 
 class Pending:
-    """An executable that is made by the first thread that asks for it, while others wait.
+    """An executable that the first thread to ask for it makes, while others wait.
 
-    `program` is finished by it; `instead` makes another one where that fails.
+    **Arguments:** `program`: is finished for it; `instead`: makes another one if that fails; `made`: is called with
+    the executable.
     """
 
-    def __init__(self, program: Traced | Packed, instead=None, made=None):
+    def __init__(
+        self,
+        program: Traced | Packed,
+        instead: "Callable[[], Pending] | None" = None,
+        made: Callable[[Executable], None] | None = None,
+    ):
         self.head = program.head
         self._program, self._instead, self._made = program, instead, made
-        self._lock, self._executable = threading.Lock(), None
+        self._lock = threading.Lock()
+        self._executable: Executable | None = None
 
     def get(self) -> Executable:
+        """The executable; compiles or loads it if that has not been done."""
         if self._executable is None:
             with self._lock:
                 if self._executable is None:
-                    self._executable = self._finish()
-                    self._program = self._instead = None
+                    self._executable = self._finish(self._program)
+                    del self._program, self._instead
         return self._executable
 
     def begin(self) -> None:
-        """Have it made in the background; what goes wrong there goes wrong again where it is needed."""
+        """Make it in the background; an exception there is raised again by `get`."""
         threading.Thread(target=self._quietly, daemon=True).start()
 
-    def _quietly(self):
+    def _quietly(self) -> None:
         with suppress(Exception):
             self.get()
 
-    def _finish(self):
+    def _finish(self, program: Traced | Packed) -> Executable:
         try:
-            executable = self._program.finish()
+            executable = program.finish()
         except Exception:
             if self._instead is None:
                 raise
@@ -68,37 +83,48 @@ class Pending:
 
 
 class Call:
-    """A function of arrays with its name: what it computes is `function`, `name` says so in a key.
+    """A function from arrays to a list of arrays.
 
-    `facts`, known once it has been traced or loaded: of a function, what it returns, with a `Place` for each
-    array; of ("jvp", ...), which results have tangents; of ("vmap", ...), which results have the batch axis.
-    `quick`: compiled in less time, for less speed.
+    **Arguments:** `name`: of what it computes, for the key; `before` and `step`: the call that it transforms, and how;
+    `quick`: compile in less time, for less speed.
+
+    Attributes: facts, known once the function has been traced or loaded: of a function, the tree of its results with
+    a `Place` for each array; of ("jvp", ...), which results have tangents; of ("vmap", ...), which results have the
+    batch axis.
     """
 
-    def __init__(self, function, name, before: "Call | None" = None, step=None, quick: bool = False):
+    def __init__(
+        self,
+        function: Callable[..., list],
+        name: tuple,
+        before: "Call | None" = None,
+        step: tuple | None = None,
+        quick: bool = False,
+    ):
         self.function, self.name, self.before, self.step = function, name, before, step
         self.quick = quick
-        self.facts = None
-        self._next, self._executables = {}, {}
+        self.facts: Any = None
+        self._next: dict[tuple, Call] = {}
+        self._executables: dict[tuple, Pending] = {}
 
-    def then(self, step) -> "Call":
-        """This call transformed, the same object each time."""
+    def then(self, step: tuple) -> "Call":
+        """This call transformed; the same object each time."""
         if step not in self._next:
             self._next[step] = _TRANSFORMED[step[0]](self, step)
         return self._next[step]
 
-    def run(self, arrays):
-        """Results (list of arrays) for concrete arrays."""
+    def run(self, arrays: Sequence[ArrayLike]) -> list[Array]:
+        """Results for concrete arrays."""
         return self.pending(arrays).get()(arrays)
 
-    def ahead(self, arrays) -> list[jax.ShapeDtypeStruct]:
-        """Begin to compile or load what `run` will need; the results as shapes."""
+    def ahead(self, arrays: Sequence[ArrayLike | jax.ShapeDtypeStruct]) -> list[jax.ShapeDtypeStruct]:
+        """Start to compile or load in the background what `run` will need; returns the results without values."""
         pending = self.pending(arrays)
         pending.begin()
         return pending.head.shapes()
 
-    def pending(self, arrays) -> Pending:
-        """The executable for arrays (or shapes) of these kinds, traced or read from disk."""
+    def pending(self, arrays: Sequence[ArrayLike | jax.ShapeDtypeStruct]) -> Pending:
+        """The executable for arrays of these shapes and types, traced or read from disk."""
         kinds = tuple(map(kind, arrays))
         pending = self._executables.get(kinds)
         if pending is None:
@@ -107,8 +133,8 @@ class Call:
                 self._executables[kinds] = pending
         return pending
 
-    def chain(self):
-        """This call and those before it."""
+    def chain(self) -> "list[Call]":
+        """This call and those that it transforms, one after the other."""
         return [self] if self.before is None else [self, *self.before.chain()]
 
     def _find(self, kinds, arrays) -> Pending:
@@ -119,7 +145,7 @@ class Call:
                 packed = unpack(content)
                 for call, facts in zip(self.chain(), packed.head.facts, strict=True):
                     call.facts = facts
-            except Exception:  # written by another version of something that the key does not see
+            except Exception:  # written by another version of something that is not in the key
                 keeping.forget(key)
             else:
                 keeping.statistics.loaded += 1
@@ -128,7 +154,7 @@ class Call:
         return self._trace(key, arrays)
 
     def _make_anew(self, key: str, arrays) -> Pending:
-        """In the place of a kept executable that cannot be loaded."""
+        """Replaces a kept program that cannot be loaded."""
         keeping.forget(key)
         keeping.statistics.loaded -= 1
         with _tracing:
@@ -146,17 +172,17 @@ class Call:
     def _keep(self, key: str, made: Executable) -> None:
         try:
             content = made.dump()
-        except Exception as reason:  # a program that calls Python back, say
+        except Exception as reason:  # a program with a callback into Python, say
             keeping.note_unkept(str(self.name), str(reason))
             return
         if keys.read_sources() == keys.hash_sources():
             keeping.write(key, content)
 
 
-def kind(array):
-    """Shape and type, and where an array is if that was chosen.
+def kind(array: ArrayLike | jax.ShapeDtypeStruct) -> tuple:
+    """Shape, dtype, whether the type is weak, and the sharding of an array if it was chosen.
 
-    Abstract values do not serve: newer versions of JAX compare them by identity.
+    Not JAX's abstract value, which newer versions compare by identity.
     """
     aval = array if isinstance(array, jax.ShapeDtypeStruct) else jax.typeof(array)
     chosen = array.sharding if isinstance(array, jax.Array) and _committed(array) else None
@@ -164,11 +190,19 @@ def kind(array):
 
 
 def _committed(array) -> bool:
-    return not isinstance(array, jax.core.Tracer) and array.committed
+    return not isinstance(array, Tracer) and array.committed
 
 
-def call_of(function, tree, static, quick: bool) -> Call:
-    """The call of a function of pytrees whose leaves are `static`, with a `Place` for each array.
+def call_of(
+    function: Callable,
+    tree: PyTreeDef,  # pyright: ignore[reportInvalidTypeForm] # a class at run time
+    static: Sequence,
+    quick: bool,
+) -> Call:
+    """The call of a function of pytrees.
+
+    **Arguments:** `tree`, `static`: structure and leaves of (arguments, keyword arguments), with a `Place` for each
+    array; `quick`: as `Call`.
 
     **Raises:** `NotDigestible` if it depends on something whose content is not known.
     """
@@ -176,8 +210,8 @@ def call_of(function, tree, static, quick: bool) -> Call:
     name = keys.canonical(function), keys.canonical(arguments), quick
 
     def flat(*arrays):
-        rest = iter(arrays)
-        leaves = [next(rest) if isinstance(leaf, Place) else leaf for leaf in static]
+        remaining = iter(arrays)
+        leaves = [next(remaining) if isinstance(leaf, Place) else leaf for leaf in static]
         args, kwargs = jax.tree.unflatten(tree, leaves)
         results, returned = jax.tree.flatten(function(*args, **kwargs))
         places = [Place() if eqx.is_array(x) else x for x in results]
@@ -189,27 +223,28 @@ def call_of(function, tree, static, quick: bool) -> Call:
     return call
 
 
-def _of_moving(call: Call, moving, arrays):
-    """The call as a function of its moving arguments, and these."""
+def _of_active(call: Call, active, arrays):
+    """The call as a function of its active arguments, and these."""
 
-    def function(*moved):
-        moved = iter(moved)
-        return call.function(*(next(moved) if m else x for m, x in zip(moving, arrays)))
+    def function(*values):
+        values = iter(values)
+        return call.function(*(next(values) if is_active else x for is_active, x in zip(active, arrays)))
 
-    return function, [x for x, m in zip(arrays, moving) if m]
+    return function, [x for x, is_active in zip(arrays, active) if is_active]
 
 
-def _inexact(results):
+def _inexact(results) -> tuple[bool, ...]:
     return tuple(jnp.issubdtype(jax.typeof(x).dtype, jnp.inexact) for x in results)
 
 
 def _pushed(call: Call, step) -> Call:
-    kind_of_step, moving = step
+    """Forward mode: ("jvp", active) or ("linear", active)."""
+    kind_of_step, active = step
 
     def pushed(*arrays):
-        arguments, tangents = arrays[: len(moving)], arrays[len(moving) :]
-        function, moved = _of_moving(call, moving, arguments)
-        results, changes = jax.jvp(function, moved, list(tangents))
+        arguments, tangents = arrays[: len(active)], arrays[len(active) :]
+        function, values = _of_active(call, active, arguments)
+        results, changes = jax.jvp(function, values, list(tangents))
         new.facts = _inexact(results)
         changes = [change for change, is_inexact in zip(changes, new.facts) if is_inexact]
         return changes if kind_of_step == "linear" else [*results, *changes]
@@ -219,18 +254,19 @@ def _pushed(call: Call, step) -> Call:
 
 
 def _pulled(call: Call, step) -> Call:
-    _, moving, seen = step
+    """Reverse mode: ("vjp", active, used)."""
+    _, active, used = step
 
     def pulled(*arrays):
-        arguments, cotangents = arrays[: len(moving)], iter(arrays[len(moving) :])
-        function, moved = _of_moving(call, moving, arguments)
-        results, pull = jax.vjp(function, *moved)
-        is_seen = iter(seen)
+        arguments, cotangents = arrays[: len(active)], iter(arrays[len(active) :])
+        function, values = _of_active(call, active, arguments)
+        results, pull = jax.vjp(function, *values)
+        is_used = iter(used)
 
         def cotangent(result, is_inexact):
             if not is_inexact:
                 return np.zeros(result.shape, jax.dtypes.float0)
-            return next(cotangents) if next(is_seen) else jnp.zeros_like(result)
+            return next(cotangents) if next(is_used) else jnp.zeros_like(result)
 
         return list(pull([cotangent(*pair) for pair in zip(results, _inexact(results))]))
 
@@ -238,10 +274,11 @@ def _pulled(call: Call, step) -> Call:
 
 
 def _batched(call: Call, step) -> Call:
+    """Batches: ("vmap", size, axes)."""
     _, size, axes = step
 
     def batched(*arrays):
-        # Twice, traced once: which results have the batch axis is not known before.
+        # Mapped twice but traced once: the first time tells which results have the batch axis.
         once = jax.jit(call.function)
 
         def noted(*arrays):

@@ -1,72 +1,81 @@
-"""A compiled program with the structure of what it returns, as bytes for another process.
+"""A compiled program with the structure of its results, also as bytes for another process.
 
 Place in the pipeline: `call` makes and runs it, `cache` keeps the bytes.
 
-A program that was traced here, or read from disk, is finished by compiling or loading it, by any thread.
+A `Traced` program is finished by compiling it, a `Packed` one, read from disk, by loading it; any thread may do so.
 """
 
 import gc
 import pickle
 import threading
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+from jax import Array
 from jax.experimental import serialize_executable
 from jax.experimental.compilation_cache import compilation_cache
+from jax.typing import ArrayLike
 from jaxlib.lapack import prepare_lapack_call
 
-from rfem_jax.compilation import options
+from rfem_jax.compilation import keys, options
 from rfem_jax.compilation.stages import on_stage
 
-# Programs that call LAPACK on the CPU.  JAX looks up LAPACK's functions when it lowers such a program: without
-# that, the addresses that a loaded program calls are null.
+# In the text of programs that call LAPACK on the CPU.  JAX looks up LAPACK's functions when it lowers such a program;
+# before that, the addresses that a loaded program calls are null.
 LAPACK = "lapack_"
-# For programs that run once: LLVM's optimisations take longer than what they save.
+# Options for programs that run once: LLVM's optimisations take longer than they save.
 QUICK = {"xla_backend_optimization_level": 0}
 
 
 @dataclass(frozen=True)
 class Place:
-    """Stands for an array in what a function takes or returns."""
+    """Takes the place of an array among the arguments or results of a function."""
 
 
 class Executable:
-    """A compiled program of flat arrays."""
+    """A compiled program, from a list of arrays to a list of arrays."""
 
-    def __init__(self, compiled, head: "Head"):
+    def __init__(self, compiled: jax.stages.Compiled, head: "Head"):
         self.compiled, self.head = compiled, head
 
-    def __call__(self, arrays):
+    def __call__(self, arrays: Sequence[ArrayLike]) -> list[Array]:
         return self.compiled(*arrays)
 
     def dump(self) -> bytes:
-        """As bytes; `unpack` makes it again, in another process too.  Raises if XLA cannot."""
+        """As bytes, which `unpack` reads, also in another process.
+
+        **Raises:** an exception of XLA's if it cannot serialise the program.
+        """
         program, _, _ = serialize_executable.serialize(self.compiled)
-        devices = [device.id for device in self.compiled.runtime_executable().local_devices()]
-        calls_lapack = LAPACK in self.compiled.as_text()
-        return pickle.dumps(Packed(self.head, program, devices, calls_lapack))
+        loaded, text = self.compiled.runtime_executable(), self.compiled.as_text()
+        if loaded is None or text is None:
+            raise ValueError("This platform does not give its executables.")
+        devices = [device.id for device in loaded.local_devices()]
+        return pickle.dumps(Packed(self.head, program, devices, LAPACK in text))
 
 
 class Head(NamedTuple):
-    """Of a program: number of arguments, results as shapes and types, and `facts` about these (see `call`)."""
+    """What is known of a program without loading it: number of arguments; of each result shape, dtype and whether its
+    type is weak; `facts` about the results (see `call.Call`)."""
 
     inputs: int
     results: tuple[tuple[tuple[int, ...], Any, bool], ...]
     facts: list
 
     def shapes(self) -> list[jax.ShapeDtypeStruct]:
-        """The results as shapes."""
+        """The results without their values."""
         return [jax.ShapeDtypeStruct(shape, dtype, weak_type=weak) for shape, dtype, weak in self.results]
 
 
 class Traced(NamedTuple):
-    """A program that is to be compiled."""
+    """A program to be compiled."""
 
     head: Head
-    lowered: Any
+    lowered: jax.stages.Lowered
     what: str
     quick: bool
     scalarised: bool
@@ -76,11 +85,12 @@ class Traced(NamedTuple):
         on_stage(f"Compiling the program {self.what!r}, once for all models of its kind")
         options.own_options_hold()
         with _without_jaxs_cache, options.own_program(self.scalarised):
-            return Executable(self.lowered.compile(QUICK if self.quick else None), self.head)
+            quick = QUICK if self.quick else None
+            return Executable(self.lowered.compile(quick), self.head)  # pyright: ignore[reportArgumentType] # numbers are allowed
 
 
 class Packed(NamedTuple):
-    """A compiled program as it lies on disk."""
+    """A compiled program as it is kept on disk."""
 
     head: Head
     program: bytes
@@ -101,8 +111,10 @@ class Packed(NamedTuple):
         return Executable(compiled, self.head)
 
 
-def trace(function, arrays, facts, quick: bool) -> Traced:
-    """Trace `function` of arrays or shapes; `facts()` is called when it has been."""
+def trace(
+    function: Callable, arrays: Sequence[ArrayLike | jax.ShapeDtypeStruct], facts: Callable[[], list], quick: bool
+) -> Traced:
+    """Trace and lower a function for arrays, or for their shapes; `facts` is called afterwards."""
     what = function.__name__.strip("_").replace("_", " ")
     on_stage(f"Tracing the program {what!r}")
     with without_collections(), options.own_program() as program:
@@ -113,7 +125,10 @@ def trace(function, arrays, facts, quick: bool) -> Traced:
 
 
 def unpack(content: bytes) -> Packed:
-    """Unpickles, which runs code: only for what `cache` vouches for."""
+    """The program from its bytes.  Unpickling runs code: only for bytes that `cache` has checked.
+
+    **Raises:** TypeError, or an exception of `pickle`, for other bytes.
+    """
     packed = pickle.loads(content)
     if not isinstance(packed, Packed):
         raise TypeError("not a packed program")
@@ -121,8 +136,9 @@ def unpack(content: bytes) -> Packed:
 
 
 @contextmanager
-def without_collections():
-    """Tracing makes millions of objects that live on; to look for garbage among them takes a tenth of the time."""
+def without_collections() -> Iterator[None]:
+    """No garbage collection within the block: tracing makes millions of lasting objects, and searching them for
+    garbage takes a tenth of its time."""
     wanted = gc.isenabled()
     gc.disable()
     try:
@@ -133,9 +149,9 @@ def without_collections():
 
 
 class _WithoutJaxsCache:
-    """An executable that came out of JAX's own cache cannot be serialised: it lacks its functions.
+    """Switches JAX's own cache off: a program that comes from it cannot be serialised, since it lacks its functions.
 
-    The setting is the process's: the first thread that comes in switches the cache off, the last one on again.
+    The setting holds for the process: the first thread that enters switches the cache off, the last one on again.
     """
 
     def __init__(self):
@@ -145,8 +161,8 @@ class _WithoutJaxsCache:
         with self.lock:
             self.inside += 1
             if self.inside == 1:
-                on = jax.config.jax_enable_compilation_cache
-                self.wanted = on and jax.config.jax_compilation_cache_dir is not None
+                on = keys.read_setting("jax_enable_compilation_cache")
+                self.wanted = on and keys.read_setting("jax_compilation_cache_dir") is not None
                 self._switch(False)
 
     def __exit__(self, *_):

@@ -1,10 +1,10 @@
-"""Whether programs are kept, and where.
+"""Whether compiled programs are kept, and where.
 
-Place in the pipeline: `program` asks; the command and the user choose.
+Place in the pipeline: `program` and `call` ask; the command and the user choose.
 
-They are kept in the user's cache folder, unless the environment variable RFEM_JAX_NO_CACHE is set or the
-command has the option `--no-cache`; `keep_programs` chooses another folder, or none.  What cannot be kept is
-compiled as ever.
+Programs are kept in the user's cache folder, unless the environment variable RFEM_JAX_NO_CACHE is set or the command
+has the option `--no-cache`; `keep_programs` chooses another folder, or none.  Programs that cannot be kept are
+compiled in every process.
 """
 
 import os
@@ -20,7 +20,8 @@ DEFAULT = "the user's cache folder"
 
 @dataclass
 class Statistics:
-    """Of this process: programs traced, loaded from disk, written to disk, and why others were not kept."""
+    """Counts of this process: programs traced, loaded from disk and written to disk; `unkept`: the reason by name of
+    those that could not be kept."""
 
     traced: int = 0
     loaded: int = 0
@@ -28,10 +29,14 @@ class Statistics:
     unkept: dict[str, str] = field(default_factory=dict)
 
 
+@dataclass
 class _Choice:
-    def __init__(self):
-        self.asked, self.folder, self.reason = DEFAULT, None, ""
-        self.opened = False
+    """The folder asked for, and the one that is used; None with a reason."""
+
+    asked: str | os.PathLike | None = DEFAULT
+    folder: Folder | None = None
+    reason: str = ""
+    opened: bool = False
 
 
 statistics = Statistics()
@@ -39,19 +44,19 @@ _choice = _Choice()
 _results: list[Path] = []
 
 
-def keep_programs(folder) -> None:
-    """Keep compiled programs in `folder`, which must be the user's own (mode 0700); None keeps none."""
-    _choice.__init__()
-    _choice.asked = folder
+def keep_programs(folder: str | os.PathLike | None) -> None:
+    """Keep compiled programs in `folder`, which must belong to the user (mode 0700); None keeps none."""
+    global _choice
+    _choice = _Choice(folder)
 
 
-def keep_apart_from(folder) -> None:
-    """Keep no programs inside of a folder for results, which is passed on to others."""
+def keep_apart_from(folder: str | os.PathLike) -> None:
+    """Do not keep programs inside of a folder for results, which may be given to other users."""
     _results.append(Path(folder))
 
 
-def state() -> dict:
-    """For `results.json`: whether kept programs were used, and what became of the options of XLA."""
+def state() -> dict[str, str | int]:
+    """For `results.json`: whether kept programs were used, and whether the options of XLA are set."""
     from rfem_jax.compilation import options
 
     compilation = options.settle_quietly()
@@ -65,7 +70,7 @@ def state() -> dict:
 
 
 def wanted() -> bool:
-    """Whether programs are kept; opens the folder at the first question."""
+    """Whether programs are kept; opens the folder at the first call."""
     if not _choice.opened:
         _choice.opened = True
         _open()
@@ -73,22 +78,30 @@ def wanted() -> bool:
 
 
 def read(key: str) -> bytes | None:
-    with suppress(OSError, UnsafeFolder):
-        return _choice.folder.read(key)
+    """The program kept under a key, or None."""
+    if _choice.folder is not None:
+        with suppress(OSError, UnsafeFolder):
+            return _choice.folder.read(key)
+    return None
 
 
 def write(key: str, content: bytes) -> None:
-    with suppress(OSError, UnsafeFolder):  # a full disk costs the next process its time, no more
-        _choice.folder.write(key, content)
-        statistics.written += 1
+    """Keep a program; where the disk is full, say, the next process compiles it again."""
+    if _choice.folder is not None:
+        with suppress(OSError, UnsafeFolder):
+            _choice.folder.write(key, content)
+            statistics.written += 1
 
 
 def forget(key: str) -> None:
-    with suppress(OSError, UnsafeFolder):
-        _choice.folder.delete(key)
+    """Delete the program kept under a key."""
+    if _choice.folder is not None:
+        with suppress(OSError, UnsafeFolder):
+            _choice.folder.delete(key)
 
 
 def note_unkept(name: str, reason: str) -> None:
+    """Record why a program cannot be kept."""
     statistics.unkept[name] = reason.splitlines()[0] if reason else ""
 
 
@@ -98,7 +111,7 @@ def _open() -> None:
     elif _choice.asked is DEFAULT and os.environ.get(OFF):
         _choice.reason = f"{OFF} is set"
     elif not hasattr(os, "geteuid"):
-        _choice.reason = "this system does not tell whose a folder is"
+        _choice.reason = "this system does not say who owns a folder"
     else:
         try:
             path = user_cache_folder() / "programs" if _choice.asked is DEFAULT else Path(_choice.asked)
@@ -109,13 +122,13 @@ def _open() -> None:
 
 
 def _require_apart(path: Path) -> None:
-    """Raises UnsafeFolder where JAX's cache, which others may share, or results are or contain the folder."""
-    import jax
+    """Raises UnsafeFolder if the folder is inside of results or of JAX's cache, which users may share."""
+    from rfem_jax.compilation import keys
 
     for results in _results:
         if path.resolve().is_relative_to(results.resolve()):
             raise UnsafeFolder(f"{path} is in the folder for results")
 
-    shared = jax.config.jax_compilation_cache_dir
+    shared = keys.read_setting("jax_compilation_cache_dir")
     if shared is not None and path.resolve().is_relative_to(Path(shared).resolve()):
         raise UnsafeFolder(f"{path} is in JAX_COMPILATION_CACHE_DIR, which others may write")

@@ -1,12 +1,11 @@
 """The key of a kept program: a digest of everything that it depends on.
 
-Place in the pipeline: `program` asks for the key of a function and its arguments; tolerancing for that of a
-problem.
+Place in the pipeline: `call` asks for the key of a function and its arguments; tolerancing for that of a problem.
 
-Structure and static values count by content, arrays among the arguments by shape and type only (they are
-inputs of the program), arrays inside functions and static fields by content.  Functions and classes count
-by name where their source is covered: this package's files are part of the key, and so are the versions
-of the libraries.  Whatever else a program could depend on, such as a function of the user, is refused.
+Structure and static values enter by content; arrays among the arguments, which are inputs of the program, by shape
+and type; arrays inside of functions and static fields by content.  Functions and classes enter by name where their
+source is covered: the files of this package are part of the key, and so are the versions of the libraries.  Anything
+else that a program could depend on, such as a function of the user, is refused.
 """
 
 import dataclasses
@@ -18,9 +17,11 @@ import platform
 import sys
 import types
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
+from jax.core import ShapedArray, Tracer
 from jax.sharding import Mesh
 
 from rfem_jax.compilation import options
@@ -29,9 +30,9 @@ PACKAGE = "rfem_jax"
 # Their versions are part of the key.
 LIBRARIES = ("jax", "jaxlib", "diffrax", "equinox", "optimistix", "lineax", "jaxtyping", "numpy", "scipy")
 COVERED = frozenset((PACKAGE, "builtins", "functools", "operator", "math", *LIBRARIES))
-# Environment variables that XLA and Equinox read, and the number of threads that XLA divides loops for.
+# Environment variables that XLA and Equinox read, and the number of threads for which XLA divides loops.
 VARIABLES = ("XLA_", "TF_XLA_", "EQX_", "NPROC")
-# Settings of JAX that say where things are kept and shown.
+# Settings of JAX about its cache and its messages, which do not change what is compiled.
 UNRELATED = ("compilation_cache", "persistent_cache", "jax_log", "traceback", "_dump", "explain_cache_misses")
 SIMPLE = (str, int, float, complex, bool, bytes, type(None), type(...))
 
@@ -40,9 +41,11 @@ class NotDigestible(Exception):
     """The program depends on something whose content is not known."""
 
 
-def digest_named(name) -> str:
-    """SHA-256 (hexadecimal) of a program's name and of everything else that it depends on; `name`: nested tuples
-    of plain data, shapes, types, shardings."""
+def digest_named(name: tuple) -> str:
+    """SHA-256 (hexadecimal) of a program's name and of everything else that it depends on.
+
+    **Arguments:** `name`: nested tuples of plain data, shapes, types and shardings.
+    """
     return hashlib.sha256(repr((surroundings(), _plain(name))).encode()).hexdigest()
 
 
@@ -52,13 +55,18 @@ def _plain(name):
     return repr(name)
 
 
-def canonical(value, by_content: bool = False):
-    """Nested tuples of strings that are equal for equal content only."""
+def canonical(value: Any, by_content: bool = False) -> tuple:
+    """Nested tuples of strings that are equal for equal content only.
+
+    **Arguments:** `by_content`: whether arrays enter by content, not by shape and type.
+
+    **Raises:** `NotDigestible` for a value whose content is not known.
+    """
     if isinstance(value, SIMPLE) and type(value).__module__ == "builtins":
         return type(value).__name__, value.hex() if isinstance(value, float) else repr(value)
     if isinstance(value, (np.ndarray, np.generic, jax.Array)):
         return _of_array(value, by_content)
-    if isinstance(value, jax.core.ShapedArray | jax.ShapeDtypeStruct | np.dtype):
+    if isinstance(value, ShapedArray | jax.ShapeDtypeStruct | np.dtype):
         return type(value).__name__, str(value), str(getattr(value, "weak_type", ""))
     if isinstance(value, type):
         return "class", _name(value)
@@ -82,7 +90,7 @@ def canonical(value, by_content: bool = False):
 
 
 def _of_array(value, by_content: bool):
-    if isinstance(value, jax.core.Tracer):
+    if isinstance(value, Tracer):
         raise NotDigestible("a traced value")
     if not by_content:
         weak = bool(getattr(value, "weak_type", False))
@@ -110,10 +118,10 @@ def _of_function(value):
         _require_covered(value)
         cells = tuple(cell.cell_contents for cell in value.__closure__ or ())
         inside = canonical((cells, value.__defaults__, value.__kwdefaults__), True)
-        # A lambda's line tells it from another one of the same function.
+        # Two lambdas of one function differ by their lines.
         line = str(value.__code__.co_firstlineno), value.__code__.co_code.hex()
         return "function", value.__module__, value.__qualname__, line, inside
-    # What else is known by a name of its own module: `jnp.sin`, a built-in, a jitted function.
+    # Other objects that their own module knows by name: `jnp.sin`, a built-in, a jitted function.
     module, name = getattr(value, "__module__", None), getattr(value, "__qualname__", None)
     found = sys.modules.get(module or "")
     for part in (name or "").split("."):
@@ -132,8 +140,8 @@ def _name(kind: type) -> str:
 def _require_covered(value) -> None:
     """Raises NotDigestible unless the source of a function or class is part of the key."""
     module = getattr(value, "__module__", None) or ""
-    room, known = module.split(".")[0], sys.modules.get(module)
-    if room not in COVERED or known is None:
+    package, known = module.split(".")[0], sys.modules.get(module)
+    if package not in COVERED or known is None:
         raise NotDigestible(f"{module}.{getattr(value, '__qualname__', value)}")
     if isinstance(value, types.FunctionType) and value.__globals__ is not vars(known):
         raise NotDigestible(f"{module}.{value.__qualname__}")
@@ -141,7 +149,7 @@ def _require_covered(value) -> None:
 
 @functools.cache
 def hash_sources() -> str:
-    """SHA-256 of all files of this package as they are now (an editable install keeps its version)."""
+    """SHA-256 of all files of this package, read once (the version of an editable install does not change)."""
     return read_sources()
 
 
@@ -152,12 +160,12 @@ def read_sources() -> str:
     return hashlib.sha256(repr(sorted(parts)).encode()).hexdigest()
 
 
-# What is imported from now on is what was read, or nothing is kept (`program` reads again).
+# Read before the other modules are imported; `call` reads again and keeps nothing if a file has changed since.
 hash_sources()
 
 
-def surroundings():
-    """Versions, machine, options and settings that hold now."""
+def surroundings() -> tuple:
+    """Versions, machine, options and settings at present."""
     changing = tuple(
         (name, repr(read_setting(name)))
         for name in sorted(jax.config.values)
@@ -177,16 +185,16 @@ def _own_options() -> list[str]:
         return program.options() if options.own_options_hold() else []
 
 
-def read_setting(name: str):
-    """A setting of JAX as it holds in this thread."""
+def read_setting(name: str) -> Any:
+    """The value of a setting of JAX in this thread."""
     return getattr(jax.config, name) if hasattr(jax.config, name) else jax.config.read(name)
 
 
-def digest_content(value) -> str:
+def digest_content(value: Any) -> str:
     """SHA-256 (hexadecimal) of a value with all its numbers, of this package's sources and of the libraries'
     versions: the same on every machine.
 
-    **Raises:** `NotDigestible`, as `digest`.
+    **Raises:** `NotDigestible`, as `canonical`.
     """
     whole = _versions(), hash_sources(), canonical(value, True)
     return hashlib.sha256(repr(whole).encode()).hexdigest()
@@ -207,7 +215,7 @@ def _versions():
 
 @functools.cache
 def _processor():
-    """Model and features of the processor, and the cores that programs are divided for."""
+    """Model and features of the processor, and the number of cores, for which programs are divided."""
     words = {"model name", "flags", "Features", "CPU part"}
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()

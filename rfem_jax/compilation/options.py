@@ -1,17 +1,15 @@
-"""XLA's options for loops over steps on a CPU: each loop becomes one kernel.
+"""XLA's options on a CPU: loops over steps are compiled as one kernel.
 
-Place in the pipeline: set when the package is imported, before XLA reads its options; nothing depends on
-them but speed.
+Place in the pipeline: set when the package is imported, before XLA reads its options; they change nothing but speed.
 
-XLA's own choice is a call from a table for each operation of a loop's body, and these calls cost more than
-the few numbers that a mechanism has.  XLA reads the environment variable XLA_FLAGS once in a process.  The
-options stand there only until it has done so (`settle`), so that other programs do not see them.
+By default XLA dispatches each operation of a loop's body by itself, and these calls take longer than the arithmetic
+on the few numbers of a mechanism.  XLA reads the environment variable XLA_FLAGS once in a process.  The options are in
+it only until then (`settle`), so that child processes do not inherit them.
 
-One of them, fusions with several results, ends the process in versions of XLA before that of JAX 0.12 where it
-compiles two `x.at[places].add(values)` of one shape.  There it holds for this package's kept programs only
-(`own_program`), which have no such pair, and for processes that compile nothing else (`take_process`): the user's
-own programs are not at risk.  Another one, of LLVM, would make programs with long loops slower, and holds for kept
-programs alone.
+One option, fusions with several results, crashes versions of XLA before that of JAX 0.12 when they compile two
+`x.at[places].add(values)` of one shape.  With these versions it is used for this package's kept programs
+(`own_program`), which have no such pair, and in processes that compile nothing else (`take_process`); programs of the
+user are not at risk.  Another option, of LLVM, would make programs with long loops slower; only kept programs have it.
 """
 
 import os
@@ -19,36 +17,41 @@ import subprocess
 import sys
 import threading
 import warnings
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-# Loops of any size; values used twice are computed once; loops over axes are not written out, which
-# would double the time of compilation.
+# Loops of any size are one kernel; XLA does not unroll loops over axes, which would double the time of compilation.
 OPTIONS = ("xla_cpu_small_while_loop_byte_threshold=1000000000000000", "xla_cpu_disable_loop_unrolling=true")
 FUSION = "xla_cpu_use_multi_output_fusion=true"
-# LLVM rotates every loop over axes, to vectorise it, and looks through the whole kernel each time: half of the time
-# of compilation, for a tenth of the time of a step.  For this package's kept programs only, and where loops go over
-# three rows and a few rfes: scalarised programs have loops over samples (`note_scalarised`).
-UNTURNED = "-rotation-max-header-size=0"
-# Products of small matrices by a library are calls again, which end the kernel.
+# No loop rotation by LLVM: it serves to vectorise loops over axes, but searches the entire kernel for each of them,
+# which is half of the time of compilation and saves a tenth of the time of a step.  For this package's kept programs
+# only, whose loops are over three components and a few rfes; those of scalarised jaxprs are over samples, and are
+# rotated (`note_scalarised`).
+NO_LOOP_ROTATION = "-rotation-max-header-size=0"
+# The first option: no calls of a library for products of small matrices, which would split the kernel.
 WITHOUT_FUSION = f"--xla_cpu_experimental_ynn_fusion_type= --xla_backend_extra_options={','.join(OPTIONS)}"
 FLAGS = f"{WITHOUT_FUSION},{FUSION}"
 FUSION_SAFE_FROM = (0, 12)  # jaxlib
 OF_THIS_KIND = ("xla_backend_extra_options", "ynn_fusion")
-# Versions of jaxlib that were tested with the flags, from the first to before the second; XLA ends the process
-# at a flag that it does not know, so a newer one is tried in a process of its own.
+# Versions of jaxlib tested with the flags, from the first to before the second.  XLA ends the process at a flag that it
+# does not know, so the flags are tried on newer versions in a process of their own.
 TESTED = ((0, 10), (0, 13))
 PROBE = "from jaxlib import xla_client; xla_client.CompileOptions()"
 
 
+@dataclass
 class _Attempt:
-    """What became of the options in this process: `reason` "" if they were given to XLA."""
+    """Whether the options were given to XLA in this process."""
 
-    def __init__(self):
-        self.made, self.settled, self.said = False, False, False
-        self.reason, self.before = "", None
-        self.fusion = False  # for all programs of the process
+    made: bool = False
+    settled: bool = False
+    warned: bool = False
+    reason: str = ""  # why they were not given; "" if they were
+    before: str | None = None  # XLA_FLAGS as the user set it
+    fusion: bool = False  # whether FUSION is among them, for all programs of the process
 
 
 class Compilation(NamedTuple):
@@ -74,14 +77,14 @@ def user_cache_folder() -> Path:
 
 
 def offer() -> None:
-    """Put the options where XLA will read them; once in a process, without importing JAX."""
+    """Put the options into XLA_FLAGS, where XLA will read them; once in a process, without importing JAX."""
     if _attempt.made:
         return
     _attempt.made = True
     flags = os.environ.get("XLA_FLAGS")
     for mine in (FLAGS, WITHOUT_FUSION):
         if flags is not None and flags.strip().startswith(mine):
-            # The process that started this one had not used them yet.
+            # Inherited from a parent process in which XLA had not read them yet.
             flags = flags.strip().removeprefix(mine).strip() or None
     _attempt.before, _attempt.reason = flags, _obstacle((flags or "").strip())
     _attempt.fusion = _version() >= FUSION_SAFE_FROM
@@ -91,7 +94,7 @@ def offer() -> None:
 
 
 def take_process() -> None:
-    """Give XLA all options, for a process that compiles this package's programs only; before JAX is used."""
+    """Give XLA all options, in a process that compiles this package's programs only; call it before JAX is used."""
     offer()
     if not _attempt.settled:
         _attempt.fusion = True
@@ -100,15 +103,15 @@ def take_process() -> None:
 
 def _put() -> None:
     if not _attempt.reason:
-        # First: XLA reads no further than a word that is no flag.
+        # Ours first: XLA stops reading at the first word that is not a flag.
         flags = FLAGS if _attempt.fusion else WITHOUT_FUSION
         os.environ["XLA_FLAGS"] = f"{flags} {_attempt.before or ''}".strip()
 
 
 def settle() -> Compilation:
-    """Let XLA read its options now, and take them out of the environment again.
+    """Make XLA read its options now, and restore XLA_FLAGS.
 
-    Warns once in a process if they do not hold.
+    Warns once in a process if the options are not set.
     """
     offer()
     if not _attempt.settled:
@@ -117,32 +120,32 @@ def settle() -> Compilation:
             if not _read_by_xla():
                 _attempt.reason = "JAX had started before rfem_jax was imported; import rfem_jax first"
             _restore()
-    if _attempt.reason and not _attempt.said:
-        _attempt.said = True
+    if _attempt.reason and not _attempt.warned:
+        _attempt.warned = True
         warnings.warn(warning(), stacklevel=2)
     return Compilation(not _attempt.reason, _attempt.reason)
 
 
 def settle_quietly() -> Compilation:
     """As `settle`, for a caller that shows the reason itself."""
-    _attempt.said = True
+    _attempt.warned = True
     return settle()
 
 
 def warning() -> str:
-    """One sentence about options that do not hold."""
+    """One sentence that says why the options are not set."""
     return f"Simulations will run several times slower: XLA's options could not be set, since {_attempt.reason}."
 
 
 class OwnProgram:
-    """A program of this package alone, while it is traced and compiled; `scalarised`: whether parts were scalarised."""
+    """A program of this package, while it is traced and compiled; scalarised: whether parts of it were scalarised."""
 
     def __init__(self, scalarised: bool = False):
         self.scalarised = scalarised
 
     def options(self) -> list[str]:
-        """Those that hold for it besides the process's."""
-        return ([] if _attempt.fusion else [FUSION]) + ([] if self.scalarised else [UNTURNED])
+        """Its options besides those of the process."""
+        return ([] if _attempt.fusion else [FUSION]) + ([] if self.scalarised else [NO_LOOP_ROTATION])
 
     def add_to(self, options):
         """The options of a compilation with these."""
@@ -154,8 +157,8 @@ class OwnProgram:
 
 
 @contextmanager
-def own_program(scalarised: bool = False):
-    """What this thread traces and compiles within the block is a program of this package alone."""
+def own_program(scalarised: bool = False) -> Iterator[OwnProgram]:
+    """Declare that what this thread traces and compiles within the block is a program of this package alone."""
     before, _own.program = getattr(_own, "program", None), OwnProgram(scalarised)
     try:
         yield _own.program
@@ -164,14 +167,14 @@ def own_program(scalarised: bool = False):
 
 
 def note_scalarised() -> None:
-    """Say that the program that this thread traces now has parts of scalars."""
+    """Record that the program which this thread is tracing has a scalarised jaxpr in it."""
     program = getattr(_own, "program", None)
     if program is not None:
         program.scalarised = True
 
 
 def fusion_holds() -> bool:
-    """Whether fusions with several results are made in what this thread compiles now."""
+    """Whether XLA makes fusions with several results in what this thread compiles now."""
     return settle().set and (_attempt.fusion or (getattr(_own, "program", None) is not None and own_options_hold()))
 
 
@@ -183,9 +186,9 @@ def explicit_methods_scalarised() -> bool:
 
 
 def own_options_hold() -> bool:
-    """Makes JAX compile this package's own programs with options of their own; whether it does.
+    """Make JAX compile this package's own programs with their own options; returns whether it does.
 
-    Options of this kind cannot be given to `jax.jit`, so JAX's function that makes a program's options is wrapped.
+    Options of this kind cannot be given to `jax.jit`, so JAX's function that makes the options of a program is wrapped.
     """
     if not settle().set:
         return False
@@ -194,19 +197,24 @@ def own_options_hold() -> bool:
     made = getattr(pxla, "create_compile_options", None)
     if made is None:
         return False
-    if not hasattr(made, "of_rfem_jax"):
-
-        def create(*args, **kwargs):
-            options, program = made(*args, **kwargs), getattr(_own, "program", None)
-            return options if program is None else program.add_to(options)
-
-        create.of_rfem_jax = True
-        pxla.create_compile_options = create
+    if not isinstance(made, _WithOwnOptions):
+        pxla.create_compile_options = _WithOwnOptions(made)
     return True
 
 
+class _WithOwnOptions:
+    """JAX's function `made`, which makes the options of a program, with those of this package's programs added."""
+
+    def __init__(self, made: Callable):
+        self.made = made
+
+    def __call__(self, *args, **kwargs):
+        options, program = self.made(*args, **kwargs), getattr(_own, "program", None)
+        return options if program is None else program.add_to(options)
+
+
 def _with(more: list[str], options):
-    """Options of a program with more: appended to the serialised message, they are merged into it."""
+    """The options of a program with more of them: what is appended to a serialised message is merged into it."""
     content = options.SerializeAsString()
     for option in more:
         name, value = option.split("=")
@@ -217,7 +225,7 @@ def _with(more: list[str], options):
 
 
 def _field(number: int, content: bytes) -> bytes:
-    """A field of a protocol buffer with bytes in it."""
+    """A field of a protocol buffer that holds bytes."""
     return _varint(number << 3 | 2) + _varint(len(content)) + content
 
 
@@ -271,7 +279,7 @@ def _known_to_newer(version: str) -> bool:
 
 
 def _read_by_xla() -> bool:
-    """Makes XLA read its flags, unless it has; whether it knows the options now."""
+    """Make XLA read its flags, unless it has; returns whether the options are among those it has read."""
     from jaxlib import xla_client
 
     return OPTIONS[0].split("=")[0].encode() in xla_client.CompileOptions().SerializeAsString()

@@ -1,34 +1,36 @@
-"""Programs that are compiled once and kept: in place of `eqx.filter_jit` where the user enters the package.
+"""Functions whose compiled programs are kept for other processes: `Program`, used like `eqx.filter_jit`.
 
-Place in the pipeline: mechanics, simulation and tolerancing decorate with `Program` what is called from outside.
+Place in the pipeline: mechanics, simulation and tolerancing decorate their entry functions with `Program`.
 
     call         structure and static values of the arguments make a `Call` of the arrays
     executable   in memory, on disk (`cache`, under a key of `keys`), or compiled and kept
     derivatives  and batches of a call are kept, too (`transformations`)
 
-A second process that does the same traces nothing.  `jax.export` with JAX's own cache of compiled programs would
-do at half a second more a program, by a package (flatbuffers) that JAX does not bring along.
+A second process that does the same traces nothing.  `jax.export` with JAX's own cache of compiled programs would do
+so, too, but take half a second more a program, and a package (flatbuffers) that JAX does not require.
 """
 
 import functools
+from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
 
 from rfem_jax.compilation import keeping, keys, options
-from rfem_jax.compilation.call import call_of, kind
+from rfem_jax.compilation.call import Call, call_of, kind
 from rfem_jax.compilation.executable import Place
-from rfem_jax.compilation.transformations import bind, nothing_going_on, nothing_staged
+from rfem_jax.compilation.transformations import bind, no_staging, no_transformation
 
 options.settle()
 
-# What decides how a function is traced, for programs in memory; the key of a kept one has all settings.
+# Settings on which tracing depends, for programs in memory; the key of a kept program has all settings.
 SETTINGS = (
     "jax_enable_x64", "jax_default_matmul_precision", "jax_numpy_rank_promotion", "jax_default_device",
     "jax_numpy_dtype_promotion", "jax_default_prng_impl", "jax_threefry_partitionable",
 )  # fmt: skip
 OPTIMISATIONS = "jax_disable_most_optimizations"
-# With these JAX looks into what is computed, which a kept executable does not allow.
+# With these JAX inspects the computation, which a kept program does not allow.
 WATCHED = ("jax_disable_jit", "jax_debug_nans", "jax_debug_infs", "jax_check_tracer_leaks")
 MOST = 64  # calls of one function in memory
 
@@ -38,36 +40,41 @@ _PLACE = Place()
 class Program:
     """A pure function of pytrees whose compiled programs are kept for other processes.
 
-    Arrays among the leaves of its arguments are inputs, all else is static, as in `eqx.filter_jit`, which it
-    stands in for.  The function must be one of this package's modules.  `quick`: for a program that runs once in
-    a process, compiled faster and running slower.
+    Arrays among the leaves of its arguments are inputs, everything else is static, as in `eqx.filter_jit`.
+
+    **Arguments:** `function`: of one of this package's modules; `quick`: compile faster, run slower, for a program
+    that runs once in a process.
     """
 
-    def __init__(self, function, quick: bool = False):
+    def __init__(self, function: Callable, quick: bool = False):
         functools.update_wrapper(self, function)
         self.function, self.quick = function, quick
         self._jitted = eqx.filter_jit(function)
-        self._calls = {}
+        self._calls: dict[tuple, Call | None] = {}
 
-    def __call__(self, *args, **kwargs):
-        if not (keeping.wanted() and nothing_staged()) or _watched():
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        if not (keeping.wanted() and no_staging()) or _watched():
             return self._jitted(*args, **kwargs)
         call, arrays = self._call_with(args, kwargs)
         if call is None:
             return self._jitted(*args, **kwargs)
-        return _filled(call, call.run(arrays) if nothing_going_on() else bind(call, arrays))
+        return _filled(call, call.run(arrays) if no_transformation() else bind(call, arrays))
 
-    def ahead(self, *args, **kwargs):
-        """Begin to compile or load, in the background, what a call with these arguments will need; arrays may be
-        shapes (`jax.ShapeDtypeStruct`).  Returns what the call will, with shapes for arrays, or None where
-        programs are not kept, and nothing was done."""
-        if not (keeping.wanted() and nothing_going_on()) or _watched():
+    def ahead(self, *args: Any, **kwargs: Any) -> Any:
+        """Start to compile or load, in the background, what a call with these arguments will need.
+
+        **Arguments:** those of the call; arrays may be given as `jax.ShapeDtypeStruct`.
+
+        **Returns:** the result of the call with `jax.ShapeDtypeStruct` for arrays; None where programs are not kept,
+        and nothing was started.
+        """
+        if not (keeping.wanted() and no_transformation()) or _watched():
             return None
         call, arrays = self._call_with(args, kwargs)
         return None if call is None else _filled(call, call.ahead(arrays))
 
-    def _call_with(self, args, kwargs):
-        """The call (None: cannot be kept) and its arrays."""
+    def _call_with(self, args, kwargs) -> tuple[Call | None, list]:
+        """The call (None: its program cannot be kept) and its arrays."""
         leaves, tree = jax.tree.flatten((args, kwargs))
         is_array = [eqx.is_array(leaf) or isinstance(leaf, jax.ShapeDtypeStruct) for leaf in leaves]
         arrays = [leaf for leaf, is_one in zip(leaves, is_array) if is_one]
@@ -83,17 +90,17 @@ class Program:
         """Forget the programs in memory."""
         self._calls.clear()
 
-    def _call_of(self, tree, static):
-        """None for a function that depends on what a key cannot know."""
+    def _call_of(self, tree, static) -> Call | None:
+        """None for a function that depends on something whose content is not known."""
         try:
             return call_of(self.function, tree, static, self.quick)
         except keys.NotDigestible as reason:
-            keeping.note_unkept(self.__qualname__, str(reason))
+            keeping.note_unkept(self.function.__qualname__, str(reason))
             return None
 
 
-def _filled(call, arrays):
-    """What a call returns, with its arrays."""
+def _filled(call: Call, arrays) -> Any:
+    """The tree of a call's results, with its arrays put in."""
     arrays = iter(arrays)
     return jax.tree.map(lambda x: next(arrays) if isinstance(x, Place) else x, call.facts)
 

@@ -1,29 +1,36 @@
-"""Programs of scalars: a function of small arrays, evaluated entry by entry.
+"""Scalarised jaxprs: a function of small arrays, traced as operations on their entries.
 
 Place in the pipeline: simulation wraps its innermost functions in `scalarised`.
 
-XLA runs an operation on an array as a loop, and a mechanism's arrays have three rows: most of the time goes
-into the bookkeeping of loops, slices and joined parts.  Taken apart while it is traced, the same function is
-a list of additions and multiplications; slices, and products with zeros that are known, are gone, and in a
-batch every operation is one over the samples.  It pays where XLA compiles loops over steps as single
-kernels (`options`), and for thousands of operations: the time of compilation grows with their number.
+XLA compiles an operation on an array as a loop.  The arrays of a mechanism have three rows, so most of the time goes
+into the overhead of loops, slices and concatenations.  The scalarised jaxpr of a function is a list of additions and
+multiplications of scalars: slices disappear, and so do products with entries known to be zero; under vmap every
+operation is one over the samples.  This pays where XLA compiles loops over steps as one kernel (`options`), and up to
+some ten thousand operations, since the time of compilation grows with their number.
+
+Here an array is an object array of NumPy whose entries are numbers, where they are known, and JAX scalars.
 """
 
 import functools
 import math
+from collections.abc import Callable
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
+from jax.core import Tracer
 from jax.extend.core import ClosedJaxpr, Literal
+from jaxtyping import PyTree
 
 from rfem_jax.compilation.options import note_scalarised
 
+Tree = TypeVar("Tree")
 MOST_OPERATIONS = 65_000
 UNROLLED = 64  # iterations of a scan over rows
 
-# One result from one entry of each operand.
+# Primitives whose results have one entry from one entry of each operand.
 ELEMENTWISE = frozenset(
     (
         "sin cos tan asin acos atan atan2 exp exp2 log log1p expm1 sqrt rsqrt cbrt tanh sinh cosh abs max min "
@@ -32,18 +39,20 @@ ELEMENTWISE = frozenset(
     ).split()
 )
 CALLS = frozenset(["jit", "pjit", "closed_call", "checkpoint", "remat", "remat2", "custom_jvp_call", "custom_vjp_call"])
-# Primitives that move entries, and how many of their operands hold entries; the others are places.
+# Primitives that only move entries, and how many of their operands hold entries; the others are indices.
 MOVING = {"gather": 1, "dynamic_slice": 1, "dynamic_update_slice": 2, "pad": 2, "split": 1, "scatter": 2}
 
 
-def scalarised(function, zeros=None, most=MOST_OPERATIONS):
-    """The function, evaluated entry by entry.
+def scalarised(
+    function: Callable[..., Tree], zeros: tuple | None = None, most: int = MOST_OPERATIONS
+) -> Callable[..., Tree]:
+    """The function, with a scalarised jaxpr.
 
-    **Arguments:** `zeros`: a tuple of trees like the arguments, of boolean arrays that say which entries are
-    known to be zero, or of False; None: nothing is known; `most`: a function of more operations, counted on
-    the arrays, is evaluated by arrays.
+    **Arguments:** `zeros`: trees like the arguments, of boolean arrays that say which entries are known to be zero, or
+    of False (None: none is known); `most`: a function of more scalar operations is left as it is.
 
-    Rules of custom derivatives inside of it are lost: wrap the result where they matter.
+    **Returns:** a function of the same arguments.  Custom rules of differentiation inside of it are lost: give the
+    result a rule of its own where they matter.
     """
 
     def evaluated(*arguments):
@@ -66,13 +75,13 @@ def scalarised(function, zeros=None, most=MOST_OPERATIONS):
     return evaluated
 
 
-def nothing_known(tree):
-    """The tree with False in place of its arrays, for `zeros`."""
+def nothing_known(tree: PyTree) -> PyTree:
+    """The tree with False for its arrays: `zeros` of an argument of which no entry is known to be zero."""
     return jax.tree.map(lambda _: False, tree)
 
 
 def operations(program: ClosedJaxpr) -> int:
-    """Number of scalar operations of a program, every loop's body once."""
+    """Number of scalar operations of a jaxpr, with the body of every loop once."""
     count = 0
     for equation in program.jaxpr.eqns:
         name, settings = equation.primitive.name, equation.params
@@ -95,7 +104,7 @@ def _is_program(x) -> bool:
 
 
 def _of_shape(scalars, shape) -> np.ndarray:
-    """An object array; NumPy would look into JAX's scalars, given all at once."""
+    """An object array, filled one by one: NumPy would try to convert a list of JAX scalars."""
     values = np.empty(math.prod(shape), object)
     for i, scalar in enumerate(scalars):
         values[i] = scalar
@@ -103,15 +112,15 @@ def _of_shape(scalars, shape) -> np.ndarray:
 
 
 def _whole(values) -> np.ndarray:
-    """NumPy gives the entry itself where an array without axes is meant."""
+    """An object array also of one entry, which is what NumPy returns in place of an array without axes."""
     if isinstance(values, np.ndarray) and values.dtype == object:
         return values
     return _of_shape([values], ())
 
 
 def _entries(array) -> np.ndarray:
-    """Numbers of a known array, JAX scalars of any other."""
-    if not isinstance(array, jax.core.Tracer):
+    """Entries of an array: numbers if it is concrete, JAX scalars if it is traced."""
+    if not isinstance(array, Tracer):
         array = np.asarray(array)
     places = np.ndindex(*array.shape)
     return _of_shape([array[place] for place in places], array.shape)
@@ -125,7 +134,7 @@ def _array(values: np.ndarray, dtype) -> Array:
 
 
 def _known(x) -> bool:
-    """A number, not a JAX scalar."""
+    """Whether an entry is a number, not a JAX scalar."""
     return isinstance(x, (bool, int, float, np.generic))
 
 
@@ -182,12 +191,13 @@ REDUCED = {"reduce_sum": (_add, 0.0), "reduce_max": (_larger, -np.inf), "reduce_
 
 
 def _each(function, parts) -> np.ndarray:
-    """A function of scalars, entry by entry; parts without axes go with every entry."""
+    """A function of scalars applied entry by entry; arrays without axes are broadcast."""
     shape = np.broadcast_shapes(*(x.shape for x in parts))
     return _of_shape(map(function, *(np.broadcast_to(x, shape).flat for x in parts)), shape)
 
 
 def _evaluate(program: ClosedJaxpr, given) -> list[np.ndarray]:
+    """Results of a jaxpr of arrays for given object arrays."""
     jaxpr = program.jaxpr
     values = dict(zip(jaxpr.constvars, map(_entries, program.consts))) | dict(zip(jaxpr.invars, given))
 
@@ -201,7 +211,7 @@ def _evaluate(program: ClosedJaxpr, given) -> list[np.ndarray]:
 
 
 def _apply(equation, parts) -> list[np.ndarray]:
-    """Results of one operation on arrays."""
+    """Results of one equation of a jaxpr."""
     name, settings = equation.primitive.name, equation.params
     if name in ARITHMETIC:
         return [_each(ARITHMETIC[name], parts)]
@@ -225,7 +235,7 @@ def _bind(equation, arguments):
 
 
 def _bound(equation, *scalars):
-    """One entry by JAX; a number, if all entries are."""
+    """A primitive applied to one entry of each operand; a number, if all of these are."""
     dtypes = [variable.aval.dtype for variable in equation.invars]
     if all(map(_known, scalars)):
         with jax.ensure_compile_time_eval():
@@ -235,12 +245,13 @@ def _bound(equation, *scalars):
 
 
 def _by_arrays(equation, parts):
+    """An equation that is not scalarised."""
     arguments = [_array(x, variable.aval.dtype) for x, variable in zip(parts, equation.invars)]
     return [_entries(x) for x in _bind(equation, arguments)]
 
 
 def _moved(equation, parts, count: int):
-    """Carried out on the numbers of the entries."""
+    """A primitive that moves entries, carried out on their indices."""
     operands = list(zip(parts, equation.invars))
     if equation.primitive.name == "scatter":
         operands[1], operands[2] = operands[2], operands[1]
@@ -321,12 +332,13 @@ def _select(equation, which, *cases):
 
 
 def _scalars(parts, variables) -> list[Array]:
-    """What goes round a loop or into a branch."""
+    """Operands of a loop or a branch as a list of scalars."""
     pairs = zip(parts, variables)
     return [jnp.asarray(x, variable.aval.dtype) for part, variable in pairs for x in part.flat]
 
 
 def _shaped(scalars, variables) -> list[np.ndarray]:
+    """The inverse of `_scalars`."""
     scalars = iter(scalars)
     shapes = [variable.aval.shape for variable in variables]
     return [_of_shape([next(scalars) for _ in range(math.prod(x))], x) for x in shapes]

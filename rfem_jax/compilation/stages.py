@@ -1,9 +1,9 @@
-"""What a long computation is doing, told to whoever listens.
+"""Stages of a long computation, for listeners that show its progress.
 
 Place in the pipeline: everything that takes long -> **stages** -> a progress line, if there is one.
 
-Nothing is printed here and nothing is imported: a program announces a stage by `on_stage`, and a command that
-shows progress listens.  Without a listener nothing happens.
+A computation announces its stages by `on_stage`, and a command that shows progress listens.  Without a listener
+nothing happens.
 
     def show(stage, done): ...
 
@@ -19,8 +19,11 @@ _listeners: list[Callable[[str, float | None], None]] = []
 
 
 def on_stage(stage: str, done: float | None = None) -> None:
-    """Tell all listeners what begins now, as a participle ("Tracing the simulation"), or which fraction (0 to 1)
-    of it is done."""
+    """Tell all listeners which stage begins.
+
+    **Arguments:** `stage`: a participle ("Tracing the simulation"); `done`: the fraction of the stage that is done,
+    0 to 1, None where it begins.
+    """
     for listener in tuple(_listeners):
         listener(stage, done)
 

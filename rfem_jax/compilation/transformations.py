@@ -1,56 +1,77 @@
-"""A call as a primitive of JAX: derivatives and batches of it are calls, too, and nothing is traced twice.
+"""A call as a primitive of JAX, whose derivatives and batches are calls, too: nothing is traced twice.
 
 Place in the pipeline: `program` binds it where the user transforms without `jit`, as in `jax.jacfwd(moment)(0.005)`.
 
-    evaluated       the executable of the call
+    evaluation      the executable of the call
     jvp, vmap       the call with one more step
-    reverse mode    the results now, and the linear part later, whose transpose is the call's vjp
-    in a `jit`      the function itself, traced
+    reverse mode    the results at once, and the linear part later, whose transpose is the vjp of the call
+    inside `jit`    the function itself, traced
 
-The only module that asks JAX for what has no public name: which transformations are going on.
+The only module that uses private names of JAX: they say which transformations are in progress.
 """
+
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol
 
 import equinox as eqx
 import jax
+from jax import Array
 from jax._src import core
 from jax._src.interpreters.ad import JVPTrace, LinearizeTrace
 from jax._src.interpreters.batching import BatchTrace, BatchTracer
 from jax._src.interpreters.partial_eval import JaxprTracer
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
+from jax.typing import ArrayLike
 
 EAGER = (JVPTrace, LinearizeTrace, BatchTrace)
+
+
+class Transformable(Protocol):
+    """What this module needs of `call.Call`, which says more."""
+
+    function: Callable[..., list]
+    before: Any
+    step: tuple | None
+    facts: Any
+
+    def run(self, arrays: Sequence[ArrayLike]) -> list[Array]: ...
+
+    def then(self, step: tuple) -> "Transformable": ...
+
 
 call_p = Primitive("rfem_jax_call")
 call_p.multiple_results = True
 
 
-def nothing_going_on() -> bool:
-    """Whether no transformation is going on."""
+def no_transformation() -> bool:
+    """Whether no transformation is in progress."""
     return type(core.trace_ctx.trace) is core.EvalTrace
 
 
-def nothing_staged() -> bool:
-    """Whether the transformations that are going on, if any, compute at once."""
+def no_staging() -> bool:
+    """Whether the transformations in progress, if any, evaluate at once: none of them stages a jaxpr."""
     trace = core.trace_ctx.trace
     while isinstance(trace, EAGER):
         trace = trace.parent_trace
     return type(trace) is core.EvalTrace
 
 
-def has_batch_axis(array) -> bool:
-    """Whether an array depends on a batch, inside of a function under `vmap`."""
+def has_batch_axis(array: ArrayLike) -> bool:
+    """Whether an array inside of a function under `vmap` has the batch axis."""
     return isinstance(array, BatchTracer)
 
 
-def bind(call, arrays, kinds=None):
-    """Results of a call for arrays, some of them traced; `kinds`: of the results if they are known."""
+def bind(
+    call: Transformable, arrays: Sequence[ArrayLike], kinds: Sequence[core.AbstractValue] | None = None
+) -> list[Array]:
+    """Results of a call for arrays, some of them traced; `kinds`: abstract values of the results if they are known."""
     return call_p.bind(*arrays, call=call, kinds=kinds)
 
 
 @call_p.def_impl
 def _evaluate(*arrays, call, kinds):
-    # A derivative by a Python number brings that number.
+    # Where a derivative is taken by a Python number, that number arrives here.
     return call.run([x if eqx.is_array(x) else jax.numpy.asarray(x) for x in arrays])
 
 
@@ -63,16 +84,16 @@ def _result_kinds(*arrays, call, kinds):
 
 
 def _push(primals, tangents, *, call, kinds):
-    moving = tuple(type(tangent) is not ad.Zero for tangent in tangents)
-    moved = [tangent for tangent, moves in zip(tangents, moving) if moves]
-    if any(isinstance(tangent, JaxprTracer) for tangent in moved):
+    active = tuple(type(tangent) is not ad.Zero for tangent in tangents)
+    given = [tangent for tangent, is_active in zip(tangents, active) if is_active]
+    if any(isinstance(tangent, JaxprTracer) for tangent in given):
         results = bind(call, primals, kinds)
         inexact = [jax.numpy.issubdtype(jax.typeof(x).dtype, jax.numpy.inexact) for x in results]
         avals = tuple(jax.typeof(x).to_tangent_aval() for x, i in zip(results, inexact) if i)
-        changes = bind(call.then(("linear", moving)), [*primals, *moved], avals)
+        changes = bind(call.then(("linear", active)), [*primals, *given], avals)
     else:
-        pushed = call.then(("jvp", moving))
-        results = bind(pushed, [*primals, *moved])
+        pushed = call.then(("jvp", active))
+        results = bind(pushed, [*primals, *given])
         inexact = pushed.facts
         results, changes = results[: len(inexact)], results[len(inexact) :]
     changes = iter(changes)
@@ -85,11 +106,11 @@ def _push(primals, tangents, *, call, kinds):
 def _pull(cotangents, *arrays, call, kinds):
     if call.step is None or call.step[0] != "linear":
         raise NotImplementedError("transpose of a call that is not the linear part of another")
-    moving = call.step[1]
-    seen = tuple(type(cotangent) is not ad.Zero for cotangent in cotangents)
-    given = [cotangent for cotangent, is_seen in zip(cotangents, seen) if is_seen]
-    pulled = call.before.then(("vjp", moving, seen))
-    return [None] * len(moving) + bind(pulled, [*arrays[: len(moving)], *given])
+    active = call.step[1]
+    used = tuple(type(cotangent) is not ad.Zero for cotangent in cotangents)
+    given = [cotangent for cotangent, is_used in zip(cotangents, used) if is_used]
+    pulled = call.before.then(("vjp", active, used))
+    return [None] * len(active) + bind(pulled, [*arrays[: len(active)], *given])
 
 
 def _batch(arrays, axes, *, call, kinds):

@@ -1,21 +1,24 @@
 """A run: methods, the integration, loads, balances and metrics.
 
-    time_grid            when to step
-    equations            what is integrated
+    driving              which joint a drive acts on
+    time_grid            intervals between saved times and jumps, divided into steps
+    equations            the first-order system that is integrated
+    stabilisation        Baumgarte's gains
     observation          what is recorded of an instant
-    batches              results batched alike in a function and in its derivative
-    implicit_step        implicit steps and their derivatives
+    batches, packing     arrays in the forms that JAX's transforms and XLA's loops need
+    implicit_step        one implicit step as a differentiable function
     generalised_alpha    the implicit method as a diffrax solver
     solvers              all methods as diffrax solvers
+    recorded_steps       steps found before, for reverse mode of adaptive methods
     stepping             one interval by any method
     integration          prepare -> advance -> conclude
     cases                all cases of a study as one batch
+    vibration            modes at rest
     stability            the largest stable step
     accuracy             the method that "auto" stands for
-    vibration            modes at rest
     run                  the result
 
-Names are loaded when they are first used: a check needs no integrator.
+Names are imported when they are first used: checking a study does not import the integrators.
 """
 
 from importlib import import_module

@@ -2,10 +2,10 @@
 
 Place in the pipeline: model, drive, duration, accuracy -> **method** -> cases, Problem.
 
-RMS loads of trial assemblies are compared between a step and half of it.  The implicit method is of order
-2, so four thirds of the change estimate the error of the longer step.  One compiled program serves all
-steps.  Where no step is good enough (undamped vibrations, whose phase decides forces) Runge-Kutta 4 at
-nine tenths of its largest stable step is taken.
+RMS loads of trial assemblies are compared between a step and half of it.  The implicit method is of order 2, so
+four thirds of the change estimate the error of the longer step (Richardson).  One compiled program serves all steps.
+Where no step is accurate enough (undamped vibrations, on whose phase forces depend) Runge-Kutta 4 is taken, at nine
+tenths of its largest stable step.
 """
 
 from dataclasses import replace
@@ -14,6 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Bool, Float
 
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.errors import InputError
@@ -22,31 +23,33 @@ from rfem_jax.mechanics.model import Model
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors, assembly_errors
 from rfem_jax.mechanics.status import OK
 from rfem_jax.simulation import integration
+from rfem_jax.simulation.driving import Drive
 from rfem_jax.simulation.generalised_alpha import ACCURACY_OF_TOLERANCE
 from rfem_jax.simulation.stability import largest_stable_step, round_down
+from rfem_jax.simulation.time_grid import TimeGrid
 
 DEFAULT_ACCURACY = 1e-3
 TRIAL_INTERVALS = 50
-FIRST, LAST = 2, 256  # steps an interval
-# A joint that carries less than this share of the largest load is judged by that share.
+FIRST, LAST = 2, 256  # steps in an interval
+# Changes are relative to the load of the joint, but at least to this share of the largest load of its kind.
 SMALL_LOAD = 0.05
-SMALL_MOMENT = 0.01  # the same of forces times lengths
-TRIAL_TILT, TRIAL_SHIFT = 2e-3, 5e-4  # rad; of the longest link
+SMALL_MOMENT = 0.01  # likewise of the largest force times the longest link
+TRIAL_TILT, TRIAL_SHIFT = 2e-3, 5e-4  # rad; shares of the longest link
 
 
 def choose_method(
     model: Model,
     method: Method,
-    drive=None,
+    drive: Drive = None,
     duration: float | None = None,
     errors: AssemblyErrors | None = None,
     save_every: float | None = None,
 ) -> Method:
     """The method itself, or, for "auto", the one that it stands for on this mechanism.
 
-    **Arguments:** `duration` [s] of the simulation; `errors`: trial assemblies, one along a first axis of
-    every leaf (None: the perfect one, and one with all joints tilted and shifted); `save_every` [s]: saved times are
-    ends of steps, so no step is longer.
+    **Arguments:** `duration` [s] of the simulation; `errors`: trial assemblies along a first axis of every leaf (None:
+    the perfect one, and one with all joints tilted and shifted); `save_every` [s]: saved times are ends of steps, so
+    no step is longer.
 
     Trial steps go by factors of two, so that a slightly different mechanism may get a step that is longer or shorter
     by a factor of up to about two and a half (docs/theory/11_accuracy.md); both keep the accuracy.
@@ -68,7 +71,8 @@ def choose_method(
         return replace(implicit, step=min(float(round_down(step)), longest))
     trial = Method("rk4", step=1e-6, stabilisation=method.stabilisation)
     limit = 0.9 * largest_stable_step(model, trial, drive)
-    # Rigid links have no limit, but what was not accurate enough for the implicit method is none for this one.
+    # Rigid links have no limit; but no step is longer than those that were not accurate enough with the implicit
+    # method.
     limit = min(limit, duration / TRIAL_INTERVALS / LAST)
     return replace(trial, step=min(float(round_down(limit)), longest))
 
@@ -84,7 +88,7 @@ def _longest_step(model, method: Method, drive, duration, accuracy, errors) -> f
         # Traced: one program for all steps.
         count = jnp.asarray(steps, jnp.float64)
         loads, residual, assembled = map(np.asarray, rms_loads(model, errors, drive, grid, method, count))
-        # Errors that rigid links cannot give way to say nothing of a step.
+        # Trial errors that rigid links cannot be assembled with say nothing about the step.
         used = assembled if assembled.any() else np.ones_like(assembled)
         return loads[used], residual[used].max()
 
@@ -100,10 +104,15 @@ def _longest_step(model, method: Method, drive, duration, accuracy, errors) -> f
     return None
 
 
-def estimate_change(one: np.ndarray, other: np.ndarray, length: float) -> float:
-    """Largest change of RMS forces and moments (cases, 2, joints) relative to the load, or, in a joint that carries
-    little, to a twentieth of the largest of its kind; moments at least to a hundredth of the largest force times
-    `length` [m], since a planar mechanism has none; infinite where one is not finite."""
+def estimate_change(
+    one: Float[np.ndarray, "cases 2 joints"], other: Float[np.ndarray, "cases 2 joints"], length: float
+) -> float:
+    """Largest relative change of RMS forces [N] and moments [N m].
+
+    Each is relative to the load of its joint, but at least to a twentieth of the largest load of its kind, and moments
+    at least to a hundredth of the largest force times `length` [m], since a planar mechanism has none.  Infinite where
+    a load is not finite.
+    """
     largest = np.abs(other).max(axis=(0, 2), keepdims=True)
     scale = np.maximum(np.abs(other), SMALL_LOAD * largest)
     scale[:, 1] = np.maximum(scale[:, 1], SMALL_MOMENT * length * largest[:, 0])
@@ -121,9 +130,19 @@ def _trial_errors(model: Model) -> AssemblyErrors:
 
 
 @Program
-def rms_loads(model, errors, drive, grid, method, steps):
-    """RMS loads (cases, 2, joints), the largest share of a load that was left over and whether it was assembled, by
-    case; `errors`: `AssemblyErrors` or {name: values (cases,)}."""
+def rms_loads(
+    model: Model,
+    errors: AssemblyErrors | dict[str, Float[Array, " cases"]],
+    drive: Drive,
+    grid: TimeGrid,
+    method: Method,
+    steps: Float[Array, ""],
+) -> tuple[Float[Array, "cases 2 joints"], Float[Array, " cases"], Bool[Array, " cases"]]:
+    """RMS forces [N] and moments [N m] of several assemblies, by the implicit method with a number of steps in every
+    interval that may be traced.
+
+    **Returns:** the loads; the largest residual over the largest joint force; whether the mechanism was assembled.
+    """
 
     def one(errors):
         if not isinstance(errors, AssemblyErrors):

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rfem_jax.compilation.program import Program
+from rfem_jax.description.study import Study
 from rfem_jax.mechanics.discretisation import discretise
 from rfem_jax.mechanics.model import Model
 from rfem_jax.mechanics.model_with_errors import assembly_errors
@@ -23,14 +24,16 @@ PIECES = 20
 
 
 def run_cases(
-    study, progress: Callable[[float], None] | None = None, model: Model | None = None
+    study: Study, progress: Callable[[float], None] | None = None, model: Model | None = None
 ) -> tuple[Model, dict[str, Run]]:
-    """Simulate all cases of a study together.
+    """Simulate all cases of a study as one batch.
 
-    **Arguments:** `progress` is called with the fraction of simulated time; `model`: the study's
-    mechanism if it is discretised already.
+    **Arguments:** `progress` is called with the fraction of simulated time; `model`: the study's mechanism if it is
+    discretised already.
 
-    **Returns:** the model, and a run (NumPy arrays) for every case.
+    **Returns:** the model, and a run of NumPy arrays for every case by its name.
+
+    **Raises:** `InputError` as `choose_method`.
     """
     model = discretise(study.mechanism) if model is None else model
     errors = [assembly_errors(model, case.errors) for case in study.cases]
@@ -52,7 +55,7 @@ def run_cases(
 
 
 def _pieces(grid: TimeGrid):
-    """The grid in pieces of equal size, one compiled program."""
+    """The grid in pieces of equal size, for one compiled program."""
     count = len(grid.starts)
     size = -(-count // PIECES)
     for first in range(0, count, size):
@@ -60,13 +63,16 @@ def _pieces(grid: TimeGrid):
 
 
 def _compile_ahead(model, errors, drive, grid: TimeGrid, method, steps) -> None:
-    """Begin to compile all programs, or to load them, at once."""
+    """Start to compile all programs, or to load them, side by side."""
     started = _prepare.ahead(model, errors, drive, method)
     if started is None:
         return
     prepared, carry = started
     piece = next(iter(_pieces(grid)))
-    carry, ends = _advance.ahead(model, prepared.actual, drive, carry, piece, method, steps)
+    advanced = _advance.ahead(model, prepared.actual, drive, carry, piece, method, steps)
+    if advanced is None:
+        return
+    carry, ends = advanced
     cases, count = len(jax.tree.leaves(errors)[0]), len(grid.starts)
     ends = jax.tree.map(lambda x: jax.ShapeDtypeStruct((cases, count, *x.shape[2:]), x.dtype), ends)
     _conclude.ahead(model, prepared, drive, carry, ends, grid, method, steps)

@@ -1,17 +1,19 @@
-"""The first-order system that is integrated: motion, and what is summed along with it.
+"""The first-order system that is integrated: the motion, and integrals of loads and powers.
 
 Place in the pipeline: mechanics -> **equations** -> integration.
 
-The integrals of squared loads, of the drive's power and of the dissipated power are states of the
-same integration, so that a run needs no history for its metrics.
+The integrals of squared loads, of the drive's power and of the dissipated power are further states of the same
+system, so that the metrics of a run need no history.
 """
+
+from typing import TypeVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax import Array
+import numpy as np
 from jax.custom_derivatives import SymbolicZero
-from jaxtyping import Float, Int
+from jaxtyping import Array, Float, Int
 
 from rfem_jax.compilation.scalarisation import nothing_known
 from rfem_jax.description.drives import MomentDrive, PrescribedDrive
@@ -19,8 +21,12 @@ from rfem_jax.mechanics import loads, model_with_errors
 from rfem_jax.mechanics.condensation import LinkOperator
 from rfem_jax.mechanics.dynamics import Accelerations, accelerations
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation, impose
-from rfem_jax.mechanics.model import Coordinates, State, Topology
+from rfem_jax.mechanics.model import Coordinates, Model, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
+from rfem_jax.simulation.driving import Drive, driven_index
+
+Scalar = int | float | Float[Array | np.ndarray, ""]
+Tree = TypeVar("Tree")
 
 
 class Integrals(eqx.Module):
@@ -43,33 +49,44 @@ class Trajectory(eqx.Module):
 
 
 class Conditions(eqx.Module):
-    """What the equations of motion read besides the state: the constants of the mechanism, the drive
-    and its phase (jumps passed), the stabilisation; for implicit methods the links' operators for the step
-    length (None: formed when they are needed)."""
+    """Arguments of the equations of motion besides time and state.
+
+    actual: constants of the mechanism with its errors; drive, and its phase (number of jumps passed); stabilisation:
+    Baumgarte's gains; operators: of an implicit method, the condensed links for its step length (None: they are
+    formed in every step).
+    """
 
     actual: ModelWithErrors
-    drive: MomentDrive | PrescribedDrive | None
+    drive: Drive
     phase: Int[Array, ""]
     stabilisation: Stabilisation
     operators: tuple[LinkOperator | None, ...] | None = None
 
 
 def structural_zeros(conditions: Conditions) -> Conditions:
-    """Entries of the conditions that are zero for all numbers: boolean arrays, or False."""
+    """The conditions with booleans for arrays: entries that are zero whatever the numbers are, False where nothing
+    is known."""
     known = model_with_errors.structural_zeros(conditions.actual.topology)
     return eqx.tree_at(lambda tree: tree.actual, nothing_known(conditions), known)
 
 
-def active_inputs(primals, tangents):
-    """Leaves that have a tangent, the other leaves, and the tangents: most constants of a mechanism do not
-    depend on the errors asked for, and are not linearised."""
+def active_inputs(primals: Tree, tangents: Tree) -> tuple[Tree, Tree, Tree]:
+    """Divide the arguments of a rule of `jax.custom_jvp` by whether they are differentiated.
+
+    Most constants of a mechanism do not depend on the errors that a derivative is taken by, and need not be
+    linearised.
+
+    **Arguments:** `tangents`: a tree like `primals`, with `SymbolicZero` where there is no tangent.
+
+    **Returns:** the leaves with a tangent, the other leaves, and the tangents; None in the other places.
+    """
     moves = jax.tree.map(lambda x, dx: eqx.is_inexact_array(x) and not isinstance(dx, SymbolicZero), primals, tangents)
     inputs, fixed = eqx.partition(primals, moves)
     return inputs, fixed, eqx.filter(tangents, moves)
 
 
-def drive_input(drive, t, phase) -> DriveInput:
-    """What the drive does at a time of one phase."""
+def drive_input(drive: Drive, t: Scalar, phase: Int[Array, ""]) -> DriveInput:
+    """The drive's moment or prescribed motion at the time t [s] in one of its phases."""
     if isinstance(drive, MomentDrive):
         return DriveInput(moment=drive.moment_at(t, phase))
     if isinstance(drive, PrescribedDrive):
@@ -78,9 +95,9 @@ def drive_input(drive, t, phase) -> DriveInput:
 
 
 def at_instant(
-    t: Array, trajectory: Trajectory, conditions: Conditions
+    t: Scalar, trajectory: Trajectory, conditions: Conditions
 ) -> tuple[State, DriveInput, Accelerations, loads.JointLoads]:
-    """State with prescribed values imposed, drive, accelerations and joint loads at one time."""
+    """State with the prescribed motion imposed, drive, accelerations and joint loads at the time t [s]."""
     actual = conditions.actual
     drive = drive_input(conditions.drive, t, conditions.phase)
     state = impose(actual.topology, State(trajectory.position, trajectory.velocity), drive)
@@ -88,8 +105,8 @@ def at_instant(
     return state, drive, result, loads.joint_loads(actual, result, drive)
 
 
-def right_hand_side(t: Array, trajectory: Trajectory, conditions: Conditions) -> Trajectory:
-    """Rate of the integrated state."""
+def right_hand_side(t: Scalar, trajectory: Trajectory, conditions: Conditions) -> Trajectory:
+    """Time derivative of the integrated state at the time t [s]."""
     state, drive, result, joint = at_instant(t, trajectory, conditions)
     axial, normal, moment = squares(joint)
     return Trajectory(
@@ -105,64 +122,64 @@ def right_hand_side(t: Array, trajectory: Trajectory, conditions: Conditions) ->
     )
 
 
-def squares(joint: loads.JointLoads) -> tuple[Array, Array, Array]:
-    """Squared axial force, normal force and resultant moment (joints,)."""
+def squares(
+    joint: loads.JointLoads,
+) -> tuple[Float[Array, " joints"], Float[Array, " joints"], Float[Array, " joints"]]:
+    """Squared axial force, normal force [N^2] and resultant moment [(N m)^2]."""
     x, y, z = joint.force
     return y**2, x**2 + z**2, jnp.sum(joint.moment**2, axis=0)
 
 
-def drive_power(topology: Topology, state: State, drive: DriveInput, joint) -> Array:
-    """Power [W] that the drive puts in."""
+def drive_power(topology: Topology, state: State, drive: DriveInput, joint: loads.JointLoads) -> Float[Array, ""]:
+    """Power [W] of the drive."""
     return drive_moment(topology, drive, joint) * (
         0.0 if topology.driven is None else state.velocity.angles[topology.driven]
     )
 
 
-def drive_moment(topology: Topology, drive: DriveInput, joint: loads.JointLoads) -> Array:
-    """Moment [N m] of the drive about the driven joint's hinge: given, or what enforces the angle."""
+def drive_moment(topology: Topology, drive: DriveInput, joint: loads.JointLoads) -> Float[Array, ""]:
+    """Moment [N m] of the drive about the driven joint's hinge: given, or the one that enforces the motion."""
     if drive.moment is not None:
         return drive.moment
     if drive.prescribed is not None:
         return joint.moment[1, topology.driven]
-    return jnp.zeros(joint.moment.shape[2:])
+    return jnp.zeros(())
 
 
 def start_trajectory(state: State, joints: int) -> Trajectory:
-    """The integrated state at the start."""
-    zero = jnp.zeros((joints,))
-    none = jnp.zeros(())
-    return Trajectory(state.position, state.velocity, Integrals(zero, zero, zero, none, none))
+    """The integrated state at the start: all integrals zero."""
+    by_joint, total = jnp.zeros((joints,)), jnp.zeros(())
+    return Trajectory(state.position, state.velocity, Integrals(by_joint, by_joint, by_joint, total, total))
 
 
-def with_start_angle(model, drive):
-    """A prescribed drive whose turn is counted from the driven joint's start angle."""
+def with_start_angle(model: Model, drive: Drive) -> Drive:
+    """The drive with a prescribed motion as the driven joint's angle: its own is counted from the start angle."""
     if not isinstance(drive, PrescribedDrive):
         return drive
-    return _FromStart(drive, model.start_angles[model.topology.driven])
+    return _FromStartAngle(drive.joint, drive, model.start_angles[driven_index(model.topology)])
 
 
-class _FromStart(PrescribedDrive):
+class _FromStartAngle(PrescribedDrive):
+    joint: str = eqx.field(static=True)
     drive: PrescribedDrive
     start: Float[Array, ""]
 
-    @property
-    def joint(self):
-        return self.drive.joint
-
-    def breakpoints(self):
+    def breakpoints(self) -> tuple[float, ...]:
         return self.drive.breakpoints()
 
-    def motion_at(self, t, phase):
+    def motion_at(
+        self, t: Scalar, phase: Int[Array, ""]
+    ) -> tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]]:
         angle, rate, acceleration = self.drive.motion_at(t, phase)
         return self.start + angle, rate, acceleration
 
 
-def peaks(rate: Trajectory) -> Array:
-    """Squared axial and normal forces (2, joints), of which runs keep the maxima."""
+def peaks(rate: Trajectory) -> Float[Array, "2 joints"]:
+    """Squared axial and normal forces [N^2], whose maxima a run keeps, from the rate of the integrated state."""
     return jnp.stack([rate.integrals.axial_square, rate.integrals.normal_square])
 
 
-def safe_sqrt(square: Array) -> Array:
-    """Square root with derivative zero at zero, where the root is a cone; NaN stays NaN."""
-    none = square <= 0.0
-    return jnp.where(none, 0.0, jnp.sqrt(jnp.where(none, 1.0, square)))
+def safe_sqrt(square: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+    """Square root whose derivative is zero at zero, where the root has a kink; NaN stays NaN."""
+    is_zero = square <= 0.0
+    return jnp.where(is_zero, 0.0, jnp.sqrt(jnp.where(is_zero, 1.0, square)))

@@ -2,36 +2,47 @@
 
 Place in the pipeline: equations, newton, implicit_step -> **generalised_alpha** -> solvers, stepping.
 
-Chung and Hulbert, J. Appl. Mech. 60 (1993) 371-375; for constrained systems at the level of positions
-Arnold and Bruels, Multibody Syst. Dyn. 18 (2007) 185-202:
+J. Chung, G. M. Hulbert, J. Appl. Mech. 60 (1993) 371-375; for constraints at the level of positions M. Arnold,
+O. Bruels, Multibody Syst. Dyn. 18 (2007) 185-202:
 
     q1 = q0 + h v0 + h^2 ((1/2 - beta) a0 + beta a1),     v1 = v0 + h ((1 - gamma) a0 + gamma a1)
     (1 - alpha_m) a1 + alpha_m a0 = (1 - alpha_f) v1' + alpha_f v0'
     equations of motion at (q1, v1, v1', lambda1, t1),    Phi(q1) = 0
 
-with coefficients from the spectral radius at infinite frequency.  The joint loads come from v1' and
-lambda1, with which the equations of motion hold at the end of every step; integrals of squared loads
-and of powers are sums by the trapezoidal rule.  A step of length zero finds the accelerations and
-multipliers at a given state: the method starts, and starts again after a jump of the drive, by such a
-step.  Newton's method solves a step with one iteration matrix, formed where the first guess leads, until the
-residual is a small share of the largest joint load so far and the cut joints are closed, or as many
-corrections have been made as allowed; the residual after the last one is part of the result.
+with coefficients from the spectral radius at infinite frequency.  v' are the accelerations of the motion, a the
+auxiliary ones of the method, lambda the multipliers.
 
-How a step is differentiated is said in `implicit_step`.
+    t0 ------------------------------- h ------------------------------> t1
+    StepStart                                                            StepEnd
+    q0, v0 (trajectory)           .----------------------------.         q1, v1, integrals (trajectory)
+    a0, v0' (memory)              |                            |         a1, v1', lambda1 (memory)
+         |                        v                            |             ^
+         '-> predict ----> v1', lambda1 --> newmark: a1, q1, v1 --> evaluate -- converged
+                                  ^                               | residual
+                                  '------- Newton increment <-----' not small
+
+Newton's method uses one iteration matrix a step, formed at the prediction.  It stops when the residual is a small
+share of the largest joint force so far and the cut joints are closed, or after as many increments as are allowed;
+the residual at the end is part of the result.  The joint loads come from v1' and lambda1, with which the equations
+of motion hold at t1; integrals of squared loads and of powers are sums by the trapezoidal rule.
+
+A step of length zero finds v' and lambda at a given state: with it the method starts, and restarts after a jump of
+the drive.
 """
 
 import math
-from collections.abc import Callable
-from typing import ClassVar, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import ClassVar
 
 import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
+from jaxtyping import Array, Bool, Float, PyTree
 
 from rfem_jax.description.drives import PrescribedDrive
+from rfem_jax.description.errors import InputError
 from rfem_jax.description.methods import Method
 from rfem_jax.mechanics import loads
 from rfem_jax.mechanics.condensation import LinkOperator, link_operators, present_operators
@@ -41,52 +52,55 @@ from rfem_jax.mechanics.inputs import DriveInput, impose
 from rfem_jax.mechanics.kinematics import motion
 from rfem_jax.mechanics.model import Coordinates, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
-from rfem_jax.mechanics.newton import IterationMatrix, NewtonIncrement, iteration_matrix, newton_increment, residual_of
+from rfem_jax.mechanics.newton import IterationMatrix, iteration_matrix, newton_increment, residual_of
 from rfem_jax.mechanics.residual import Evaluation, evaluate_residual
 from rfem_jax.simulation import equations
-from rfem_jax.simulation.equations import Conditions, Integrals, Trajectory, drive_input
-from rfem_jax.simulation.implicit_step import form_matrix, solved_step
-from rfem_jax.simulation.observation import balanced_instant, cut_drift
+from rfem_jax.simulation.driving import driven_index
+from rfem_jax.simulation.equations import Conditions, Integrals, Scalar, Trajectory, drive_input
+from rfem_jax.simulation.implicit_step import (
+    Memory,
+    StepConstants,
+    StepEnd,
+    StepStart,
+    Unknowns,
+    form_matrix,
+    solved_step,
+)
+from rfem_jax.simulation.observation import Instant, cut_drift, evaluated_instant
 from rfem_jax.simulation.run import RESIDUAL_LIMIT
 
-CLOSED = 1e-7  # drift of the cut joints, relative to the length, that Newton's method may leave
-# The residual pushes the mechanism in every step, and after a jump loads are a fraction of the largest
-# so far: RMS loads err by up to so many times the tolerance, and derivatives need be no better.  After one
-# correction these err by 2e-3 at errors that matter (twenty times that where the errors are so small that loads
-# hardly follow them), after every further one by a thirteenth, with steps of 2.5 ms; with 5 ms by 1e-2 and a
+CLOSED = 1e-7  # drift of the cut joints that Newton's method may leave, relative to the longest link
+# The residual acts as an error force in every step, and after a jump loads are a fraction of the largest so far: RMS
+# loads err by up to this many times the tolerance, and derivatives need be no more accurate.  With one Newton
+# increment derivatives err by 2e-3 at errors of practical size (twenty times that where the errors are so small that
+# loads hardly depend on them), with every further one by a thirteenth, for steps of 2.5 ms; for 5 ms by 1e-2 and a
 # ninth: table in benchmarks/README.md.
 ACCURACY_OF_TOLERANCE = 30.0
-FIRST_REFINEMENT, FURTHER_REFINEMENT = 5e-3, 1.0 / 13.0
+ERROR_OF_FIRST_INCREMENT, REDUCTION_BY_INCREMENT = 5e-3, 1.0 / 13.0
+
+MadeJump = bool | Bool[Array | np.ndarray, ""]
+StepState = tuple[Trajectory, Float[Array, "2 joints"]]
 
 
-class Memory(NamedTuple):
-    """What goes from step to step besides the trajectory: accelerations v', the method's a, multipliers
-    (5, C) [N], rates of the integrals; residual [N]: largest force that is left over in the equations of
-    the last step, and in all steps so far."""
-
-    accelerations: Coordinates
-    auxiliary: Coordinates
-    multipliers: Array
-    rates: Integrals
-    residual: Array
-    largest_residual: Array
-
-
-class GeneralisedAlpha(diffrax.AbstractSolver):
+class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
     """The method as a diffrax solver of the equations of motion.
 
-    It reads the mechanism itself, not the vector field of its terms, so it solves these equations alone:
+    It reads the mechanism itself instead of the vector field of its terms, so it solves these equations only:
 
         diffrax.diffeqsolve(terms, GeneralisedAlpha(method), t0, t1, h, y0, args=conditions, ...)
 
     with y0 = (`Trajectory`, squared maxima (2, joints) so far of axial and normal forces), args = `Conditions`
-    of one phase of the drive, terms = `diffrax.ODETerm(stepping.vector_field)`.  Between two jumps of
-    the drive one call integrates; steps may vary, and if the `operators` of the conditions are those of the one
-    step length, they are not formed in every step.  A step in which Newton's method fails has the result
+    of one phase of the drive, terms = `diffrax.ODETerm(stepping.vector_field)`.  One call integrates between two
+    jumps of the drive.  Steps may vary; if all have one length, and the `operators` of the conditions are those of
+    this length, they are not formed in every step.  A step in which Newton's method fails has the result
     `nonlinear_max_steps_reached`.
 
-    Attributes: corrections: Newton's, at most in every step; tolerance: share of the largest joint load that
-    the residual may have.
+    **Arguments:** `method`: an implicit `Method`.
+
+    Attributes: max_increments: largest number of Newton increments in a step; tolerance: largest residual, as a
+    share of the largest joint force.
+
+    **Raises:** `InputError` for a method that is not implicit.
     """
 
     term_structure: ClassVar = diffrax.AbstractTerm
@@ -98,142 +112,166 @@ class GeneralisedAlpha(diffrax.AbstractSolver):
     alpha_f: float = eqx.field(static=True)
     beta: float = eqx.field(static=True)
     gamma: float = eqx.field(static=True)
-    corrections: int = eqx.field(static=True)
+    max_increments: int = eqx.field(static=True)
     tolerance: float = eqx.field(static=True)
 
     def __init__(self, method: Method):
         radius = method.spectral_radius
+        if radius is None or method.corrections is None or method.tolerance is None:
+            raise InputError(f'Argument `method` must be "generalised_alpha", but is {method.name!r}.')
         self.alpha_m = (2.0 * radius - 1.0) / (radius + 1.0)
         self.alpha_f = radius / (radius + 1.0)
         self.gamma = 0.5 + self.alpha_f - self.alpha_m
         self.beta = 0.25 * (self.gamma + 0.5) ** 2
-        self.corrections = method.corrections
+        self.max_increments = method.corrections
         self.tolerance = method.tolerance
 
     @property
-    def refinements(self) -> int:
-        """Corrections of a derivative."""
+    def tangent_increments(self) -> int:
+        """Number of Newton increments of a derivative, from the tolerance."""
         wanted = ACCURACY_OF_TOLERANCE * self.tolerance
-        further = math.log(wanted / FIRST_REFINEMENT) / math.log(FURTHER_REFINEMENT)
+        further = math.log(wanted / ERROR_OF_FIRST_INCREMENT) / math.log(REDUCTION_BY_INCREMENT)
         return max(1, 1 + math.ceil(further))
 
-    def order(self, terms):
+    def order(self, terms: PyTree) -> int:
         return 2
 
-    def func(self, terms, t0, y0, args):
+    def func(self, terms: diffrax.AbstractTerm, t0: Scalar, y0: StepState, args: Conditions) -> StepState:
         return terms.vf(t0, y0, args)
 
-    def init(self, terms, t0, t1, y0, args: Conditions) -> Memory:
+    def init(self, terms: diffrax.AbstractTerm, t0: Scalar, t1: Scalar, y0: StepState, args: Conditions) -> Memory:
         """Accelerations and multipliers at the start, by a step of length zero."""
         del t1
-        nothing = self.start(args, y0[0])
-        return self.step(terms, t0, t0, y0, args, nothing, False)[3]
+        return self.step(terms, t0, t0, y0, args, self.start(args, y0[0]), False)[3]
 
     def start(self, conditions: Conditions, trajectory: Trajectory) -> Memory:
-        """Nothing remembered: the first step must have length zero."""
+        """Memory before the first step, all zero: that step must have length zero."""
         multipliers = jnp.zeros((5, conditions.actual.topology.n_cuts))
-        nothing = jax.tree.map(jnp.zeros_like, trajectory.velocity)
+        zeros = jax.tree.map(jnp.zeros_like, trajectory.velocity)
         rates = jax.tree.map(jnp.zeros_like, trajectory.integrals)
-        return Memory(nothing, nothing, multipliers, rates, jnp.zeros(()), jnp.zeros(()))
+        return Memory(zeros, zeros, multipliers, rates, jnp.zeros(()), jnp.zeros(()))
 
-    def resume(self, terms, t0, t1, y0, args, memory: Memory) -> Memory:
-        """Memory at the start of an interval: that of the one before."""
+    def resume(
+        self,
+        terms: diffrax.AbstractTerm,
+        t0: Scalar,
+        t1: Scalar,
+        y0: StepState,
+        args: Conditions,
+        memory: Memory,
+    ) -> Memory:
+        """Memory at the start of an interval: that at the end of the one before."""
         del terms, t0, t1, y0, args
         return memory
 
-    def step(self, terms, t0, t1, y0, args: Conditions, solver_state: Memory, made_jump):
-        """One step (of length zero: accelerations at the given state).  After a jump of the drive there must
-        be one of length zero, so `made_jump` says nothing new."""
+    def step(
+        self,
+        terms: diffrax.AbstractTerm,
+        t0: Scalar,
+        t1: Scalar,
+        y0: StepState,
+        args: Conditions,
+        solver_state: Memory,
+        made_jump: MadeJump,
+    ) -> tuple[StepState, None, dict[str, StepState], Memory, diffrax.RESULTS]:
+        """One step; of length zero: accelerations and multipliers at the given state.
+
+        After a jump of the drive the caller takes a step of length zero, so `made_jump` is not read.
+        """
         del terms, made_jump
-        h, (trajectory, peaks) = t1 - t0, y0
+        h, (trajectory, peaks) = jnp.asarray(t1 - t0), y0
         operators = args.operators
         if operators is None:
             operators = jax.tree.map(lambda x: x[0], self.operators(args.actual, h[None]))
-        given = eqx.tree_at(lambda c: c.operators, args, None), trajectory, solver_state
+        start = StepStart(eqx.tree_at(lambda c: c.operators, args, None), trajectory, solver_state)
         seen = jnp.maximum(peaks, squared_forces(solver_state.rates))
-        constants = t1, h, jnp.sqrt(jnp.max(seen))
-        operators, constants, fixed = jax.lax.stop_gradient((operators, constants, given))
-        matrix = form_matrix(self, operators, constants, *fixed)
-        trajectory, memory = solved_step(self, (matrix, *constants), *given)
+        constants = StepConstants(t1, h, jnp.sqrt(jnp.max(seen)))
+        operators, constants, fixed = jax.lax.stop_gradient((operators, constants, start))
+        matrix = form_matrix(self, operators, constants, fixed)
+        trajectory, memory = solved_step(self, matrix, constants, start)
         y1 = trajectory, jnp.maximum(peaks, squared_forces(memory.rates))
         allowed = RESIDUAL_LIMIT * jnp.sqrt(jnp.max(jax.lax.stop_gradient(y1[1])))
         result = diffrax.RESULTS.where(
             memory.residual <= allowed,
             diffrax.RESULTS.successful,
-            diffrax.RESULTS.nonlinear_max_steps_reached,
+            diffrax.RESULTS.nonlinear_max_steps_reached,  # pyright: ignore[reportArgumentType] # an enumeration's item
         )
         return y1, None, {"y0": y0, "y1": y1}, memory, result
 
-    def factors(self, h):
-        """Change of coordinates [s^2] and of rates [s] by a change of the accelerations v1'."""
+    def factors(self, h: Float[Array, ""]) -> tuple[Float[Array, ""], Float[Array, ""]]:
+        """Derivatives of q1 [s^2] and v1 [s] with respect to v1' for a step of length h [s]."""
         share = (1.0 - self.alpha_f) / (1.0 - self.alpha_m)
         return self.beta * h**2 * share, self.gamma * h * share
 
-    def operators(self, actual: ModelWithErrors, lengths: Array) -> tuple[LinkOperator | None, ...]:
-        """Operators of the links, first axis: step lengths (K,)."""
+    def operators(self, actual: ModelWithErrors, lengths: Float[Array, " lengths"]) -> tuple[LinkOperator | None, ...]:
+        """Condensed links for steps of several lengths [s], which are the first axis of the result."""
         return jax.vmap(lambda h: link_operators(actual, *self.factors(h)))(lengths)
 
-    def instant(self, t, h, trajectory, memory: Memory, conditions: Conditions):
-        """At the end t of a step of length h: squared forces, state, drive, and the solved instant."""
+    def instant(
+        self, t: Scalar, h: Float[Array, ""], trajectory: Trajectory, memory: Memory, conditions: Conditions
+    ) -> tuple[Float[Array, "2 joints"], State, DriveInput, Instant]:
+        """At the end t of a step of length h [s]: squared forces [N^2], state, drive, and the instant."""
         scale = conditions.stabilisation.scale
         state = State(trajectory.position, trajectory.velocity)
         drive = drive_input(conditions.drive, t, conditions.phase)
         accelerations, multipliers = memory.accelerations, memory.multipliers
-        left = evaluate_residual(conditions.actual, state, accelerations, multipliers, drive, scale)
-        forces = residual_forces(conditions.actual, self._closing(left, h), drive, scale)
+        evaluation = evaluate_residual(conditions.actual, state, accelerations, multipliers, drive, scale)
+        forces = residual_forces(conditions.actual, self._closing_as_acceleration(evaluation, h), drive, scale)
         topology = conditions.actual.topology
-        instant = balanced_instant(topology, left, accelerations, drive, scale, forces)
+        instant = evaluated_instant(topology, evaluation, accelerations, drive, scale, forces)
         return squared_forces(memory.rates), state, drive, instant
 
-    def solve(self, constants, conditions, trajectory, memory) -> tuple[Trajectory, Memory]:
-        """Newton's method."""
-        matrix, _, _, largest = constants
-        topology, given = conditions.actual.topology, (conditions, trajectory, memory)
+    def solve(self, matrix: IterationMatrix, constants: StepConstants, start: StepStart) -> StepEnd:
+        """Newton's method from the prediction, by increments with the iteration matrix."""
+        conditions, trajectory, memory = start
+        topology = conditions.actual.topology
         drift = CLOSED * conditions.stabilisation.scale
-        first = self.guess(constants, *given)
-        left = self.end_of_step(first, constants, *given)[0]
+        predicted = self.predict(constants, start)
+        evaluation = self.evaluate(predicted, constants, start)[0]
 
-        def unsettled(carry):
-            count, settled, _, _, _ = carry
-            return (count == 0) | ((count < self.corrections) & ~settled)
+        def unconverged(carry):
+            count, converged, _, _, _ = carry
+            return (count == 0) | ((count < self.max_increments) & ~converged)
 
-        def correct(carry):
+        def improve(carry):
             count, _, unknowns, residual, _ = carry
-            change = newton_increment(topology, matrix, residual)
-            unknowns = jax.tree.map(jnp.add, unknowns, change)
-            left, end = self.end_of_step(unknowns, constants, *given)
-            closed = cut_drift(left.closure, conditions.stabilisation.scale)[0] <= drift
-            settled = (end[1].residual <= self.tolerance * largest) & closed
-            return count + 1, settled, unknowns, residual_of(left), end
+            increment = newton_increment(topology, matrix, residual)
+            unknowns = jax.tree.map(jnp.add, unknowns, increment)
+            evaluation, end = self.evaluate(unknowns, constants, start)
+            closed = cut_drift(evaluation.closure, conditions.stabilisation.scale)[0] <= drift
+            converged = (end.memory.residual <= self.tolerance * constants.largest_force) & closed
+            return count + 1, converged, unknowns, residual_of(evaluation), end
 
-        # The first correction is always made: what the guess would return is never needed.
-        start = jnp.zeros((), jnp.int32), jnp.zeros((), bool)
-        carry = (*start, first, residual_of(left), (trajectory, memory))
-        return jax.lax.while_loop(unsettled, correct, carry)[4]
+        # The first increment is always made, so the end of the step at the prediction is not needed.
+        count, converged = jnp.zeros((), jnp.int32), jnp.zeros((), bool)
+        carry = count, converged, predicted, residual_of(evaluation), StepEnd(trajectory, memory)
+        return jax.lax.while_loop(unconverged, improve, carry)[4]
 
-    def matrix(self, operators, constants, conditions: Conditions, trajectory, memory) -> IterationMatrix:
-        """Newton's matrix, formed where the guess leads; the solution does not depend on it."""
-        (t1, h, _), actual = constants, conditions.actual
-        scale = conditions.stabilisation.scale
-        drive = drive_input(conditions.drive, t1, conditions.phase)
-        accelerations, _ = self.guess((None, *constants), conditions, trajectory, memory)
-        state, _ = self._reached(h, trajectory, memory, accelerations, actual.topology, drive)
+    def iteration_matrix(
+        self, operators: tuple[LinkOperator | None, ...], constants: StepConstants, start: StepStart
+    ) -> IterationMatrix:
+        """Approximate Jacobian of the residual, formed at the prediction; the solution does not depend on it."""
+        h, (conditions, trajectory, memory) = constants.length, start
+        actual, scale = conditions.actual, conditions.stabilisation.scale
+        drive = drive_input(conditions.drive, constants.end, conditions.phase)
+        accelerations, _ = self.predict(constants, start)
+        state, _ = self._newmark(h, trajectory, memory, accelerations, actual.topology, drive)
         now = motion(actual, state)
         if actual.topology.exact:
             operators = present_operators(actual, now.relative, *self.factors(h))
         prescribed = isinstance(conditions.drive, PrescribedDrive)
-        held = (actual.topology.driven,) if prescribed else ()
+        held = (driven_index(actual.topology),) if prescribed else ()
         return iteration_matrix(actual, operators, now, closure(actual, now, scale), held)
 
-    def guess(self, constants, conditions: Conditions, trajectory: Trajectory, memory) -> NewtonIncrement:
-        """Accelerations and multipliers before the first correction: those of the last step.
+    def predict(self, constants: StepConstants, start: StepStart) -> Unknowns:
+        """Accelerations and multipliers of the last step as a first guess.
 
-        Geometrically exact links keep their shape instead: their matrix is formed where the guess leads,
-        which accelerations of stiff vibrations, carried on over a long step, would bend far.
+        Geometrically exact links keep their shape instead: their matrix is formed at the prediction, and
+        accelerations of stiff vibrations, carried on over a long step, would bend them far.
         """
-        _, t1, h, _ = constants
+        h, (conditions, trajectory, memory) = constants.length, start
         topology = conditions.actual.topology
-        drive = drive_input(conditions.drive, t1, conditions.phase)
+        drive = drive_input(conditions.drive, constants.end, conditions.phase)
         accelerations = memory.accelerations
         if topology.exact:
             moving = h > 0.0
@@ -243,70 +281,47 @@ class GeneralisedAlpha(diffrax.AbstractSolver):
             mixed = (1.0 - self.alpha_m) * a1 + self.alpha_m * a0 - self.alpha_f * old
             elastic = jnp.where(moving, mixed / (1.0 - self.alpha_f), old)
             accelerations = Coordinates(accelerations.angles, elastic)
-        return NewtonIncrement(_prescribed(topology, drive, accelerations), memory.multipliers)
+        return Unknowns(_with_prescribed(topology, drive, accelerations), memory.multipliers)
 
-    def end_of_step(
-        self, unknowns: NewtonIncrement, constants, conditions: Conditions, trajectory, memory
-    ) -> tuple[Evaluation, tuple[Trajectory, Memory]]:
-        """Residual with given unknowns (`closing` as an acceleration), and what the step returns if that is
-        nothing."""
-        _, t1, h, _ = constants
+    def evaluate(self, unknowns: Unknowns, constants: StepConstants, start: StepStart) -> tuple[Evaluation, StepEnd]:
+        """Residual at given unknowns (its `closing` as an acceleration), and the end of the step if it is zero."""
+        h, (conditions, trajectory, memory) = constants.length, start
         actual, scale = conditions.actual, conditions.stabilisation.scale
-        drive = drive_input(conditions.drive, t1, conditions.phase)
+        drive = drive_input(conditions.drive, constants.end, conditions.phase)
         accelerations, multipliers = unknowns
-        state, auxiliary = self._reached(h, trajectory, memory, accelerations, actual.topology, drive)
-        left = evaluate_residual(actual, state, accelerations, multipliers, drive, scale)
-        left = self._closing(left, h)
-        reached = state, auxiliary, unknowns
-        return left, self._ended(left, reached, drive, h, conditions, trajectory, memory)
+        state, auxiliary = self._newmark(h, trajectory, memory, accelerations, actual.topology, drive)
+        evaluation = evaluate_residual(actual, state, accelerations, multipliers, drive, scale)
+        evaluation = self._closing_as_acceleration(evaluation, h)
+        return evaluation, self._step_end(evaluation, unknowns, state, auxiliary, drive, h, start)
 
-    def end_by_wrenches(
-        self, wrenches, unknowns: NewtonIncrement, left: Evaluation, constants, conditions, trajectory, memory
-    ) -> tuple[Trajectory, Memory]:
-        """What the step returns with given unknowns and wrenches (6,) of the tree joints, in the place of
-        the balance `left`."""
-        _, t1, h, _ = constants
+    def end_from_wrenches(
+        self,
+        wrenches: Sequence[Float[Array, "6"]],
+        unknowns: Unknowns,
+        evaluation: Evaluation,
+        constants: StepConstants,
+        start: StepStart,
+    ) -> StepEnd:
+        """The end of the step at given unknowns and wrenches of the tree joints, for those of the evaluation."""
+        h, (conditions, trajectory, memory) = constants.length, start
         actual = conditions.actual
-        drive = drive_input(conditions.drive, t1, conditions.phase)
-        state, auxiliary = self._reached(h, trajectory, memory, unknowns.accelerations, actual.topology, drive)
-        left = left._replace(
+        drive = drive_input(conditions.drive, constants.end, conditions.phase)
+        state, auxiliary = self._newmark(h, trajectory, memory, unknowns.accelerations, actual.topology, drive)
+        evaluation = evaluation._replace(
             multipliers=unknowns.multipliers,
-            wrenches=[*wrenches, *loads.cut_wrenches(left.closure, unknowns.multipliers)],
+            wrenches=[*wrenches, *loads.cut_wrenches(evaluation.closure, unknowns.multipliers)],
             dissipated=dissipated_power(actual, state),
         )
-        reached = state, auxiliary, unknowns
-        return self._ended(left, reached, drive, h, conditions, trajectory, memory)
+        return self._step_end(evaluation, unknowns, state, auxiliary, drive, h, start)
 
-    def _closing(self, left: Evaluation, h) -> Evaluation:
-        """The balance with its closure as an acceleration [m/s^2]: the one that closes it within the step."""
+    def _closing_as_acceleration(self, evaluation: Evaluation, h) -> Evaluation:
+        """The evaluation with its closure error [m] as the acceleration [m/s^2] that removes it within the step."""
         moving, (q_factor, _) = h > 0.0, self.factors(h)
-        by_step = left.closing / jnp.where(moving, q_factor, 1.0)
-        return left._replace(closing=jnp.where(moving, by_step, left.closing_acceleration))
+        by_step = evaluation.closing / jnp.where(moving, q_factor, 1.0)
+        return evaluation._replace(closing=jnp.where(moving, by_step, evaluation.closing_acceleration))
 
-    def _ended(self, left: Evaluation, reached, drive, h, conditions, trajectory, memory):
-        """What the step returns with its balance, and state, auxiliary accelerations and unknowns."""
-        actual, scale = conditions.actual, conditions.stabilisation.scale
-        state, auxiliary, (accelerations, multipliers) = reached
-        residual = jnp.max(jnp.abs(residual_forces(actual, left, drive, scale)), initial=0.0)
-        residual = jax.lax.stop_gradient(residual)
-        joint = loads.loads_of_wrenches(actual.topology, left, left.wrenches, drive)
-        axial, normal, moment = equations.squares(joint)
-        work = equations.drive_power(actual.topology, state, drive, joint)
-        rates = Integrals(axial, normal, moment, work, left.dissipated)
-        integrals = jax.tree.map(
-            lambda sum, old, new: sum + 0.5 * h * (old + new),
-            trajectory.integrals,
-            memory.rates,
-            rates,
-        )
-        most = jnp.maximum(memory.largest_residual, residual)
-        return (
-            Trajectory(state.position, state.velocity, integrals),
-            Memory(accelerations, auxiliary, multipliers, rates, residual, most),
-        )
-
-    def _reached(self, h, trajectory: Trajectory, memory: Memory, accelerations, topology, drive):
-        """State at the end of the step with prescribed values imposed, and the method's a1."""
+    def _newmark(self, h, trajectory: Trajectory, memory: Memory, accelerations: Coordinates, topology, drive):
+        """Newmark's formulas: (q1, v1) from v1', with the prescribed motion imposed, and a1."""
         moving = h > 0.0
 
         def auxiliary(new, old, a):
@@ -330,27 +345,55 @@ class GeneralisedAlpha(diffrax.AbstractSolver):
         )
         return impose(topology, State(position, velocity), drive), a1
 
+    def _step_end(self, evaluation: Evaluation, unknowns: Unknowns, state, auxiliary, drive, h, start) -> StepEnd:
+        """Trajectory and memory at the end: loads from the evaluation, integrals by the trapezoidal rule."""
+        conditions, trajectory, memory = start
+        actual, scale = conditions.actual, conditions.stabilisation.scale
+        accelerations, multipliers = unknowns
+        residual = jnp.max(jnp.abs(residual_forces(actual, evaluation, drive, scale)), initial=0.0)
+        residual = jax.lax.stop_gradient(residual)
+        joint = loads.loads_of_wrenches(actual.topology, evaluation, evaluation.wrenches, drive)
+        axial, normal, moment = equations.squares(joint)
+        work = equations.drive_power(actual.topology, state, drive, joint)
+        rates = Integrals(axial, normal, moment, work, evaluation.dissipated)
+        integrals = jax.tree.map(
+            lambda sum, old, new: sum + 0.5 * h * (old + new),
+            trajectory.integrals,
+            memory.rates,
+            rates,
+        )
+        most = jnp.maximum(memory.largest_residual, residual)
+        return StepEnd(
+            Trajectory(state.position, state.velocity, integrals),
+            Memory(accelerations, auxiliary, multipliers, rates, residual, most),
+        )
 
-def squared_forces(rates: Integrals) -> Array:
-    """Squared axial and normal forces (2, joints)."""
+
+def squared_forces(rates: Integrals) -> Float[Array, "2 joints"]:
+    """Squared axial and normal forces [N^2]."""
     return jnp.stack([rates.axial_square, rates.normal_square])
 
 
-def residual_forces(actual, left: Evaluation, drive: DriveInput, scale: Array) -> Array:
-    """Residual as forces [N] (n,): on the rfes, about the hinges, and to close the cut joints."""
-    hinge = left.hinge
+def residual_forces(
+    actual: ModelWithErrors, evaluation: Evaluation, drive: DriveInput, scale: Float[Array, ""]
+) -> Float[Array, " n"]:
+    """The residual as forces [N]: on the rfes, about the hinges, and to close the cut joints.
+
+    **Arguments:** `scale`: a length [m] of the mechanism; the closing of the evaluation is an acceleration.
+    """
+    hinge = evaluation.hinge
     if drive.prescribed is not None:
-        # The moment that enforces the angle.
+        # About the driven hinge this is the moment that enforces the motion, no residual.
         hinge = jnp.where(np.arange(hinge.shape[0]) == actual.topology.driven, 0.0, hinge)
-    parts = left.force, left.moment / scale, hinge / scale, left.closing * jnp.sum(actual.mass)
+    moment, hinge = evaluation.moment / scale, hinge / scale
+    parts = evaluation.force, moment, hinge, evaluation.closing * jnp.sum(actual.mass)
     return jnp.concatenate([part.reshape(-1) for part in parts])
 
 
-def _prescribed(topology: Topology, drive: DriveInput, accelerations: Coordinates) -> Coordinates:
+def _with_prescribed(topology: Topology, drive: DriveInput, accelerations: Coordinates) -> Coordinates:
     """The accelerations with that of a prescribed joint put in."""
     if drive.prescribed is None:
         return accelerations
     driven = np.arange(topology.n_links) == topology.driven
-    driven = driven.reshape((-1,) + (1,) * (accelerations.angles.ndim - 1))
     angles = jnp.where(driven, drive.prescribed[2][None], accelerations.angles)
     return Coordinates(angles, accelerations.elastic)

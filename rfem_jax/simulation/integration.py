@@ -3,11 +3,11 @@
 Place in the pipeline: model, errors, drive, method -> **simulate** -> Run.
 
     prepare   errors -> constants, start state, preload
-    advance   the intervals of the time grid, one compiled body for all
+    advance   the intervals of the time grid, by one compiled loop body (`stepping`)
     conclude  loads and balances at the ends of the intervals, metrics, status
 
-With fixed steps it takes every transform (jit, vmap, forward, reverse, Hessian); reverse mode keeps one
-state an interval (checkpoints).  How an interval is gone through is said in `stepping`.
+With fixed steps all transforms of JAX apply (jit, vmap, forward and reverse mode, Hessians); reverse mode has one
+checkpoint at the end of every interval.
 """
 
 from typing import NamedTuple
@@ -15,10 +15,9 @@ from typing import NamedTuple
 import diffrax
 import jax
 import jax.numpy as jnp
-from jax import Array
+from jaxtyping import Array, Float, Int
 
 from rfem_jax.compilation.program import Program
-from rfem_jax.description.drives import MomentDrive, PrescribedDrive
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.methods import Method
 from rfem_jax.mechanics import loads
@@ -44,9 +43,9 @@ from rfem_jax.mechanics.status import (
     STEPS_EXHAUSTED,
 )
 from rfem_jax.simulation import equations
-from rfem_jax.simulation.equations import Conditions, Trajectory
-from rfem_jax.simulation.generalised_alpha import Memory
-from rfem_jax.simulation.implicit_step import SOLUTION
+from rfem_jax.simulation.driving import Drive, driven_index
+from rfem_jax.simulation.equations import Conditions, Scalar, Trajectory
+from rfem_jax.simulation.implicit_step import SOLUTION, Memory
 from rfem_jax.simulation.observation import Record, observe
 from rfem_jax.simulation.packing import pack, unpack
 from rfem_jax.simulation.run import RESIDUAL_LIMIT, DrivenJoint, LoadIntegrals, Metrics, Run
@@ -59,16 +58,16 @@ DRIFT_LIMIT = 1e-6
 
 
 class Prepared(NamedTuple):
-    """A mechanism put together: constants, start state, joint loads at rest, assembly status."""
+    """An assembled mechanism: constants, start state, joint loads at rest, status of the assembly."""
 
     actual: ModelWithErrors
     state: State
     preload: loads.JointLoads
-    status: Array
+    status: Int[Array, ""]
 
 
-class End(NamedTuple):
-    """What is known at the end of an interval: trajectory, and memory of a method that remembers (None)."""
+class IntervalEnd(NamedTuple):
+    """The end of an interval: trajectory, and memory of an implicit method (None for others)."""
 
     trajectory: Trajectory
     memory: Memory | None
@@ -78,7 +77,7 @@ def simulate(
     model: Model,
     errors: AssemblyErrors | None = None,
     *,
-    drive: MomentDrive | PrescribedDrive | None,
+    drive: Drive,
     duration: float,
     method: Method,
     save_every: float | None = None,
@@ -87,16 +86,15 @@ def simulate(
 ) -> Run:
     """Assemble a mechanism with its errors and simulate its motion.
 
-    **Arguments:** `errors` from `assembly_errors` (None: perfect); `drive`: moment or prescribed
-    angle, or None; `duration` [s]; `method`; `save_every` [s]: interval of saved times (None: 500
-    intervals); `start`: replaces the static assembly (the preload is then unknown, NaN);
-    `adjoint`: diffrax's adjoint for adaptive methods only (None: forward mode; give
-    `diffrax.RecursiveCheckpointAdjoint()` for reverse mode).
+    **Arguments:** `errors` from `assembly_errors` (None: perfect); `drive`: a moment on the model's driven joint, its
+    prescribed motion, or None; `duration` [s]; `method`; `save_every` [s]: interval of saved times (None: 500
+    intervals); `start`: replaces the static assembly (the preload is then unknown, NaN); `adjoint`: diffrax's adjoint,
+    for adaptive methods only (None: forward mode; give `diffrax.RecursiveCheckpointAdjoint()` for reverse mode).
 
-    **Returns:** `Run`.  Works under jit, vmap, jacfwd; with fixed-step methods also grad, jacrev and
-    Hessians (memory in reverse mode: one trajectory state an interval, and the steps of one interval).
+    **Returns:** `Run`.  Works under jit, vmap, jacfwd; with fixed-step methods also grad, jacrev and Hessians (memory
+    in reverse mode: the state at the end of every interval, and the steps of one interval).
 
-    **Raises:** `InputError`; what happens to a run is in its status, never raised.
+    **Raises:** `InputError` for arguments that cannot be used.  A run that fails says so in its status.
     """
     require_double_precision()
     grid, steps = grid_for(drive, duration, method, save_every)
@@ -104,8 +102,11 @@ def simulate(
     return _simulate(model, errors, drive, grid, start, method, steps, adjoint)
 
 
-def grid_for(drive, duration, method: Method, save_every) -> tuple[TimeGrid, int]:
-    """Time grid and steps an interval of a method."""
+def grid_for(drive: Drive, duration: float, method: Method, save_every: float | None) -> tuple[TimeGrid, int]:
+    """Time grid of a duration [s], with an interval of saved times [s], and the number of steps in an interval.
+
+    **Raises:** `InputError` for a method without a step or tolerances, and for times that cannot be used.
+    """
     if method.step is None and not method.adaptive:
         raise InputError(
             f"Argument `method` must have a step or tolerances here, but {method.name!r} has none; "
@@ -123,8 +124,8 @@ def _simulate(model, errors, drive, grid, start, method, steps, adjoint):
     return conclude(model, prepared, drive, carry, ends, grid, method, steps)
 
 
-def prepare(model: Model, errors: AssemblyErrors, drive, start: State | None) -> Prepared:
-    """Put the mechanism together, or take the given start."""
+def prepare(model: Model, errors: AssemblyErrors, drive: Drive, start: State | None) -> Prepared:
+    """Assemble the mechanism by static equilibrium, or take the given start."""
     with jax.named_scope("assembly"):
         actual = apply_errors(model, errors)
         joints = len(model.topology.joints)
@@ -136,7 +137,7 @@ def prepare(model: Model, errors: AssemblyErrors, drive, start: State | None) ->
         held = held_angles(model, None)
         first = equations.drive_input(drive, jnp.zeros(()), jnp.asarray(0, jnp.int32))
         if first.prescribed is not None:
-            held = {model.topology.driven: first.prescribed[0]}
+            held = {driven_index(model.topology): first.prescribed[0]}
         position, multipliers, status = equilibrium(model, actual, held)
         state = loads.static_state(position)
         preload = static_loads(model, actual, state, multipliers)
@@ -146,8 +147,8 @@ def prepare(model: Model, errors: AssemblyErrors, drive, start: State | None) ->
         return Prepared(actual, state, preload, status)
 
 
-def start_carry(model: Model, prepared: Prepared, drive, method: Method) -> Carry:
-    """The carry before the first interval."""
+def start_carry(model: Model, prepared: Prepared, drive: Drive, method: Method) -> Carry:
+    """The state of the integration before the first interval."""
     joints = prepared.preload.force.shape[1]
     trajectory = equations.start_trajectory(prepared.state, joints)
     drive = equations.with_start_angle(model, drive)
@@ -162,55 +163,95 @@ def start_carry(model: Model, prepared: Prepared, drive, method: Method) -> Carr
     )
 
 
-def advance(model, actual, drive, carry, grid: TimeGrid, method: Method, steps, adjoint):
-    """Integrate over the intervals of a grid; returns the carry and the `End` of each interval."""
+def advance(
+    model: Model,
+    actual: ModelWithErrors,
+    drive: Drive,
+    carry: Carry,
+    grid: TimeGrid,
+    method: Method,
+    steps: int,
+    adjoint: diffrax.AbstractAdjoint | None,
+) -> tuple[Carry, IntervalEnd]:
+    """Integrate over the intervals of a grid, each in a number of steps (fixed-step methods).
+
+    **Returns:** the carry at the end, and the ends of all intervals, whose arrays have a first axis of intervals.
+    """
     step_over = step_intervals(model, actual, drive, grid, method, steps, adjoint)
 
     def interval(carry, entry):
         carry = step_over(carry, entry)
-        return carry, pack(End(carry.trajectory, carry.memory))
+        return carry, pack(IntervalEnd(carry.trajectory, carry.memory))
 
     kept = jax.checkpoint_policies.save_only_these_names(SOLUTION)
     carry, ends = jax.lax.scan(jax.checkpoint(interval, policy=kept), carry, _entries(grid))
-    return carry, unpack(ends, End(carry.trajectory, carry.memory))
+    return carry, unpack(ends, IntervalEnd(carry.trajectory, carry.memory))
 
 
-def advance_unobserved(model, actual, drive, carry, grid: TimeGrid, method: Method, steps):
-    """Integrate without records; with an implicit method `steps` may be traced (forward mode only)."""
+def advance_unobserved(
+    model: Model,
+    actual: ModelWithErrors,
+    drive: Drive,
+    carry: Carry,
+    grid: TimeGrid,
+    method: Method,
+    steps: int | Float[Array, ""],
+) -> Carry:
+    """Integrate without records; `steps`, in an interval, may be traced with an implicit method (then not in reverse
+    mode)."""
     step_over = step_intervals(model, actual, drive, grid, method, steps, None)
     return jax.lax.scan(lambda carry, entry: (step_over(carry, entry), None), carry, _entries(grid))[0]
 
 
-def _entries(grid: TimeGrid):
-    return tuple(jnp.asarray(x) for x in (grid.starts, grid.lengths, grid.phases, grid.kinds))
+def _entries(grid: TimeGrid) -> tuple[Array, Array, Array, Array]:
+    """Entries of `step_intervals`, with a first axis of intervals."""
+    starts, lengths, phases, kinds = (jnp.asarray(x) for x in (grid.starts, grid.lengths, grid.phases, grid.kinds))
+    return starts, lengths, phases, kinds
 
 
-def observe_ends(model, actual, drive, ends: End, grid: TimeGrid, method: Method, steps) -> Record:
-    """Records of the ends of intervals: in a loop of its own, since XLA compiles two loops faster than one with
-    the operations of both."""
+def observe_ends(
+    model: Model,
+    actual: ModelWithErrors,
+    drive: Drive,
+    ends: IntervalEnd,
+    grid: TimeGrid,
+    method: Method,
+    steps: int,
+) -> Record:
+    """Records of the ends of intervals, with a first axis of intervals.
+
+    They have a loop of their own: XLA compiles two loops faster than one with the operations of both.
+    """
     solver = observed_solver(method)
     drive = equations.with_start_angle(model, drive)
     stabilisation = stabilisation_of(model, method)
 
     @jax.checkpoint
-    def record(given):
-        (start, length, phase, _), end = given
+    def record(entry_and_end):
+        (start, length, phase, _), end = entry_and_end
         conditions = Conditions(actual, drive, phase, stabilisation)
         t, h = start + length, length / steps
         squares, state, now, instant = solver.instant(t, h, end.trajectory, end.memory, conditions)
         return observe(actual, state, now, end.trajectory.integrals, instant, squares)
 
-    given = _entries(grid), ends
-    form = jax.eval_shape(record, jax.tree.map(lambda x: x[0], given))
-    return unpack(jax.lax.map(lambda given: pack(record(given)), given), form)
+    entries_and_ends = _entries(grid), ends
+    form = jax.eval_shape(record, jax.tree.map(lambda x: x[0], entries_and_ends))
+    return unpack(jax.lax.map(lambda one: pack(record(one)), entries_and_ends), form)
 
 
 def conclude(
-    model: Model, prepared: Prepared, drive, carry: Carry, ends: End, grid: TimeGrid, method: Method, steps
+    model: Model,
+    prepared: Prepared,
+    drive: Drive,
+    carry: Carry,
+    ends: IntervalEnd,
+    grid: TimeGrid,
+    method: Method,
+    steps: int,
 ) -> Run:
-    """Loads, metrics, balances and status from the last carry and the ends of all intervals."""
+    """Loads, metrics, balances and status from the last carry and the ends of all intervals of the grid."""
     record = observe_ends(model, prepared.actual, drive, ends, grid, method, steps)
-    # Steps look at their starts: the maxima do not know the last instant.
+    # The maxima are taken at the starts of steps: the last instant is still missing.
     carry = carry._replace(peaks=jnp.maximum(carry.peaks, jnp.max(record.squares, axis=0)))
     record = jax.tree.map(lambda x: x[grid.saved], record)
     times = jnp.asarray(grid.starts + grid.lengths)[grid.saved]
@@ -221,9 +262,9 @@ def conclude(
     drift = jnp.max(record.drift)
     residual = carry.residual / _safe(largest_force(carry))
     relative = jnp.max(record.momentum_residual, axis=0) / _safe(jnp.max(record.largest_load, axis=0))
-    nothing = jnp.zeros_like(times)
-    angle = nothing if driven is None else record.angles[:, driven]
-    rate = nothing if driven is None else record.rates[:, driven]
+    zeros = jnp.zeros_like(times)
+    angle = zeros if driven is None else record.angles[:, driven]
+    rate = zeros if driven is None else record.rates[:, driven]
     return Run(
         times=times,
         angle=angle,
@@ -255,8 +296,8 @@ def conclude(
     )
 
 
-def metrics_of(model: Model, carry: Carry, duration) -> Metrics:
-    """Mean squares, RMS values and maxima by joint."""
+def metrics_of(model: Model, carry: Carry, duration: Scalar) -> Metrics:
+    """Mean squares, RMS values and maxima by joint over a duration [s]."""
     integrals = carry.trajectory.integrals
     force = (integrals.axial_square + integrals.normal_square) / duration
     moment = integrals.moment_square / duration
@@ -287,7 +328,7 @@ def _status(model, prepared: Prepared, carry: Carry, error, drift, used, residua
     return jnp.where(prepared.status == OK, code, prepared.status).astype(jnp.int32)
 
 
-def largest_force(carry: Carry) -> Array:
+def largest_force(carry: Carry) -> Float[Array, ""]:
     """The largest axial or normal force [N] that any joint has carried."""
     return equations.safe_sqrt(jnp.max(carry.peaks))
 

@@ -1,4 +1,4 @@
-"""What a run records of one instant: loads, energies, balances.
+"""What a run records of one instant: loads, energies, residuals and balances.
 
 Place in the pipeline: equations, generalised_alpha -> **observation** -> integration.
 """
@@ -8,7 +8,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
+from jaxtyping import Array, Float
 
 from rfem_jax.mechanics import loads
 from rfem_jax.mechanics.centre_lines import link_ends
@@ -25,52 +25,61 @@ from rfem_jax.simulation.run import Energy
 
 
 class Instant(NamedTuple):
-    """Joint loads and what else the solution of one instant's equations gives.
+    """The equations of motion at one instant: joint loads, and what their checks need.
 
-    loads: of all joints; base (6,): wrench of the base at the origin; accelerations of the coordinates;
-    drift [m], drift_angle [rad] of the cut joints; arm [m]: largest coordinate of a hinge; stabilising,
-    multiplier: largest multipliers [N]; residual (n,) [N]: forces left over in the equations of motion, none
-    where these were solved for the accelerations; motion, closure: kinematics of the instant.
+    loads of all joints; base: wrench (6,) of the base at the global origin; accelerations of the coordinates; drift
+    [m], drift_angle [rad]: closure errors of the cut joints; arm [m]: largest coordinate of a hinge; stabilising,
+    multiplier [N]: largest part of a multiplier due to Baumgarte's terms, and largest multiplier; residual [N]: of the
+    equations of motion as forces, none (n = 0) where these were solved for the accelerations; motion, closure:
+    kinematics of the instant.
     """
 
     loads: loads.JointLoads
-    base: Array
+    base: Float[Array, "6"]
     accelerations: Coordinates
-    drift: Array
-    drift_angle: Array
-    arm: Array
-    stabilising: Array
-    multiplier: Array
-    residual: Array
+    drift: Float[Array, ""]
+    drift_angle: Float[Array, ""]
+    arm: Float[Array, ""]
+    stabilising: Float[Array, ""]
+    multiplier: Float[Array, ""]
+    residual: Float[Array, " n"]
     motion: Motion
     closure: Closure | None
 
 
 class Record(NamedTuple):
-    """What is recorded at the end of every interval."""
+    """What is recorded at the end of every interval; fields with the names of `Run`'s are what that says.
 
-    angles: Array
-    rates: Array
-    drive_moment: Array
+    momentum_residual: largest components of the residual force [N] and moment [N m] of the momentum balance;
+    largest_load [N, N m]: what they are divided by; hinge_residual [N m]: largest moment about a hinge that should be
+    zero; range_used: as `kinematics.range_used`; square_integrals: of the resultant force and moment [N^2 s,
+    (N m)^2 s]; squares: of the axial and the normal force [N^2].
+    """
+
+    angles: Float[Array, " links"]
+    rates: Float[Array, " links"]
+    drive_moment: Float[Array, ""]
     loads: loads.JointLoads
     energy: Energy
-    drift: Array
-    drift_angle: Array
-    momentum_residual: Array
-    largest_load: Array
-    hinge_residual: Array
-    stabilising: Array
-    multiplier: Array
-    range_used: Array
-    ends: Array
-    branch: Array
-    square_integrals: Array
-    residual: Array
-    squares: Array
+    drift: Float[Array, ""]
+    drift_angle: Float[Array, ""]
+    momentum_residual: Float[Array, "2"]
+    largest_load: Float[Array, "2"]
+    hinge_residual: Float[Array, ""]
+    stabilising: Float[Array, ""]
+    multiplier: Float[Array, ""]
+    range_used: Float[Array, ""]
+    ends: Float[Array, "3 links"]
+    branch: Float[Array, " cuts"]
+    square_integrals: Float[Array, "2 joints"]
+    residual: Float[Array, " n"]
+    squares: Float[Array, "2 joints"]
 
 
-def solved_instant(actual: ModelWithErrors, result: Accelerations, drive: DriveInput, scale: Array) -> Instant:
-    """An instant whose accelerations were solved for."""
+def solved_instant(
+    actual: ModelWithErrors, result: Accelerations, drive: DriveInput, scale: Float[Array, ""]
+) -> Instant:
+    """An instant whose equations of motion were solved for the accelerations; `scale` [m] as in `closure`."""
     joint, base = loads.chain_loads(actual, result, result.angular, result.linear, drive)
     drift, drift_angle = cut_drift(result.closure, scale)
     return Instant(
@@ -88,31 +97,32 @@ def solved_instant(actual: ModelWithErrors, result: Accelerations, drive: DriveI
     )
 
 
-def balanced_instant(
+def evaluated_instant(
     topology: Topology,
-    left: Evaluation,
+    evaluation: Evaluation,
     accelerations: Coordinates,
     drive: DriveInput,
-    scale: Array,
-    residual: Array,
+    scale: Float[Array, ""],
+    residual: Float[Array, " n"],
 ) -> Instant:
-    """An instant whose accelerations were found by balancing the equations up to forces [N] (n,).
+    """An instant at which the equations of motion hold up to a residual [N]; `scale` [m] as in `closure`.
 
-    The drift of the closure is the solver's and has no derivative; the residual keeps its own, which says
-    how accurate the derivatives are."""
-    drift, drift_angle = jax.lax.stop_gradient(cut_drift(left.closure, scale))
+    The closure error follows from the tolerance of Newton's method and is not differentiated; the residual is: its
+    derivative says how accurate derivatives are.
+    """
+    drift, drift_angle = jax.lax.stop_gradient(cut_drift(evaluation.closure, scale))
     return Instant(
-        loads=loads.loads_of_wrenches(topology, left, left.wrenches, drive),
-        base=loads.base_wrench(topology, left.wrenches),
+        loads=loads.loads_of_wrenches(topology, evaluation, evaluation.wrenches, drive),
+        base=loads.base_wrench(topology, evaluation.wrenches),
         accelerations=accelerations,
         drift=drift,
         drift_angle=drift_angle,
-        arm=jnp.max(jnp.abs(left.motion.hinges.point)),
+        arm=jnp.max(jnp.abs(evaluation.motion.hinges.point)),
         stabilising=jnp.zeros(()),
-        multiplier=jnp.max(jnp.abs(left.multipliers), initial=0.0),
+        multiplier=jnp.max(jnp.abs(evaluation.multipliers), initial=0.0),
         residual=residual,
-        motion=left.motion,
-        closure=left.closure,
+        motion=evaluation.motion,
+        closure=evaluation.closure,
     )
 
 
@@ -122,9 +132,9 @@ def observe(
     drive: DriveInput,
     integrals: Integrals,
     instant: Instant,
-    squares: Array,
+    squares: Float[Array, "2 joints"],
 ) -> Record:
-    """Record of one instant; squares (2, joints): of axial and normal forces."""
+    """Record of one instant; `squares` [N^2]: of axial and normal forces."""
     with jax.named_scope("observation"):
         topology = actual.topology
         joint, now = instant.loads, instant.motion
@@ -158,15 +168,15 @@ def observe(
         )
 
 
-def _branch(actual: ModelWithErrors, instant: Instant) -> Array:
-    """Assembly modes of the cut joints (C,)."""
+def _branch(actual: ModelWithErrors, instant: Instant) -> Float[Array, " cuts"]:
+    """Assembly modes of the cut joints."""
     if instant.closure is None:
         return jnp.zeros((0,))
     return assembly_modes(actual, instant.motion, instant.closure)
 
 
-def cut_drift(cuts, scale):
-    """Of the cut joints: largest distance [m] of two joint centres, and largest axis equation [rad]."""
+def cut_drift(cuts: Closure | None, scale: Float[Array, ""]) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    """Closure errors of the cut joints: largest distance [m] of two joint centres, largest axis equation [rad]."""
     if cuts is None:
         return jnp.zeros(()), jnp.zeros(())
     distance = equations.safe_sqrt(jnp.max(jnp.sum(cuts.residual[:3] ** 2, axis=0)))

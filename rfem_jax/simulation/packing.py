@@ -1,21 +1,23 @@
-"""Results of a loop as few arrays, none with the shape of another.
+"""Results of a loop stacked into few arrays, no two of them of one shape.
 
 Place in the pipeline: **packing** -> integration.
 
-XLA fuses the writing of several results of one shape, and then goes through the results of all turns in every
-turn of the loop.  A result that is alone with its shape is written in its place.
+Where a loop writes several results of one shape, XLA's CPU compiler fuses the writes and then copies the results of
+all iterations in every iteration.  A result that no other has the shape of is updated in place.
 """
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import PyTree
+from jaxtyping import Array, PyTree, Shaped
 
 
-def pack(tree: PyTree) -> list[jax.Array]:
-    """The arrays of a tree stacked where they are of one shape and type; `unpack` with the tree's form undoes it,
-    also after a loop has given every array a first axis."""
+def pack(tree: PyTree) -> list[Shaped[Array, "..."]]:
+    """Stack the arrays of a tree that have one shape and type.
+
+    `unpack` undoes it, also after a loop has given every array a first axis.
+    """
     leaves = jax.tree.leaves(tree)
-    packed: list[jax.Array] = []
+    packed: list[Array] = []
     for places in _groups(leaves):
         part = jnp.stack([leaves[i] for i in places])
         while any(part.shape == other.shape and part.dtype == other.dtype for other in packed):
@@ -24,8 +26,11 @@ def pack(tree: PyTree) -> list[jax.Array]:
     return packed
 
 
-def unpack(packed: list[jax.Array], form: PyTree) -> PyTree:
-    """The tree whose turns of a loop were packed; `form`: arrays or shapes of one turn."""
+def unpack(packed: list[Shaped[Array, "iterations ..."]], form: PyTree) -> PyTree:
+    """The tree whose iterations were packed, with a first axis of iterations.
+
+    **Arguments:** `form`: the tree of one iteration, of arrays or of `jax.ShapeDtypeStruct`.
+    """
     leaves, tree = jax.tree.flatten(form)
     found = {}
     for part, places in zip(packed, _groups(leaves)):
@@ -36,7 +41,7 @@ def unpack(packed: list[jax.Array], form: PyTree) -> PyTree:
 
 
 def _groups(leaves) -> list[list[int]]:
-    """Places of the leaves of each shape and type, in order."""
+    """Indices of the leaves of each shape and type, in order."""
     groups: dict[tuple, list[int]] = {}
     for i, leaf in enumerate(leaves):
         groups.setdefault((leaf.shape, leaf.dtype), []).append(i)

@@ -4,30 +4,30 @@ Place in the pipeline: integration -> **run** -> tolerancing, report.
 """
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
-from jaxtyping import Float, Int
+from jaxtyping import Array, Float, Int
 
 from rfem_jax.mechanics.statics import Load
 from rfem_jax.mechanics.status import STATUS
-from rfem_jax.simulation.equations import safe_sqrt
+from rfem_jax.simulation.equations import Scalar, safe_sqrt
 
-RESIDUAL_LIMIT = 0.05  # of the largest joint force: equations with a larger residual are not solved
+RESIDUAL_LIMIT = 0.05  # of the largest joint force: with a larger residual the equations of motion are not solved
 
 
 class Energy(eqx.Module):
-    """Energies (times,) [J]: kinetic, elastic, gravity (zero level: the first base joint's nominal
-    place); work of the drive and dissipated energy since the start."""
+    """Energies [J] at the saved times: kinetic, elastic, gravity (zero level: the first base joint's nominal
+    position); work of the drive and dissipated energy since the start."""
 
-    kinetic: Float[Array, " times"]
-    elastic: Float[Array, " times"]
-    gravity: Float[Array, " times"]
-    work: Float[Array, " times"]
-    dissipation: Float[Array, " times"]
+    kinetic: Float[Array, "*times"]
+    elastic: Float[Array, "*times"]
+    gravity: Float[Array, "*times"]
+    work: Float[Array, "*times"]
+    dissipation: Float[Array, "*times"]
 
     @property
-    def total(self) -> Array:
+    def total(self) -> Float[Array, "*times"]:
         """Mechanical energy [J]."""
         return self.kinetic + self.elastic + self.gravity
 
@@ -36,36 +36,36 @@ class Metrics(eqx.Module):
     """Scalars by the names of the joints: mean squares and RMS over the whole duration of the
     resultant force and moment; maxima of the absolute axial and of the normal force [N, N m]."""
 
-    mean_square_force: dict[str, Array]
-    mean_square_moment: dict[str, Array]
-    rms_force: dict[str, Array]
-    rms_moment: dict[str, Array]
-    max_axial_force: dict[str, Array]
-    max_normal_force: dict[str, Array]
+    mean_square_force: dict[str, Float[Array, ""]]
+    mean_square_moment: dict[str, Float[Array, ""]]
+    rms_force: dict[str, Float[Array, ""]]
+    rms_moment: dict[str, Float[Array, ""]]
+    max_axial_force: dict[str, Float[Array, ""]]
+    max_normal_force: dict[str, Float[Array, ""]]
 
 
 class LoadIntegrals(eqx.Module):
-    """Integrals (times,) from 0 to the saved times of the squared resultant force [N^2 s] and moment
-    [(N m)^2 s], by joint."""
+    """Integrals from 0 to the saved times of the squared resultant force [N^2 s] and moment [(N m)^2 s], by
+    joint."""
 
-    force_square: dict[str, Array]
-    moment_square: dict[str, Array]
+    force_square: dict[str, Float[Array, " times"]]
+    moment_square: dict[str, Float[Array, " times"]]
 
 
 class WindowLoads(eqx.Module):
     """Mean squares and RMS of the resultant force and moment over a window of time, by joint."""
 
-    mean_square_force: dict[str, Array]
-    mean_square_moment: dict[str, Array]
+    mean_square_force: dict[str, Float[Array, ""]]
+    mean_square_moment: dict[str, Float[Array, ""]]
 
     @property
-    def rms_force(self) -> dict[str, Array]:
-        """[N]"""
+    def rms_force(self) -> dict[str, Float[Array, ""]]:
+        """RMS force [N] by joint."""
         return {name: safe_sqrt(value) for name, value in self.mean_square_force.items()}
 
     @property
-    def rms_moment(self) -> dict[str, Array]:
-        """[N m]"""
+    def rms_moment(self) -> dict[str, Float[Array, ""]]:
+        """RMS moment [N m] by joint."""
         return {name: safe_sqrt(value) for name, value in self.mean_square_moment.items()}
 
 
@@ -77,29 +77,30 @@ class DrivenJoint(eqx.Module):
 
 
 class Run(eqx.Module):
-    """One simulated case (or a batch of them, with a leading axis).
+    """One simulated case, or a batch of them with a leading axis.
 
-    times (T,) [s]; angle, rate (T,) of the driven joint [rad, rad/s]; drive_moment (T,) [N m]; angles:
-    joint coordinate (T,) of every tree joint; loads, preload: `Load`s by joint, in hinge frames;
-    energy; metrics; driven_joint.  Balances, each able to fail: energy_balance_error (relative to the
-    largest energy), closure_drift [m], closure_drift_angle [rad], momentum_balance_error and
-    hinge_moment_error (relative to the largest load), stabilisation_share (largest stabilising
-    multiplier / largest multiplier), solution_residual (largest force that Newton's method left over in
-    an implicit step / largest joint force; 0 for explicit methods).  equation_residual (T, n) [N]: forces left
-    over in the equations of motion at the saved times (n = 0 with explicit methods); its derivative says how
-    accurate derivatives are, see `derivative_residual`.  status: code of `STATUS`.
-    centre_lines, nominal_lines: points (3 columns) [m] along the links as assembled, and of the perfect
-    mechanism.  ends: where the far end of every link is (T, 3) [m], global axes.  branch: assembly mode
-    (T,) of every cut joint, +1 or -1; a change of sign is a passage through a fold, after which
-    derivatives and averages with runs on the other side mean nothing.  integrals: of squared loads, for
-    `window`.
+    times [s], the saved times; angle, rate of the driven joint [rad, rad/s]; drive_moment [N m]; angles: coordinate
+    [rad] of every tree joint; loads, preload: `Load`s by joint, in hinge frames; energy; metrics; driven_joint.
+
+    Checks, each of which can fail: energy_balance_error, relative to the largest energy; closure_drift [m],
+    closure_drift_angle [rad]; momentum_balance_error and hinge_moment_error, relative to the largest load;
+    stabilisation_share, largest stabilising multiplier over the largest multiplier; solution_residual, largest
+    residual of an implicit step as a force over the largest joint force, 0 for explicit methods.
+
+    equation_residual [N]: residual of the equations of motion at the saved times as forces (n = 0 for explicit
+    methods); its derivative says how accurate derivatives are, see `derivative_residual`.  status: code of `STATUS`.
+
+    centre_lines, nominal_lines: points (points, 3) [m] along the links as assembled, and of the perfect mechanism;
+    ends: positions (times, 3) [m] of the far ends of the links, in global axes.  branch: assembly mode (times,) of
+    every cut joint, +1 or -1; a change of sign is a passage through a fold, after which derivatives, and averages
+    with runs on the other branch, have no meaning.  integrals: of squared loads, for `window`.
     """
 
     times: Float[Array, " times"]
     angle: Float[Array, " times"]
     rate: Float[Array, " times"]
     drive_moment: Float[Array, " times"]
-    angles: dict[str, Array]
+    angles: dict[str, Float[Array, " times"]]
     loads: dict[str, Load]
     preload: dict[str, Load]
     energy: Energy
@@ -114,15 +115,17 @@ class Run(eqx.Module):
     solution_residual: Float[Array, ""]
     equation_residual: Float[Array, "times n"]
     status: Int[Array, ""]
-    centre_lines: dict[str, Array]
-    nominal_lines: dict[str, Array]
-    ends: dict[str, Array]
-    branch: dict[str, Array]
+    centre_lines: dict[str, Float[Array, "_ 3"]]
+    nominal_lines: dict[str, Float[Array, "_ 3"]]
+    ends: dict[str, Float[Array, "times 3"]]
+    branch: dict[str, Float[Array, " times"]]
     integrals: LoadIntegrals
 
-    def window(self, start: float, stop: float) -> WindowLoads:
-        """Loads over start <= t <= stop [s] of one run; exact where these are saved times, which
-        the integrals are interpolated between otherwise.  Differentiable; under vmap for a batch."""
+    def window(self, start: Scalar, stop: Scalar) -> WindowLoads:
+        """Loads over start <= t <= stop [s] of one run; use vmap for a batch.  Differentiable.
+
+        Exact where start and stop are saved times; between these the integrals are interpolated linearly.
+        """
         span = stop - start
 
         def mean(integral):
@@ -135,7 +138,7 @@ class Run(eqx.Module):
         )
 
     def summary(self) -> str:
-        """A few lines for a person; one run, not a batch."""
+        """A few lines to print, of one run, not of a batch."""
         if np.ndim(self.status) != 0:
             return f"Run: a batch of {np.shape(self.status)} runs; take one to read its summary."
         lines = [
@@ -159,15 +162,15 @@ class Run(eqx.Module):
         return self.summary()
 
 
-def derivative_residual(change: Run) -> Array:
-    """How far a derivative is from solving the differentiated equations: the largest change of
-    `equation_residual` over the largest change of a joint force.
+def derivative_residual(change: Run) -> Float[Array, "*directions"]:
+    """How far a derivative is from solving the differentiated equations of motion.
 
     **Arguments:** `change`: derivative of a run along one direction, as `jax.jvp` gives it (for several: under
     vmap, or `jacfwd`'s with the direction as the last axis).
 
-    **Returns:** a number, zero for explicit methods, for every direction.  Above `RESIDUAL_LIMIT` the derivative
-    has not converged: ask for a smaller tolerance of the method, or a smaller step.
+    **Returns:** for every direction the largest change of `equation_residual` over the largest change of a joint
+    force; zero for explicit methods.  Above `RESIDUAL_LIMIT` the derivative has not converged: choose a smaller
+    tolerance of the method, or a smaller step.
     """
 
     def largest(values, axes):
@@ -178,12 +181,10 @@ def derivative_residual(change: Run) -> Array:
     return residual / jnp.where(force > 0.0, force, 1.0)
 
 
-def _at(time: float, times, values):
+def _at(time, times, values):
     return jnp.interp(jnp.asarray(time, jnp.float64), jnp.asarray(times), jnp.asarray(values))
 
 
 def one_of(runs: Run, index: int) -> Run:
     """One run of a batch, as NumPy arrays."""
-    import jax
-
     return jax.tree.map(lambda x: np.asarray(x)[index], runs)

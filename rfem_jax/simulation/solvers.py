@@ -2,37 +2,75 @@
 
 Place in the pipeline: generalised_alpha, methods -> **solvers** -> stepping.
 
-`RungeKutta4` is the paper's method; `Leapfrog` needs one right-hand side a step; `PeakTracking` wraps
-any explicit solver and keeps running maxima of the joint forces, updated after accepted steps and outside the
-error control.  Diffrax's own explicit solvers come by their names.
+    RungeKutta4       the classical method with a fixed step, that of the paper
+    Leapfrog          one right-hand side a step
+    PeakTracking      wraps any explicit solver and keeps maxima of the joint forces, outside of the error control
+    observed_solver   what `stepping` integrates with, by any method: an `IntervalSolver`
 
-What `stepping` integrates with, `PeakTracking` and `GeneralisedAlpha`, is a diffrax solver of the state
-(trajectory, squared maxima of forces) with four methods more: `operators(realised, lengths)`: what the
-`Conditions` hold for steps of these lengths; `start(conditions, trajectory)` and `resume(terms, t0, t1, y0, args,
-memory)`: its memory before the first interval and at the start of each; `instant(t, h, trajectory, memory,
-conditions)`: at the end t of a step of length h squared axial and normal forces (2, joints), State, drive and the
-solved instant.
+diffrax's own explicit solvers are taken by their names.
 """
 
 from collections.abc import Callable
-from typing import ClassVar
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import diffrax
 import jax
 import jax.numpy as jnp
-from jax import Array
-from jaxtyping import PyTree
+from jaxtyping import Array, Float, PyTree
 
 from rfem_jax.description.methods import Method
-from rfem_jax.mechanics.model import Coordinates
+from rfem_jax.mechanics.inputs import DriveInput
+from rfem_jax.mechanics.model import Coordinates, State
+from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 from rfem_jax.simulation import equations
-from rfem_jax.simulation.equations import Conditions
-from rfem_jax.simulation.generalised_alpha import GeneralisedAlpha
-from rfem_jax.simulation.observation import solved_instant
+from rfem_jax.simulation.equations import Conditions, Scalar, Trajectory
+from rfem_jax.simulation.generalised_alpha import GeneralisedAlpha, MadeJump, StepState
+from rfem_jax.simulation.observation import Instant, solved_instant
+
+
+@runtime_checkable
+class IntervalSolver(Protocol):
+    """A diffrax solver of the state (trajectory, squared maxima of forces) that goes on from interval to interval.
+
+    Its memory is what it carries besides the state, None for a method that carries nothing.
+    """
+
+    def operators(self, actual: ModelWithErrors, lengths: Float[Array, " lengths"]) -> PyTree:
+        """`Conditions.operators` for steps of several lengths [s], which are the first axis of the arrays."""
+        ...
+
+    def start(self, conditions: Conditions, trajectory: Trajectory) -> PyTree:
+        """Memory before the first interval."""
+        ...
+
+    def resume(
+        self, terms: diffrax.AbstractTerm, t0: Scalar, t1: Scalar, y0: StepState, args: Conditions, memory: Any
+    ) -> PyTree:
+        """The solver's state at the start of an interval, from the memory at the end of the one before."""
+        ...
+
+    def step(
+        self,
+        terms: diffrax.AbstractTerm,
+        t0: Scalar,
+        t1: Scalar,
+        y0: StepState,
+        args: Conditions,
+        solver_state: Any,
+        made_jump: MadeJump,
+    ) -> tuple[StepState, PyTree, dict[str, PyTree], PyTree, diffrax.RESULTS]:
+        """One step, as `diffrax.AbstractSolver.step`."""
+        ...
+
+    def instant(
+        self, t: Scalar, h: Float[Array, ""], trajectory: Trajectory, memory: Any, conditions: Conditions
+    ) -> tuple[Float[Array, "2 joints"], State, DriveInput, Instant]:
+        """At the end t of a step of length h [s]: squared axial and normal forces [N^2], state, drive, instant."""
+        ...
 
 
 class StageInterpolation(diffrax.LocalLinearInterpolation):
-    """Linear interpolation that carries the stages' increments k = h f, first stage first."""
+    """Linear interpolation that carries the increments k = h f of the stages, first stage first."""
 
     k: PyTree
 
@@ -40,20 +78,29 @@ class StageInterpolation(diffrax.LocalLinearInterpolation):
 class RungeKutta4(diffrax.AbstractSolver):
     """Classical Runge-Kutta method of order 4 with a fixed step.
 
-    The four stages are one loop around one copy of the right-hand side: the program is a quarter
-    as long, and runs faster than four copies in a row, which XLA does not keep in cache.
+    The four stages are one loop around one right-hand side: the program is a quarter as long as with four
+    right-hand sides in a row, and runs faster, since it stays in the processor's cache.
     """
 
     term_structure: ClassVar = diffrax.AbstractTerm
     interpolation_cls: ClassVar[Callable] = StageInterpolation
 
-    def order(self, terms):
+    def order(self, terms: PyTree) -> int:
         return 4
 
-    def init(self, terms, t0, t1, y0, args):
+    def init(self, terms: diffrax.AbstractTerm, t0: Scalar, t1: Scalar, y0: PyTree, args: PyTree) -> None:
         return None
 
-    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
+    def step(
+        self,
+        terms: diffrax.AbstractTerm,
+        t0: Scalar,
+        t1: Scalar,
+        y0: PyTree,
+        args: PyTree,
+        solver_state: None,
+        made_jump: MadeJump,
+    ) -> tuple[PyTree, None, dict[str, PyTree], None, diffrax.RESULTS]:
         del solver_state, made_jump
         control = terms.contr(t0, t1)
         nodes = jnp.array([0.0, 0.5, 0.5, 1.0])
@@ -71,32 +118,41 @@ class RungeKutta4(diffrax.AbstractSolver):
         (_, total), k = jax.lax.scan(stage, (zeros, y0), (nodes, weights))
         return total, None, {"y0": y0, "y1": total, "k": k}, None, diffrax.RESULTS.successful
 
-    def func(self, terms, t0, y0, args):
+    def func(self, terms: diffrax.AbstractTerm, t0: Scalar, y0: PyTree, args: PyTree) -> PyTree:
         return terms.vf(t0, y0, args)
 
 
 class Leapfrog(diffrax.AbstractSolver):
     """Drift-kick-drift with one right-hand side a step, order 2.
 
-    Acts on a state with `position`, `velocity` and further integrals:
+    For a state with `position`, `velocity` and `integrals`:
 
         q_half = q0 + h/2 v0,  v* = v0 + h/2 a_before,  a = a(q_half, v*),
         v1 = v0 + h a,         q1 = q_half + h/2 v1.
 
-    Damping, gyroscopic and stabilising terms read v*, the velocity at mid-step predicted with the
-    last step's acceleration; a lagging velocity would make the method first order.
+    Damping, gyroscopic and stabilising terms take v*, the velocity at mid-step predicted with the acceleration of the
+    last step; with v0 instead the method would be of order 1.
     """
 
     term_structure: ClassVar = diffrax.AbstractTerm
     interpolation_cls: ClassVar[Callable] = StageInterpolation
 
-    def order(self, terms):
+    def order(self, terms: PyTree) -> int:
         return 2
 
-    def init(self, terms, t0, t1, y0, args):
+    def init(self, terms: diffrax.AbstractTerm, t0: Scalar, t1: Scalar, y0: PyTree, args: PyTree) -> Coordinates:
         return terms.vf(t0, y0, args).velocity
 
-    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
+    def step(
+        self,
+        terms: diffrax.AbstractTerm,
+        t0: Scalar,
+        t1: Scalar,
+        y0: PyTree,
+        args: PyTree,
+        solver_state: Coordinates,
+        made_jump: MadeJump,
+    ) -> tuple[PyTree, None, dict[str, PyTree], Coordinates, diffrax.RESULTS]:
         del made_jump
         h = t1 - t0
         half = _advance(y0.position, y0.velocity, 0.5 * h)
@@ -109,7 +165,7 @@ class Leapfrog(diffrax.AbstractSolver):
         k = jax.tree.map(lambda a: (h * a)[None], rate)
         return y1, None, {"y0": y0, "y1": y1, "k": k}, rate.velocity, diffrax.RESULTS.successful
 
-    def func(self, terms, t0, y0, args):
+    def func(self, terms: diffrax.AbstractTerm, t0: Scalar, y0: PyTree, args: PyTree) -> PyTree:
         return terms.vf(t0, y0, args)
 
 
@@ -118,33 +174,42 @@ def _advance(value: Coordinates, rate: Coordinates, h) -> Coordinates:
 
 
 class PeakTracking(diffrax.AbstractWrappedSolver):
-    """Runs `solver` on the first part of the state (motion, peaks) and keeps in the second the
-    largest value of `watch(rate)` at the starts of accepted steps.
+    """Integrates the first part of a state (motion, peaks) with `solver`, and keeps in the second the largest value of
+    `watch(rate)` at the starts of accepted steps.
 
-    The rate at a step's start is the solver's first stage, so the maxima cost no evaluation.
+    The rate at the start of a step is the first stage of the solver, so the maxima cost no evaluation.
     """
 
-    solver: diffrax.AbstractSolver
+    solver: diffrax.AbstractSolver  # pyright: ignore[reportIncompatibleVariableOverride] # an `AbstractVar`
     watch: Callable[[PyTree], Array] = equations.peaks
 
-    # diffrax's adjoints look at these two of a solver.
-    scan_kind = "bounded"
+    # diffrax's adjoints look at it, as at the scan kind of its own solvers.
+    scan_kind: ClassVar[str] = "bounded"
 
     @property
-    def term_structure(self):
+    def term_structure(self) -> PyTree:  # pyright: ignore[reportIncompatibleVariableOverride] # as diffrax's wrappers
         return self.solver.term_structure
 
     @property
-    def interpolation_cls(self):
+    def interpolation_cls(self) -> Callable:  # pyright: ignore[reportIncompatibleMethodOverride] # likewise
         return diffrax.LocalLinearInterpolation
 
-    def order(self, terms):
+    def order(self, terms: PyTree) -> int | None:
         return self.solver.order(terms)
 
-    def init(self, terms, t0, t1, y0, args):
+    def init(self, terms: diffrax.AbstractTerm, t0: Scalar, t1: Scalar, y0: PyTree, args: PyTree) -> PyTree:
         return self.solver.init(_motion_term(terms), t0, t1, y0[0], args)
 
-    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
+    def step(
+        self,
+        terms: diffrax.AbstractTerm,
+        t0: Scalar,
+        t1: Scalar,
+        y0: PyTree,
+        args: PyTree,
+        solver_state: PyTree,
+        made_jump: MadeJump,
+    ) -> tuple[PyTree, PyTree, dict[str, PyTree], PyTree, diffrax.RESULTS]:
         motion, peaks = y0
         inner = _motion_term(terms)
         motion1, error, dense, solver_state, result = self.solver.step(
@@ -159,24 +224,28 @@ class PeakTracking(diffrax.AbstractWrappedSolver):
         y1 = (motion1, peaks1)
         return y1, error, {"y0": y0, "y1": y1}, solver_state, result
 
-    def func(self, terms, t0, y0, args):
+    def func(self, terms: diffrax.AbstractTerm, t0: Scalar, y0: PyTree, args: PyTree) -> PyTree:
         return terms.vf(t0, y0, args)
 
-    def operators(self, actual, lengths):
-        """None are needed."""
+    def operators(self, actual: ModelWithErrors, lengths: Float[Array, " lengths"]) -> None:
+        """Explicit methods need none."""
         del actual, lengths
 
-    def start(self, conditions, trajectory):
+    def start(self, conditions: Conditions, trajectory: Trajectory) -> None:
         """Nothing is remembered from interval to interval."""
         del conditions, trajectory
 
-    def resume(self, terms, t0, t1, y0, args, memory):
-        """Memory of the wrapped solver at the start of an interval: the drive may have jumped there."""
+    def resume(
+        self, terms: diffrax.AbstractTerm, t0: Scalar, t1: Scalar, y0: PyTree, args: PyTree, memory: None
+    ) -> PyTree:
+        """State of the wrapped solver at the start of an interval: the drive may jump there."""
         del memory
         return self.init(terms, t0, t1, y0, args)
 
-    def instant(self, t, h, trajectory, memory, conditions: Conditions):
-        """Squared forces, State, drive, solved instant."""
+    def instant(
+        self, t: Scalar, h: Float[Array, ""], trajectory: Trajectory, memory: PyTree, conditions: Conditions
+    ) -> tuple[Float[Array, "2 joints"], State, DriveInput, Instant]:
+        """At the time t [s]: squared axial and normal forces [N^2], state, drive, and the solved instant."""
         del h, memory
         state, drive, result, _ = equations.at_instant(t, trajectory, conditions)
         scale = conditions.stabilisation.scale
@@ -186,11 +255,10 @@ class PeakTracking(diffrax.AbstractWrappedSolver):
 
 
 def _motion_term(terms):
-    """The term's vector field restricted to the motion."""
-    zero = None
+    """A term whose vector field is that of the motion alone."""
 
     def field(t, motion, args):
-        return terms.vf(t, (motion, zero), args)[0]
+        return terms.vf(t, (motion, None), args)[0]
 
     return diffrax.ODETerm(field)
 
@@ -206,7 +274,7 @@ _DIFFRAX = {
 }
 
 
-def observed_solver(method: Method) -> PeakTracking | GeneralisedAlpha:
+def observed_solver(method: Method) -> IntervalSolver:
     """The solver that integrates trajectory and maxima of forces by a method."""
     return GeneralisedAlpha(method) if method.implicit else PeakTracking(make_solver(method))
 
@@ -217,5 +285,5 @@ def make_solver(method: Method) -> diffrax.AbstractSolver:
         return RungeKutta4()
     if method.name == "leapfrog":
         return Leapfrog()
-    # "bounded" loops over the stages take every transform, forward and reverse.
+    # With "bounded" loops over the stages all transforms apply, in forward and reverse mode.
     return _DIFFRAX[method.name](scan_kind="bounded")

@@ -1,6 +1,9 @@
 """Baumgarte's gains of a method.
 
 Place in the pipeline: methods -> **stabilisation** -> stepping, stability.
+
+J. Baumgarte, Comput. Methods Appl. Mech. Eng. 1 (1972) 1-16: a closure error Phi decays by
+Phi'' + 2 rate Phi' + rate^2 Phi = 0, critically damped.
 """
 
 from rfem_jax.description.methods import Method
@@ -8,13 +11,12 @@ from rfem_jax.mechanics.inputs import Stabilisation
 from rfem_jax.mechanics.model import Model
 from rfem_jax.mechanics.statics import length_scale
 
-STABILISATION = 0.02
-ADAPTIVE_STABILISATION_RATE = 1e3
+STABILISATION = 0.02  # rate times step
+ADAPTIVE_STABILISATION_RATE = 1e3  # 1/s
 
 
 def stabilisation_of(model: Model, method: Method) -> Stabilisation:
-    """Baumgarte's gains of a method, tied to its step: rate = stabilisation / step, critically
-    damped; adaptive methods use a fixed rate."""
+    """Gains of a method: rate = stabilisation / step [1/s]; a fixed rate for methods with adaptive steps."""
     share = STABILISATION if method.stabilisation is None else method.stabilisation
     rate = share / STABILISATION * ADAPTIVE_STABILISATION_RATE
     if method.step is not None:

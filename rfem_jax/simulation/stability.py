@@ -1,29 +1,30 @@
-"""Largest stable step of a fixed-step method, before hours are spent.
+"""Largest stable step of a fixed-step method, estimated before a simulation.
 
-Place in the pipeline: model, method -> **stability** -> run (or a refusal).
+Place in the pipeline: model, method -> **stability** -> simulation, or a refusal.
 
-The modes of the mechanism at rest, at the start and at positions over a turn of the driven joint, and those in
-which Baumgarte's terms close the loops, are tested against the method's own stability function (Runge-Kutta),
-or the amplification matrix of each mode (leapfrog).
+The modes of vibration about rest, at the start and at positions over a revolution of the driven joint, and the decay
+of closure errors by Baumgarte's terms, are tested with the stability function of the method (Runge-Kutta) or with
+the amplification matrix of each mode (leapfrog).
 """
 
 import numpy as np
+from jaxtyping import Complex
 
 from rfem_jax.description.drives import PrescribedDrive
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.methods import Method
 from rfem_jax.mechanics.discretisation import CLOSING_TOLERANCE, close_at
 from rfem_jax.mechanics.model import Model
+from rfem_jax.simulation.driving import Drive
 from rfem_jax.simulation.stabilisation import stabilisation_of
 from rfem_jax.simulation.vibration import Modes, Vibration
 
-POSITIONS = 12
-GROWTH_TOLERANCE = 1e-6
+POSITIONS = 12  # over a revolution of the driven joint
+GROWTH_TOLERANCE = 1e-6  # of the amplification in one step, relative
 
 
-def check_step(model: Model, method: Method, drive=None) -> float | None:
-    """Largest stable step [s] of a fixed-step method (None for adaptive and implicit ones, and
-    for "auto").
+def check_step(model: Model, method: Method, drive: Drive = None) -> float | None:
+    """Largest stable step [s] of a fixed-step method (None for adaptive and implicit ones, and for "auto").
 
     **Raises:** `InputError` if the method's step is larger.
     """
@@ -52,8 +53,8 @@ def round_down(value: float) -> str:
     return f"{np.floor(value / 10.0**exponent * 100.0) / 100.0:g}e{exponent:+03d}"
 
 
-def largest_stable_step(model: Model, method: Method, drive=None) -> float:
-    """Largest step [s] at which no mode grows faster than it does in truth, at any position; 0 if there is none."""
+def largest_stable_step(model: Model, method: Method, drive: Drive = None) -> float:
+    """Largest step [s] at which no mode grows faster than its exact solution, at any position; 0 if there is none."""
     vibration = Vibration(model, isinstance(drive, PrescribedDrive))
     found = [vibration.modes(angles) for angles in _poses(model)]
     values = [modes.eigenvalues() for modes in found]
@@ -78,7 +79,7 @@ def largest_stable_step(model: Model, method: Method, drive=None) -> float:
     return limit
 
 
-def eigenvalues(model: Model, drive=None) -> np.ndarray:
+def eigenvalues(model: Model, drive: Drive = None) -> Complex[np.ndarray, " eigenvalues"]:
     """Eigenvalues [rad/s] of the linearised model at its start, without stabilisation."""
     vibration = Vibration(model, isinstance(drive, PrescribedDrive))
     return vibration.modes(np.asarray(model.start_angles)).eigenvalues()
@@ -91,11 +92,11 @@ def _poses(model: Model) -> np.ndarray:
     if driven is None:
         return start[None]
     poses, angles = [start], start
-    for turn in np.arange(1, POSITIONS) * 2.0 * np.pi / POSITIONS:
+    for rotation in np.arange(1, POSITIONS) * 2.0 * np.pi / POSITIONS:
         guess = np.array(angles)
-        guess[driven] = start[driven] + turn
+        guess[driven] = start[driven] + rotation
         angles, residual, alignment, _ = close_at(model, guess)
-        # A crank that cannot turn all the way round: the positions up to its limit count.
+        # A crank that cannot make a full revolution: the positions up to its limit count.
         if np.abs(residual).max(initial=0.0) > CLOSING_TOLERANCE or (alignment < 0.0).any():
             break
         poses.append(angles)
@@ -109,16 +110,16 @@ def _stable(model: Model, method: Method, modes: Modes, values: np.ndarray, step
         modes, values = _with_gaps(modes, rate), np.append(values, -rate)
     if method.name == "leapfrog":
         growth = np.abs(np.linalg.eigvals(_leapfrog_amplification(modes, step))).max()
-        true = np.exp(step * max(values.real.max(), 0.0))
+        true = np.exp(step * max(np.real(values).max(), 0.0))
         return bool(growth <= true * (1.0 + GROWTH_TOLERANCE))
     growth = np.abs(_stability_function(method, step * values))
-    true = np.maximum(1.0, np.exp(step * values.real))
+    true = np.maximum(1.0, np.exp(step * np.real(values)))
     return bool((growth <= true * (1.0 + GROWTH_TOLERANCE)).all())
 
 
 def _with_gaps(modes: Modes, rate: float) -> Modes:
-    """The modes and one more, in which the closure's errors decay: whatever moves along with them, they obey
-    Phi'' = -2 rate Phi' - rate^2 Phi by themselves, and the modes, in which Phi = 0, do not feel them."""
+    """The modes and the decay of closure errors, Phi'' = -2 rate Phi' - rate^2 Phi, as one more mode: it is decoupled
+    from the others, in which Phi = 0."""
     squares = np.append(modes.squares, rate**2)
     if modes.damping.ndim == 1:
         return Modes(squares, np.append(modes.damping, 2.0 * rate))
@@ -131,12 +132,15 @@ def _stability_function(method: Method, z: np.ndarray) -> np.ndarray:
     """R(z) of an explicit Runge-Kutta method."""
     if method.name == "rk4":
         return 1.0 + z * (1.0 + z / 2.0 * (1.0 + z / 3.0 * (1.0 + z / 4.0)))
-    # Seldom needed, and slow to import.
+    # Imported here, since most checks do not need it and it takes long.
     import diffrax
 
     from rfem_jax.simulation.solvers import make_solver
 
-    tableau = make_solver(method).tableau
+    solver = make_solver(method)
+    if not isinstance(solver, diffrax.AbstractERK):
+        raise TypeError(f"{method.name} is no Runge-Kutta method.")
+    tableau = solver.tableau
     if isinstance(tableau, diffrax.MultiButcherTableau):
         tableau = tableau.tableaus[0]
     weights = np.asarray(tableau.b_sol)
@@ -147,15 +151,15 @@ def _stability_function(method: Method, z: np.ndarray) -> np.ndarray:
 
 
 def _leapfrog_amplification(modes: Modes, h: float) -> np.ndarray:
-    """Matrices of one step of `Leapfrog` on (q, v, a_before), of each mode or of all together."""
+    """Matrices of one step of `Leapfrog` for (q, v, a_before): one a mode, or one of all coupled modes."""
     if modes.damping.ndim == 1:
         by_position, by_rate = -modes.squares[:, None, None], -modes.damping[:, None, None]
     else:
         by_position, by_rate = -np.diag(modes.squares), -modes.damping
     n = by_position.shape[-1]
-    one, none = np.eye(n), np.zeros((n, n))
-    half = np.hstack([one, 0.5 * h * one, none])
-    predicted = np.hstack([none, one, 0.5 * h * one])
+    identity, zeros = np.eye(n), np.zeros((n, n))
+    half = np.hstack([identity, 0.5 * h * identity, zeros])
+    predicted = np.hstack([zeros, identity, 0.5 * h * identity])
     acceleration = by_position @ half + by_rate @ predicted
-    velocity = np.hstack([none, one, none]) + h * acceleration
+    velocity = np.hstack([zeros, identity, zeros]) + h * acceleration
     return np.concatenate([half + 0.5 * h * velocity, velocity, acceleration], axis=-2)

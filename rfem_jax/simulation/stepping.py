@@ -2,56 +2,74 @@
 
 Place in the pipeline: methods, solvers -> **stepping** -> integration.
 
-Every method is a diffrax solver of the state (trajectory, squared maxima of forces); see `solvers`.  With
-adaptive steps `diffrax.diffeqsolve` integrates an interval, so that saved times and the drive's jumps are ends
-of steps; with fixed steps one loop over `solver.step`, which takes every transform: `diffeqsolve` takes longer to
+Every method is a diffrax solver of the state (trajectory, squared maxima of forces); see `solvers`.  With adaptive
+steps `diffrax.diffeqsolve` integrates each interval, so that saved times and the drive's jumps are ends of steps.
+With fixed steps a loop over `solver.step` does, to which all transforms of JAX apply: `diffeqsolve` takes longer to
 compile there, and runs the implicit method slower (measured in benchmarks/README.md).
 """
 
 import functools
+from collections.abc import Callable
 from typing import NamedTuple
 
 import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax import Array
+from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from rfem_jax.compilation.options import explicit_methods_scalarised
 from rfem_jax.compilation.scalarisation import nothing_known, scalarised
 from rfem_jax.description.methods import Method
+from rfem_jax.mechanics.model import Model
+from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 from rfem_jax.simulation import equations
 from rfem_jax.simulation.batches import like_batched
-from rfem_jax.simulation.equations import Conditions, Trajectory
-from rfem_jax.simulation.generalised_alpha import Memory
+from rfem_jax.simulation.driving import Drive
+from rfem_jax.simulation.equations import Conditions, Scalar, Trajectory
+from rfem_jax.simulation.implicit_step import Memory
 from rfem_jax.simulation.recorded_steps import RecordedSteps
 from rfem_jax.simulation.solvers import observed_solver
 from rfem_jax.simulation.stabilisation import stabilisation_of
 from rfem_jax.simulation.time_grid import TimeGrid
 
 MAX_ADAPTIVE_STEPS = 100_000
-MOST_OPERATIONS = 20_000  # of a right-hand side in scalars: compiled within seconds
+MOST_OPERATIONS = 20_000  # scalar operations of a right-hand side that compile within seconds
 
 
 class Carry(NamedTuple):
-    """What goes from interval to interval: trajectory; peaks: squared maxima (2, joints); exhausted: an
-    adaptive method ran out of steps; last_step of an adaptive method [s]; memory of a method that remembers
-    past steps (None)."""
+    """State of the integration between two intervals.
+
+    trajectory; peaks: squared maxima of axial and normal forces [N^2]; exhausted: whether an adaptive method ran out
+    of steps; last_step [s] of an adaptive method; memory of an implicit method (None for others).
+    """
 
     trajectory: Trajectory
-    peaks: Array
-    exhausted: Array
-    last_step: Array
+    peaks: Float[Array, "2 joints"]
+    exhausted: Bool[Array, ""]
+    last_step: Float[Array, ""]
     memory: Memory | None
 
     @property
-    def residual(self) -> Array:
-        """Largest force [N] left over in the equations of any implicit step."""
+    def residual(self) -> Float[Array, ""]:
+        """Largest force [N] that the residual of any implicit step had."""
         return jnp.zeros(()) if self.memory is None else self.memory.largest_residual
 
 
-def step_intervals(model, actual, drive, grid: TimeGrid, method: Method, steps, adjoint):
-    """The function that integrates over one interval (start, length, phase, kind): a carry to that at the end."""
+# start [s], length [s], phase of the drive, and index of the length among the distinct ones, of an interval
+Entry = tuple[Float[Array, ""], Float[Array, ""], Int[Array, ""], Int[Array, ""]]
+
+
+def step_intervals(
+    model: Model,
+    actual: ModelWithErrors,
+    drive: Drive,
+    grid: TimeGrid,
+    method: Method,
+    steps: int | Float[Array, ""],
+    adjoint: diffrax.AbstractAdjoint | None,
+) -> Callable[[Carry, Entry], Carry]:
+    """The function that integrates over one interval of the grid: from the carry at its start to that at its end."""
     drive = equations.with_start_angle(model, drive)
     stabilisation = stabilisation_of(model, method)
     solver = observed_solver(method)
@@ -81,22 +99,22 @@ def _differentiate_rate(primals, tangents):
 
 
 def _batched_rate(t, trajectory, conditions):
-    """The right-hand side, batched alike in all its parts."""
+    """The right-hand side, all its arrays with the same batch axes."""
     rate = equations.right_hand_side(t, trajectory, conditions)
     return like_batched(rate, *(x for x in jax.tree.leaves(rate) if x.size))
 
 
-def vector_field(t, y, conditions: Conditions):
-    """Rate of the state (trajectory, squared maxima of forces): that of the maxima is zero."""
+def vector_field(t: Scalar, y: tuple[Trajectory, PyTree], conditions: Conditions) -> tuple[Trajectory, PyTree]:
+    """Time derivative of the state (trajectory, squared maxima of forces), zero for the maxima."""
     trajectory, peaks = y
-    # Reverse mode recomputes a stage from its state: storing hundreds of intermediates costs more.
+    # Reverse mode recomputes a stage from its state: to store hundreds of intermediates costs more.
     rate_of = _scalarised_rate if explicit_methods_scalarised() else equations.right_hand_side
     rate = jax.checkpoint(rate_of)(t, trajectory, conditions)
     return rate, jax.tree.map(jnp.zeros_like, peaks)
 
 
 def _fixed(solver, carry: Carry, start, length, steps, conditions) -> Carry:
-    """The steps of one interval with equal length; `steps` may be traced (forward mode only)."""
+    """One interval in steps of equal length; `steps` may be traced (then not in reverse mode)."""
     terms = diffrax.ODETerm(vector_field)
     h = length / steps
 
@@ -106,10 +124,10 @@ def _fixed(solver, carry: Carry, start, length, steps, conditions) -> Carry:
         y, _, _, memory, _ = solver.step(terms, t0, t0 + h, y, conditions, memory, jnp.asarray(False))
         return y, memory
 
-    def step_or_stand(state, index):
+    def step_if_needed(state, index):
         if carry.memory is None:
             return step(index, state)
-        # Steps of length zero find the memory of a start: one is enough.
+        # A step of length zero finds the memory at a start; in an interval of length zero one is enough.
         needed = (h > 0.0) | (index == steps - 1.0)
         return jax.lax.cond(needed, lambda: step(index, state), lambda: state)
 
@@ -117,19 +135,19 @@ def _fixed(solver, carry: Carry, start, length, steps, conditions) -> Carry:
     state = y, solver.resume(terms, start, start + h, y, conditions, carry.memory)
     if isinstance(steps, int):
         indices = jnp.arange(steps, dtype=jnp.float64)
-        state, _ = jax.lax.scan(lambda *given: (step_or_stand(*given), None), state, indices)
+        state, _ = jax.lax.scan(lambda *args: (step_if_needed(*args), None), state, indices)
     else:
         count = steps.astype(jnp.int32)
-        state = jax.lax.fori_loop(0, count, lambda i, state: step_or_stand(state, i.astype(jnp.float64)), state)
+        state = jax.lax.fori_loop(0, count, lambda i, state: step_if_needed(state, i.astype(jnp.float64)), state)
     (trajectory, peaks), memory = state
     memory = None if carry.memory is None else memory
     return carry._replace(trajectory=trajectory, peaks=peaks, memory=memory)
 
 
 def _adaptive(solver, carry: Carry, start, length, conditions, method, adjoint) -> Carry:
-    """One interval with steps from the error control."""
+    """One interval in steps chosen by the error control."""
     moving = length > 0.0
-    # An interval of length zero takes one step, which does not count.
+    # In an interval of length zero one step is taken, and discarded below.
     end = start + jnp.where(moving, length, carry.last_step)
     y = (carry.trajectory, carry.peaks)
 
@@ -147,7 +165,7 @@ def _adaptive(solver, carry: Carry, start, length, conditions, method, adjoint) 
     else:
         ends = diffrax.SaveAt(steps=True, fn=lambda t, y, args: None)
         found = solve(*jax.lax.stop_gradient((y, conditions)), controlled, ends, diffrax.ForwardMode())
-        solution = solve(y, conditions, RecordedSteps(found.ts), at_end, adjoint)
+        solution = solve(y, conditions, RecordedSteps(jnp.asarray(found.ts)), at_end, adjoint)
     end_state = jax.tree.map(lambda a, b: jnp.where(moving, a[-1], b), solution.ys, y)
     failed = moving & (found.result != diffrax.RESULTS.successful)
     accepted = jnp.maximum(found.stats["num_accepted_steps"], 1).astype(jnp.float64)

@@ -2,49 +2,51 @@
 
 Place in the pipeline: duration, step, jumps -> **time grid** -> integration.
 
-All intervals are divided into the same number of steps, so that one compiled body serves them all;
-an interval that a jump shortens has shorter steps.  The first interval has length zero: it records
-the start with the same body.
+All intervals are divided into the same number of steps, so that one compiled loop body serves them all; an interval
+shortened by a jump has shorter steps.  The first interval has length zero, so that the same body records the start.
 """
 
 import equinox as eqx
-import jax
 import numpy as np
+from jax.core import Tracer
+from jaxtyping import Float, Int
 
 from rfem_jax.description.errors import InputError
 
-SAVED_BY_DEFAULT = 500
-ROUNDING = 1e-9
+SAVED_BY_DEFAULT = 500  # intervals
+ROUNDING = 1e-9  # relative, of times that are meant to be equal
 
 
 class TimeGrid(eqx.Module):
-    """starts, lengths (intervals,) [s]; phases (intervals,): jumps of the drive already passed; kinds
-    (intervals,): place of each length among the `distinct` ones [s], of which there are few; restarts:
-    intervals of length zero after jumps, which are not saved."""
+    """Intervals of a simulation.
 
-    starts: np.ndarray
-    lengths: np.ndarray
-    phases: np.ndarray
-    kinds: np.ndarray
-    distinct: np.ndarray
+    starts, lengths [s]; phases: number of the drive's jumps passed before; kinds: index of each length among the
+    `distinct` ones [s], of which there are few; restarts: intervals of length zero after jumps, which are not saved.
+    """
+
+    starts: Float[np.ndarray, " intervals"]
+    lengths: Float[np.ndarray, " intervals"]
+    phases: Int[np.ndarray, " intervals"]
+    kinds: Int[np.ndarray, " intervals"]
+    distinct: Float[np.ndarray, " distinct"]
     restarts: tuple[int, ...] = eqx.field(static=True, default=())
 
     @property
-    def saved(self) -> np.ndarray:
-        """Intervals whose ends are saved times."""
+    def saved(self) -> Int[np.ndarray, " saved"]:
+        """Indices of the intervals whose ends are saved times."""
         return np.setdiff1d(np.arange(self.starts.shape[0]), self.restarts)
 
     def piece(self, first: int, size: int) -> "TimeGrid":
-        """`size` intervals from `first`, filled up with intervals of length zero at the end."""
+        """`size` intervals from `first`, padded with intervals of length zero at the end."""
         part = [x[first : first + size] for x in (self.starts, self.lengths, self.phases, self.kinds)]
         starts, lengths, phases, kinds = part
         missing = size - len(starts)
-        standing = int(np.argmin(self.distinct))
+        zero_length = int(np.argmin(self.distinct))
         return TimeGrid(
             np.append(starts, np.full(missing, starts[-1] + lengths[-1])),
             np.append(lengths, np.zeros(missing)),
             np.append(phases, np.full(missing, phases[-1])).astype(np.int32),
-            np.append(kinds, np.full(missing, standing)).astype(np.int32),
+            np.append(kinds, np.full(missing, zero_length)).astype(np.int32),
             self.distinct,
         )
 
@@ -56,14 +58,17 @@ def divide_time(
     jumps: tuple[float, ...],
     restarting: bool = False,
 ) -> tuple[TimeGrid, int]:
-    """Intervals, and the number of steps in each (1 for adaptive methods, step None).
+    """Divide a duration [s] into intervals and steps.
 
-    `restarting`: the method remembers past steps and needs an interval of length zero after a jump.
+    **Arguments:** `step` [s], at most (None: adaptive); `save_every` [s] (None: 500 intervals); `jumps` [s] of the
+    drive, increasing; `restarting`: the method carries a memory, and needs an interval of length zero after a jump.
+
+    **Returns:** the intervals, and the number of steps in each (1 for adaptive methods).
 
     **Raises:** `InputError` if a time is not positive or not a concrete number.
     """
     for name, value in (("duration", duration), ("step", step), ("save_every", save_every)):
-        if isinstance(value, jax.core.Tracer):
+        if isinstance(value, Tracer):
             raise InputError(
                 f"Argument `{name}` must be a concrete number, but is traced; the number of steps "
                 "follows from it, so keep it out of jit's and vmap's arguments."
@@ -75,13 +80,13 @@ def divide_time(
         save_every = step
     count = int(np.ceil(duration / save_every * (1.0 - ROUNDING)))
     edges = np.append(np.arange(count) * save_every, duration)
-    jumps = np.array([jump for jump in jumps if 0.0 < jump < duration * (1.0 - ROUNDING)])
-    for jump in jumps:
+    passed = np.array([jump for jump in jumps if 0.0 < jump < duration * (1.0 - ROUNDING)])
+    for jump in passed:
         edges = edges[np.abs(edges - jump) > ROUNDING * duration]
-    edges = np.sort(np.concatenate([edges, jumps]))
+    edges = np.sort(np.concatenate([edges, passed]))
     starts = np.concatenate([[0.0], edges[:-1]])
     lengths = np.concatenate([[0.0], np.diff(edges)])
-    phases = np.searchsorted(jumps, starts + ROUNDING * duration).astype(np.int32)
+    phases = np.searchsorted(passed, starts + ROUNDING * duration).astype(np.int32)
     steps = 1 if step is None else int(np.ceil(lengths.max() / step * (1.0 - ROUNDING)))
     restarts: tuple[int, ...] = ()
     if restarting:

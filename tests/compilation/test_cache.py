@@ -1,4 +1,4 @@
-"""The folder of kept programs: the user's own or refused, whole files or none, limited in size."""
+"""The folder of kept programs: refused unless it belongs to the user; files are complete or absent; limited size."""
 
 import multiprocessing
 import os
@@ -72,7 +72,7 @@ def test_a_damaged_file_is_deleted(tmp_path, damage):
     assert not file.exists()
 
 
-def test_the_least_recently_used_go_first(tmp_path):
+def test_the_least_recently_used_are_deleted_first(tmp_path):
     folder = Folder(tmp_path / "programs", limit=1000)
     keys = [letter * 64 for letter in "abc"]
     for age, key in zip((300, 200, 100), keys):
@@ -86,7 +86,7 @@ def test_the_least_recently_used_go_first(tmp_path):
     assert sorted(file.name[0] for file in folder.path.iterdir()) == ["e"]
 
 
-def test_what_nobody_finished_is_deleted(tmp_path):
+def test_unfinished_files_are_deleted(tmp_path):
     folder = Folder(tmp_path / "programs")
     old, new = (folder.path / f"{KEY}.{name}.part" for name in ("old", "new"))
     for file in (old, new):

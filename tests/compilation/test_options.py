@@ -1,5 +1,5 @@
-"""XLA's options: set by the import, a loop is one kernel with the same results; what stands in
-their way is said once; nothing is left in the environment."""
+"""XLA's options: the import sets them, and a loop is compiled as one kernel with the same results; a warning says once
+why they could not be set; XLA_FLAGS is restored."""
 
 import jax
 import jax.numpy as jnp
@@ -40,15 +40,15 @@ print(*(str(one.message) for one in said))
 
 
 def compiled_loop():
-    """How often a loop is one kernel in a program of 50 turns of the axes of 300 bodies, and its results."""
+    """Number of loops compiled as one kernel, and results, of a program that rotates the axes of 300 bodies 50 times."""
 
-    def turn(x, _):
+    def rotate(x, _):
         c, s = jnp.cos(x[:300]), jnp.sin(x[:300])
         axes = jnp.stack([jnp.stack([c, -s, s * c]), jnp.stack([s, c, c * c]), jnp.stack([c * s, s, c])])
-        turned = jnp.einsum("ijk,jk->ik", axes, x[300:].reshape(3, 300))
-        return x + 1e-2 * jnp.concatenate([turned[0], -turned.reshape(900)]), None
+        rotated = jnp.einsum("ijk,jk->ik", axes, x[300:].reshape(3, 300))
+        return x + 1e-2 * jnp.concatenate([rotated[0], -rotated.reshape(900)]), None
 
-    program = jax.jit(lambda x: jax.lax.scan(turn, x, None, length=50)[0]).lower(jnp.ones(1200)).compile()
+    program = jax.jit(lambda x: jax.lax.scan(rotate, x, None, length=50)[0]).lower(jnp.ones(1200)).compile()
     return program.as_text().count('xla_cpu_small_call="true"'), *program(jnp.linspace(0.1, 0.6, 1200))[::100].tolist()
 
 
@@ -61,7 +61,7 @@ def test_a_loop_over_steps_is_one_kernel_with_the_same_results():
     assert [float(x) for x in values] == pytest.approx([float(x) for x in expected], rel=1e-12)
 
 
-def test_a_process_started_before_they_were_used_takes_them_as_its_own():
+def test_a_child_process_takes_inherited_options_as_its_own():
     code = SAID.replace("== before", "== ''").replace("os.environ[", "os.environ.get(").replace('"]', '", "")')
     first, second, *said = in_a_new_process(code, "early", flags=options.FLAGS).splitlines()
     assert f"{first} {second}" == "True 0 True True" and not "".join(said)
@@ -81,7 +81,7 @@ def test_this_process_has_them():
         ("early", "file", "False 1 True False", "names a file"),
     ],
 )
-def test_options_are_set_unless_something_is_in_the_way(when, flags, result, reason, tmp_path):
+def test_options_are_set_unless_there_is_an_obstacle(when, flags, result, reason, tmp_path):
     if flags == "file":
         flags = str(tmp_path / "flags")
         (tmp_path / "flags").write_text("--xla_cpu_multi_thread_eigen=false")
@@ -127,16 +127,16 @@ options._with = lambda more, made: given.append(more) or before(more, made)
 with covered(sys.argv[1]):
     swing_kept(oscillator(), np.linspace(0.0, 1.0, 4))
 jax.jit(lambda x: x + 1.0)(2.0)
-print(len(given), options.UNTURNED in given[0])
+print(len(given), options.NO_LOOP_ROTATION in given[0])
 with options.own_program():
     options.note_scalarised()
     jax.jit(lambda x: x + 2.0)(2.0)
 options.note_scalarised()
-print(options.UNTURNED in given[-1])
+print(options.NO_LOOP_ROTATION in given[-1])
 """
 
 
-def test_loops_are_left_unturned_in_own_programs_without_scalars(tmp_path):
+def test_loops_are_not_rotated_in_own_programs_that_are_not_scalarised(tmp_path):
     assert in_a_new_process(OWN, str(tmp_path / "programs")).splitlines() == ["1 True", "False"]
 
 
@@ -145,9 +145,9 @@ def test_options_of_one_program_are_added_to_the_others():
 
     made = xla_client.CompileOptions()
     made.num_replicas = 3
-    more = options._with([options.UNTURNED, options.FUSION], made)
+    more = options._with([options.NO_LOOP_ROTATION, options.FUSION], made)
     assert more.num_replicas == 3
-    for option in (options.UNTURNED, options.FUSION):
+    for option in (options.NO_LOOP_ROTATION, options.FUSION):
         name, value = option.encode().split(b"=")
         content = more.SerializeAsString()
         assert content.count(name) >= 1 and name + b"\x12" + bytes([len(value)]) + value in content
@@ -163,7 +163,7 @@ def test_expensive_passes_are_left_out_of_own_programs_without_scalars():
     assert left_out(options.OwnProgram()) and not left_out(options.OwnProgram(scalarised=True))
 
 
-def test_an_older_jaxlib_is_left_alone_and_a_newer_one_is_tried_once(monkeypatch, tmp_path):
+def test_an_older_jaxlib_gets_no_options_and_a_newer_one_is_tried_once(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr(options, "user_cache_folder", lambda: tmp_path / "cache")
     monkeypatch.setattr("jaxlib.version.__version__", "0.9.2")

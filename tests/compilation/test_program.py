@@ -1,5 +1,5 @@
-"""Programs: what was compiled once is not traced again, in another process neither, with the same bits; what
-the key cannot know is not kept; derivatives and batches are kept, too."""
+"""Kept programs: a program compiled once is not traced again, also in another process, and gives the same bits; what
+depends on something outside of the key is not kept; derivatives and batches are kept, too."""
 
 import os
 import subprocess
@@ -27,7 +27,7 @@ def kept(tmp_path):
 
 
 def again():
-    """As in the next process: nothing in memory."""
+    """Empty the memory, as in the next process."""
     swing_kept.clear()
 
 
@@ -179,7 +179,7 @@ def test_a_program_that_calls_python_is_not_kept_but_runs(kept, monkeypatch):
     assert counts(kept) == (1, 0, 0) and "no serialisation" in str(kept.unkept)
 
 
-def test_programs_that_jaxs_own_cache_brings_are_not_kept_broken(kept, tmp_path):
+def test_programs_from_jaxs_own_cache_are_not_kept_broken(kept, tmp_path):
     """XLA cannot serialise an executable that it has deserialised."""
     from jax.experimental.compilation_cache import compilation_cache
 
@@ -295,10 +295,10 @@ import jax.numpy as jnp
 from tests.compilation.functions import covered, oscillator, solve_kept, swing_kept
 with covered(sys.argv[1]) as statistics:
     found = swing_kept(oscillator(), jnp.linspace(0.2, 0.9, 3))
-    slope = jax.jacfwd(lambda x: swing_kept(oscillator(), x).path)(jnp.linspace(0.2, 0.9, 3))
+    jacobian = jax.jacfwd(lambda x: swing_kept(oscillator(), x).path)(jnp.linspace(0.2, 0.9, 3))
     # JAX looks up LAPACK's functions when it lowers a program that calls them: here it lowers none.
     solved = solve_kept(jnp.diag(jnp.arange(1.0, 4.0)), jnp.ones(3))
-    values = [*found.path, *slope.ravel(), *solved]
+    values = [*found.path, *jacobian.ravel(), *solved]
     print(statistics.traced, statistics.loaded, *(float(x).hex() for x in values))
 """
 
@@ -342,7 +342,7 @@ def test_two_processes_at_once(tmp_path):
     assert one[2:] == two[2:] and len(one) > 2
 
 
-def test_the_options_are_told(tmp_path):
+def test_the_state_names_the_options(tmp_path):
     with covered(tmp_path / "programs"):
         assert keeping.state() == {
             "xla_options": "set", "kept_programs": "used", "programs_loaded": 0, "programs_traced": 0,

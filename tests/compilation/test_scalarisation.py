@@ -1,5 +1,5 @@
-"""Programs of scalars: every kind of operation gives what it gives with arrays, in all transformations;
-so do right-hand sides, and steps of the implicit method with their derivatives."""
+"""Scalarised jaxprs give the results of the operations on arrays, in all transformations: every kind of primitive, and
+the right-hand sides of mechanisms."""
 
 from dataclasses import replace
 
@@ -22,9 +22,10 @@ from rfem_jax import (
 from rfem_jax.compilation.scalarisation import scalarised
 from rfem_jax.mechanics.inputs import Stabilisation
 from rfem_jax.mechanics.model_with_errors import apply_errors
-from rfem_jax.simulation import equations, implicit_step, integration, stepping
+from rfem_jax.simulation import equations, integration, stepping
 from rfem_jax.simulation.equations import Conditions
 from rfem_jax.simulation.generalised_alpha import GeneralisedAlpha
+from rfem_jax.simulation.implicit_step import StepConstants, StepStart, form_matrix, solved_step
 from tests.mechanisms import ALL, four_bar, link, open_chain, random_state, some_errors
 from tests.processes import in_a_new_process
 
@@ -96,7 +97,7 @@ def by_library(x, y):
     [arithmetic, functions, sums, products, shapes, places, loops, branches, by_library],
     ids=lambda function: function.__name__,
 )
-def test_what_arrays_give(function):
+def test_results_are_those_of_arrays(function):
     def close(a, b):
         jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-13, atol=1e-14), a, b)
 
@@ -121,7 +122,7 @@ def primitives(function, *arguments):
     return [equation.primitive.name for equation in jax.make_jaxpr(function)(*arguments).jaxpr.eqns]
 
 
-def test_zeros_that_are_known_are_gone():
+def test_operations_with_known_zeros_disappear():
     """A product with a diagonal matrix: three multiplications, no addition."""
     matrix, vector = np.diag([1.0, 2.0, 3.0]), np.array([1.0, 2.0, 4.0])
     zeros = ~np.eye(3, dtype=bool), False
@@ -136,12 +137,12 @@ def test_zeros_that_are_known_are_gone():
     np.testing.assert_array_equal(scalarised(product, zeros)(matrix, vector), matrix @ vector)
 
 
-def test_a_function_of_very_many_operations_stays_as_it_is():
+def test_a_function_of_too_many_operations_is_not_scalarised():
     assert primitives(scalarised(jnp.sin, most=11), X) == ["sin"]
     assert primitives(scalarised(jnp.sin, most=11), X[:2]).count("sin") == 8
 
 
-def test_what_no_gradient_goes_through_stays_so():
+def test_stop_gradient_is_kept():
     def function(x):
         return jnp.sum(x * lax.stop_gradient(x))
 
@@ -165,11 +166,10 @@ def steps_of_a_four_bar():
     trajectory, memory = carry.trajectory, carry.memory
     for h, t1 in ((0.0, 0.0), (2.5e-3, 2.5e-3), (2.5e-3, 5e-3)):
         operators = jax.tree.map(lambda x: x[0], implicit.operators(prepared.actual, jnp.asarray([h])))
-        constants = jnp.asarray(t1), jnp.asarray(h), jnp.asarray(10.0)
-        given = conditions, trajectory, memory
-        matrix = implicit_step.form_matrix(implicit, operators, constants, *given)
-        constants = matrix, *constants
-        trajectory, memory = implicit_step.solved_step(implicit, constants, *given)
+        constants = StepConstants(jnp.asarray(t1), jnp.asarray(h), jnp.asarray(10.0))
+        start = StepStart(conditions, trajectory, memory)
+        matrix = form_matrix(implicit, operators, constants, start)
+        trajectory, memory = solved_step(implicit, matrix, constants, start)
     return implicit, constants, conditions, trajectory, memory
 
 
@@ -216,7 +216,7 @@ def test_explicit_methods_are_scalarised(four_bar_in_motion, monkeypatch):
     [(make, "linear") for make in ALL] + [(make, "geometrically_exact") for make in (four_bar, open_chain)],
 )
 def test_right_hand_sides_of_all_mechanisms_are_the_same(make, elements, quick_compilation, monkeypatch):
-    """With numbers nothing is compiled; traced, hardly an array is left."""
+    """Evaluated with concrete numbers, which compiles nothing; the jaxpr has hardly an operation on arrays."""
     monkeypatch.setattr(stepping, "MOST_OPERATIONS", 10**6)
     model, rng = discretise(make(), elements=elements), np.random.default_rng(5)
     state = random_state(model, rng, angle=0.2, rate=2.0)
@@ -238,7 +238,7 @@ jax.config.update("jax_disable_most_optimizations", True)
 import rfem_jax
 from tests.compilation import test_scalarisation
 getattr(test_scalarisation, sys.argv[1])(*sys.argv[2:])
-"""  # as XLA compiles else, programs of so many scalars take gigabytes
+"""  # without most optimisations: with them so many scalar operations take gigabytes to compile
 
 
 BATCHES = {
@@ -262,7 +262,7 @@ def test_derivatives_of_a_batch_are_those_of_its_samples(case):
 
 
 def check_derivatives_of_a_batch(case):
-    """Forward and in reverse, through the batch: JAX wants a function and its rule to be batched alike."""
+    """Forward and reverse mode through the batch: a function and its rule need the same batch axes (jax issue 16374)."""
     mechanism, drive, method = BATCHES[case]
     model = discretise(mechanism)
     name = f"{mechanism.links[-1].name}.length"

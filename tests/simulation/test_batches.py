@@ -1,4 +1,4 @@
-"""Batches of functions with a rule of differentiation of their own (jax issue 16374)."""
+"""Batches of functions with their own rule of differentiation (jax issue 16374)."""
 
 import jax
 import jax.numpy as jnp
@@ -8,16 +8,16 @@ from rfem_jax.simulation.batches import like_batched
 
 
 def made(align):
-    """x -> (a value that a loop finds, a constant, an integer), of which the loop makes a batch and the rule
-    only the first."""
+    """x -> (a value that a loop finds, a constant, an integer): under vmap the loop gives all three a batch axis, and
+    the rule only the first."""
 
     @jax.custom_jvp
     def function(x):
-        def again(carry):
+        def iterate(carry):
             return carry[0] + 0.25 * (x - carry[0]), *carry[1:]
 
         start = jnp.zeros(()), jnp.full((2,), 3.0), jnp.asarray(7)
-        found = jax.lax.while_loop(lambda carry: jnp.abs(carry[0] - x) > 1e-9, again, start)
+        found = jax.lax.while_loop(lambda carry: jnp.abs(carry[0] - x) > 1e-9, iterate, start)
         return align(found, found[0])
 
     @function.defjvp
@@ -31,7 +31,7 @@ def made(align):
 
 
 def derivative(function):
-    """Along ones, of a batch whose every part is used."""
+    """Derivative along ones of a function of all results of a batch."""
 
     def batch(x):
         one, other, count = jax.jit(jax.vmap(function))(x)
@@ -41,11 +41,11 @@ def derivative(function):
     return jax.jit(lambda x: jax.jvp(batch, (x,), (jnp.ones(3),)))(x)
 
 
-def test_all_results_of_function_and_rule_are_batched_alike():
-    value, slope = derivative(made(like_batched))
+def test_all_results_of_function_and_rule_have_the_same_batch_axes():
+    value, tangent = derivative(made(like_batched))
     x = np.array([1.0, 2.0, 4.0])
     np.testing.assert_allclose(value, x + 42.0 + x**2, rtol=1e-8)
-    np.testing.assert_allclose(slope, 1.0 + 2.0 * x, rtol=1e-12)
+    np.testing.assert_allclose(tangent, 1.0 + 2.0 * x, rtol=1e-12)
 
 
 def test_an_array_that_depends_on_no_sample_gets_its_axis():
@@ -59,7 +59,7 @@ def test_an_array_that_depends_on_no_sample_gets_its_axis():
     assert axes.shape == (3, 4)
 
 
-def test_nothing_of_it_is_left_in_the_program():
+def test_the_compiled_program_has_no_trace_of_it():
     program = jax.jit(lambda x, y: like_batched((jnp.sin(y), 2.0 * y), x))
     text = program.lower(1.0, jnp.arange(3.0)).compile().as_text()
     assert " select(" not in text and "sine(" in text

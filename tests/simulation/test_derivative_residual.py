@@ -1,5 +1,5 @@
-"""The accuracy of a derivative is known: the equations' residual changes with the errors as far as the
-derivative does not solve the differentiated equations."""
+"""The accuracy of a derivative is known: the derivative of the residual says how far it is from solving the
+differentiated equations."""
 
 import jax
 import numpy as np
@@ -14,7 +14,7 @@ ALONG = {"D.delta_x": 2e-3, "D.d_y": 5e-4, "B.child.delta_z": 1e-3, "coupler.len
 
 
 def change_of_run(model, tolerance):
-    """Derivative of a run along a growing share of the errors; every step is saved."""
+    """Derivative of a run with respect to a common factor of the errors; every step is saved."""
     method = Method("generalised_alpha", step=2.5e-3, tolerance=tolerance, corrections=12)
 
     def run(share):
@@ -39,12 +39,12 @@ def test_it_bounds_the_error_of_a_derivative(small):
 
 
 def test_a_derivative_that_has_not_converged_is_seen(small, monkeypatch):
-    """The run as it should be, its derivative corrected by half of what the matrix says."""
-    correct = implicit_step.increment_and_wrenches
+    """The run is as it should be, but its derivative has only half of every Newton increment."""
+    whole = implicit_step.increment_and_wrenches
 
-    def half(*given):
-        return jax.tree.map(lambda x: 0.5 * x, correct(*given))
+    def half(*args):
+        return jax.tree.map(lambda x: 0.5 * x, whole(*args))
 
     monkeypatch.setattr(implicit_step, "increment_and_wrenches", half)
-    # Another tolerance than above: a step is traced once for each.
+    # Another tolerance than above, so that the step is traced again.
     assert derivative_residual(change_of_run(small.model, 2e-3)) > RESIDUAL_LIMIT

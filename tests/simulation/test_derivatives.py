@@ -2,9 +2,8 @@
 
 The study's four-bar for 0.5 s on one discretisation, all kinds of errors on all sides of all joints,
 all metrics.  Differences are the sixth-order combination of central differences at three distances
-(Richardson's extrapolation).  What is left is their rounding, that of a value over its change in a step
-of the differences: 1e-14 of mean squares, 3e-13 of peaks, which is 1e-7 of a derivative where the step
-is as small as the extrapolation's own error (below 1e-7) asks for.
+(Richardson's extrapolation).  Their error is rounding, 1e-14 of mean squares and 3e-13 of peaks: 1e-7 of a derivative
+at steps small enough for an extrapolation error below 1e-7.
 """
 
 import diffrax
@@ -44,8 +43,8 @@ POINT = (
     * np.where(np.arange(len(NAMES)) % 2 == 0, 1.0, -1.0)
 )
 STEPS = 0.015 * TYPICAL
-# Slopes are small at zero error, and so is the extrapolation's error: five times the step for a fifth
-# of the rounding.
+# At zero error derivatives are small, and so is the extrapolation's error: five times the step for a fifth of the
+# rounding.
 STEPS_AT_ZERO = 0.075 * TYPICAL
 METRICS = tuple(
     f"{joint}.{kind}"
@@ -55,7 +54,7 @@ METRICS = tuple(
         "peak_moment", "preload_force_square", "preload_moment_square",
     )
 ) + ("angle_error", "end_energy")  # fmt: skip
-# Newton's corrections go down to rounding: the solution of the equations is what is differentiated.
+# Newton's method converges to rounding: differences are those of the exact solution, as the derivatives are.
 METHOD = Method("generalised_alpha", step=2e-3, corrections=9, tolerance=1e-14)
 
 
@@ -70,7 +69,7 @@ def stacked(problem, names=NAMES):
 
 
 def central_differences(function, point, steps):
-    """Slopes (metrics, errors) of order 6, by one batched call."""
+    """Jacobian (metrics, errors) by differences of order 6, in one batched call."""
     distances = (-3, -2, -1, 1, 2, 3)
     shifts = np.concatenate([k * np.diag(steps) for k in distances])
     out = np.asarray(function(jnp.asarray(point + shifts))).reshape(6, len(point), -1)
@@ -94,31 +93,31 @@ def forward(problem):
 
 
 @pytest.fixture(scope="module")
-def slopes(forward):
+def jacobian(forward):
     return np.asarray(forward(jnp.asarray(POINT)))
 
 
-def influence(slopes):
-    """Scale (metrics, errors): an error that hardly matters is judged by those that do."""
-    change = np.abs(slopes) * TYPICAL
+def influence(jacobian):
+    """Scale (metrics, errors): derivatives times typical errors, at least a hundredth of the largest of the metric."""
+    change = np.abs(jacobian) * TYPICAL
     return np.maximum(change, 1e-2 * change.max(axis=1, keepdims=True))
 
 
-def test_forward_mode_equals_differences(values, slopes):
+def test_forward_mode_equals_differences(values, jacobian):
     differences = central_differences(values, POINT, STEPS)
-    assert np.all(np.isfinite(slopes))
-    gap = np.abs(slopes - differences) * TYPICAL / influence(slopes)
+    assert np.all(np.isfinite(jacobian))
+    gap = np.abs(jacobian - differences) * TYPICAL / influence(jacobian)
     metric, error = np.unravel_index(gap.argmax(), gap.shape)
     assert gap.max() < 1e-6, f"{METRICS[metric]} by {NAMES[error]}"
 
 
-def test_reverse_mode_equals_forward_mode(problem, slopes):
+def test_reverse_mode_equals_forward_mode(problem, jacobian):
     """The gradient of a sum of all metrics, each weighted so that it counts."""
     weights = np.random.default_rng(7).uniform(0.5, 1.0, len(METRICS))
-    weights = weights / (np.abs(slopes) * TYPICAL).max(axis=1)
+    weights = weights / (np.abs(jacobian) * TYPICAL).max(axis=1)
     function = stacked(problem)
     reverse = jax.jit(jax.grad(lambda x: jnp.asarray(weights) @ function(x)))(jnp.asarray(POINT))
-    expected = weights @ slopes
+    expected = weights @ jacobian
     scale = np.abs(expected * TYPICAL).max()
     np.testing.assert_allclose(np.asarray(reverse) * TYPICAL, expected * TYPICAL, rtol=1e-8, atol=1e-10 * scale)
 
@@ -149,7 +148,7 @@ FEW_POINT = np.array([6e-3, -4e-3, 2e-4])
 
 
 def loop_with_one_flexible_link(rfes):
-    """For short compilation."""
+    """Fewer rfes, for short compilation."""
     links = [link("crank", 0.12), link("coupler", 0.3, rfes), link("rocker", 0.3)]
     return Mechanism(links, four_bar().joints, driven_joint="A")
 

@@ -117,8 +117,8 @@ def test_reactions_do_not_oscillate_from_step_to_step(small):
     assert rough[1] < 0.45 * rough[0] and rough[1] < 0.1
 
 
-def test_corrections_stop_at_the_tolerance(small):
-    """No more is left over than allowed, and not much less: further corrections are not made."""
+def test_newton_s_method_stops_at_the_tolerance(small):
+    """The residual is below the tolerance, but not far below: no further increments are made."""
     loads = {}
     for tolerance in (1e-2, 1e-8):
         method = Method("generalised_alpha", step=1e-3, corrections=9, tolerance=tolerance)
@@ -131,14 +131,14 @@ def test_corrections_stop_at_the_tolerance(small):
 
 
 def test_derivatives_do_not_grow_from_step_to_step(bent):
-    """Links bent, and of other lengths than the perfect ones, with whose matrix this gave 1e37; few
-    corrections wanted: what they leave over of a derivative must not grow from step to step."""
+    """Few increments for bent links with errors of their lengths: the error of a derivative must not grow from step to
+    step (to 1e37 with the iteration matrix of the perfect links)."""
     method = Method("generalised_alpha", step=2.5e-3, tolerance=1e-3)
-    slope = jax.jit(lambda x: jax.jvp(lambda x: bent(x, method), (x,), (1.0,))[1])
+    derivative = jax.jit(lambda x: jax.jvp(lambda x: bent(x, method), (x,), (1.0,))[1])
     exact = Method("generalised_alpha", step=2.5e-3, corrections=9, tolerance=1e-10)
     values = jax.jit(jax.vmap(lambda x: bent(x, exact)))(jnp.array([0.999, 1.001]))
     difference = float(values[1] - values[0]) / 0.002
-    np.testing.assert_allclose(float(slope(1.0)), difference, rtol=2e-2)
+    np.testing.assert_allclose(float(derivative(1.0)), difference, rtol=2e-2)
 
 
 def test_derivatives_of_a_batch_are_those_of_its_samples():
@@ -163,7 +163,7 @@ def test_derivatives_of_a_batch_are_those_of_its_samples():
 
 
 def test_a_step_that_does_not_converge_says_so(small):
-    """One correction at a long step, with a large error, after the jump."""
+    """One Newton increment in a long step, with a large error, after the jump."""
     method = Method("generalised_alpha", step=5e-3, corrections=1)
     settings = {**small.settings, "method": method, "save_every": 2e-3}
     run = simulate(small.model, assembly_errors(small.model, {"D.delta_x": 0.02}), **settings)
@@ -190,7 +190,7 @@ def test_auto_takes_the_step_from_the_accuracy(monkeypatch):
     assert choose_method(model, same) is same
     with pytest.raises(InputError, match="`duration` must be given"):
         choose_method(model, Method("auto"), study.drive)
-    # Where no implicit step is good enough, the explicit method at a stable step.
+    # Where no implicit step is accurate enough, the explicit method at a stable step.
     monkeypatch.setattr("rfem_jax.simulation.accuracy.LAST", 4)
     chosen = choose_method(model, Method("auto", accuracy=1e-3), study.drive, 0.5)
     assert chosen.name == "rk4"

@@ -1,4 +1,4 @@
-"""Results of a loop as few arrays: no two of one shape, and nothing is lost."""
+"""Results of a loop packed into few arrays: no two have one shape, and unpacking restores all."""
 
 import jax
 import jax.numpy as jnp
@@ -18,13 +18,13 @@ def test_no_two_packed_arrays_have_one_shape():
     assert len({(part.shape, part.dtype) for part in packed}) == len(packed) < len(jax.tree.leaves(TREE))
 
 
-def test_what_a_loop_gives_is_as_without_packing():
-    def turn(carry, x):
+def test_results_of_a_loop_are_those_without_packing():
+    def iteration(carry, x):
         return carry, jax.tree.map(lambda leaf: (x * leaf).astype(leaf.dtype), TREE)
 
     xs = jnp.arange(1.0, 4.0)
-    expected = jax.lax.scan(turn, 0.0, xs)[1]
-    found = unpack(jax.lax.scan(lambda c, x: (c, pack(turn(c, x)[1])), 0.0, xs)[1], TREE)
+    expected = jax.lax.scan(iteration, 0.0, xs)[1]
+    found = unpack(jax.lax.scan(lambda c, x: (c, pack(iteration(c, x)[1])), 0.0, xs)[1], TREE)
     assert jax.tree.structure(found) == jax.tree.structure(expected)
     for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
         np.testing.assert_array_equal(one, other)

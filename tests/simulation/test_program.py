@@ -1,4 +1,4 @@
-"""The compiled program: its size, what retraces it, what a failed run does to its batch."""
+"""The compiled program: its size, what retraces it, and a failed run in a batch."""
 
 from dataclasses import replace
 
@@ -28,7 +28,7 @@ pytestmark = pytest.mark.usefixtures("quick_compilation")
 
 
 def equations_in(jaxpr) -> int:
-    """Number of primitive operations of a program, inner ones included."""
+    """Number of equations of a jaxpr, inner ones included."""
     count = 0
     for equation in jaxpr.eqns:
         count += 1

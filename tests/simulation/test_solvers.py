@@ -63,8 +63,8 @@ def test_loop_over_steps_is_diffrax_s_own_loop(small, name):
     assert np.all(np.asarray(solution[1][-1]) <= np.asarray(carry.peaks) * (1 + 1e-6))
 
 
-def test_diffrax_is_told_that_newton_s_method_failed(small):
-    """One correction is not enough for a long step with links far too soft in the matrix."""
+def test_a_failure_of_newton_s_method_is_the_result_of_diffeqsolve(small):
+    """One Newton increment is not enough for a long step whose iteration matrix has links far too soft."""
     method = Method("generalised_alpha", step=5e-3, corrections=1)
     _, conditions, y = in_one_interval(small.model, small.drive, method)
     solver = observed_solver(method)
@@ -209,7 +209,7 @@ def test_adaptive_methods_do_not_integrate_where_no_time_passes(small):
     assert 2e-4 <= max(seen) <= 2.5e-4
 
 
-def test_the_root_of_a_mean_square_is_guarded_at_zero_only():
-    values, slopes = jax.vmap(jax.value_and_grad(safe_sqrt))(jnp.asarray([0.0, 4.0, np.nan]))
+def test_the_square_root_has_derivative_zero_at_zero_only():
+    values, derivatives = jax.vmap(jax.value_and_grad(safe_sqrt))(jnp.asarray([0.0, 4.0, np.nan]))
     np.testing.assert_array_equal(values, [0.0, 2.0, np.nan])
-    np.testing.assert_array_equal(slopes[:2], [0.0, 0.25])
+    np.testing.assert_array_equal(derivatives[:2], [0.0, 0.25])

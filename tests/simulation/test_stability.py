@@ -32,7 +32,7 @@ def models():
 @pytest.mark.parametrize(
     ("name", "method", "limit"),
     # Found by simulation with independent codes; leapfrog damped: with the velocity of second order
-    # the limit is lower than the 7.6e-6 s of the first-order variant that lags it.
+    # the limit is lower than the 7.6e-6 s of the first-order variant, which uses the last step's velocity.
     [
         ("study", "rk4", 1.94e-5),
         ("undamped", "rk4", 2.04e-5),

@@ -1,4 +1,4 @@
-"""Modes at rest against the linearised accelerations of the equations of motion, mechanism-wide and dense."""
+"""Modes at rest against the linearised equations of motion of the mechanism as one dense matrix."""
 
 import tracemalloc
 
@@ -48,28 +48,28 @@ def _accelerations_linearised(model, angles, stabilisation):
     return jax.jacfwd(rate)(flat)
 
 
-def _slope(model, angles, stabilisation=None):
+def _jacobian(model, angles, stabilisation=None):
     if stabilisation is None:
         stabilisation = Stabilisation(jnp.zeros(()), jnp.zeros(()), jnp.max(model.length))
     stabilisation = jax.tree.map(jnp.asarray, stabilisation)
     return np.asarray(_accelerations_linearised(model, jnp.asarray(angles), stabilisation))
 
 
-def _dense_eigenvalues(slope):
-    n = len(slope)
-    return np.linalg.eigvals(np.vstack([np.eye(n, 2 * n, n), slope]))
+def _dense_eigenvalues(jacobian):
+    n = len(jacobian)
+    return np.linalg.eigvals(np.vstack([np.eye(n, 2 * n, n), jacobian]))
 
 
-def _dense_growth(method, slope):
+def _dense_growth(method, jacobian):
     """Largest amplification of a step of the whole linear system."""
-    h, n = method.step, len(slope)
+    h, n = method.step, len(jacobian)
     if method.name == "rk4":
-        z = h * _dense_eigenvalues(slope)
+        z = h * _dense_eigenvalues(jacobian)
         return np.abs(1.0 + z * (1.0 + z / 2.0 * (1.0 + z / 3.0 * (1.0 + z / 4.0)))).max()
     one, none = np.eye(n), np.zeros((n, n))
     half = np.hstack([one, 0.5 * h * one, none])
     predicted = np.hstack([none, one, 0.5 * h * one])
-    acceleration = slope[:, :n] @ half + slope[:, n:] @ predicted
+    acceleration = jacobian[:, :n] @ half + jacobian[:, n:] @ predicted
     velocity = np.hstack([none, one, none]) + h * acceleration
     matrix = np.vstack([half + 0.5 * h * velocity, velocity, acceleration])
     return np.abs(np.linalg.eigvals(matrix)).max()
@@ -91,7 +91,7 @@ def test_eigenvalues_are_those_of_the_equations_of_motion(models, name):
     modes = Vibration(model).modes(angles)
     assert modes.damping.ndim == (2 if name == "coupled" else 1)
     got = np.sort_complex(modes.eigenvalues())
-    expected = np.sort_complex(_dense_eigenvalues(_slope(model, angles)))
+    expected = np.sort_complex(_dense_eigenvalues(_jacobian(model, angles)))
     assert len(got) == len(expected) - 10
     got, expected = (x[np.abs(x) > 100.0] for x in (got, expected))
     assert len(got) >= len(expected) > 30
@@ -110,7 +110,7 @@ def test_limit_is_that_of_the_whole_linear_system(models, name, method):
     def growth(share):
         trial = Method(method, step=share * limit)
         gains = stabilisation_of(model, trial)
-        return max(_dense_growth(trial, _slope(model, a, gains)) for a in stability._poses(model))
+        return max(_dense_growth(trial, _jacobian(model, a, gains)) for a in stability._poses(model))
 
     assert growth(0.999) < 1.0 + 5e-6
     assert growth(1.003) > 1.0 + 1e-4

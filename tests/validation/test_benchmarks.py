@@ -1,4 +1,4 @@
-"""The benchmarks themselves, those that take seconds; `rfem-jax validate` computes all."""
+"""Those benchmarks that take seconds; `rfem-jax validate` computes all."""
 
 import numpy as np
 import pytest
@@ -31,7 +31,7 @@ def test_thick_cantilever():
 
 
 def test_princeton_beam():
-    """The rod equations are met; of the table only what is off these is not, and is explained."""
+    """The rod equations are met.  The table is where it agrees with them; other deviations from it are explained."""
     lines = computed(large_deflections.princeton_beam)
     table = [line for line in lines if line.group.endswith("table")]
     assert len(table) == 28
@@ -47,7 +47,7 @@ def test_linear_elements_do_not_meet_the_elastica():
     model = cantilevers.clamped_beam(1.0, (stiff, stiff, stiff, stiff, 1.0, 1.0), 20, "linear")
     bent = cantilevers.bend(model, [0.0, 0.0, 1.0])
     assert bent.tip[2] > 1.09 * large_deflections.ELASTICA[1.0][0]
-    # It does not shorten, but for the last rfe's own turn.
+    # It hardly shortens: only by the rotation of the last rfe.
     assert -bent.tip[0] < 0.05 * large_deflections.ELASTICA[1.0][1]
 
 

@@ -29,15 +29,15 @@ def test_rod_is_the_elastica():
 
 def test_stiff_beam_lags_by_its_static_deflection():
     """Load -rho A x Omega' at constant Omega': tip deflection 11 rho A Omega' L^5 / (120 E I)."""
-    length, bending, density, slope = 2.0, 1e4, 0.5, 0.3
+    length, bending, density, rise = 2.0, 1e4, 0.5, 0.3
 
     def rate(t):
-        # Reached so slowly that nothing vibrates.
+        # Reached so slowly that no vibration is excited.
         grown = min(t, 1.0)
-        return 0.0, slope * grown**2 * (3.0 - 2.0 * grown)
+        return 0.0, rise * grown**2 * (3.0 - 2.0 * grown)
 
     lag = tip_lag(length, bending, density, rate, np.array([0.5, 2.0]))
-    static = 11.0 * density * slope * length**5 / (120.0 * bending)
+    static = 11.0 * density * rise * length**5 / (120.0 * bending)
     np.testing.assert_allclose(lag, [0.5 * static, static], rtol=2e-3)
 
 
