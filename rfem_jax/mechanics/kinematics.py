@@ -65,7 +65,7 @@ class Motion(NamedTuple):
     axis: Array
 
 
-def motion(actual: ModelWithErrors, state: State) -> Motion:
+def motion_of(actual: ModelWithErrors, state: State) -> Motion:
     """Positions and velocities of all links and rfes at one instant."""
     topology = actual.topology
     with jax.named_scope("kinematics"):

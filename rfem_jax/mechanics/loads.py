@@ -23,7 +23,7 @@ from rfem_jax.mechanics.algebra import apply, apply_transposed, cross, dot
 from rfem_jax.mechanics.cut_joints import Closure
 from rfem_jax.mechanics.dynamics import Accelerations, link_axes
 from rfem_jax.mechanics.inputs import DriveInput
-from rfem_jax.mechanics.kinematics import Motion, all_frames, motion, spread, total
+from rfem_jax.mechanics.kinematics import Motion, all_frames, motion_of, spread, total
 from rfem_jax.mechanics.model import BASE, Coordinates, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 
@@ -189,7 +189,7 @@ def velocities(actual: ModelWithErrors, now: Motion):
 
 def momentum(actual: ModelWithErrors, state: State) -> tuple[Array, Array]:
     """Total linear momentum [N s] and angular momentum about the global origin [N m s]."""
-    rotation, centre, velocity, spin = velocities(actual, motion(actual, state))
+    rotation, centre, velocity, spin = velocities(actual, motion_of(actual, state))
     linear = actual.mass[None] * velocity
     spin_momentum = apply(rotation, apply(actual.inertia, apply_transposed(rotation, spin)))
     return jnp.sum(linear, axis=1), jnp.sum(spin_momentum + cross(centre, linear), axis=1)
@@ -197,7 +197,7 @@ def momentum(actual: ModelWithErrors, state: State) -> tuple[Array, Array]:
 
 def energies(actual: ModelWithErrors, state: State) -> Energies:
     """Kinetic, elastic and gravity energy at one instant."""
-    rotation, centre, velocity, spin = velocities(actual, motion(actual, state))
+    rotation, centre, velocity, spin = velocities(actual, motion_of(actual, state))
     body_spin = apply_transposed(rotation, spin)
     translation = actual.mass * dot(velocity, velocity)
     rotational = dot(body_spin, apply(actual.inertia, body_spin))
@@ -228,7 +228,7 @@ def momentum_residual(
 
     tangents = (state.velocity, accelerations)
     _, (linear_rate, angular_rate) = jax.jvp(along, (state.position, state.velocity), tangents)
-    _, centre, _, _ = velocities(actual, motion(actual, state))
+    _, centre, _, _ = velocities(actual, motion_of(actual, state))
     weight = actual.mass[None] * actual.gravity[:, None]
     return (
         base[3:] + jnp.sum(weight, axis=1) - linear_rate,

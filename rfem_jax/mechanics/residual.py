@@ -19,7 +19,7 @@ from rfem_jax.mechanics.algebra import apply, apply_transposed, cross, dot
 from rfem_jax.mechanics.cut_joints import Closure, closure
 from rfem_jax.mechanics.elasticity import generalised_forces
 from rfem_jax.mechanics.inputs import DriveInput
-from rfem_jax.mechanics.kinematics import Motion, motion, spread
+from rfem_jax.mechanics.kinematics import Motion, motion_of, spread
 from rfem_jax.mechanics.model import BASE, Coordinates, State
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 
@@ -64,7 +64,7 @@ def evaluate_residual(
     with jax.named_scope("balance"):
         topology = actual.topology
         n = topology.n_links
-        now = motion(actual, state)
+        now = motion_of(actual, state)
         cuts = closure(actual, now, scale)
         spatial, carried = _spatial_accelerations(actual, now, state, accelerations)
         angular, linear = _node_accelerations(topology, now, spatial, accelerations)

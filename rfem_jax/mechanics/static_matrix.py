@@ -17,7 +17,7 @@ from jax import Array
 from rfem_jax.mechanics import loads
 from rfem_jax.mechanics.condensation import link_operators
 from rfem_jax.mechanics.cut_joints import closure
-from rfem_jax.mechanics.kinematics import motion
+from rfem_jax.mechanics.kinematics import motion_of
 from rfem_jax.mechanics.model import Coordinates, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 from rfem_jax.mechanics.newton import IterationMatrix, Residual, iteration_matrix, newton_increment
@@ -41,7 +41,7 @@ def matrix_at_rest(
     stiffness [N/m] of the mechanism."""
     reach = STIFFER * jnp.sum(actual.mass) / stiffness
     operators = link_operators(actual, reach, jnp.zeros(()))
-    now = motion(actual, loads.static_state(position))
+    now = motion_of(actual, loads.static_state(position))
     matrix = iteration_matrix(actual, operators, now, closure(actual, now, scale), held)
     return MatrixAtRest(matrix, reach)
 

@@ -38,7 +38,7 @@ from rfem_jax.mechanics.condensation import LinkOperator, link_operators, presen
 from rfem_jax.mechanics.cut_joints import closure
 from rfem_jax.mechanics.elasticity import dissipated_power
 from rfem_jax.mechanics.inputs import DriveInput, impose
-from rfem_jax.mechanics.kinematics import motion
+from rfem_jax.mechanics.kinematics import motion_of
 from rfem_jax.mechanics.model import Coordinates, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 from rfem_jax.mechanics.newton import IterationMatrix, NewtonIncrement, iteration_matrix, newton_increment, residual_of
@@ -218,7 +218,7 @@ class GeneralisedAlpha(diffrax.AbstractSolver):
         drive = drive_input(conditions.drive, t1, conditions.phase)
         accelerations, _ = self.guess((None, *constants), conditions, trajectory, memory)
         state, _ = self._reached(h, trajectory, memory, accelerations, actual.topology, drive)
-        now = motion(actual, state)
+        now = motion_of(actual, state)
         if actual.topology.exact:
             operators = present_operators(actual, now.relative, *self.factors(h))
         prescribed = isinstance(conditions.drive, PrescribedDrive)

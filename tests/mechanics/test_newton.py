@@ -285,8 +285,8 @@ def test_operators_of_a_batch_leave_lapack_alone(exact_chain):
 def quadratic_form(springs, x):
     """x K x of vectors (6, N), angular first."""
     left = jnp.roll(x, 1, axis=1)
-    own = jnp.einsum("ak,kab,bk->", x, springs.own, x)
-    return own + 2.0 * jnp.einsum("ak,kab,bk->", x, springs.beside, left)
+    diagonal = jnp.einsum("ak,kab,bk->", x, springs.diagonal, x)
+    return diagonal + 2.0 * jnp.einsum("ak,kab,bk->", x, springs.lower, left)
 
 
 def test_stiffness_of_undeformed_links_holds_their_elastic_energy():
