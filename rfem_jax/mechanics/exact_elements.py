@@ -60,12 +60,12 @@ class ExactDeflections(NamedTuple):
 def deflections(actual: ModelWithErrors, u: Float[Array, "3 rfes"], relative: RelativeMotion) -> ExactDeflections:
     """Deflections of all sdes from the displacements u [m] of the rfes' middles and the relative motion."""
     # R - 1, displacements and velocities of the right and the left rfe of every sde; all zero for rfe 0.
-    identity = _like(algebra.IDENTITY[:, :, None], relative.rotation)
+    identity = jnp.asarray(algebra.IDENTITY[:, :, None])
     rotated = relative.rotation - identity
-    shape = u.shape[1:]
-    right = jnp.concatenate([rotated.reshape((9, *shape)), u, relative.angular, relative.linear])
+    n = actual.topology.n_rfes
+    right = jnp.concatenate([rotated.reshape((9, n)), u, relative.angular, relative.linear])
     both = jnp.stack([right, from_left(actual, right)], axis=1)
-    rotated = both[:9].reshape((3, 3, 2, *shape))
+    rotated = both[:9].reshape((3, 3, 2, n))
     rotation = rotated + identity[:, :, None]
     levers = jnp.stack([actual.lever_right, actual.lever_left])[None]
     arms = levers * rotation[:, 0]
@@ -159,12 +159,12 @@ def wrenches(
 
 def from_left(actual: ModelWithErrors, values: Float[Array, "k rfes"]) -> Float[Array, "k rfes"]:
     """Values of the left neighbours of the free rfes, zero where that is rfe 0."""
-    return _expand(_is_inner(actual), values) * _roll(values, 1)
+    return jnp.asarray(_is_inner(actual)).reshape((1, -1)) * _roll(values, 1)
 
 
 def to_left(actual: ModelWithErrors, values: Float[Array, "k rfes"]) -> Float[Array, "k rfes"]:
     """Values of the sdes moved to their left rfes; those of rfe 0 are dropped."""
-    return _roll(_expand(_is_inner(actual), values) * values, -1)
+    return _roll(jnp.asarray(_is_inner(actual)).reshape((1, -1)) * values, -1)
 
 
 def _roll(values: Array, shift: int) -> Array:
@@ -172,18 +172,11 @@ def _roll(values: Array, shift: int) -> Array:
 
 
 def _is_inner(actual: ModelWithErrors) -> np.ndarray:
-    """Which free rfes have another free rfe of their link on their left."""
+    """1 for the free rfes that have another free rfe of their link on their left, 0 for the others."""
     inner = np.ones(actual.topology.n_rfes)
     inner[[a for a, b in actual.topology.ranges if b > a]] = 0.0
     return inner
 
-
-def _expand(inner, values):
-    return jnp.asarray(inner).reshape((1, -1) + (1,) * (values.ndim - 2))
-
-
-def _like(values, example):
-    return jnp.asarray(values).reshape(values.shape + (1,) * (example.ndim - 3))
 
 
 def _half_rotation(rotation: Array) -> tuple[Array, Array]:
@@ -207,6 +200,6 @@ def _factors(square: Array) -> tuple[Array, Array]:
     return 1.0 + g * square, g
 
 
-def _tangent(half, f, g, vector):
-    """d theta / d w, symmetric in the axes of M, times a vector."""
+def _tangent(half: Array, f: Array, g: Array, vector: Array) -> Array:
+    """The map from w to d theta / dt, symmetric in the axes of M, of a vector."""
     return f[None] * vector - half * (g * dot(half, vector))[None]
