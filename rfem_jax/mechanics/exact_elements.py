@@ -178,7 +178,6 @@ def _is_inner(actual: ModelWithErrors) -> np.ndarray:
     return inner
 
 
-
 def _half_rotation(rotation: Array) -> tuple[Array, Array]:
     """sin(angle/2) n (3, N) and cos(angle/2) (N,) of R_l^T R_r, for angles below 180 deg; differentiable at
     zero, since the only square root is the cosine's."""

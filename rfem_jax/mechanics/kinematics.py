@@ -179,9 +179,7 @@ def _columns(values: Array, indices: np.ndarray) -> Array:
     return jnp.stack([values[..., int(i)] for i in indices], axis=-1)
 
 
-def _place_link(
-    actual: ModelWithErrors, state: State, index: int, parent: Frames
-) -> tuple[Frames, Frames, Array]:
+def _place_link(actual: ModelWithErrors, state: State, index: int, parent: Frames) -> tuple[Frames, Frames, Array]:
     """Link frame, hinge frame and spatial axis (6,) of a tree joint's link, from the frame of its parent's node."""
     joint_rotation = product(parent.rotation, actual.seat_rotation[:, :, index])
     hinge_rotation = product(joint_rotation, algebra.rotation_y(state.position.angles[index]))

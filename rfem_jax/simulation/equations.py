@@ -56,7 +56,7 @@ class Conditions(eqx.Module):
 
 def structural_zeros(conditions: Conditions) -> Conditions:
     """Entries of the conditions that are zero for all numbers: boolean arrays, or False."""
-    known = model_with_errors.structural_zeros(conditions.actual.topology)
+    known = model_with_errors.structural_zeros(conditions.actual)
     return eqx.tree_at(lambda tree: tree.actual, nothing_known(conditions), known)
 
 
