@@ -20,7 +20,8 @@ from rfem_jax.mechanics.cut_joints import closure
 from rfem_jax.mechanics.kinematics import motion_of
 from rfem_jax.mechanics.model import Coordinates, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
-from rfem_jax.mechanics.newton import IterationMatrix, Residual, iteration_matrix, newton_increment
+from rfem_jax.mechanics.newton import IterationMatrix, iteration_matrix, newton_increment
+from rfem_jax.mechanics.residual import Residual
 
 # Springs over inertia, by the stiffness of a link and the mass of all.  The larger, the less a change leaves over,
 # but rounding grows with its square: in spatial loops, 1e6 would lead nowhere.

@@ -28,7 +28,7 @@ from rfem_jax.mechanics.inputs import DriveInput
 from rfem_jax.mechanics.kinematics import motion_of, range_used
 from rfem_jax.mechanics.model import Coordinates, Model, State, Topology
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors, ModelWithErrors, apply_errors, assembly_errors
-from rfem_jax.mechanics.newton import Residual
+from rfem_jax.mechanics.residual import Residual
 from rfem_jax.mechanics.static_matrix import change_at_rest, matrix_at_rest
 from rfem_jax.mechanics.static_search import (
     Equations,

@@ -41,8 +41,8 @@ from rfem_jax.mechanics.inputs import DriveInput, impose
 from rfem_jax.mechanics.kinematics import motion_of
 from rfem_jax.mechanics.model import Coordinates, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
-from rfem_jax.mechanics.newton import IterationMatrix, NewtonIncrement, iteration_matrix, newton_increment, residual_of
-from rfem_jax.mechanics.residual import Evaluation, evaluate_residual
+from rfem_jax.mechanics.newton import IterationMatrix, NewtonIncrement, iteration_matrix, newton_increment
+from rfem_jax.mechanics.residual import Evaluation, evaluate_residual, residual_of
 from rfem_jax.simulation import equations
 from rfem_jax.simulation.equations import Conditions, Integrals, Trajectory, drive_input
 from rfem_jax.simulation.implicit_step import form_matrix, solved_step

@@ -19,7 +19,8 @@ import jax
 import jax.numpy as jnp
 from jax.ad_checkpoint import checkpoint_name
 
-from rfem_jax.mechanics.newton import NewtonIncrement, increment_and_wrenches, newton_increment, residual_of
+from rfem_jax.mechanics.newton import NewtonIncrement, increment_and_wrenches, newton_increment
+from rfem_jax.mechanics.residual import residual_of
 from rfem_jax.simulation import equations
 from rfem_jax.simulation.batches import like_batched
 

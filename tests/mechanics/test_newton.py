@@ -15,14 +15,8 @@ from rfem_jax.mechanics.inputs import DriveInput, Stabilisation, impose
 from rfem_jax.mechanics.kinematics import relative_motion
 from rfem_jax.mechanics.model import Coordinates, State
 from rfem_jax.mechanics.model_with_errors import apply_errors
-from rfem_jax.mechanics.newton import (
-    Residual,
-    increment_and_wrenches,
-    iteration_matrix,
-    newton_increment,
-    residual_of,
-)
-from rfem_jax.mechanics.residual import evaluate_residual
+from rfem_jax.mechanics.newton import increment_and_wrenches, iteration_matrix, newton_increment
+from rfem_jax.mechanics.residual import Residual, evaluate_residual, residual_of
 from rfem_jax.mechanics.statics import equilibrium, length_scale
 from tests.mechanisms import four_bar, twisted_spatial_loop, two_loop_six_bar
 
