@@ -42,7 +42,7 @@ except ImportError as missing:
         'it with `pip install "rfem_jax[bench]"`.'
     ) from missing
 
-from rfem_jax.mechanics.kinematics import all_frames, motion  # noqa: E402
+from rfem_jax.mechanics.kinematics import all_frames, motion_of  # noqa: E402
 from rfem_jax.mechanics.loads import static_state  # noqa: E402
 from rfem_jax.mechanics.model import BASE, Model  # noqa: E402
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors, apply_errors  # noqa: E402
@@ -153,7 +153,7 @@ def linkage(model: Model, errors: AssemblyErrors) -> Linkage:
 def _actual(model: Model, errors: AssemblyErrors):
     """Constants of the equations of motion, and rotations and points of all nodes at the start."""
     actual = apply_errors(model, errors)
-    now = motion(actual, static_state(model.start_coordinates()))
+    now = motion_of(actual, static_state(model.start_coordinates()))
     return actual, all_frames(model.topology, now)
 
 

@@ -1,9 +1,11 @@
 """Vectors, rotations and spatial vectors: the algebra that the mechanics is written in.
 
+Place in the pipeline: used by every other file of the mechanics.
+
 Layout. Components come first: a vector is (3, ...), a rotation or a matrix (3, 3, ...), a spatial
-vector (6, ...) with the angular part first; every later axis (rigid finite elements, samples)
-broadcasts.  The contiguous axis is thus the one with many equal operations, and no function here
-needs a batched small matrix product, which XLA runs slowly on a CPU.
+vector (6, ...) with the angular part first; every later axis (bodies, columns of loads) broadcasts.
+The contiguous axis is thus the one with many equal operations, and no function here needs a batched
+product of small matrices, which XLA runs slowly on a CPU.
 
 Spatial vectors (Featherstone, Rigid Body Dynamics Algorithms, 2008, ch. 2) are taken at the origin
 of the global frame, so that bodies share one reference point and no transform is needed.
@@ -20,10 +22,10 @@ IDENTITY = np.eye(3)
 
 def cross(a: Array, b: Array) -> Array:
     """Vector product of (3, ...) with (3, ...)."""
-    return _cycled(a * _cycled(b) - _cycled(a) * b)
+    return _cycle(a * _cycle(b) - _cycle(a) * b)
 
 
-def _cycled(a: Array) -> Array:
+def _cycle(a: Array) -> Array:
     """Components (y, z, x)."""
     return reorder(a, (1, 2, 0))
 
@@ -59,7 +61,7 @@ def constant_product(matrix: Array, b: Array) -> Array:
 
 
 def by_component(values: Array) -> Array:
-    """(6, m, ...) as (6 m, ...): all first components, all second ones, and so on."""
+    """Flatten (6, m, ...) to (6 m, ...): all first components, all second ones, and so on."""
     return values.reshape((6 * values.shape[1],) + values.shape[2:])
 
 
@@ -118,18 +120,18 @@ def wrench_at_origin(moment: Array, force: Array, point: Array) -> Array:
 
 
 def motion_at_origin(angular: Array, linear: Array, point: Array) -> Array:
-    """Spatial velocity (6, ...) of a body that turns while its `point` moves, at the origin."""
+    """Spatial velocity (6, ...) at the origin of a body with an angular velocity and the linear one of its `point`."""
     return spatial(angular, linear + cross(point, angular))
 
 
 def motion_cross(velocity: Array, motion: Array) -> Array:
-    """Spatial motion product `velocity x motion`."""
+    """Spatial cross product of a velocity with a motion vector (Featherstone's crm)."""
     w, v = velocity[:3], velocity[3:]
     return spatial(cross(w, motion[:3]), cross(w, motion[3:]) + cross(v, motion[:3]))
 
 
 def force_cross(velocity: Array, wrench: Array) -> Array:
-    """Spatial force product `velocity x* wrench`."""
+    """Spatial cross product of a velocity with a force vector (Featherstone's crf)."""
     w, v = velocity[:3], velocity[3:]
     return spatial(cross(w, wrench[:3]) + cross(v, wrench[3:]), cross(w, wrench[3:]))
 
@@ -147,20 +149,20 @@ def spatial_inertia(mass: Array, centre: Array, inertia: Array) -> Array:
 
 def spatial_mobility(mass: Array, centre: Array, inverse: Array) -> Array:
     """Inverse of `spatial_inertia` (6, 6, ...), from the inverses (3, 3, ...) of the central inertia
-    tensors; well conditioned where the matrix itself is not."""
+    tensors; accurate where a numerical inverse of the ill-conditioned inertia is not."""
     shift = cross_matrix(centre)
-    turned = product(shift, inverse)
+    shifted = product(shift, inverse)
     identity = jnp.asarray(IDENTITY).reshape((3, 3) + (1,) * (centre.ndim - 1))
-    upper = jnp.concatenate([inverse, transpose(turned)], axis=1)
-    corner = product_transposed(turned, shift) + identity / mass[None, None]
-    return jnp.concatenate([upper, jnp.concatenate([turned, corner], axis=1)])
+    upper = jnp.concatenate([inverse, transpose(shifted)], axis=1)
+    corner = product_transposed(shifted, shift) + identity / mass[None, None]
+    return jnp.concatenate([upper, jnp.concatenate([shifted, corner], axis=1)])
 
 
 def invert_positive(matrix: Array) -> Array:
     """Inverse of symmetric positive definite matrices (n, n, ...), n small and static.
 
-    Block elimination down to blocks of at most three rows, whose inverse is the adjugate: no
-    pivoting is needed, nothing is looped over at run time, and derivatives are plain.
+    Block elimination (Schur complements) down to blocks of at most three rows, inverted by the
+    adjugate: no pivoting, no loop at run time, and derivatives need no rule of their own.
     """
     n = matrix.shape[0]
     if n <= 3:
@@ -177,7 +179,7 @@ def invert_positive(matrix: Array) -> Array:
 
 
 def invert_block(m: Array) -> Array:
-    """Inverse of matrices (n, n, ...) with n <= 3 by the adjugate."""
+    """Inverse of matrices (n, n, ...) with n <= 3: adjugate over determinant."""
     if m.shape[0] == 0:
         return m
     if m.shape[0] == 1:

@@ -1,22 +1,23 @@
-"""The stiff part of a flexible link, condensed: what an implicit step needs of it.
+"""Flexible links in an implicit step, condensed to their link frame and their interfaces.
 
-Place in the pipeline: model -> **condensation** -> newton.
+Place in the pipeline: model with errors, block_tridiagonal -> **condensation** -> newton, static_matrix.
 
-In the link's own axes, near its undeformed shape, the free rfes obey
+In the link's axes, linearised about its undeformed shape, the equations of the free rfes are
 
     (M + s K) y + M X A = r + S w,      s = q_factor + damping * v_factor
 
 for the second derivatives y of the elastic coordinates, the acceleration A of the link frame, residual
-generalised forces r and wrenches w on the rfes that carry joints; M, K, X and S are constant.
-M + s K, factored once along the chain of rfes, gives the link as it is felt at its frame and at its
-carriers (static condensation of structural dynamics, of M + s K instead of K).
+generalised forces r and wrenches w on the link's interfaces, which are the free rfes that carry joints;
+M, K, X (rigid-body modes) and S (selection of the interfaces) are constant.  Eliminating all other
+coordinates is static condensation (Guyan, AIAA J. 3 (1965) 380; with the link frame as a boundary as in
+Craig and Bampton, AIAA J. 6 (1968) 1313-1319) of the dynamic stiffness M + s K, so that nothing is lost.
 
-The matrices serve Newton's method, whose solution does not depend on them, and are therefore not
-differentiated.  They are those of a sample's own links: with those of the perfect mechanism, length
-errors of 0.3 % let what a correction of a derivative leaves over grow from step to step.  Where no length
-varies, a batch shares them.  Geometrically exact elements turn with the rfes, which changes the
-stiffness felt in the link's axes as soon as a link is bent by more than its thickness: for them the
-matrices are formed in the present place.
+The operators approximate the tangent for Newton's method, whose solution does not depend on them, and are
+therefore not differentiated.  They are those of each sample's links: with those of the perfect mechanism,
+length errors of 0.3 % made the residual of a refined derivative grow from step to step.  Where no length
+varies, a batch shares them.  Geometrically exact elements rotate with the rfes, which changes the stiffness
+in the link's axes as soon as a link is bent by more than its thickness: their operators are formed at the
+present deflection.
 """
 
 from typing import NamedTuple
@@ -25,6 +26,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jaxtyping import Float
 
 from rfem_jax.mechanics import algebra, elasticity, exact_elements
 from rfem_jax.mechanics.algebra import apply, product, product_transposed
@@ -35,58 +37,62 @@ from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 
 
 class LinkOperator(NamedTuple):
-    """A link at one step length; wrenches and accelerations are (moment, force) and (angular, linear).
+    """A link with m free rfes and c interfaces at one step length; wrenches are (moment, force),
+    accelerations (angular, linear).
 
-    factored: M + s K of its m free rfes, factored; inertia (6, 6) felt at the link frame; compliance
-    (6 c, 6 c) of its c carriers and its inverse stiffness; pick (6 c, 6 m): the carriers' rows of
-    (M + s K)^-1; reduced (6 m, 6): what unit accelerations of the frame take from the second
-    derivatives of the coordinates; give (6 c, 6): its rows of the carriers.
+    factored: M + s K; inertia (6, 6): of the link condensed to its frame, interfaces free;
+    interface_rows (6 c, 6 m): rows S^T (M + s K)^-1 of the interfaces; compliance (6 c, 6 c): S^T
+    (M + s K)^-1 S, and its inverse, stiffness; rigid_response (6 m, 6): (M + s K)^-1 M X, minus the second
+    derivatives of the coordinates due to unit accelerations of the frame; frame_to_interface (6 c, 6): its
+    rows of the interfaces.
     """
 
     factored: Factored
-    inertia: Array
-    frame_to_interface: Array
-    compliance: Array
-    stiffness: Array
-    interface_rows: Array
-    rigid_response: Array
+    inertia: Float[Array, "6 6"]
+    frame_to_interface: Float[Array, "interfaces 6"]
+    compliance: Float[Array, "interfaces interfaces"]
+    stiffness: Float[Array, "interfaces interfaces"]
+    interface_rows: Float[Array, "interfaces elastic"]
+    rigid_response: Float[Array, "elastic 6"]
 
 
 def local_interfaces(topology: Topology, link: int) -> tuple[int, ...]:
-    """Free rfes of a link that carry joints, counted within the link."""
+    """Interfaces of a link as indices of its own free rfes."""
     first, last = topology.ranges[link]
     return tuple(k - first for k in topology.interfaces if first <= k < last)
 
 
-def link_operators(actual: ModelWithErrors, q_factor: Array, v_factor: Array) -> tuple[LinkOperator | None, ...]:
-    """Operators of all links (None for rigid ones), undeformed, for steps in which coordinates move by
-    q_factor [s^2] and rates by v_factor [s] times their accelerations."""
+def link_operators(
+    actual: ModelWithErrors, q_factor: Float[Array, ""], v_factor: Float[Array, ""]
+) -> tuple[LinkOperator | None, ...]:
+    """Operators of all links (None for rigid ones), undeformed, for steps in which a change of the
+    accelerations changes coordinates by q_factor [s^2] and rates by v_factor [s] times as much."""
     actual = jax.lax.stop_gradient(actual)
     topology, n = actual.topology, actual.topology.n_links
     springs = elasticity.stiffness_blocks(actual)
-    nothing = jnp.zeros_like(actual.rest)
-    at = jnp.stack([actual.rest, nothing, nothing], axis=1)
+    zeros = jnp.zeros_like(actual.rest)
+    middle = jnp.stack([actual.rest, zeros, zeros], axis=1)
     inertia = jnp.moveaxis(actual.inertia[:, :, n:], 2, 0)
 
     def operator(l, a, b):
-        own = actual.mass[n + a : n + b], actual.centre[:, n + a : n + b].T, inertia[a:b]
-        mass, coupling, rigid = _rigid_link(actual, l, own, at[a:b])
+        bodies = actual.mass[n + a : n + b], actual.centre[:, n + a : n + b].T, inertia[a:b]
+        mass, coupling, rigid = _rigid_link(actual, l, bodies, middle[a:b])
         s = q_factor + actual.damping[a] * v_factor
-        factored = factor(mass + s * springs.own[a:b], s * springs.beside[a:b])
-        return _condensed(factored, coupling, rigid, local_interfaces(topology, l))
+        factored = factor(mass + s * springs.diagonal[a:b], s * springs.lower[a:b])
+        return _condense(factored, coupling, rigid, local_interfaces(topology, l))
 
     return tuple(operator(l, a, b) if b > a else None for l, (a, b) in enumerate(topology.ranges))
 
 
-def _rigid_link(actual: ModelWithErrors, link: int, own, at):
-    """Inertias (m, 6, 6) of the free rfes with (mass, centre, inertia) `own`, rfe first, coupling M X
-    (m, 6, 6) for their places `at` (m, 3), and inertia (6, 6) of the whole link at its frame."""
-    mass = jax.vmap(_inertia)(*own)
+def _rigid_link(actual: ModelWithErrors, link: int, bodies: tuple[Array, Array, Array], middle: Array):
+    """Inertias M (m, 6, 6) of the free rfes with (mass, centre, inertia) `bodies`, rfe first; M X (m, 6, 6)
+    for their middles (m, 3) in the link frame; inertia (6, 6) of the whole link, rigid, at its frame."""
+    mass = jax.vmap(_inertia)(*bodies)
     # Motion of the rfes' middles when the link frame moves: linear += angular x position.
-    spread = jax.vmap(lambda p: jnp.eye(6).at[3:, :3].set(-_cross_matrix(p)))(at)
-    coupling = jnp.einsum("mij,mjk->mik", mass, spread)
+    rigid_modes = jax.vmap(lambda p: jnp.eye(6).at[3:, :3].set(-_cross_matrix(p)))(middle)
+    coupling = jnp.einsum("mij,mjk->mik", mass, rigid_modes)
     root = _inertia(actual.mass[link], actual.centre[:, link], actual.inertia[:, :, link])
-    return mass, coupling, root + jnp.einsum("mji,mjk->ik", spread, coupling)
+    return mass, coupling, root + jnp.einsum("mji,mjk->ik", rigid_modes, coupling)
 
 
 def _cross_matrix(p):
@@ -101,37 +107,38 @@ def _inertia(mass, centre, inertia):
 
 
 def present_operators(
-    actual: ModelWithErrors, now: RelativeMotion, q_factor: Array, v_factor: Array
+    actual: ModelWithErrors, relative: RelativeMotion, q_factor: Float[Array, ""], v_factor: Float[Array, ""]
 ) -> tuple[LinkOperator | None, ...]:
-    """Operators of links of geometrically exact elements in the present place."""
-    actual, now = jax.lax.stop_gradient((actual, now))
+    """`link_operators` of geometrically exact elements at the present deflection."""
+    actual, relative = jax.lax.stop_gradient((actual, relative))
     topology = actual.topology
-    nothing = jnp.zeros_like(actual.rest)
-    u = now.position - jnp.stack([actual.rest, nothing, nothing])
-    springs = exact_elements.stiffness_blocks(actual, u, now)
-    turned = product(now.rotation, actual.inertia[:, :, topology.n_links :])
-    inertia = product_transposed(turned, now.rotation)
-    centre = apply(now.rotation, actual.centre[:, topology.n_links :])
+    zeros = jnp.zeros_like(actual.rest)
+    u = relative.position - jnp.stack([actual.rest, zeros, zeros])
+    springs = exact_elements.stiffness_blocks(actual, u, relative)
+    rotated = product(relative.rotation, actual.inertia[:, :, topology.n_links :])
+    inertia = product_transposed(rotated, relative.rotation)
+    centre = apply(relative.rotation, actual.centre[:, topology.n_links :])
     inertia = jnp.moveaxis(inertia, 2, 0)
-    # Of the coordinates: their rates turn a rfe about its present axes.
-    turn = jnp.zeros((topology.n_rfes, 6, 6)).at[:, 3:, 3:].set(jnp.eye(3))
-    turn = turn.at[:, :3, :3].set(jnp.moveaxis(now.rate_matrix, 2, 0))
+    # From rates of the coordinates, whose angles are about the rfe's present axes, to twists in link axes.
+    rates = jnp.zeros((topology.n_rfes, 6, 6)).at[:, 3:, 3:].set(jnp.eye(3))
+    rates = rates.at[:, :3, :3].set(jnp.moveaxis(relative.rate_matrix, 2, 0))
 
     def operator(l, a, b):
         n = topology.n_links
-        own = actual.mass[n + a : n + b], centre[:, a:b].T, inertia[a:b]
-        mass, coupling, rigid = _rigid_link(actual, l, own, now.position[:, a:b].T)
-        s, t = q_factor + actual.damping[a] * v_factor, turn[a:b]
-        diagonal = jnp.einsum("mji,mjk,mkl->mil", t, mass + s * springs.own[a:b], t)
+        bodies = actual.mass[n + a : n + b], centre[:, a:b].T, inertia[a:b]
+        mass, coupling, rigid = _rigid_link(actual, l, bodies, relative.position[:, a:b].T)
+        s, t = q_factor + actual.damping[a] * v_factor, rates[a:b]
+        diagonal = jnp.einsum("mji,mjk,mkl->mil", t, mass + s * springs.diagonal[a:b], t)
         left = jnp.roll(t, 1, axis=0)
-        beside = s * jnp.einsum("mji,mjk,mkl->mil", t, springs.beside[a:b], left)
+        lower = s * jnp.einsum("mji,mjk,mkl->mil", t, springs.lower[a:b], left)
         coupling = jnp.einsum("mji,mjk->mik", t, coupling)
-        return _condensed(factor(diagonal, beside), coupling, rigid, local_interfaces(topology, l))
+        return _condense(factor(diagonal, lower), coupling, rigid, local_interfaces(topology, l))
 
     return tuple(operator(l, a, b) if b > a else None for l, (a, b) in enumerate(topology.ranges))
 
 
-def _condensed(factored, coupling, rigid, interfaces) -> LinkOperator:
+def _condense(factored: Factored, coupling: Array, rigid: Array, interfaces: tuple[int, ...]) -> LinkOperator:
+    """The operator from the factored M + s K, M X (m, 6, 6) and the rigid link's inertia (6, 6)."""
     m = coupling.shape[0]
     rows = np.array([k + m * c for k in interfaces for c in range(6)], dtype=int)
     unit = jnp.zeros((6, m, len(rows)))

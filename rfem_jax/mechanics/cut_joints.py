@@ -1,6 +1,6 @@
-"""Cut joints: the five constraint equations of each, complete to the acceleration.
+"""Cut joints: the five constraint equations of each, with their first and second derivatives by time.
 
-Place in the pipeline: kinematics -> **cut_joints** -> dynamics, newton, statics.
+Place in the pipeline: kinematics -> **cut_joints** -> dynamics, residual, newton, statics.
 
 Equation (18): the joint centres of the left side L and the right side P coincide (three equations,
 global axes), and the hinge axis y_L is perpendicular to x_P and z_P (two equations, times a length
@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jaxtyping import ArrayLike, Float
 
 from rfem_jax.mechanics import algebra
 from rfem_jax.mechanics.algebra import apply, apply_transposed, cross, dot, product
@@ -27,25 +28,26 @@ RANK_TOLERANCE = 1e-9  # of singular values, relative to the largest
 class Closure(NamedTuple):
     """The constraints of all cut joints at one instant.
 
-    residual, rate, bias (5, C): Phi, its rate and (Phi_q)_dot q_dot; couples (3, 2, C): moments on P
-    of the last two unit multipliers (the first three are forces at the centre of P; on L all act
-    in the opposite sense, at the centre of L); rotation, centre: the hinge frames L; right_centre:
-    the joint's centre on P; alignment (C,): y_L . y_P (must be near +1, not -1); angle (C,): from L
-    to P about the hinge.
+    residual, rate, bias (5, C): Phi [m], its rate and (Phi_q)_dot q_dot; couples (3, 2, C) [m]: moments on
+    P of the last two unit multipliers (the first three are forces at the centre of P; on L all act in the
+    opposite sense, at the centre of L); rotation, centre: the hinge frames L; right_centre: the joint's
+    centre on P; alignment (C,): y_L . y_P (must be near +1, not -1); angle (C,) [rad]: from L to P about
+    the hinge.
     """
 
-    residual: Array
-    rate: Array
-    bias: Array
-    couples: Array
-    rotation: Array
-    centre: Array
-    right_centre: Array
-    alignment: Array
-    angle: Array
+    residual: Float[Array, "5 cuts"]
+    rate: Float[Array, "5 cuts"]
+    bias: Float[Array, "5 cuts"]
+    couples: Float[Array, "3 2 cuts"]
+    rotation: Float[Array, "3 3 cuts"]
+    centre: Float[Array, "3 cuts"]
+    right_centre: Float[Array, "3 cuts"]
+    alignment: Float[Array, " cuts"]
+    angle: Float[Array, " cuts"]
 
-    def wrenches(self, cut: int, side: str, point: Array) -> Array:
-        """Wrenches (6, 5) at `point` of unit multipliers on P ("child"; on L their negative)."""
+    def wrenches(self, cut: int, side: str, point: Float[Array, "3"]) -> Float[Array, "6 5"]:
+        """Wrenches at `point` of unit multipliers of one cut joint as they act on P (`side` "child"), or on L
+        ("parent") with the opposite sign."""
         centre = self.right_centre if side == "child" else self.centre
         arm = centre[:, cut] - point
         forces = jnp.asarray(np.hstack([algebra.IDENTITY, np.zeros((3, 2))]))
@@ -53,7 +55,7 @@ class Closure(NamedTuple):
         return jnp.concatenate([moments, forces])
 
 
-def closure(actual: ModelWithErrors, now: Motion, scale: Array) -> Closure | None:
+def closure(actual: ModelWithErrors, motion: Motion, scale: Float[ArrayLike, ""]) -> Closure | None:
     """Constraints of all cut joints (None without any); `scale` [m] multiplies the two axis
     equations."""
     topology = actual.topology
@@ -62,14 +64,14 @@ def closure(actual: ModelWithErrors, now: Motion, scale: Array) -> Closure | Non
     with jax.named_scope("closure"):
         n = topology.n_links
         nodes = topology.parents[n:] + topology.children[n:]
-        frames = node_frames(topology, now, nodes)
-        turn = jnp.concatenate([actual.seat_rotation[:, :, n:], actual.bore_rotation[:, :, n:]], axis=2)
-        shift = jnp.concatenate([actual.seat_position[:, n:], actual.bore_position[:, n:]], axis=1)
-        rotation = product(frames.rotation, turn)
-        centre = frames.point + apply(frames.rotation, shift)
+        frames = node_frames(topology, motion, nodes)
+        in_node = jnp.concatenate([actual.seat_rotation[:, :, n:], actual.bore_rotation[:, :, n:]], axis=2)
+        offset = jnp.concatenate([actual.seat_position[:, n:], actual.bore_position[:, n:]], axis=1)
+        rotation = product(frames.rotation, in_node)
+        centre = frames.point + apply(frames.rotation, offset)
         spin = frames.velocity[:3]
         velocity = frames.velocity[3:] + cross(spin, centre)
-        # Acceleration of the centres and of the axes that is not due to the accelerations.
+        # Second derivatives of the centres and of the axes for q_ddot = 0.
         axis_rate = cross(spin[:, None], rotation)
         centre_bias, axis_bias = cross(spin, velocity), cross(spin[:, None], axis_rate)
         c = topology.n_cuts
@@ -95,27 +97,29 @@ def closure(actual: ModelWithErrors, now: Motion, scale: Array) -> Closure | Non
         )
 
 
-def assembly_modes(actual: ModelWithErrors, now: Motion, cuts: Closure) -> Array:
-    """On which side every cut joint closes its loop (C,): +1, -1, or 0 at the fold itself.
+def assembly_modes(actual: ModelWithErrors, motion: Motion, cuts: Closure) -> Float[Array, " cuts"]:
+    """On which side every cut joint closes its loop: +1, -1, or 0 at the change point itself.
 
-    The sign of y_L . (left arm x right arm); an arm reaches from the joint that carries the link on
-    that side (the datum for the base) to the cut joint.  A planar four-bar has two closed positions
-    for one crank angle; at a fold, where the arms are parallel, it may go over from one to the other.
+    The sign of y_L . (left arm x right arm); an arm reaches from the tree joint of the link on that side
+    (the datum for the base) to the cut joint.  A planar four-bar has two assembly modes for one crank
+    angle; at a change point, where the arms are parallel, it may pass from one to the other.
     """
     topology = actual.topology
 
-    def carried_at(node: int) -> Array:
-        return actual.datum if node == BASE else now.hinges.point[:, topology.link_of(node)]
+    def hinge_of(node: int) -> Array:
+        return actual.datum if node == BASE else motion.hinges.point[:, topology.link_of(node)]
 
     n = topology.n_links
-    left = jnp.stack([carried_at(node) for node in topology.parents[n:]], axis=1)
-    right = jnp.stack([carried_at(node) for node in topology.children[n:]], axis=1)
+    left = jnp.stack([hinge_of(node) for node in topology.parents[n:]], axis=1)
+    right = jnp.stack([hinge_of(node) for node in topology.children[n:]], axis=1)
     normal = cross(cuts.centre - left, cuts.centre - right)
     return jnp.sign(dot(cuts.rotation[:, 1], normal))
 
 
-def unit_columns(topology: Topology, cuts: Closure, node: int, point: Array) -> Array:
-    """Wrenches (6, 5 C) on one node of unit multipliers of all cut joints."""
+def unit_columns(
+    topology: Topology, cuts: Closure, node: int, point: Float[Array, "3"]
+) -> Float[Array, "6 multipliers"]:
+    """Wrenches at `point` on one node of unit multipliers of all cut joints: columns of Phi_q^T."""
     columns = []
     for i, j in enumerate(topology.cuts):
         unit = jnp.zeros((6, 5) + point.shape[1:])
@@ -127,8 +131,11 @@ def unit_columns(topology: Topology, cuts: Closure, node: int, point: Array) -> 
     return jnp.concatenate(columns, axis=1)
 
 
-def invert_closure(topology: Topology, matrix: Array) -> Array:
-    """Inverse of the matrix (5 C, 5 C) of the multipliers, or the one of least norm."""
+def invert_closure(
+    topology: Topology, matrix: Float[Array, "multipliers multipliers"]
+) -> Float[Array, "multipliers multipliers"]:
+    """Inverse of the multipliers' matrix Phi_q M^-1 Phi_q^T, or its pseudo-inverse where redundant reactions
+    are to have the least norm."""
     if not topology.minimum_norm:
         return algebra.invert_positive(matrix)
     last = jnp.moveaxis(matrix, (0, 1), (-2, -1))

@@ -9,9 +9,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from rfem_jax.description.errors import InputError, require_choice
-from rfem_jax.description.mechanism import ELEMENTS
+from rfem_jax.description.mechanism import ELEMENTS, Mechanism
 from rfem_jax.mechanics.cut_joints import RANK_TOLERANCE
 from rfem_jax.mechanics.model import Model, build_model
 from rfem_jax.mechanics.nominal_geometry import closure_jacobian, gaps, geometry_of, place
@@ -23,8 +24,8 @@ class Structure(NamedTuple):
     """Coordinates and constraints of a model at its nominal start.
 
     coordinates: number of coordinates; constraints: closure equations; rank: of their Jacobian;
-    mobility: coordinates - rank; rigid_*: the same with every link rigid; redundant: the
-    multipliers, hence the joint loads, are not unique.
+    mobility: coordinates - rank, the degrees of freedom; rigid_*: the same with every link rigid;
+    redundant: the multipliers, hence the joint loads, are not unique.
     """
 
     coordinates: int
@@ -37,7 +38,7 @@ class Structure(NamedTuple):
     redundant: bool
 
 
-def discretise(mechanism, rfes: int | None = None, elements: str | None = None) -> Model:
+def discretise(mechanism: Mechanism, rfes: int | None = None, elements: str | None = None) -> Model:
     """Divide the links into rigid finite elements and close the loops at the start.
 
     **Arguments:** `mechanism`: a `Mechanism`; `rfes`: number of rfes of every flexible link (None:
@@ -100,19 +101,22 @@ def _rank(jacobian: np.ndarray) -> int:
     return int(np.sum(singular > 1e3 * RANK_TOLERANCE * singular[0]))
 
 
-def close_at(model: Model, angles: np.ndarray):
-    """Refine all joint angles but the driven one so that the nominal rigid loops close.
+def close_at(
+    model: Model, angles: Float[np.ndarray, " links"]
+) -> tuple[Float[np.ndarray, " links"], np.ndarray, np.ndarray, np.ndarray]:
+    """Refine all joint angles [rad] but the driven one so that the nominal rigid loops close: Newton's method
+    with steps of least norm.
 
-    **Returns:** angles (links,), remaining residuals (5 cuts,) over the longest link, y_L . y_P of
-    each cut joint, and the angles of the cut joints.
+    **Returns:** angles (links,), residuals (5 cuts,) over the longest link, y_L . y_P of each cut joint,
+    and the angles of the cut joints.
     """
     topology, geometry = model.topology, geometry_of(model)
     free = np.array([l for l in range(topology.n_links) if l != topology.driven], dtype=int)
     angles = np.array(angles, dtype=float)
     for _ in range(100):
         placed = place(geometry, angles)
-        slope = closure_jacobian(geometry, placed)[:, free]
-        step = np.linalg.lstsq(slope, gaps(geometry, placed).residual, rcond=1e-10)[0]
+        jacobian = closure_jacobian(geometry, placed)[:, free]
+        step = np.linalg.lstsq(jacobian, gaps(geometry, placed).residual, rcond=1e-10)[0]
         largest = np.abs(step).max(initial=0.0)
         angles[free] -= step * min(1.0, 0.5 / max(largest, 1e-300))
         if largest < 1e-14:
@@ -125,10 +129,10 @@ def _close(model: Model) -> Model:
     topology = model.topology
     if topology.n_cuts == 0:
         return model
-    angles, value, alignment, turned = close_at(model, np.asarray(model.start_angles))
-    if not np.abs(value).max() < CLOSING_TOLERANCE:
-        gap = np.abs(value).max() * float(np.max(model.length))
-        worst = topology.joints[topology.n_links + int(np.abs(value).argmax()) // 5]
+    angles, residual, alignment, cut_angles = close_at(model, np.asarray(model.start_angles))
+    if not np.abs(residual).max() < CLOSING_TOLERANCE:
+        gap = np.abs(residual).max() * float(np.max(model.length))
+        worst = topology.joints[topology.n_links + int(np.abs(residual).argmax()) // 5]
         raise InputError(
             f"Argument `mechanism` must close at its start, but joint {worst!r} stays open by "
             f"{gap:.3g} m with every link rigid; check lengths, positions and start angles (all "
@@ -140,4 +144,4 @@ def _close(model: Model) -> Model:
             f"Argument `mechanism` must close with both hinge axes of joint {worst!r} alike, but "
             "they point in opposite directions; turn the frame of its child by 180 deg."
         )
-    return eqx.tree_at(lambda m: (m.start_angles, m.cut_angles), model, (jnp.asarray(angles), jnp.asarray(turned)))
+    return eqx.tree_at(lambda m: (m.start_angles, m.cut_angles), model, (jnp.asarray(angles), jnp.asarray(cut_angles)))

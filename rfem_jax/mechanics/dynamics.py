@@ -1,18 +1,18 @@
-"""Accelerations at one instant, by the structure of the rigid finite element method.
+"""Accelerations at one instant, in a time proportional to the number of rfes.
 
-Place in the pipeline: kinematics, elasticity, cut_joints -> **dynamics** -> loads, simulation.
+Place in the pipeline: kinematics, elasticity, cut_joints, joint_forces -> **dynamics** -> loads, simulation.
 
-A free rfe is held by elastic forces alone: its absolute acceleration is wrench over inertia, and its
-articulated inertia seen from the link frame is zero (MODEL section 3).  What remains is the
-*skeleton*: rfes 0, joined by hinges, and the free rfes that another link hangs on.  Each island of
-the skeleton is solved by Featherstone's articulated-body recursion (2008, ch. 7) for the applied
-loads and for unit multipliers of the cut joints at once; the multipliers follow from equation (19),
-the elastic accelerations from the absolute ones.  Cost and memory are linear in the number of rfes;
-no mechanism-wide mass matrix is formed.
+A free rfe is held by elastic forces alone: its absolute acceleration is wrench over inertia, and the
+articulated inertia that it passes to its link frame is zero (MODEL section 3).  What remains is the reduced
+tree of *interface bodies*: the rfes 0 of the links, joined by hinges, and the free rfes with links outboard.
+It falls into islands (`model`), each solved by the articulated-body algorithm (Featherstone 2008, ch. 7) for
+the applied loads and for unit multipliers of the cut joints at once; the multipliers follow from equation
+(19), the elastic accelerations from the absolute ones.  Cost and memory are linear in the number of rfes; no
+mechanism-wide mass matrix is formed.
 
-Wrenches and accelerations of rfes are in the axes of their link; those of the skeleton are spatial
-vectors in global axes at one point of their island, where its root is at this instant (a common
-point needs no transforms, a near one keeps the small inertias' digits).
+Wrenches and accelerations of rfes are in the axes of their link; those of the reduced tree are spatial
+vectors in global axes at one point of their island, the place of its root at this instant: a common point
+needs no transforms, and a near one loses no digits of small inertias.
 """
 
 from typing import NamedTuple
@@ -21,53 +21,55 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jaxtyping import Float
 
 from rfem_jax.mechanics import algebra
 from rfem_jax.mechanics.algebra import apply, apply_transposed, cross, dot, product
 from rfem_jax.mechanics.cut_joints import Closure, closure, invert_closure, unit_columns
 from rfem_jax.mechanics.elasticity import elastic_loads
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation
-from rfem_jax.mechanics.kinematics import Motion, motion, node_frames, spread, total
+from rfem_jax.mechanics.joint_forces import hinge_moment
+from rfem_jax.mechanics.kinematics import Motion, motion_of, node_frames, spread, total
 from rfem_jax.mechanics.model import BASE, Coordinates, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 
 
 class InterfaceTree(NamedTuple):
-    """Links (rfes 0) first, then the free rfes that a link hangs on; n columns.
+    """The reduced tree: links (rfes 0) first, then the free rfes with links outboard; n bodies.
 
-    point (3, n) of the island; velocity (6, n), inertia (6, 6, n) and load (6, n) (applied minus
-    gyroscopic wrench) at that point; axis, bias (6, L): hinge axes and the accelerations due to the
-    hinge rates.
+    point (3, n): of their islands; velocity (6, n), inertia (6, 6, n) and load (6, n) (applied minus
+    gyroscopic wrench) at that point; axis, bias (6, L): hinge axes, and accelerations due to the hinge
+    rates (Featherstone's c).
     """
 
-    point: Array
-    velocity: Array
-    inertia: Array
-    load: Array
-    axis: Array
-    bias: Array
+    point: Float[Array, "3 n"]
+    velocity: Float[Array, "6 n"]
+    inertia: Float[Array, "6 6 n"]
+    load: Float[Array, "6 n"]
+    axis: Float[Array, "6 links"]
+    bias: Float[Array, "6 links"]
 
 
 class Accelerations(NamedTuple):
-    """Result of one instant.
+    """The solution of one instant.
 
-    coordinates: second derivatives of the coordinates; multipliers (5, C); stabilising (5, C) their
-    part due to Baumgarte's terms; angular, linear (3, nodes): absolute accelerations of all nodes'
-    reference points in link axes; spatial (6, L): accelerations of the links at their islands'
-    points; motion, closure and skeleton are passed on; dissipated: power [W] that the dampers take
-    out.
+    coordinates: second derivatives of the coordinates; multipliers (5, C) [N]; stabilising (5, C) [N]:
+    their part due to Baumgarte's terms; angular, linear (3, nodes): absolute accelerations of all nodes'
+    reference points in link axes; spatial (6, L): accelerations of the links at their islands' points;
+    motion, closure, interface_tree: what they were computed from; dissipated [W]: power that the dampers
+    dissipate.
     """
 
     coordinates: Coordinates
-    multipliers: Array
-    stabilising: Array
-    angular: Array
-    linear: Array
-    spatial: Array
+    multipliers: Float[Array, "5 cuts"]
+    stabilising: Float[Array, "5 cuts"]
+    angular: Float[Array, "3 nodes"]
+    linear: Float[Array, "3 nodes"]
+    spatial: Float[Array, "6 links"]
     motion: Motion
     closure: Closure | None
     interface_tree: InterfaceTree
-    dissipated: Array
+    dissipated: Float[Array, ""]
 
 
 def accelerations(
@@ -78,23 +80,23 @@ def accelerations(
     `state` is taken with prescribed values already imposed (`impose`).
     """
     topology = actual.topology
-    now = motion(actual, state)
-    cuts = closure(actual, now, stabilisation.scale)
-    inverse_rate = algebra.invert_block(now.relative.rate_matrix)
-    force, moment, dissipated = elastic_loads(actual, state, now.relative, inverse_rate)
-    spin, gravity = link_axes(actual, now)
-    angular, linear = _free_accelerations(actual, now, spin, gravity, force, moment)
-    interface_tree = _interface_tree(actual, state, now, force, moment)
-    response, hinges = _recursion(topology, interface_tree, _load_columns(topology, cuts, interface_tree), drive)
-    response |= _free_responses(actual, now, cuts, angular, linear)
-    multipliers, stabilising = _multipliers(topology, cuts, now, interface_tree, response, stabilisation)
-    weights = jnp.concatenate([jnp.ones((1,) + multipliers.shape[1:]), multipliers])
-    root = {node: _combine(columns, weights) for node, columns in response.items()}
-    angular, linear = _loaded(topology, now, root, angular, linear)
-    spatial = jnp.stack([root[l] for l in range(topology.n_links)], axis=1)
-    root_angular, root_linear = _classical(topology, now, interface_tree, spatial)
-    elastic = _relative_accelerations(topology, now, inverse_rate, spin, root_angular, root_linear, angular, linear)
-    by_cut = (topology.n_cuts, 5) + multipliers.shape[1:]
+    motion = motion_of(actual, state)
+    cuts = closure(actual, motion, stabilisation.scale)
+    inverse_rate = algebra.invert_block(motion.relative.rate_matrix)
+    force, moment, dissipated = elastic_loads(actual, state, motion.relative, inverse_rate)
+    spin, gravity = link_axes(actual, motion)
+    angular, linear = _free_accelerations(actual, motion, spin, gravity, force, moment)
+    tree = _interface_tree(actual, state, motion, force, moment)
+    responses, hinges = _articulated_bodies(topology, tree, _load_columns(topology, cuts, tree), drive)
+    responses |= _cut_rfe_responses(actual, motion, cuts, angular, linear)
+    multipliers, stabilising = _multipliers(topology, cuts, motion, tree, responses, stabilisation)
+    weights = jnp.concatenate([jnp.ones((1,)), multipliers])
+    solved = {node: _combine(columns, weights) for node, columns in responses.items()}
+    angular, linear = _with_interfaces(topology, motion, solved, angular, linear)
+    spatial = jnp.stack([solved[l] for l in range(topology.n_links)], axis=1)
+    root_angular, root_linear = _link_accelerations(topology, motion, tree, spatial)
+    elastic = _elastic_accelerations(topology, motion, inverse_rate, spin, root_angular, root_linear, angular, linear)
+    by_cut = topology.n_cuts, 5
     return Accelerations(
         coordinates=Coordinates(jnp.stack([_combine(h[None], weights)[0] for h in hinges]), elastic),
         multipliers=jnp.swapaxes(multipliers.reshape(by_cut), 0, 1),
@@ -102,97 +104,97 @@ def accelerations(
         angular=jnp.concatenate([root_angular, angular], axis=1),
         linear=jnp.concatenate([root_linear, linear], axis=1),
         spatial=spatial,
-        motion=now,
+        motion=motion,
         closure=cuts,
-        interface_tree=interface_tree,
+        interface_tree=tree,
         dissipated=dissipated,
     )
 
 
-def link_axes(actual: ModelWithErrors, now: Motion) -> tuple[Array, Array]:
-    """Angular velocities of the links and gravity (3, L), in link axes."""
-    spin = apply_transposed(now.links.rotation, now.links.velocity[:3])
-    gravity = _like(actual.gravity[:, None], spin)
-    return spin, apply_transposed(now.links.rotation, jnp.broadcast_to(gravity, spin.shape))
+def link_axes(actual: ModelWithErrors, motion: Motion) -> tuple[Float[Array, "3 links"], Float[Array, "3 links"]]:
+    """Angular velocities [rad/s] of the links and gravity [m/s^2], in the axes of each link."""
+    spin = apply_transposed(motion.links.rotation, motion.links.velocity[:3])
+    gravity = actual.gravity[:, None]
+    return spin, apply_transposed(motion.links.rotation, jnp.broadcast_to(gravity, spin.shape))
 
 
-def _like(values: Array, example: Array) -> Array:
-    """Trailing axes of length one for a constant that later axes of `example` broadcast over."""
-    return values.reshape(values.shape + (1,) * (example.ndim - 2)) if example.ndim > 2 else values
-
-
-def _free_accelerations(actual, now: Motion, spin, gravity, force, moment):
-    """Absolute accelerations (3, N) of free bodies under the given wrenches and gravity."""
+def _free_accelerations(
+    actual: ModelWithErrors, motion: Motion, spin: Array, gravity: Array, force: Array, moment: Array
+) -> tuple[Array, Array]:
+    """Absolute angular and linear accelerations (3, N), in link axes, of the rfes as free bodies under the given
+    wrenches and gravity."""
     with jax.named_scope("free_rfes"):
-        topology, relative = actual.topology, now.relative
+        topology, relative = actual.topology, motion.relative
         n = topology.n_links
         spin = spread(topology, spin) + relative.angular
         body_spin = apply_transposed(relative.rotation, spin)
-        body_centre = _like(actual.centre[:, n:], spin)
+        body_centre = actual.centre[:, n:]
         centre = apply(relative.rotation, jnp.broadcast_to(body_centre, spin.shape))
         body_moment = apply_transposed(relative.rotation, moment - cross(centre, force))
-        gyroscopic = cross(body_spin, apply(_like(actual.inertia[:, :, n:], spin), body_spin))
-        angular = apply(
-            relative.rotation,
-            apply(_like(actual.inverse_inertia, spin), body_moment - gyroscopic),
-        )
-        of_centre = force / _like(actual.mass[n:], spin)[None] + spread(topology, gravity)
+        gyroscopic = cross(body_spin, apply(actual.inertia[:, :, n:], body_spin))
+        angular = apply(relative.rotation, apply(actual.inverse_inertia, body_moment - gyroscopic))
+        of_centre = force / actual.mass[n:][None] + spread(topology, gravity)
         return angular, of_centre - cross(angular, centre) - cross(spin, cross(spin, centre))
 
 
 def _branching(topology: Topology) -> tuple[int, ...]:
-    """Nodes of the free rfes that a link hangs on."""
-    outboard = {node for node in topology.parents[: topology.n_links] if node >= topology.n_links}
-    return tuple(sorted(outboard))
+    """Nodes of the free rfes with links outboard."""
+    parents = {node for node in topology.parents[: topology.n_links] if node >= topology.n_links}
+    return tuple(sorted(parents))
 
 
-def _loaded_free(topology: Topology) -> tuple[int, ...]:
+def _cut_rfes(topology: Topology) -> tuple[int, ...]:
     """Nodes of the free rfes that carry cut joints only."""
     nodes = {topology.n_links + k for k in topology.interfaces}
     return tuple(sorted(nodes - set(_branching(topology))))
 
 
-def _interface_tree(actual, state: State, now: Motion, force: Array, moment: Array) -> InterfaceTree:
-    with jax.named_scope("skeleton"):
+def _interface_tree(
+    actual: ModelWithErrors, state: State, motion: Motion, force: Array, moment: Array
+) -> InterfaceTree:
+    """The reduced tree under the elastic wrenches (3, N) on the free rfes."""
+    with jax.named_scope("interface_tree"):
         topology = actual.topology
         n = topology.n_links
         branching = _branching(topology)
-        rotation, where, velocity = node_frames(topology, now, (*range(n), *branching))
-        points = jnp.concatenate([now.hinges.point, where[:, n:]], axis=1)
-        rows = {node: i for i, node in enumerate((*range(n), *branching))}
+        nodes = (*range(n), *branching)
+        rotation, where, velocity = node_frames(topology, motion, nodes)
+        points = jnp.concatenate([motion.hinges.point, where[:, n:]], axis=1)
+        rows = {node: i for i, node in enumerate(nodes)}
         point = jnp.stack([points[:, rows[topology.island_of(node)]] for node in rows], axis=1)
         velocity = _shifted(velocity, point)
 
         # Elastic wrenches act on a branching rfe, and minus their sum on rfe 0 of the link.
-        arms = cross(now.relative.position, force)
+        arms = cross(motion.relative.position, force)
         applied_force = -total(topology, force)
         applied_moment = -total(topology, moment + arms)
         owners = [*range(n), *(topology.link_of(node) for node in branching)]
-        turns = jnp.stack([now.links.rotation[:, :, l] for l in owners], axis=2)
+        link_rotation = jnp.stack([motion.links.rotation[:, :, l] for l in owners], axis=2)
         for node in branching:
             k = node - n
             applied_force = jnp.concatenate([applied_force, force[:, k : k + 1]], axis=1)
             applied_moment = jnp.concatenate([applied_moment, moment[:, k : k + 1]], axis=1)
-        applied = algebra.wrench_at_origin(apply(turns, applied_moment), apply(turns, applied_force), where - point)
+        applied = algebra.wrench_at_origin(
+            apply(link_rotation, applied_moment), apply(link_rotation, applied_force), where - point
+        )
 
-        pick = np.array((*range(n), *branching))
-        centre = where - point + apply(rotation, _like(actual.centre[:, pick], where))
-        own = _like(actual.inertia[:, :, pick], where)
-        central = algebra.product_transposed(product(rotation, own), rotation)
-        mass = jnp.broadcast_to(_like(actual.mass[pick], where), central.shape[2:])
-        inertia = algebra.spatial_inertia(mass, centre, central)
-        gravity = mass[None] * _like(actual.gravity[:, None], centre)
+        indices = np.array(nodes)
+        centre = where - point + apply(rotation, actual.centre[:, indices])
+        inertia = algebra.product_transposed(product(rotation, actual.inertia[:, :, indices]), rotation)
+        mass = jnp.broadcast_to(actual.mass[indices], inertia.shape[2:])
+        inertia = algebra.spatial_inertia(mass, centre, inertia)
+        gravity = mass[None] * actual.gravity[:, None]
         weight = algebra.wrench_at_origin(jnp.zeros_like(gravity), gravity, centre)
         gyroscopic = algebra.force_cross(velocity, apply(inertia, velocity))
-        axis = _shifted(now.axis, point[:, :n])
-        carrying = _shifted(now.hinges.velocity, point[:, :n])
+        axis = _shifted(motion.axis, point[:, :n])
+        parent_velocity = _shifted(motion.hinges.velocity, point[:, :n])
         return InterfaceTree(
             point=point,
             velocity=velocity,
             inertia=inertia,
             load=applied + weight - gyroscopic,
             axis=axis,
-            bias=algebra.motion_cross(carrying, axis * state.velocity.angles[None]),
+            bias=algebra.motion_cross(parent_velocity, axis * state.velocity.angles[None]),
         )
 
 
@@ -201,43 +203,45 @@ def _shifted(motion: Array, point: Array) -> Array:
     return algebra.spatial(motion[:3], motion[3:] + cross(motion[:3], point))
 
 
-def _load_columns(topology, cuts, interface_tree: InterfaceTree) -> dict[int, Array]:
-    """Columns of loads on the skeleton's nodes: applied ones, then, in islands that a cut joint
-    loads, unit multipliers."""
+def _load_columns(topology: Topology, cuts: Closure | None, tree: InterfaceTree) -> dict[int, Array]:
+    """Columns (6, K) of loads on the bodies of the reduced tree: the applied loads, then, in islands that a
+    cut joint acts on, unit multipliers."""
     sides = topology.parents[topology.n_links :] + topology.children[topology.n_links :]
-    loaded = {topology.island_of(node) for node in sides if node != BASE}
+    closed = {topology.island_of(node) for node in sides if node != BASE}
     loads = {}
     for i, node in enumerate((*range(topology.n_links), *_branching(topology))):
-        loads[node] = interface_tree.load[:, None, i]
-        if topology.island_of(node) in loaded:
-            unit = unit_columns(topology, cuts, node, interface_tree.point[:, i])
+        loads[node] = tree.load[:, None, i]
+        if cuts is not None and topology.island_of(node) in closed:
+            unit = unit_columns(topology, cuts, node, tree.point[:, i])
             loads[node] = jnp.concatenate([loads[node], unit], axis=1)
     return loads
 
 
-def _recursion(topology, interface_tree: InterfaceTree, loads, drive: DriveInput):
-    """Articulated-body recursion: accelerations (6, K) of the nodes and (K,) of the hinges for K
-    load columns at once."""
+def _articulated_bodies(
+    topology: Topology, tree: InterfaceTree, loads: dict[int, Array], drive: DriveInput
+) -> tuple[dict[int, Array], list[Array]]:
+    """Featherstone's articulated-body algorithm for K columns of loads at once: accelerations (6, K) of the
+    bodies and (K,) of the hinges."""
     with jax.named_scope("articulated_bodies"):
-        inertias = {node: interface_tree.inertia[:, :, i] for i, node in enumerate(loads)}
-        loads, record, accelerations, hinges = dict(loads), {}, {}, []
+        inertias = {node: tree.inertia[:, :, i] for i, node in enumerate(loads)}
+        loads, steps, accelerations, hinges = dict(loads), {}, {}, []
         for l in reversed(range(topology.n_links)):
             node, inertia, load = topology.parents[l], inertias[l], loads[l]
-            axis, bias = interface_tree.axis[:, l], interface_tree.bias[:, l]
-            first = np.eye(1, load.shape[1])[0].reshape((-1,) + (1,) * (load.ndim - 2))
-            first = jnp.asarray(first)
-            driven = l == topology.driven
-            if driven and drive.prescribed is not None:
+            axis, bias = tree.axis[:, l], tree.bias[:, l]
+            # Bias accelerations and drives belong to the applied loads, not to the unit multipliers.
+            first = jnp.asarray(np.eye(1, load.shape[1])[0])
+            if l == topology.driven and drive.prescribed is not None:
                 given = axis * drive.prescribed[2][None] + bias
-                record[l] = (axis, given[:, None] * first[None], drive.prescribed[2][None] * first, None)
+                steps[l] = (axis, given[:, None] * first[None], drive.prescribed[2][None] * first, None)
                 passed = load - apply(inertia, given)[:, None] * first[None]
             else:
                 u = apply(inertia, axis)
                 scaled = u / dot(axis, u)[None]
                 torque = dot(axis[:, None], load)
-                if driven and drive.moment is not None:
-                    torque = torque + drive.moment[None] * first
-                record[l] = (axis, bias[:, None] * first[None], torque / dot(axis, u)[None], scaled)
+                moment = hinge_moment(topology, drive, l)
+                if moment is not None:
+                    torque = torque + moment[None] * first
+                steps[l] = (axis, bias[:, None] * first[None], torque / dot(axis, u)[None], scaled)
                 inertia = inertia - u[:, None] * scaled[None]
                 passed = load - apply(inertia, bias)[:, None] * first[None] - scaled[:, None] * torque[None]
             if node != BASE:
@@ -248,120 +252,135 @@ def _recursion(topology, interface_tree: InterfaceTree, loads, drive: DriveInput
             accelerations[node] = product(inverse, loads[node])
         for l in range(topology.n_links):
             node = topology.parents[l]
-            axis, carried, rate, scaled = record[l]
-            carried = carried if node == BASE else carried + accelerations[node]
+            axis, acceleration, rate, scaled = steps[l]
+            acceleration = acceleration if node == BASE else acceleration + accelerations[node]
             if scaled is not None:
-                rate = rate - dot(scaled[:, None], carried)
-                carried = carried + axis[:, None] * rate[None]
-            accelerations[l] = carried
+                rate = rate - dot(scaled[:, None], acceleration)
+                acceleration = acceleration + axis[:, None] * rate[None]
+            accelerations[l] = acceleration
             hinges.append(rate)
         return accelerations, hinges
 
 
-def _free_responses(actual, now: Motion, cuts, angular, linear) -> dict[int, Array]:
-    """Accelerations (6, 1 + 5 C) at their middles of the free rfes that carry cut joints only: under
-    their applied loads, and for unit multipliers."""
+def _cut_rfe_responses(
+    actual: ModelWithErrors, motion: Motion, cuts: Closure | None, angular: Array, linear: Array
+) -> dict[int, Array]:
+    """Accelerations (6, 1 + 5 C) at their middles of the free rfes that carry cut joints only: under the
+    applied loads, and for unit multipliers."""
     topology = actual.topology
-    nodes = _loaded_free(topology)
-    if not nodes:
+    nodes = _cut_rfes(topology)
+    if cuts is None or not nodes:
         return {}
-    with jax.named_scope("loaded_rfes"):
-        rotation, where, velocity = node_frames(topology, now, nodes)
-        pick = np.array(nodes)
+    with jax.named_scope("cut_rfes"):
+        rotation, where, velocity = node_frames(topology, motion, nodes)
+        indices = np.array(nodes)
         inverse = algebra.product_transposed(
-            product(rotation, _like(actual.inverse_inertia[:, :, pick - topology.n_links], where)),
-            rotation,
+            product(rotation, actual.inverse_inertia[:, :, indices - topology.n_links]), rotation
         )
-        centre = apply(rotation, _like(actual.centre[:, pick], where))
-        mobility = algebra.spatial_mobility(
-            jnp.broadcast_to(_like(actual.mass[pick], where), where.shape[1:]), centre, inverse
-        )
+        centre = apply(rotation, actual.centre[:, indices])
+        mobility = algebra.spatial_mobility(jnp.broadcast_to(actual.mass[indices], where.shape[1:]), centre, inverse)
         spin = velocity[:3]
         centripetal = cross(spin, velocity[3:] + cross(spin, where))
         responses = {}
         for i, node in enumerate(nodes):
             k = node - topology.n_links
-            turn = now.links.rotation[:, :, topology.link_of(node)]
-            applied = algebra.spatial(apply(turn, angular[:, k]), apply(turn, linear[:, k]) - centripetal[:, i])
+            of_link = motion.links.rotation[:, :, topology.link_of(node)]
+            applied = algebra.spatial(apply(of_link, angular[:, k]), apply(of_link, linear[:, k]) - centripetal[:, i])
             unit = unit_columns(topology, cuts, node, where[:, i])
             response = product(mobility[:, :, i], unit)
             responses[node] = jnp.concatenate([applied[:, None], response], axis=1)
         return responses
 
 
-def _multipliers(topology, cuts, now, interface_tree: InterfaceTree, response, stabilisation: Stabilisation):
+def _multipliers(
+    topology: Topology,
+    cuts: Closure | None,
+    motion: Motion,
+    tree: InterfaceTree,
+    responses: dict[int, Array],
+    stabilisation: Stabilisation,
+) -> tuple[Array, Array]:
     """Multipliers (5 C,) of equation (19), cut by cut, and their part due to stabilisation."""
     if cuts is None:
-        none = jnp.zeros((0,) + interface_tree.load.shape[2:])
-        return none, none
+        zeros = jnp.zeros((0,))
+        return zeros, zeros
     with jax.named_scope("multipliers"):
-        points = _points_of(topology, now, interface_tree)
+        points = _points_of(topology, motion, tree)
         rows = 0.0
         for node in sorted(set(topology.parents[topology.n_links :]) | set(topology.children[topology.n_links :])):
             if node == BASE:
                 continue
             unit = unit_columns(topology, cuts, node, points[node])
-            rows = rows + product(algebra.transpose(unit), response[node])
+            rows = rows + product(algebra.transpose(unit), responses[node])
 
         def by_cut(values):
-            return jnp.swapaxes(values, 0, 1).reshape((-1,) + values.shape[2:])
+            return jnp.swapaxes(values, 0, 1).reshape(-1)
 
-        correction = -stabilisation.velocity_gain * cuts.rate - stabilisation.position_gain * cuts.residual
+        baumgarte = -stabilisation.velocity_gain * cuts.rate - stabilisation.position_gain * cuts.residual
         inverse = invert_closure(topology, rows[:, 1:])
-        stabilising = apply(inverse, by_cut(correction))
+        stabilising = apply(inverse, by_cut(baumgarte))
         return stabilising - apply(inverse, by_cut(cuts.bias) + rows[:, 0]), stabilising
 
 
-def _points_of(topology, now: Motion, interface_tree: InterfaceTree) -> dict[int, Array]:
+def _points_of(topology: Topology, motion: Motion, tree: InterfaceTree) -> dict[int, Array]:
     """The point at which each node's response is given."""
     nodes = (*range(topology.n_links), *_branching(topology))
-    points = {node: interface_tree.point[:, i] for i, node in enumerate(nodes)}
+    points = {node: tree.point[:, i] for i, node in enumerate(nodes)}
     for i, k in enumerate(topology.interfaces):
-        points.setdefault(topology.n_links + k, now.interfaces.point[:, i])
+        points.setdefault(topology.n_links + k, motion.interfaces.point[:, i])
     return points
 
 
-def _combine(columns, weights):
-    """Sum of load columns (6, K): the applied loads' and those of the multipliers."""
+def _combine(columns: Array, weights: Array) -> Array:
+    """Sum of columns (6, K): the response to the applied loads, and those to the multipliers."""
     return columns[:, 0] if columns.shape[1] == 1 else apply(columns, weights)
 
 
-def _loaded(topology, now: Motion, root, angular, linear):
-    """Accelerations (3, N) of the free rfes in link axes, with those that carry joints replaced."""
+def _with_interfaces(
+    topology: Topology, motion: Motion, solved: dict[int, Array], angular: Array, linear: Array
+) -> tuple[Array, Array]:
+    """Accelerations (3, N) of the free rfes in link axes, those of the interfaces put in."""
     n = topology.n_links
     for i, k in enumerate(topology.interfaces):
-        velocity, where = now.interfaces.velocity[:, i], now.interfaces.point[:, i]
-        turn = now.links.rotation[:, :, topology.link_of(n + k)]
+        velocity, where = motion.interfaces.velocity[:, i], motion.interfaces.point[:, i]
+        of_link = motion.links.rotation[:, :, topology.link_of(n + k)]
         spin = velocity[:3]
-        moved = root[n + k][3:] + cross(spin, velocity[3:] + cross(spin, where))
-        column = np.arange(topology.n_rfes) == k
-        column = column.reshape((1, -1) + (1,) * (angular.ndim - 2))
-        turned = apply_transposed(turn, root[n + k][:3])
-        angular = jnp.where(column, turned[:, None], angular)
-        linear = jnp.where(column, apply_transposed(turn, moved)[:, None], linear)
+        classical = solved[n + k][3:] + cross(spin, velocity[3:] + cross(spin, where))
+        column = (np.arange(topology.n_rfes) == k)[None]
+        angular = jnp.where(column, apply_transposed(of_link, solved[n + k][:3])[:, None], angular)
+        linear = jnp.where(column, apply_transposed(of_link, classical)[:, None], linear)
     return angular, linear
 
 
-def _classical(topology, now: Motion, interface_tree: InterfaceTree, spatial):
-    """Angular and linear accelerations (3, L) of the links' origins in link axes."""
+def _link_accelerations(topology: Topology, motion: Motion, tree: InterfaceTree, spatial: Array) -> tuple[Array, Array]:
+    """Angular and linear accelerations (3, L) of the links' origins in link axes, from the spatial ones."""
     n = topology.n_links
-    spin, velocity = interface_tree.velocity[:3, :n], interface_tree.velocity[3:, :n]
-    arm = now.links.point - interface_tree.point[:, :n]
-    moved = spatial[3:] + cross(spatial[:3], arm) + cross(spin, velocity + cross(spin, arm))
-    rotation = now.links.rotation
-    return apply_transposed(rotation, spatial[:3]), apply_transposed(rotation, moved)
+    spin, velocity = tree.velocity[:3, :n], tree.velocity[3:, :n]
+    arm = motion.links.point - tree.point[:, :n]
+    classical = spatial[3:] + cross(spatial[:3], arm) + cross(spin, velocity + cross(spin, arm))
+    rotation = motion.links.rotation
+    return apply_transposed(rotation, spatial[:3]), apply_transposed(rotation, classical)
 
 
-def _relative_accelerations(topology, now: Motion, inverse_rate, spin, root_angular, root_linear, angular, linear):
-    """Second derivatives (6, N) of the elastic coordinates from absolute accelerations."""
+def _elastic_accelerations(
+    topology: Topology,
+    motion: Motion,
+    inverse_rate: Array,
+    spin: Array,
+    root_angular: Array,
+    root_linear: Array,
+    angular: Array,
+    linear: Array,
+) -> Array:
+    """Second derivatives (6, N) of the elastic coordinates from the absolute accelerations of links and rfes."""
     with jax.named_scope("elastic_accelerations"):
-        relative = now.relative
-        spin, turn = spread(topology, spin), spread(topology, root_angular)
+        relative = motion.relative
+        spin, of_link = spread(topology, spin), spread(topology, root_angular)
         u = (
             linear
             - spread(topology, root_linear)
-            - cross(turn, relative.position)
+            - cross(of_link, relative.position)
             - cross(spin, cross(spin, relative.position) + 2.0 * relative.linear)
         )
-        rotation = angular - turn - cross(spin, relative.angular) - relative.rate_bias
+        rotation = angular - of_link - cross(spin, relative.angular) - relative.rate_bias
         return jnp.concatenate([u, apply(inverse_rate, rotation)])

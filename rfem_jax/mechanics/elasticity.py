@@ -1,6 +1,6 @@
 """Spring-damping elements: elastic energy, dissipated power, wrenches and generalised forces.
 
-Place in the pipeline: kinematics -> **elasticity** -> dynamics, statics.
+Place in the pipeline: kinematics, exact_elements -> **elasticity** -> dynamics, residual, statics.
 
 Sde k joins free rfe k (its right neighbour) to rfe k-1 of the same link, or to the link frame.
 Classical linear form (MODEL section 2, equation (16)): with the lever arms s from the rfes' middles
@@ -18,6 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jaxtyping import Float
 
 from rfem_jax.mechanics import exact_elements
 from rfem_jax.mechanics.algebra import apply_transposed
@@ -34,20 +35,22 @@ LEVER_CROSS_FORCE = np.array([0.0, 0.0, 0.0, 0.0, -1.0, 1.0])
 
 
 class ElasticLoads(NamedTuple):
-    """What springs and dampers do: force [N] and moment [N m] (3, N) on every free rfe, at its middle
-    in link axes, and the power that the dampers take out [W]."""
+    """Force [N] and moment [N m] of springs and dampers on every free rfe, at its middle in link axes, and the
+    power [W] that the dampers dissipate."""
 
-    force: Array
-    moment: Array
-    dissipated: Array
+    force: Float[Array, "3 rfes"]
+    moment: Float[Array, "3 rfes"]
+    dissipated: Float[Array, ""]
 
 
-def elastic_loads(actual: ModelWithErrors, state: State, relative: RelativeMotion, inverse_rate: Array) -> ElasticLoads:
-    """Wrenches of springs and dampers; `inverse_rate` (3, 3, N): of `relative.rate_matrix`."""
+def elastic_loads(
+    actual: ModelWithErrors, state: State, relative: RelativeMotion, inverse_rate: Float[Array, "3 3 rfes"]
+) -> ElasticLoads:
+    """Wrenches of springs and dampers; `inverse_rate`: the inverse of `relative.rate_matrix`."""
     with jax.named_scope("spring_damping_elements"):
         if actual.topology.exact:
-            now = exact_elements.deflections(actual, state.position.elastic[:3], relative)
-            return ElasticLoads(*exact_elements.wrenches(actual, now), _dissipated(actual, now.rate))
+            deflected = exact_elements.deflections(actual, state.position.elastic[:3], relative)
+            return ElasticLoads(*exact_elements.wrenches(actual, deflected), _dissipated(actual, deflected.rate))
         stretch, rate = _linear_deflections(actual, state)
         generalised = _linear_forces(actual, stretch, rate)
         return ElasticLoads(
@@ -57,29 +60,31 @@ def elastic_loads(actual: ModelWithErrors, state: State, relative: RelativeMotio
         )
 
 
-def generalised_forces(actual: ModelWithErrors, state: State, relative: RelativeMotion) -> tuple[Array, Array]:
-    """Generalised forces (6, N) [N, N m] of springs and dampers on the free rfes' coordinates, and the
-    power that the dampers take out [W]."""
+def generalised_forces(
+    actual: ModelWithErrors, state: State, relative: RelativeMotion
+) -> tuple[Float[Array, "6 rfes"], Float[Array, ""]]:
+    """Generalised forces [N, N m] of springs and dampers on the free rfes' coordinates, and the power [W]
+    that the dampers dissipate."""
     with jax.named_scope("spring_damping_elements"):
         if actual.topology.exact:
-            now = exact_elements.deflections(actual, state.position.elastic[:3], relative)
-            force, moment = exact_elements.wrenches(actual, now)
+            deflected = exact_elements.deflections(actual, state.position.elastic[:3], relative)
+            force, moment = exact_elements.wrenches(actual, deflected)
             forces = jnp.concatenate([force, apply_transposed(relative.rate_matrix, moment)])
-            return forces, _dissipated(actual, now.rate)
+            return forces, _dissipated(actual, deflected.rate)
         stretch, rate = _linear_deflections(actual, state)
         return _linear_forces(actual, stretch, rate), _dissipated(actual, rate)
 
 
-def deflections(actual: ModelWithErrors, state: State) -> tuple[Array, Array]:
-    """(du, dphi) (6, N) [m, rad] of all sdes and their rates."""
+def deflections(actual: ModelWithErrors, state: State) -> tuple[Float[Array, "6 rfes"], Float[Array, "6 rfes"]]:
+    """(du, dphi) [m, rad] of all sdes and their rates."""
     if not actual.topology.exact:
         return _linear_deflections(actual, state)
     relative = relative_motion(actual, state.position, state.velocity)
-    now = exact_elements.deflections(actual, state.position.elastic[:3], relative)
-    return now.stretch, now.rate
+    deflected = exact_elements.deflections(actual, state.position.elastic[:3], relative)
+    return deflected.stretch, deflected.rate
 
 
-def elastic_energy(actual: ModelWithErrors, position: Coordinates) -> Array:
+def elastic_energy(actual: ModelWithErrors, position: Coordinates) -> Float[Array, ""]:
     """Energy of all springs [J]."""
     at_rest = State(position, jax.tree.map(jnp.zeros_like, position))
     stretch, _ = deflections(actual, at_rest)
@@ -87,7 +92,7 @@ def elastic_energy(actual: ModelWithErrors, position: Coordinates) -> Array:
 
 
 def stiffness_blocks(actual: ModelWithErrors) -> SpringBlocks:
-    """Stiffness of the springs of undeformed links."""
+    """Stiffness of the springs of undeformed links, in both forms of the elements."""
     n = actual.topology.n_rfes
     units = jnp.broadcast_to(jnp.roll(jnp.eye(6), 3, axis=1)[:, :, None], (6, 6, n))
 
@@ -97,17 +102,17 @@ def stiffness_blocks(actual: ModelWithErrors) -> SpringBlocks:
     return spring_blocks(actual, by_rfe(actual.lever_right), -by_rfe(actual.lever_left))
 
 
-def dissipated_power(actual: ModelWithErrors, state: State) -> Array:
-    """Power that all dampers take out [W]."""
+def dissipated_power(actual: ModelWithErrors, state: State) -> Float[Array, ""]:
+    """Power that all dampers dissipate [W]."""
     return _dissipated(actual, deflections(actual, state)[1])
 
 
-def _dissipated(actual, rate):
+def _dissipated(actual: ModelWithErrors, rate: Array) -> Array:
     return jnp.sum(actual.stiffness * actual.damping[None] * rate**2, axis=(0, 1))
 
 
-def _linear_deflections(actual, state: State):
-    """Linear in the coordinates, so the same function gives their rates."""
+def _linear_deflections(actual: ModelWithErrors, state: State) -> tuple[Array, Array]:
+    """(du, dphi) and their rates, by the same function since it is linear in the coordinates."""
 
     def between_faces(elastic):
         right = _face(elastic, actual.lever_right)
@@ -116,21 +121,17 @@ def _linear_deflections(actual, state: State):
     return between_faces(state.position.elastic), between_faces(state.velocity.elastic)
 
 
-def _linear_forces(actual, stretch, rate):
+def _linear_forces(actual: ModelWithErrors, stretch: Array, rate: Array) -> Array:
     stress = actual.stiffness * (stretch + actual.damping[None] * rate)
     on_right = -_face_transposed(stress, actual.lever_right)
     return on_right + to_left(actual, _face_transposed(stress, actual.lever_left))
 
 
-def _face(elastic, lever):
+def _face(elastic: Array, lever: Array) -> Array:
     """Motion of the face at x = lever from a rfe's middle: (u + phi x (lever, 0, 0), phi)."""
-    return elastic + _signs(PHI_CROSS_LEVER, elastic) * lever[None] * reorder(elastic, EXCHANGED)
+    return elastic + PHI_CROSS_LEVER[:, None] * lever[None] * reorder(elastic, EXCHANGED)
 
 
-def _face_transposed(stress, lever):
+def _face_transposed(stress: Array, lever: Array) -> Array:
     """The wrench at a rfe's middle of one at its face: (force, moment - force x (lever, 0, 0))."""
-    return stress + _signs(LEVER_CROSS_FORCE, stress) * lever[None] * reorder(stress, EXCHANGED)
-
-
-def _signs(signs, example):
-    return signs.reshape((6,) + (1,) * (example.ndim - 1))
+    return stress + LEVER_CROSS_FORCE[:, None] * lever[None] * reorder(stress, EXCHANGED)

@@ -2,15 +2,15 @@
 
 Place in the pipeline: kinematics -> **exact elements** -> elasticity -> dynamics, statics.
 
-Second form of MODEL section 2.  An sde joins the faces of its two rfes, l (left) and r (right; rfe 0
+The second form of MODEL section 2.  An sde joins the faces of its two rfes, l (left) and r (right; rfe 0
 of the link is the left one of the first sde), at the lever arms a = s R e_x from their middles:
 
     theta = rotation vector of R_l^T R_r,  du = M^T (face_r - face_l),  M = R_l exp(theta / 2),
 
 V = 1/2 (du, theta) C (du, theta); the Kelvin-Voigt damper acts on the rates of (du, theta).  M is
-midway between the two faces, so left and right are alike and n sdes approximate the curve of a beam
-to second order.  Nothing here changes under a common rigid motion of both faces: the wrenches on
-them are action and reaction.
+midway between the two faces, so the element is symmetric in left and right and n sdes approximate the
+curve of a beam to second order.  All of it is invariant under a common rigid motion of both faces, so the
+wrenches on them are action and reaction.
 
 In axes of M, with v = sin(|theta|/2) n, c = cos(|theta|/2), h = tan(|theta|/4) n = v / (1 + c),
 f = (|theta|/2) / sin(|theta|/2) = 1 + g v.v and the relative angular velocity w = w_r - w_l:
@@ -26,6 +26,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jaxtyping import Float
 
 from rfem_jax.mechanics import algebra
 from rfem_jax.mechanics.algebra import cross, dot, product, transpose
@@ -39,53 +40,52 @@ SMALL = 0.05
 
 
 class ExactDeflections(NamedTuple):
-    """Deflections of all sdes and what their wrenches need.
+    """Deflections of all sdes, and the kinematics that their wrenches are formed with.
 
     stretch, rate (6, N): (du, theta) and their rates; half (3, N): v; quarter (3, N): h; f, g (N,);
     midway (3, 3, N): the transpose of M, from link axes; arms (3, 2, N): from the middles of the
     right and the left rfe to their faces, in link axes.
     """
 
-    stretch: Array
-    rate: Array
-    half: Array
-    quarter: Array
-    f: Array
-    g: Array
-    midway: Array
-    arms: Array
+    stretch: Float[Array, "6 rfes"]
+    rate: Float[Array, "6 rfes"]
+    half: Float[Array, "3 rfes"]
+    quarter: Float[Array, "3 rfes"]
+    f: Float[Array, " rfes"]
+    g: Float[Array, " rfes"]
+    midway: Float[Array, "3 3 rfes"]
+    arms: Float[Array, "3 2 rfes"]
 
 
-def deflections(actual: ModelWithErrors, u: Array, relative: RelativeMotion) -> ExactDeflections:
-    """Deflections of all sdes from the displacements u (3, N) [m] of the rfes' middles and the
-    relative motion."""
-    # Displacement, turn and rates of both sides: rfe 0 does not move in its link frame.
-    identity = _like(algebra.IDENTITY[:, :, None], relative.rotation)
-    turned = relative.rotation - identity
-    shape = u.shape[1:]
-    own = jnp.concatenate([turned.reshape((9, *shape)), u, relative.angular, relative.linear])
-    both = jnp.stack([own, from_left(actual, own)], axis=1)
-    turned = both[:9].reshape((3, 3, 2, *shape))
-    rotation = turned + identity[:, :, None]
+def deflections(actual: ModelWithErrors, u: Float[Array, "3 rfes"], relative: RelativeMotion) -> ExactDeflections:
+    """Deflections of all sdes from the displacements u [m] of the rfes' middles and the relative motion."""
+    # R - 1, displacements and velocities of the right and the left rfe of every sde; all zero for rfe 0.
+    identity = jnp.asarray(algebra.IDENTITY[:, :, None])
+    rotated = relative.rotation - identity
+    n = actual.topology.n_rfes
+    right = jnp.concatenate([rotated.reshape((9, n)), u, relative.angular, relative.linear])
+    both = jnp.stack([right, from_left(actual, right)], axis=1)
+    rotated = both[:9].reshape((3, 3, 2, n))
+    rotation = rotated + identity[:, :, None]
     levers = jnp.stack([actual.lever_right, actual.lever_left])[None]
     arms = levers * rotation[:, 0]
     spin = both[12:15]
-    face = both[9:12] + levers * turned[:, 0]
+    face = both[9:12] + levers * rotated[:, 0]
     face_rate = both[15:] + cross(spin, arms)
 
-    half, cosine = _half_turn(rotation)
+    half, cosine = _half_rotation(rotation)
     quarter = half / (1.0 + cosine)[None]
     left = transpose(rotation[:, :, 1])
     midway = left - cross(half[:, None], left - cross(quarter[:, None], left))
     w = spin[:, 0] - spin[:, 1]
     gap, gap_rate = face[:, 0] - face[:, 1], face_rate[:, 0] - face_rate[:, 1]
-    seen = product(midway, jnp.stack([gap, gap_rate, w, spin[:, 0] - 0.5 * w], axis=1))
-    gap, gap_rate, w, mean = (seen[:, i] for i in range(4))
+    in_midway = product(midway, jnp.stack([gap, gap_rate, w, spin[:, 0] - 0.5 * w], axis=1))
+    gap, gap_rate, w, mean = (in_midway[:, i] for i in range(4))
     f, g = _factors(dot(half, half))
-    turning = mean - 0.5 * cross(quarter, w)
+    midway_spin = mean - 0.5 * cross(quarter, w)
     return ExactDeflections(
         stretch=jnp.concatenate([gap, 2.0 * f[None] * half]),
-        rate=jnp.concatenate([gap_rate - cross(turning, gap), _tangent(half, f, g, w)]),
+        rate=jnp.concatenate([gap_rate - cross(midway_spin, gap), _tangent(half, f, g, w)]),
         half=half,
         quarter=quarter,
         f=f,
@@ -96,18 +96,19 @@ def deflections(actual: ModelWithErrors, u: Array, relative: RelativeMotion) -> 
 
 
 class SpringBlocks(NamedTuple):
-    """Stiffness of the springs by virtual turns and displacements (angular first) of the rfes: own
-    (N, 6, 6) of every rfe, beside (N, 6, 6) of a rfe (rows) and its left neighbour (columns), zero where
-    that is the link frame."""
+    """Block-tridiagonal stiffness of the springs for virtual rotations and displacements (angular first) of
+    the rfes: diagonal (N, 6, 6), and lower (N, 6, 6) of a rfe (rows) and its left neighbour (columns), zero
+    where that is the link frame."""
 
-    own: Array
-    beside: Array
+    diagonal: Float[Array, "rfes 6 6"]
+    lower: Float[Array, "rfes 6 6"]
 
 
-def stiffness_blocks(actual: ModelWithErrors, u: Array, relative: RelativeMotion) -> SpringBlocks:
-    """Of the springs in the present place, in link axes, without the part of loads that turn.
+def stiffness_blocks(actual: ModelWithErrors, u: Float[Array, "3 rfes"], relative: RelativeMotion) -> SpringBlocks:
+    """Material part of the tangent stiffness at the present deflection, in link axes, without the geometric
+    part of loads that rotate with the rfes.
 
-    One rfe in two is moved at a time, so that every sde feels one of its faces only.
+    Every second rfe is moved at a time, so that only one face of every sde moves.
     """
     n = actual.topology.n_rfes
     even = np.arange(n) % 2 == 0
@@ -124,9 +125,11 @@ def stiffness_blocks(actual: ModelWithErrors, u: Array, relative: RelativeMotion
     return spring_blocks(actual, right, left)
 
 
-def spring_blocks(actual: ModelWithErrors, right: Array, left: Array) -> SpringBlocks:
-    """From the deflections (6, 6, N) of every sde by unit motions (first axis) of its right and its
-    left rfe."""
+def spring_blocks(
+    actual: ModelWithErrors, right: Float[Array, "6 6 rfes"], left: Float[Array, "6 6 rfes"]
+) -> SpringBlocks:
+    """Blocks from the deflections of every sde (second axis) due to unit motions (first axis) of its right
+    and of its left rfe."""
     inner = _is_inner(actual)[:, None, None]
 
     def block(one, other):
@@ -136,54 +139,48 @@ def spring_blocks(actual: ModelWithErrors, right: Array, left: Array) -> SpringB
     return SpringBlocks(block(right, right) + by_left, inner * block(right, left))
 
 
-def wrenches(actual: ModelWithErrors, now: ExactDeflections) -> tuple[Array, Array]:
-    """Force [N] and moment [N m] (3, N) of springs and dampers on the free rfes, at their middles
-    in link axes: the transposed tangent map of the deflections."""
-    stress = actual.stiffness * (now.stretch + actual.damping[None] * now.rate)
-    force, gap = stress[:3], now.stretch[:3]
-    couple = _tangent(now.half, now.f, now.g, stress[3:])
-    turn = 0.5 * cross(force, gap)  # of the midway frame, shared by both sides
-    couple = couple + cross(now.quarter, turn)
-    back = jnp.stack([force, -couple - turn, couple - turn], axis=1)
-    back = product(transpose(now.midway), back)
-    force = back[:, 0]
-    moments = back[:, 1:] - cross(now.arms, jnp.stack([force, -force], axis=1))
+def wrenches(
+    actual: ModelWithErrors, deflected: ExactDeflections
+) -> tuple[Float[Array, "3 rfes"], Float[Array, "3 rfes"]]:
+    """Force [N] and moment [N m] of springs and dampers on the free rfes, at their middles in link axes:
+    the stresses under the transposed Jacobian of the deflections."""
+    stress = actual.stiffness * (deflected.stretch + actual.damping[None] * deflected.rate)
+    force, gap = stress[:3], deflected.stretch[:3]
+    couple = _tangent(deflected.half, deflected.f, deflected.g, stress[3:])
+    shared = 0.5 * cross(force, gap)  # by the rotation of the midway frame, which is half that of either side
+    couple = couple + cross(deflected.quarter, shared)
+    in_link = jnp.stack([force, -couple - shared, couple - shared], axis=1)
+    in_link = product(transpose(deflected.midway), in_link)
+    force = in_link[:, 0]
+    moments = in_link[:, 1:] - cross(deflected.arms, jnp.stack([force, -force], axis=1))
     on_left = to_left(actual, jnp.concatenate([force, moments[:, 1]]))
     return on_left[:3] - force, on_left[3:] + moments[:, 0]
 
 
-def from_left(actual: ModelWithErrors, values: Array) -> Array:
-    """Values (k, N) of the left neighbours of the free rfes, zero for rfe 0."""
-    return _expand(_is_inner(actual), values) * _rolled(values, 1)
+def from_left(actual: ModelWithErrors, values: Float[Array, "k rfes"]) -> Float[Array, "k rfes"]:
+    """Values of the left neighbours of the free rfes, zero where that is rfe 0."""
+    return jnp.asarray(_is_inner(actual)).reshape((1, -1)) * _roll(values, 1)
 
 
-def to_left(actual: ModelWithErrors, values: Array) -> Array:
-    """Values (k, N) of the sdes moved to their left rfes; those of rfe 0 are dropped."""
-    return _rolled(_expand(_is_inner(actual), values) * values, -1)
+def to_left(actual: ModelWithErrors, values: Float[Array, "k rfes"]) -> Float[Array, "k rfes"]:
+    """Values of the sdes moved to their left rfes; those of rfe 0 are dropped."""
+    return _roll(jnp.asarray(_is_inner(actual)).reshape((1, -1)) * values, -1)
 
 
-def _rolled(values, shift: int):
+def _roll(values: Array, shift: int) -> Array:
     return reorder(values, np.roll(np.arange(values.shape[1]), shift), axis=1)
 
 
 def _is_inner(actual: ModelWithErrors) -> np.ndarray:
-    """Which free rfes have another free rfe of their link on their left."""
+    """1 for the free rfes that have another free rfe of their link on their left, 0 for the others."""
     inner = np.ones(actual.topology.n_rfes)
     inner[[a for a, b in actual.topology.ranges if b > a]] = 0.0
     return inner
 
 
-def _expand(inner, values):
-    return jnp.asarray(inner).reshape((1, -1) + (1,) * (values.ndim - 2))
-
-
-def _like(values, example):
-    return jnp.asarray(values).reshape(values.shape + (1,) * (example.ndim - 3))
-
-
-def _half_turn(rotation: Array) -> tuple[Array, Array]:
-    """sin(angle/2) n (3, N) and cos(angle/2) (N,) of R_l^T R_r, angle below 180 deg; no square root
-    of something that vanishes."""
+def _half_rotation(rotation: Array) -> tuple[Array, Array]:
+    """sin(angle/2) n (3, N) and cos(angle/2) (N,) of R_l^T R_r, for angles below 180 deg; differentiable at
+    zero, since the only square root is the cosine's."""
     right, left = rotation[:, :, 0], rotation[:, :, 1]
     cosine = 0.5 * jnp.sqrt(1.0 + jnp.sum(right * left, axis=(0, 1)))
     axial = jnp.sum(cross(transpose(right), transpose(left)), axis=1)
@@ -191,7 +188,7 @@ def _half_turn(rotation: Array) -> tuple[Array, Array]:
 
 
 def _factors(square: Array) -> tuple[Array, Array]:
-    """f and g of the squared sine of half the angle, with safe derivatives at zero."""
+    """f and g of the squared sine of half the angle, with finite derivatives at zero."""
     small = square < SMALL**2
     root = jnp.sqrt(jnp.where(small, 1.0 - SMALL, square))
     closed = (jnp.arcsin(root) / root - 1.0) / root**2
@@ -202,6 +199,6 @@ def _factors(square: Array) -> tuple[Array, Array]:
     return 1.0 + g * square, g
 
 
-def _tangent(half, f, g, vector):
-    """d theta / d w, symmetric in the axes of M, times a vector."""
+def _tangent(half: Array, f: Array, g: Array, vector: Array) -> Array:
+    """The map from w to d theta / dt, symmetric in the axes of M, of a vector."""
     return f[None] * vector - half * (g * dot(half, vector))[None]

@@ -1,6 +1,6 @@
-"""What an instant is given besides its state: what the drive does, Baumgarte's gains.
+"""What an instant is given besides its state: the action of the drive, and Baumgarte's gains.
 
-Place in the pipeline: model -> **inputs** -> dynamics, balance, statics, simulation.
+Place in the pipeline: model -> **inputs** -> joint_forces, dynamics, residual, loads, simulation.
 """
 
 from typing import NamedTuple
@@ -8,36 +8,36 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jaxtyping import ArrayLike, Float
 
 from rfem_jax.mechanics.model import Coordinates, State, Topology
 
 
 class DriveInput(NamedTuple):
-    """What the drive does at one instant: a moment [N m] on the driven joint, or the joint's
-    prescribed (angle, rate, acceleration); None for what it does not do."""
+    """The drive at one instant: a moment [N m] on the driven joint, or the joint's prescribed angle [rad],
+    rate [rad/s] and acceleration [rad/s^2]; at most one of the two is given."""
 
-    moment: Array | None = None
-    prescribed: tuple[Array, Array, Array] | None = None
+    moment: Float[Array, ""] | None = None
+    prescribed: tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]] | None = None
 
 
 class Stabilisation(NamedTuple):
-    """Baumgarte's gains: Phi'' = -velocity_gain Phi' - position_gain Phi [1/s, 1/s^2], and the
-    length [m] that scales the axis equations."""
+    """Baumgarte's stabilisation (Comput. Methods Appl. Mech. Eng. 1 (1972) 1-16): Phi'' = -velocity_gain
+    Phi' - position_gain Phi with gains [1/s, 1/s^2], and the length [m] that scales the axis equations."""
 
-    velocity_gain: Array
-    position_gain: Array
-    scale: Array
+    velocity_gain: Float[ArrayLike, ""]
+    position_gain: Float[ArrayLike, ""]
+    scale: Float[ArrayLike, ""]
 
 
 def impose(topology: Topology, state: State, drive: DriveInput) -> State:
     """The state with the driven joint's angle and rate replaced by the prescribed ones."""
     if drive.prescribed is None:
         return state
-    is_driven = np.arange(topology.n_links) == topology.driven
 
-    def replace(values: Coordinates, value) -> Coordinates:
-        mask = is_driven.reshape((-1,) + (1,) * (values.angles.ndim - 1))
-        return Coordinates(jnp.where(mask, value[None], values.angles), values.elastic)
+    def replace(values: Coordinates, value: Array) -> Coordinates:
+        is_driven = np.arange(topology.n_links) == topology.driven
+        return Coordinates(jnp.where(is_driven, value[None], values.angles), values.elastic)
 
     return State(
         replace(state.position, jnp.asarray(drive.prescribed[0])),

@@ -1,6 +1,6 @@
 """Positions and velocities of all bodies at one instant.
 
-Place in the pipeline: realisation + state -> **kinematics** -> elasticity, closure, dynamics, loads.
+Place in the pipeline: model with errors + state -> **kinematics** -> elasticity, cut_joints, dynamics, loads.
 
 The relative motion of the free rfes (MODEL equations (2) to (4)) is taken for all of them at once in
 their link frames; then the links are placed one after another from the base (equation (6) with both
@@ -9,12 +9,14 @@ errors).  Frames: link frame {p,0} = H (F_c E_c)^-1 with the hinge frame H = F E
 Symbols: R rotation, w angular velocity; spatial velocities (6,) at the global origin.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jaxtyping import Float
 
 from rfem_jax.mechanics import algebra
 from rfem_jax.mechanics.algebra import apply, cross, product
@@ -29,43 +31,43 @@ class RelativeMotion(NamedTuple):
     """Motion of the free rfes relative to their link frames, in link axes.
 
     rotation (3, 3, N), position (3, N) of the segment's middle, rate_matrix (3, 3, N) with
-    w = rate_matrix phi_dot, and at the given rates: angular, linear (3, N) and rate_bias (3, N) =
-    (d rate_matrix / dt) phi_dot.
+    w = rate_matrix phi_dot, and at the given rates: angular and linear velocity (3, N) and rate_bias (3, N)
+    = (d rate_matrix / dt) phi_dot.
     """
 
-    rotation: Array
-    position: Array
-    rate_matrix: Array
-    angular: Array
-    linear: Array
-    rate_bias: Array
+    rotation: Float[Array, "3 3 rfes"]
+    position: Float[Array, "3 rfes"]
+    rate_matrix: Float[Array, "3 3 rfes"]
+    angular: Float[Array, "3 rfes"]
+    linear: Float[Array, "3 rfes"]
+    rate_bias: Float[Array, "3 rfes"]
 
 
 class Frames(NamedTuple):
-    """Rotation (3, 3, n), reference point (3, n) and spatial velocity (6, n) of n bodies in global
-    axes."""
+    """Rotation (3, 3, n), reference point (3, n) and spatial velocity (6, n) of n bodies in global axes; of
+    one body without the last axis."""
 
-    rotation: Array
-    point: Array
-    velocity: Array
+    rotation: Float[Array, " 3 3 *n"]
+    point: Float[Array, " 3 *n"]
+    velocity: Float[Array, " 6 *n"]
 
 
 class Motion(NamedTuple):
-    """Everything that the other stages read of one instant's positions and velocities.
+    """Positions and velocities of all bodies at one instant.
 
-    links: frames of the L links (rfes 0); carriers: of the free rfes that carry a joint; hinges:
-    hinge frames H of the tree joints, with the velocity of the parent's node; axis (6, L): the
-    hinges' spatial axes.
+    relative: of the free rfes in their link frames; links: frames of the L links (rfes 0); interfaces: of the
+    free rfes that carry a joint; hinges: hinge frames H of the tree joints, with the velocity of the parent's
+    node; axis (6, L): the hinges' spatial axes.
     """
 
     relative: RelativeMotion
     links: Frames
     interfaces: Frames
     hinges: Frames
-    axis: Array
+    axis: Float[Array, "6 links"]
 
 
-def motion(actual: ModelWithErrors, state: State) -> Motion:
+def motion_of(actual: ModelWithErrors, state: State) -> Motion:
     """Positions and velocities of all links and rfes at one instant."""
     topology = actual.topology
     with jax.named_scope("kinematics"):
@@ -83,9 +85,9 @@ def motion(actual: ModelWithErrors, state: State) -> Motion:
         return Motion(
             relative=relative,
             links=stacked,
-            interfaces=_carried(topology, relative, stacked),
+            interfaces=_interface_frames(topology, relative, stacked),
             hinges=_stack(hinges),
-            axis=_columns(axes, 1),
+            axis=jnp.stack(axes, axis=1),
         )
 
 
@@ -112,11 +114,11 @@ def relative_motion(actual: ModelWithErrors, position: Coordinates, velocity: Co
         middle_rate, outer_rate = rate[1], rate[2]
         axes = [a, middle, outer]
     rotation = jnp.stack([a, sx[None] * c + cx[None] * b, cx[None] * c - sx[None] * b], axis=1)
-    # w = phi_x' a + ...: the middle axis turns with the outer rate, a with both.
+    # w = phi_x' a + ...: the outer rate rotates the middle axis, both rotate a.
     about_outer = outer_rate[None] * outer
     about_both = about_outer + middle_rate[None] * middle
     about_x = rate[0][None] * a
-    rest = jnp.asarray(np.eye(3)[0]).reshape((3, 1) + (1,) * (u.ndim - 2)) * actual.rest[None]
+    rest = jnp.asarray(np.eye(3)[0]).reshape((3, 1)) * actual.rest[None]
     return RelativeMotion(
         rotation=rotation,
         position=rest + u,
@@ -127,7 +129,7 @@ def relative_motion(actual: ModelWithErrors, position: Coordinates, velocity: Co
     )
 
 
-def range_used(topology: Topology, position: Coordinates) -> Array:
+def range_used(topology: Topology, position: Coordinates) -> Float[Array, ""]:
     """Largest angle of the free rfes relative to their link frames over its limit: for linear
     elements phi_y and phi_z (inaccurate long before), for exact ones phi_z (singular at 90 deg)."""
     if topology.exact:
@@ -135,24 +137,25 @@ def range_used(topology: Topology, position: Coordinates) -> Array:
     return jnp.max(jnp.abs(position.elastic[4:]), initial=0.0) / LINEAR_LIMIT
 
 
-def _parent_frame(topology: Topology, relative: RelativeMotion, links, node: int) -> Frames:
-    """Frame of the node that a link hangs on."""
+def _parent_frame(topology: Topology, relative: RelativeMotion, links: list[Frames], node: int) -> Frames:
+    """Frame of the node that a link is joined to."""
     if node == BASE:
         return Frames(jnp.asarray(algebra.IDENTITY), jnp.zeros(3), jnp.zeros(6))
     if node < topology.n_links:
         return links[node]
     k = node - topology.n_links
-    own = jax.tree.map(lambda x: x[..., k], _movable(relative))
-    return _on_link(links[topology.link_of(node)], own)
+    rfe = jax.tree.map(lambda x: x[..., k], _in_link_frame(relative))
+    return _on_link(links[topology.link_of(node)], rfe)
 
 
-def _movable(relative: RelativeMotion):
+def _in_link_frame(relative: RelativeMotion) -> tuple[Array, Array, Array, Array]:
+    """Rotation, position, angular and linear velocity."""
     return relative.rotation, relative.position, relative.angular, relative.linear
 
 
-def _on_link(link: Frames, relative) -> Frames:
-    """Frames of rfes from those of their links and their relative motion."""
-    rotation, position, angular, linear = relative
+def _on_link(link: Frames, in_link_frame: tuple[Array, Array, Array, Array]) -> Frames:
+    """Frames of rfes from those of their links and their motion relative to these."""
+    rotation, position, angular, linear = in_link_frame
     point = link.point + apply(link.rotation, position)
     velocity = link.velocity + algebra.motion_at_origin(
         apply(link.rotation, angular), apply(link.rotation, linear), point
@@ -160,23 +163,24 @@ def _on_link(link: Frames, relative) -> Frames:
     return Frames(product(link.rotation, rotation), point, velocity)
 
 
-def _carried(topology: Topology, relative: RelativeMotion, links: Frames) -> Frames:
+def _interface_frames(topology: Topology, relative: RelativeMotion, links: Frames) -> Frames:
     rfes = np.array(topology.interfaces, dtype=int)
     owners = np.array([topology.link_of(topology.n_links + k) for k in rfes], dtype=int)
     return _on_link(
-        jax.tree.map(lambda x: _pick(x, owners), links),
-        jax.tree.map(lambda x: _pick(x, rfes), _movable(relative)),
+        jax.tree.map(lambda x: _columns(x, owners), links),
+        jax.tree.map(lambda x: _columns(x, rfes), _in_link_frame(relative)),
     )
 
 
-def _pick(values: Array, columns) -> Array:
-    """Chosen columns (static indices) of the last axis."""
-    if len(columns) == 0:
+def _columns(values: Array, indices: np.ndarray) -> Array:
+    """Columns of the last axis at static indices."""
+    if len(indices) == 0:
         return values[..., :0]
-    return jnp.stack([values[..., int(i)] for i in columns], axis=-1)
+    return jnp.stack([values[..., int(i)] for i in indices], axis=-1)
 
 
-def _place_link(actual: ModelWithErrors, state: State, index: int, parent: Frames):
+def _place_link(actual: ModelWithErrors, state: State, index: int, parent: Frames) -> tuple[Frames, Frames, Array]:
+    """Link frame, hinge frame and spatial axis (6,) of a tree joint's link, from the frame of its parent's node."""
     joint_rotation = product(parent.rotation, actual.seat_rotation[:, :, index])
     hinge_rotation = product(joint_rotation, algebra.rotation_y(state.position.angles[index]))
     centre = parent.point + apply(parent.rotation, actual.seat_position[:, index])
@@ -190,47 +194,43 @@ def _place_link(actual: ModelWithErrors, state: State, index: int, parent: Frame
 
 
 def _stack(frames: list[Frames]) -> Frames:
-    return Frames(*(_columns(part, at) for part, at in zip(zip(*frames), (2, 1, 1))))
+    return Frames(*(jnp.stack(part, axis=at) for part, at in zip(zip(*frames), (2, 1, 1))))
 
 
-def _columns(parts, axis: int) -> Array:
-    return jnp.stack(parts, axis=axis)
-
-
-def node_frames(topology: Topology, now: Motion, nodes) -> Frames:
-    """Frames of links, carriers or the base (static node numbers), one column each."""
+def node_frames(topology: Topology, motion: Motion, nodes: Sequence[int]) -> Frames:
+    """Frames of links, interfaces or the base (static node numbers), one column each."""
     n = topology.n_links
     place = {k: i for i, k in enumerate(topology.interfaces)}
 
-    def column(part: str, node: int):
+    def column(part: str, node: int) -> Array:
         if node == BASE:
             base = {"rotation": algebra.IDENTITY, "point": np.zeros(3), "velocity": np.zeros(6)}
             return jnp.asarray(base[part])
         if node < n:
-            return getattr(now.links, part)[..., node]
-        return getattr(now.interfaces, part)[..., place[node - n]]
+            return getattr(motion.links, part)[..., node]
+        return getattr(motion.interfaces, part)[..., place[node - n]]
 
     return Frames(*(jnp.stack([column(part, node) for node in nodes], axis=-1) for part in Frames._fields))
 
 
-def spread(topology: Topology, values: Array) -> Array:
-    """Values by link (..., L) repeated for every free rfe of the link (..., N)."""
+def spread(topology: Topology, values: Float[Array, "*k links"]) -> Float[Array, "*k rfes"]:
+    """Values by link repeated for every free rfe of the link."""
     columns = [
         jnp.broadcast_to(values[..., l : l + 1], values.shape[:-1] + (n - 1,)) for l, n in enumerate(topology.elements)
     ]
     return jnp.concatenate(columns, axis=-1)
 
 
-def total(topology: Topology, values: Array) -> Array:
-    """Sums (..., L) over the free rfes of every link of values (..., N)."""
+def total(topology: Topology, values: Float[Array, "*k rfes"]) -> Float[Array, "*k links"]:
+    """Sums over the free rfes of every link."""
     return jnp.stack([jnp.sum(values[..., a:b], axis=-1) for a, b in topology.ranges], axis=-1)
 
 
-def all_frames(topology: Topology, now: Motion) -> tuple[Array, Array]:
-    """Rotations (3, 3, nodes) and reference points (3, nodes) of all nodes in global axes."""
-    rotation = spread(topology, now.links.rotation)
-    points = spread(topology, now.links.point) + apply(rotation, now.relative.position)
+def all_frames(topology: Topology, motion: Motion) -> tuple[Float[Array, "3 3 nodes"], Float[Array, "3 nodes"]]:
+    """Rotations and reference points of all nodes in global axes."""
+    rotation = spread(topology, motion.links.rotation)
+    points = spread(topology, motion.links.point) + apply(rotation, motion.relative.position)
     return (
-        jnp.concatenate([now.links.rotation, product(rotation, now.relative.rotation)], axis=-1),
-        jnp.concatenate([now.links.point, points], axis=-1),
+        jnp.concatenate([motion.links.rotation, product(rotation, motion.relative.rotation)], axis=-1),
+        jnp.concatenate([motion.links.point, points], axis=-1),
     )

@@ -7,81 +7,98 @@ hinge's centre, in the hinge frame (y along the hinge; in L at a cut joint), in 
 section 7).  A drive that is a given moment is an external load and not part of it; the moment that
 enforces a prescribed angle is.
 
-There are two ways to them, and every run compares them with the balance of momentum: `chain_loads`
-is Newton-Euler over all rfes from the chains' ends to the base; `joint_loads` uses the equations of
-the rfes 0 alone, whose elastic wrenches the accelerations needed anyway.
+They are computed in two ways, and every run checks them by the balance of momentum: `chain_loads` is the
+recursive Newton-Euler algorithm over all rfes from the tips to the base; `joint_loads` uses the equations
+of motion of the rfes 0 alone, whose elastic wrenches the accelerations needed anyway.
 """
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
 from jax import Array
+from jaxtyping import Float
 
 from rfem_jax.mechanics import algebra, elasticity
 from rfem_jax.mechanics.algebra import apply, apply_transposed, cross, dot
 from rfem_jax.mechanics.cut_joints import Closure
 from rfem_jax.mechanics.dynamics import Accelerations, link_axes
 from rfem_jax.mechanics.inputs import DriveInput
-from rfem_jax.mechanics.kinematics import Motion, all_frames, motion, spread, total
+from rfem_jax.mechanics.kinematics import Motion, all_frames, motion_of, spread, total
 from rfem_jax.mechanics.model import BASE, Coordinates, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 
 
 class JointLoads(NamedTuple):
-    """Force [N] and moment [N m] (3, joints) of all joints in their hinge frames."""
+    """Force [N] and moment [N m] of all joints in their hinge frames."""
 
-    force: Array
-    moment: Array
+    force: Float[Array, "3 joints"]
+    moment: Float[Array, "3 joints"]
 
 
 class Energies(NamedTuple):
     """Kinetic, elastic and gravity energy [J]; gravity's zero level is the datum."""
 
-    kinetic: Array
-    elastic: Array
-    gravity: Array
+    kinetic: Float[Array, ""]
+    elastic: Float[Array, ""]
+    gravity: Float[Array, ""]
+
+
+class Solved(Protocol):
+    """Of the solution of one instant, or of a mechanism at rest: motion, closure, multipliers (5, C) [N]."""
+
+    @property
+    def motion(self) -> Motion: ...
+    @property
+    def closure(self) -> Closure | None: ...
+    @property
+    def multipliers(self) -> Float[Array, "5 cuts"]: ...
 
 
 class Resting(NamedTuple):
-    """What `chain_loads` reads of a mechanism at rest."""
+    """A mechanism at rest, as `chain_loads` reads it."""
 
     motion: Motion
     closure: Closure | None
-    multipliers: Array
+    multipliers: Float[Array, "5 cuts"]
 
 
 def joint_loads(actual: ModelWithErrors, result: Accelerations, drive: DriveInput) -> JointLoads:
     """Loads of all joints by the equations of motion of the rfes 0."""
     with jax.named_scope("joint_loads"):
-        topology, interface_tree = actual.topology, result.interface_tree
+        topology, tree, cuts = actual.topology, result.interface_tree, result.closure
         n = topology.n_links
-        own = apply(interface_tree.inertia[:, :, :n], result.spatial) - interface_tree.load[:, :n]
+        net = apply(tree.inertia[:, :, :n], result.spatial) - tree.load[:, :n]
         wrenches: dict[int, Array] = {}
         for l in reversed(range(n)):
-            wrench, point = own[:, l], interface_tree.point[:, l]
+            wrench, point = net[:, l], tree.point[:, l]
             for j in range(l + 1, n):
                 if topology.parents[j] == l:
                     wrench = wrench + wrenches[j]
-            for i, j in enumerate(topology.cuts):
+            for i, j in enumerate(topology.cuts if cuts is not None else ()):
                 if topology.parents[j] == l:
-                    unit = result.closure.wrenches(i, "parent", point)
+                    unit = cuts.wrenches(i, "parent", point)
                     wrench = wrench + apply(unit, result.multipliers[:, i])
                 if topology.children[j] == l:
-                    unit = result.closure.wrenches(i, "child", point)
+                    unit = cuts.wrenches(i, "child", point)
                     wrench = wrench - apply(unit, result.multipliers[:, i])
             wrenches[l] = wrench
         links = jnp.stack([wrenches[l] for l in range(n)], axis=1)
         hinges = result.motion.hinges
-        moment = links[:3] - cross(hinges.point - interface_tree.point[:, :n], links[3:])
+        moment = links[:3] - cross(hinges.point - tree.point[:, :n], links[3:])
         return _in_hinge_frames(topology, result, links[3:], moment, drive)
 
 
 def chain_loads(
-    actual: ModelWithErrors, result: Accelerations | Resting, angular, linear, drive: DriveInput
-) -> tuple[JointLoads, Array]:
-    """Loads of all joints by Newton-Euler over all rfes from the chains' ends to the base, for
-    accelerations (3, nodes) in link axes, and the wrench (6,) at the origin that the base exerts."""
+    actual: ModelWithErrors,
+    result: Solved,
+    angular: Float[Array, "3 nodes"],
+    linear: Float[Array, "3 nodes"],
+    drive: DriveInput,
+) -> tuple[JointLoads, Float[Array, "6"]]:
+    """Loads of all joints by the recursive Newton-Euler algorithm over all rfes, for accelerations of the
+    nodes in link axes, and the wrench at the origin that the base exerts."""
     with jax.named_scope("chain_loads"):
         inertial = inertial_loads(actual, result.motion, angular, linear)
         wrenches = chain_wrenches(actual, result.motion, result.closure, result.multipliers, inertial)
@@ -89,21 +106,22 @@ def chain_loads(
         return loads, base_wrench(actual.topology, wrenches)
 
 
-def loads_of_wrenches(topology: Topology, result, wrenches, drive: DriveInput) -> JointLoads:
+def loads_of_wrenches(
+    topology: Topology, result: Solved, wrenches: Sequence[Float[Array, "6"]], drive: DriveInput
+) -> JointLoads:
     """Loads of all joints from the wrenches at the global origin of `chain_wrenches`."""
     links = jnp.stack(wrenches[: topology.n_links], axis=1)
     moment = links[:3] - cross(result.motion.hinges.point, links[3:])
     return _in_hinge_frames(topology, result, links[3:], moment, drive)
 
 
-def _in_hinge_frames(topology: Topology, result, force, moment, drive: DriveInput) -> JointLoads:
-    """Forces and moments (3, L) of the tree joints about their centres, in hinge frames; cut joints
-    from the multipliers."""
+def _in_hinge_frames(topology: Topology, result: Solved, force: Array, moment: Array, drive: DriveInput) -> JointLoads:
+    """Loads of all joints in hinge frames from the forces and moments (3, L) of the tree joints about their
+    centres, in global axes; those of cut joints from the multipliers."""
     rotation = result.motion.hinges.rotation
     force, moment = apply_transposed(rotation, force), apply_transposed(rotation, moment)
     if drive.moment is not None:
         is_driven = jnp.arange(topology.n_links) == topology.driven
-        is_driven = is_driven.reshape((-1,) + (1,) * (force.ndim - 2))
         about_hinge = moment[1] - jnp.where(is_driven, drive.moment[None], 0.0)
         moment = jnp.stack([moment[0], about_hinge, moment[2]])
     cuts = result.closure
@@ -117,24 +135,28 @@ def _in_hinge_frames(topology: Topology, result, force, moment, drive: DriveInpu
 
 
 def chain_wrenches(
-    actual: ModelWithErrors, now: Motion, cuts: Closure | None, multipliers: Array, inertial
-) -> list[Array]:
-    """Wrenches (6,) at the global origin that the parent side of every joint exerts on the child,
-    the moment of a drive included; `inertial` from `inertial_loads`."""
+    actual: ModelWithErrors,
+    motion: Motion,
+    cuts: Closure | None,
+    multipliers: Float[Array, "5 cuts"],
+    inertial: tuple[Float[Array, "3 nodes"], Float[Array, "3 nodes"]],
+) -> list[Float[Array, "6"]]:
+    """Wrenches at the global origin that the parent side of every joint exerts on the child, the moment of a
+    drive included; `inertial` from `inertial_loads`."""
     topology = actual.topology
     n = topology.n_links
     force, moment = inertial
-    arms = cross(now.relative.position, force[:, n:])
-    own_force = force[:, :n] + total(topology, force[:, n:])
-    own_moment = moment[:, :n] + total(topology, moment[:, n:] + arms)
-    own = algebra.wrench_at_origin(
-        apply(now.links.rotation, own_moment),
-        apply(now.links.rotation, own_force),
-        now.links.point,
+    arms = cross(motion.relative.position, force[:, n:])
+    link_force = force[:, :n] + total(topology, force[:, n:])
+    link_moment = moment[:, :n] + total(topology, moment[:, n:] + arms)
+    of_links = algebra.wrench_at_origin(
+        apply(motion.links.rotation, link_moment),
+        apply(motion.links.rotation, link_force),
+        motion.links.point,
     )
     wrenches = dict(zip(topology.cuts, cut_wrenches(cuts, multipliers)))
     for l in reversed(range(n)):
-        wrench = own[:, l]
+        wrench = of_links[:, l]
         for j in [*range(l + 1, n), *topology.cuts]:
             if topology.parents[j] != BASE and topology.link_of(topology.parents[j]) == l:
                 wrench = wrench + wrenches[j]
@@ -145,51 +167,55 @@ def chain_wrenches(
     return [wrenches[j] for j in range(len(topology.joints))]
 
 
-def cut_wrenches(cuts: Closure | None, multipliers: Array) -> list[Array]:
-    """Wrenches (6,) at the global origin that the parent sides of the cut joints exert on the children."""
+def cut_wrenches(cuts: Closure | None, multipliers: Float[Array, "5 cuts"]) -> list[Float[Array, "6"]]:
+    """Wrenches at the global origin that the parent sides of the cut joints exert on the children."""
     if cuts is None:
         return []
     origin = jnp.zeros_like(cuts.centre[:, 0])
     return [apply(cuts.wrenches(i, "child", origin), multipliers[:, i]) for i in range(multipliers.shape[1])]
 
 
-def inertial_loads(actual: ModelWithErrors, now: Motion, angular: Array, linear: Array):
-    """Rate of momentum minus gravity of every node: force and moment (3, nodes) at its reference
-    point, in link axes; accelerations (3, nodes) likewise."""
+def inertial_loads(
+    actual: ModelWithErrors, motion: Motion, angular: Float[Array, "3 nodes"], linear: Float[Array, "3 nodes"]
+) -> tuple[Float[Array, "3 nodes"], Float[Array, "3 nodes"]]:
+    """Rate of momentum minus weight of every node: force [N] and moment [N m] at its reference point, in link
+    axes, for accelerations likewise."""
     topology = actual.topology
-    spin, gravity = link_axes(actual, now)
-    spin = jnp.concatenate([spin, spread(topology, spin) + now.relative.angular], axis=1)
+    spin, gravity = link_axes(actual, motion)
+    spin = jnp.concatenate([spin, spread(topology, spin) + motion.relative.angular], axis=1)
     gravity = jnp.concatenate([gravity, spread(topology, gravity)], axis=1)
     identity = jnp.broadcast_to(jnp.asarray(algebra.IDENTITY)[:, :, None], (3, 3, topology.n_links))
-    turn = jnp.concatenate([identity, now.relative.rotation], axis=2)
-    centre = apply(turn, actual.centre)
+    rotation = jnp.concatenate([identity, motion.relative.rotation], axis=2)
+    centre = apply(rotation, actual.centre)
     of_centre = linear + cross(angular, centre) + cross(spin, cross(spin, centre))
     force = actual.mass[None] * (of_centre - gravity)
-    body_spin, body_turn = apply_transposed(turn, spin), apply_transposed(turn, angular)
+    body_spin, body_angular = apply_transposed(rotation, spin), apply_transposed(rotation, angular)
     inertia = actual.inertia
-    rate = apply(inertia, body_turn) + cross(body_spin, apply(inertia, body_spin))
-    return force, apply(turn, rate) + cross(centre, force)
+    rate = apply(inertia, body_angular) + cross(body_spin, apply(inertia, body_spin))
+    return force, apply(rotation, rate) + cross(centre, force)
 
 
-def velocities(actual: ModelWithErrors, now: Motion):
-    """Rotation, centre of mass, its velocity and angular velocity (3, nodes) in global axes."""
+def velocities(
+    actual: ModelWithErrors, motion: Motion
+) -> tuple[Float[Array, "3 3 nodes"], Float[Array, "3 nodes"], Float[Array, "3 nodes"], Float[Array, "3 nodes"]]:
+    """Rotation, centre of mass, its velocity and the angular velocity of all nodes in global axes."""
     topology = actual.topology
-    rotation, point = all_frames(topology, now)
-    of_links = spread(topology, now.links.rotation)
-    spin, at_origin = now.links.velocity[:3], now.links.velocity[3:]
-    interface_spin = jnp.concatenate([spin, spread(topology, spin)], axis=1)
-    interface = jnp.concatenate([at_origin, spread(topology, at_origin)], axis=1)
-    none = jnp.zeros_like(spin)
-    turning = jnp.concatenate([none, apply(of_links, now.relative.angular)], axis=1)
-    moving = jnp.concatenate([none, apply(of_links, now.relative.linear)], axis=1)
+    rotation, point = all_frames(topology, motion)
+    of_links = spread(topology, motion.links.rotation)
+    spin, at_origin = motion.links.velocity[:3], motion.links.velocity[3:]
+    link_spin = jnp.concatenate([spin, spread(topology, spin)], axis=1)
+    link_velocity = jnp.concatenate([at_origin, spread(topology, at_origin)], axis=1)
+    zeros = jnp.zeros_like(spin)
+    angular = jnp.concatenate([zeros, apply(of_links, motion.relative.angular)], axis=1)
+    linear = jnp.concatenate([zeros, apply(of_links, motion.relative.linear)], axis=1)
     arm = apply(rotation, actual.centre)
-    velocity = interface + cross(interface_spin, point) + moving + cross(interface_spin + turning, arm)
-    return rotation, point + arm, velocity, interface_spin + turning
+    velocity = link_velocity + cross(link_spin, point) + linear + cross(link_spin + angular, arm)
+    return rotation, point + arm, velocity, link_spin + angular
 
 
-def momentum(actual: ModelWithErrors, state: State) -> tuple[Array, Array]:
+def momentum(actual: ModelWithErrors, state: State) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
     """Total linear momentum [N s] and angular momentum about the global origin [N m s]."""
-    rotation, centre, velocity, spin = velocities(actual, motion(actual, state))
+    rotation, centre, velocity, spin = velocities(actual, motion_of(actual, state))
     linear = actual.mass[None] * velocity
     spin_momentum = apply(rotation, apply(actual.inertia, apply_transposed(rotation, spin)))
     return jnp.sum(linear, axis=1), jnp.sum(spin_momentum + cross(centre, linear), axis=1)
@@ -197,38 +223,38 @@ def momentum(actual: ModelWithErrors, state: State) -> tuple[Array, Array]:
 
 def energies(actual: ModelWithErrors, state: State) -> Energies:
     """Kinetic, elastic and gravity energy at one instant."""
-    rotation, centre, velocity, spin = velocities(actual, motion(actual, state))
+    rotation, centre, velocity, spin = velocities(actual, motion_of(actual, state))
     body_spin = apply_transposed(rotation, spin)
     translation = actual.mass * dot(velocity, velocity)
     rotational = dot(body_spin, apply(actual.inertia, body_spin))
-    above = centre - actual.datum[:, None]
+    from_datum = centre - actual.datum[:, None]
     return Energies(
         kinetic=0.5 * jnp.sum(translation + rotational),
         elastic=elasticity.elastic_energy(actual, state.position),
-        gravity=-jnp.sum(actual.mass * dot(actual.gravity[:, None], above)),
+        gravity=-jnp.sum(actual.mass * dot(actual.gravity[:, None], from_datum)),
     )
 
 
-def base_wrench(topology: Topology, wrenches) -> Array:
-    """Wrench (6,) at the global origin that the base exerts, from those of all joints."""
+def base_wrench(topology: Topology, wrenches: Sequence[Float[Array, "6"]]) -> Float[Array, "6"]:
+    """Wrench at the global origin that the base exerts, from those of all joints."""
     return sum(w for w, parent in zip(wrenches, topology.parents) if parent == BASE)
 
 
 def momentum_residual(
-    actual: ModelWithErrors, state: State, accelerations: Coordinates, base: Array
-) -> tuple[Array, Array]:
-    """Base reactions + gravity - d/dt of the total momentum: force (3,) and moment (3,).
+    actual: ModelWithErrors, state: State, accelerations: Coordinates, base: Float[Array, "6"]
+) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
+    """Base reactions + weight - d/dt of the total momentum: force [N] and moment [N m].
 
     The rate of momentum comes from differentiating the momenta along (q_dot, q_ddot), independently
-    of the equations that give the reactions `base` (6,).
+    of the equations that give the reactions `base`.
     """
 
-    def along(position, velocity):
+    def momentum_at(position, velocity):
         return momentum(actual, State(position, velocity))
 
     tangents = (state.velocity, accelerations)
-    _, (linear_rate, angular_rate) = jax.jvp(along, (state.position, state.velocity), tangents)
-    _, centre, _, _ = velocities(actual, motion(actual, state))
+    _, (linear_rate, angular_rate) = jax.jvp(momentum_at, (state.position, state.velocity), tangents)
+    _, centre, _, _ = velocities(actual, motion_of(actual, state))
     weight = actual.mass[None] * actual.gravity[:, None]
     return (
         base[3:] + jnp.sum(weight, axis=1) - linear_rate,

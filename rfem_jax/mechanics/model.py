@@ -1,24 +1,31 @@
 """The discretised mechanism: `Model`, its static `Topology`, and the state's coordinates.
 
-Place in the pipeline: description -> **model** -> realisation (errors applied) -> kinematics.
+Place in the pipeline: description -> **model** -> model_with_errors -> kinematics.
 
 A *node* is a rigid body: -1 is the base, 0 .. links-1 are the rfes 0 (one a link, whose frame is the
 link frame {p,0}), and links + k is the free rfe k.  All free rfes of all links stand in one array
 axis, link by link, so that one operation treats them together.
 
-Symbols: n_links L, n_rfes N (free rfes), n_joints J = L tree joints (joint l carries link l), then
-the cut joints.  Arrays are components first (see `algebra`).
+An *interface* of a link is a free rfe that carries a joint.  Since springs, not constraints, join the rfes
+of a flexible link, the rfes 0 and the interfaces form *islands*: trees of bodies joined by hinges alone, whose
+root is an interface or a link that is joined to the base.
+
+Symbols: n_links L, n_rfes N (free rfes), joints J = L tree joints (joint l carries link l), then C cut
+joints.  Arrays are components first (see `algebra`).
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from rfem_jax.description.errors import InputError
+from rfem_jax.description.links import Link
+from rfem_jax.description.mechanism import Mechanism
 
 BASE = -1
 
@@ -28,8 +35,8 @@ class Coordinates(eqx.Module):
     free rfe relative to its link frame, with R = R_z R_y R_x (exact elements: R_y R_z R_x); also used
     for their rates and accelerations."""
 
-    angles: Float[Array, "links *batch"]
-    elastic: Float[Array, "6 rfes *batch"]
+    angles: Float[Array, " links"]
+    elastic: Float[Array, "6 rfes"]
 
 
 class State(eqx.Module):
@@ -42,11 +49,18 @@ class State(eqx.Module):
 class Topology(NamedTuple):
     """What is connected to what; hashable, the static part of a model.
 
-    links: names, parents before children; joints: tree joints in the order of their links, then cut
-    joints; joint_order: names as the user listed them; parents, children: node of each joint's two
-    sides; elements: rfes of each link (1 = rigid); driven: index of the driven tree joint or None;
-    masses: node of each point mass; minimum_norm: redundant reactions are resolved by least norm;
-    exact: geometrically exact spring-damping elements.
+    links: names of the links, by their depth in the tree, else in the order of the description.
+    joints: names of the joints, the tree joints in the order of their links, then the cut joints.
+    joint_order: names of the joints in the order of the description.
+    error_names: names of all assembly errors, such as "D.delta_x", "C.child.d_y" or "coupler.length".
+    parents, children: the node on each joint's parent and child side.
+    parent_at_end, child_at_end: whether a joint sits at the far end of the link on that side, whose twist
+        error then rotates it.
+    elements: number of rfes of each link (1: rigid).
+    driven: index of the driven tree joint, or None.
+    masses: the node that holds each point mass.
+    minimum_norm: whether redundant reactions are resolved by the solution of least norm.
+    exact: whether the spring-damping elements are geometrically exact.
     """
 
     links: tuple[str, ...]
@@ -65,14 +79,17 @@ class Topology(NamedTuple):
 
     @property
     def n_links(self) -> int:
+        """Number of links L, and of tree joints."""
         return len(self.links)
 
     @property
     def n_cuts(self) -> int:
+        """Number of cut joints C."""
         return len(self.joints) - len(self.links)
 
     @property
     def n_rfes(self) -> int:
+        """Number of free rfes N."""
         return sum(n - 1 for n in self.elements)
 
     @property
@@ -87,12 +104,13 @@ class Topology(NamedTuple):
         return tuple((int(b) - n + 1, int(b)) for b, n in zip(stops, self.elements))
 
     @property
-    def link_of_rfe(self) -> np.ndarray:
+    def link_of_rfe(self) -> Int[np.ndarray, " rfes"]:
+        """Link of every free rfe."""
         return np.repeat(np.arange(self.n_links), [n - 1 for n in self.elements])
 
     @property
     def interfaces(self) -> tuple[int, ...]:
-        """Free rfes that carry a joint: the roots of the islands of hinged bodies."""
+        """The free rfes that carry a joint (as rfes, not as nodes)."""
         nodes = self.parents + self.children[self.n_links :]
         return tuple(sorted({node - self.n_links for node in nodes if node >= self.n_links}))
 
@@ -101,7 +119,7 @@ class Topology(NamedTuple):
         return node if node < self.n_links else int(self.link_of_rfe[node - self.n_links])
 
     def island_of(self, node: int) -> int:
-        """The node that roots the island of hinged bodies to which `node` belongs."""
+        """The root of a node's island: an interface, or the link that is joined to the base."""
         while node < self.n_links and self.parents[node] != BASE:
             node = self.parents[node]
         return node
@@ -157,7 +175,7 @@ class Model(eqx.Module):
         return Coordinates(self.start_angles, elastic)
 
 
-def rfe_fractions(elements: int) -> tuple[np.ndarray, np.ndarray]:
+def rfe_fractions(elements: int) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     """Lengths and middles of a link's rfes as fractions of its length (secondary division)."""
     if elements == 1:
         return np.ones(1), np.full(1, 0.5)
@@ -166,8 +184,8 @@ def rfe_fractions(elements: int) -> tuple[np.ndarray, np.ndarray]:
     return np.diff(edges), 0.5 * (edges[1:] + edges[:-1])
 
 
-def build_model(mechanism, elements: dict[str, int], exact: bool = False) -> Model:
-    """Arrays of a mechanism whose links have the given numbers of rfes.
+def build_model(mechanism: Mechanism, elements: dict[str, int], exact: bool = False) -> Model:
+    """Arrays of a mechanism whose links have the given numbers of rfes (by name).
 
     The start angles are the description's approximate ones; `discretise` closes the loops.
     """
@@ -176,7 +194,7 @@ def build_model(mechanism, elements: dict[str, int], exact: bool = False) -> Mod
     counts = tuple(elements[link.name] for link in links)
     first = np.concatenate([[0], np.cumsum([n - 1 for n in counts])])
 
-    def locate(link_index: int, position) -> tuple[int, np.ndarray]:
+    def locate(link_index: int, position: Sequence[float]) -> tuple[int, np.ndarray]:
         """Node that holds a point of a link, and the point in the node's frame."""
         link, n = links[link_index], counts[link_index]
         _, middles = rfe_fractions(n)
@@ -189,7 +207,9 @@ def build_model(mechanism, elements: dict[str, int], exact: bool = False) -> Mod
             np.asarray(position) - [middles[i] * link.length, 0.0, 0.0],
         )
 
-    def attach(owner: str, position, at_end: bool):
+    def attach(owner: str, position: Sequence[float] | None, at_end: bool) -> tuple[int, np.ndarray, bool]:
+        """Node and place in its frame of one side of a joint, and whether that is the far end of a link; without
+        a position this is the link's end (`at_end`) or its start."""
         if owner == "base":
             return BASE, np.asarray((0.0, 0.0, 0.0) if position is None else position), False
         link = links[index[owner]]
@@ -210,7 +230,7 @@ def build_model(mechanism, elements: dict[str, int], exact: bool = False) -> Mod
                 "joint carries its link there. Swap the link's ends or cut this joint instead."
             )
     masses = [(i, mass) for i, link in enumerate(links) for mass in link.point_masses]
-    held = [locate(i, mass.position) for i, mass in masses]
+    located = [locate(i, mass.position) for i, mass in masses]
     driven = mechanism.driven_joint
     topology = Topology(
         links=tuple(link.name for link in links),
@@ -223,7 +243,7 @@ def build_model(mechanism, elements: dict[str, int], exact: bool = False) -> Mod
         child_at_end=tuple(c[2] for c in children),
         elements=counts,
         driven=None if driven is None else [j.name for j in joints].index(driven),
-        masses=tuple(node for node, _ in held),
+        masses=tuple(node for node, _ in located),
         minimum_norm=mechanism.redundant_reactions == "minimum_norm",
         exact=exact,
     )
@@ -243,7 +263,7 @@ def build_model(mechanism, elements: dict[str, int], exact: bool = False) -> Mod
         child_rotation=rotations([j.child_orientation for j in joints]),
         child_position=columns([c[1] for c in children], 3),
         point_mass=jnp.asarray(np.array([mass.mass for _, mass in masses], dtype=float)),
-        point_position=columns([point for _, point in held], 3),
+        point_position=columns([point for _, point in located], 3),
         point_inertia=columns([mass.inertia for _, mass in masses], 3),
         start_angles=jnp.asarray([float(j.angle or 0.0) for j in joints[: len(links)]]),
         cut_angles=jnp.zeros(len(joints) - len(links)),
@@ -251,16 +271,18 @@ def build_model(mechanism, elements: dict[str, int], exact: bool = False) -> Mod
     )
 
 
-def _links_in_tree_order(mechanism):
+def _links_in_tree_order(mechanism: Mechanism) -> list[Link]:
+    """By depth in the tree, else in the order of the description (`Mechanism.tree_joints` goes down to a link's
+    children before its siblings)."""
     parent = {j.child: j.parent for j in mechanism.joints if not j.cut}
 
-    def depth(name):
+    def depth(name: str) -> int:
         return 0 if parent[name] == "base" else 1 + depth(parent[name])
 
     return sorted(mechanism.links, key=lambda link: depth(link.name))
 
 
-def _section_row(link):
+def _section_row(link: Link) -> list[float]:
     p = link.section.properties(link.material)
     return [
         *(p.axial, p.shear_y, p.shear_z, p.torsion, p.bending_y, p.bending_z),
@@ -268,7 +290,7 @@ def _section_row(link):
     ]
 
 
-def _orientation(angles) -> np.ndarray:
+def _orientation(angles: Sequence[float]) -> np.ndarray:
     """R = R_z R_y R_x of three angles about x, y, z."""
     cx, cy, cz = np.cos(angles)
     sx, sy, sz = np.sin(angles)

@@ -1,23 +1,25 @@
-"""Assembly errors, and the model realised with them.
+"""Assembly errors, and the model with errors applied.
 
-Place in the pipeline: model + errors -> **realisation** -> kinematics, dynamics, loads.
+Place in the pipeline: model + errors -> **model_with_errors** -> kinematics, dynamics, loads.
 
-`AssemblyErrors` says how the mechanism is wrong (all zero: perfect); `apply_errors` turns model and
-errors into the constants of the equations of motion: joint frames (MODEL equation (8), generalised
-to every joint and both its sides), masses, inertias, stiffnesses.  Everything that does not change
-in time is computed here, once a simulation.
+`AssemblyErrors` are the deviations from the nominal mechanism (all zero: perfect); `apply_errors` computes
+from model and errors the constants of the equations of motion: joint frames (MODEL equation (8), generalised
+to every joint and both its sides), masses, inertias, stiffnesses.  Everything that does not change in time
+is computed here, once a simulation.
 """
 
 import dataclasses
+from collections.abc import Mapping
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jaxtyping import Float
+from jaxtyping import ArrayLike, Float, PyTree
 
 from rfem_jax.compilation.program import Program
+from rfem_jax.description.error_catalogue import error_dimension
 from rfem_jax.description.errors import InputError, suggestion
 from rfem_jax.description.units import quantity
 from rfem_jax.mechanics import algebra
@@ -27,7 +29,7 @@ COMPONENTS = ("delta_x", "delta_z", "d_x", "d_y", "d_z")
 
 
 class AssemblyErrors(eqx.Module):
-    """How the mechanism is wrong: deviations from the nominal, all zero by default.
+    """Deviations from the nominal mechanism, all zero by default.
 
     seat, bore: (delta_x, delta_z [rad], d_x, d_y, d_z [m]) of every joint in its parent and child;
     pin: tilts [rad] about x and z of a crooked pin, on both sides at once;
@@ -41,7 +43,7 @@ class AssemblyErrors(eqx.Module):
     twist: Float[Array, " links"]
 
 
-def assembly_errors(model: Model, values: dict | None = None) -> AssemblyErrors:
+def assembly_errors(model: Model, values: Mapping[str, ArrayLike | str] | None = None) -> AssemblyErrors:
     """The errors with the given names, every other one zero.
 
     **Arguments:** `values`: name -> number in rad or m, array scalar (traced or not), or a string
@@ -68,14 +70,16 @@ def assembly_errors(model: Model, values: dict | None = None) -> AssemblyErrors:
         else:
             parts[part][place] = value
     errors = AssemblyErrors(**{part: jnp.asarray(values) for part, values in parts.items()})
-    if not traced:
-        return errors
-    parts, places, values = zip(*traced)
-    return _insert(errors, parts, places, values)
+    return _insert(errors, *zip(*traced)) if traced else errors
 
 
 @Program
-def _insert(errors: AssemblyErrors, parts, places, values) -> AssemblyErrors:
+def _insert(
+    errors: AssemblyErrors,
+    parts: tuple[str, ...],
+    places: tuple[int | tuple[int, int], ...],
+    values: tuple[Float[Array, ""], ...],
+) -> AssemblyErrors:
     """The errors with `values` at `places` of the arrays named `parts`."""
     arrays = {field.name: getattr(errors, field.name) for field in dataclasses.fields(errors)}
     for part, place, value in zip(parts, places, values):
@@ -83,15 +87,8 @@ def _insert(errors: AssemblyErrors, parts, places, values) -> AssemblyErrors:
     return AssemblyErrors(**arrays)
 
 
-def error_dimension(name: str) -> str:
-    """Dimension of a named error: "angle" or "length"."""
-    return "angle" if name.split(".")[-1] in _ANGLES else "length"
-
-
-_ANGLES = ("delta_x", "delta_z", "pin_tilt_x", "pin_tilt_z", "twist")
-
-
-def _locate(topology: Topology, name: str):
+def _locate(topology: Topology, name: str) -> tuple[str, int | tuple[int, int]]:
+    """Field of `AssemblyErrors` and place in it of a named error."""
     if name not in topology.error_names:
         raise InputError(
             f"Argument `errors` must name errors of the model, but has {name!r}; "
@@ -107,17 +104,19 @@ def _locate(topology: Topology, name: str):
 
 
 class ModelWithErrors(eqx.Module):
-    """The constants of the equations of motion of one mechanism with its errors.
+    """The constants of the equations of motion of one mechanism with its errors (SI units).
 
-    seat_*, bore_*: frames of the joints relative to the parent's and the child's node (F E, F_c E_c);
-    mass, centre, inertia: of all nodes, centre of mass and central inertia in the node's own axes,
-    relative to its reference point (link origin for rfe 0, middle of the segment for free rfes);
-    inverse_inertia: of the free rfes;
-    rest: x of the free rfes' middles in the link frame [m];
-    stiffness: (6, N) of the sde before each free rfe (du, dphi) [N/m, N m/rad]; damping: its time
-    constant eta [s]; lever_left, lever_right: x of the sde from its two rfes' middles [m];
-    beam_middle: x of the middle of every rfe 0 [m]; datum: the first base joint's nominal place, the
-    zero level of gravity's energy.
+    seat_*, bore_*: frames of the joints relative to the parent's and the child's node (F E, F_c E_c).
+    mass, centre, inertia: of all nodes; centre of mass relative to the node's reference point (link origin
+        for rfe 0, middle of the segment for free rfes) and central inertia, both in the node's axes.
+    inverse_inertia: inverse central inertia of the free rfes.
+    rest: x of the free rfes' middles in the link frame, undeformed [m].
+    stiffness: of the sde on the left of each free rfe, for du and dphi [N/m, N m/rad].
+    damping: its time constant eta [s].
+    lever_left, lever_right: x of the sde from the middles of its left and its right rfe [m].
+    beam_middle: x of the middle of every rfe 0 [m].
+    gravity: acceleration [m/s^2] in global axes.
+    datum: the first base joint's nominal place, the zero level of gravity's energy [m].
     """
 
     topology: Topology = eqx.field(static=True)
@@ -166,8 +165,8 @@ def apply_errors(model: Model, errors: AssemblyErrors) -> ModelWithErrors:
             topology,
         )
         pin = algebra.product(algebra.rotation_z(errors.pin[1]), algebra.rotation_x(errors.pin[0]))
-        turn = algebra.rotation_y(jnp.concatenate([model.start_angles, model.cut_angles]))
-        pin_in_child = algebra.product(algebra.transpose(turn), algebra.product(pin, turn))
+        start = algebra.rotation_y(jnp.concatenate([model.start_angles, model.cut_angles]))
+        pin_in_child = algebra.product(algebra.transpose(start), algebra.product(pin, start))
         mass, centre, inertia = _bodies(model, length, scale)
         n = topology.n_links
         return ModelWithErrors(
@@ -187,22 +186,32 @@ def apply_errors(model: Model, errors: AssemblyErrors) -> ModelWithErrors:
         )
 
 
-def structural_zeros(topology: Topology) -> ModelWithErrors:
-    """Entries that are zero for all numbers and errors: boolean arrays, or False.
+def structural_zeros(actual: ModelWithErrors) -> PyTree:
+    """Entries that are zero for all numbers and errors: the model with boolean arrays, or False, for arrays.
 
     A segment's centre of mass lies on its axis and its inertia is diagonal, unless it has a point mass.
     """
+    topology = actual.topology
     n, nodes = topology.n_links, topology.n_links + topology.n_rfes
     plain = ~np.isin(np.arange(nodes), topology.masses)
     off_axis = np.array([False, True, True])[:, None] & plain
     off_axis[0, n:] = plain[n:]
     off_diagonal = ~np.eye(3, dtype=bool)[:, :, None] & plain
-    known = {"centre": off_axis, "inertia": off_diagonal, "inverse_inertia": off_diagonal[:, :, n:]}
-    names = [field.name for field in dataclasses.fields(ModelWithErrors) if field.name != "topology"]
-    return ModelWithErrors(topology, **(dict.fromkeys(names, False) | known))
+    known = off_axis, off_diagonal, off_diagonal[:, :, n:]
+    unknown = jax.tree.map(lambda _: False, actual)
+    return eqx.tree_at(lambda m: (m.centre, m.inertia, m.inverse_inertia), unknown, known)
 
 
-def _side(rotation, position, error, nodes, at_end, scale, twist, topology):
+def _side(
+    rotation: Array,
+    position: Array,
+    error: Array,
+    nodes: tuple[int, ...],
+    at_end: tuple[bool, ...],
+    scale: Array,
+    twist: Array,
+    topology: Topology,
+) -> tuple[Float[Array, "3 3 joints"], Float[Array, "3 joints"]]:
     """Frames of all joints on one side: nominal frame, stretched and twisted link, error."""
     link = np.array([0 if node < 0 else topology.link_of(node) for node in nodes])
     on_link = np.array([node >= 0 for node in nodes])
@@ -214,7 +223,9 @@ def _side(rotation, position, error, nodes, at_end, scale, twist, topology):
     return algebra.product(rotation, tilt), position + algebra.apply(rotation, error[2:])
 
 
-def _bodies(model: Model, length, scale):
+def _bodies(
+    model: Model, length: Array, scale: Array
+) -> tuple[Float[Array, " nodes"], Float[Array, "3 nodes"], Float[Array, "3 3 nodes"]]:
     """Mass, centre of mass and central inertia of all nodes, point masses included."""
     topology = model.topology
     n_links, nodes = topology.n_links, topology.n_links + topology.n_rfes
@@ -223,7 +234,7 @@ def _bodies(model: Model, length, scale):
     density, rotary = model.section[6][link], model.section[7:10][:, link]
     mass = density * extent
     slender = jnp.asarray(np.array([0.0, 1.0, 1.0]))[:, None] * (mass * extent**2 / 12.0)[None]
-    own = slender + rotary * extent[None]
+    principal = slender + rotary * extent[None]
     is_root = np.arange(nodes) < n_links
     axial = jnp.where(is_root, middle * length[link], 0.0)
     beam_centre = _along_x(axial)
@@ -244,12 +255,12 @@ def _bodies(model: Model, length, scale):
     def diagonal(entries):
         return jnp.asarray(algebra.IDENTITY)[:, :, None] * entries[:, None]
 
-    inertia = diagonal(own) + steiner(mass, beam_centre - centre)
+    inertia = diagonal(principal) + steiner(mass, beam_centre - centre)
     added = diagonal(model.point_inertia) + steiner(model.point_mass, point - centre[:, holder])
     return total, centre, inertia + added @ onto
 
 
-def _node_fractions(topology: Topology):
+def _node_fractions(topology: Topology) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Link, share of its length and middle of every node, in the order of the nodes."""
     fractions = [rfe_fractions(n) for n in topology.elements]
     link = np.concatenate([np.arange(topology.n_links), topology.link_of_rfe])
@@ -257,8 +268,8 @@ def _node_fractions(topology: Topology):
     return link.astype(int), share, middle
 
 
-def _spring_damping_elements(model: Model, length) -> dict:
-    """Stiffness, damping and lever arms of the sde before every free rfe (MODEL section 2)."""
+def _spring_damping_elements(model: Model, length: Array) -> dict[str, Array]:
+    """Rest position of every free rfe; stiffness, damping and lever arms of the sde on its left (MODEL section 2)."""
     topology = model.topology
     link = topology.link_of_rfe.astype(int)
     count = np.array(topology.elements, dtype=float)[link] - 1.0
@@ -277,6 +288,7 @@ def _spring_damping_elements(model: Model, length) -> dict:
     }
 
 
-def _along_x(values):
+def _along_x(values: Array) -> Array:
+    """Vectors (3, n) along x."""
     zero = jnp.zeros_like(values)
     return jnp.stack([values, zero, zero])

@@ -1,26 +1,30 @@
-"""Newton's corrections for implicit steps: the linearised equations of motion, solved by their structure.
+"""Newton increments for implicit steps: the linearised equations of motion, solved by recursion over the links.
 
-Place in the pipeline: balance, condensation -> **newton** -> implicit integration.
+Place in the pipeline: residual, condensation -> **newton** -> static_matrix, implicit integration.
 
-The matrix is approximate: links have the inertia of their undeformed shape, and the stiffness of springs
-and dampers but not that of gyroscopic and joint loads.  Every flexible link is then what `condensation`
-makes of it, and the tree of links is solved by Featherstone's articulated-body recursion with these
-inertias, for the residual and for unit multipliers of the cut joints at once; the multipliers follow from
-the closure.  A matrix serves all corrections of one step.
+The iteration matrix approximates the tangent: links have the inertia of their undeformed shape, and the
+stiffness of springs and dampers but not that of gyroscopic and joint loads.  Every flexible link is then
+condensed to its frame and interfaces (`condensation`), and the tree of links is solved by the
+articulated-body algorithm (Featherstone 2008, ch. 7) with these inertias, for the residual and for unit
+multipliers of the cut joints at once; the multipliers follow from the closure.  One matrix serves all
+iterations of a step.
 
-Joints hang on the rfes where they are: rates of the angles of a rfe turn it about its present axes.
-Springs are so stiff over a long step that a hundredth of a radian there would cost Newton's method most of
-its rate.
+Rotations are not linearised about the undeformed shape: the rates of an interface's angles act about its
+present axes.  Springs are so stiff over a long step that an error of a hundredth of a radian there would cost
+Newton's method most of its rate of convergence.
 
-Wrenches and accelerations of the skeleton are spatial vectors in global axes: of a link at the point of
-its island (see `dynamics`), of a carrier at its own point.
+Wrenches and accelerations are spatial vectors in global axes: of a link at the point of its island (see
+`dynamics`), of an interface at its own point.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
+from jaxtyping import Float
 
 from rfem_jax.mechanics import algebra
 from rfem_jax.mechanics.algebra import (
@@ -39,222 +43,227 @@ from rfem_jax.mechanics.cut_joints import Closure, invert_closure, unit_columns
 from rfem_jax.mechanics.kinematics import Motion
 from rfem_jax.mechanics.model import BASE, Coordinates, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
-from rfem_jax.mechanics.residual import Evaluation
+from rfem_jax.mechanics.residual import Residual
 
 
-class LinkMatrix(NamedTuple):
-    """One link in the present place, after the elimination of all that hangs on it.
+class InterfaceOperator(NamedTuple):
+    """The c interfaces of a flexible link, in global axes at their own points.
 
-    point (3,): of its spatial vectors; inertia (6, 6) felt at its hinge; frame (6, 6): link-axis wrenches at
-    the link's origin to global ones at its island's point; turns 2 c of (3, 3): second derivatives of a
-    carrier's angles and displacements to its accelerations in global axes;
-    axis (6,): hinge; scaled (6,): inertia . axis / pivot; pivot: axis . inertia . axis (None: held);
-    transfer (6, 6 c): wrench at the frame due to unit wrenches on the carriers; compliance (6 c, 6 c) of the
-    carriers; hung (6 c, 6 c): inertias of what hangs on them, share (6 c, 6 c): of their own motion that it
-    leaves; None where there is nothing of the kind.
+    rotations: 2 c of (3, 3), from the second derivatives of an interface's angles and displacements to its
+    accelerations; transfer (6, 6 c): wrench on the link frame per unit wrench on the interfaces; compliance
+    (6 c, 6 c): accelerations per unit wrench; outboard (6 c, 6 c): articulated inertias of the links
+    outboard, and transmissibility (6 c, 6 c) = (stiffness + outboard)^-1 stiffness, by which these reduce the
+    accelerations; None without links outboard.
     """
 
-    point: Array
-    inertia: Array
-    frame: Array
-    turns: tuple[Array, ...]
-    axis: Array
-    scaled: Array | None
-    pivot: Array | None
-    transfer: Array | None
-    compliance: Array | None
-    outboard: Array | None
-    share: Array | None
+    rotations: tuple[Float[Array, "3 3"], ...]
+    transfer: Float[Array, "6 interfaces"]
+    compliance: Float[Array, "interfaces interfaces"]
+    outboard: Float[Array, "interfaces interfaces"] | None
+    transmissibility: Float[Array, "interfaces interfaces"] | None
 
 
-class IterationMatrix(NamedTuple):
-    """Factored matrix of one step: operators, links; units: wrenches (6, 5 C) of unit multipliers by node;
-    responses to them; inverse (5 C, 5 C) of the closure's matrix."""
+class ArticulatedLink(NamedTuple):
+    """One link after the elimination of its subtree, at one position.
 
-    operators: tuple[LinkOperator | None, ...]
-    links: tuple[LinkMatrix, ...]
-    units: dict[int, Array]
-    responses: "Response"
-    inverse: Array | None
+    point (3,): of its spatial vectors; inertia (6, 6): articulated, before its hinge is eliminated; frame
+    (6, 6): from wrenches in link axes at the link's origin to global ones at `point`; axis (6,): of its hinge;
+    pivot: axis . inertia . axis, and scaled (6,): inertia . axis / pivot (None where the joint is held);
+    interfaces: None where there are none.
+    """
+
+    point: Float[Array, "3"]
+    inertia: Float[Array, "6 6"]
+    frame: Float[Array, "6 6"]
+    axis: Float[Array, "6"]
+    scaled: Float[Array, "6"] | None
+    pivot: Float[Array, ""] | None
+    interfaces: InterfaceOperator | None
 
 
 class Response(NamedTuple):
-    """Answers (..., K) to K columns of loads: loads {l: (6, K)} of links and all that hangs on them;
-    hinges (L, K); links {l: (6, K)}; carriers {l: (6 c, K)}, on_carriers {l: (6 c, K)}: wrenches that the
-    joints exert on them."""
+    """Accelerations under K columns of loads, K last (or without this axis for one).
 
-    loads: tuple[Array, ...]
-    hinges: Array
-    links: tuple[Array, ...]
+    loads (6, K) by link: of its subtree, condensed to it; hinges (L, K); links (6, K) by link; interfaces
+    (6 c, K) by link, and interface_wrenches (6 c, K): wrenches that the joints exert on them.
+    """
+
+    loads: tuple[Float[Array, " 6 *k"], ...]
+    hinges: Float[Array, " links *k"]
+    links: tuple[Float[Array, " 6 *k"], ...]
     interfaces: tuple[Array | None, ...]
-    on_interfaces: tuple[Array | None, ...]
+    interface_wrenches: tuple[Array | None, ...]
+
+
+class ClosureMatrix(NamedTuple):
+    """Of the cut joints: units, wrenches (6, 5 C) of unit multipliers by node; responses to them; inverse
+    (5 C, 5 C) of the multipliers' matrix."""
+
+    units: dict[int, Float[Array, "6 multipliers"]]
+    responses: Response
+    inverse: Float[Array, "multipliers multipliers"]
+
+
+class IterationMatrix(NamedTuple):
+    """Factored iteration matrix of one step; closure: None without cut joints."""
+
+    operators: tuple[LinkOperator | None, ...]
+    links: tuple[ArticulatedLink, ...]
+    closure: ClosureMatrix | None
 
 
 class NewtonIncrement(NamedTuple):
-    """What one Newton step adds: accelerations of the coordinates, multipliers (5, C)."""
+    """Increments of the accelerations of the coordinates and of the multipliers [N]."""
 
     accelerations: Coordinates
-    multipliers: Array
-
-
-class Residual(NamedTuple):
-    """What is left over of a balance: hinge (L,) [N m]; force, moment (3, N); closing (5, C): second
-    derivative of Phi that there should not be [m/s^2]."""
-
-    hinge: Array
-    force: Array
-    moment: Array
-    closing: Array
-
-
-def residual_of(left: Evaluation) -> Residual:
-    """What a correction takes away."""
-    return Residual(left.hinge, left.force, left.moment, left.closing)
+    multipliers: Float[Array, "5 cuts"]
 
 
 def iteration_matrix(
     actual: ModelWithErrors,
     operators: tuple[LinkOperator | None, ...],
-    now: Motion,
+    motion: Motion,
     cuts: Closure | None,
     held: tuple[int, ...] = (),
 ) -> IterationMatrix:
-    """Matrix of the equations at one position; `held`: links whose joint's angle is given."""
+    """Factor the iteration matrix at one position; `held`: links whose joint's angle is given."""
     with jax.named_scope("iteration_matrix"):
         topology = actual.topology
-        links = _eliminate(actual, operators, now, held)
+        links = _eliminate(actual, operators, motion, held)
         if cuts is None:
-            return IterationMatrix(operators, links, {}, None, None)
-        points = _points(topology, now)
+            return IterationMatrix(operators, links, None)
+        points = _points(topology, motion)
         sides = topology.parents[topology.n_links :] + topology.children[topology.n_links :]
         units = {node: unit_columns(topology, cuts, node, points[node]) for node in sorted(set(sides)) if node != BASE}
-        width = (5 * topology.n_cuts,) + now.axis.shape[2:]
-        hinge_loads = jnp.zeros((topology.n_links,) + width)
-        responses = _respond(topology, links, hinge_loads, None, None, units, width)
+        columns = 5 * topology.n_cuts
+        hinge_loads = jnp.zeros((topology.n_links, columns))
+        responses = _respond(topology, links, hinge_loads, None, None, units, columns)
         rows = sum(product(transpose(unit), _of_node(topology, responses, node)) for node, unit in units.items())
-        return IterationMatrix(operators, links, units, responses, invert_closure(topology, rows))
+        return IterationMatrix(operators, links, ClosureMatrix(units, responses, invert_closure(topology, rows)))
 
 
-def newton_increment(topology: Topology, matrix: IterationMatrix, left: Residual) -> NewtonIncrement:
-    """Solve for the accelerations and multipliers that take away what is left over."""
-    return increment_and_wrenches(topology, matrix, left)[0]
+def newton_increment(topology: Topology, matrix: IterationMatrix, residual: Residual) -> NewtonIncrement:
+    """Increments of accelerations and multipliers for which the linearised residual vanishes."""
+    return increment_and_wrenches(topology, matrix, residual)[0]
 
 
 def increment_and_wrenches(
-    topology: Topology, matrix: IterationMatrix, left: Residual
-) -> tuple[NewtonIncrement, list[Array]]:
-    """`newton_increment`, and what it changes of the wrenches (6,) at the global origin in the tree joints."""
+    topology: Topology, matrix: IterationMatrix, residual: Residual
+) -> tuple[NewtonIncrement, list[Float[Array, "6"]]]:
+    """`newton_increment`, and the increments of the wrenches at the global origin in the tree joints."""
     with jax.named_scope("newton_increment"):
         operators = matrix.operators
-        loads = jnp.concatenate([left.moment, left.force])
+        loads = jnp.concatenate([residual.moment, residual.force])
         on_rfes = tuple(by_component(loads[:, a:b]) for a, b in topology.ranges)
         on_links = tuple(
             None if operator is None else -constant_product(operator.rigid_response.T, load)
             for operator, load in zip(operators, on_rfes)
         )
-        own = tuple(
+        of_interfaces = tuple(
             None if operator is None else constant_product(operator.interface_rows, load)
             for operator, load in zip(operators, on_rfes)
         )
-        width = (1,) + left.hinge.shape[1:]
-        applied = _respond(topology, matrix.links, left.hinge[:, None], on_links, own, {}, width)
-        answer = jax.tree.map(lambda x: x[:, 0], applied)
-        multipliers = jnp.zeros_like(left.closing)
-        if matrix.inverse is not None:
-            rows = sum(apply_transposed(unit, _of_node(topology, answer, node)) for node, unit in matrix.units.items())
-            by_cut = jnp.swapaxes(left.closing, 0, 1).reshape((-1,) + left.closing.shape[2:])
-            flat = -apply(matrix.inverse, by_cut + rows)
-            answer = jax.tree.map(lambda a, b: a + apply(b, flat), answer, matrix.responses)
-            shape = (topology.n_cuts, 5) + flat.shape[1:]
-            multipliers = jnp.swapaxes(flat.reshape(shape), 0, 1)
-        elastic = _relative(topology, matrix, loads, answer)
-        change = NewtonIncrement(Coordinates(answer.hinges, elastic), multipliers)
-        return change, _wrenches(matrix.links, answer)
+        applied = _respond(topology, matrix.links, residual.hinge[:, None], on_links, of_interfaces, {}, 1)
+        response = jax.tree.map(lambda x: x[:, 0], applied)
+        multipliers = jnp.zeros_like(residual.closing)
+        if matrix.closure is not None:
+            units, by_multipliers, inverse = matrix.closure
+            rows = sum(apply_transposed(unit, _of_node(topology, response, node)) for node, unit in units.items())
+            by_cut = jnp.swapaxes(residual.closing, 0, 1).reshape(-1)
+            flat = -apply(inverse, by_cut + rows)
+            response = jax.tree.map(lambda a, b: a + apply(b, flat), response, by_multipliers)
+            multipliers = jnp.swapaxes(flat.reshape((topology.n_cuts, 5)), 0, 1)
+        elastic = _elastic_accelerations(topology, matrix, loads, response)
+        increment = NewtonIncrement(Coordinates(response.hinges, elastic), multipliers)
+        return increment, _wrenches(matrix.links, response)
 
 
-def _wrenches(links: tuple[LinkMatrix, ...], answer: Response) -> list[Array]:
-    """Wrenches (6,) at the global origin that move the links as they answer."""
+def _wrenches(links: tuple[ArticulatedLink, ...], response: Response) -> list[Array]:
+    """Wrenches (6,) at the global origin in the tree joints: articulated inertia times acceleration minus load."""
     wrenches = []
-    for link, load, acceleration in zip(links, answer.loads, answer.links):
+    for link, load, acceleration in zip(links, response.loads, response.links):
         wrench = apply(link.inertia, acceleration) - load
         wrenches.append(algebra.wrench_at_origin(wrench[:3], wrench[3:], link.point))
     return wrenches
 
 
-def _points(topology: Topology, now: Motion) -> dict[int, Array]:
+def _points(topology: Topology, motion: Motion) -> dict[int, Array]:
     """Point at which each node's spatial vectors are taken."""
     n = topology.n_links
-    points = {n + k: now.interfaces.point[:, i] for i, k in enumerate(topology.interfaces)}
+    points = {n + k: motion.interfaces.point[:, i] for i, k in enumerate(topology.interfaces)}
     for l in range(n):
         root = topology.island_of(l)
-        points[l] = points[root] if root >= n else now.hinges.point[:, root]
+        points[l] = points[root] if root >= n else motion.hinges.point[:, root]
     return points
 
 
-def _frame(rotation: Array, arm: Array) -> Array:
-    """Wrenches in turned axes at a point to wrenches at another, `arm` away from it."""
-    none = jnp.zeros_like(rotation)
+def _wrench_transform(rotation: Array | np.ndarray, arm: Array) -> Array:
+    """From wrenches in rotated axes at a point to wrenches at another, from which `arm` reaches to the first."""
+    zeros = jnp.zeros_like(rotation)
     top = jnp.concatenate([rotation, product(algebra.cross_matrix(arm), rotation)], axis=1)
-    return jnp.concatenate([top, jnp.concatenate([none, rotation], axis=1)])
+    return jnp.concatenate([top, jnp.concatenate([zeros, rotation], axis=1)])
 
 
-def _turned(turns, columns: Array) -> Array:
-    """Rows (3 k, n, ...) of k vectors, each by its matrix."""
-    return jnp.concatenate([product(turn, columns[3 * i : 3 * i + 3]) for i, turn in enumerate(turns)])
+def _rotated(rotations: Sequence[Array], columns: Array) -> Array:
+    """Rows (3 k, n) of k vectors, each by its rotation."""
+    return jnp.concatenate([product(r, columns[3 * i : 3 * i + 3]) for i, r in enumerate(rotations)])
 
 
-def _turns(topology: Topology, now: Motion, link: int) -> tuple[Array, ...]:
-    rotation, rate_matrix = now.links.rotation[:, :, link], now.relative.rate_matrix
+def _rotated_back(rotations: Sequence[Array], wrench: Array) -> Array:
+    """A flat vector (3 k,) of k vectors, each by the transpose of its rotation."""
+    return jnp.concatenate([apply_transposed(r, wrench[3 * i : 3 * i + 3]) for i, r in enumerate(rotations)])
+
+
+def _congruent(rotations: Sequence[Array], matrix: Array) -> Array:
+    """A symmetric matrix (6 c, 6 c) with rows and columns rotated."""
+    once = _rotated(rotations, matrix)
+    return _rotated(rotations, transpose(once))
+
+
+def _inverse_transposed(rotations: Sequence[Array]) -> tuple[Array, ...]:
+    """The matrices that transform a stiffness where `rotations` transform the compliance; those of angles' rates
+    are not orthogonal."""
+    return tuple(transpose(algebra.invert_block(r)) for r in rotations)
+
+
+def _interface_rotations(topology: Topology, motion: Motion, link: int) -> tuple[Array, ...]:
+    rotation, rate_matrix = motion.links.rotation[:, :, link], motion.relative.rate_matrix
     pairs = [
         (product(rotation, rate_matrix[:, :, node - topology.n_links]), rotation)
         for node in _interfaces_of(topology, link)
     ]
-    return tuple(turn for pair in pairs for turn in pair)
-
-
-def _dual(turns) -> tuple[Array, ...]:
-    """The matrices that turn a stiffness if `turns` turn the compliance."""
-    return tuple(transpose(algebra.invert_block(turn)) for turn in turns)
-
-
-def _constant(values: Array, example: Array) -> Array:
-    """A constant matrix with trailing axes of length one, as many as `example` (3, 3, ...) has."""
-    return values.reshape(values.shape + (1,) * (example.ndim - 2))
+    return tuple(rotation for pair in pairs for rotation in pair)
 
 
 def _interfaces_of(topology: Topology, link: int) -> tuple[int, ...]:
+    """Nodes of a link's interfaces."""
     first, last = topology.ranges[link]
     return tuple(topology.n_links + k for k in topology.interfaces if first <= k < last)
 
 
-def _eliminate(actual, operators, now: Motion, held) -> tuple[LinkMatrix, ...]:
-    """From the chains' ends to the base: articulated inertias."""
+def _eliminate(
+    actual: ModelWithErrors, operators: tuple[LinkOperator | None, ...], motion: Motion, held: tuple[int, ...]
+) -> tuple[ArticulatedLink, ...]:
+    """Articulated inertias, from the tips to the base."""
     topology = actual.topology
     n = topology.n_links
-    points = _points(topology, now)
-    passed: dict[int, Array] = {}
-    links: dict[int, LinkMatrix] = {}
+    points = _points(topology, motion)
+    outboard: dict[int, Array] = {}
+    links: dict[int, ArticulatedLink] = {}
     for l in reversed(range(n)):
-        rotation, operator = now.links.rotation[:, :, l], operators[l]
-        frame = _frame(rotation, now.links.point[:, l] - points[l])
-        own = _rigid_inertia(actual, l) if operator is None else operator.inertia
-        inertia = algebra.product_transposed(product(frame, _constant(own, frame)), frame)
-        inertia = inertia + passed.get(l, 0.0)
-        transfer = compliance = outboard = share = None
-        interfaces, turns = _interfaces_of(topology, l), _turns(topology, now, l)
-        if interfaces:
-            # Rows and columns of the carriers in global axes at their own points.
-            identity = _constant(algebra.IDENTITY, frame)
-            shift = jnp.concatenate([_frame(identity, points[k] - points[l]) for k in interfaces], axis=1)
-            frame_to_interface = _turned(turns, _constant(operator.frame_to_interface, frame))
-            transfer = shift - product(frame, transpose(frame_to_interface))
-            compliance = _both(turns, _constant(operator.compliance, frame))
-            if any(node in passed for node in interfaces):
-                outboard = _block_diagonal([passed.get(node) for node in interfaces], rotation)
-                stiffness = _both(_dual(turns), _constant(operator.stiffness, frame))
-                share = product(algebra.invert_positive(stiffness + outboard), stiffness)
-                inertia = inertia + product(product(transfer, product(outboard, share)), transpose(transfer))
-        axis = algebra.spatial(now.axis[:3, l], now.axis[3:, l] + cross(now.axis[:3, l], points[l]))
+        rotation, operator = motion.links.rotation[:, :, l], operators[l]
+        frame = _wrench_transform(rotation, motion.links.point[:, l] - points[l])
+        in_link = _rigid_inertia(actual, l) if operator is None else operator.inertia
+        inertia = algebra.product_transposed(product(frame, in_link), frame)
+        inertia = inertia + outboard.get(l, 0.0)
+        interfaces, rotations = None, _interface_rotations(topology, motion, l)
+        if operator is not None and rotations:
+            interfaces = _interface_operator(topology, l, operator, frame, rotations, points, outboard)
+            transfer, reduction = interfaces.transfer, interfaces.transmissibility
+            if interfaces.outboard is not None and reduction is not None:
+                loaded = product(interfaces.outboard, reduction)
+                inertia = inertia + product(product(transfer, loaded), transpose(transfer))
+        axis = algebra.spatial(motion.axis[:3, l], motion.axis[3:, l] + cross(motion.axis[:3, l], points[l]))
         at_hinge, scaled, pivot = inertia, None, None
         if l not in held:
             force_rows = apply(inertia, axis)
@@ -263,25 +272,41 @@ def _eliminate(actual, operators, now: Motion, held) -> tuple[LinkMatrix, ...]:
             inertia = inertia - force_rows[:, None] * scaled[None]
         node = topology.parents[l]
         if node != BASE:
-            passed[node] = passed.get(node, 0.0) + inertia
-        links[l] = LinkMatrix(
-            points[l], at_hinge, frame, turns, axis, scaled, pivot, transfer, compliance, outboard, share
-        )
+            outboard[node] = outboard.get(node, 0.0) + inertia
+        links[l] = ArticulatedLink(points[l], at_hinge, frame, axis, scaled, pivot, interfaces)
     return tuple(links[l] for l in range(n))
 
 
-def _both(turns, matrix: Array) -> Array:
-    """A symmetric matrix (6 c, 6 c) with rows and columns turned."""
-    once = _turned(turns, matrix)
-    return _turned(turns, transpose(once))
+def _interface_operator(
+    topology: Topology,
+    link: int,
+    operator: LinkOperator,
+    frame: Array,
+    rotations: tuple[Array, ...],
+    points: dict[int, Array],
+    outboard: dict[int, Array],
+) -> InterfaceOperator:
+    """Rows and columns of a link's interfaces in global axes at their own points; `outboard`: articulated
+    inertias by node."""
+    nodes, identity = _interfaces_of(topology, link), np.eye(3)
+    shift = jnp.concatenate([_wrench_transform(identity, points[k] - points[link]) for k in nodes], axis=1)
+    frame_to_interface = _rotated(rotations, operator.frame_to_interface)
+    transfer = shift - product(frame, transpose(frame_to_interface))
+    compliance = _congruent(rotations, operator.compliance)
+    if not any(node in outboard for node in nodes):
+        return InterfaceOperator(rotations, transfer, compliance, None, None)
+    inertia = _block_diagonal([outboard.get(node) for node in nodes])
+    stiffness = _congruent(_inverse_transposed(rotations), operator.stiffness)
+    transmissibility = product(algebra.invert_positive(stiffness + inertia), stiffness)
+    return InterfaceOperator(rotations, transfer, compliance, inertia, transmissibility)
 
 
-def _block_diagonal(blocks, example: Array) -> Array:
-    none = jnp.zeros((6, 6) + example.shape[2:])
-    blocks = [none if block is None else block for block in blocks]
+def _block_diagonal(blocks: Sequence[Array | None]) -> Array:
+    zeros = jnp.zeros((6, 6))
+    filled = [zeros if block is None else block for block in blocks]
     rows = [
-        jnp.concatenate([block if i == j else none for j in range(len(blocks))], axis=1)
-        for i, block in enumerate(blocks)
+        jnp.concatenate([block if i == j else zeros for j in range(len(filled))], axis=1)
+        for i, block in enumerate(filled)
     ]
     return jnp.concatenate(rows)
 
@@ -291,34 +316,42 @@ def _rigid_inertia(actual: ModelWithErrors, link: int) -> Array:
     return algebra.spatial_inertia(mass, centre, actual.inertia[:, :, link])
 
 
-def _respond(topology, links, hinge_loads, on_links, own, units, width) -> Response:
-    """Accelerations for K columns of loads: moments (L, K) about the hinges, wrenches {l: (6, 1)} on the
-    links in their axes and second derivatives `own` {l: (6 c, 1)} of the carriers' coordinates (the
-    residual's), and wrenches `units` {node: (6, K)} on nodes."""
+def _respond(
+    topology: Topology,
+    links: tuple[ArticulatedLink, ...],
+    hinge_loads: Array,
+    on_links: tuple[Array | None, ...] | None,
+    of_interfaces: tuple[Array | None, ...] | None,
+    units: dict[int, Array],
+    columns: int,
+) -> Response:
+    """Response to K columns of loads: moments (L, K) about the hinges; wrenches (6,) on the links in their axes
+    and second derivatives (6 c,) of the interfaces' coordinates due to the residual, by link; and wrenches
+    `units` (6, K) on nodes."""
     n = topology.n_links
-    none = jnp.zeros((6,) + width)
+    zeros = jnp.zeros((6, columns))
     loads: dict[int, Array] = dict(units)
     subtree_loads: dict[int, Array] = {}
     joint_torques: dict[int, Array] = {}
-    on_interfaces: dict[int, Array] = {}
+    interface_wrenches: dict[int, Array] = {}
     free_accelerations: dict[int, Array] = {}
     for l in reversed(range(n)):
-        link, interfaces = links[l], _interfaces_of(topology, l)
-        load = loads.get(l, none)
+        link, interfaces = links[l], links[l].interfaces
+        load = loads.get(l, zeros)
         if on_links is not None and on_links[l] is not None:
             load = load + apply(link.frame, on_links[l])[:, None]
-        if interfaces:
-            wrench = jnp.concatenate([loads.get(node, none) for node in interfaces])
-            free = product(link.compliance, wrench)
-            if own is not None:
-                free = free + _turned(link.turns, own[l][:, None])
-            if link.share is not None:
-                # The wrench of what hangs there, for a frame at rest.
-                free = product(link.share, free)
-                wrench = wrench - product(link.outboard, free)
+        if interfaces is not None:
+            wrench = jnp.concatenate([loads.get(node, zeros) for node in _interfaces_of(topology, l)])
+            free = product(interfaces.compliance, wrench)
+            if of_interfaces is not None:
+                free = free + _rotated(interfaces.rotations, of_interfaces[l][:, None])
+            if interfaces.transmissibility is not None:
+                # Accelerations with the links outboard, whose inertia loads the interfaces; link frame at rest.
+                free = product(interfaces.transmissibility, free)
+                wrench = wrench - product(interfaces.outboard, free)
             free_accelerations[l] = free
-            load = load + product(link.transfer, wrench)
-            on_interfaces[l] = wrench
+            load = load + product(interfaces.transfer, wrench)
+            interface_wrenches[l] = wrench
         subtree_loads[l] = load
         torque = hinge_loads[l] + dot(link.axis[:, None], load)
         joint_torques[l] = torque
@@ -328,45 +361,52 @@ def _respond(topology, links, hinge_loads, on_links, own, units, width) -> Respo
         if link.scaled is not None:
             load = load - link.scaled[:, None] * torque[None]
         loads[node] = loads.get(node, 0.0) + load
-    return _accelerate(topology, links, subtree_loads, joint_torques, free_accelerations, on_interfaces, none)
+    return _accelerate(topology, links, subtree_loads, joint_torques, free_accelerations, interface_wrenches, zeros)
 
 
-def _accelerate(topology, links, subtree_loads, joint_torques, free_accelerations, wrenches, none) -> Response:
-    """From the base to the chains' ends."""
+def _accelerate(
+    topology: Topology,
+    links: tuple[ArticulatedLink, ...],
+    subtree_loads: dict[int, Array],
+    joint_torques: dict[int, Array],
+    free_accelerations: dict[int, Array],
+    wrenches: dict[int, Array],
+    zeros: Array,
+) -> Response:
+    """Accelerations, from the base to the tips."""
     n = topology.n_links
-    hinges, spatial, moved, on_interfaces = [], [], [], []
+    hinges, of_links, of_interfaces, interface_wrenches = [], [], [], []
     at: dict[int, Array] = {}
     for l in range(n):
-        link, node = links[l], topology.parents[l]
-        carried = none if node == BASE else at[node]
-        rate = jnp.zeros_like(none[0])
+        link, interfaces, node = links[l], links[l].interfaces, topology.parents[l]
+        acceleration = zeros if node == BASE else at[node]
+        rate = jnp.zeros_like(zeros[0])
         if link.scaled is not None:
-            rate = joint_torques[l] / link.pivot[None] - dot(link.scaled[:, None], carried)
-            carried = carried + link.axis[:, None] * rate[None]
+            rate = joint_torques[l] / link.pivot[None] - dot(link.scaled[:, None], acceleration)
+            acceleration = acceleration + link.axis[:, None] * rate[None]
         hinges.append(rate)
-        spatial.append(carried)
-        at[l] = carried
-        interfaces = _interfaces_of(topology, l)
-        if not interfaces:
-            moved.append(None)
-            on_interfaces.append(None)
+        of_links.append(acceleration)
+        at[l] = acceleration
+        if interfaces is None:
+            of_interfaces.append(None)
+            interface_wrenches.append(None)
             continue
-        along = product(transpose(link.transfer), carried)
+        with_frame = product(transpose(interfaces.transfer), acceleration)
         wrench = wrenches[l]
-        if link.share is not None:
-            along = product(link.share, along)
-            wrench = wrench - product(link.outboard, along)
-        ends = free_accelerations[l] + along
-        moved.append(ends)
-        on_interfaces.append(wrench)
-        for i, interface in enumerate(interfaces):
+        if interfaces.transmissibility is not None:
+            with_frame = product(interfaces.transmissibility, with_frame)
+            wrench = wrench - product(interfaces.outboard, with_frame)
+        ends = free_accelerations[l] + with_frame
+        of_interfaces.append(ends)
+        interface_wrenches.append(wrench)
+        for i, interface in enumerate(_interfaces_of(topology, l)):
             at[interface] = ends[6 * i : 6 * i + 6]
     loads = tuple(subtree_loads[l] for l in range(n))
-    return Response(loads, jnp.stack(hinges), tuple(spatial), tuple(moved), tuple(on_interfaces))
+    return Response(loads, jnp.stack(hinges), tuple(of_links), tuple(of_interfaces), tuple(interface_wrenches))
 
 
 def _of_node(topology: Topology, response: Response, node: int) -> Array:
-    """Acceleration (6, ...) of a link or a carrier."""
+    """Acceleration (6, ...) of a link or an interface."""
     if node < topology.n_links:
         return response.links[node]
     l = topology.link_of(node)
@@ -374,23 +414,19 @@ def _of_node(topology: Topology, response: Response, node: int) -> Array:
     return response.interfaces[l][6 * i : 6 * i + 6]
 
 
-def _relative(topology, matrix, loads: Array, answer: Response) -> Array:
+def _elastic_accelerations(topology: Topology, matrix: IterationMatrix, loads: Array, response: Response) -> Array:
     """Second derivatives (6, N) of the elastic coordinates under loads (6, N)."""
-    parts = [jnp.zeros((6, 0) + loads.shape[2:])]
+    parts = [jnp.zeros((6, 0))]
     for l, (operator, (a, b)) in enumerate(zip(matrix.operators, topology.ranges)):
         if operator is None:
             continue
         link = matrix.links[l]
-        acceleration = apply_transposed(link.frame, answer.links[l])
+        acceleration = apply_transposed(link.frame, response.links[l])
         free = by_component(solve(operator.factored, loads[:, a:b]))
         y = free - constant_product(operator.rigid_response, acceleration)
-        if answer.on_interfaces[l] is not None:
-            wrench = _turned_back(link.turns, answer.on_interfaces[l])
+        if link.interfaces is not None:
+            wrench = _rotated_back(link.interfaces.rotations, response.interface_wrenches[l])
             y = y + constant_product(operator.interface_rows.T, wrench)
-        parts.append(y.reshape((6, b - a) + y.shape[1:]))
+        parts.append(y.reshape((6, b - a)))
     y = jnp.concatenate(parts, axis=1)
     return jnp.concatenate([y[3:], y[:3]])
-
-
-def _turned_back(turns, wrench: Array) -> Array:
-    return jnp.concatenate([apply_transposed(turn, wrench[3 * i : 3 * i + 3]) for i, turn in enumerate(turns)])

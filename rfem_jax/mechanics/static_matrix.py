@@ -17,10 +17,11 @@ from jax import Array
 from rfem_jax.mechanics import loads
 from rfem_jax.mechanics.condensation import link_operators
 from rfem_jax.mechanics.cut_joints import closure
-from rfem_jax.mechanics.kinematics import motion
+from rfem_jax.mechanics.kinematics import motion_of
 from rfem_jax.mechanics.model import Coordinates, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
-from rfem_jax.mechanics.newton import IterationMatrix, Residual, iteration_matrix, newton_increment
+from rfem_jax.mechanics.newton import IterationMatrix, iteration_matrix, newton_increment
+from rfem_jax.mechanics.residual import Residual
 
 # Springs over inertia, by the stiffness of a link and the mass of all.  The larger, the less a change leaves over,
 # but rounding grows with its square: in spatial loops, 1e6 would lead nowhere.
@@ -41,7 +42,7 @@ def matrix_at_rest(
     stiffness [N/m] of the mechanism."""
     reach = STIFFER * jnp.sum(actual.mass) / stiffness
     operators = link_operators(actual, reach, jnp.zeros(()))
-    now = motion(actual, loads.static_state(position))
+    now = motion_of(actual, loads.static_state(position))
     matrix = iteration_matrix(actual, operators, now, closure(actual, now, scale), held)
     return MatrixAtRest(matrix, reach)
 

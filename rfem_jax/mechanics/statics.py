@@ -25,10 +25,10 @@ from rfem_jax.mechanics import elasticity, loads
 from rfem_jax.mechanics.algebra import apply_transposed, cross, dot
 from rfem_jax.mechanics.cut_joints import closure
 from rfem_jax.mechanics.inputs import DriveInput
-from rfem_jax.mechanics.kinematics import motion, range_used
+from rfem_jax.mechanics.kinematics import motion_of, range_used
 from rfem_jax.mechanics.model import Coordinates, Model, State, Topology
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors, ModelWithErrors, apply_errors, assembly_errors
-from rfem_jax.mechanics.newton import Residual
+from rfem_jax.mechanics.residual import Residual
 from rfem_jax.mechanics.static_matrix import change_at_rest, matrix_at_rest
 from rfem_jax.mechanics.static_search import (
     Equations,
@@ -200,7 +200,7 @@ def equilibrium(model: Model, actual: ModelWithErrors, held: dict[int, Array]):
     position = scaled.coordinates(unknowns)
     found = found & jnp.all(jnp.isfinite(unknowns))
     in_range = range_used(topology, position) < 1.0
-    cuts = closure(actual, motion(actual, loads.static_state(position)), scaled.length)
+    cuts = closure(actual, motion_of(actual, loads.static_state(position)), scaled.length)
     right_side = True if cuts is None else jnp.all(cuts.alignment > 0.0)
     status = jnp.where(right_side, jnp.where(in_range, OK, OUT_OF_RANGE), WRONG_SIDE)
     status = jnp.where(found, status, NOT_ASSEMBLED)
@@ -227,7 +227,7 @@ def _preconditioner(scaled: _Scaled, given, actual: ModelWithErrors, unknowns: A
 def _rows(scaled: _Scaled, actual: ModelWithErrors) -> Array:
     """Sums of the sizes of the entries in every row of the equations' matrix."""
     topology = scaled.topology
-    springs = jnp.roll(jnp.abs(elasticity.stiffness_blocks(actual).own), (3, 3), axis=(1, 2))
+    springs = jnp.roll(jnp.abs(elasticity.stiffness_blocks(actual).diagonal), (3, 3), axis=(1, 2))
     one = scaled.coordinates(jnp.ones(len(scaled.units))).elastic
     hinges = jnp.full(topology.n_links, scaled.force * scaled.length)
     forces = Coordinates(hinges, jnp.einsum("kij,jk->ik", springs, one))
@@ -240,7 +240,7 @@ def _unbalanced(actual: ModelWithErrors, position: Coordinates, multipliers: Arr
     topology = actual.topology
     n = topology.n_links
     state = loads.static_state(position)
-    now = motion(actual, state)
+    now = motion_of(actual, state)
     cuts = closure(actual, now, scale)
     at_rest = jnp.zeros((3, n + topology.n_rfes))
     force, moment = loads.inertial_loads(actual, now, at_rest, at_rest)
@@ -266,7 +266,7 @@ def _unbalanced(actual: ModelWithErrors, position: Coordinates, multipliers: Arr
 
 def static_loads(model: Model, actual: ModelWithErrors, state: State, multipliers: Array) -> loads.JointLoads:
     """Joint loads at rest, the moment that holds a joint included."""
-    now = motion(actual, state)
+    now = motion_of(actual, state)
     at_rest = jnp.zeros((3, actual.mass.shape[0]))
     resting = loads.Resting(now, closure(actual, now, length_scale(model)), multipliers)
     return loads.chain_loads(actual, resting, at_rest, at_rest, DriveInput())[0]

@@ -64,9 +64,8 @@ class Conditions(eqx.Module):
 
 
 def structural_zeros(conditions: Conditions) -> Conditions:
-    """The conditions with booleans for arrays: entries that are zero whatever the numbers are, False where nothing
-    is known."""
-    known = model_with_errors.structural_zeros(conditions.actual.topology)
+    """Entries of the conditions that are zero for all numbers: boolean arrays, or False."""
+    known = model_with_errors.structural_zeros(conditions.actual)
     return eqx.tree_at(lambda tree: tree.actual, nothing_known(conditions), known)
 
 

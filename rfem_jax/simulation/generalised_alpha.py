@@ -49,11 +49,11 @@ from rfem_jax.mechanics.condensation import LinkOperator, link_operators, presen
 from rfem_jax.mechanics.cut_joints import closure
 from rfem_jax.mechanics.elasticity import dissipated_power
 from rfem_jax.mechanics.inputs import DriveInput, impose
-from rfem_jax.mechanics.kinematics import motion
+from rfem_jax.mechanics.kinematics import motion_of
 from rfem_jax.mechanics.model import Coordinates, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
-from rfem_jax.mechanics.newton import IterationMatrix, iteration_matrix, newton_increment, residual_of
-from rfem_jax.mechanics.residual import Evaluation, evaluate_residual
+from rfem_jax.mechanics.newton import IterationMatrix, iteration_matrix, newton_increment
+from rfem_jax.mechanics.residual import Evaluation, evaluate_residual, residual_of
 from rfem_jax.simulation import equations
 from rfem_jax.simulation.driving import driven_index
 from rfem_jax.simulation.equations import Conditions, Integrals, Scalar, Trajectory, drive_input
@@ -256,7 +256,7 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         drive = drive_input(conditions.drive, constants.end, conditions.phase)
         accelerations, _ = self.predict(constants, start)
         state, _ = self._newmark(h, trajectory, memory, accelerations, actual.topology, drive)
-        now = motion(actual, state)
+        now = motion_of(actual, state)
         if actual.topology.exact:
             operators = present_operators(actual, now.relative, *self.factors(h))
         prescribed = isinstance(conditions.drive, PrescribedDrive)

@@ -30,9 +30,8 @@ from rfem_jax.mechanics.newton import (
     NewtonIncrement,
     increment_and_wrenches,
     newton_increment,
-    residual_of,
 )
-from rfem_jax.mechanics.residual import Evaluation
+from rfem_jax.mechanics.residual import Evaluation, residual_of
 from rfem_jax.simulation import equations
 from rfem_jax.simulation.batches import like_batched
 from rfem_jax.simulation.equations import Conditions, Integrals, Scalar, Trajectory

@@ -28,7 +28,7 @@ from rfem_jax.description import (
 )
 from rfem_jax.mechanics.centre_lines import link_ends
 from rfem_jax.mechanics.discretisation import discretise
-from rfem_jax.mechanics.kinematics import motion
+from rfem_jax.mechanics.kinematics import motion_of
 from rfem_jax.mechanics.model import Model
 from rfem_jax.mechanics.model_with_errors import apply_errors, assembly_errors
 from rfem_jax.mechanics.statics import assemble
@@ -86,7 +86,7 @@ def _bend(model: Model, force):
     errors = assembly_errors(model)
     result = assemble(model, errors, {"A": jnp.zeros(())})
     actual = apply_errors(model, errors)
-    end, rotation = link_ends(actual, motion(actual, result.state))
+    end, rotation = link_ends(actual, motion_of(actual, result.state))
     straight = jnp.zeros(3).at[0].set(model.length[0])
     return end[:, 0] - straight, rotation[:, :, 0], result.status
 

@@ -31,7 +31,7 @@ from rfem_jax.description import (
 )
 from rfem_jax.mechanics.cut_joints import closure
 from rfem_jax.mechanics.discretisation import discretise
-from rfem_jax.mechanics.kinematics import motion
+from rfem_jax.mechanics.kinematics import motion_of
 from rfem_jax.mechanics.loads import static_state
 from rfem_jax.mechanics.model import Model
 from rfem_jax.mechanics.model_with_errors import apply_errors, assembly_errors
@@ -179,7 +179,7 @@ def axis_lines() -> list[Line]:
 @Program
 def _axis_at_start(model: Model, tilt, error: str):
     actual = apply_errors(model, assembly_errors(model, {error: tilt}))
-    now = motion(actual, static_state(model.start_coordinates()))
+    now = motion_of(actual, static_state(model.start_coordinates()))
     return closure(actual, now, length_scale(model)).rotation[:, 1, 0]
 
 

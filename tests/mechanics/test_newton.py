@@ -15,14 +15,8 @@ from rfem_jax.mechanics.inputs import DriveInput, Stabilisation, impose
 from rfem_jax.mechanics.kinematics import relative_motion
 from rfem_jax.mechanics.model import Coordinates, State
 from rfem_jax.mechanics.model_with_errors import apply_errors
-from rfem_jax.mechanics.newton import (
-    Residual,
-    increment_and_wrenches,
-    iteration_matrix,
-    newton_increment,
-    residual_of,
-)
-from rfem_jax.mechanics.residual import evaluate_residual
+from rfem_jax.mechanics.newton import increment_and_wrenches, iteration_matrix, newton_increment
+from rfem_jax.mechanics.residual import Residual, evaluate_residual, residual_of
 from rfem_jax.mechanics.statics import equilibrium, length_scale
 from tests.mechanisms import four_bar, twisted_spatial_loop, two_loop_six_bar
 
@@ -285,8 +279,8 @@ def test_operators_of_a_batch_leave_lapack_alone(exact_chain):
 def quadratic_form(springs, x):
     """x K x of vectors (6, N), angular first."""
     left = jnp.roll(x, 1, axis=1)
-    own = jnp.einsum("ak,kab,bk->", x, springs.own, x)
-    return own + 2.0 * jnp.einsum("ak,kab,bk->", x, springs.beside, left)
+    diagonal = jnp.einsum("ak,kab,bk->", x, springs.diagonal, x)
+    return diagonal + 2.0 * jnp.einsum("ak,kab,bk->", x, springs.lower, left)
 
 
 def test_stiffness_of_undeformed_links_holds_their_elastic_energy():

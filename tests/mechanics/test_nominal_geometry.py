@@ -9,7 +9,7 @@ import pytest
 from rfem_jax import assembly_errors, describe, discretise
 from rfem_jax.mechanics import loads
 from rfem_jax.mechanics.cut_joints import closure
-from rfem_jax.mechanics.kinematics import motion
+from rfem_jax.mechanics.kinematics import motion_of
 from rfem_jax.mechanics.model import Coordinates
 from rfem_jax.mechanics.model_with_errors import apply_errors
 from rfem_jax.mechanics.nominal_geometry import closure_jacobian, gaps, geometry_of, place
@@ -23,7 +23,7 @@ def _traced(model, angles):
 
     def residual(position):
         actual = apply_errors(model, assembly_errors(model))
-        cuts = closure(actual, motion(actual, loads.static_state(position)), scale)
+        cuts = closure(actual, motion_of(actual, loads.static_state(position)), scale)
         out = cuts.residual.T.reshape(-1) / scale
         return out, (out, cuts.alignment, cuts.angle)
 

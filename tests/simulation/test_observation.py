@@ -7,7 +7,7 @@ import pytest
 
 from rfem_jax import Joint, Mechanism, assembly_errors, discretise
 from rfem_jax.mechanics.cut_joints import assembly_modes, closure
-from rfem_jax.mechanics.kinematics import motion
+from rfem_jax.mechanics.kinematics import motion_of
 from rfem_jax.mechanics.loads import static_state
 from rfem_jax.mechanics.model_with_errors import apply_errors
 from rfem_jax.mechanics.statics import length_scale
@@ -76,7 +76,7 @@ def four_bar_on_the_side(sign):
 @eqx.filter_jit
 def mode_of(model):
     actual = apply_errors(model, assembly_errors(model))
-    now = motion(actual, static_state(model.start_coordinates()))
+    now = motion_of(actual, static_state(model.start_coordinates()))
     return assembly_modes(actual, now, closure(actual, now, length_scale(model)))
 
 
