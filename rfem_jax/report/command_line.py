@@ -78,7 +78,7 @@ def build_parser() -> argparse.ArgumentParser:
         "check",
         help="validate a study and print what was understood",
         description="Validate a study file and print what was understood (links, joints, "
-        "coordinates, mobility, rank, largest stable step, cases, tasks) without simulating.",
+        "coordinates, mobility, rank, largest stable step, cases, tasks, what they cost) without simulating.",
     )
     check.add_argument("study", metavar="STUDY.toml", help="the study file")
     _add_cache(check)
@@ -301,6 +301,7 @@ def _check(arguments: argparse.Namespace) -> int:
 
     from rfem_jax.mechanics import describe
     from rfem_jax.report.overview import study_text
+    from rfem_jax.report.study_cost import cost_text
     from rfem_jax.report.tasks.task_overview import tasks_text
     from rfem_jax.simulation import check_step
 
@@ -308,6 +309,7 @@ def _check(arguments: argparse.Namespace) -> int:
     show(study_text(study, describe(model)), end="\n\n")
     if text := tasks_text(study):
         show(text, end="\n\n")
+    show(cost_text(study), end="\n\n")
     if study.method.name == "auto":
         _settle_method(study)
         return DONE

@@ -82,6 +82,7 @@ def test_check_prints_what_was_understood(packages, study_file, capsys):
     text = capsys.readouterr().out
     assert "Test four-bar" in text
     assert "Coordinates: 51" in text
+    assert "Cost\n  cases: 3 simulations of 50000 steps, computed together; results at 11 saved times" in text
     assert "Largest stable step of rk4: 1.94e-05 s." in text
 
 

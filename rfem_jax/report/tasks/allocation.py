@@ -124,6 +124,17 @@ class AllocationReport(TaskReport[AllocationTask, AllocationStudy]):
             written.append(write_csv(folder / "allocation_front.csv", rows))
         return written
 
+    def simulations(self) -> list[str]:
+        task, errors = self.task, len(self.task.bounds)
+        told = [f"{1 + 4 * errors} simulations with first derivatives by {errors} errors, for the quadratic model"]
+        count = len({1.0, *task.scales})
+        each = "" if count == 1 else f"for each of {count} allocations "
+        if task.criterion == "worst_case":
+            return [*told, f"{each}worst-case searches for every limit, as many as the answer needs"]
+        number = "as many" if task.samples is None else str(task.samples)
+        number += " as the target needs" if task.samples is None else ""
+        return [*told, f"{each}{number} with derivatives in every round, {task.verify_samples} in every verification"]
+
     def draw(self, result: AllocationStudy) -> dict[str, Figure]:
         figures = {"tolerances": tolerances_figure(self.study, self.task.bounds, result)}
         if len(result.front) > 1:

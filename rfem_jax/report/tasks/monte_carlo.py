@@ -103,6 +103,16 @@ class MonteCarloReport(TaskReport[MonteCarloTask, MonteCarloResult]):
             write_csv(folder / "monte_carlo.csv", sample_rows(result)),
         ]
 
+    def simulations(self) -> list[str]:
+        n, specified, chunk = self.task.n, self.tolerances, self.task.batch
+        factors = len(specified.independent) + len(specified.correlated)
+        count = n * (factors + 2) if self.task.sobol_indices else n
+        told = [f"{count} simulations in chunks of {min(chunk, count)}"]
+        if self.task.control_variate:
+            told.append(f"{1 + 4 * len(specified.names)} with first derivatives, for the control variate")
+        numbers = count * (len(specified.names) + len(self.task.metrics) + 1)
+        return [*told, f"samples of about {8e-6 * numbers:.2g} MB"]
+
     def draw(self, result: MonteCarloResult) -> dict[str, Figure]:
         return {
             "histograms": histogram_figure(self.study, result),

@@ -80,6 +80,11 @@ class SensitivityReport(TaskReport[SensitivityTask, Derivatives]):
             write_csv(folder / "sensitivity.csv", found.rows()),
         ]
 
+    def simulations(self) -> list[str]:
+        twice = ", and another with the finer step" if self.task.half_step else ""
+        order = {1: "first", 2: "first and second"}[self.task.order]
+        return [f"1 simulation with {order} derivatives by {len(self.tolerances.names)} errors{twice}"]
+
     def draw(self, result: Derivatives) -> dict[str, Figure]:
         return {
             "heat_map": heat_map_figure(self.study, result.found),

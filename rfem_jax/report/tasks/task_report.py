@@ -101,6 +101,10 @@ class TaskReport(abc.ABC, Generic[Asked, Result]):
             return "yes" if value else "no"
         return f"{value:g}" if isinstance(value, float) else str(value).replace("_", " ")
 
+    def simulations(self) -> list[str]:
+        """How many simulations the task needs, in words, for `check`; none where it is not known beforehand."""
+        return []
+
     def pictures(self, result: Result) -> dict[str, Figure]:
         """All pictures by their files' names without ending."""
         from matplotlib import rc_context

@@ -22,6 +22,7 @@ from rfem_jax.report.tasks.task_report import TaskReport
 from rfem_jax.tolerancing import worst_case as search_worst_case
 from rfem_jax.tolerancing.layout import show_number
 from rfem_jax.tolerancing.quadratic_model import choose_mode, expand_by_differences
+from rfem_jax.tolerancing.starting_points import EXHAUSTIVE
 from rfem_jax.tolerancing.worst_cases import WorstCase
 
 MOST_PANELS = 8
@@ -87,6 +88,17 @@ class WorstCaseReport(TaskReport[WorstCaseTask, dict[str, WorstCase]]):
         return [
             write_task_json(folder / "worst_case.json", self.study, self.name, content),
             write_csv(folder / "worst_case.csv", rows),
+        ]
+
+    def simulations(self) -> list[str]:
+        task, errors = self.task, len(self.tolerances.names)
+        starts = sum(task.starts.values())
+        every = task.region == "box" and (errors <= EXHAUSTIVE if task.corners is None else task.corners)
+        corners = f" and {2**errors} corners" if every else ""
+        return [
+            f"{1 + 4 * errors} simulations with first derivatives by {errors} errors, for the quadratic model",
+            f"for each metric ({len(task.metrics)}) one at the centre, at {starts} starts{corners}, and at most "
+            f"{starts} x {task.evaluations} with derivatives",
         ]
 
     def draw(self, result: dict[str, WorstCase]) -> dict[str, Figure]:

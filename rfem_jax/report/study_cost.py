@@ -1,0 +1,67 @@
+"""What a study will cost, before it is run: numbers of simulations by task, memory of the results; part of `check`.
+
+Place in the pipeline: after `load_study`; computes nothing. Times are not told: they depend on the machine.
+"""
+
+import math
+
+from rfem_jax.description.study import Study
+from rfem_jax.task_kinds import task_kinds
+
+SAVED_BY_DEFAULT = 500  # intervals, as `rfem_jax.simulation.time_grid` has them
+BYTES = 8  # of a number in double precision
+
+
+def cost_text(study: Study) -> str:
+    """Simulations and results of the cases, and the simulations of every task, a line each."""
+    cases, times = len(study.cases), saved_times(study)
+    steps = study.method.step
+    length = "" if steps is None else f" of {_count(round(study.duration / steps), 'step')}"
+    lines = [
+        "Cost",
+        f"  cases: {_count(cases, 'simulation')}{length}, computed together; results at {times} saved times, about "
+        f"{_size(BYTES * cases * times * numbers_saved(study))}",
+    ]
+    if study.tasks.declared:
+        # Takes seconds: only where there is something to count.
+        from rfem_jax.report.tasks.task_report import report_on
+        from rfem_jax.tolerancing.layout import wrap_lines
+
+        for name in study.tasks.declared:
+            told = report_on(study, name).simulations() or ["not known beforehand"]
+            lines.append(f"  {(task_kinds()[name].title or name).lower()}: {'; '.join(told)}")
+        return wrap_lines("\n".join(lines), indent=4)
+    return "\n".join(lines)
+
+
+def saved_times(study: Study) -> int:
+    """Number of saved times of one case, the start and the jumps of the drive included."""
+    save_every = study.duration / SAVED_BY_DEFAULT if study.save_every is None else study.save_every
+    if study.method.step is not None:
+        save_every = max(save_every, study.method.step)
+    jumps = () if study.drive is None else study.drive.breakpoints()
+    regular = math.ceil(study.duration / save_every * (1.0 - 1e-9))
+    extra = [
+        one for one in jumps if 0.0 < one < study.duration and abs(one / save_every - round(one / save_every)) > 1e-6
+    ]
+    return 1 + regular + len(extra)
+
+
+def numbers_saved(study: Study) -> int:
+    """Numbers that a run holds for each saved time."""
+    mechanism = study.mechanism
+    joints, links = len(mechanism.joints), len(mechanism.links)
+    # Time, angle, rate and moment of the drive, energies; loads and integrals of their squares; angles of the tree;
+    # ends of the links; assembly modes.
+    explicit = 4 + 5 + 8 * joints + links + 3 * links + len(mechanism.cut_joints)
+    if study.method.implicit or study.method.name == "auto":  # which may choose an implicit one
+        return explicit + links + 6 * sum(link.elements - 1 for link in mechanism.links)  # residuals
+    return explicit
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}{'' if number == 1 else 's'}"
+
+
+def _size(number: int) -> str:
+    return f"{number / 1e6:.2g} MB" if number < 1e9 else f"{number / 1e9:.2g} GB"

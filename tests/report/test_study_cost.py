@@ -1,0 +1,76 @@
+"""What `check` says about the cost of a study: numbers that the run then has."""
+
+from dataclasses import replace
+
+import jax
+import pytest
+
+from rfem_jax.description import Method, MomentRamp, load_study
+from rfem_jax.mechanics import assembly_errors, discretise
+from rfem_jax.report.study_cost import cost_text, numbers_saved, saved_times
+from rfem_jax.simulation import simulate
+
+from .conftest import STUDY
+from .test_tasks import PENDULUM, TASKS
+
+
+@pytest.fixture
+def tasks(tmp_path):
+    """{name: what is told} of a study with every task."""
+
+    def told(text):
+        path = tmp_path / "study.toml"
+        path.write_text(STUDY + text, encoding="utf-8")
+        text = cost_text(load_study(path)).replace("\n    ", " ")
+        return dict(line.strip().split(": ", 1) for line in text.splitlines()[1:])
+
+    return told
+
+
+@pytest.mark.parametrize(
+    ("method", "save_every"),
+    [
+        (Method("rk4", step=1e-3), 2e-3),
+        (Method("rk4", step=3e-4), None),
+        (Method("generalised_alpha", step=2e-3), 3e-3),
+    ],
+)
+def test_the_size_of_results_is_that_of_a_run(tmp_path, method, save_every):
+    path = tmp_path / "study.toml"
+    path.write_text(PENDULUM.split("[tolerances]")[0], encoding="utf-8")
+    drive = MomentRamp("A", 1.0, 5e-3)  # jumps between two saved times
+    study = replace(load_study(path), duration=0.02, save_every=save_every, method=method, drive=drive)
+    model = discretise(study.mechanism)
+    run = jax.eval_shape(
+        lambda: simulate(
+            model, assembly_errors(model, {}), drive=study.drive, duration=study.duration, method=study.method,
+            save_every=study.save_every,
+        )
+    )  # fmt: skip
+    (times,) = run.times.shape
+    assert saved_times(study) == times
+    histories = [leaf for leaf in jax.tree.leaves(run) if leaf.shape[:1] == (times,)]
+    assert numbers_saved(study) == sum(leaf.size for leaf in histories) / times
+
+
+def test_every_task_tells_its_simulations(tasks):
+    told = tasks(TASKS)
+    assert told["cases"].startswith("3 simulations of 50000 steps, computed together; results at 11 saved times")
+    assert told["sensitivity"].startswith("1 simulation with first and second derivatives by 3 errors, and another")
+    assert told["monte carlo"].startswith("32 simulations in chunks of 8")
+    assert told["worst case"].startswith("13 simulations with first derivatives by 3 errors")
+    assert "for each metric (2) one at the centre, at 4 starts and 8 corners, and at most 4 x 100" in told["worst case"]
+    assert "for each of 3 allocations worst-case searches" in told["allocation"]
+
+
+def test_settings_change_the_numbers(tasks):
+    told = tasks(
+        TASKS.replace("seed = 3", "sobol_indices = true\ncontrol_variate = true")
+        .replace("starts = { corners = 2, sobol = 2 }\n[alloc", 'region = "ellipsoid"\n[alloc')
+        .replace("starts = { corners = 2, sobol = 2 }\nscales = [0.5, 2.0]", 'criterion = "rss"\nsamples = 256')
+        .replace("half_step = true", "order = 1")
+    )
+    assert told["sensitivity"] == "1 simulation with first derivatives by 3 errors"
+    assert told["monte carlo"].startswith("160 simulations in chunks of 8; 13 with first derivatives")
+    assert "at 16 starts, and at most 16 x 100" in told["worst case"]
+    assert told["allocation"].endswith("256 with derivatives in every round, 4096 in every verification")
