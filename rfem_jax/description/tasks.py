@@ -12,11 +12,11 @@ from dataclasses import dataclass, field, fields, replace
 
 from rfem_jax.description.allocation_task import AllocationTask
 from rfem_jax.description.errors import InputError, require_choice, require_flag, suggestion
+from rfem_jax.description.metric_catalogue import RUN_METRICS
 from rfem_jax.description.task_settings import (
     MODES,
     MOST_AT_ONCE,
     MOST_SAMPLES,
-    RUN_METRICS,
     STARTS,
     fraction,
     limits_of,
