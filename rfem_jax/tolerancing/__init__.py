@@ -1,25 +1,19 @@
 """Many runs: sensitivities, Monte Carlo, worst cases, allocation of tolerances.
 
-Every study takes a `problem(errors) -> (values, status)`: the simulator as one (`Problem`), or any
-function (`FunctionProblem`).
+Every study takes a `problem(errors) -> (values, status)`: the simulator (`Problem`) or any function
+(`FunctionProblem`).
 
     metrics, simulated_problem   the simulator as a problem
-    tolerances                   distributions of the errors
+    distributions                of the errors within their tolerances
     sensitivities                first and second derivatives, principal error directions
-    monte_carlo                  scatter, yield, Sobol' indices
+    monte_carlo_study            scatter, yield, Sobol' indices
     worst_cases                  the largest value within the tolerances
     allocation                   the cheapest tolerances that keep the limits
 """
 
 from rfem_jax.tolerancing.allocation import allocate
 from rfem_jax.tolerancing.cost_models import Exponential, Reciprocal, ReciprocalSquared
-from rfem_jax.tolerancing.metrics import Metric, metric
-from rfem_jax.tolerancing.monte_carlo_study import monte_carlo
-from rfem_jax.tolerancing.problem import FunctionProblem
-from rfem_jax.tolerancing.quadratic_model import QuadraticModel, expand
-from rfem_jax.tolerancing.sensitivities import sensitivity
-from rfem_jax.tolerancing.simulated_problem import Problem
-from rfem_jax.tolerancing.tolerances import (
+from rfem_jax.tolerancing.distributions import (
     CorrelatedNormal,
     Normal,
     Tolerances,
@@ -27,6 +21,12 @@ from rfem_jax.tolerancing.tolerances import (
     TruncatedNormal,
     Uniform,
 )
+from rfem_jax.tolerancing.metrics import metric, register_metric
+from rfem_jax.tolerancing.monte_carlo_study import monte_carlo
+from rfem_jax.tolerancing.problem import FunctionProblem, Metric
+from rfem_jax.tolerancing.quadratic_model import QuadraticModel, expand
+from rfem_jax.tolerancing.sensitivities import sensitivity
+from rfem_jax.tolerancing.simulated_problem import Problem
 from rfem_jax.tolerancing.worst_cases import worst_case
 
 __all__ = [
@@ -47,6 +47,7 @@ __all__ = [
     "expand",
     "metric",
     "monte_carlo",
+    "register_metric",
     "sensitivity",
     "worst_case",
 ]

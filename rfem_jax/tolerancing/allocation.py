@@ -1,49 +1,57 @@
-"""Allocation: the cheapest tolerances such that limits on metrics hold.
+"""Allocation: the cheapest tolerances with which limits on metrics hold.
 
 Place in the pipeline: last of the studies; uses the quadratic model, worst cases and sampling.
 
     min sum_i c_i(t_i)   subject to   criterion of every limited metric at t <= limit,
                                       smallest_i <= t_i <= largest_i
 
-Solved in x = log t by an augmented Lagrangian with gradients, first on the quadratic model about
-the centre, then by successive correction: observe the full problem at the answer, correct the
-model there, solve again (steps of at most a factor `STEP` in t), until limits hold and the cost
-stands still. The answer is then verified by a run whose random numbers served nothing else.
-worst_case_criterion.py and statistical_criteria.py say what "worst_case", "rss" and "yield" mean
-and how each is corrected.
+Solved in x = log t by an augmented Lagrangian with gradients, first on the quadratic model about the centre, then by
+successive correction: observe the full problem at the answer, correct the model there, solve again (steps of at most a
+factor `STEP` in t), until limits hold and the cost does not change any more. The answer is then verified by a run with
+random numbers that have not been used before. See worst_case_criterion.py and statistical_criteria.py for the meaning
+of "worst_case", "rss" and "yield" and for their corrections.
 
-Symbols: t (k,) half-widths [rad, m], c_i cost of error i, h = (f - limit)/headroom normalised
-limit, headroom = |limit - f(centre)|.
+Symbols: t (k,) half-widths [rad, m], c_i cost of error i, h = (f - limit)/headroom normalised limit,
+headroom = |limit - f(centre)|.
 """
 
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import jax
 import numpy as np
 
 from rfem_jax.description.errors import InputError, require_choice
-from rfem_jax.tolerancing.allocation_request import state_request
-from rfem_jax.tolerancing.evaluation import require_float64
+from rfem_jax.tolerancing.allocation_models import Answer, Verified
+from rfem_jax.tolerancing.allocation_request import Request, check_request
+from rfem_jax.tolerancing.checks import ErrorValues, require_float64
+from rfem_jax.tolerancing.cost_models import CostModel
+from rfem_jax.tolerancing.distributions import Normal, Tolerance
 from rfem_jax.tolerancing.layout import align_columns, show_number, wrap_lines
+from rfem_jax.tolerancing.problem import ToleranceProblem
+from rfem_jax.tolerancing.quadratic_model import QuadraticModel
+from rfem_jax.tolerancing.sampling import RandomKey
 from rfem_jax.tolerancing.statistical_criteria import StatisticalCriterion
-from rfem_jax.tolerancing.tolerances import Normal
 from rfem_jax.tolerancing.worst_case_criterion import WorstCaseCriterion
 from rfem_jax.tolerancing.worst_cases import STARTS
 
 CRITERIA = ("worst_case", "rss", "yield")
 STEP = 2.0
-ATTEMPTS = 4  # settled answers that are put to a fresh run
+ATTEMPTS = 4  # settled answers that a fresh run checks
+
+Criterion = WorstCaseCriterion | StatisticalCriterion
 
 
 @dataclass(frozen=True, eq=False)
 class LimitCheck:
     """One limit and its metric at the answer, all in the metric's unit.
 
-    side "upper" or "lower"; nominal: at the centre; quadratic: by the quadratic model alone;
-    predicted: by the corrected model that found the answer; verified: by the fresh run, with its
-    confidence interval (a worst case has none: both ends are the value). Margins are distances to
-    the limit, positive where it holds. shadow_price: d(cost)/d(limit), what relaxing the limit by
-    one unit adds to the cost (negative or zero for an upper limit, zero where it is not active).
+    side "upper" or "lower"; nominal: at the centre; quadratic: by the quadratic model alone; predicted: by the
+    corrected model that found the answer; verified: by the fresh run, with its confidence interval (a worst case has
+    none: both ends are the value). Margins are distances to the limit, positive where it holds. shadow_price:
+    d(cost)/d(limit), the change of the cost when the limit is relaxed by one unit (negative or zero for an upper
+    limit, zero where it is not active).
     """
 
     metric: str
@@ -54,7 +62,7 @@ class LimitCheck:
     quadratic: float
     predicted: float
     verified: float
-    verified_interval: tuple
+    verified_interval: tuple[float, float]
     predicted_margin: float
     verified_margin: float
     shadow_price: float
@@ -64,36 +72,35 @@ class LimitCheck:
 class Allocation:
     """The answer of an allocation.
 
-    status: "ok" (found, and the fresh run agrees), "not_verified" (found, but the fresh run
-    violates a limit beyond its confidence interval), "not_converged", or "infeasible"; message:
-    one sentence, for an infeasible request which limit cannot be met and the best reachable value;
-    tolerances {name: half-width [rad or m]} (of an infeasible request the least bad ones), cost;
-    at_bounds {name: "smallest" | "largest"}; limits: LimitCheck of each; level: the fraction of
-    samples the statistical criteria look at (NaN for worst case); predicted_yield, verified_yield,
-    yield_interval: fraction within all limits (NaN for worst case; predicted only for "yield");
-    verified_by: what the fresh run was; history: (cost, largest h on the full problem) per round;
-    failed: failed samples seen on the way and in the fresh run; hessian_error: the estimated
-    relative error of the quadratic model's Hessian by differences (NaN where it is exact).
+    status: "ok" (found, and the fresh run agrees), "not_verified" (found, but the fresh run violates a limit beyond
+    its confidence interval), "not_converged", or "infeasible"; message: one sentence, for an infeasible request the
+    limit that cannot be met and the best reachable value; tolerances {name: half-width [rad or m]} (of an infeasible
+    request those nearest to the limits), cost; at_bounds {name: "smallest" | "largest"}; limits: LimitCheck of each;
+    level: the fraction of samples that the statistical criteria refer to (NaN for worst case); predicted_yield,
+    verified_yield, yield_interval: fraction within all limits (NaN for worst case; predicted only for "yield");
+    verified_by: a description of the fresh run; history: (cost, largest h on the full problem) per round; failed:
+    failed samples in all rounds and in the fresh run; hessian_error: the estimated relative error of the quadratic
+    model's Hessian by differences (NaN where it is exact).
     """
 
     criterion: str
     status: str
     message: str
-    tolerances: dict
-    units: dict
+    tolerances: dict[str, float]
+    units: dict[str, str]
     cost: float
-    at_bounds: dict
-    limits: tuple
+    at_bounds: dict[str, str]
+    limits: tuple[LimitCheck, ...]
     level: float
     predicted_yield: float
     verified_yield: float
-    yield_interval: tuple
+    yield_interval: tuple[float, float]
     verified_by: str
-    history: tuple
+    history: tuple[tuple[float, float], ...]
     failed: int
     hessian_error: float
 
-    def __str__(self):
+    def __str__(self) -> str:
         head = f"Allocation ({self.criterion}): status {self.status}, "
         head += f"cost {show_number(self.cost, 7)}"
         rows = [[n, f"{show_number(t)} {self.units[n]}", self.at_bounds.get(n, "")] for n, t in self.tolerances.items()]
@@ -123,45 +130,42 @@ class Allocation:
 
 
 def allocate(
-    problem,
-    limits,
-    cost,
-    bounds,
-    criterion="worst_case",
+    problem: ToleranceProblem,
+    limits: Mapping[str, Any],
+    cost: CostModel | Mapping[str, CostModel],
+    bounds: Mapping[str, Sequence[float | str]],
+    criterion: str = "worst_case",
     *,
-    key,
-    target=0.9973,
-    coverage=3.0,
-    statistic="quantile",
-    distribution=Normal,
-    samples=None,
-    verify_samples=4096,
-    at=None,
-    starts=STARTS,
-    rounds=12,
-    tolerance=1e-4,
-    model=None,
-    mode="auto",
-    batch=256,
-):
-    """Find the cheapest tolerances such that limits on metrics hold.
+    key: RandomKey,
+    target: float = 0.9973,
+    coverage: float = 3.0,
+    statistic: str = "quantile",
+    distribution: Callable[[float], Tolerance] = Normal,
+    samples: int | None = None,
+    verify_samples: int = 4096,
+    at: ErrorValues | None = None,
+    starts: Mapping[str, int] = STARTS,
+    rounds: int = 12,
+    tolerance: float = 1e-4,
+    model: QuadraticModel | None = None,
+    mode: str = "auto",
+    batch: int = 256,
+) -> Allocation:
+    """Find the cheapest tolerances with which limits on metrics hold.
 
-    Args: limits {metric: upper limit, or (lower or None, upper or None)}; cost one cost model for
-        all errors or {error: model} (cost_models.py), a callable of one half-width; bounds {error:
-        (smallest, largest half-width)} [rad, m], its keys are the errors allocated; criterion
-        "worst_case", "rss" or "yield"; key a JAX key; at {error: value} centre of the tolerances.
-        For "yield": target the fraction of samples within all limits. For "rss": coverage, the
-        number c of standard deviations, and statistic "quantile" or "mean". For both:
-        distribution, a class or callable half-width -> Tolerance; samples, standard points the
-        full problem is observed at (default: twenty or more beyond the yield, 2048 for "rss");
-        verify_samples of the fresh run. For worst case: starts of each search. rounds of
-        correction until an answer settles and is put to a fresh run (a few times at most, each
-        with what the last one taught); tolerance on limits (of the headroom) and cost, ten times
-        as much on the cost of a yield; model a QuadraticModel of order 2 at the centre in the
-        errors of `bounds` (None: by differences of gradients); mode of the gradients; batch the
-        most samples at once. The full problem is compiled twice, whatever the rounds: for values,
-        and for values with slopes.
-    Returns: Allocation.
+    Args: limits {metric: upper limit, or (lower or None, upper or None)}; cost, one cost model for all errors or
+        {error: model} (cost_models.py), a callable of one half-width; bounds {error: (smallest, largest half-width)},
+        in rad or m, or strings with a unit, of the errors to allocate; criterion "worst_case", "rss" or "yield"; key,
+        a JAX key; at {error: value}, the centre of the tolerances.
+        "yield": target, the fraction of samples within all limits. "rss": coverage, the number c of standard
+        deviations, and statistic "quantile" or "mean". Both: distribution, a class or callable half-width ->
+        Tolerance; samples, the number of standard points (default: twenty or more beyond the yield, 2048 for "rss");
+        verify_samples of the fresh run. "worst_case": starts of each search.
+        rounds of correction until an answer settles and a fresh run checks it (a few times at most, each after a
+        correction by the last run); tolerance on limits (of the headroom) and cost, ten times as much on the cost of a
+        yield; model, a QuadraticModel of order 2 at the centre in the errors of `bounds` (None: by differences of
+        gradients); mode of the gradients; batch, the most samples at once.
+    The full problem is compiled twice, whatever the rounds: for values, and for values with derivatives.
     Raises: InputError for unknown names, bad bounds or options.
     """
     require_float64()
@@ -169,26 +173,19 @@ def allocate(
     require_choice(statistic, ("quantile", "mean"), "statistic")
     if not 0 < target < 1:
         raise InputError(f"Argument `target` must lie between 0 and 1, but it is {target}.")
-    request = state_request(problem, limits, cost, bounds, at, mode, batch, model, together=criterion != "worst_case")
+    request = check_request(problem, limits, cost, bounds, at, mode, batch, model, together=criterion != "worst_case")
     design, refine, verify, last = jax.random.split(key, 4)
     if criterion == "worst_case":
-        study = WorstCaseCriterion(request, design, starts)
+        study: Criterion = WorstCaseCriterion(request, design, starts)
     else:
         study = StatisticalCriterion(
-            request, design, criterion, level=target, coverage=coverage, statistic=statistic,
-            distribution=distribution, samples=_sample_number(samples, criterion, target),
-            verify_samples=verify_samples,
+            request, design, criterion, level=target, coverage=coverage, statistic=statistic, distribution=distribution,
+            samples=_sample_number(samples, criterion, target), verify_samples=verify_samples,
         )  # fmt: skip
-    answer, history, status, verified = _correct(study, request, rounds, tolerance, refine, verify)
-    message = ""
-    if status != "ok":
-        if verified is None:
-            verified = study.verify(np.exp(answer.x), jax.random.fold_in(verify, rounds))
-        status, message = _explain(study, request, criterion, status, verified, last, tolerance)
-    return _report(study, request, criterion, answer, history, status, message, verified)
+    return _solve(study, request, criterion, rounds, tolerance, (refine, verify, last))
 
 
-def _sample_number(samples, criterion, target):
+def _sample_number(samples, criterion, target) -> int:
     """The number given, or for a yield a power of two with twenty samples beyond the quantile."""
     if samples is not None:
         return int(samples)
@@ -197,11 +194,24 @@ def _sample_number(samples, criterion, target):
     return int(np.clip(2 ** np.ceil(np.log2(20 / (1 - target))), 256, 16384))
 
 
-def _correct(study, request, rounds, tolerance, refine, verify):
-    """Solve, observe, correct until settled and verified: (answer, history, status, verified)."""
+def _solve(study: Criterion, request: Request, criterion, rounds, tolerance, keys) -> Allocation:
+    refine, verify, last = keys
+    answer, history, status, verified = _correct(study, request, rounds, tolerance, refine, verify)
+    message = ""
+    if verified is None:
+        verified = study.verify(np.exp(answer.x), jax.random.fold_in(verify, rounds))
+    if status != "ok":
+        status, message = _explain(study, request, status, verified, last, tolerance)
+    return _report(study, request, criterion, answer, history, (status, message), verified)
+
+
+def _correct(
+    study: Criterion, request: Request, rounds, tolerance, refine, verify
+) -> tuple[Answer, list[tuple[float, float]], str, Verified | None]:
+    """Solve, observe, correct until settled and verified: answer, history, status, and the last fresh run."""
     lower, upper = np.log(request.lower), np.log(request.upper)
     answer = study.solve(0.5 * (lower + upper), lower, upper)
-    history, before = [], np.inf
+    history, before, fresh = [], np.inf, None
     settling = study.settling * tolerance
     for attempt in range(ATTEMPTS):
         for number in range(attempt * rounds, (attempt + 1) * rounds):
@@ -226,22 +236,22 @@ def _correct(study, request, rounds, tolerance, refine, verify):
     return answer, history, "not_verified", fresh
 
 
-def _next(study, answer, lower, upper):
+def _next(study: Criterion, answer: Answer, lower, upper) -> Answer:
     """The cheapest point of the study's present model near the last one."""
     near = np.clip(answer.x - np.log(STEP), lower, upper)
     far = np.clip(answer.x + np.log(STEP), lower, upper)
     return study.solve(answer.x, near, far)
 
 
-def _passes(study, verified, tolerance):
+def _passes(study: Criterion, verified: Verified, tolerance) -> bool:
     """Whether the fresh run agrees: no limit (or the joint yield) violated beyond its interval."""
-    if study.joint:
+    if isinstance(study, StatisticalCriterion) and study.joint:
         return verified.fraction_interval[1] >= study.level
     return bool(np.all(verified.low <= 10 * tolerance))
 
 
-def _explain(study, request, criterion, status, verified, key, tolerance):
-    """Tell an infeasible request from one that did not converge, and word it."""
+def _explain(study: Criterion, request: Request, status, verified: Verified, key, tolerance) -> tuple[str, str]:
+    """Status and message: tells an infeasible request from one that did not converge."""
     if status == "not_verified":
         return status, (
             "Fresh runs kept violating a limit beyond their confidence interval; use more samples or rounds."
@@ -253,27 +263,53 @@ def _explain(study, request, criterion, status, verified, key, tolerance):
         limit = request.limits[i]
         word = "at most" if limit.sign > 0 else "at least"
         return "infeasible", (
-            f"The limit {word} {show_number(limit.bound, 6)} {limit.unit} on {limit.metric} "
-            f"cannot be "
-            f"met: the best value within the bounds is {show_number(limit.restore(best[i]), 6)} "
-            f"{limit.unit}; relax it to that, or allow smaller tolerances."
+            f"The limit {word} {show_number(limit.bound, 6)} {limit.unit} on {limit.metric} cannot be met: the best "
+            f"value within the bounds is {show_number(limit.restore(best[i]), 6)} {limit.unit}; relax it to that, or "
+            "allow smaller tolerances."
         )
-    if criterion == "yield" and study.best_yield() < study.level:
+    if isinstance(study, StatisticalCriterion) and study.joint and study.best_yield() < study.level:
         return "infeasible", (
-            f"The yield {study.level} cannot be met by all limits together: with the smallest "
-            f"tolerances "
-            f"it is {study.best_yield():.5f}; relax a limit or allow smaller tolerances."
+            f"The yield {study.level} cannot be met by all limits together: with the smallest tolerances it is "
+            f"{study.best_yield():.5f}; relax a limit or allow smaller tolerances."
         )
     return status, "The corrections did not settle; ask for more rounds or a looser tolerance."
 
 
-def _report(study, request, criterion, answer, history, status, message, verified):
+def _report(study: Criterion, request: Request, criterion, answer: Answer, history, outcome, verified) -> Allocation:
+    """`outcome`: status, message."""
     t = np.exp(answer.x)
-    quadratic, _ = study.quadratic_worst(t)
+    level, predicted, failed = np.nan, np.nan, study.failed
+    by = "worst-case searches from fresh starts"
+    if isinstance(study, StatisticalCriterion):
+        by = f"a fresh Monte Carlo run of {study.verify_samples} samples"
+        level, failed = study.level, failed + verified.failed
+        predicted = study.predicted_yield(t) if study.joint else np.nan
+    return Allocation(
+        criterion=criterion,
+        status=outcome[0],
+        message=outcome[1],
+        tolerances=request.tolerances(t),
+        units={name: request.problem.error_unit(name) for name in request.names},
+        cost=answer.cost,
+        at_bounds=_at_bounds(request, t),
+        limits=_check_limits(request, answer, study.quadratic_worst(t), verified),
+        level=level,
+        predicted_yield=predicted,
+        verified_yield=verified.fraction,
+        yield_interval=verified.fraction_interval,
+        verified_by=by,
+        history=tuple(history),
+        failed=failed,
+        hessian_error=_hessian_error(request),
+    )
+
+
+def _check_limits(request: Request, answer: Answer, quadratic, verified: Verified) -> tuple[LimitCheck, ...]:
+    """The limits with their values by the quadratic model, `quadratic` (l,), at the answer and in the fresh run."""
     checks = []
     for i, limit in enumerate(request.limits):
         predicted, value = limit.restore(answer.h[i]), limit.restore(verified.h[i])
-        ends = sorted(float(limit.restore(h[i])) for h in (verified.low, verified.high))
+        low, high = sorted(float(limit.restore(h[i])) for h in (verified.low, verified.high))
         checks.append(
             LimitCheck(
                 metric=limit.metric,
@@ -284,43 +320,27 @@ def _report(study, request, criterion, answer, history, status, message, verifie
                 quadratic=float(limit.restore(quadratic[i])),
                 predicted=float(predicted),
                 verified=float(value),
-                verified_interval=tuple(ends),
+                verified_interval=(low, high),
                 predicted_margin=float(limit.sign * (limit.bound - predicted)),
                 verified_margin=float(limit.sign * (limit.bound - value)),
                 shadow_price=float(-limit.sign * answer.prices[i] / limit.headroom),
             )
         )
-    at_bounds = {}
+    return tuple(checks)
+
+
+def _at_bounds(request: Request, t) -> dict[str, str]:
+    """{error: "smallest" | "largest"} of the tolerances that are at a bound."""
+    found = {}
     for name, x, low, high in zip(request.names, t, request.lower, request.upper, strict=True):
         if x <= low * (1 + 1e-6):
-            at_bounds[name] = "smallest"
+            found[name] = "smallest"
         elif x >= high * (1 - 1e-6):
-            at_bounds[name] = "largest"
-    statistical = criterion != "worst_case"
-    by = "worst-case searches from fresh starts"
-    if statistical:
-        by = f"a fresh Monte Carlo run of {study.verify_samples} samples"
-    return Allocation(
-        criterion=criterion,
-        status=status,
-        message=message,
-        tolerances=request.tolerances(t),
-        units={name: request.problem.error_unit(name) for name in request.names},
-        cost=answer.cost,
-        at_bounds=at_bounds,
-        limits=tuple(checks),
-        level=study.level if statistical else np.nan,
-        predicted_yield=study.predicted_yield(t) if criterion == "yield" else np.nan,
-        verified_yield=verified.fraction,
-        yield_interval=verified.fraction_interval,
-        verified_by=by,
-        history=tuple(history),
-        failed=study.failed + (verified.failed if statistical else 0),
-        hessian_error=_hessian_error(request),
-    )
+            found[name] = "largest"
+    return found
 
 
-def _hessian_error(request):
+def _hessian_error(request: Request) -> float:
     """The largest estimated error of a limited metric's Hessian, NaN where Hessians are exact."""
     error = request.model.hessian_error
-    return np.nan if error is None else max(float(error[limit.index]) for limit in request.limits)
+    return np.nan if error is None else max(float(error[limit.position]) for limit in request.limits)

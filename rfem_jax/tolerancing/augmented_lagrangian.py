@@ -5,80 +5,69 @@ Place in the pipeline: the solver under the allocation of tolerances; knows noth
     min c(x)   subject to   h(x) <= 0,   lower <= x <= upper
     L(x) = c + 1/(2 rho) sum( max(0, mu + rho h)^2 - mu^2 ),     mu <- max(0, mu + rho h)
 
-The inner problem is solved by the spectral projected gradient of `projected_gradient`; the penalty
-rho grows where the violation does not shrink. Scale c and h to the order of one.
+The inner problem is solved by the spectral projected gradient of `projected_gradient`; the penalty rho grows where the
+violation does not shrink. Scale c and h to the order of one.
 
 Symbols: x (k,), h (c,), mu (c,) multipliers (dc/dh at the solution), rho penalty.
-Source: J. Nocedal, S. J. Wright, Numerical Optimization, 2nd ed. (2006), section 17.4; E. G.
-Birgin, J. M. Martinez, Practical Augmented Lagrangian Methods (2014), algorithm 4.1 (rule for rho).
+Source: J. Nocedal, S. J. Wright, Numerical Optimization, 2nd ed. (2006), section 17.4; E. G. Birgin, J. M. Martinez,
+Practical Augmented Lagrangian Methods (2014), algorithm 4.1 (rule for rho).
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
 
-from rfem_jax.tolerancing.projected_gradient import climb, project_box
+from rfem_jax.tolerancing.projected_gradient import Point, Search, climb, project_box
 
 PENALTY_START, PENALTY_GROWTH, PENALTY_MAX = 10.0, 5.0, 1e8
+
+Cost = Callable[[Point], Float[Array, ""]]
+Constraints = Callable[[Point], Float[Array, " c"]]
 
 
 class Solution(NamedTuple):
     """Minimum: point (k,), its cost, multipliers (c,), and how well the conditions hold.
 
-    `violation` is the largest of h and of the complementarity |min(-h, mu/rho)|, `residual` the
-    projected gradient of the Lagrangian, |P(x - grad L) - x|_inf.
+    `violation` is the largest of h and of the complementarity |min(-h, mu/rho)|, `residual` the projected gradient of
+    the Lagrangian, |P(x - grad L) - x|_inf.
     """
 
-    point: jax.Array
-    cost: jax.Array
-    multipliers: jax.Array
-    violation: jax.Array
-    residual: jax.Array
-    evaluations: jax.Array
-    converged: jax.Array
+    point: Float[Array, " k"]
+    cost: Float[Array, ""]
+    multipliers: Float[Array, " c"]
+    violation: Float[Array, ""]
+    residual: Float[Array, ""]
+    evaluations: Int[Array, ""]
+    converged: Bool[Array, ""]
 
 
 def minimise(
-    cost,
-    constraints,
-    start,
-    lower,
-    upper,
+    cost: Cost,
+    constraints: Constraints,
+    start: Point,
+    lower: Point,
+    upper: Point,
     *,
-    rounds=40,
-    evaluations=2000,
-    tolerance=1e-8,
-    stationarity=1e-7,
-):
+    rounds: int = 40,
+    evaluations: int = 2000,
+    tolerance: float = 1e-8,
+    stationarity: float = 1e-7,
+) -> Solution:
     """Minimise cost(x) subject to constraints(x) <= 0 in a box; traced.
 
-    Args: cost x (k,) -> scalar; constraints x -> (c,); start, lower, upper (k,); rounds of the
-        outer iteration; evaluations the most in one round; tolerance on the violation;
-        stationarity, the tolerance on the residual (rounding of L keeps it above about 1e-8).
-    Returns: Solution.
+    Args: cost, x (k,) -> scalar; constraints, x -> (c,); start, lower, upper (k,); rounds of the outer iteration;
+        evaluations, the largest number of them in one round; tolerance on the violation; stationarity, the tolerance
+        on the residual (rounding of L keeps it above about 1e-8).
     """
-
-    def lagrangian(x, multipliers, penalty):
-        shifted = jnp.maximum(0.0, multipliers + penalty * constraints(x))
-        return cost(x) + 0.5 / penalty * jnp.sum(shifted**2 - multipliers**2)
-
-    def solve(x, multipliers, penalty):
-        def function(y):
-            value, gradient = jax.value_and_grad(lagrangian)(y, multipliers, penalty)
-            return -value, -gradient
-
-        return climb(
-            function,
-            lambda y: project_box(y, lower, upper),
-            x,
-            evaluations=evaluations,
-            tolerance=stationarity,
-        )
 
     def advance(carry):
         x, multipliers, penalty, before, _, spent, count = carry
-        search = solve(x, multipliers, penalty)
+        search = _minimise_lagrangian(
+            cost, constraints, x, multipliers, penalty, lower, upper, evaluations, stationarity
+        )
         h = constraints(search.point)
         violation = jnp.max(jnp.abs(jnp.maximum(h, -multipliers / penalty)), initial=0.0)
         multipliers = jnp.clip(multipliers + penalty * h, 0.0, PENALTY_MAX)
@@ -101,3 +90,25 @@ def minimise(
     x, multipliers, _, violation, residual, spent, _ = jax.lax.while_loop(going, advance, carry)
     converged = (violation <= tolerance) & (residual <= stationarity)
     return Solution(x, cost(x), multipliers, violation, residual, spent, converged)
+
+
+def _minimise_lagrangian(
+    cost, constraints, start, multipliers, penalty, lower, upper, evaluations, stationarity
+) -> Search:
+    """Minimum of L in the box for given multipliers and penalty; traced."""
+
+    def lagrangian(x):
+        shifted = jnp.maximum(0.0, multipliers + penalty * constraints(x))
+        return cost(x) + 0.5 / penalty * jnp.sum(shifted**2 - multipliers**2)
+
+    def function(x):
+        value, gradient = jax.value_and_grad(lagrangian)(x)
+        return -value, -gradient
+
+    return climb(
+        function,
+        lambda y: project_box(y, lower, upper),
+        start,
+        evaluations=evaluations,
+        tolerance=stationarity,
+    )

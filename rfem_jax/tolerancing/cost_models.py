@@ -1,35 +1,37 @@
 """Cost models: what a tolerance costs.
 
-Place in the pipeline: input of an allocation. A cost model is any callable of one half-width
-t [rad or m] that returns a cost (in any currency), decreasing in t; the total is the sum over
-errors. Each error may have a model of its own.
+Place in the pipeline: input of an allocation. A cost model is any callable of one half-width t [rad or m] that returns
+a cost (in any currency), decreasing in t; the total is the sum over errors. Each error may have a model of its own.
 
     Reciprocal          c(t) = fixed + factor / t
     ReciprocalSquared   c(t) = fixed + factor / t^2
     Exponential         c(t) = fixed + factor exp(-rate t)
 
 Symbols: fixed [cost], factor [cost times the unit of t, of t^2, or cost], rate [1/unit of t].
-Source: M. Hallmann, B. Schleich, S. Wartzack, From tolerance allocation to tolerance-cost
-optimization, Int. J. Adv. Manuf. Technol. 107 (2020) 4859-4912, section on tolerance-cost
-functions.
+Source: M. Hallmann, B. Schleich, S. Wartzack, From tolerance allocation to tolerance-cost optimization, Int. J. Adv.
+Manuf. Technol. 107 (2020) 4859-4912, section on tolerance-cost functions.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
+from jaxtyping import Array, Float
 
 from rfem_jax.description.errors import InputError
-from rfem_jax.tolerancing.evaluation import check_known
+from rfem_jax.tolerancing.checks import check_known
+
+CostModel = Callable[[Float[Array, ""]], ArrayLike]
 
 
-def _check(positive, where):
+def _check(positive: dict[str, float], where: str) -> None:
     for name, value in positive.items():
         if not (np.isfinite(value) and value > 0):
             raise InputError(
-                f"Argument `{name}` of {where} must be positive, but it is {value}; a cost that "
-                f"does "
+                f"Argument `{name}` of {where} must be positive, but it is {value}; a cost that does "
                 "not fall with the tolerance has no cheapest one."
             )
 
@@ -44,7 +46,8 @@ class Reciprocal:
     def __post_init__(self):
         _check({"factor": self.factor}, "Reciprocal")
 
-    def __call__(self, t):
+    def __call__(self, t: ArrayLike) -> Any:
+        """Cost of the half-width t [rad or m]."""
         return self.fixed + self.factor / t
 
 
@@ -58,7 +61,8 @@ class ReciprocalSquared:
     def __post_init__(self):
         _check({"factor": self.factor}, "ReciprocalSquared")
 
-    def __call__(self, t):
+    def __call__(self, t: ArrayLike) -> Any:
+        """Cost of the half-width t [rad or m]."""
         return self.fixed + self.factor / (t * t)
 
 
@@ -73,7 +77,8 @@ class Exponential:
     def __post_init__(self):
         _check({"factor": self.factor, "rate": self.rate}, "Exponential")
 
-    def __call__(self, t):
+    def __call__(self, t: ArrayLike) -> Any:
+        """Cost of the half-width t [rad or m]."""
         return self.fixed + self.factor * jnp.exp(-self.rate * t)
 
 
@@ -84,19 +89,17 @@ COST_MODELS = {
 }
 
 
-def assign_costs(cost, names):
-    """One cost model per name: from one model for all, or from a mapping name -> model.
+def assign_costs(cost: CostModel | Mapping[str, CostModel], names: Sequence[str]) -> tuple[CostModel, ...]:
+    """Cost models of `names`, in their order: from one model for all, or from a mapping name -> model.
 
-    Returns a tuple of callables in the order of `names`. Raises InputError if one is missing or is
-    not callable.
+    Raises: InputError if one is missing or is not callable.
     """
     if isinstance(cost, Mapping):
         check_known(cost, names, "cost")
         missing = [name for name in names if name not in cost]
         if missing:
             raise InputError(
-                f"Argument `cost` must have a model for every error with bounds, but "
-                f"`{missing[0]}` "
+                f"Argument `cost` must have a model for every error with bounds, but `{missing[0]}` "
                 "has none; add it, or give one model for all."
             )
         models = tuple(cost[name] for name in names)
@@ -105,14 +108,13 @@ def assign_costs(cost, names):
     for name, model in zip(names, models, strict=True):
         if not callable(model):
             raise InputError(
-                f"Argument `cost` must be a callable of one tolerance (or a mapping of them), "
-                f"but for "
+                f"Argument `cost` must be a callable of one tolerance (or a mapping of them), but for "
                 f"`{name}` it is {model!r}; use Reciprocal(factor) for example."
             )
     return models
 
 
-def total_cost(models, tolerances):
+def total_cost(models: Sequence[CostModel], tolerances: Float[Array, " k"]) -> Float[Array, ""]:
     """Sum of the costs of tolerances (k,), a scalar; traced and differentiable."""
     return sum(
         (jnp.asarray(model(tolerances[i]), jnp.float64) for i, model in enumerate(models)),

@@ -1,62 +1,56 @@
-"""Metrics at named points: from names and tolerances to arrays, and many points in chunks.
+"""Metrics at given points: from names and tolerances to arrays, and many points in chunks.
 
-Place in the pipeline: the door between a `problem(errors) -> (values, status)` and the studies that
-differentiate (sensitivities, worst cases, allocation). They work with vectors x (k,) of the errors
-they vary, in [rad] and [m] as the problem's names say; all other errors stay at `base`.
+Place in the pipeline: between a problem(errors) -> (values, status) and the studies that differentiate it
+(sensitivities, worst cases, allocation). These work with vectors x (k,) of the errors they vary, in rad and m; all
+other errors have the fixed values `base`.
 
-Compiling a simulation takes far longer than running it: for each problem and set of errors all
-studies share one program for values and one for values with slopes (`quadratic_model`), each of one
-shape. Points come to them in chunks from the host, the last chunk filled up.
+Compiling a simulation takes far longer than running it. For each problem and set of errors all studies therefore
+share one program for values and one for values with derivatives (`quadratic_model`), each of one shape. The host
+passes points to them in chunks and fills up the last one.
 
-Symbols: k errors, m metrics, n points; x (k,) errors; t (k,) half-widths of the tolerances [as x];
-status 0 is a good sample, any other integer a failure (its values are not used).
+Symbols: k errors, m metrics, n points; x (k,) errors; t (k,) half-widths of the tolerances [as x]; status 0 is a good
+sample, any other integer a failure (its values are not used).
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float, Int, Shaped
 
 from rfem_jax.compilation.program import Program
-from rfem_jax.description.errors import InputError, suggestion
+from rfem_jax.description.errors import InputError
+from rfem_jax.tolerancing.checks import ErrorValues, check_known, error_value
+from rfem_jax.tolerancing.distributions import Tolerances
 from rfem_jax.tolerancing.execution import default_lanes
+from rfem_jax.tolerancing.problem import Metric, Status, ToleranceProblem
+
+Base = dict[str, Float[Array, ""]]
 
 
-def require_float64():
-    """Refuse to work in single precision. Raises InputError."""
-    if not jax.config.jax_enable_x64:
-        raise InputError(
-            "Argument `jax_enable_x64` must be on, but JAX works in 32 bits; "
-            'put jax.config.update("jax_enable_x64", True) before the first array.'
-        )
+def select_half_widths(
+    problem: ToleranceProblem, tolerances: Tolerances | ErrorValues, what: str = "tolerances"
+) -> tuple[tuple[str, ...], Float[np.ndarray, " k"]]:
+    """Names (k) and half-widths (k,) [rad or m] of a `Tolerances` collection, or of a mapping from names to
+    half-widths (numbers in rad or m, or strings with a unit).
 
-
-def check_known(names, known, what):
-    """Raise InputError for the first of `names` that is not in `known`, with the nearest one."""
-    for name in names:
-        if name not in known:
-            raise InputError(
-                f"Argument `{what}` must name what the problem has, but `{name}` is not known; "
-                f"{suggestion(name, known)}"
-            )
-
-
-def select_half_widths(problem, tolerances, what="tolerances"):
-    """Names and half-widths of a `Tolerances` collection or of a mapping name -> half-width.
-
-    Returns (names tuple (k), half_widths (k,) NumPy [rad or m]). Raises InputError for unknown
-    names and for half-widths that are not positive and finite.
+    Args: what, the argument that holds them.
+    Raises: InputError for unknown names and for half-widths that are not positive and finite.
     """
-    widths = tolerances.half_widths() if hasattr(tolerances, "half_widths") else tolerances
+    widths = tolerances.half_widths() if isinstance(tolerances, Tolerances) else tolerances
     if not isinstance(widths, Mapping) or not widths:
         raise InputError(
-            f"Argument `{what}` must be a Tolerances collection or a mapping from names of "
-            f"errors to "
-            f"half-widths, but it is {widths!r}."
+            f"Argument `{what}` must be a Tolerances collection or a mapping from names of errors to half-widths, "
+            f"but it is {widths!r}."
         )
     check_known(widths, problem.error_names, what)
-    values = np.array([float(width) for width in widths.values()])
+    if isinstance(tolerances, Tolerances):
+        tolerances.require_units(problem)
+    values = np.array(
+        [error_value(width, problem.error_unit(name), f"`{name}` of `{what}`") for name, width in widths.items()]
+    )
     for name, value in zip(widths, values, strict=True):
         if not (np.isfinite(value) and value > 0):
             raise InputError(
@@ -66,36 +60,50 @@ def select_half_widths(problem, tolerances, what="tolerances"):
     return tuple(widths), values
 
 
-def split_errors(problem, errors, names, what="at"):
-    """A point as (base, x): the errors held fixed (dict of scalars) and the vector (k,) of
-    `names`."""
+def read_point(problem: ToleranceProblem, errors: ErrorValues | None, what: str = "at") -> dict[str, float]:
+    """A point {error: number in rad or m, or string with a unit} as numbers. Raises InputError."""
     errors = dict(errors or {})
     check_known(errors, problem.error_names, what)
-    point = jnp.array([float(errors.get(name, 0.0)) for name in names], dtype=jnp.float64)
-    base = {n: jnp.asarray(v, jnp.float64) for n, v in errors.items() if n not in names}
+    return {n: error_value(v, problem.error_unit(n), f"`{n}` of `{what}`") for n, v in errors.items()}
+
+
+def split_errors(
+    problem: ToleranceProblem, errors: ErrorValues | None, names: Sequence[str], what: str = "at"
+) -> tuple[Base, Float[Array, " k"]]:
+    """A point as the errors held fixed (dict of scalars) and the vector (k,) of the errors `names`.
+
+    Args: errors, the point as `read_point` takes it; missing names are zero.
+    Raises: InputError for unknown names.
+    """
+    values = read_point(problem, errors, what)
+    point = jnp.array([values.get(name, 0.0) for name in names], dtype=jnp.float64)
+    base = {n: jnp.asarray(v, jnp.float64) for n, v in values.items() if n not in names}
     return base, point
 
 
-def metric_index(problem, metric, what="metric"):
+def metric_index(problem: ToleranceProblem, metric: str | Metric, what: str = "metric") -> int:
     """Position of a metric, given by its name or as the object. Raises InputError."""
     names = tuple(m.name for m in problem.metrics)
-    name = getattr(metric, "name", metric)
+    name = metric.name if isinstance(metric, Metric) else metric
     check_known((name,), names, what)
     return names.index(name)
 
 
-def stack_metrics(problem, names, base, x):
+def stack_metrics(
+    problem: ToleranceProblem, names: Sequence[str], base: Base, x: Float[Array, " k"]
+) -> tuple[Float[Array, " m"], Status]:
     """Values (m,) of all metrics and the status at one point x (k,); traced."""
     errors = {**base, **{name: x[i] for i, name in enumerate(names)}}
     values, status = problem(errors)
     return jnp.stack([jnp.asarray(values[m.name]) for m in problem.metrics]), status
 
 
-def map_chunks(function, rows, batch):
-    """`function` of every row of `rows` (n, ...), vectorised over chunks of `batch` rows; traced.
+def map_chunks(function: Callable[[Array], Any], rows: Shaped[Array, "n ..."], batch: int) -> Any:
+    """`function` of every row of `rows`, vectorised over chunks of `batch` rows; traced.
 
-    A whole number of chunks runs in one loop (the last filled up with its first row), so the
-    program is compiled for one chunk and its memory does not grow with n.
+    All chunks run in one loop (the last one is filled up with the first row), so that the program is compiled for one
+    chunk and its memory does not grow with n.
+    Returns: the pytree of the function's results with a leading axis of n.
     """
     count = rows.shape[0]
     batch = min(batch, count)
@@ -108,11 +116,13 @@ def map_chunks(function, rows, batch):
     return jax.tree.map(lambda a: a.reshape(chunks * batch, *a.shape[2:])[:count], out)
 
 
-def run_in_chunks(program, width, *rows):
-    """`program` of arrays with n rows each, `width` rows at a time, from the host.
+def run_in_chunks(
+    program: Callable[..., tuple[Array, ...]], width: int, *rows: Shaped[np.ndarray, "n ..."]
+) -> tuple[np.ndarray, ...]:
+    """Run a program on arrays of n rows, `width` rows at a time, from the host.
 
     Args: program takes arrays of `width` rows and returns a tuple of arrays with as many.
-    Returns: the tuple of its results (NumPy) for all n rows.
+    Returns: the program's results for all n rows.
     """
     parts = []
     for first in range(0, len(rows[0]), width):
@@ -129,22 +139,27 @@ def _evaluate_chunk(problem, names, base, points):
     return jax.vmap(lambda x: stack_metrics(problem, names, base, x))(points)
 
 
-def evaluate_points(problem, names, base, points, batch=256):
+def evaluate_points(
+    problem: ToleranceProblem,
+    names: Sequence[str],
+    base: Base,
+    points: Float[np.ndarray, "n k"] | Sequence[Sequence[float]],
+    batch: int = 256,
+) -> tuple[Float[np.ndarray, "n m"], Int[np.ndarray, " n"]]:
     """All metrics at many points, chunk by chunk from the host (one compiled program).
 
-    Args: points (n, k) [rad, m]; batch the most points at once (fewer where the device gains
-        nothing by more).
-    Returns: values (n, m) NumPy, NaN where the sample failed or is not finite; status (n,) int32.
+    Args: names (k) of the errors that vary and base, the others, as `split_errors` gives them; points (n, k) [rad, m];
+        batch, the most points at once (fewer where the device gains nothing by more).
+    Returns: values (n, m), NaN where the sample failed, and status (n,).
     """
     points = np.asarray(points, dtype=np.float64)
     values, statuses = run_in_chunks(
-        lambda chunk: _evaluate_chunk(problem, names, base, chunk), min(batch, default_lanes()),
-        points,
-    )  # fmt: skip
+        lambda chunk: _evaluate_chunk(problem, names, base, chunk), min(batch, default_lanes()), points
+    )
     return np.where((statuses == 0)[:, None], values, np.nan), statuses
 
 
-def describe_status(problem, status):
+def describe_status(problem: ToleranceProblem, status: int | Int[Array, ""] | np.integer) -> str:
     """The problem's own word for a status code, "ok" for 0."""
     if int(status) == 0:
         return "ok"

@@ -1,17 +1,18 @@
 """Plain-text columns for the results of the tolerance studies, none wider than `WIDTH`.
 
-Place in the pipeline: used where a result of this room prints itself, and by the reports on them;
-no symbols.
+Place in the pipeline: used where a result of this package prints itself, and by the reports on them; no symbols.
 """
 
 import textwrap
+from collections.abc import Iterable, Sequence
+from typing import SupportsFloat
 
 WIDTH = 120  # columns of a terminal
 NEGLIGIBLE = 1e-12  # of the scale: rounding, shown as 0
 
 
-def align_columns(header, rows, width=WIDTH):
-    """One string: `rows` (sequences of strings) under `header`, first column left, others right.
+def align_columns(header: Sequence[str], rows: Iterable[Sequence[str]], width: int = WIDTH) -> str:
+    """One string: `rows` under `header`, the first column to the left, the others to the right.
 
     Columns that do not fit into `width` follow in blocks below, each with the first column.
     """
@@ -36,22 +37,21 @@ def _block(table, widths, columns):
     return "\n".join(lines)
 
 
-def wrap_lines(text, indent=2, width=WIDTH):
-    """`text` with its long lines broken at spaces; what follows a break is indented."""
+def wrap_lines(text: str, indent: int = 2, width: int = WIDTH) -> str:
+    """`text` with its long lines broken at spaces, and the broken lines indented."""
     return "\n".join(
-        textwrap.fill(line, width, subsequent_indent=" " * indent, break_long_words=False,
-                      break_on_hyphens=False)
+        textwrap.fill(line, width, subsequent_indent=" " * indent, break_long_words=False, break_on_hyphens=False)
         for line in text.splitlines()
-    )  # fmt: skip
+    )
 
 
-def without_rounding(value, scale):
+def without_rounding(value: SupportsFloat, scale: SupportsFloat) -> float:
     """0 for a number that is only rounding of numbers of size `scale`, else the number."""
     value = float(value)
     return 0.0 if abs(value) <= NEGLIGIBLE * abs(float(scale)) else value
 
 
-def show_number(value, digits=5, scale=0.0):
+def show_number(value: SupportsFloat, digits: int = 5, scale: SupportsFloat = 0.0) -> str:
     """A number for a table; "-" where it does not exist, 0 where it is rounding of `scale`."""
     value = without_rounding(value, scale)
     return "-" if value != value else f"{value:.{digits}g}"

@@ -1,93 +1,53 @@
-"""Metrics: the numbers of a run that tolerance studies differentiate, sample and limit.
+"""Metrics of a run: names as "A.rms_force" turned into functions Run -> scalar.
 
 Place in the pipeline: Run -> **metric** -> Problem.
 
-Every metric has a name, a unit, a label and a function of a run.  Mean squares are smooth; RMS
-values are their roots and have a cone where the load vanishes (MODEL section 8); a p-norm is a
-smooth stand-in for a maximum.  A metric of your own:
-
-    Metric("A.swing", "rad", "largest crank angle", function=lambda run: jnp.max(run.angle))
+`rfem_jax.description.metric_catalogue` holds the kinds of metrics that names stand for. `register_metric`, which is
+imported from there, adds a kind of your own; a metric that needs no name of its own in study files is a `Metric` with
+a function.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
-from functools import cache
-
-import jax.numpy as jnp
-
 from rfem_jax.description.errors import InputError, suggestion
-from rfem_jax.simulation.equations import safe_sqrt
-from rfem_jax.tolerancing.problem import Metric as NamedMetric
+from rfem_jax.description.metric_catalogue import (
+    JOINT_METRICS,
+    PEAK_POWER,
+    RUN_METRICS,
+    MetricKind,
+    p_norm,
+    register_metric,
+)
+from rfem_jax.tolerancing.problem import Metric
+
+__all__ = ["Metric", "end_angle", "joint_of", "metric", "peak_force", "peak_moment", "register_metric"]
+
+_made: dict[str, tuple[MetricKind, Metric]] = {}
 
 
-@dataclass(frozen=True)
-class Metric(NamedMetric):
-    """A number of a run: name, unit, label, and the function Run -> scalar that computes it.
+def metric(name: str) -> Metric:
+    """The metric that a name stands for, as "A.rms_force" or "end_energy"; the same object each time, so that equal
+    problems share their compiled programs.
 
-    `even`: unchanged when all out-of-plane errors of a planar mechanism change sign (None:
-    unknown).
+    Raises: InputError for an unknown name, with the nearest.
     """
-
-    function: Callable | None = field(default=None, kw_only=True)
-
-    def __post_init__(self):
-        super().__post_init__()
-        if not callable(self.function):
-            raise InputError(
-                f"Argument `function` of metric {self.name!r} must be a function of a run, but is "
-                f"{self.function!r}; give for example `lambda run: run.angle[-1]`."
-            )
-
-    def __call__(self, run):
-        return self.function(run)
+    joint, _, kind = name.rpartition(".")
+    entry = JOINT_METRICS.get(kind) if joint else RUN_METRICS.get(name)
+    if entry is None:
+        known = [f"{joint or 'A'}.{kind}" for kind in JOINT_METRICS] + list(RUN_METRICS)
+        raise InputError(f"Argument `metrics` must name metrics, but {name!r} is none; {suggestion(name, known)}")
+    # A kind that was replaced is another entry.
+    if name not in _made or _made[name][0] is not entry:
+        _made[name] = entry, _of_joint(entry, joint) if joint else _of_run(entry)
+    return _made[name][1]
 
 
-def mean_square_force(joint: str) -> Metric:
-    """Mean square of the resultant force [N^2]; smooth everywhere."""
-    return Metric(
-        f"{joint}.mean_square_force",
-        "N^2",
-        f"mean square force in {joint}",
-        even=True,
-        function=lambda run: run.metrics.mean_square_force[joint],
-    )
+def joint_of(one: Metric) -> str | None:
+    """The joint that a metric of the catalogue is of; None for a metric of the whole run and one of the user."""
+    joint, _, kind = one.name.rpartition(".")
+    return joint if joint and kind in JOINT_METRICS else None
 
 
-def mean_square_moment(joint: str) -> Metric:
-    """Mean square of the resultant moment [(N m)^2]; smooth everywhere."""
-    return Metric(
-        f"{joint}.mean_square_moment",
-        "N^2 m^2",
-        f"mean square moment in {joint}",
-        even=True,
-        function=lambda run: run.metrics.mean_square_moment[joint],
-    )
-
-
-def rms_force(joint: str) -> Metric:
-    """Root mean square of the resultant force [N]."""
-    return Metric(
-        f"{joint}.rms_force",
-        "N",
-        f"RMS force in {joint}",
-        even=True,
-        function=lambda run: run.metrics.rms_force[joint],
-    )
-
-
-def rms_moment(joint: str) -> Metric:
-    """Root mean square of the resultant moment [N m]; a cone where it vanishes."""
-    return Metric(
-        f"{joint}.rms_moment",
-        "N m",
-        f"RMS moment in {joint}",
-        even=True,
-        function=lambda run: run.metrics.rms_moment[joint],
-    )
-
-
-def peak_force(joint: str, power: int = 16) -> Metric:
-    """Smooth maximum of the resultant force [N]: the p-norm over the saved times.
+def peak_force(joint: str, power: int = PEAK_POWER) -> Metric:
+    """Smooth maximum of the resultant force [N]: its p-norm over the saved times, with the given power.
 
     With N saved times, p-norm <= largest saved value <= N^(1/p) p-norm.
     """
@@ -96,46 +56,24 @@ def peak_force(joint: str, power: int = 16) -> Metric:
         "N",
         f"{power}-norm of the force in {joint}",
         even=True,
-        function=lambda run: _p_norm(run.loads[joint].force, power),
+        function=lambda run: p_norm(run.loads[joint].force, power),
     )
 
 
-def peak_moment(joint: str, power: int = 16) -> Metric:
+def peak_moment(joint: str, power: int = PEAK_POWER) -> Metric:
     """Smooth maximum of the resultant moment [N m], as `peak_force`."""
     return Metric(
         f"{joint}.peak_moment",
         "N m",
         f"{power}-norm of the moment in {joint}",
         even=True,
-        function=lambda run: _p_norm(run.loads[joint].moment, power),
-    )
-
-
-def preload_force(joint: str) -> Metric:
-    """Square of the resultant preload force [N^2] after assembly; smooth everywhere."""
-    return Metric(
-        f"{joint}.preload_force_square",
-        "N^2",
-        f"squared preload force in {joint}",
-        even=True,
-        function=lambda run: jnp.sum(run.preload[joint].force ** 2),
-    )
-
-
-def preload_moment(joint: str) -> Metric:
-    """Square of the resultant preload moment [(N m)^2] after assembly; smooth everywhere."""
-    return Metric(
-        f"{joint}.preload_moment_square",
-        "N^2 m^2",
-        f"squared preload moment in {joint}",
-        even=True,
-        function=lambda run: jnp.sum(run.preload[joint].moment ** 2),
+        function=lambda run: p_norm(run.loads[joint].moment, power),
     )
 
 
 def end_angle(reference: float = 0.0) -> Metric:
-    """Driven joint's angle at the end minus a reference [rad]: with the perfect mechanism's angle
-    as the reference, the angle error."""
+    """Angle of the driven joint at the end minus a reference [rad]; with the angle of the perfect mechanism as the
+    reference it is the angle error."""
     return Metric(
         "angle_error",
         "rad",
@@ -145,50 +83,10 @@ def end_angle(reference: float = 0.0) -> Metric:
     )
 
 
-def end_energy() -> Metric:
-    """Mechanical energy at the end [J]."""
-    return Metric(
-        "end_energy",
-        "J",
-        "energy at the end",
-        even=True,
-        function=lambda run: run.energy.total[-1],
-    )
+def _of_joint(kind: MetricKind, joint: str) -> Metric:
+    label = kind.label.replace("{joint}", joint)
+    return Metric(f"{joint}.{kind.name}", kind.unit, label, kind.even, function=lambda run: kind.function(run, joint))
 
 
-OF_JOINTS = {
-    "mean_square_force": mean_square_force,
-    "mean_square_moment": mean_square_moment,
-    "rms_force": rms_force,
-    "rms_moment": rms_moment,
-    "peak_force": peak_force,
-    "peak_moment": peak_moment,
-    "preload_force_square": preload_force,
-    "preload_moment_square": preload_moment,
-}
-OF_RUNS = {"angle_error": end_angle, "end_energy": end_energy}
-
-
-@cache
-def metric(name: str) -> Metric:
-    """The metric of a name as "A.rms_force" or "end_energy"; the same object each time (equal
-    problems then share their compiled programs).
-
-    **Raises:** `InputError` for an unknown one, with the nearest.
-    """
-    if name in OF_RUNS:
-        return OF_RUNS[name]()
-    joint, _, kind = name.rpartition(".")
-    if not joint or kind not in OF_JOINTS:
-        known = [f"{joint or 'A'}.{kind}" for kind in OF_JOINTS] + list(OF_RUNS)
-        raise InputError(f"Argument `metrics` must name metrics, but {name!r} is none; {suggestion(name, known)}")
-    return OF_JOINTS[kind](joint)
-
-
-def _p_norm(vectors, power):
-    square = jnp.sum(vectors**2, axis=1)
-    largest = jnp.max(square)
-    safe = jnp.where(largest > 0.0, largest, 1.0)
-    mean = jnp.mean((square / safe) ** (power // 2))
-    mean = jnp.where(largest > 0.0, mean, 1.0)  # a root of zero has no derivative
-    return safe_sqrt(largest) * mean ** (1.0 / power)
+def _of_run(kind: MetricKind) -> Metric:
+    return Metric(kind.name, kind.unit, kind.label, kind.even, function=kind.function)

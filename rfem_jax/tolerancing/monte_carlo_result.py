@@ -1,19 +1,20 @@
-"""What a Monte Carlo study found: samples, statistics, yields, indices; prints itself.
+"""Result of a Monte Carlo study: samples, statistics, yields, indices; prints itself.
 
 Place in the pipeline: output of the Monte Carlo study, input of tables, plots and files.
 
-Symbols: N runs, d errors, m metrics, n random samples (the first ones of the N; the others, if any,
-belong to the design for Sobol' indices and enter no other statistic).
+Symbols: N runs, d errors, m metrics, n random samples (the first n of the N runs; the others, if any, belong to the
+design for Sobol' indices and enter no other statistic).
 """
 
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float, Int
 
 from rfem_jax.tolerancing.layout import align_columns, show_number, wrap_lines
 from rfem_jax.tolerancing.statistics import ControlledMean, Estimate, SobolIndices
 
-NOT_FINITE = -1  # status of a sample that called itself good but has a value that is not finite
+NOT_FINITE = -1  # status of a sample of status 0 with a value that is not finite
 
 
 @dataclass(frozen=True)
@@ -39,13 +40,15 @@ class Yield:
 class MonteCarloResult:
     """Result of a Monte Carlo study.
 
-    names, error_units (d); metrics, metric_units, labels (m); errors (N, d) [rad or m], values (N,
-    m) NaN where the sample failed, status (N,) 0 good; samples n, the first rows, that all
-    statistics use; failures {cause: count} of them; statistics {metric: MetricStatistics}; limits
-    {metric: (low, high)}, yields {metric: Yield}, joint_yield (all limits at once; None without
-    limits); sobol_indices {metric: SobolIndices} or None; controlled_means {metric: ControlledMean}
-    or None, control_note why one is missing; chunks_computed by this process in this call; seconds
-    it took.
+    names, error_units (d) and metrics, metric_units, labels (m): what was varied and computed;
+    errors [rad or m], values (NaN where the sample failed), status (0 good): of all N runs;
+    samples: n, the first rows, which all statistics use; failures {cause: count} of them;
+    statistics {metric: MetricStatistics};
+    limits {metric: (low, high)}, yields {metric: Yield}, joint_yield (all limits at once; None without limits);
+    sobol_indices {metric: SobolIndices} or None;
+    controlled_means {metric: ControlledMean} or None, control_note: why one is missing;
+    confidence of all intervals; sampling: kind of the random points;
+    chunks_computed: by this process in this call; seconds: its time.
     """
 
     names: tuple[str, ...]
@@ -53,9 +56,9 @@ class MonteCarloResult:
     metrics: tuple[str, ...]
     metric_units: tuple[str, ...]
     labels: tuple[str, ...]
-    errors: np.ndarray
-    values: np.ndarray
-    status: np.ndarray
+    errors: Float[np.ndarray, "N d"]
+    values: Float[np.ndarray, "N m"]
+    status: Int[np.ndarray, " N"]
     samples: int
     failures: dict[str, int]
     statistics: dict[str, MetricStatistics]
@@ -71,11 +74,11 @@ class MonteCarloResult:
     seconds: float
 
     @property
-    def good(self):
+    def good(self) -> int:
         """Number of random samples that did not fail."""
         return int(np.sum(self.status[: self.samples] == 0))
 
-    def __str__(self):
+    def __str__(self) -> str:
         failed = self.samples - self.good
         causes = ", ".join(f"{count} {cause}" for cause, count in self.failures.items())
         kind = "from independent nets" if self.sampling == "sobol" else "of independent samples"
@@ -84,43 +87,41 @@ class MonteCarloResult:
         head += f"; intervals of {100 * self.confidence:g} % confidence, {kind}"
         lines = [wrap_lines(head), self._statistics_table()]
         if self.joint_yield is not None:
-            lines += ["", self._yield_table()]
+            lines += ["", self._yield_table(self.joint_yield)]
         if self.sobol_indices is not None:
-            lines += ["", self._index_table()]
+            lines += ["", self._index_table(self.sobol_indices)]
         if self.controlled_means:
-            lines += ["", self._control_table()]
+            lines += ["", self._control_table(self.controlled_means)]
         return "\n".join(lines + ([wrap_lines(self.control_note)] if self.control_note else []))
 
     def _statistics_table(self):
         fractions = list(next(iter(self.statistics.values())).quantiles)
         header = ["metric", "mean", "std", *(f"{100 * q:g} %" for q in fractions)]
         rows = [
-            [f"{name} [{unit or 1}]", str(s.mean), str(s.std),
-             *(str(s.quantiles[q]) for q in fractions)]
+            [f"{name} [{unit or 1}]", str(s.mean), str(s.std), *(str(s.quantiles[q]) for q in fractions)]
             for (name, s), unit in zip(self.statistics.items(), self.metric_units, strict=True)
-        ]  # fmt: skip
+        ]
         return align_columns(header, rows)
 
-    def _yield_table(self):
+    def _yield_table(self, together):
         rows = [
             [name, *map(show_number, self.limits[name]), str(y.of_good), str(y.of_all)]
             for name, y in self.yields.items()
         ]
-        together = self.joint_yield
         rows.append(["all limits", "", "", str(together.of_good), str(together.of_all)])
         return align_columns(["limit", "low", "high", "yield of good", "yield of all"], rows)
 
-    def _index_table(self):
+    def _index_table(self, found):
         rows = [
             [name, factor, str(indices.first_order[factor]), str(indices.total[factor])]
-            for name, indices in self.sobol_indices.items()
+            for name, indices in found.items()
             for factor in indices.total
         ]
         return align_columns(["metric", "factor", "first-order index", "total index"], rows)
 
-    def _control_table(self):
+    def _control_table(self, found):
         rows = [
             [name, str(c.mean), show_number(c.variance_reduction), show_number(c.coefficient)]
-            for name, c in self.controlled_means.items()
+            for name, c in found.items()
         ]
         return align_columns(["metric", "controlled mean", "variance ratio", "coefficient"], rows)

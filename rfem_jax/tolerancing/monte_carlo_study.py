@@ -1,35 +1,48 @@
 """Monte Carlo study: the scatter of all metrics that given tolerances cause.
 
-Place in the pipeline: problem + tolerances -> samples (`execution`) -> statistics. Failed samples
-are counted by cause and enter no statistic.
+Place in the pipeline: problem + tolerances -> samples (`execution`) -> statistics. Failed samples are counted by cause
+and enter no statistic.
 
-Symbols: n samples (of N = n (k + 2) runs with Sobol' indices of k factors), d errors, m metrics;
-errors (N, d) [rad or m], values (N, m) [units of the metrics], status (N,) int32 (0 good).
-Source: the statistics and the sampling name theirs.
+Samples are computed and stored in an order in which a study of n samples is the beginning of every larger one: sample
+after sample, and with Sobol' indices all k + 2 points of a sample together (`sampling` and the results have them in
+blocks). A stored study can therefore be extended.
+
+Symbols: n samples (of N = n (k + 2) runs with Sobol' indices of k factors), d errors, m metrics; errors (N, d) [rad or
+m], values (N, m) [units of the metrics], status (N,) int32 (0 good).
+Source: see `statistics` and `sampling`.
 """
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from importlib import metadata
+from pathlib import Path
+from typing import Any
 
 import jax
-import jaxlib
 import numpy as np
-import scipy
+from jaxtyping import Bool, Float, Int
 
 from rfem_jax.description.errors import InputError, require_flag
-from rfem_jax.tolerancing.evaluation import check_known, describe_status, require_float64
-from rfem_jax.tolerancing.execution import default_lanes, fingerprint_problem, run_chunks
+from rfem_jax.description.tasks.settings import whole_number
+from rfem_jax.tolerancing.checks import check_known, read_limits, require_float64
+from rfem_jax.tolerancing.distributions import Tolerances
+from rfem_jax.tolerancing.evaluation import describe_status
+from rfem_jax.tolerancing.execution import Arrays, default_lanes, fingerprint_problem, run_chunks
 from rfem_jax.tolerancing.monte_carlo_result import (
     NOT_FINITE,
     MetricStatistics,
     MonteCarloResult,
     Yield,
 )
+from rfem_jax.tolerancing.problem import ToleranceProblem
+from rfem_jax.tolerancing.progress import ProgressOption
 from rfem_jax.tolerancing.quadratic_model import QuadraticModel, expand_by_differences
 from rfem_jax.tolerancing.results_store import ResultsStore
-from rfem_jax.tolerancing.sampling import design_points, key_words, net_of_samples, unit_points
+from rfem_jax.tolerancing.sampling import RandomKey, design_points, key_words, net_of_samples, unit_points
 from rfem_jax.tolerancing.statistics import (
+    ControlledMean,
+    SobolIndices,
     estimate_controlled_mean,
     estimate_mean,
     estimate_quantile,
@@ -38,89 +51,137 @@ from rfem_jax.tolerancing.statistics import (
     estimate_yield,
     require_confidence,
 )
-from rfem_jax.tolerancing.tolerances import Tolerances
 
 QUANTILES = (0.01, 0.05, 0.5, 0.95, 0.99)
-FORMAT = 2  # of what is in a chunk, and of how points are drawn
+FORMAT = 3  # of the content of a chunk, and of the order and drawing of points
 
 
 def monte_carlo(
-    problem,
-    tolerances,
-    n,
-    key,
+    problem: ToleranceProblem,
+    tolerances: Tolerances,
+    n: int,
+    key: RandomKey,
     *,
-    batch=64,
-    sampling="sobol",
-    limits=None,
-    quantiles=QUANTILES,
-    confidence=0.95,
-    sobol_indices=False,
-    control_variate=None,
-    resume=None,
-    progress=False,
-    lanes=None,
-):
+    batch: int = 64,
+    sampling: str = "sobol",
+    limits: Mapping[str, Any] | None = None,
+    quantiles: Sequence[float] = QUANTILES,
+    confidence: float = 0.95,
+    sobol_indices: bool = False,
+    control_variate: QuadraticModel | bool | None = None,
+    resume: str | Path | None = None,
+    progress: ProgressOption = False,
+    lanes: int | None = None,
+) -> MonteCarloResult:
     """Run `problem` at n random errors and describe its metrics.
 
     Args:
-        problem: as `problem.py` says.
-        tolerances: Tolerances; its names are the errors that vary, all others are zero.
+        problem: see `problem.py`.
+        tolerances: of the errors that vary; all others are zero.
         n: number of random samples; with Sobol' points best a power of 2, at least 64.
-        key: JAX random key; the samples depend on it and on their own index alone.
-        batch: samples per chunk, the unit that is stored and lost when a run is killed.
+        key: JAX random key; a sample depends on it and on its own index alone.
+        batch: samples per chunk, the unit that is stored, and that is lost when a run is killed.
         sampling: "sobol" (scrambled Sobol' points) or "pseudo_random".
         limits: {metric name: largest value, or (low, high) with None for an open end}.
-        quantiles: fractions in (0, 1).
-        confidence: of every interval; with Sobol' points they come from the spread of
-            independently scrambled nets (see `sampling`, `statistics`).
-        sobol_indices: also estimate Sobol' indices; n (k + 2) runs for k factors, of which 2n serve
-            the statistics. Correlated errors are one factor.
+        quantiles: fractions in (0, 1); confidence: of every interval (see `statistics`).
+        sobol_indices: also estimate Sobol' indices; n (k + 2) runs for k factors, of which 2n serve the statistics.
+            Correlated errors are one factor.
         control_variate: None, a QuadraticModel, or True for the one about the nominal point.
-        resume: folder of chunks; an interrupted study continues there and ends bitwise the same.
+        resume: folder of chunks. An interrupted study continues there, and a larger n extends a finished one; the
+            result is bitwise that of a single run.
         progress: True for a bar with rate and remaining time, or a function of (done, total).
-        lanes: samples that each device computes at once (None: a constant for the kind of device).
-            A chunk of batch samples takes ceil(batch / (lanes x devices)) launches. The last bit of
-            a result may depend on lanes, on nothing else.
-    Returns: MonteCarloResult.
-    Raises: InputError for unknown names, bad numbers, and a folder of another study;
-        ChunkWriteError (an OSError) when the disk is full: finished chunks are kept.
+        lanes: samples that each device computes at once (None: a constant for the kind of device). A chunk takes
+            ceil(batch / (lanes x devices)) launches. The last bit of a result may depend on lanes, on nothing else.
+    Raises: InputError for unknown names, bad numbers, and a folder of another study; ChunkWriteError (an OSError) when
+        the disk is full: finished chunks are kept.
     """
     require_float64()
     _check_tolerances(problem, tolerances)
-    metrics = tuple(metric.name for metric in problem.metrics)
-    n, batch = _count(n, "n", 1), _count(batch, "batch", 1)
-    lanes = default_lanes() if lanes is None else _count(lanes, "lanes", 1)
-    limits = _check_limits(limits, metrics)
+    batch = whole_number(_as_int(batch), "batch", 1)
+    lanes = default_lanes() if lanes is None else whole_number(_as_int(lanes), "lanes", 1)
+    asked = _read_statistics(problem, limits, quantiles, confidence)
+    model = _control_model(control_variate, problem, tolerances)
+    design = _design(key, whole_number(_as_int(n), "n", 1), tolerances, sampling, sobol_indices)
+    store = None
+    if resume is not None:
+        study = {"batch": batch, "lanes": lanes, "sampling": sampling, "sobol_indices": sobol_indices}
+        store = ResultsStore(resume, study | _identify(problem, tolerances, key), {"n": design.n})
+    started = time.monotonic()
+    samples, computed = run_chunks(
+        problem, tolerances, design.points, batch=batch, lanes=lanes, store=store, progress=progress
+    )
+    seconds = time.monotonic() - started
+    return _report(problem, tolerances, design, asked, model, samples, (computed, seconds))
+
+
+@dataclass(frozen=True, eq=False)
+class _Design:
+    """Points of the unit cube in the order of storage; `blocks` of n samples each (A, B, ...), else one."""
+
+    points: Float[np.ndarray, "N d"]
+    n: int
+    blocks: int
+    sampling: str
+
+    @property
+    def samples(self) -> int:
+        """Samples that statistics use: A and B of a design."""
+        return self.n * min(self.blocks, 2)
+
+    @property
+    def nets(self) -> Int[np.ndarray, " samples"] | None:
+        """Net of each of these samples, None where samples are independent."""
+        return net_of_samples(self.n, self.sampling, min(self.blocks, 2))
+
+    def in_blocks(self, stored: np.ndarray) -> np.ndarray:
+        """Rows in the order of storage -> rows in blocks."""
+        rows = stored.reshape(self.n, self.blocks, *stored.shape[1:])
+        return np.swapaxes(rows, 0, 1).reshape(stored.shape)
+
+
+@dataclass(frozen=True)
+class _Statistics:
+    """Which statistics are asked for; limits {metric: (low, high)}."""
+
+    limits: dict[str, tuple[float, float]]
+    quantiles: tuple[float, ...]
+    confidence: float
+
+
+def _design(key, n, tolerances, sampling, sobol_indices) -> _Design:
+    if not require_flag(sobol_indices, "sobol_indices"):
+        return _Design(unit_points(key, n, len(tolerances.names), sampling), n, 1, sampling)
+    points = design_points(key, n, tolerances.factors, sampling)
+    blocks = len(points) // n
+    stored = np.swapaxes(points.reshape(blocks, n, -1), 0, 1).reshape(points.shape)
+    return _Design(stored, n, blocks, sampling)
+
+
+def _read_statistics(problem, limits, quantiles, confidence) -> _Statistics:
+    """Raises InputError."""
+    limits = read_limits(limits, tuple(metric.name for metric in problem.metrics))
     confidence = require_confidence(confidence)
     for fraction in quantiles:
         estimate_quantile(np.zeros(1), fraction, confidence)  # refuses before the runs, not after
-    model = _control_model(control_variate, problem, tolerances, metrics)
-    if require_flag(sobol_indices, "sobol_indices"):
-        points, base = design_points(key, n, tolerances.factors, sampling), 2 * n
-    else:
-        points, base = unit_points(key, n, len(tolerances.names), sampling), n
-    nets = net_of_samples(n, sampling, base // n)
-    store = None
-    if resume is not None:
-        study = {"n": n, "batch": batch, "lanes": lanes, "sampling": sampling}
-        study |= {"sobol_indices": sobol_indices, **_identify(problem, tolerances, key)}
-        store = ResultsStore(resume, study)
+    return _Statistics(limits, tuple(quantiles), confidence)
 
-    started = time.monotonic()
-    samples, computed = run_chunks(
-        problem, tolerances, points, batch=batch, lanes=lanes, store=store, progress=progress
-    )
-    seconds = time.monotonic() - started
 
+def _as_int(value):
+    return int(value) if isinstance(value, np.integer) else value
+
+
+def _report(problem, tolerances, design, asked, model, samples, cost) -> MonteCarloResult:
+    """`cost`: chunks computed, seconds."""
+    samples = {name: design.in_blocks(array) for name, array in samples.items()}
+    metrics, base = tuple(metric.name for metric in problem.metrics), design.samples
     status = _complete_status(samples)
     values = np.where((status == 0)[:, None], samples["values"], np.nan)
     indices, controlled, note = None, None, None
-    if sobol_indices:
-        indices = _estimate_indices(values, metrics, tolerances.factors, n, confidence)
+    if design.blocks > 1:
+        indices = _estimate_indices(values, metrics, tolerances.factors, design.n, asked.confidence)
     if model is not None:
         controlled, note = _control(
-            model, tolerances, samples["errors"][:base], values[:base], metrics, confidence, nets
+            model, tolerances, samples["errors"][:base], values[:base], metrics, asked.confidence, design.nets
         )
     return MonteCarloResult(
         names=tolerances.names,
@@ -132,46 +193,48 @@ def monte_carlo(
         values=values,
         status=status,
         samples=base,
-        **_summarise(problem, values[:base], status[:base], nets, limits, quantiles, confidence),
-        limits=limits,
+        **_summarise(problem, values[:base], status[:base], design.nets, asked),
+        limits=asked.limits,
         sobol_indices=indices,
         controlled_means=controlled,
         control_note=note,
-        confidence=confidence,
-        sampling=sampling,
-        chunks_computed=computed,
-        seconds=seconds,
+        confidence=asked.confidence,
+        sampling=design.sampling,
+        chunks_computed=cost[0],
+        seconds=cost[1],
     )
 
 
-def _summarise(problem, values, status, nets, limits, quantiles, confidence):
+def _summarise(problem, values, status, nets, asked) -> dict[str, Any]:
     """Failures by cause, statistics and yields of the random samples: fields of the result."""
     metrics = [metric.name for metric in problem.metrics]
     codes, counts = np.unique(status[status != 0], return_counts=True)
     good = status == 0
-    yields, joint = _estimate_yields(values, good, metrics, limits, confidence, nets)
+    yields, joint = _estimate_yields(values, good, metrics, asked, nets)
     kept = None if nets is None else nets[good]
     return {
         "failures": {_cause(problem, c): int(k) for c, k in zip(codes, counts, strict=True)},
-        "statistics": {name: _describe(values[good, i], quantiles, confidence, kept) for i, name in enumerate(metrics)},
+        "statistics": {name: _describe(values[good, i], asked, kept) for i, name in enumerate(metrics)},
         "yields": yields,
         "joint_yield": joint,
     }
 
 
-def _describe(samples, quantiles, confidence, nets):
-    """MetricStatistics of the good samples (n,) of one metric."""
+def _describe(samples, asked, nets) -> MetricStatistics:
+    """Statistics of the good samples (n,) of one metric."""
+    confidence = asked.confidence
     return MetricStatistics(
         mean=estimate_mean(samples, confidence, nets),
         std=estimate_std(samples, confidence, nets),
-        quantiles={float(q): estimate_quantile(samples, q, confidence, nets) for q in quantiles},
+        quantiles={float(q): estimate_quantile(samples, q, confidence, nets) for q in asked.quantiles},
         smallest=float(np.min(samples, initial=np.inf)) if len(samples) else float("nan"),
         largest=float(np.max(samples, initial=-np.inf)) if len(samples) else float("nan"),
     )
 
 
-def _estimate_yields(values, good, metrics, limits, confidence, nets):
+def _estimate_yields(values, good, metrics, asked, nets) -> tuple[dict[str, Yield], Yield | None]:
     """Yield of each limited metric and of all together; `values` (n, m), NaN where not `good`."""
+    limits = asked.limits
     if not limits:
         return {}, None
     passes = {
@@ -181,17 +244,17 @@ def _estimate_yields(values, good, metrics, limits, confidence, nets):
     }
     kept = None if nets is None else nets[good]
 
-    def count(passed):
+    def count(passed: Bool[np.ndarray, " n"]) -> Yield:
         return Yield(
-            of_good=estimate_yield(passed[good], confidence, kept),
-            of_all=estimate_yield(passed, confidence, nets),
+            of_good=estimate_yield(passed[good], asked.confidence, kept),
+            of_all=estimate_yield(passed, asked.confidence, nets),
         )
 
     together = np.all(np.stack(list(passes.values())), axis=0)
     return {name: count(passed) for name, passed in passes.items()}, count(together)
 
 
-def _estimate_indices(values, metrics, factors, n, confidence):
+def _estimate_indices(values, metrics, factors, n, confidence) -> dict[str, SobolIndices]:
     labels = [" + ".join(factor) for factor in factors]
     blocks = values.reshape(len(factors) + 2, n, len(metrics))
     return {
@@ -200,8 +263,10 @@ def _estimate_indices(values, metrics, factors, n, confidence):
     }
 
 
-def _control(model, tolerances, errors, values, metrics, confidence, nets):
-    """Controlled means {metric: ControlledMean} and a note where some cannot be had."""
+def _control(
+    model, tolerances, errors, values, metrics, confidence, nets
+) -> tuple[dict[str, ControlledMean] | None, str | None]:
+    """Controlled means by metric, and a note that says why some do not exist."""
     failed = int(np.sum(np.isnan(values).any(axis=1)))
     if failed:
         # The model's mean is known over all errors, not over those whose samples are good.
@@ -221,7 +286,7 @@ def _control(model, tolerances, errors, values, metrics, confidence, nets):
         expected += 0.5 * (np.sum(hessian * covariance) + mean @ hessian @ mean)
         predicted = value + deviation @ gradient + quadratic
         controlled[name] = estimate_controlled_mean(
-            values[:, metrics.index(name)], predicted, expected, confidence, nets
+            values[:, metrics.index(name)], predicted, float(expected), confidence, nets
         )
     note = f"no derivatives at the nominal point: {', '.join(missing)}" if missing else None
     return controlled, note
@@ -245,8 +310,8 @@ def _moments(model, tolerances, errors):
     return deviation - point, mean - point, covariance
 
 
-def _control_model(control_variate, problem, tolerances, metrics):
-    """The QuadraticModel that serves as control variate, or None. Raises InputError."""
+def _control_model(control_variate, problem, tolerances) -> QuadraticModel | None:
+    """The model that serves as control variate. Raises InputError."""
     if control_variate is None or control_variate is False:
         return None
     if control_variate is True:
@@ -256,32 +321,22 @@ def _control_model(control_variate, problem, tolerances, metrics):
             "Argument `control_variate` must be None, True or a QuadraticModel, but it is "
             f"{type(control_variate).__name__}; write True for the model about the nominal point."
         )
-    check_known(control_variate.metrics, metrics, "control_variate")
+    check_known(control_variate.metrics, tuple(metric.name for metric in problem.metrics), "control_variate")
     return control_variate
 
 
-def _complete_status(samples):
-    """Status (N,) with NOT_FINITE where a sample called itself good and is not."""
+def _complete_status(samples: Arrays) -> Int[np.ndarray, " N"]:
+    """Status with NOT_FINITE for a sample of status 0 whose values are not finite."""
     finite = np.all(np.isfinite(samples["values"]), axis=1)
     return np.where((samples["status"] == 0) & ~finite, NOT_FINITE, samples["status"])
 
 
-def _cause(problem, code):
+def _cause(problem, code) -> str:
     return "values not finite" if code == NOT_FINITE else describe_status(problem, code)
 
 
-def _identify(problem, tolerances, key):
-    """What makes a study this one and no other, apart from the numbers of its call."""
-    versions = {
-        "jax": jax.__version__,
-        "jaxlib": jaxlib.__version__,
-        "numpy": np.__version__,
-        "scipy": scipy.__version__,
-    }
-    try:
-        versions["rfem-jax"] = metadata.version("rfem-jax")
-    except metadata.PackageNotFoundError:
-        versions["rfem-jax"] = None
+def _identify(problem, tolerances, key) -> dict[str, Any]:
+    """What tells this study from others, apart from the numbers of its call."""
     return {
         "study": "monte_carlo",
         "format": FORMAT,
@@ -290,11 +345,18 @@ def _identify(problem, tolerances, key):
         "tolerances": _tolerance_table(tolerances),
         "key": key_words(key),
         "device": jax.default_backend(),
-        "versions": versions,
+        "versions": {name: _version(name) for name in ("jax", "jaxlib", "numpy", "scipy", "rfem-jax")},
     }
 
 
-def _tolerance_table(tolerances):
+def _version(package: str) -> str | None:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def _tolerance_table(tolerances) -> dict[str, Any]:
     """Kind and numbers of every tolerance; JSON keeps every bit of a float."""
     single = [
         [name, type(tol).__name__, [float(leaf) for leaf in jax.tree.leaves(tol)]]
@@ -308,43 +370,11 @@ def _tolerance_table(tolerances):
     return {"independent": single, "correlated": groups}
 
 
-def _check_tolerances(problem, tolerances):
+def _check_tolerances(problem, tolerances) -> None:
     if not isinstance(tolerances, Tolerances):
         raise InputError(
             f"Argument `tolerances` must be a Tolerances collection, but it is {tolerances!r}; "
             'write Tolerances({"D.delta_x": Uniform(0.01)}).'
         )
     check_known(tolerances.names, problem.error_names, "tolerances")
-
-
-def _check_limits(limits, metrics):
-    """{metric: (low, high)} with infinite open ends. Raises InputError."""
-    if limits is not None and not isinstance(limits, Mapping):
-        raise InputError(
-            f"Argument `limits` must map metrics to limits, but it is {limits!r}; "
-            'write {"metric": largest} or {"metric": (low, high)}.'
-        )
-    limits = dict(limits or {})
-    check_known(limits, metrics, "limits")
-    complete = {}
-    for name, limit in limits.items():
-        low, high = limit if isinstance(limit, (tuple, list)) and len(limit) == 2 else (None, limit)
-        try:
-            low = -np.inf if low is None else float(low)
-            high = np.inf if high is None else float(high)
-        except (TypeError, ValueError):
-            low = high = np.nan
-        if not low <= high:
-            raise InputError(
-                f"Argument `limits` must be a largest value or a pair (low, high), but "
-                f"`{name}` has {limit!r}; correct it."
-            )
-        complete[name] = (low, high)
-    return complete
-
-
-def _count(value, what, least):
-    """`value` as an int of at least `least`. Raises InputError."""
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
-        raise InputError(f"Argument `{what}` must be a whole number of at least {least}, but it is {value!r}.")
-    return int(value)
+    tolerances.require_units(problem)

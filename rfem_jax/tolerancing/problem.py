@@ -1,57 +1,133 @@
-"""Problems in closed form: any JAX function of named errors, in the form that all studies work on.
+"""The interface of this package: what a problem is, its metrics, and problems made of a JAX function.
 
-Place in the pipeline: the door of this room. A problem is any object with
+Place in the pipeline: the simulator (`simulated_problem`) or a function in closed form (`FunctionProblem`) ->
+**problem** -> all tolerance studies.
 
-    problem(errors) -> (values, status)   pure JAX: works under jit, vmap, jacfwd, grad, Hessian
-    problem.metrics                       tuple of objects with .name, .unit, .label, .even
-    problem.error_names                   tuple of the names of errors that it accepts
+A problem is any object that satisfies the protocol `ToleranceProblem`:
+
+    problem(errors) -> (values, status)   pure JAX: works under jit, vmap, jacfwd, grad and for Hessians
+    problem.metrics                       tuple of `Metric`
+    problem.error_names                   tuple of the names of the errors that it accepts
     problem.error_unit(name)              "rad" or "m"
-    problem.describe_status(code)         what a status code says; 0 is "ok"
+    problem.describe_status(code)         the meaning of a status code; 0 is "ok"
 
-`errors` {name: scalar} [rad or m], missing names mean zero; `values` {metric name: scalar};
-`status` scalar int32, 0 for a good sample. The simulator is one such problem, `FunctionProblem`
-makes one of a function. `even` is True where a metric does not change when the out-of-plane errors
-change sign (mirror symmetry), None where nothing is known.
+Symbols: errors {name: scalar} [rad or m], where a missing name means zero; values {metric name: scalar} in the units
+of the metrics; status, scalar int32, 0 for a good sample.
 """
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax.numpy as jnp
+from jax.typing import ArrayLike
+from jaxtyping import Array, Float, Int
 
 from rfem_jax.description.errors import InputError
-from rfem_jax.tolerancing.evaluation import check_known
+from rfem_jax.tolerancing.checks import check_distinct, check_known
 
 UNITS = ("rad", "m")
+
+Values = dict[str, Float[Array, ""]]
+Status = Int[Array, ""]
 
 
 @dataclass(frozen=True)
 class Metric:
-    """One number that a problem returns: name, unit, label for tables and plots, symmetry."""
+    """One number that a problem returns: its name, unit, label for tables and plots, and symmetry.
+
+        Metric("A.swing", "rad", "largest crank angle", function=lambda run: jnp.max(run.angle))
+
+    `even`: True if the value does not change when all out-of-plane errors of a planar mechanism change sign (MODEL
+    section 8), None if unknown. `function`: Run -> scalar; the simulator needs it, a `FunctionProblem` does not.
+    Raises: InputError for a name that is no word and a function that cannot be called.
+    """
 
     name: str
     unit: str = ""
     label: str = ""
     even: bool | None = None
+    function: Callable[[Any], ArrayLike] | None = field(default=None, kw_only=True)
 
     def __post_init__(self):
         if not isinstance(self.name, str) or not self.name:
             raise InputError(f"Argument `name` must be a word, but it is {self.name!r}; give the metric a name.")
+        if self.function is not None:
+            self._require_function()
         if not self.label:
             object.__setattr__(self, "label", self.name)
+
+    def __call__(self, run: Any) -> ArrayLike:
+        """The value of a run. Raises InputError for a metric without a function."""
+        return self._require_function()(run)
+
+    def _require_function(self) -> Callable[[Any], ArrayLike]:
+        if self.function is None or not callable(self.function):
+            raise InputError(
+                f"Argument `function` of metric {self.name!r} must be a function of a run, but is "
+                f"{self.function!r}; give for example `lambda run: run.angle[-1]`."
+            )
+        return self.function
+
+
+@runtime_checkable
+class ToleranceProblem(Protocol):
+    """A function of named errors, in the form that all tolerance studies work on; see the module's docstring."""
+
+    @property
+    def metrics(self) -> tuple[Metric, ...]:
+        """What it returns, in order."""
+        ...
+
+    @property
+    def error_names(self) -> tuple[str, ...]:
+        """Names of all errors that it accepts, in order."""
+        ...
+
+    def error_unit(self, name: str) -> str:
+        """Unit of an error, "rad" or "m"."""
+        ...
+
+    def describe_status(self, code: int) -> str:
+        """The meaning of a status code."""
+        ...
+
+    def __call__(self, errors: Mapping[str, ArrayLike]) -> tuple[Values, Status]:
+        """Values {metric name: scalar} and status of one sample."""
+        ...
+
+
+@runtime_checkable
+class ImplicitProblem(ToleranceProblem, Protocol):
+    """A problem whose values come from equations that are solved to a residual: their derivatives can be checked.
+
+    `derivative_limit`: the largest relative residual of the differentiated equations with which a derivative counts
+    as converged; None where the equations are solved exactly.
+    """
+
+    @property
+    def derivative_limit(self) -> float | None:
+        """See the class."""
+        ...
+
+    def with_residual(
+        self, errors: Mapping[str, ArrayLike]
+    ) -> tuple[Values, Status, Float[Array, "times n"], Float[Array, "joints times 3"]]:
+        """Values, status, residual of the equations of motion [N] and joint forces [N] at the saved times."""
+        ...
 
 
 class FunctionProblem(eqx.Module):
     """A problem made of any JAX function of a dict of errors.
 
     Args:
-        function: takes {name: scalar} with every one of error_names [rad or m] and returns
-            {metric name: scalar}, or the pair of it and a status (int, 0 = ok).
+        function: takes {name: scalar} with every one of error_names [rad or m] and returns {metric name: scalar},
+            or the pair of it and a status (int, 0 = ok).
         error_names: names that it accepts, in order.
-        metrics: Metric objects or plain names.
-        error_units: {name: "rad" or "m"}; "rad" where it says nothing.
-        statuses: {code: what it means} for the codes that the function may return.
+        metrics: `Metric`s or plain names.
+        error_units: {name: "rad" or "m"}; "rad" for names that are missing.
+        statuses: {code: meaning} for the codes that the function may return.
     Raises: InputError for repeated or unknown names, and for units other than rad and m.
     """
 
@@ -61,12 +137,20 @@ class FunctionProblem(eqx.Module):
     units: tuple[str, ...] = eqx.field(static=True)
     statuses: tuple[tuple[int, str], ...] = eqx.field(static=True)
 
-    def __init__(self, function, error_names, metrics, *, error_units=None, statuses=None):
+    def __init__(
+        self,
+        function: Callable,
+        error_names: str | Iterable[str],
+        metrics: str | Metric | Iterable[str | Metric],
+        *,
+        error_units: Mapping[str, str] | None = None,
+        statuses: Mapping[int, str] | None = None,
+    ):
         self.function = function
-        self.error_names = _distinct(error_names, "error_names")
+        self.error_names = check_distinct(error_names, "error_names")
         metrics = (metrics,) if isinstance(metrics, (str, Metric)) else metrics
         self.metrics = tuple(Metric(m) if isinstance(m, str) else m for m in metrics)
-        _distinct((m.name for m in self.metrics), "metrics")
+        check_distinct((m.name for m in self.metrics), "metrics")
         error_units = dict(error_units or {})
         check_known(error_units, self.error_names, "error_units")
         for name, unit in error_units.items():
@@ -78,7 +162,7 @@ class FunctionProblem(eqx.Module):
         self.units = tuple(error_units.get(name, "rad") for name in self.error_names)
         self.statuses = tuple((int(code), str(text)) for code, text in (statuses or {}).items())
 
-    def __call__(self, errors: Mapping):
+    def __call__(self, errors: Mapping[str, ArrayLike]) -> tuple[Values, Status]:
         """Values {metric name: scalar float64} and status (scalar int32) of one sample."""
         check_known(errors, self.error_names, "errors")
         zero = jnp.zeros((), jnp.float64)
@@ -89,22 +173,11 @@ class FunctionProblem(eqx.Module):
         values = {m.name: jnp.asarray(values[m.name], jnp.float64) for m in self.metrics}
         return values, jnp.asarray(status, jnp.int32)
 
-    def error_unit(self, name):
+    def error_unit(self, name: str) -> str:
         """Unit of an error, "rad" or "m". Raises InputError for an unknown name."""
         check_known((name,), self.error_names, "name")
         return self.units[self.error_names.index(name)]
 
-    def describe_status(self, code):
-        """What a status code says, "ok" for 0."""
+    def describe_status(self, code: int) -> str:
+        """The meaning of a status code, "ok" for 0."""
         return dict(self.statuses).get(int(code), "ok" if int(code) == 0 else f"status {int(code)}")
-
-
-def _distinct(names, what):
-    """`names` as a tuple of strings, at least one, none twice. Raises InputError."""
-    names = (names,) if isinstance(names, str) else tuple(names)
-    if not names:
-        raise InputError(f"Argument `{what}` must hold at least one name, but it is empty.")
-    twice = next((name for i, name in enumerate(names) if name in names[:i]), None)
-    if twice is not None:
-        raise InputError(f"Argument `{what}` must not repeat a name, but `{twice}` occurs twice; rename one.")
-    return names

@@ -1,24 +1,30 @@
 """Progress of a long study: a bar with rate and remaining time.
 
-Place in the pipeline: used by the Monte Carlo study. With tqdm when it is installed, else one line
-on standard error at most every `EVERY` seconds; or the user's own `function(done, total)`.
+Place in the pipeline: used by the Monte Carlo study and by sensitivities. Shown with tqdm if it is installed, else as
+one line on standard error at most every `EVERY` seconds; or told to the user's own `function(done, total)`.
 """
 
 import sys
 import time
+from collections.abc import Callable
+from types import TracebackType
+from typing import Self
 
 EVERY = 5.0  # s
 
+ProgressOption = bool | Callable[[int, int], object]
+
 
 class Progress:
-    """Context that counts samples: `advance(count)`.
+    """Context that counts samples, or another `unit`: `advance(count)`.
 
-    Args: progress False, True, or a function of (done, total); total samples; done those already
-        there, which do not count for the rate.
+    Args: progress False, True, or a function of (done, total); total number; done, the number of those that are there
+        already and do not count for the rate; unit, what is counted.
     """
 
-    def __init__(self, progress, total, done=0):
+    def __init__(self, progress: ProgressOption, total: int, done: int = 0, unit: str = "sample"):
         self.total, self.done, self.first = total, done, done
+        self.unit = unit
         self.started = self.shown = time.monotonic()
         self.call = progress if callable(progress) else None
         self.plain, self.bar = False, None
@@ -28,17 +34,19 @@ class Progress:
             except ImportError:
                 self.plain = True
             else:
-                self.bar = tqdm(total=total, initial=done, unit="sample")
+                self.bar = tqdm(total=total, initial=done, unit=unit)
 
-    def __enter__(self):
+    def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, *_):
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
         if self.bar is not None:
             self.bar.close()
 
-    def advance(self, count):
-        """`count` more samples are done."""
+    def advance(self, count: int) -> None:
+        """`count` more are done."""
         self.done += count
         if self.call is not None:
             self.call(self.done, self.total)
@@ -53,4 +61,4 @@ class Progress:
     def _line(self, now):
         rate = (self.done - self.first) / max(now - self.started, 1e-9)
         remaining = (self.total - self.done) / max(rate, 1e-9)
-        return f"{self.done} of {self.total} samples, {rate:.3g} samples/s, {remaining:.0f} s remaining"
+        return f"{self.done} of {self.total} {self.unit}s, {rate:.3g} {self.unit}s/s, {remaining:.0f} s remaining"

@@ -4,80 +4,89 @@ Place in the pipeline: the search inside worst cases and inside the augmented La
 
     d = P(x + a grad f) - x,   x+ = x + l d      a: Barzilai-Borwein step, l: backtracking
 
-Nonmonotone acceptance (against the worst of the last `MEMORY` values), one evaluation of value and
-gradient per pass of the loop, so that a batch of searches stays in step under `vmap`. A trial whose
-value is not finite is refused like one that is too low: a search walks around samples that fail.
+Nonmonotone acceptance (against the worst of the last `MEMORY` values), one evaluation of value and gradient per pass
+of the loop, so that a batch of searches stays in step under `vmap`. A trial whose value is not finite is refused like
+one that is too low: a search walks around samples that fail.
 
-`climb` is traced with its function inside, for models that cost little. `climb_together` runs its
-loop on the host and calls a function of many points: an expensive one is then compiled once for all
-searches and for everything else that needs values and gradients, and searches that have ended cost
-nothing more.
+`climb` is traced with its function inside, for models that cost little. `climb_together` runs its loop on the host and
+calls a function of many points: an expensive function is then compiled once for all searches and for everything else
+that needs values and gradients, and searches that have ended cost nothing more.
 
-Symbols: x (k,) point, f value, s residual |P(x + grad f) - x|_inf (zero exactly at points that
-satisfy the first-order conditions).
-Source: E. G. Birgin, J. M. Martinez, M. Raydan, Nonmonotone spectral projected gradient methods on
-convex sets, SIAM J. Optim. 10 (2000) 1196-1211, algorithm SPG2.
+Symbols: x (k,) point, f value, s residual |P(x + grad f) - x|_inf (zero exactly at points that satisfy the first-order
+conditions).
+Source: E. G. Birgin, J. M. Martinez, M. Raydan, Nonmonotone spectral projected gradient methods on convex sets, SIAM
+J. Optim. 10 (2000) 1196-1211, algorithm SPG2.
 """
 
+from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
+from jaxtyping import Array, Bool, Float, Int
 
 MEMORY = 8
 SUFFICIENT = 1e-4
 STEP_MIN, STEP_MAX = 1e-12, 1e12
 SHORTEST = 1e-14
 
+Point = Float[Array, " k"]
+
 
 class Search(NamedTuple):
-    """Where a search ended: the best point seen, its value, gradient and residual; its cost.
+    """End of a search: the best point seen, its value, gradient and residual; its cost.
 
-    `evaluations` counts value-and-gradient pairs, `converged` that the residual fell below the
-    tolerance; a start that could not be evaluated has a NaN value.
+    `evaluations` counts value-and-gradient pairs; `converged`: the residual is at most the tolerance. A start that
+    could not be evaluated has a NaN value. With many searches all arrays have a leading axis.
     """
 
-    point: jax.Array
-    value: jax.Array
-    gradient: jax.Array
-    residual: jax.Array
-    evaluations: jax.Array
-    converged: jax.Array
+    point: Float[Array, "*searches k"]
+    value: Float[Array, "*searches"]
+    gradient: Float[Array, "*searches k"]
+    residual: Float[Array, "*searches"]
+    evaluations: Int[Array, "*searches"]
+    converged: Bool[Array, "*searches"]
 
 
 class _Carry(NamedTuple):
-    point: jax.Array
-    value: jax.Array
-    gradient: jax.Array
-    residual: jax.Array
-    direction: jax.Array
-    length: jax.Array
-    step: jax.Array
-    history: jax.Array
-    evaluations: jax.Array
+    point: Array
+    value: Array
+    gradient: Array
+    residual: Array
+    direction: Array
+    length: Array
+    step: Array
+    history: Array
+    evaluations: Array
     best: tuple
 
 
-def project_box(x, lower, upper):
+def project_box(x: Point, lower: ArrayLike, upper: ArrayLike) -> Point:
     """The nearest point of the box lower <= x <= upper."""
     return jnp.clip(x, lower, upper)
 
 
-def project_ball(x):
+def project_ball(x: Point) -> Point:
     """The nearest point of the unit ball."""
     norm = jnp.sqrt(jnp.maximum(jnp.sum(x * x), 1.0))
     return x / norm
 
 
-def climb(function, project, start, *, evaluations=200, tolerance=1e-8):
+def climb(
+    function: Callable[[Point], tuple[Float[Array, ""], Point]],
+    project: Callable[[Point], Point],
+    start: Point,
+    *,
+    evaluations: int = 200,
+    tolerance: float = 1e-8,
+) -> Search:
     """Maximise `function` from one start; traced, made to be vmapped over starts.
 
-    Args: function x (k,) -> (value, gradient (k,)); project x -> nearest feasible x; start (k,);
-        evaluations the most to spend; tolerance on the residual (in units of x, so scale
-        `function`).
-    Returns: Search.
+    Args: function, x (k,) -> (value, gradient (k,)); project, x -> nearest feasible x; start (k,); evaluations, the
+        largest number of them; tolerance on the residual (in units of x, so scale `function`).
     """
     start = project(start)
     carry = _begin(project, start, *function(start))
@@ -90,12 +99,19 @@ def climb(function, project, start, *, evaluations=200, tolerance=1e-8):
     return _end(last, tolerance)
 
 
-def climb_together(function, project, starts, *, evaluations=200, tolerance=1e-8):
+def climb_together(
+    function: Callable[[Float[np.ndarray, "n k"]], tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n k"]]],
+    project: Callable[[Point], Point],
+    starts: Float[np.ndarray, "s k"],
+    *,
+    evaluations: int = 200,
+    tolerance: float = 1e-8,
+) -> Search:
     """Maximise from many starts, with a loop on the host; not traced.
 
-    Args: function points (n, k) -> (values (n,), gradients (n, k)), of any n, NumPy; project x ->
-        nearest feasible x, traced, the same object at every call (it keys the compiled updates);
-        starts (s, k); evaluations and tolerance of each search, as for `climb`.
+    Args: function, points (n, k) -> (values (n,), gradients (n, k)), for any n; project, x -> nearest feasible x,
+        traced, the same object at every call (it keys the compiled updates); starts (s, k); evaluations and tolerance
+        of each search, as for `climb`.
     Returns: Search with a leading axis of s.
     """
     starts = np.asarray(jax.vmap(project)(jnp.asarray(starts)))
@@ -157,21 +173,22 @@ def _residual(project, x, gradient):
 
 
 def _update(project, c, trial, value, gradient):
-    """After a trial: accept it and turn to a new direction, or shorten the step along the old."""
-    slope = jnp.dot(c.gradient, c.direction)
+    """After a trial: accept it and take a new direction, or shorten the step along the old one."""
+    ascent = jnp.dot(c.gradient, c.direction)  # derivative of f along the direction
     reference = jnp.min(c.history)
     rounding = 4 * jnp.finfo(value.dtype).eps * jnp.abs(reference)
     finite = jnp.isfinite(value) & jnp.all(jnp.isfinite(gradient))
-    accepted = finite & (value >= reference + SUFFICIENT * c.length * slope - rounding)
+    accepted = finite & (value >= reference + SUFFICIENT * c.length * ascent - rounding)
 
-    # Rejected: the maximum of the parabola through both values and the slope, kept in [0.1, 0.5].
-    sag = 2 * (c.value + c.length * slope - value)
-    parabola = jnp.where(finite & (sag > 0), c.length * slope / jnp.where(sag > 0, sag, 1.0), 0.25)
+    # Rejected: the maximum of the parabola through both values and the derivative, kept in [0.1, 0.5].
+    sag = 2 * (c.value + c.length * ascent - value)
+    parabola = jnp.where(finite & (sag > 0), c.length * ascent / jnp.where(sag > 0, sag, 1.0), 0.25)
     shorter = c.length * jnp.clip(parabola, 0.1, 0.5)
 
-    moved, turned = trial - c.point, c.gradient - gradient
-    bend = jnp.dot(moved, turned)
-    spectral = jnp.where(bend > 0, jnp.dot(moved, moved) / jnp.where(bend > 0, bend, 1.0), STEP_MAX)
+    moved, lost = trial - c.point, c.gradient - gradient
+    curvature = jnp.dot(moved, lost)
+    curved = curvature > 0
+    spectral = jnp.where(curved, jnp.dot(moved, moved) / jnp.where(curved, curvature, 1.0), STEP_MAX)
     step = jnp.where(accepted, jnp.clip(spectral, STEP_MIN, STEP_MAX), c.step)
 
     point = jnp.where(accepted, trial, c.point)

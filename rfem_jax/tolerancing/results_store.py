@@ -2,14 +2,13 @@
 
 Place in the pipeline: under the Monte Carlo study; knows nothing of problems and tolerances.
 
-    FOLDER/manifest.json     what the study is: if anything in it differs, it is another study
+    FOLDER/manifest.json     identifies the study: if anything but the number of samples differs, it is another one
     FOLDER/chunk-000042.npz  samples of one chunk: named arrays and their checksum
 
-A file appears under its name only when it is whole: it is written beside it (".tmp"), synchronised
-to the disk, renamed, and the folder synchronised. A process that dies at any instant leaves
-finished chunks and at most one ".tmp" file, which the next run replaces. The checksum (SHA-256)
-covers the study's fingerprint, the chunk's index and every array, so that a damaged chunk, and a
-chunk that came from elsewhere, are found when they are read.
+A file appears under its name only when it is whole: it is written beside it (".tmp"), synchronised to the disk,
+renamed, and the folder synchronised. A process that dies at any instant leaves finished chunks and at most one ".tmp"
+file, which the next run replaces. The checksum (SHA-256) covers the study's fingerprint, the chunk's index and every
+array, so that a damaged chunk, and a chunk of another study, are found when they are read.
 """
 
 import hashlib
@@ -19,6 +18,7 @@ import os
 import secrets
 import warnings
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -36,12 +36,12 @@ class ChunkWriteError(OSError):
 
 
 class StudyFolderError(InputError):
-    """A folder that cannot hold this study: `finding` says why, `remedy` what to do.
+    """A folder that cannot hold this study: `finding` says why, `remedy` how to correct it.
 
     The sentence names the library's argument; the command line words its own.
     """
 
-    def __init__(self, finding, remedy):
+    def __init__(self, finding: str, remedy: str):
         self.finding, self.remedy = finding, remedy
         super().__init__(f"Argument `resume` must be a new folder or one of this study, but {finding}; {remedy}.")
 
@@ -49,21 +49,21 @@ class StudyFolderError(InputError):
 class ResultsStore:
     """The chunks of one study in `folder`.
 
-    Args: folder path (made if missing); manifest a JSON-able dict of what the study is.
+    Args: folder, path (made if missing); study, a JSON-able dict that identifies the study; counts {name: number},
+        numbers that may grow from one run to the next, such as that of the samples: the manifest keeps the largest.
     Raises: StudyFolderError when the folder belongs to another study (and says what differs) or
         holds other files; ChunkWriteError when the folder cannot be written.
     """
 
-    def __init__(self, folder, manifest):
+    def __init__(self, folder: str | Path, study: dict[str, Any], counts: dict[str, int] | None = None):
         self.folder = Path(folder)
-        text = json.dumps(manifest, indent=2, sort_keys=True)
+        text = json.dumps(study, indent=2, sort_keys=True)
         self.fingerprint = hashlib.sha256(text.encode()).hexdigest()
         if self.folder.exists() and not self.folder.is_dir():
             raise StudyFolderError(f"`{self.folder}` is a file", "name a new folder")
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
-            if not self._matches(json.loads(text)):
-                write_whole(self.folder / MANIFEST, text.encode())
+            self._write_manifest(json.loads(text), counts or {})
         except OSError as error:
             raise ChunkWriteError(
                 error.errno,
@@ -71,8 +71,19 @@ class ResultsStore:
                 str(self.folder),
             ) from error
 
-    def _matches(self, manifest):
-        """True when the folder holds this study, False when it is new. Raises StudyFolderError."""
+    def _write_manifest(self, study: dict[str, Any], counts: dict[str, int]) -> None:
+        """Write the manifest unless it is there already. Raises StudyFolderError."""
+        found = self._read_manifest()
+        if found is not None:
+            self._require_same(found, study, counts)
+            past = {name: found[name] for name in counts if isinstance(found.get(name), int)}
+            counts = {name: max(number, past.get(name, 0)) for name, number in counts.items()}
+        manifest = study | counts
+        if found != manifest:
+            write_whole(self.folder / MANIFEST, json.dumps(manifest, indent=2, sort_keys=True).encode())
+
+    def _read_manifest(self) -> dict[str, Any] | None:
+        """The manifest in the folder, None where there is none. Raises StudyFolderError."""
         try:
             found = json.loads((self.folder / MANIFEST).read_text())
         except FileNotFoundError:
@@ -82,30 +93,32 @@ class ResultsStore:
                     f"`{self.folder}` holds `{sorted(others)[0]}` and no manifest",
                     "name a new folder",
                 ) from None
-            return False
+            return None
         except ValueError:
             raise StudyFolderError(f"`{self.folder / MANIFEST}` cannot be read", "name a new folder") from None
-        found = found if isinstance(found, dict) else {}
+        return found if isinstance(found, dict) else {}
+
+    def _require_same(self, found: dict[str, Any], study: dict[str, Any], counts: dict[str, int]) -> None:
         differing = [
-            f"{key} (there {_brief(found.get(key))}, here {_brief(manifest.get(key))})"
-            for key in sorted({*found, *manifest})
-            if found.get(key) != manifest.get(key)
+            f"{key} (there {_brief(found.get(key))}, here {_brief(study.get(key))})"
+            for key in sorted({*found, *study} - {*counts})
+            if found.get(key) != study.get(key)
         ]
         if differing:
             raise StudyFolderError(
                 f"`{self.folder}` is of another: it differs in {'; '.join(differing)}",
-                "name a new folder, or state the same study",
+                "name a new folder, or specify the same study",
             )
-        return True
 
-    def path(self, index):
-        """File of chunk `index`."""
+    def path(self, index: int) -> Path:
+        """The file of chunk `index`."""
         return self.folder / f"chunk-{index:06d}.npz"
 
-    def write(self, index, arrays):
+    def write(self, index: int, arrays: dict[str, np.ndarray]) -> None:
         """Store the arrays {name: NumPy array} of a chunk. Raises ChunkWriteError."""
         buffer = io.BytesIO()
-        np.savez(buffer, checksum=np.array(self._checksum(index, arrays)), **arrays)
+        named = {"checksum": np.array(self._checksum(index, arrays)), **arrays}
+        np.savez(buffer, **named)  # pyright: ignore[reportArgumentType] - the stub takes names for `allow_pickle`
         try:
             for stale in self.folder.glob(f"{self.path(index).name}.*.tmp"):
                 stale.unlink(missing_ok=True)  # a run that was killed left it
@@ -119,7 +132,7 @@ class ResultsStore:
                 str(self.folder),
             ) from error
 
-    def read(self, index, warn=True):
+    def read(self, index: int, warn: bool = True) -> dict[str, np.ndarray] | None:
         """The arrays of a finished chunk, None where there is none.
 
         A damaged chunk counts as none, with a CorruptChunkWarning (unless `warn` is False).
@@ -133,7 +146,7 @@ class ResultsStore:
         except FileNotFoundError:
             return None
         except Exception:
-            # What NumPy, zipfile and zlib raise depends on which byte is wrong: ten kinds and more.
+            # NumPy, zipfile and zlib raise ten kinds of errors and more, depending on the byte that is wrong.
             pass
         if warn:
             warnings.warn(
@@ -144,7 +157,7 @@ class ResultsStore:
             )
         return None
 
-    def _checksum(self, index, arrays):
+    def _checksum(self, index: int, arrays: dict[str, np.ndarray]) -> str:
         digest = hashlib.sha256(f"{self.fingerprint} {index}".encode())
         for name in sorted(arrays):
             array = np.ascontiguousarray(arrays[name])
@@ -153,7 +166,7 @@ class ResultsStore:
         return digest.hexdigest()
 
 
-def write_whole(path, payload):
+def write_whole(path: Path, payload: bytes) -> None:
     """Write bytes so that `path` either does not change or holds all of them. Raises OSError."""
     temporary = path.with_name(f"{path.name}.{secrets.token_hex(4)}.tmp")
     try:
@@ -168,7 +181,7 @@ def write_whole(path, payload):
     _synchronise_folder(path.parent)
 
 
-def _synchronise_folder(folder):
+def _synchronise_folder(folder: Path) -> None:
     """Make a rename durable; systems that cannot open folders do without."""
     try:
         descriptor = os.open(folder, os.O_RDONLY)
@@ -180,7 +193,7 @@ def _synchronise_folder(folder):
         os.close(descriptor)
 
 
-def _brief(value):
+def _brief(value: Any) -> str:
     """A manifest entry short enough for a message."""
     text = json.dumps(value)
     return text if len(text) <= 60 else f"{text[:57]}..."

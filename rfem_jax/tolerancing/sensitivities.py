@@ -5,26 +5,32 @@ Place in the pipeline: after a problem (errors -> metrics); its result feeds tab
     effect_i = |g_i| t_i + 1/2 |H_ii| t_i^2       largest change of the quadratic model when error i
                                                   alone goes to either end of its tolerance
 
-Symbols: g gradient [metric unit per rad or m], H Hessian, t half-widths of the tolerances [rad, m],
-f value of the metric, z = e/t errors in tolerances.
+Symbols: g gradient [metric unit per rad or m], H Hessian, t half-widths of the tolerances [rad, m], f value of the
+metric, z = e/t errors in tolerances.
 
-Symmetry (MODEL.md section 8). At the nominal point the resultant loads of a planar mechanism are
-even in the out-of-plane errors: their gradients vanish and only the Hessian says anything. A mean
-square that is itself zero there is f = 1/2 e^T H e: its root (an RMS moment) is a cone, with no
-derivative but with a slope sqrt(1/2 e^T H e) along every direction e. Zero by symmetry is judged
-against the Hessian times the tolerances, as a derivative has no scale of its own. The principal
-directions are the eigenvectors of the scaled Hessian t H t: the combinations of errors that hurt
-most.
+Symmetry (MODEL section 8). At the nominal point the resultant loads of a planar mechanism are even in the out-of-plane
+errors: their gradients vanish and only the Hessian shows an effect. A mean square that is itself zero there is
+f = 1/2 e^T H e. Its square root (an RMS moment) has a kink: no derivative, but a one-sided derivative
+sqrt(1/2 e^T H e) along every direction e. Whether a gradient is zero by symmetry is judged against the Hessian times
+the tolerances, as a derivative has no scale of its own. The principal directions are the eigenvectors of the scaled
+Hessian t H t, the combinations of errors with the largest effect.
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
+from jaxtyping import Bool, Float
 
 from rfem_jax.description.errors import InputError
-from rfem_jax.tolerancing.evaluation import check_known, describe_status, select_half_widths
+from rfem_jax.tolerancing.checks import ErrorValues, check_known
+from rfem_jax.tolerancing.distributions import Tolerances
+from rfem_jax.tolerancing.evaluation import describe_status, read_point, select_half_widths
 from rfem_jax.tolerancing.layout import align_columns, show_number, without_rounding, wrap_lines
-from rfem_jax.tolerancing.quadratic_model import expand
+from rfem_jax.tolerancing.problem import Metric, ToleranceProblem
+from rfem_jax.tolerancing.progress import Progress, ProgressOption
+from rfem_jax.tolerancing.quadratic_model import QuadraticModel, check_expansion, expand_point
 
 NOT_CONVERGED = "derivative_not_converged"
 VANISHING = 1e-6  # gradient below this part of (Hessian x tolerances): zero by symmetry
@@ -33,82 +39,80 @@ ZERO_VALUE = 1e-9  # value below this part of (1/2 tolerances x Hessian x tolera
 
 @dataclass(frozen=True, eq=False)
 class Sensitivities:
-    """Derivatives of m metrics by k errors; arrays are NumPy, NaN where there is no derivative.
+    """Derivatives of m metrics by k errors; NaN where there is no derivative.
 
-    names, error_units (k); metrics, metric_units, labels (m); at {name: value} of the point [rad,
-    m]; scale (k,) half-widths t (ones when `scaled` is False); order 1 or 2; mode "forward" or
-    "reverse"; status "ok" or the problem's word for the failure;
+    names, error_units (k); metrics, metric_units, labels (m); at {name: value} of the point [rad, m]; scale (k,)
+    half-widths t (ones when `scaled` is False); order 1 or 2; mode "forward" or "reverse"; status "ok" or the
+    problem's word for the failure;
     value (m,), gradient (m, k), hessian (m, k, k) or None: per unit;
     gradient_scaled (m, k), hessian_scaled (m, k, k) or None: per tolerance, in the metric's unit;
     effects (m, k): largest change by each error alone [metric unit], the heat map;
     vanishing (m, k): True where the gradient is zero by symmetry though the error has an effect;
-    character (m,): "slope", "even" (all gradients vanish), "mixed" (some do), "cone" (even and zero
-        at the point, positive semidefinite Hessian: the root has no derivative), "flat" (no error
-        has an effect), "none" (the derivatives do not exist or are not finite: differentiate its
-        square); at order 1, where only the metric's own word for its symmetry is at hand, "slope"
-        or "even";
-    eigenvalues (m, k) [metric unit], directions (m, k, k): of the scaled Hessian, largest first,
-        row d of `directions` a unit vector of errors in tolerances; None at order 1;
-    root_slopes (m, k): sqrt(H_ii/2) t_i of a cone, the growth of its root per tolerance; NaN
-    elsewhere; asymmetry (m,): rounding of the Hessian, |H - H^T| / |H|; None at order 1;
-    gradient_change (m, k), hessian_change (m,): difference to the `refined` problem relative to the
-        effect of each error and to the largest |H|; None without one.
-    derivative_residual: forces left over in the differentiated equations relative to the change of the joint
-    forces, an estimate (None where none are left over); above the problem's limit the status is
-    "derivative_not_converged".
+    character (m,): "slope" (a gradient), "even" (all gradients vanish), "mixed" (some do), "kink" (even and zero at
+        the point, positive semidefinite Hessian: the square root has no derivative), "flat" (no error has an effect),
+        "none" (the derivatives do not exist or are not finite: differentiate the square); at order 1, where only the
+        symmetry that the metric declares is known, "slope" or "even";
+    eigenvalues (m, k) [metric unit], directions (m, k, k): of the scaled Hessian, largest magnitude first; each row of
+        `directions` is a unit vector of errors in tolerances; None at order 1;
+    root_derivatives (m, k): sqrt(H_ii/2) t_i at a kink, the growth of the square root per tolerance; NaN elsewhere;
+    asymmetry (m,): |H - H^T| / |H|, rounding of the Hessian; None at order 1;
+    gradient_change (m, k), hessian_change (m,): difference to the `refined` problem relative to the effect of each
+        error and to the largest |H|; None without one;
+    derivative_residual: residual of the differentiated equations relative to the change of the joint forces, an
+        estimate (None for a problem without a residual); above the problem's limit the status is
+        "derivative_not_converged".
     """
 
-    names: tuple
-    error_units: tuple
-    metrics: tuple
-    metric_units: tuple
-    labels: tuple
-    at: dict
-    scale: np.ndarray
+    names: tuple[str, ...]
+    error_units: tuple[str, ...]
+    metrics: tuple[str, ...]
+    metric_units: tuple[str, ...]
+    labels: tuple[str, ...]
+    at: dict[str, float]
+    scale: Float[np.ndarray, " k"]
     scaled: bool
     order: int
     mode: str
     status: str
-    value: np.ndarray
-    gradient: np.ndarray
-    hessian: np.ndarray | None
-    gradient_scaled: np.ndarray
-    hessian_scaled: np.ndarray | None
-    effects: np.ndarray
-    vanishing: np.ndarray
-    character: tuple
-    eigenvalues: np.ndarray | None
-    directions: np.ndarray | None
-    root_slopes: np.ndarray
-    asymmetry: np.ndarray | None
-    gradient_change: np.ndarray | None = field(default=None)
-    hessian_change: np.ndarray | None = field(default=None)
+    value: Float[np.ndarray, " m"]
+    gradient: Float[np.ndarray, "m k"]
+    hessian: Float[np.ndarray, "m k k"] | None
+    gradient_scaled: Float[np.ndarray, "m k"]
+    hessian_scaled: Float[np.ndarray, "m k k"] | None
+    effects: Float[np.ndarray, "m k"]
+    vanishing: Bool[np.ndarray, "m k"]
+    character: tuple[str, ...]
+    eigenvalues: Float[np.ndarray, "m k"] | None
+    directions: Float[np.ndarray, "m k k"] | None
+    root_derivatives: Float[np.ndarray, "m k"]
+    asymmetry: Float[np.ndarray, " m"] | None
+    gradient_change: Float[np.ndarray, "m k"] | None = field(default=None)
+    hessian_change: Float[np.ndarray, " m"] | None = field(default=None)
     derivative_residual: float | None = field(default=None)
 
-    def _row(self, metric):
-        name = getattr(metric, "name", metric)
+    def _row(self, metric: str | Metric) -> int:
+        name = metric.name if isinstance(metric, Metric) else metric
         check_known((name,), self.metrics, "metric")
         return self.metrics.index(name)
 
-    def ranking(self, metric):
+    def ranking(self, metric: str | Metric) -> list[tuple[str, float]]:
         """[(error, effect [metric unit])], largest first."""
         effects = self.effects[self._row(metric)]
         return [(self.names[i], float(effects[i])) for i in np.argsort(-effects, kind="stable")]
 
-    def principal_directions(self, metric):
-        """[(eigenvalue [metric unit], {error: component in tolerances})], largest |eigenvalue|
-        first."""
-        if self.eigenvalues is None:
+    def principal_directions(self, metric: str | Metric) -> list[tuple[float, dict[str, float]]]:
+        """[(eigenvalue [metric unit], {error: component in tolerances})], largest |eigenvalue| first."""
+        if self.eigenvalues is None or self.directions is None:
             raise InputError("Argument `order` must be 2 for principal directions, but it was 1.")
         i = self._row(metric)
         pairs = zip(self.eigenvalues[i], self.directions[i], strict=True)
         return [(float(value), dict(zip(self.names, map(float, row), strict=True))) for value, row in pairs]
 
-    def root_slope(self, metric, direction):
-        """Slope of the root of a cone metric along `direction` {error: rad or m}: sqrt(1/2 e^T H
-        e)."""
+    def root_derivative(self, metric: str | Metric, direction: Mapping[str, float]) -> float:
+        """One-sided derivative of the square root of a metric with a kink along `direction` {error: rad or m}:
+        sqrt(1/2 e^T H e)."""
         i = self._row(metric)
-        if self.character[i] != "kink":
+        if self.character[i] != "kink" or self.hessian is None:
             raise InputError(
                 f"Argument `metric` must be a mean square that is zero at the point, but "
                 f"`{self.metrics[i]}` is of character `{self.character[i]}`; use its gradient."
@@ -117,7 +121,7 @@ class Sensitivities:
         e = np.array([float(direction.get(name, 0.0)) for name in self.names])
         return float(np.sqrt(max(0.5 * e @ self.hessian[i] @ e, 0.0)))
 
-    def rows(self):
+    def rows(self) -> list[dict[str, Any]]:
         """One flat dict per metric and error, ranked within the metric, for CSV and JSON."""
         out = []
         for m, metric in enumerate(self.metrics):
@@ -126,7 +130,7 @@ class Sensitivities:
                 row |= {"character": self.character[m], "value": float(self.value[m])}
                 row |= {"gradient": float(self.gradient[m, i])}
                 row |= {"gradient_per_tolerance": float(self.gradient_scaled[m, i])}
-                if self.hessian is not None:
+                if self.hessian is not None and self.hessian_scaled is not None:
                     row |= {"curvature": float(self.hessian[m, i, i])}
                     row |= {"curvature_per_tolerance": float(self.hessian_scaled[m, i, i])}
                 row |= {"effect": float(self.effects[m, i])}
@@ -134,7 +138,7 @@ class Sensitivities:
                 out.append(row)
         return out
 
-    def table(self, metric=None, top=8):
+    def table(self, metric: str | Metric | None = None, top: int = 8) -> str:
         """Ranking table as text, of one metric or of all; the `top` errors of each."""
         chosen = range(len(self.metrics)) if metric is None else (self._row(metric),)
         return "\n\n".join(self._block(m, top) for m in chosen)
@@ -156,16 +160,16 @@ class Sensitivities:
             gradient = show_number(self.gradient[m, i]) if scaled else "0"
             gradient += " (symmetry)" if self.vanishing[m, i] else ""
             row = [self.names[i], f"{width} {self.error_units[i]}", gradient, show_number(scaled)]
-            if self.hessian is not None:
+            if self.hessian_scaled is not None:
                 row.append(show_number(0.5 * self.hessian_scaled[m, i, i], scale=size))
             row += [show_number(self.effects[m, i], scale=size)]
-            row += [show_number(self.root_slopes[m, i])] if self.character[m] == "kink" else []
+            row += [show_number(self.root_derivatives[m, i])] if self.character[m] == "kink" else []
             rows.append(row)
         left_out = len(self.names) - len(rows)
         tail = f"\n({left_out} more errors with smaller effects)" if left_out > 0 else ""
         return f"{wrap_lines(head)}\n{align_columns(header, rows)}{tail}"
 
-    def __str__(self):
+    def __str__(self) -> str:
         head = f"Sensitivities of order {self.order} in {self.mode} mode, status {self.status}"
         if not self.scaled:
             head += "; no tolerances given: the ranking compares unlike units"
@@ -183,20 +187,32 @@ _REMARKS = {
     "slope": "",
     "even": "; even here: the gradient vanishes, the Hessian counts",
     "mixed": "; even in some errors: their gradients vanish, the Hessian counts",
-    "kink": "; zero and even here: its root is a cone, with a slope in every direction",
+    "kink": "; zero and even here: its square root has a kink, with a one-sided derivative in every direction",
     "flat": "; no error has an effect",
-    "none": "; no finite derivative here (at zero a root is a cone: take its mean square)",
+    "none": "; no finite derivative here (a root has a kink at zero: take its mean square)",
 }
 
 
-def sensitivity(problem, at=None, order=2, scale=None, mode="auto", *, names=None, batch=32, refined=None):
+def sensitivity(
+    problem: ToleranceProblem,
+    at: ErrorValues | None = None,
+    order: int = 2,
+    scale: Tolerances | ErrorValues | None = None,
+    mode: str = "auto",
+    *,
+    names: Sequence[str] | None = None,
+    batch: int = 32,
+    refined: ToleranceProblem | None = None,
+    progress: ProgressOption = False,
+) -> Sensitivities:
     """First and second derivatives of every metric of `problem` with respect to every named error.
 
-    Args: at {error: value} [rad, m], None the nominal point; order 1 or 2; scale a Tolerances
-        collection or {error: half-width}, the unit each error is measured in (it has no other: its
-        nominal is zero); mode "auto", "forward" or "reverse" (quadratic_model.py says how "auto"
-        decides); names the errors (default: those of `scale`, else all); batch directions at once;
-        refined the same problem with a finer step, to see how far the derivatives can be trusted.
+    Args: at {error: value}, None for the nominal point; order 1 or 2; scale, a Tolerances collection or {error:
+        half-width}, the unit each error is measured in (it has no other: its nominal value is zero); values and
+        half-widths in rad or m, or strings with a unit; mode "auto", "forward" or "reverse" (quadratic_model.py says
+        how "auto" decides); names of the errors (default: those of `scale`, else all); batch, directions at once;
+        refined, the same problem with a finer step, which shows how far the derivatives can be trusted; progress True
+        for a bar, or a function of (done, total) directions, counted twice with `refined`.
     Returns: Sensitivities. A point that failed is reported by its `status`.
     Raises: InputError for unknown names, order or mode.
     """
@@ -208,28 +224,37 @@ def sensitivity(problem, at=None, order=2, scale=None, mode="auto", *, names=Non
         names = known if names is None else tuple(names)
         check_known(names, known, "names")
         widths = np.array([values[known.index(name)] for name in names])
-    model = expand(problem, at, names, order=order, mode=mode, batch=batch)
-    finer = refined and expand(refined, at, names, order=order, mode=mode, batch=batch)
-    return _report(problem, model, finer, widths, at, scale is not None, order)
+    names, mode = check_expansion(problem, names, order, mode)
+    problems = (problem,) if refined is None else (problem, refined)
+    with Progress(progress, len(problems) * len(names), unit="direction") as bar:
+        model, *finer = [expand_point(one, at, names, order, mode, int(batch), bar.advance) for one in problems]
+    point = read_point(problem, at)
+    return _report(problem, model, finer[0] if finer else None, widths, point, scale is not None, order)
 
 
-def _report(problem, model, finer, widths, at, scaled, order):
+def _report(
+    problem: ToleranceProblem,
+    model: QuadraticModel,
+    finer: QuadraticModel | None,
+    widths: np.ndarray,
+    at: dict[str, float],
+    scaled: bool,
+    order: int,
+) -> Sensitivities:
     value, gradient = np.asarray(model.value), np.asarray(model.gradient)
     hessian = None if model.hessian is None else np.asarray(model.hessian)
     g = gradient * widths
     h = None if hessian is None else hessian * np.outer(widths, widths)
-    curvature = np.zeros_like(g) if h is None else np.abs(np.diagonal(h, axis1=1, axis2=2))
-    effects = np.abs(g) + 0.5 * curvature
+    effects = np.abs(g) + 0.5 * np.abs(_diagonal(g, h))
     character, vanishing = _classify(problem, value, g, h)
     eigenvalues, directions = (None, None) if h is None else _principal(h)
-    root = np.full_like(g, np.nan)
-    for m in (i for i, word in enumerate(character) if word == "kink"):
-        root[m] = np.sqrt(0.5 * np.maximum(np.diagonal(h[m]), 0.0))
+    kinks = np.array([word == "kink" for word in character])
+    root = np.where(kinks[:, None], np.sqrt(0.5 * np.maximum(_diagonal(g, h), 0.0)), np.nan)
     gradient_change, hessian_change = _changes(finer, widths, g, h, effects)
     status = describe_status(problem, model.status)
-    residual = model.derivative_residual(widths)
-    # Not a number: not converged either.
-    if status == "ok" and residual is not None and not residual <= problem.derivative_limit:
+    residual, limit = model.derivative_residual(widths), getattr(problem, "derivative_limit", None)
+    # NaN has not converged either.
+    if status == "ok" and residual is not None and limit is not None and not residual <= limit:
         status = NOT_CONVERGED
     return Sensitivities(
         names=model.names,
@@ -237,7 +262,7 @@ def _report(problem, model, finer, widths, at, scaled, order):
         metrics=model.metrics,
         metric_units=tuple(metric.unit for metric in problem.metrics),
         labels=tuple(metric.label for metric in problem.metrics),
-        at={name: float(value) for name, value in (at or {}).items()},
+        at=at,
         scale=widths,
         scaled=scaled,
         order=order,
@@ -253,7 +278,7 @@ def _report(problem, model, finer, widths, at, scaled, order):
         character=character,
         eigenvalues=eigenvalues,
         directions=directions,
-        root_slopes=root,
+        root_derivatives=root,
         asymmetry=None if model.asymmetry is None else np.asarray(model.asymmetry),
         gradient_change=gradient_change,
         hessian_change=hessian_change,
@@ -261,7 +286,12 @@ def _report(problem, model, finer, widths, at, scaled, order):
     )
 
 
-def _classify(problem, value, g, h):
+def _diagonal(g, h):
+    """Diagonals (m, k) of Hessians (m, k, k); zero at order 1, where h is None."""
+    return np.zeros_like(g) if h is None else np.diagonal(h, axis1=1, axis2=2)
+
+
+def _classify(problem, value, g, h) -> tuple[tuple[str, ...], np.ndarray]:
     """The character of each metric and where gradients vanish; g, h per tolerance."""
     words, vanishing = [], np.zeros(g.shape, dtype=bool)
     for m, metric in enumerate(problem.metrics):
@@ -279,7 +309,7 @@ def _classify(problem, value, g, h):
     return tuple(words), vanishing
 
 
-def _character(value, h, small, influence):
+def _character(value, h, small, influence) -> str:
     if not np.all(small):
         return "mixed" if np.any(small & (influence > 0)) else "slope"
     if not np.any(influence > 0):
@@ -290,7 +320,7 @@ def _character(value, h, small, influence):
     return "kink" if zero and definite else "even"
 
 
-def _principal(h):
+def _principal(h) -> tuple[np.ndarray, np.ndarray]:
     """Eigenvalues (m, k) by size and eigenvectors (m, k, k) as rows, largest component positive."""
     values = np.full(h.shape[:2], np.nan)
     rows = np.full(h.shape, np.nan)
@@ -305,7 +335,8 @@ def _principal(h):
     return values, rows
 
 
-def _changes(finer, widths, g, h, effects):
+def _changes(finer, widths, g, h, effects) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """Differences to the model of the refined problem, relative to the effects and to the largest |H|."""
     if finer is None:
         return None, None
     gradient = np.abs(np.asarray(finer.gradient) * widths - g)

@@ -4,38 +4,50 @@ Place in the pipeline: under worst cases and allocation.
 
     e = centre + M z       box: |z_i| <= 1, M = diag(t);   ellipsoid: |z| <= 1, M = diag(t) chol(C)
 
-Symbols: z (k,) standard coordinates, e (k,) errors [rad, m], t (k,) half-widths, C (k, k)
-correlation of the errors (so the ellipsoid touches the box's faces), g, H a quadratic model in z.
+Symbols: z (k,) standard coordinates, e (k,) errors [rad, m], t (k,) half-widths, C (k, k) correlation of the errors
+(so the ellipsoid touches the box's faces), g, H a quadratic model in z.
 
-A search must not start at the symmetric point, where gradients of even metrics vanish: the starts
-are corners by the signs of the Hessian's eigenvectors and the maxima of the quadratic model,
-random points, and scrambled Sobol' points.
+A search must not start at the symmetric point, where gradients of even metrics vanish: the starts are corners by the
+signs of the Hessian's eigenvectors and the maxima of the quadratic model, random points, and scrambled Sobol' points.
 """
 
+from collections.abc import Callable, Mapping
 from functools import partial
 from itertools import product
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float, Int
 from scipy.stats import norm, qmc
 
-from rfem_jax.description.errors import InputError
-from rfem_jax.tolerancing.projected_gradient import climb, project_ball, project_box
+from rfem_jax.description.errors import InputError, require_choice
+from rfem_jax.tolerancing.checks import ErrorValues
+from rfem_jax.tolerancing.distributions import Tolerances
+from rfem_jax.tolerancing.projected_gradient import Point, climb, project_ball, project_box
+from rfem_jax.tolerancing.sampling import RandomKey
 
 REGIONS = ("box", "ellipsoid")
+KINDS = ("corners", "random", "sobol")
 EXHAUSTIVE = 12  # 2^12 corners are still few
 SEEDS = 64
 
+Model = tuple[float, Float[np.ndarray, " k"], Float[np.ndarray, "k k"]]  # value, gradient, Hessian in z
 
 _project_unit_box = partial(project_box, lower=-1.0, upper=1.0)
 
 
-def region_matrix(region, tolerances, half_widths):
-    """M (k, k) of e = centre + M z. Raises InputError for an unknown region or bad covariance."""
-    if region not in REGIONS:
-        raise InputError(f"Argument `region` must be one of {REGIONS}, but it is {region!r}.")
-    if region == "box" or not hasattr(tolerances, "covariance"):
+def region_matrix(
+    region: str, tolerances: Tolerances | ErrorValues, half_widths: Float[np.ndarray, " k"]
+) -> Float[np.ndarray, "k k"]:
+    """M (k, k) of e = centre + M z.
+
+    Args: region "box" or "ellipsoid"; tolerances, a collection or a mapping as for `worst_case`; half_widths (k,) of
+        the same errors.
+    Raises: InputError for an unknown region and a covariance that is not positive definite.
+    """
+    require_choice(region, REGIONS, "region")
+    if region == "box" or not isinstance(tolerances, Tolerances):
         return np.diag(half_widths)
     covariance = np.asarray(tolerances.covariance(), dtype=np.float64)
     deviation = np.sqrt(np.diag(covariance))
@@ -43,62 +55,65 @@ def region_matrix(region, tolerances, half_widths):
         root = np.linalg.cholesky(covariance / np.outer(deviation, deviation))
     except np.linalg.LinAlgError:
         raise InputError(
-            "Argument `tolerances` must have a positive definite covariance for an ellipsoid, "
-            "but it "
-            "has not; remove an error that the others determine."
+            "Argument `tolerances` must have a positive definite covariance for an ellipsoid, but it has not; "
+            "remove an error that the others determine."
         ) from None
     return half_widths[:, None] * root
 
 
-def projection(region):
+def projection(region: str) -> Callable[[Point], Point]:
     """Function z -> nearest z of the region; the same object each time (it keys programs)."""
     return project_ball if region == "ellipsoid" else _project_unit_box
 
 
-def box_corners(k):
+def box_corners(k: int) -> Float[np.ndarray, "corners k"]:
     """All corners (2^k, k) of the box, in the order of binary numbers."""
     return np.array(list(product((-1.0, 1.0), repeat=k)))
 
 
-def seed_of(key):
+def seed_of(key: RandomKey) -> int:
     """An integer seed for SciPy from a JAX key."""
     return int(jax.random.bits(key, dtype=jnp.uint32))
 
 
-def sobol_units(k, count, key):
+def sobol_units(k: int, count: int, key: RandomKey) -> Float[np.ndarray, "count k"]:
     """Scrambled Sobol' points (count, k) in the unit cube, open at both ends."""
     generator = qmc.Sobol(k, scramble=True, rng=np.random.default_rng(seed_of(key)))
     points = generator.random_base2(max(0, int(np.ceil(np.log2(max(count, 1))))))[:count]
     return np.clip(points, 1e-12, 1 - 1e-12)
 
 
-def spread_points(units, region):
-    """Points of the region from units (n, k + 1) in the unit cube (box: the last column is
-    unused)."""
+def spread_points(units: Float[np.ndarray, "n columns"], region: str) -> Float[np.ndarray, "n k"]:
+    """Points of the region from points (n, k + 1) of the unit cube (a box does not use the last column)."""
     if region == "box":
         return 2 * units[:, :-1] - 1
     normals = norm.ppf(units[:, :-1])
-    radius = units[:, -1:] ** (1 / normals.shape[1])
+    radius = units[:, -1:] ** (1 / (units.shape[1] - 1))
     return radius * normals / np.linalg.norm(normals, axis=1, keepdims=True)
 
 
 @partial(jax.jit, static_argnames=("region",))
 def _climb_quadratic(gradient, hessian, starts, scale, region):
     def function(z):
-        slope = hessian @ z
-        return (gradient @ z + 0.5 * z @ slope) / scale, (gradient + slope) / scale
+        curved = hessian @ z
+        return (gradient @ z + 0.5 * z @ curved) / scale, (gradient + curved) / scale
 
     return jax.vmap(lambda z: climb(function, projection(region), z, evaluations=500))(starts)
 
 
-def maximise_quadratic(value, gradient, hessian, region, key):
+def maximise_quadratic(
+    value: float,
+    gradient: Float[np.ndarray, " k"],
+    hessian: Float[np.ndarray, "k k"],
+    region: str,
+    key: RandomKey,
+) -> tuple[Float[np.ndarray, "p k"], Float[np.ndarray, " p"]]:
     """Local maxima of value + g.z + 1/2 z^T H z over the region, best first.
 
-    Args: value scalar, gradient (k,), hessian (k, k), in z; key for the random seeds.
-    Returns: points (p, k), distinct, and their values (p,). For a box with k <= EXHAUSTIVE the best
-        corners are among the seeds, so the best corner is never missed; otherwise the best found.
+    Args: value, gradient (k,), hessian (k, k), in z; key of the random seeds.
+    Returns: points (p, k), distinct, and their values (p,). For a box with k <= EXHAUSTIVE the best corners are among
+        the seeds, so the best corner is never missed; otherwise the best found.
     """
-    gradient, hessian = np.asarray(gradient), np.asarray(hessian)
     k = len(gradient)
     if not (np.isfinite(value) and np.all(np.isfinite(gradient)) and np.all(np.isfinite(hessian))):
         return np.zeros((0, k)), np.zeros(0)
@@ -118,7 +133,9 @@ def maximise_quadratic(value, gradient, hessian, region, key):
     return points[chosen], value + heights[chosen]
 
 
-def quadratic_bound(value, gradient, hessian, region):
+def quadratic_bound(
+    value: float, gradient: Float[np.ndarray, " k"], hessian: Float[np.ndarray, "k k"], region: str
+) -> float:
     """An upper bound of the quadratic model over the region (z coordinates), in closed form.
 
     Box: value + sum|g| + 1/2 sum|H|; ellipsoid: value + |g| + 1/2 max(0, largest eigenvalue).
@@ -129,8 +146,10 @@ def quadratic_bound(value, gradient, hessian, region):
     return float(value + np.linalg.norm(gradient) + 0.5 * max(0.0, largest))
 
 
-def distinct(points, values, distance=1e-3):
-    """Indices of points (n, k) that differ from every better one, by falling value; no NaN."""
+def distinct(
+    points: Float[np.ndarray, "n k"], values: Float[np.ndarray, " n"], distance: float = 1e-3
+) -> Int[np.ndarray, " kept"]:
+    """Indices of the points (n, k) that differ from every better one, best value first; none with value NaN."""
     kept = []
     for i in np.argsort(-values, kind="stable"):
         if np.isfinite(values[i]) and all(np.max(np.abs(points[i] - points[j])) > distance for j in kept):
@@ -138,19 +157,20 @@ def distinct(points, values, distance=1e-3):
     return np.array(kept, dtype=int)
 
 
-def start_points(counts, model, region, k, key):
-    """Starts (n, k) of a search in z, as `counts` {"corners": n, "random": n, "sobol": n} says.
+def start_points(
+    counts: Mapping[str, int], model: Model | None, region: str, k: int, key: RandomKey
+) -> Float[np.ndarray, "starts k"]:
+    """Starts (n, k) of a search in z, as many of each kind as `counts` {"corners": n, "random": n, "sobol": n} says.
 
-    Args: model (value, gradient, hessian) in z or None. "corners" are the maxima of the quadratic
-        model; where it has fewer (or there is no model), corners with random signs fill up, on an
+    Args: model (value, gradient, Hessian) in z or None; key of the random points. "corners" are the maxima of the
+        quadratic model; where it has fewer (or there is no model), corners with random signs are added, on an
         ellipsoid points of its surface.
     Raises: InputError for an unknown kind, a negative number or no start at all.
     """
-    kinds = ("corners", "random", "sobol")
     for kind, count in counts.items():
-        if kind not in kinds or count != int(count) or count < 0:
+        if kind not in KINDS or count != int(count) or count < 0:
             raise InputError(
-                f"Argument `starts` must give whole numbers of {', '.join(kinds)}, but has {kind!r}: {count!r}."
+                f"Argument `starts` must give whole numbers of {', '.join(KINDS)}, but has {kind!r}: {count!r}."
             )
     if sum(counts.values()) < 1:
         raise InputError("Argument `starts` must ask for at least one start, but asks for none.")

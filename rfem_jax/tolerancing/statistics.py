@@ -9,40 +9,43 @@ Place in the pipeline: after the Monte Carlo samples; works on NumPy arrays of g
     Sobol' indices S_i = E[f_B (f_ABi - f_A)]/V,  T_i = E[(f_A - f_ABi)^2]/(2 V), bootstrap interval
     control        mean(f - b (q - E q)), b from the other folds: unbiased
 
-Independent samples: e = sd(psi)/sqrt(n) with psi the statistic's influence function (f - xbar for
-the mean, ((f - xbar)^2/s^2 - 1)/2 for log s), t of n - 1 degrees of freedom, n_eff = n: intervals
-of quantiles and yields are then never below their confidence, for any n.
+Independent samples: e = sd(psi)/sqrt(n), where psi is the statistic's influence function (f - xbar for the mean,
+((f - xbar)^2/s^2 - 1)/2 for log s); t of n - 1 degrees of freedom, n_eff = n. Intervals of quantiles and yields then
+never cover less than their confidence, for any n.
 
-Samples of r independently scrambled nets (`nets`, the net of each sample): within a net samples
-depend on each other, and a smooth statistic is far surer than of independent ones. The errors are
-those of the nets' totals,
+Samples of r independently scrambled nets (`nets`, the net of each sample): samples of one net depend on each other,
+and a smooth statistic has a far smaller error than with independent samples. The error follows from the nets' totals,
 
     e^2 = r/(r - 1) sum_j (sum_(i in j) psi_i)^2 / n^2,        t of r - 1 degrees of freedom
 
-which holds with failed samples too. A fraction p has psi = 1[below] - p, and n_eff =
-p (1 - p)/e^2 (t_(n-1)/t_(r-1))^2 samples, independent ones that would be as sure. Where the nets
-agree to one sample (so that e may be zero by luck), e is that of one sample, and n_eff at least n.
+which holds with failed samples too. A fraction p has psi = 1[below] - p and
+n_eff = p (1 - p)/e^2 (t_(n-1)/t_(r-1))^2, the number of independent samples with the same error. Where the nets agree
+to one sample (so that e may be zero by chance), e is that of one sample, and n_eff is at least n.
 
-Symbols: f (n,) values of a metric, q (n,) quadratic model at the same errors, e standard error, V
-variance, S_i first-order and T_i total index of factor i.
-Source: H. A. David, H. N. Nagaraja, Order Statistics, 3rd ed. (2003), section 7.1; C. J. Clopper,
-E. S. Pearson, Biometrika 26 (1934) 404-413; E. L. Korn, B. I. Graubard, Survey Methodology 24
-(1998) 193-201 (n_eff of a fraction); R. S. Woodruff, J. Amer. Stat. Assoc. 47 (1952) 635-646
-(quantile from a fraction); A. Saltelli et al., Comput. Phys. Commun. 181 (2010) 259-270, table 2
-(b) and (f); S. S. Lavenberg, P. D. Welch, Management Science 27 (1981) 322-335 (control variates);
-A. N. Avramidis, J. R. Wilson, Oper. Res. 41 (1993) 833-846 (splitting).
+Symbols: f (n,) values of a metric, q (n,) quadratic model at the same errors, e standard error, V variance, S_i
+first-order and T_i total index of factor i.
+Source: H. A. David, H. N. Nagaraja, Order Statistics, 3rd ed. (2003), section 7.1; C. J. Clopper, E. S. Pearson,
+Biometrika 26 (1934) 404-413; E. L. Korn, B. I. Graubard, Survey Methodology 24 (1998) 193-201 (n_eff of a fraction);
+R. S. Woodruff, J. Amer. Stat. Assoc. 47 (1952) 635-646 (quantile from a fraction); A. Saltelli et al., Comput. Phys.
+Commun. 181 (2010) 259-270, table 2 (b) and (f); S. S. Lavenberg, P. D. Welch, Management Science 27 (1981) 322-335
+(control variates); A. N. Avramidis, J. R. Wilson, Oper. Res. 41 (1993) 833-846 (splitting).
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Bool, Float, Int
 from scipy import stats
 
 from rfem_jax.description.errors import InputError
 
 FOLDS = 10
 RESAMPLES = 500
+
+Samples = Float[np.ndarray, " n"]
+Nets = Int[np.ndarray, " n"] | None
 
 
 @dataclass(frozen=True)
@@ -59,7 +62,7 @@ class Estimate:
 
 @dataclass(frozen=True)
 class SobolIndices:
-    """First-order and total indices of one metric: {factor label: Estimate}; samples used."""
+    """First-order and total indices of one metric, {factor label: Estimate}, and the number of samples used."""
 
     first_order: dict[str, Estimate]
     total: dict[str, Estimate]
@@ -68,39 +71,39 @@ class SobolIndices:
 
 @dataclass(frozen=True)
 class ControlledMean:
-    """Mean with a control variate; variance of a sample without it divided by that with it."""
+    """Mean with a control variate, its coefficient, and the factor by which it reduces the variance of a sample."""
 
     mean: Estimate
     variance_reduction: float
     coefficient: float
 
 
-def require_confidence(confidence):
+def require_confidence(confidence: float) -> float:
     """Return `confidence` if it lies inside (0, 1). Raises InputError."""
     if not (isinstance(confidence, (int, float)) and 0.0 < confidence < 1.0):
         raise InputError(f"Argument `confidence` must lie between 0 and 1, but it is {confidence!r}; 0.95 is usual.")
     return float(confidence)
 
 
-def _standard_error(influence, nets):
+def _standard_error(influence, nets) -> tuple[float, int]:
     """Standard error of a mean of influences (n,), and its degrees of freedom."""
     n = len(influence)
     if nets is None:
         return float(np.std(influence, ddof=1)) / math.sqrt(n), n - 1
     totals, r = _net_totals(influence, nets)
     if r < 2:
-        return math.inf, 1  # one net says nothing of its own error
+        return math.inf, 1  # one net does not show its own error
     return math.sqrt(r / (r - 1) * float(totals @ totals)) / n, r - 1
 
 
-def _net_totals(influence, nets):
+def _net_totals(influence, nets) -> tuple[Float[np.ndarray, " r"], int]:
     """Sum of the influences of each net that has samples, and the number of those nets."""
     counts = np.bincount(nets)
     return np.bincount(nets, weights=influence)[counts > 0], int(np.sum(counts > 0))
 
 
-def _effective_number(below, nets, confidence):
-    """Independent samples that know the fraction of `below` (n,) as well as these do."""
+def _effective_number(below, nets, confidence) -> float:
+    """Number n_eff of independent samples that would give the fraction of `below` (n,) the same error."""
     n = len(below)
     if nets is None:
         return n
@@ -116,10 +119,10 @@ def _effective_number(below, nets, confidence):
     return max(number, n) if agree else max(number, 1.0)
 
 
-def estimate_mean(samples, confidence=0.95, nets=None):
-    """Mean of samples (n,) and its interval by Student's t; NaN of an empty set.
+def estimate_mean(samples: Samples, confidence: float = 0.95, nets: Nets = None) -> Estimate:
+    """Mean of samples (n,) and its interval by Student's t; NaN without samples.
 
-    Args: nets (n,) the scrambled net that each sample belongs to; None: independent samples.
+    Args: nets (n,), the scrambled net that each sample belongs to; None for independent samples.
     """
     n = len(samples)
     if n == 0:
@@ -132,7 +135,7 @@ def estimate_mean(samples, confidence=0.95, nets=None):
     return Estimate(mean, mean - half, mean + half)
 
 
-def estimate_std(samples, confidence=0.95, nets=None):
+def estimate_std(samples: Samples, confidence: float = 0.95, nets: Nets = None) -> Estimate:
     """Standard deviation of samples (n,) and its large-sample interval; nets as `estimate_mean`."""
     n = len(samples)
     if n < 2:
@@ -148,11 +151,10 @@ def estimate_std(samples, confidence=0.95, nets=None):
     return Estimate(std, std / factor, std * factor)
 
 
-def estimate_quantile(samples, fraction, confidence=0.95, nets=None):
+def estimate_quantile(samples: Samples, fraction: float, confidence: float = 0.95, nets: Nets = None) -> Estimate:
     """Quantile of samples (n,) and a distribution-free interval between two order statistics.
 
-    Args: fraction in (0, 1); nets as `estimate_mean`. An end is infinite where n samples cannot
-        bound it.
+    Args: fraction in (0, 1); nets as `estimate_mean`. An end is infinite where n samples cannot bound it.
     """
     if not 0.0 < fraction < 1.0:
         raise InputError(f"Argument `quantiles` must lie between 0 and 1, but one is {fraction!r}; write 0.95.")
@@ -173,10 +175,10 @@ def estimate_quantile(samples, fraction, confidence=0.95, nets=None):
     )
 
 
-def estimate_yield(passed, confidence=0.95, nets=None):
+def estimate_yield(passed: Bool[np.ndarray, " n"], confidence: float = 0.95, nets: Nets = None) -> Estimate:
     """Fraction of `passed` (n,) booleans that is True and its Clopper-Pearson interval.
 
-    Args: nets as `estimate_mean`. NaN of an empty set.
+    Args: nets as `estimate_mean`. NaN without samples.
     """
     n = len(passed)
     if n == 0:
@@ -190,30 +192,35 @@ def estimate_yield(passed, confidence=0.95, nets=None):
     return Estimate(fraction, low, high)
 
 
-def sobol_estimates(f_a, f_b, f_ab):
+def sobol_estimates(
+    f_a: Samples, f_b: Samples, f_ab: Float[np.ndarray, "k n"]
+) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
     """First-order (k,) and total (k,) indices of f_a (n,), f_b (n,), f_ab (k, n).
 
     A metric that does not vary has no indices (NaN).
     """
-    both = np.concatenate([f_a, f_b], axis=-1)
-    centre = both.mean(axis=-1, keepdims=True)
-    variance = both.var(axis=-1)[..., None]
-    # Centring leaves the estimate's mean as it is and lowers its scatter (Saltelli et al. 2010).
-    a, b = (f_a - centre)[..., None, :], (f_b - centre)[..., None, :]
-    ab = f_ab - centre[..., None, :]
-    # A variance that is only rounding of the mean is no variance.
-    negligible = variance <= (1e-13 * np.abs(centre)) ** 2
-    variance = np.where(negligible, np.nan, variance)
-    first = np.mean(b * (ab - a), axis=-1) / variance
-    return first, np.mean((a - ab) ** 2, axis=-1) / (2.0 * variance)
+    both = np.concatenate([f_a, f_b])
+    centre, variance = both.mean(), both.var()
+    # Centring does not change the estimate's mean and lowers its scatter (Saltelli et al. 2010).
+    a, b, ab = f_a - centre, f_b - centre, f_ab - centre
+    # Variance that is only rounding of the mean counts as none.
+    if variance <= (1e-13 * np.abs(centre)) ** 2:
+        variance = np.nan
+    return np.mean(b * (ab - a), axis=-1) / variance, np.mean((a - ab) ** 2, axis=-1) / (2.0 * variance)
 
 
-def estimate_sobol_indices(f_a, f_b, f_ab, labels, confidence=0.95, seed=0):
+def estimate_sobol_indices(
+    f_a: Samples,
+    f_b: Samples,
+    f_ab: Float[np.ndarray, "k n"],
+    labels: Sequence[str],
+    confidence: float = 0.95,
+    seed: int = 0,
+) -> SobolIndices:
     """Sobol' indices of one metric with percentile bootstrap intervals.
 
-    Args: f_a, f_b (n,), f_ab (k, n) values on the design of `sampling.design_points`; labels (k) of
-        the factors; seed of the bootstrap. A base sample with a value that is not finite is left
-        out.
+    Args: f_a, f_b (n,), f_ab (k, n), values on the design of `sampling.design_points`; labels (k) of the factors; seed
+        of the bootstrap. A base sample with a value that is not finite is left out.
     """
     good = np.isfinite(f_a) & np.isfinite(f_b) & np.all(np.isfinite(f_ab), axis=0)
     f_a, f_b, f_ab = f_a[good], f_b[good], f_ab[:, good]
@@ -236,12 +243,14 @@ def estimate_sobol_indices(f_a, f_b, f_ab, labels, confidence=0.95, seed=0):
     return SobolIndices(first, total, n)
 
 
-def estimate_controlled_mean(samples, model, model_mean, confidence=0.95, nets=None):
+def estimate_controlled_mean(
+    samples: Samples, model: Samples, model_mean: float, confidence: float = 0.95, nets: Nets = None
+) -> ControlledMean:
     """Mean of samples (n,) with the control variate model (n,), whose mean is known.
 
-    The samples are split in folds (their nets, or each sample's index modulo the number of folds);
-    the coefficient used in a fold comes from the other folds, so that it is independent of the fold
-    and the mean is unbiased. Raises: InputError for fewer than 4 samples.
+    The samples are split into folds (their nets, or each sample's index modulo the number of folds). The coefficient
+    used in a fold comes from the other folds, so that it is independent of the fold and the mean is unbiased.
+    Raises: InputError for fewer than 4 samples.
     """
     n = len(samples)
     if n < 4:
@@ -251,7 +260,7 @@ def estimate_controlled_mean(samples, model, model_mean, confidence=0.95, nets=N
         )
     fold = np.arange(n) % min(FOLDS, n // 2) if nets is None else nets
     folds = int(np.max(fold)) + 1
-    coefficients = np.array([_slope(samples[fold != k], model[fold != k]) for k in range(folds)])
+    coefficients = np.array([_coefficient(samples[fold != k], model[fold != k]) for k in range(folds)])
     residual = samples - coefficients[fold] * (model - model_mean)
     before, after = np.var(samples, ddof=1), np.var(residual, ddof=1)
     reduction = 1.0 if before == 0.0 else math.inf if after == 0.0 else float(before / after)
@@ -259,8 +268,8 @@ def estimate_controlled_mean(samples, model, model_mean, confidence=0.95, nets=N
     return ControlledMean(mean, reduction, float(np.mean(coefficients)))
 
 
-def _slope(samples, model):
-    """Coefficient of least variance, cov(f, q)/var(q); 0 where the model does not vary."""
+def _coefficient(samples, model) -> float:
+    """Regression coefficient cov(f, q)/var(q), which gives the least variance; 0 where the model does not vary."""
     deviation = model - np.mean(model)
     square = float(deviation @ deviation)
     return float(deviation @ samples) / square if square > 0.0 else 0.0

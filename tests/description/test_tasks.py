@@ -9,7 +9,6 @@ import pytest
 from rfem_jax.description import load_study
 from rfem_jax.description.tasks import MonteCarloTask, SensitivityTask, Tasks, WorstCaseTask
 from rfem_jax.description.tasks.allocation import AllocationTask, ErrorCost
-from rfem_jax.description.tasks.settings import KINDS, RUN_METRICS
 from rfem_jax.description.tolerances import CorrelatedTolerances, SpecifiedTolerance
 
 STUDIES = Path(__file__).parents[2] / "studies"
@@ -102,13 +101,6 @@ def test_costs_are_shared_and_refer_to_the_specified_tolerance(tasks):
 def test_a_study_without_tasks_declares_none(tmp_path):
     assert load(tmp_path, "") == Tasks()
     assert Tasks().declared == ()
-
-
-def test_the_metrics_are_those_of_the_tolerance_studies():
-    from rfem_jax.tolerancing import metrics
-
-    assert set(KINDS) == set(metrics.OF_JOINTS)
-    assert set(RUN_METRICS) == set(metrics.OF_RUNS)
 
 
 @pytest.mark.parametrize(

@@ -17,13 +17,13 @@ from rfem_jax.tolerancing.cost_models import (
     assign_costs,
     total_cost,
 )
+from rfem_jax.tolerancing.distributions import Uniform
 from rfem_jax.tolerancing.problem import FunctionProblem
-from rfem_jax.tolerancing.tolerances import Uniform
 
 jax.config.update("jax_enable_x64", True)
 
 KEY = jax.random.key(5)
-SLOPES = np.array([1.0, 4.0, 0.5])
+GRADIENT = np.array([1.0, 4.0, 0.5])
 FACTORS = np.array([1.0, 0.3, 2.0])
 COSTS = {f"e{i}": Reciprocal(factor) for i, factor in enumerate(FACTORS)}
 
@@ -39,8 +39,8 @@ def make(functions, k):
     return FunctionProblem(evaluate, names, tuple(functions))
 
 
-def linear(k=3, slopes=SLOPES):
-    return make({"f": lambda x: 1.0 + jnp.asarray(slopes) @ x}, k)
+def linear(k=3, gradient=GRADIENT):
+    return make({"f": lambda x: 1.0 + jnp.asarray(gradient) @ x}, k)
 
 
 def bounds(k, low=1e-3, high=10.0):
@@ -58,8 +58,8 @@ UNIFORM = {"distribution": Uniform, "samples": 256}
 
 def test_rss_of_a_linear_metric_is_the_closed_form():
     result = allocate(LINEAR, {"f": 2.0}, COSTS, bounds(3), "rss", key=KEY, samples=128)
-    exact = (FACTORS / SLOPES**2) ** (1 / 3)
-    exact /= np.linalg.norm(SLOPES * exact)
+    exact = (FACTORS / GRADIENT**2) ** (1 / 3)
+    exact /= np.linalg.norm(GRADIENT * exact)
     np.testing.assert_allclose(found(result), exact, rtol=1e-6)
     assert result.status == "ok" and result.cost == pytest.approx(np.sum(FACTORS / exact), rel=1e-6)
     check = result.limits[0]
@@ -73,16 +73,16 @@ def test_rss_of_a_linear_metric_is_the_closed_form():
 
 def test_worst_case_of_a_linear_metric_is_the_closed_form_with_bounds_active():
     result = allocate(LINEAR, {"f": 2.0}, COSTS, bounds(3), key=KEY)
-    exact = np.sqrt(FACTORS / SLOPES)
-    exact /= SLOPES @ exact
+    exact = np.sqrt(FACTORS / GRADIENT)
+    exact /= GRADIENT @ exact
     np.testing.assert_allclose(found(result), exact, rtol=1e-6)
     assert result.limits[0].verified == pytest.approx(2.0, abs=1e-6)
     tight = {**bounds(3), "e1": (1e-3, 0.02)}
     result = allocate(LINEAR, {"f": 2.0}, COSTS, tight, key=KEY)
-    rest = [0, 2]
-    exact = np.sqrt(FACTORS[rest] / SLOPES[rest])
-    exact *= (1 - 4.0 * 0.02) / (SLOPES[rest] @ exact)
-    np.testing.assert_allclose(found(result)[rest], exact, rtol=1e-6)
+    free = [0, 2]
+    exact = np.sqrt(FACTORS[free] / GRADIENT[free])
+    exact *= (1 - 4.0 * 0.02) / (GRADIENT[free] @ exact)
+    np.testing.assert_allclose(found(result)[free], exact, rtol=1e-6)
     assert result.at_bounds == {"e1": "largest"} and result.status == "ok"
 
 
@@ -175,7 +175,7 @@ def test_mean_of_an_even_metric_is_held_at_its_limit():
 
 
 def test_infeasible_request_names_the_limit_and_the_best_value():
-    problem = make({"f": lambda x: 1.0 + jnp.asarray(SLOPES) @ x, "g": lambda x: x[0]}, 3)
+    problem = make({"f": lambda x: 1.0 + jnp.asarray(GRADIENT) @ x, "g": lambda x: x[0]}, 3)
     request = {"g": 100.0, "f": 1.5}
     result = allocate(problem, request, COSTS, bounds(3, low=0.2), key=KEY)
     assert result.status == "infeasible"

@@ -9,12 +9,12 @@ from scipy import optimize, special, stats
 from rfem_jax.description.errors import InputError
 from rfem_jax.tolerancing.allocation import ATTEMPTS, _passes, allocate
 from rfem_jax.tolerancing.allocation_models import Verified
-from rfem_jax.tolerancing.allocation_request import state_request
+from rfem_jax.tolerancing.allocation_request import check_request
 from rfem_jax.tolerancing.cost_models import Exponential, Reciprocal, ReciprocalSquared
+from rfem_jax.tolerancing.distributions import Uniform
 from rfem_jax.tolerancing.problem import FunctionProblem, Metric
 from rfem_jax.tolerancing.quadratic_model import expand
 from rfem_jax.tolerancing.statistical_criteria import StatisticalCriterion
-from rfem_jax.tolerancing.tolerances import Uniform
 
 jax.config.update("jax_enable_x64", True)
 
@@ -183,7 +183,7 @@ def test_a_model_that_fits_is_used():
 
 def criterion(kind, limit=3.0):
     bounds = {"e0": (1e-3, 20.0), "e1": (1e-3, 20.0)}
-    request = state_request(PROBLEM, {"load": limit}, Reciprocal(), bounds, None, "auto", 64)
+    request = check_request(PROBLEM, {"load": limit}, Reciprocal(), bounds, None, "auto", 64)
     return StatisticalCriterion(
         request, KEY, kind, level=0.9, coverage=3.0, statistic="quantile", distribution=Uniform,
         samples=64, verify_samples=64,
@@ -249,7 +249,7 @@ def test_failed_samples_raise_the_quantile_that_the_others_must_hold():
 
     problem = FunctionProblem(function, ("e0",), ("load",))
     bounds = {"e0": (0.1, 10.0)}
-    request = state_request(problem, {"load": 2.0}, Reciprocal(), bounds, None, "auto", 64)
+    request = check_request(problem, {"load": 2.0}, Reciprocal(), bounds, None, "auto", 64)
     study = StatisticalCriterion(
         request, KEY, "yield", level=0.9, coverage=3.0, statistic="quantile", distribution=Uniform,
         samples=512, verify_samples=64,

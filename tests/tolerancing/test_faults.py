@@ -17,10 +17,10 @@ import pytest
 import rfem_jax
 from rfem_jax.description.errors import InputError
 from rfem_jax.tolerancing import execution, results_store
+from rfem_jax.tolerancing.distributions import Tolerances, Uniform
 from rfem_jax.tolerancing.monte_carlo_study import monte_carlo
 from rfem_jax.tolerancing.problem import FunctionProblem
 from rfem_jax.tolerancing.results_store import ChunkWriteError, CorruptChunkWarning, ResultsStore
-from rfem_jax.tolerancing.tolerances import Tolerances, Uniform
 
 jax.config.update("jax_enable_x64", True)
 
@@ -216,7 +216,6 @@ def test_refused_write_of_the_system_is_reported(tmp_path):
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"n": 71}, "n (there 70, here 71)"),
         ({"batch": 8}, "batch (there 16, here 8)"),
         ({"lanes": 3}, "lanes"),
         ({"key": jax.random.key(4)}, "key (there [0, 3], here [0, 4])"),

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from rfem_jax.description.errors import InputError
+from rfem_jax.description.metric_catalogue import JOINT_METRICS
 from rfem_jax.tolerancing import metrics
 from rfem_jax.tolerancing.metrics import Metric, metric
 
@@ -32,7 +33,7 @@ def run(force=FORCE, moment=MOMENT):
 
 
 def test_every_metric_is_what_its_name_says():
-    found = {name: float(metric(f"A.{name}")(run())) for name in metrics.OF_JOINTS}
+    found = {name: float(metric(f"A.{name}")(run())) for name in JOINT_METRICS}
     peaks = {
         f"peak_{kind}": np.mean(np.linalg.norm(vectors, axis=1) ** 16) ** (1 / 16)
         for kind, vectors in (("force", FORCE), ("moment", MOMENT))
@@ -45,7 +46,7 @@ def test_every_metric_is_what_its_name_says():
     assert float(metric("angle_error")(run())) == 1.25
     assert float(metrics.end_angle(1.0)(run())) == 0.25
     assert float(metric("end_energy")(run())) == 0.5
-    units = {name: metric(f"A.{name}").unit for name in metrics.OF_JOINTS}
+    units = {name: metric(f"A.{name}").unit for name in JOINT_METRICS}
     assert units["mean_square_moment"] == "N^2 m^2" and units["peak_force"] == "N"
     assert units["preload_moment_square"] == "N^2 m^2" and units["rms_moment"] == "N m"
 
@@ -76,7 +77,7 @@ def test_metrics_of_ones_own_and_bad_ones():
     own = Metric("A.swing", "rad", "swing", function=lambda run: run.driven_joint.angle_end)
     assert float(own(run())) == 1.25 and own.even is None
     with pytest.raises(InputError, match="`function` of metric 'A.swing'"):
-        Metric("A.swing", "rad")
+        Metric("A.swing", "rad")(run())
     with pytest.raises(InputError, match="did you mean `A.rms_force`"):
         metric("A.rms_forse")
     with pytest.raises(InputError, match="did you mean `end_energy`"):

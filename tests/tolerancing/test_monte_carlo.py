@@ -15,10 +15,10 @@ import pytest
 import rfem_jax
 from rfem_jax.description.errors import InputError
 from rfem_jax.tolerancing import progress as progress_module
+from rfem_jax.tolerancing.distributions import CorrelatedNormal, Normal, Tolerances, Uniform
 from rfem_jax.tolerancing.monte_carlo_study import monte_carlo
 from rfem_jax.tolerancing.problem import FunctionProblem, Metric
 from rfem_jax.tolerancing.quadratic_model import expand
-from rfem_jax.tolerancing.tolerances import CorrelatedNormal, Normal, Tolerances, Uniform
 
 jax.config.update("jax_enable_x64", True)
 
@@ -220,7 +220,7 @@ def test_control_variate_is_refused_where_samples_failed():
         ({"limits": {"lineer": 1.0}}, "did you mean `linear`"),
         ({"limits": {"linear": (2.0, 1.0)}}, "`linear` has (2.0, 1.0)"),
         ({"quantiles": (0.5, 95.0)}, "`quantiles`"),
-        ({"confidence": 95}, "`confidence`"),
+        ({"confidence": 95.0}, "`confidence`"),
         ({"control_variate": "quadratic"}, "`control_variate`"),
         ({"tolerances": {"a": 0.1}}, "`tolerances` must be a Tolerances"),
         ({"tolerances": Tolerances({"d": Uniform(0.1)})}, "`d` is not known"),

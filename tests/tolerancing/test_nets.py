@@ -7,11 +7,11 @@ import pytest
 from scipy import stats
 
 from rfem_jax.tolerancing import statistics
+from rfem_jax.tolerancing.distributions import Tolerances, Uniform
 from rfem_jax.tolerancing.monte_carlo_study import monte_carlo
 from rfem_jax.tolerancing.problem import FunctionProblem
 from rfem_jax.tolerancing.quadratic_model import expand
 from rfem_jax.tolerancing.sampling import NETS, net_of_samples, unit_points
-from rfem_jax.tolerancing.tolerances import Tolerances, Uniform
 
 jax.config.update("jax_enable_x64", True)
 

@@ -14,6 +14,7 @@ import pytest
 from rfem_jax.description.errors import InputError
 from rfem_jax.tolerancing.allocation import allocate
 from rfem_jax.tolerancing.cost_models import Reciprocal
+from rfem_jax.tolerancing.distributions import Tolerances, Uniform
 from rfem_jax.tolerancing.evaluation import evaluate_points
 from rfem_jax.tolerancing.metrics import metric
 from rfem_jax.tolerancing.problem import FunctionProblem
@@ -24,13 +25,12 @@ from rfem_jax.tolerancing.quadratic_model import (
     linearise_points,
 )
 from rfem_jax.tolerancing.starting_points import projection
-from rfem_jax.tolerancing.tolerances import Tolerances, Uniform
 from rfem_jax.tolerancing.worst_cases import worst_case
 
 jax.config.update("jax_enable_x64", True)
 
 KEY = jax.random.key(11)
-PROGRAMS = 2  # of the problem: values, and values with slopes
+PROGRAMS = 2  # of the problem: values, and values with derivatives
 
 
 def counted(k, m=2):
@@ -102,7 +102,7 @@ def test_equal_names_give_equal_metrics():
 
 @pytest.mark.parametrize("mode", ["forward", "reverse"])
 @pytest.mark.parametrize("k", [3, 40])
-def test_slopes_of_many_points_are_those_of_single_ones_in_both_modes(mode, k):
+def test_derivatives_at_many_points_are_those_at_single_ones_in_both_modes(mode, k):
     problem, _ = counted(k)
     points = np.random.default_rng(1).normal(size=(21, k))
 
@@ -112,15 +112,15 @@ def test_slopes_of_many_points_are_those_of_single_ones_in_both_modes(mode, k):
 
     exact = np.stack([jax.jacrev(single)(jnp.asarray(x)) for x in points[::10]])
     names = problem.error_names
-    values, slopes, status = linearise_points(problem, names, {}, points, mode=mode)
-    np.testing.assert_allclose(slopes[::10], exact, rtol=1e-12)
+    values, jacobians, status = linearise_points(problem, names, {}, points, mode=mode)
+    np.testing.assert_allclose(jacobians[::10], exact, rtol=1e-12)
     np.testing.assert_allclose(values, evaluate_points(problem, names, {}, points)[0], rtol=1e-12)
-    assert values.shape == (21, 2) and slopes.shape == (21, 2, k) and not status.any()
+    assert values.shape == (21, 2) and jacobians.shape == (21, 2, k) and not status.any()
     which = np.arange(21) % 2
     values, one, _ = linearise_points(problem, names, {}, points, metric=which, mode=mode)
-    np.testing.assert_allclose(one, slopes[np.arange(21), which], rtol=1e-12)
+    np.testing.assert_allclose(one, jacobians[np.arange(21), which], rtol=1e-12)
     few, one, _ = linearise_points(problem, names, {}, points, metric=1, mode=mode, batch=4)
-    np.testing.assert_allclose(one, slopes[:, 1], rtol=1e-12)
+    np.testing.assert_allclose(one, jacobians[:, 1], rtol=1e-12)
     np.testing.assert_allclose(few, values, rtol=1e-12)
 
 
@@ -150,7 +150,7 @@ def test_hessian_by_differences_is_the_exact_one_within_its_error(mode):
         expand_by_differences(problem, at, {"a": 0.0})
 
 
-def test_hessian_by_differences_of_cones_and_failures_does_not_exist():
+def test_hessian_by_differences_does_not_exist_at_kinks_and_failures():
     def function(errors):
         x = jnp.stack([errors["a"], errors["b"]])
         values = {"square": x @ x, "root": jnp.sqrt(x @ x)}

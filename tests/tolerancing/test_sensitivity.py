@@ -1,4 +1,4 @@
-"""Sensitivities of closed-form problems: derivatives, symmetry, cones, principal directions."""
+"""Sensitivities of closed-form problems: derivatives, symmetry, kinks, principal directions."""
 
 from typing import ClassVar
 
@@ -24,7 +24,7 @@ def vector(errors, names=NAMES):
 
 
 def loads(errors):
-    """A mean-square moment (zero at the nominal point), its root, and a force with a slope."""
+    """A mean-square moment (zero at the nominal point), its root, and a force with a gradient."""
     e = vector(errors)
     moment = 0.5 * e @ jnp.asarray(HESSIAN) @ e
     force = 2.0 + 3.0 * e[2] + 5.0 * e[0] ** 2 + e[1] ** 2 * e[2]
@@ -85,25 +85,25 @@ def test_mode_follows_the_numbers_and_can_be_set(problem):
         sensitivity(problem, mode="backward")
 
 
-def test_mean_square_that_vanishes_is_a_cone_with_the_slope_of_its_hessian(problem):
+def test_root_of_a_mean_square_that_vanishes_has_a_kink_and_the_derivatives_of_the_hessian(problem):
     result = sensitivity(problem, scale=WIDTHS)
     assert result.character == ("kink", "none", "mixed")
     assert list(result.vanishing[0]) == [True, True, False]
     np.testing.assert_allclose(result.hessian[0], HESSIAN, atol=1e-14)
-    np.testing.assert_allclose(result.root_slopes[0], np.sqrt([2.0, 1.5, 0.0]) * [0.5, 0.25, 0.1])
+    np.testing.assert_allclose(result.root_derivatives[0], np.sqrt([2.0, 1.5, 0.0]) * [0.5, 0.25, 0.1])
     direction = {"D.delta_x": 0.3, "D.delta_z": -0.4}
     root = problem({name: jnp.asarray(value) for name, value in direction.items()})[0]["moment"]
-    assert result.root_slope("moment_squared", direction) == pytest.approx(float(root), rel=1e-13)
+    assert result.root_derivative("moment_squared", direction) == pytest.approx(float(root), rel=1e-13)
     with pytest.raises(InputError, match="zero at the point"):
-        result.root_slope("force", direction)
+        result.root_derivative("force", direction)
 
 
-def test_directional_slope_is_the_limit_of_the_root_along_a_small_error(problem):
+def test_one_sided_derivative_is_the_limit_of_the_root_along_a_small_error(problem):
     result = sensitivity(problem, scale=WIDTHS)
     direction = {"D.delta_x": 1.0, "D.delta_z": 2.0}
     small = {name: jnp.asarray(1e-6 * value) for name, value in direction.items()}
     growth = float(problem(small)[0]["moment"]) / 1e-6
-    assert result.root_slope("moment_squared", direction) == pytest.approx(growth, rel=1e-9)
+    assert result.root_derivative("moment_squared", direction) == pytest.approx(growth, rel=1e-9)
 
 
 def test_gradient_per_tolerance_effects_and_ranking(problem):
@@ -169,7 +169,7 @@ def test_refined_problem_shows_how_far_derivatives_can_be_trusted(problem):
 
 def test_table_names_what_symmetry_says_and_a_failed_point_has_its_status(problem):
     text = str(sensitivity(problem, scale=WIDTHS))
-    assert "0 (symmetry)" in text and "its root is a cone" in text
+    assert "0 (symmetry)" in text and "its square root has a kink" in text
     assert "take its mean square" in text
     broken = FunctionProblem(lambda e: ({"a": e["x"]}, jnp.asarray(3)), ("x",), ("a",), statuses={3: "diverged"})
     assert sensitivity(broken, order=1).status == "diverged"
@@ -197,7 +197,7 @@ def test_linearisation_of_many_points_marks_failed_ones():
 
 
 def solved_up_to(share):
-    """The closed-form loads, as if from equations whose derivatives leave over a share of the forces."""
+    """The closed-form loads, as if of equations whose differentiated residual is a share of the forces."""
 
     class Solved(FunctionProblem):
         derivative_limit: ClassVar[float] = 0.05

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from rfem_jax.description.errors import InputError
+from rfem_jax.tolerancing.distributions import CorrelatedNormal, Tolerances, Uniform
 from rfem_jax.tolerancing.problem import FunctionProblem
 from rfem_jax.tolerancing.projected_gradient import climb, project_ball
 from rfem_jax.tolerancing.starting_points import maximise_quadratic, quadratic_bound
-from rfem_jax.tolerancing.tolerances import CorrelatedNormal, Tolerances, Uniform
 from rfem_jax.tolerancing.worst_cases import worst_case
 
 jax.config.update("jax_enable_x64", True)
@@ -27,17 +27,17 @@ def widths(values):
     return {f"e{i}": value for i, value in enumerate(values)}
 
 
-def test_linear_metric_is_largest_at_the_corner_of_its_slopes():
-    slopes = np.array([3.0, -2.0, 0.5])
+def test_linear_metric_is_largest_at_the_corner_of_its_gradient():
+    gradient = np.array([3.0, -2.0, 0.5])
     t = np.array([0.1, 0.2, 0.4])
-    result = worst_case(make(lambda x: 1.0 + jnp.asarray(slopes) @ x, 3), widths(t), "f", key=KEY)
-    assert result.value == pytest.approx(1.0 + np.abs(slopes) @ t, rel=1e-14)
+    result = worst_case(make(lambda x: 1.0 + jnp.asarray(gradient) @ x, 3), widths(t), "f", key=KEY)
+    assert result.value == pytest.approx(1.0 + np.abs(gradient) @ t, rel=1e-14)
     assert result.active == {"e0": "upper", "e1": "lower", "e2": "upper"}
     assert result.status == "ok" and result.kkt_residual == 0.0
     assert result.corners.count == 8 and result.corners.value == pytest.approx(result.value)
     assert result.quadratic_value == pytest.approx(result.value, rel=1e-12)
     assert result.quadratic_bound == pytest.approx(result.value, rel=1e-12)
-    np.testing.assert_allclose([result.slopes[f"e{i}"] for i in range(3)], slopes * t, rtol=1e-12)
+    np.testing.assert_allclose([result.slopes[f"e{i}"] for i in range(3)], gradient * t, rtol=1e-12)
 
 
 def test_even_metric_is_worst_on_two_opposite_corners_and_both_are_reported():

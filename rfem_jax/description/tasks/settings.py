@@ -2,18 +2,13 @@
 
 Place in the pipeline: units, errors -> **settings** -> the tasks.
 
-Metrics are named "JOINT.KIND" (KINDS below), "*.KIND" for all joints, or by RUN_METRICS; limits are in
-the metric's own unit.
+Metrics are named as `metric_catalogue` says, or "*.KIND" for all joints; limits are in the metric's own unit.
 """
 
 from rfem_jax.description.errors import InputError, require_choice, suggestion
+from rfem_jax.description.metric_catalogue import JOINT_METRICS, RUN_METRICS, never_negative
 from rfem_jax.description.units import Quantity, quantity, short
 
-KINDS = (
-    *("mean_square_force", "mean_square_moment", "rms_force", "rms_moment", "peak_force"),
-    *("peak_moment", "preload_force_square", "preload_moment_square"),
-)
-RUN_METRICS = ("angle_error", "end_energy")
 MOST = 10**9  # of whole numbers without a bound of their own
 MOST_SAMPLES, MOST_AT_ONCE = 10**8, 10**5
 MOST_LIMIT = 1e100
@@ -32,9 +27,9 @@ def metric_names(names: object) -> tuple[str, ...]:
         )
     for name in names:
         joint, dot, kind = name.rpartition(".") if isinstance(name, str) else ("", "", "")
-        if name in RUN_METRICS or (joint and dot and kind in KINDS):
+        if name in RUN_METRICS or (joint and dot and kind in JOINT_METRICS):
             continue
-        known = [f"{joint or '*'}.{kind}" for kind in KINDS] + list(RUN_METRICS)
+        known = [f"{joint or '*'}.{kind}" for kind in JOINT_METRICS] + list(RUN_METRICS)
         raise InputError(
             f"Argument `metrics` must hold names of metrics, but {name!r} is none; {suggestion(name, known)}"
         )
@@ -60,7 +55,7 @@ def limits_of(limits: object, needed: bool = False) -> dict[str, tuple[float, fl
                 f"Argument `limits` must give a largest value or [low, high], but `{name}` has "
                 f"{short(repr(limit))}; write a number in the metric's unit (inf and -inf are open ends)."
             )
-        if name not in RUN_METRICS and pair[1] <= 0.0:
+        if never_negative(name) and pair[1] <= 0.0:
             raise InputError(
                 f"Argument `limits` must allow a load, which is never negative, but `{name}` has "
                 f"{limit!r}; write its largest value as a positive number."

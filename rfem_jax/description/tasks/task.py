@@ -10,8 +10,8 @@ from typing import Any, ClassVar
 
 from rfem_jax.description.errors import ChecksItself, InputError, located, suggestion
 from rfem_jax.description.mechanism import Mechanism
+from rfem_jax.description.metric_catalogue import RUN_METRICS
 from rfem_jax.description.tables import checked_table, keys_of
-from rfem_jax.description.tasks.settings import RUN_METRICS
 from rfem_jax.description.tolerances import SpecifiedTolerances
 
 

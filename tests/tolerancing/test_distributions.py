@@ -7,8 +7,7 @@ import pytest
 from scipy import stats
 
 from rfem_jax.description.errors import InputError
-from rfem_jax.tolerancing.problem import FunctionProblem, Metric
-from rfem_jax.tolerancing.tolerances import (
+from rfem_jax.tolerancing.distributions import (
     CorrelatedNormal,
     Normal,
     Tolerances,
@@ -16,6 +15,7 @@ from rfem_jax.tolerancing.tolerances import (
     TruncatedNormal,
     Uniform,
 )
+from rfem_jax.tolerancing.problem import FunctionProblem, Metric
 
 jax.config.update("jax_enable_x64", True)
 
@@ -121,7 +121,11 @@ def test_new_half_widths_keep_centre_and_correlation():
     [
         (lambda: Uniform(-0.1), "`tolerance` must be zero or positive"),
         (lambda: Uniform(float("nan")), "`tolerance`"),
-        (lambda: Uniform("0.5 deg"), "must be one number"),
+        (lambda: Uniform("0.5 kg"), "an angle or a length"),
+        (lambda: Uniform("0.5 dg"), "an angle or a length"),
+        (lambda: Uniform("-0.5 deg"), "`tolerance` must be zero or positive"),
+        (lambda: Uniform([0.1, 0.2]), "must be one number"),
+        (lambda: Normal(interval=("-0.1 mm", "0.1 deg")), "two ends of one unit"),
         (lambda: Uniform(), "neither is"),
         (lambda: Uniform(0.1, interval=(0, 1)), "both are"),
         (lambda: Triangular(interval=(1.0, -1.0)), "rise from low to high"),

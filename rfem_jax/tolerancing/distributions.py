@@ -1,8 +1,8 @@
-"""Tolerances: how large assembly errors may be, and how they are distributed.
+"""Distributions of the assembly errors within their tolerances.
 
-Place in the pipeline: input of every study of this room. Each error has a tolerance, a symmetric
-interval +-t about zero or a given one; a tolerance turns a point u of (0, 1) into an error by the
-inverse of its distribution function, which is differentiable in t.
+Place in the pipeline: input of every study of this package. Each error has a tolerance, an interval symmetric about
+zero or a given one; its distribution maps a point u of (0, 1) to an error by the inverse of the distribution
+function, which is differentiable in the half-width t.
 
     Uniform          e = c + t (2u - 1)                                   variance t^2/3
     Triangular       e = c + t s (1 - sqrt(1 - |2u - 1|)), s = sign(2u-1)  variance t^2/6
@@ -10,50 +10,56 @@ inverse of its distribution function, which is differentiable in t.
     TruncatedNormal  the same cut off at c +- t                           variance < sigma^2
     CorrelatedNormal e = mean + L z(u),   L L^T = covariance S            several errors at once
 
-Symbols: t half-width [rad or m], c centre of the interval [rad or m], k standard deviations within
-the half-width (3 unless set: 99.73 % of a normal error lies inside), z(u) standard normal quantile,
-u (d,) point of the unit cube, one coordinate per error.
-Source: L. Devroye, Non-Uniform Random Variate Generation (1986), chapter II.2 (inversion);
-N. L. Johnson, S. Kotz, N. Balakrishnan, Continuous Univariate Distributions, vol. 1 (1994), 10.1
-(truncated normal).
+Symbols: t half-width [rad or m], c centre of the interval [rad or m], k standard deviations within the half-width (3
+unless given: 99.73 % of a normal error lies inside), z(u) standard normal quantile, u (d,) point of the unit cube,
+one coordinate per error.
+Source: L. Devroye, Non-Uniform Random Variate Generation (1986), chapter II.2 (inversion); N. L. Johnson, S. Kotz,
+N. Balakrishnan, Continuous Univariate Distributions, vol. 1 (1994), 10.1 (truncated normal).
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
 import equinox as eqx
 import jax
+import jax.core
 import jax.numpy as jnp
+import jax.scipy.linalg
 import numpy as np
 from jax.scipy.special import ndtr, ndtri
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from rfem_jax.description.errors import InputError
-from rfem_jax.tolerancing.evaluation import check_known, require_float64
+from rfem_jax.tolerancing.checks import DIMENSIONS, check_known, parse_error, require_float64
+from rfem_jax.tolerancing.problem import ToleranceProblem
 
 
 class Tolerance(eqx.Module):
-    """Base: an interval of half-width `tolerance` about `centre` [rad or m].
+    """Base of the distributions of a single error: an interval of half-width `tolerance` about `centre` [rad or m].
 
-    Args: tolerance half-width t of the interval -t ... t; or interval=(low, high) instead.
-    Raises: InputError for a negative or non-finite width, and for both or none of the two.
+    Args: tolerance, half-width t of the interval -t ... t, a number in rad or m or a string with a unit such as
+        "0.25 deg" or "0.1 mm"; or instead interval=(low, high), numbers or strings.
+    Raises: InputError for a negative or non-finite width, for strings that are no angle or length, and for both or
+        none of the two arguments.
     """
 
     tolerance: Float[Array, ""]
     centre: Float[Array, ""]
+    unit: str | None = eqx.field(static=True)  # "rad" or "m" if a string said so
 
-    def __init__(self, tolerance=None, *, interval=None):
-        self.tolerance, self.centre = _half_width_and_centre(tolerance, interval)
+    def __init__(self, tolerance: ArrayLike | str | None = None, *, interval: Sequence[ArrayLike | str] | None = None):
+        self.tolerance, self.centre, self.unit = _half_width_and_centre(tolerance, interval)
 
     @property
-    def interval(self):
-        """Ends (low, high) [rad or m]; of a normal error they are centre +- k sigma."""
+    def interval(self) -> tuple[Float[Array, ""], Float[Array, ""]]:
+        """Ends (low, high) [rad or m]; for a normal error they are centre +- k sigma."""
         return self.centre - self.tolerance, self.centre + self.tolerance
 
-    def quantile(self, u):
-        """The error (any shape) [rad or m] below which the fraction u in (0, 1) of all lies."""
+    def quantile(self, u: Float[Array, "*shape"] | float) -> Float[Array, "*shape"]:
+        """The errors [rad or m] at which the distribution function has the values u in (0, 1)."""
         return self.centre + self.tolerance * self._unit_quantile(u)
 
-    def variance(self):
+    def variance(self) -> Float[Array, ""]:
         """Variance of the error [rad^2 or m^2]."""
         return self.tolerance**2 * self._unit_variance()
 
@@ -75,7 +81,7 @@ class Uniform(Tolerance):
 
 
 class Triangular(Tolerance):
-    """Most likely in the middle of the interval, falling linearly to zero at its ends."""
+    """Most likely in the middle of the interval; the density falls linearly to zero at its ends."""
 
     def _unit_quantile(self, u):
         v = 2.0 * u - 1.0
@@ -86,11 +92,17 @@ class Triangular(Tolerance):
 
 
 class Normal(Tolerance):
-    """Normal; the half-width holds `deviations` standard deviations (k; errors beyond it occur)."""
+    """Normal; the half-width is `deviations` standard deviations (k), and errors beyond it occur."""
 
     deviations: Float[Array, ""]
 
-    def __init__(self, tolerance=None, *, interval=None, deviations=3.0):
+    def __init__(
+        self,
+        tolerance: ArrayLike | str | None = None,
+        *,
+        interval: Sequence[ArrayLike | str] | None = None,
+        deviations: ArrayLike = 3.0,
+    ):
         super().__init__(tolerance, interval=interval)
         self.deviations = _number(deviations, "deviations", positive=True)
 
@@ -116,10 +128,10 @@ class TruncatedNormal(Normal):
 
 
 class CorrelatedNormal(eqx.Module):
-    """Several normal errors of one covariance.
+    """Several normal errors with a covariance.
 
-    Args: names (d) of the errors; covariance S (d, d), symmetric positive definite [rad^2, m^2, rad
-        m]; mean (d,) [rad or m], zero unless given; deviations k that count as the half-width.
+    Args: names (d) of the errors; covariance S (d, d), symmetric positive definite [rad^2, m^2, rad m]; mean (d,)
+        [rad or m], zero unless given; deviations k that count as the half-width.
     Raises: InputError for repeated names, wrong shapes, and an S that is not positive definite.
     """
 
@@ -128,7 +140,14 @@ class CorrelatedNormal(eqx.Module):
     mean: Float[Array, " d"]
     deviations: Float[Array, ""]
 
-    def __init__(self, names, covariance, *, mean=None, deviations=3.0):
+    def __init__(
+        self,
+        names: Iterable[str],
+        covariance: ArrayLike | Sequence[Sequence[float | int]],
+        *,
+        mean: ArrayLike | Sequence[float | int] | None = None,
+        deviations: ArrayLike = 3.0,
+    ):
         require_float64()
         self.names = tuple(names)
         d = len(self.names)
@@ -149,11 +168,11 @@ class CorrelatedNormal(eqx.Module):
         if not isinstance(self.covariance, jax.core.Tracer):
             _check_covariance(np.asarray(self.covariance))
 
-    def quantile(self, u):
-        """Errors (d,) of a point u (d,) of the unit cube."""
+    def quantile(self, u: Float[Array, " d"]) -> Float[Array, " d"]:
+        """Errors (d,) [rad or m] of a point u (d,) of the unit cube."""
         return self.mean + jnp.linalg.cholesky(self.covariance) @ ndtri(u)
 
-    def half_widths(self):
+    def half_widths(self) -> Float[Array, " d"]:
         """k standard deviations of each error (d,) [rad or m]."""
         return self.deviations * jnp.sqrt(jnp.diagonal(self.covariance))
 
@@ -161,9 +180,9 @@ class CorrelatedNormal(eqx.Module):
 class Tolerances(eqx.Module):
     """Named tolerances: the box, the distribution and the covariance of all errors of a study.
 
-    Args: tolerances {error name: Uniform, Triangular, Normal or TruncatedNormal}; correlated, a
-        sequence of CorrelatedNormal groups. Order of names and of unit-cube coordinates: the
-        mapping's, then the groups'. All of them are independent of each other.
+    Args: tolerances {error name: Uniform, Triangular, Normal or TruncatedNormal}; correlated, a sequence of
+        CorrelatedNormal groups. Names and coordinates of the unit cube have the order of the mapping, then of the
+        groups. Different entries are independent of each other.
     Raises: InputError for repeated names, for no name at all, and for objects of another kind.
     """
 
@@ -171,7 +190,12 @@ class Tolerances(eqx.Module):
     correlated: tuple[CorrelatedNormal, ...]
     names: tuple[str, ...] = eqx.field(static=True)
 
-    def __init__(self, tolerances: Mapping | None = None, *, correlated=()):
+    def __init__(
+        self,
+        tolerances: Mapping[str, Tolerance] | None = None,
+        *,
+        correlated: CorrelatedNormal | Iterable[CorrelatedNormal] = (),
+    ):
         self.independent = dict(tolerances or {})
         self.correlated = (correlated,) if isinstance(correlated, CorrelatedNormal) else tuple(correlated)
         for name, tolerance in self.independent.items():
@@ -188,61 +212,61 @@ class Tolerances(eqx.Module):
                 )
         # A dict is a pytree with sorted keys; the order of the names is the user's.
         self.names = (*self.independent, *(n for g in self.correlated for n in g.names))
-        twice = next((n for i, n in enumerate(self.names) if n in self.names[:i]), None)
-        if twice is not None or not self.names:
-            found = "it names none" if twice is None else f"`{twice}` occurs twice"
+        repeated = next((n for i, n in enumerate(self.names) if n in self.names[:i]), None)
+        if repeated is not None or not self.names:
+            found = "it names none" if repeated is None else f"`{repeated}` occurs twice"
             raise InputError(
                 f"Argument `tolerances` must name every error once, but {found}; "
                 "give each error one tolerance, alone or in one group."
             )
 
     @property
-    def factors(self):
-        """Independent sources of scatter: names of each, one alone or a correlated group."""
-        alone = tuple((name,) for name, _ in self._alone())
-        return alone + tuple(group.names for group in self.correlated)
+    def factors(self) -> tuple[tuple[str, ...], ...]:
+        """Independent sources of scatter, each a tuple of names: single errors, then correlated groups."""
+        single = tuple((name,) for name, _ in self._single())
+        return single + tuple(group.names for group in self.correlated)
 
-    def _alone(self):
+    def _single(self):
         """(name, tolerance) of the errors outside of groups, in the order of `names`."""
         return [(n, self.independent[n]) for n in self.names if n in self.independent]
 
-    def errors(self, point):
+    def errors(self, point: Float[Array, " d"]) -> dict[str, Float[Array, ""]]:
         """{name: error [rad or m]} of one point (d,) of the unit cube."""
-        alone = self._alone()
-        errors = {name: tol.quantile(point[i]) for i, (name, tol) in enumerate(alone)}
-        position = len(alone)
+        single = self._single()
+        errors = {name: tol.quantile(point[i]) for i, (name, tol) in enumerate(single)}
+        position = len(single)
         for group in self.correlated:
             drawn = group.quantile(point[position : position + len(group.names)])
             errors |= {name: drawn[i] for i, name in enumerate(group.names)}
             position += len(group.names)
         return errors
 
-    def half_widths(self):
-        """{name: half-width [rad or m]}; of a correlated error k standard deviations."""
-        widths = {name: tol.tolerance for name, tol in self._alone()}
+    def half_widths(self) -> dict[str, Float[Array, ""]]:
+        """{name: half-width [rad or m]}; for a correlated error k standard deviations."""
+        widths = {name: tol.tolerance for name, tol in self._single()}
         for group in self.correlated:
             widths |= dict(zip(group.names, group.half_widths(), strict=True))
         return widths
 
-    def intervals(self):
-        """{name: (low, high) [rad or m]}: the box; normal errors leave it now and then."""
+    def intervals(self) -> dict[str, tuple[Float[Array, ""], Float[Array, ""]]]:
+        """{name: (low, high) [rad or m]}, the box; normal errors lie outside of it now and then."""
         means, widths = self.means(), self.half_widths()
         return {n: (means[n] - widths[n], means[n] + widths[n]) for n in self.names}
 
-    def means(self):
-        """{name: mean error [rad or m]}; zero where the interval is symmetric."""
-        means = {name: tol.centre for name, tol in self._alone()}
+    def means(self) -> dict[str, Float[Array, ""]]:
+        """{name: mean error [rad or m]}; zero where the interval is symmetric about zero."""
+        means = {name: tol.centre for name, tol in self._single()}
         for group in self.correlated:
             means |= dict(zip(group.names, group.mean, strict=True))
         return means
 
-    def covariance(self):
+    def covariance(self) -> Float[Array, "d d"]:
         """Covariance (d, d) of the errors [rad^2, m^2, rad m], in the order of `names`."""
-        blocks = [tol.variance()[None, None] for _, tol in self._alone()]
+        blocks = [tol.variance()[None, None] for _, tol in self._single()]
         blocks += [group.covariance for group in self.correlated]
         return jax.scipy.linalg.block_diag(*blocks)
 
-    def with_half_widths(self, half_widths):
+    def with_half_widths(self, half_widths: Mapping[str, ArrayLike]) -> "Tolerances":
         """The same distributions about the same centres with new half-widths {name: [rad or m]}.
 
         A correlated group keeps its correlations. Names that are missing keep their width.
@@ -250,7 +274,7 @@ class Tolerances(eqx.Module):
         """
         check_known(half_widths, self.names, "half_widths")
         independent = {}
-        for name, tol in self._alone():
+        for name, tol in self._single():
             width = _number(half_widths.get(name, tol.tolerance), "half_widths")
             independent[name] = eqx.tree_at(lambda t: t.tolerance, tol, width)
         groups = []
@@ -262,8 +286,18 @@ class Tolerances(eqx.Module):
             groups.append(eqx.tree_at(lambda g: g.covariance, group, covariance))
         return Tolerances(independent, correlated=groups)
 
+    def require_units(self, problem: ToleranceProblem) -> None:
+        """Raise InputError for an angle with a tolerance given as a length, or the other way round."""
+        for name, tolerance in self._single():
+            unit = problem.error_unit(name)
+            if tolerance.unit not in (None, unit):
+                raise InputError(
+                    f"Argument `tolerances` must be in the units of the errors, but `{name}` is an "
+                    f"{DIMENSIONS[unit]} [{unit}] and its tolerance is in {tolerance.unit}; correct its unit."
+                )
 
-def _number(value, what, positive=False):
+
+def _number(value, what: str, positive: bool = False) -> Float[Array, ""]:
     """`value` as a float64 scalar; traced values pass unchecked. Raises InputError."""
     require_float64()
     try:
@@ -280,7 +314,8 @@ def _number(value, what, positive=False):
     return number
 
 
-def _half_width_and_centre(tolerance, interval):
+def _half_width_and_centre(tolerance, interval) -> tuple[Float[Array, ""], Float[Array, ""], str | None]:
+    """Half-width and centre [rad or m], and the unit, "rad" or "m", that a string gives them."""
     if (tolerance is None) == (interval is None):
         both = "neither is" if tolerance is None else "both are"
         raise InputError(
@@ -288,21 +323,32 @@ def _half_width_and_centre(tolerance, interval):
             "write Uniform(0.01) or Uniform(interval=(-0.005, 0.01))."
         )
     if interval is None:
-        return _number(tolerance, "tolerance"), jnp.zeros((), jnp.float64)
+        value, unit = _parsed(tolerance, "tolerance")
+        return _number(value, "tolerance"), jnp.zeros((), jnp.float64), unit
     if len(interval) != 2:
         raise InputError(f"Argument `interval` must be a pair (low, high), but it is {interval!r}.")
     require_float64()
-    low, high = (jnp.asarray(end, jnp.float64) for end in interval)
+    (low, unit), (high, other) = (_parsed(end, "interval") for end in interval)
+    if unit is not None and other is not None and unit != other:
+        raise InputError(
+            f"Argument `interval` must have two ends of one unit, but it is {interval!r}; correct one of them."
+        )
+    low, high = jnp.asarray(low, jnp.float64), jnp.asarray(high, jnp.float64)
     if not isinstance(low, jax.core.Tracer) and not isinstance(high, jax.core.Tracer):
         if not (np.isfinite(low) and np.isfinite(high) and low <= high):
             raise InputError(
                 f"Argument `interval` must be finite and rise from low to high, but it is "
                 f"({low}, {high}); swap or correct its ends."
             )
-    return 0.5 * (high - low), 0.5 * (low + high)
+    return 0.5 * (high - low), 0.5 * (low + high), unit or other
 
 
-def _check_covariance(covariance):
+def _parsed(value, what: str):
+    """(number, unit) of a string, (value, None) of anything else."""
+    return parse_error(value, what) if isinstance(value, str) else (value, None)
+
+
+def _check_covariance(covariance: Float[np.ndarray, "d d"]) -> None:
     scale = np.sqrt(np.abs(np.outer(np.diag(covariance), np.diag(covariance))))
     symmetric = np.all(np.abs(covariance - covariance.T) <= 1e-12 * scale)
     positive = False

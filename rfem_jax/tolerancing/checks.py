@@ -1,0 +1,106 @@
+"""Checks of arguments that all tolerance studies share: precision, names, limits, numbers with units.
+
+Place in the pipeline: the first thing that a study does; refuses bad input before anything is compiled or run.
+"""
+
+from collections.abc import Collection, Iterable, Mapping
+from typing import Any, SupportsFloat
+
+import jax
+import numpy as np
+
+from rfem_jax.description.errors import InputError, suggestion
+from rfem_jax.description.units import quantity
+
+DIMENSIONS = {"rad": "angle", "m": "length"}  # by the units that errors have
+
+ErrorValue = SupportsFloat | str  # a number in rad or m, or a string with a unit
+ErrorValues = Mapping[str, ErrorValue]  # by the names of the errors
+
+
+def require_float64() -> None:
+    """Raise InputError if JAX works in single precision."""
+    if not jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue] - JAX adds settings at run time
+        raise InputError(
+            "Argument `jax_enable_x64` must be on, but JAX works in 32 bits; "
+            'put jax.config.update("jax_enable_x64", True) before the first array.'
+        )
+
+
+def check_known(names: Iterable[str], known: Collection[str], what: str) -> None:
+    """Raise InputError for the first of `names` that is not in `known`, with the nearest known one.
+
+    Args: what, the argument that holds the names.
+    """
+    for name in names:
+        if name not in known:
+            raise InputError(
+                f"Argument `{what}` must name what the problem has, but `{name}` is not known; "
+                f"{suggestion(name, known)}"
+            )
+
+
+def check_distinct(names: str | Iterable[str], what: str) -> tuple[str, ...]:
+    """`names` as a tuple, at least one and none twice. Raises InputError."""
+    names = (names,) if isinstance(names, str) else tuple(names)
+    if not names:
+        raise InputError(f"Argument `{what}` must hold at least one name, but it is empty.")
+    repeated = next((name for i, name in enumerate(names) if name in names[:i]), None)
+    if repeated is not None:
+        raise InputError(f"Argument `{what}` must not repeat a name, but `{repeated}` occurs twice; rename one.")
+    return names
+
+
+def read_limits(limits: Any, metrics: Collection[str], needed: bool = False) -> dict[str, tuple[float, float]]:
+    """Limits on metrics as {metric: (low, high)} in the metrics' units; an open end is infinite.
+
+    Args: limits {metric: largest value, or (low, high) with None or an infinite number for an open end}, or None;
+        metrics, the names that there are; needed: True if there must be limits.
+    Raises: InputError for anything else, for unknown metrics, and for low above high.
+    """
+    if (needed or limits is not None) and (not isinstance(limits, Mapping) or (needed and not limits)):
+        raise InputError(
+            f"Argument `limits` must map metrics to limits, but it is {limits!r}; "
+            'write {"metric": largest} or {"metric": (low, high)}.'
+        )
+    limits = dict(limits or {})
+    check_known(limits, metrics, "limits")
+    complete = {}
+    for name, limit in limits.items():
+        ends = limit if isinstance(limit, (tuple, list)) else (None, limit)
+        try:
+            pairs = zip(ends, (-np.inf, np.inf), strict=True)
+            low, high = (open_end if end is None else float(end) for end, open_end in pairs)
+        except (TypeError, ValueError):
+            low = high = np.nan
+        if not low <= high:
+            raise InputError(
+                f"Argument `limits` must be a largest value or a pair (low, high), but "
+                f"`{name}` has {limit!r}; correct it."
+            )
+        complete[name] = (low, high)
+    return complete
+
+
+def error_value(value: ErrorValue, unit: str, where: str) -> float:
+    """An error or a half-width in `unit`, "rad" or "m", from a number in it or a string with a unit ("0.25 deg").
+
+    Raises: InputError for a string that is no such quantity; `where` names it.
+    """
+    return quantity(value, DIMENSIONS[unit], where) if isinstance(value, str) else float(value)
+
+
+def parse_error(text: str, where: str) -> tuple[float, str]:
+    """Number [rad or m] and unit, "rad" or "m", of a string such as "0.25 deg" or "0.1 mm".
+
+    Raises: InputError for what is neither an angle nor a length; `where` names it.
+    """
+    for unit, dimension in DIMENSIONS.items():
+        try:
+            return quantity(text, dimension, where), unit
+        except InputError:
+            continue
+    raise InputError(
+        f"Argument `{where}` must be an angle or a length, but it is {text!r}; "
+        'write for example "0.25 deg" or "0.1 mm".'
+    )
