@@ -17,7 +17,10 @@ from rfem_jax.mechanics.cut_joints import RANK_TOLERANCE
 from rfem_jax.mechanics.model import Model, build_model
 from rfem_jax.mechanics.nominal_geometry import closure_jacobian, gaps, geometry_of, place
 
-CLOSING_TOLERANCE = 1e-9
+# Of the longest link.  Overconstrained loops close only as well as their numbers were typed: with angles of six
+# decimals a Bennett linkage stays open by 2e-7.  Flexible links take up the rest in the static start.
+CLOSING_TOLERANCE = 1e-6
+RIGID_CLOSING_TOLERANCE = 1e-9  # where reactions are redundant, nothing gives way
 
 
 class Structure(NamedTuple):
@@ -25,7 +28,8 @@ class Structure(NamedTuple):
 
     coordinates: number of coordinates; constraints: closure equations; rank: of their Jacobian;
     mobility: coordinates - rank, the degrees of freedom; rigid_*: the same with every link rigid;
-    redundant: the multipliers, hence the joint loads, are not unique.
+    redundant: the multipliers, hence the joint loads, are not unique; gap [m]: how far the cut joint that closes
+    worst stays open at the start with every link rigid.
     """
 
     coordinates: int
@@ -36,6 +40,7 @@ class Structure(NamedTuple):
     rigid_rank: int
     rigid_mobility: int
     redundant: bool
+    gap: float
 
 
 def discretise(mechanism: Mechanism, rfes: int | None = None, elements: str | None = None) -> Model:
@@ -64,6 +69,12 @@ def discretise(mechanism: Mechanism, rfes: int | None = None, elements: str | No
             "parallel axes are statically indeterminate. Make one link of each loop flexible, or set "
             'redundant_reactions = "minimum_norm" to get the reactions of least norm.'
         )
+    if structure.redundant and structure.gap > RIGID_CLOSING_TOLERANCE * float(np.max(model.length)):
+        raise InputError(
+            f"Argument `mechanism` must close at its start, but its rigid loops stay open by {structure.gap:.3g} m, "
+            "which no link can take up; give angles and positions with more decimals, or make a link of each loop "
+            "flexible."
+        )
     return model
 
 
@@ -79,7 +90,9 @@ def require_double_precision() -> None:
 def describe(model: Model) -> Structure:
     """Rank and mobility at the nominal start, flexible and with every link rigid."""
     geometry = geometry_of(model)
-    jacobian = closure_jacobian(geometry, place(geometry, np.asarray(model.start_angles)))
+    placed = place(geometry, np.asarray(model.start_angles))
+    jacobian = closure_jacobian(geometry, placed)
+    residual = gaps(geometry, placed).residual
     rank, rigid_rank = _rank(jacobian), _rank(jacobian[:, : model.topology.n_links])
     constraints, size = jacobian.shape
     return Structure(
@@ -91,6 +104,7 @@ def describe(model: Model) -> Structure:
         rigid_rank=rigid_rank,
         rigid_mobility=model.topology.n_links - rigid_rank,
         redundant=rank < constraints,
+        gap=float(np.abs(residual).max(initial=0.0) * np.max(np.asarray(model.length))),
     )
 
 

@@ -96,6 +96,11 @@ def count_lines(mechanism: Mechanism, description: Structure) -> list[str]:
         f"{description.constraints}, of rank {description.rank}.",
         f"Mobility: {description.mobility} with flexible links, {description.rigid_mobility} if all links were rigid.",
     ]
+    if description.gap > 1e-9:
+        lines.append(
+            f"With every link rigid a cut joint stays open by {description.gap:.2g} m at the start, which flexible "
+            "links take up: numbers with more decimals close it better."
+        )
     if not description.redundant:
         return [*lines, "No redundant constraints: all joint reactions are unique."]
     lines.append("Redundant constraints: the joint reactions are not unique.")

@@ -1,12 +1,14 @@
 """The perfect mechanism in NumPy against the kinematics and the closure of the equations of motion."""
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax import assembly_errors, describe, discretise
+from rfem_jax import InputError, assembly_errors, describe, discretise
 from rfem_jax.mechanics import loads
 from rfem_jax.mechanics.cut_joints import closure
 from rfem_jax.mechanics.kinematics import motion_of
@@ -14,6 +16,7 @@ from rfem_jax.mechanics.model import Coordinates
 from rfem_jax.mechanics.model_with_errors import apply_errors
 from rfem_jax.mechanics.nominal_geometry import closure_jacobian, gaps, geometry_of, place
 from rfem_jax.mechanics.statics import length_scale
+from rfem_jax.report.overview import count_lines
 from tests.mechanisms import link, twisted_spatial_loop, two_loop_six_bar
 
 
@@ -56,3 +59,24 @@ def test_a_long_open_chain_is_described():
     model = discretise(Mechanism([link(name, 0.1, 3) for name in names], joints, driven_joint="J0"))
     structure = describe(model)
     assert (structure.coordinates, structure.rank, structure.rigid_mobility) == (390, 0, 30)
+
+
+def test_an_overconstrained_loop_closes_as_well_as_its_angles_were_typed():
+    """A Bennett linkage with six decimals, as in a study file: flexible links take up the rest, rigid ones cannot."""
+    exact = twisted_spatial_loop()
+    joints = tuple(
+        replace(
+            joint,
+            orientation=tuple(round(x, 6) for x in joint.orientation),
+            child_orientation=tuple(round(x, 6) for x in joint.child_orientation),
+        )
+        for joint in exact.joints
+    )
+    typed = replace(exact, joints=joints)
+    before, after = (describe(discretise(mechanism)) for mechanism in (exact, typed))
+    assert before.gap < 1e-15 and 1e-9 < after.gap < 1e-7
+    assert after._replace(gap=before.gap) == before and after.rigid_mobility == 1
+    assert "stays open by 4" in " ".join(count_lines(typed, after))
+    links = tuple(replace(one, rfes=1) for one in typed.links)
+    with pytest.raises(InputError, match="more decimals"):
+        discretise(replace(typed, links=links, redundant_reactions="minimum_norm"))
