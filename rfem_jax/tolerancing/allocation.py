@@ -24,7 +24,7 @@ import numpy as np
 from rfem_jax.description.errors import InputError, require_choice
 from rfem_jax.tolerancing.allocation_request import state_request
 from rfem_jax.tolerancing.evaluation import require_float64
-from rfem_jax.tolerancing.layout import align_columns, show_number, wrap_lines
+from rfem_jax.tolerancing.layout import align_columns, show_error, show_number, wrap_lines
 from rfem_jax.tolerancing.statistical_criteria import StatisticalCriterion
 from rfem_jax.tolerancing.tolerances import Normal
 from rfem_jax.tolerancing.worst_case_criterion import WorstCaseCriterion
@@ -96,7 +96,7 @@ class Allocation:
     def __str__(self):
         head = f"Allocation ({self.criterion}): status {self.status}, "
         head += f"cost {show_number(self.cost, 7)}"
-        rows = [[n, f"{show_number(t)} {self.units[n]}", self.at_bounds.get(n, "")] for n, t in self.tolerances.items()]
+        rows = [[n, show_error(t, self.units[n]), self.at_bounds.get(n, "")] for n, t in self.tolerances.items()]
         parts = [head, wrap_lines(self.message)]
         parts.append(align_columns(["error", "tolerance", "bound"], rows))
         header = ["limit", "value", "nominal", "quadratic", "predicted", "verified", "interval"]

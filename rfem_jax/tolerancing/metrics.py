@@ -57,7 +57,7 @@ def mean_square_moment(joint: str) -> Metric:
     """Mean square of the resultant moment [(N m)^2]; smooth everywhere."""
     return Metric(
         f"{joint}.mean_square_moment",
-        "N^2 m^2",
+        "(N m)^2",
         f"mean square moment in {joint}",
         even=True,
         function=lambda run: run.metrics.mean_square_moment[joint],
@@ -126,7 +126,7 @@ def preload_moment(joint: str) -> Metric:
     """Square of the resultant preload moment [(N m)^2] after assembly; smooth everywhere."""
     return Metric(
         f"{joint}.preload_moment_square",
-        "N^2 m^2",
+        "(N m)^2",
         f"squared preload moment in {joint}",
         even=True,
         function=lambda run: jnp.sum(run.preload[joint].moment ** 2),

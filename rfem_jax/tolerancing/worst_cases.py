@@ -29,7 +29,7 @@ from rfem_jax.tolerancing.evaluation import (
     select_half_widths,
     split_errors,
 )
-from rfem_jax.tolerancing.layout import align_columns, show_number, wrap_lines
+from rfem_jax.tolerancing.layout import align_columns, show_error, show_number, wrap_lines
 from rfem_jax.tolerancing.projected_gradient import climb_together
 from rfem_jax.tolerancing.quadratic_model import (
     choose_mode,
@@ -68,9 +68,9 @@ class Corners:
 class WorstCase:
     """The worst point found and how far to trust it; errors are {name: rad or m}.
 
-    value, errors: the worst point over search and corners; found_by "search", "mirror" or
-    "corners"; maximisers: every distinct point that ties with it (e and -e of an even metric), it
-    included; nominal: the metric at the centre; slopes {name: df per tolerance} at the worst point;
+    names, error_units: of the errors, "rad" or "m" each; value, errors: the worst point over search and corners;
+    found_by "search", "mirror" or "corners"; maximisers: every distinct point that ties with it (e and -e of an
+    even metric), it included; nominal: the metric at the centre; slopes {name: df per tolerance} at the worst point;
     kkt_residual (module docstring); active {name: "lower" | "upper"} bounds of the box, or
     {"ellipsoid": "surface"}; status "ok", "not_converged" (the best search did not reach its
     tolerance) or "failed" (no start could be evaluated);
@@ -87,6 +87,7 @@ class WorstCase:
     region: str
     sense: str
     names: tuple
+    error_units: tuple
     status: str
     value: float
     errors: dict
@@ -119,9 +120,11 @@ class WorstCase:
         head = f"{word} {self.metric} over the {self.region}: "
         head += f"{self._show(self.value)} {self.unit} (status {self.status}, found by "
         head += f"{self.found_by}, nominal {self._show(self.nominal, 5)})"
+        unit = dict(zip(self.names, self.error_units, strict=True))
         header = ["error", "value", "bound", "slope per tolerance"]
         rows = [
-            [n, show_number(self.errors[n]), self.active.get(n, ""), self._show(self.slopes[n], 5)] for n in self.errors
+            [n, show_error(self.errors[n], unit[n]), self.active.get(n, ""), self._show(self.slopes[n], 5)]
+            for n in self.errors
         ]
         spent = self.evaluations
         model = f"quadratic model: {self._show(self.quadratic_value)}, "
@@ -218,7 +221,8 @@ def worst_case(
     found = _collect(search, abs(scale), region, k, corners, values_at)
     error = getattr(model, "hessian_error", None)  # model may be False
     error = np.nan if error is None else float(error[index])
-    frame = (problem.metrics[index], names, centre, matrix, scale, region, sense, error)
+    units = tuple(problem.error_unit(name) for name in names)
+    frame = (problem.metrics[index], names, units, centre, matrix, scale, region, sense, error)
     return _report(frame, function, found, z0, first, scaled, keys[1], search, tolerance)
 
 
@@ -255,7 +259,7 @@ def _collect(search, scale, region, k, corners, values_at):
 
 
 def _report(frame, function, found, z0, first, scaled, key, search, tolerance):
-    metric, names, centre, matrix, scale, region, sense, error = frame
+    metric, names, units, centre, matrix, scale, region, sense, error = frame
     points, values, origins, corner_values = found
     sign = np.sign(scale)
 
@@ -274,7 +278,7 @@ def _report(frame, function, found, z0, first, scaled, key, search, tolerance):
     finite = np.any(np.isfinite(values))
     common = dict(
         metric=metric.name, unit=metric.unit, region=region,
-        sense=sense, names=names, nominal=float(sign * first[0]), corners=corners, starts=z0,
+        sense=sense, names=names, error_units=units, nominal=float(sign * first[0]), corners=corners, starts=z0,
         ends=np.asarray(search.point), residuals=np.asarray(search.residual),
         end_values=np.asarray(search.value) * scale,
         failed=int(np.sum(~np.isfinite(first))) + (corners.failed if corners else 0),

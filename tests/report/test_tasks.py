@@ -104,11 +104,20 @@ def test_sensitivity(task_file, tmp_path, capsys):
     first = moment["principal_directions"][0]
     assert first["eigenvalue"] == pytest.approx(32.0)
     assert first["direction"]["D.delta_x"] == pytest.approx(1.0)
-    assert found["units"][MOMENT] == "N^2 m^2"
+    assert found["units"][MOMENT] == "(N m)^2"
     rows = rows_of(out / "sensitivity.csv")
     ranked = [row["error"] for row in rows if row["metric"] == MOMENT]
     assert ranked == ["D.delta_x", "D.delta_z", "D.d_y"]
     text = capsys.readouterr().out
+    # Tolerances in the units of the study, gradients per such a unit.
+    assert "[(N m)^2]" in text and "gradient per deg, mm" in text
+    assert [line.split()[1:4] for line in text.splitlines() if line.startswith("D.delta_x")][1] == [
+        "0.25",
+        "deg",
+        "120",
+    ]
+    assert [line.split()[1:3] for line in text.splitlines() if line.startswith("D.d_y")][1] == ["0.25", "mm"]
+    assert " rad" not in text
     assert "Change with the finer step" in text
     assert "+1.00 D.delta_x" in text
     assert "damping" not in text
@@ -183,9 +192,12 @@ def test_a_full_disk_is_one_sentence(task_file, tmp_path, capsys, monkeypatch):
     assert "No space left on device" in capsys.readouterr().err.splitlines()[-1]
 
 
-def test_worst_case(task_file, tmp_path):
+def test_worst_case(task_file, tmp_path, capsys):
     out = tmp_path / "out"
     assert call("worst-case", task_file, out) == 0
+    table = capsys.readouterr().out.split("Largest A.mean_square_force")[1].splitlines()
+    assert table[3].split()[:4] == ["D.delta_x", "0.25", "deg", "upper"]
+    assert table[5].split()[:3] == ["D.d_y", "0", "mm"]
     names = {"worst_case.json", "worst_case.csv", "worst_case_corners.png"}
     assert names_in(out) == names
     found = read(out / "worst_case.json")["metrics"]
@@ -217,7 +229,10 @@ def test_allocation(task_file, tmp_path, capsys):
     costs = [float(row["cost"]) for row in front]
     np.testing.assert_allclose(costs[0] / costs[1], math.sqrt(2.0), rtol=2e-3)
     np.testing.assert_allclose(costs[2] / costs[1], math.sqrt(0.5), rtol=2e-3)
-    assert "Cost against limits" in capsys.readouterr().out
+    text = capsys.readouterr().out
+    assert "Cost against limits" in text
+    (row,) = [line.split() for line in text.splitlines() if line.startswith("D.delta_x")]
+    assert row[2] == "deg" and float(row[1]) == pytest.approx(math.degrees(found["tolerances"]["D.delta_x"]), rel=1e-4)
 
 
 def test_a_request_that_cannot_be_met_is_exit_code_3_and_is_written(task_file, tmp_path):

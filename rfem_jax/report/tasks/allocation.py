@@ -16,12 +16,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from rfem_jax.compilation.stages import on_stage
+from rfem_jax.description.error_catalogue import as_specified
 from rfem_jax.description.study import Study
 from rfem_jax.description.tasks.allocation import AllocationTask, ErrorCost
 from rfem_jax.report.annotations import Axes, Figure
 from rfem_jax.report.output import write_csv
 from rfem_jax.report.overview import format_error
-from rfem_jax.report.quantities import as_specified
 from rfem_jax.report.style import CASE_COLOURS, MARKERS, add_titles, new_figure
 from rfem_jax.report.tasks import study_problem
 from rfem_jax.report.tasks.task_files import write_task_json

@@ -13,12 +13,12 @@ import numpy as np
 from jaxtyping import Float
 
 from rfem_jax.compilation.stages import on_stage
+from rfem_jax.description.error_catalogue import as_specified
 from rfem_jax.description.methods import Method
 from rfem_jax.description.study import Study
 from rfem_jax.description.tasks.sensitivity import SensitivityTask
 from rfem_jax.report.annotations import Figure
 from rfem_jax.report.output import write_csv
-from rfem_jax.report.quantities import as_specified
 from rfem_jax.report.style import BAR_COLOURS, HATCHES, add_titles, new_figure, panel_grid
 from rfem_jax.report.tasks import study_problem
 from rfem_jax.report.tasks.task_files import metric_units, write_task_json
