@@ -57,7 +57,7 @@ class KeyTable:
     keys: tuple[Key, ...]
 
 
-def study_keys() -> list[KeyTable]:
+def key_tables() -> list[KeyTable]:
     """All tables that a study file may have, tasks from outside the package included."""
     required, optional = STUDY_KEYS
     own = {name: f"the table [{name}]" for name in task_kinds()}

@@ -38,7 +38,7 @@ from rfem_jax.tolerancing.statistics import (
     estimate_yield,
     require_confidence,
 )
-from rfem_jax.tolerancing.tolerances import Tolerances
+from rfem_jax.tolerancing.tolerances import Tolerances, distributions_of
 
 QUANTILES = (0.01, 0.05, 0.5, 0.95, 0.99)
 FORMAT = 2  # of what is in a chunk, and of how points are drawn
@@ -65,7 +65,8 @@ def monte_carlo(
 
     Args:
         problem: as `problem.py` says.
-        tolerances: Tolerances; its names are the errors that vary, all others are zero.
+        tolerances: Tolerances, or a study that specifies them; their names are the errors that vary, all others
+            are zero.
         n: number of random samples; with Sobol' points best a power of 2, at least 64.
         key: JAX random key; the samples depend on it and on their own index alone.
         batch: samples per chunk, the unit that is stored and lost when a run is killed.
@@ -87,6 +88,7 @@ def monte_carlo(
         ChunkWriteError (an OSError) when the disk is full: finished chunks are kept.
     """
     require_float64()
+    tolerances = distributions_of(tolerances)
     _check_tolerances(problem, tolerances)
     metrics = tuple(metric.name for metric in problem.metrics)
     n, batch = _count(n, "n", 1), _count(batch, "batch", 1)

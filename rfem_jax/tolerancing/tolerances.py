@@ -28,6 +28,8 @@ from jax.scipy.special import ndtr, ndtri
 from jaxtyping import Array, Float
 
 from rfem_jax.description.errors import InputError
+from rfem_jax.description.study import Study
+from rfem_jax.description.tolerances import SpecifiedTolerances
 from rfem_jax.tolerancing.evaluation import check_known, require_float64
 
 
@@ -115,6 +117,10 @@ class TruncatedNormal(Normal):
         return (1.0 - 2.0 * k * density / (1.0 - 2.0 * ndtr(-k))) / k**2
 
 
+# By their names in study files.
+DISTRIBUTIONS = {"uniform": Uniform, "triangular": Triangular, "normal": Normal, "truncated_normal": TruncatedNormal}
+
+
 class CorrelatedNormal(eqx.Module):
     """Several normal errors of one covariance.
 
@@ -196,6 +202,30 @@ class Tolerances(eqx.Module):
                 "give each error one tolerance, alone or in one group."
             )
 
+    @classmethod
+    def of(cls, study) -> "Tolerances":
+        """The distributions that a study specifies, for `monte_carlo`, `worst_case` and the like.
+
+        Args: study, as `load_study` gives it, or its `tolerances`.
+        Raises: InputError for a study without tolerances, and for anything else.
+        """
+        specified = study.tolerances if isinstance(study, Study) else study
+        if not isinstance(specified, SpecifiedTolerances):
+            found = "specifies none" if isinstance(study, Study) else f"was {study!r}"
+            raise InputError(
+                f"Argument `study` must be a study with tolerances, but {found}; add a table [tolerances], or write "
+                "Tolerances({...})."
+            )
+        independent = {}
+        for one in specified.independent:
+            settings = {} if one.deviations is None else {"deviations": one.deviations}
+            independent[one.error] = DISTRIBUTIONS[one.distribution](interval=one.interval, **settings)
+        groups = [
+            CorrelatedNormal(group.half_widths, group.covariance(), deviations=group.deviations)
+            for group in specified.correlated
+        ]
+        return cls(independent, correlated=groups)
+
     @property
     def factors(self):
         """Independent sources of scatter: names of each, one alone or a correlated group."""
@@ -261,6 +291,11 @@ class Tolerances(eqx.Module):
             covariance = group.covariance * jnp.outer(scale, scale)
             groups.append(eqx.tree_at(lambda g: g.covariance, group, covariance))
         return Tolerances(independent, correlated=groups)
+
+
+def distributions_of(tolerances):
+    """`Tolerances` of a study or of what it specifies; anything else as it is."""
+    return Tolerances.of(tolerances) if isinstance(tolerances, (Study, SpecifiedTolerances)) else tolerances
 
 
 def _number(value, what, positive=False):

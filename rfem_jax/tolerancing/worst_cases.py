@@ -46,6 +46,7 @@ from rfem_jax.tolerancing.starting_points import (
     region_matrix,
     start_points,
 )
+from rfem_jax.tolerancing.tolerances import distributions_of
 
 STARTS = {"corners": 4, "random": 4, "sobol": 8}
 ON_BOUND = 1e-9
@@ -165,8 +166,9 @@ def worst_case(
 ):
     """Maximise (or minimise) a metric over the tolerance box or ellipsoid.
 
-    Args: tolerances a Tolerances collection or {error: half-width} [rad, m]; metric its name or the
-        object; region "box" or "ellipsoid" (semi-axes the half-widths, tilted by the correlations);
+    Args: tolerances a Tolerances collection, a study that specifies them or {error: half-width} [rad,
+        m]; metric its name or the object; region "box" or "ellipsoid" (semi-axes the half-widths, tilted
+        by the correlations);
         key a JAX key for random and Sobol' starts; starts {"corners", "random", "sobol": number};
         at {error: value} the centre (default the tolerances' means, else nominal); sense "max" or
         "min"; corners "auto" (all of them when k <= 12), True or False; model a QuadraticModel at
@@ -179,6 +181,7 @@ def worst_case(
     require_float64()
     if sense not in ("max", "min"):
         raise InputError(f'Argument `sense` must be "max" or "min", but it is {sense!r}.')
+    tolerances = distributions_of(tolerances)
     names, half_widths = select_half_widths(problem, tolerances)
     k, index = len(names), metric_index(problem, metric)
     matrix = region_matrix(region, tolerances, half_widths)

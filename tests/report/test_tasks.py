@@ -9,6 +9,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import equinox as eqx
+import jax
 import numpy as np
 import pytest
 
@@ -19,6 +21,8 @@ from rfem_jax.report.command_line import main
 from rfem_jax.report.tasks import study_problem, task_report, worst_case
 from rfem_jax.report.tasks.sensitivity import finer_method
 from rfem_jax.report.tasks.task_overview import tasks_text
+from rfem_jax.tolerancing import Tolerances, monte_carlo
+from rfem_jax.tolerancing import worst_case as search
 from rfem_jax.tolerancing.results_store import ResultsStore
 
 from . import closed_form
@@ -312,7 +316,9 @@ half_widths = { "B.d_x" = 3e-3, "B.d_z" = 6e-3 }
 correlation = -0.5
 """
     path.write_text(STUDY + text, encoding="utf-8")
-    found = study_problem.build_tolerances(load_study(path).tasks.tolerances)
+    study = load_study(path)
+    found = Tolerances.of(study)
+    assert eqx.tree_equal(found, Tolerances.of(study.tolerances))
     assert found.names == ("D.delta_x", "D.d_y", "B.d_x", "B.d_z")
     means = {name: float(mean) for name, mean in found.means().items()}
     assert means["D.d_y"] == pytest.approx(1e-3)
@@ -320,6 +326,25 @@ correlation = -0.5
     expected = [0.15**2, (2e-3) ** 2 / 6.0, 1e-6, 4e-6]
     np.testing.assert_allclose(np.diag(covariance), expected, rtol=1e-9)
     assert covariance[2, 3] == pytest.approx(-1e-6)
+
+
+def test_the_tolerances_of_a_study_serve_as_an_argument(task_file):
+    study = load_study(task_file)
+    problem = closed_form.build([MOMENT])
+    known, key = Tolerances.of(study), jax.random.key(0)
+    for given in (study, study.tolerances):
+        found = monte_carlo(problem, given, 16, key)
+        np.testing.assert_array_equal(found.values, monte_carlo(problem, known, 16, key).values)
+        assert search(problem, given, MOMENT, key=key).value == pytest.approx(21.0)
+    assert study.tolerances.half_widths()["D.d_y"] == 2.5e-4
+
+
+def test_a_study_without_tolerances_has_no_distributions(study, refused):
+    assert study.tolerances is None
+    with refused("`study`", "specifies none", "[tolerances]"):
+        Tolerances.of(study)
+    with refused("`study`", "was {'D.d_y': 0.001}"):
+        Tolerances.of({"D.d_y": 1e-3})
 
 
 PROCESS = """

@@ -31,6 +31,7 @@ from rfem_jax.tolerancing.allocation import Allocation, LimitCheck
 from rfem_jax.tolerancing.cost_models import total_cost
 from rfem_jax.tolerancing.layout import align_columns
 from rfem_jax.tolerancing.quadratic_model import choose_mode, expand_by_differences
+from rfem_jax.tolerancing.tolerances import DISTRIBUTIONS
 
 CostModel = Reciprocal | ReciprocalSquared | Exponential
 Limits = dict[str, tuple[float | None, float | None]]
@@ -60,7 +61,7 @@ class AllocationReport(TaskReport[AllocationTask, AllocationStudy]):
         solve = partial(
             allocate, problem, cost=costs, bounds=task.bounds, criterion=task.criterion,
             target=task.target, coverage=task.coverage, statistic=task.statistic,
-            distribution=study_problem.DISTRIBUTIONS[task.distribution], samples=task.samples,
+            distribution=DISTRIBUTIONS[task.distribution], samples=task.samples,
             verify_samples=task.verify_samples, starts=task.starts, rounds=task.rounds,
             tolerance=task.accuracy, batch=task.batch,
         )  # fmt: skip
