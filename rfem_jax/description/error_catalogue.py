@@ -9,6 +9,8 @@ both links (nothing stressed at the start angle); LINK.length [m]; LINK.twist [r
 Source: MODEL.md section 1, equation (8).
 """
 
+import math
+
 from rfem_jax.description.errors import InputError, suggestion
 
 _SEAT = {
@@ -46,6 +48,11 @@ def error_dimension(name: object) -> str:
             f"`{component}` in `{name}` is none; {suggestion(component, _KNOWN)}"
         )
     return _KNOWN[component]
+
+
+def as_specified(unit: str) -> tuple[str, float]:
+    """Unit in which users write an error of the SI unit "rad" or "m", and the factor to it."""
+    return {"rad": ("deg", math.degrees(1.0)), "m": ("mm", 1e3)}[unit]
 
 
 def error_unit(name: str) -> str:

@@ -117,7 +117,7 @@ def _register_load(name, unit, label, function) -> None:
 
 _register_load("mean_square_force", "N^2", "mean square force", lambda run, joint: run.metrics.mean_square_force[joint])
 _register_load(
-    "mean_square_moment", "N^2 m^2", "mean square moment", lambda run, joint: run.metrics.mean_square_moment[joint]
+    "mean_square_moment", "(N m)^2", "mean square moment", lambda run, joint: run.metrics.mean_square_moment[joint]
 )
 _register_load("rms_force", "N", "RMS force", lambda run, joint: run.metrics.rms_force[joint])
 _register_load("rms_moment", "N m", "RMS moment", lambda run, joint: run.metrics.rms_moment[joint])
@@ -133,7 +133,7 @@ _register_load(
 )
 _register_load(
     "preload_moment_square",
-    "N^2 m^2",
+    "(N m)^2",
     "squared preload moment",
     lambda run, joint: jnp.sum(run.preload[joint].moment ** 2),
 )

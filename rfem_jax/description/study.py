@@ -19,6 +19,7 @@ from rfem_jax.description.methods import Method
 from rfem_jax.description.study_reader import read_drive, read_mechanism, read_simulation
 from rfem_jax.description.tables import checked_list, checked_table, named_place, read_toml
 from rfem_jax.description.tasks.study_tasks import Tasks, read_tasks
+from rfem_jax.description.tolerances import SpecifiedTolerances
 from rfem_jax.description.units import positive_quantity, quantity
 from rfem_jax.task_kinds import task_kinds
 
@@ -103,6 +104,11 @@ class Study(ChecksItself):
             with problems.noted():
                 check()
         problems.refuse()
+
+    @property
+    def tolerances(self) -> SpecifiedTolerances | None:
+        """The tolerances that the study specifies; `rfem_jax.Tolerances.of(study)` makes distributions of them."""
+        return self.tasks.tolerances
 
     def case(self, name: str) -> Case:
         """Return the case `name`; raises InputError with the nearest name if there is none."""

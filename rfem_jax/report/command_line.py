@@ -321,9 +321,9 @@ def _check(arguments: argparse.Namespace) -> int:
 
 
 def _keys(arguments: argparse.Namespace) -> int:
-    from rfem_jax.report.keys_text import keys_text
+    from rfem_jax.report.keys_text import reference_text
 
-    show(keys_text(arguments.table))
+    show(reference_text(arguments.table))
     return DONE
 
 

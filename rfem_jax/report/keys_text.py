@@ -1,23 +1,23 @@
 """The keys of study files as text: what the command `keys` prints.
 
-Place in the pipeline: after `rfem_jax.description.study_keys`.
+Place in the pipeline: after `rfem_jax.description.key_reference`.
 """
 
 import textwrap
 
 from rfem_jax.description.errors import InputError, suggestion
-from rfem_jax.description.study_keys import Key, KeyTable, study_keys
+from rfem_jax.description.key_reference import Key, KeyTable, key_tables
 
 WIDTH = 120  # columns of a terminal
 WIDEST = 14  # columns of a default
 
 
-def keys_text(word: str | None = None) -> str:
+def reference_text(word: str | None = None) -> str:
     """All tables of a study file with their keys, defaults and meanings; with a word, those with it in their header.
 
     Raises: InputError for a word that is in no header.
     """
-    tables = study_keys()
+    tables = key_tables()
     chosen = [table for table in tables if word is None or word in table.header]
     if not chosen:
         raise InputError(

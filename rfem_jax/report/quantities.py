@@ -5,7 +5,6 @@ called the same, and has the same unit, in the terminal, in `results.json`, in t
 in the pictures. SI units and radians throughout.
 """
 
-import math
 from dataclasses import dataclass
 
 
@@ -83,8 +82,3 @@ def units() -> dict[str, str]:
     """Unit of every number in `results.json` by its name ("1" where it has no dimension)."""
     listed = (*JOINT_METRICS, *PRELOADS, *DRIVEN_JOINT, *BALANCES)
     return {quantity.name: quantity.unit or "1" for quantity in listed}
-
-
-def as_specified(unit: str) -> tuple[str, float]:
-    """Unit in which users write an error of the SI unit "rad" or "m", and the factor to it."""
-    return {"rad": ("deg", math.degrees(1.0)), "m": ("mm", 1e3)}[unit]

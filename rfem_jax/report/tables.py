@@ -1,13 +1,14 @@
 """Plain-text tables for the terminal: the results of a run, and how a table is laid out.
 
 Place in the pipeline: `results_text` after `summary` (command `run`); `overview` lays out its
-tables with `format_table`. SI units, named in every heading.
+tables with `format_table`. SI units but for the driven angle in degrees, named in every heading.
 """
 
 import math
 import textwrap
 from collections.abc import Collection, Iterable, Sequence
 
+from rfem_jax.description.error_catalogue import as_specified
 from rfem_jax.description.study import Study
 from rfem_jax.report.annotations import Summaries
 from rfem_jax.report.quantities import BALANCES, DRIVEN_JOINT, JOINT_METRICS, Quantity
@@ -82,11 +83,17 @@ def driven_joint_table(study: Study, summaries: Summaries) -> str:
     columns.append([one["status"] for one in summaries.values()])
     if study.drive is not None:
         for quantity in DRIVEN_JOINT:
-            header.append(quantity.title)
-            values = [one["driven_joint"][quantity.name] for one in summaries.values()]
+            unit, factor = _shown(quantity.unit)
+            header.append(f"{quantity.label}, {unit}")
+            values = [factor * one["driven_joint"][quantity.name] for one in summaries.values()]
             columns.append(format_numbers(values, digits=8))
     table = format_table(header, zip(*columns, strict=True), words=(0, 1))
     return table if study.drive is None else f"Driven joint {study.drive.joint}\n{table}"
+
+
+def _shown(unit: str) -> tuple[str, float]:
+    """Unit of a printed table for a unit of the files, and the factor to it: angles in degrees."""
+    return as_specified(unit) if unit == "rad" else (unit, 1.0)
 
 
 def balance_table(summaries: Summaries) -> str:

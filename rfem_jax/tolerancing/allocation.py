@@ -28,7 +28,7 @@ from rfem_jax.tolerancing.allocation_request import Request, check_request
 from rfem_jax.tolerancing.checks import ErrorValues, require_float64
 from rfem_jax.tolerancing.cost_models import CostModel
 from rfem_jax.tolerancing.distributions import Normal, Tolerance
-from rfem_jax.tolerancing.layout import align_columns, show_number, wrap_lines
+from rfem_jax.tolerancing.layout import align_columns, show_error, show_number, wrap_lines
 from rfem_jax.tolerancing.problem import ToleranceProblem
 from rfem_jax.tolerancing.quadratic_model import QuadraticModel
 from rfem_jax.tolerancing.sampling import RandomKey
@@ -103,7 +103,7 @@ class Allocation:
     def __str__(self) -> str:
         head = f"Allocation ({self.criterion}): status {self.status}, "
         head += f"cost {show_number(self.cost, 7)}"
-        rows = [[n, f"{show_number(t)} {self.units[n]}", self.at_bounds.get(n, "")] for n, t in self.tolerances.items()]
+        rows = [[n, show_error(t, self.units[n]), self.at_bounds.get(n, "")] for n, t in self.tolerances.items()]
         parts = [head, wrap_lines(self.message)]
         parts.append(align_columns(["error", "tolerance", "bound"], rows))
         header = ["limit", "value", "nominal", "quadratic", "predicted", "verified", "interval"]

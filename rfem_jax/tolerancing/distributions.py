@@ -18,6 +18,7 @@ N. Balakrishnan, Continuous Univariate Distributions, vol. 1 (1994), 10.1 (trunc
 """
 
 from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -30,6 +31,8 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from rfem_jax.description.errors import InputError
+from rfem_jax.description.study import Study
+from rfem_jax.description.tolerances import SpecifiedTolerances
 from rfem_jax.tolerancing.checks import DIMENSIONS, check_known, parse_error, require_float64
 from rfem_jax.tolerancing.problem import ToleranceProblem
 
@@ -127,6 +130,10 @@ class TruncatedNormal(Normal):
         return (1.0 - 2.0 * k * density / (1.0 - 2.0 * ndtr(-k))) / k**2
 
 
+# By their names in study files.
+DISTRIBUTIONS = {"uniform": Uniform, "triangular": Triangular, "normal": Normal, "truncated_normal": TruncatedNormal}
+
+
 class CorrelatedNormal(eqx.Module):
     """Several normal errors with a covariance.
 
@@ -220,6 +227,30 @@ class Tolerances(eqx.Module):
                 "give each error one tolerance, alone or in one group."
             )
 
+    @classmethod
+    def of(cls, study) -> "Tolerances":
+        """The distributions that a study specifies, for `monte_carlo`, `worst_case` and the like.
+
+        Args: study, as `load_study` gives it, or its `tolerances`.
+        Raises: InputError for a study without tolerances, and for anything else.
+        """
+        specified = study.tolerances if isinstance(study, Study) else study
+        if not isinstance(specified, SpecifiedTolerances):
+            found = "specifies none" if isinstance(study, Study) else f"was {study!r}"
+            raise InputError(
+                f"Argument `study` must be a study with tolerances, but {found}; add a table [tolerances], or write "
+                "Tolerances({...})."
+            )
+        independent = {}
+        for one in specified.independent:
+            settings = {} if one.deviations is None else {"deviations": one.deviations}
+            independent[one.error] = DISTRIBUTIONS[one.distribution](interval=one.interval, **settings)
+        groups = [
+            CorrelatedNormal(group.half_widths, group.covariance(), deviations=group.deviations)
+            for group in specified.correlated
+        ]
+        return cls(independent, correlated=groups)
+
     @property
     def factors(self) -> tuple[tuple[str, ...], ...]:
         """Independent sources of scatter, each a tuple of names: single errors, then correlated groups."""
@@ -295,6 +326,11 @@ class Tolerances(eqx.Module):
                     f"Argument `tolerances` must be in the units of the errors, but `{name}` is an "
                     f"{DIMENSIONS[unit]} [{unit}] and its tolerance is in {tolerance.unit}; correct its unit."
                 )
+
+
+def distributions_of(tolerances: Any) -> Any:
+    """`Tolerances` of a study or of what it specifies; anything else as it is."""
+    return Tolerances.of(tolerances) if isinstance(tolerances, (Study, SpecifiedTolerances)) else tolerances
 
 
 def _number(value, what: str, positive: bool = False) -> Float[Array, ""]:

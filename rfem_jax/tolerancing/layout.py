@@ -7,6 +7,8 @@ import textwrap
 from collections.abc import Iterable, Sequence
 from typing import SupportsFloat
 
+from rfem_jax.description.error_catalogue import as_specified
+
 WIDTH = 120  # columns of a terminal
 NEGLIGIBLE = 1e-12  # of the scale: rounding, shown as 0
 
@@ -49,6 +51,12 @@ def without_rounding(value: SupportsFloat, scale: SupportsFloat) -> float:
     """0 for a number that is only rounding of numbers of size `scale`, else the number."""
     value = float(value)
     return 0.0 if abs(value) <= NEGLIGIBLE * abs(float(scale)) else value
+
+
+def show_error(value: SupportsFloat, unit: str, digits: int = 5) -> str:
+    """An error or a tolerance of the SI unit "rad" or "m" for a table, in deg or mm."""
+    specified, factor = as_specified(unit)
+    return f"{show_number(factor * float(value), digits)} {specified}"
 
 
 def show_number(value: SupportsFloat, digits: int = 5, scale: SupportsFloat = 0.0) -> str:

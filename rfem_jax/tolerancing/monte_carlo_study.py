@@ -24,9 +24,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from rfem_jax.description.errors import InputError, require_flag
+from rfem_jax.description.study import Study
 from rfem_jax.description.tasks.settings import whole_number
 from rfem_jax.tolerancing.checks import check_known, read_limits, require_float64
-from rfem_jax.tolerancing.distributions import Tolerances
+from rfem_jax.tolerancing.distributions import Tolerances, distributions_of
 from rfem_jax.tolerancing.evaluation import describe_status
 from rfem_jax.tolerancing.execution import Arrays, default_lanes, fingerprint_problem, run_chunks
 from rfem_jax.tolerancing.monte_carlo_result import (
@@ -58,7 +59,7 @@ FORMAT = 3  # of the content of a chunk, and of the order and drawing of points
 
 def monte_carlo(
     problem: ToleranceProblem,
-    tolerances: Tolerances,
+    tolerances: Tolerances | Study,
     n: int,
     key: RandomKey,
     *,
@@ -77,7 +78,7 @@ def monte_carlo(
 
     Args:
         problem: see `problem.py`.
-        tolerances: of the errors that vary; all others are zero.
+        tolerances: of the errors that vary, or a study that specifies them; all other errors are zero.
         n: number of random samples; with Sobol' points best a power of 2, at least 64.
         key: JAX random key; a sample depends on it and on its own index alone.
         batch: samples per chunk, the unit that is stored, and that is lost when a run is killed.
@@ -96,6 +97,7 @@ def monte_carlo(
         the disk is full: finished chunks are kept.
     """
     require_float64()
+    tolerances = distributions_of(tolerances)
     _check_tolerances(problem, tolerances)
     batch = whole_number(_as_int(batch), "batch", 1)
     lanes = default_lanes() if lanes is None else whole_number(_as_int(lanes), "lanes", 1)

@@ -23,11 +23,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
+from rfem_jax.description.error_catalogue import as_specified
 from rfem_jax.description.errors import InputError
 from rfem_jax.tolerancing.checks import ErrorValues, check_known
 from rfem_jax.tolerancing.distributions import Tolerances
 from rfem_jax.tolerancing.evaluation import describe_status, read_point, select_half_widths
-from rfem_jax.tolerancing.layout import align_columns, show_number, without_rounding, wrap_lines
+from rfem_jax.tolerancing.layout import align_columns, show_error, show_number, without_rounding, wrap_lines
 from rfem_jax.tolerancing.problem import Metric, ToleranceProblem
 from rfem_jax.tolerancing.progress import Progress, ProgressOption
 from rfem_jax.tolerancing.quadratic_model import QuadraticModel, check_expansion, expand_point
@@ -148,18 +149,19 @@ class Sensitivities:
         head = f"{self.labels[m]} [{unit}] = {show_number(self.value[m], scale=size)}"
         head += _REMARKS[self.character[m]]
         per = "per tolerance" if self.scaled else "per unit"
-        header = ["error", "tolerance", "gradient", f"gradient {per}"]
+        header = ["error", "tolerance", "gradient per deg, mm", f"gradient {per}"]
         header += [] if self.hessian is None else [f"1/2 H_ii {per}"]
         header += ["effect"]
         header += [f"root {per}"] if self.character[m] == "kink" else []
         rows = []
         for i in np.argsort(-self.effects[m], kind="stable")[:top]:
-            width = show_number(self.scale[i]) if self.scaled else "-"
+            specified, factor = as_specified(self.error_units[i])
+            width = show_error(self.scale[i], self.error_units[i]) if self.scaled else f"- {specified}"
             scaled = 0.0 if self.vanishing[m, i] else self.gradient_scaled[m, i]
             scaled = without_rounding(scaled, size)
-            gradient = show_number(self.gradient[m, i]) if scaled else "0"
+            gradient = show_number(self.gradient[m, i] / factor) if scaled else "0"
             gradient += " (symmetry)" if self.vanishing[m, i] else ""
-            row = [self.names[i], f"{width} {self.error_units[i]}", gradient, show_number(scaled)]
+            row = [self.names[i], width, gradient, show_number(scaled)]
             if self.hessian_scaled is not None:
                 row.append(show_number(0.5 * self.hessian_scaled[m, i, i], scale=size))
             row += [show_number(self.effects[m, i], scale=size)]

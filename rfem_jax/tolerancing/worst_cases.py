@@ -24,7 +24,7 @@ from jaxtyping import Float
 
 from rfem_jax.description.errors import InputError
 from rfem_jax.tolerancing.checks import ErrorValues, require_float64
-from rfem_jax.tolerancing.distributions import Tolerances
+from rfem_jax.tolerancing.distributions import Tolerances, distributions_of
 from rfem_jax.tolerancing.evaluation import (
     Base,
     evaluate_points,
@@ -32,7 +32,7 @@ from rfem_jax.tolerancing.evaluation import (
     select_half_widths,
     split_errors,
 )
-from rfem_jax.tolerancing.layout import align_columns, show_number, wrap_lines
+from rfem_jax.tolerancing.layout import align_columns, show_error, show_number, wrap_lines
 from rfem_jax.tolerancing.problem import Metric, ToleranceProblem
 from rfem_jax.tolerancing.projected_gradient import Search, climb_together
 from rfem_jax.tolerancing.quadratic_model import (
@@ -76,7 +76,8 @@ class WorstCase:
     """The worst point found and how far to trust it; errors are {name: rad or m}.
 
     status "ok", "not_converged" (the best search did not reach its tolerance) or "failed" (no start could be
-    evaluated); value, errors: the worst point over searches and corners; found_by "search", "mirror" or "corners";
+    evaluated); names, error_units: of the errors, "rad" or "m" each;
+    value, errors: the worst point over searches and corners; found_by "search", "mirror" or "corners";
     maximisers: every distinct point that ties with it (e and -e of an even metric), itself included; nominal: the
     metric at the centre; slopes {name: df per tolerance}: the gradient at the worst point; kkt_residual (module
     docstring); active {name: "lower" | "upper"}: bounds of the box, or {"ellipsoid": "surface"};
@@ -93,6 +94,7 @@ class WorstCase:
     region: str
     sense: str
     names: tuple[str, ...]
+    error_units: tuple[str, ...]
     status: str
     value: float
     errors: dict[str, float]
@@ -125,9 +127,11 @@ class WorstCase:
         head = f"{word} {self.metric} over the {self.region}: "
         head += f"{self._show(self.value)} {self.unit} (status {self.status}, found by "
         head += f"{self.found_by}, nominal {self._show(self.nominal, 5)})"
+        unit = dict(zip(self.names, self.error_units, strict=True))
         header = ["error", "value", "bound", "gradient per tolerance"]
         rows = [
-            [n, show_number(self.errors[n]), self.active.get(n, ""), self._show(self.slopes[n], 5)] for n in self.errors
+            [n, show_error(self.errors[n], unit[n]), self.active.get(n, ""), self._show(self.slopes[n], 5)]
+            for n in self.errors
         ]
         spent = self.evaluations
         model = f"quadratic model: {self._show(self.quadratic_value)}, "
@@ -179,6 +183,7 @@ def worst_case(
     Raises: InputError for unknown names or options.
     """
     require_float64()
+    tolerances = distributions_of(tolerances)
     _check_options(region, sense, corners)
     names, half_widths = select_half_widths(problem, tolerances)
     index, matrix = metric_index(problem, metric), region_matrix(region, tolerances, half_widths)
@@ -317,6 +322,7 @@ def _describe(frame, candidates, z0, first, search, scale) -> dict[str, Any]:
         "region": frame.region,
         "sense": frame.sense,
         "names": frame.names,
+        "error_units": tuple(frame.problem.error_unit(name) for name in frame.names),
         "nominal": float(frame.sign * first[0]),
         "corners": corners,
         "starts": z0,

@@ -5,7 +5,7 @@ import re
 import pytest
 
 from rfem_jax.description import load_study, study, study_reader, tolerances
-from rfem_jax.description.study_keys import NEEDED, argument_meanings, study_keys
+from rfem_jax.description.key_reference import NEEDED, argument_meanings, key_tables
 from rfem_jax.description.tasks import allocation, task
 
 from .test_study_files import FULL
@@ -70,7 +70,7 @@ def asked(tmp_path, monkeypatch):
 
 
 def test_the_reference_holds_what_the_reader_asks_for(asked):
-    reference = {table.header: table for table in study_keys()}
+    reference = {table.header: table for table in key_tables()}
     # Asked before the shape and the kind are known, or by names of the user.
     for place in (
         "[mechanism.sections.NAME]",
@@ -88,7 +88,7 @@ def test_the_reference_holds_what_the_reader_asks_for(asked):
 
 
 def test_every_key_has_a_meaning():
-    for table in study_keys():
+    for table in key_tables():
         assert all(len(key.meaning) > 4 for key in table.keys), table
         assert not any(re.search(r"\b(None|True|False)\b", key.meaning) for key in table.keys), table
 

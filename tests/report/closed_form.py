@@ -15,7 +15,7 @@ WIDTHS = (math.radians(0.25), math.radians(0.25), 2.5e-4)
 # Moments per tolerance of each error: M^2 = sum (a_i z_i)^2, worst in every corner the same.
 ROOTS = (4.0, 2.0, 1.0)
 METRICS = {
-    "D.mean_square_moment": Metric("D.mean_square_moment", "N^2 m^2", "mean square moment in D"),
+    "D.mean_square_moment": Metric("D.mean_square_moment", "(N m)^2", "mean square moment in D"),
     "A.mean_square_force": Metric("A.mean_square_force", "N^2", "mean square force in A"),
 }
 

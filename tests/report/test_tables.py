@@ -40,7 +40,7 @@ def test_results_name_every_metric_with_its_unit(study, runs, statuses):
         "RMS resultant moment, N m",
         "Maximum axial force, N",
         "Maximum normal force, N",
-        "Angle at end, rad",
+        "Angle at end, deg",
         "Rate at end, rad/s",
         "Drift, m",
     ):
@@ -49,6 +49,13 @@ def test_results_name_every_metric_with_its_unit(study, runs, statuses):
     assert block[1].split() == ["case", "A", "B", "D", "C"]
     assert block[4].split() == ["P2", "2.00000", "4.00000", "6.00000", "8.00000"]
     assert max(map(len, text.splitlines())) <= 100
+
+
+def test_the_driven_angle_is_in_degrees(study, runs, statuses):
+    block = results_text(study, summarise(study, runs, statuses)).split("Driven joint A\n")[1].splitlines()
+    assert "Angle at end, deg  Rate at end, rad/s" in block[0]
+    angles = [float(line.split()[2]) for line in block[2:5]]
+    np.testing.assert_allclose(angles, np.degrees([8.5, 8.51, 8.505]), rtol=1e-7)
 
 
 def test_many_joints_are_broken_into_blocks(study, runs, statuses):

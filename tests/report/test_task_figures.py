@@ -71,7 +71,7 @@ def test_heat_map_and_tornado_show_the_effects(study, problem):
     figures = draw(study, "sensitivity", Derivatives(sensitivity(problem, scale=WIDTHS), False))
     heat = figures["sensitivity_heat_map"]
     panels = {axes.get_title(loc="left"): axes for axes in heat.axes if axes.images}
-    moments = panels["Change of mean square moment, N^2 m^2"]
+    moments = panels["Change of mean square moment, (N m)^2"]
     np.testing.assert_allclose(moments.images[0].get_array(), [[16.0, 4.0, 1.0]], rtol=1e-9)
     forces = panels["Change of mean square force, N^2"]
     np.testing.assert_allclose(forces.images[0].get_array(), [[30.0, 5.0, 0.0]], atol=1e-9)

@@ -103,7 +103,7 @@ def long_problem(study, metrics, model=None):
         moment = short({name: errors[name] for name in closed_form.NAMES})[0][MOMENT]
         return {name: moment + 1e-3 * i for i, name in enumerate(metrics)}
 
-    named = [Metric(name, "N^2 m^2", f"mean square moment in {name}") for name in metrics]
+    named = [Metric(name, "(N m)^2", f"mean square moment in {name}") for name in metrics]
     return Undamped(function, closed_form.NAMES, named, error_units={"D.d_y": "m"})
 
 

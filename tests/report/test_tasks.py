@@ -9,6 +9,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import equinox as eqx
+import jax
 import numpy as np
 import pytest
 
@@ -19,6 +21,8 @@ from rfem_jax.report.command_line import main
 from rfem_jax.report.tasks import study_problem, task_report, worst_case
 from rfem_jax.report.tasks.sensitivity import finer_method
 from rfem_jax.report.tasks.task_overview import tasks_text
+from rfem_jax.tolerancing import Tolerances, monte_carlo
+from rfem_jax.tolerancing import worst_case as search
 from rfem_jax.tolerancing.results_store import ResultsStore
 
 from . import closed_form
@@ -104,11 +108,20 @@ def test_sensitivity(task_file, tmp_path, capsys):
     first = moment["principal_directions"][0]
     assert first["eigenvalue"] == pytest.approx(32.0)
     assert first["direction"]["D.delta_x"] == pytest.approx(1.0)
-    assert found["units"][MOMENT] == "N^2 m^2"
+    assert found["units"][MOMENT] == "(N m)^2"
     rows = rows_of(out / "sensitivity.csv")
     ranked = [row["error"] for row in rows if row["metric"] == MOMENT]
     assert ranked == ["D.delta_x", "D.delta_z", "D.d_y"]
     text = capsys.readouterr().out
+    # Tolerances in the units of the study, gradients per such a unit.
+    assert "[(N m)^2]" in text and "gradient per deg, mm" in text
+    assert [line.split()[1:4] for line in text.splitlines() if line.startswith("D.delta_x")][1] == [
+        "0.25",
+        "deg",
+        "120",
+    ]
+    assert [line.split()[1:3] for line in text.splitlines() if line.startswith("D.d_y")][1] == ["0.25", "mm"]
+    assert " rad" not in text
     assert "Change with the finer step" in text
     assert "+1.00 D.delta_x" in text
     assert "damping" not in text
@@ -183,9 +196,12 @@ def test_a_full_disk_is_one_sentence(task_file, tmp_path, capsys, monkeypatch):
     assert "No space left on device" in capsys.readouterr().err.splitlines()[-1]
 
 
-def test_worst_case(task_file, tmp_path):
+def test_worst_case(task_file, tmp_path, capsys):
     out = tmp_path / "out"
     assert call("worst-case", task_file, out) == 0
+    table = capsys.readouterr().out.split("Largest A.mean_square_force")[1].splitlines()
+    assert table[3].split()[:4] == ["D.delta_x", "0.25", "deg", "upper"]
+    assert table[5].split()[:3] == ["D.d_y", "0", "mm"]
     names = {"worst_case.json", "worst_case.csv", "worst_case_corners.png"}
     assert names_in(out) == names
     found = read(out / "worst_case.json")["metrics"]
@@ -217,7 +233,10 @@ def test_allocation(task_file, tmp_path, capsys):
     costs = [float(row["cost"]) for row in front]
     np.testing.assert_allclose(costs[0] / costs[1], math.sqrt(2.0), rtol=2e-3)
     np.testing.assert_allclose(costs[2] / costs[1], math.sqrt(0.5), rtol=2e-3)
-    assert "Cost against limits" in capsys.readouterr().out
+    text = capsys.readouterr().out
+    assert "Cost against limits" in text
+    (row,) = [line.split() for line in text.splitlines() if line.startswith("D.delta_x")]
+    assert row[2] == "deg" and float(row[1]) == pytest.approx(math.degrees(found["tolerances"]["D.delta_x"]), rel=1e-4)
 
 
 def test_a_request_that_cannot_be_met_is_exit_code_3_and_is_written(task_file, tmp_path):
@@ -297,7 +316,9 @@ half_widths = { "B.d_x" = 3e-3, "B.d_z" = 6e-3 }
 correlation = -0.5
 """
     path.write_text(STUDY + text, encoding="utf-8")
-    found = study_problem.build_tolerances(load_study(path).tasks.tolerances)
+    study = load_study(path)
+    found = Tolerances.of(study)
+    assert eqx.tree_equal(found, Tolerances.of(study.tolerances))
     assert found.names == ("D.delta_x", "D.d_y", "B.d_x", "B.d_z")
     means = {name: float(mean) for name, mean in found.means().items()}
     assert means["D.d_y"] == pytest.approx(1e-3)
@@ -305,6 +326,25 @@ correlation = -0.5
     expected = [0.15**2, (2e-3) ** 2 / 6.0, 1e-6, 4e-6]
     np.testing.assert_allclose(np.diag(covariance), expected, rtol=1e-9)
     assert covariance[2, 3] == pytest.approx(-1e-6)
+
+
+def test_the_tolerances_of_a_study_serve_as_an_argument(task_file):
+    study = load_study(task_file)
+    problem = closed_form.build([MOMENT])
+    known, key = Tolerances.of(study), jax.random.key(0)
+    for given in (study, study.tolerances):
+        found = monte_carlo(problem, given, 16, key)
+        np.testing.assert_array_equal(found.values, monte_carlo(problem, known, 16, key).values)
+        assert search(problem, given, MOMENT, key=key).value == pytest.approx(21.0)
+    assert study.tolerances.half_widths()["D.d_y"] == 2.5e-4
+
+
+def test_a_study_without_tolerances_has_no_distributions(study, refused):
+    assert study.tolerances is None
+    with refused("`study`", "specifies none", "[tolerances]"):
+        Tolerances.of(study)
+    with refused("`study`", "was {'D.d_y': 0.001}"):
+        Tolerances.of({"D.d_y": 1e-3})
 
 
 PROCESS = """

@@ -47,8 +47,8 @@ def test_every_metric_is_what_its_name_says():
     assert float(metrics.end_angle(1.0)(run())) == 0.25
     assert float(metric("end_energy")(run())) == 0.5
     units = {name: metric(f"A.{name}").unit for name in JOINT_METRICS}
-    assert units["mean_square_moment"] == "N^2 m^2" and units["peak_force"] == "N"
-    assert units["preload_moment_square"] == "N^2 m^2" and units["rms_moment"] == "N m"
+    assert units["mean_square_moment"] == "(N m)^2" and units["peak_force"] == "N"
+    assert units["preload_moment_square"] == "(N m)^2" and units["rms_moment"] == "N m"
 
 
 @pytest.mark.parametrize("power", [2, 16, 64])

@@ -32,7 +32,7 @@ def loads(errors):
 
 
 METRICS = (
-    Metric("moment_squared", "N^2 m^2", "mean-square moment", True),
+    Metric("moment_squared", "(N m)^2", "mean-square moment", True),
     Metric("moment", "N m", "RMS moment", True),
     Metric("force", "N", "RMS force"),
 )

@@ -16,12 +16,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from rfem_jax.compilation.stages import on_stage
+from rfem_jax.description.error_catalogue import as_specified
 from rfem_jax.description.study import Study
 from rfem_jax.description.tasks.allocation import AllocationTask, ErrorCost
 from rfem_jax.report.annotations import Axes, Figure
 from rfem_jax.report.output import write_csv
 from rfem_jax.report.overview import format_error
-from rfem_jax.report.quantities import as_specified
 from rfem_jax.report.style import CASE_COLOURS, MARKERS, add_titles, new_figure
 from rfem_jax.report.tasks import study_problem
 from rfem_jax.report.tasks.task_files import write_task_json
@@ -29,6 +29,7 @@ from rfem_jax.report.tasks.task_report import TaskReport
 from rfem_jax.tolerancing import Exponential, Reciprocal, ReciprocalSquared, allocate
 from rfem_jax.tolerancing.allocation import Allocation, LimitCheck
 from rfem_jax.tolerancing.cost_models import total_cost
+from rfem_jax.tolerancing.distributions import DISTRIBUTIONS
 from rfem_jax.tolerancing.layout import align_columns
 from rfem_jax.tolerancing.quadratic_model import choose_mode, expand_by_differences
 
@@ -60,7 +61,7 @@ class AllocationReport(TaskReport[AllocationTask, AllocationStudy]):
         solve = partial(
             allocate, problem, cost=costs, bounds=task.bounds, criterion=task.criterion,
             target=task.target, coverage=task.coverage, statistic=task.statistic,
-            distribution=study_problem.DISTRIBUTIONS[task.distribution], samples=task.samples,
+            distribution=DISTRIBUTIONS[task.distribution], samples=task.samples,
             verify_samples=task.verify_samples, starts=task.starts, rounds=task.rounds,
             tolerance=task.accuracy, batch=task.batch,
         )  # fmt: skip

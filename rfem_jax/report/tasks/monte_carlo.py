@@ -13,12 +13,12 @@ import numpy as np
 from jaxtyping import Float
 
 from rfem_jax.compilation.stages import on_stage
+from rfem_jax.description.error_catalogue import as_specified
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.study import Study
 from rfem_jax.description.tasks.monte_carlo import MonteCarloTask
 from rfem_jax.report.annotations import Axes, Figure
 from rfem_jax.report.output import write_csv
-from rfem_jax.report.quantities import as_specified
 from rfem_jax.report.style import (
     BAR_COLOURS,
     CASE_COLOURS,
@@ -30,6 +30,7 @@ from rfem_jax.report.style import (
 from rfem_jax.report.tasks import study_problem
 from rfem_jax.report.tasks.task_files import metric_units, write_task_json
 from rfem_jax.report.tasks.task_report import TaskReport
+from rfem_jax.tolerancing import Tolerances
 from rfem_jax.tolerancing import monte_carlo as sample_problem
 from rfem_jax.tolerancing.monte_carlo_result import MonteCarloResult
 from rfem_jax.tolerancing.results_store import StudyFolderError
@@ -48,7 +49,7 @@ class MonteCarloReport(TaskReport[MonteCarloTask, MonteCarloResult]):
         Raises: InputError for a folder of another study (in the words of the command line, where the
             folder is in DIR of `--out DIR`); ChunkWriteError for a full disk.
         """
-        task, tolerances = self.task, study_problem.build_tolerances(self.tolerances)
+        task, tolerances = self.task, Tolerances.of(self.study)
         stage = (
             f"Sampling {task.n} mechanisms on {jax.local_device_count()} devices"
             f" of {jax.process_count()} process{'es' if jax.process_count() > 1 else ''}"

@@ -13,16 +13,17 @@ import numpy as np
 from jaxtyping import Float
 
 from rfem_jax.compilation.stages import on_stage
+from rfem_jax.description.error_catalogue import as_specified
 from rfem_jax.description.methods import Method
 from rfem_jax.description.study import Study
 from rfem_jax.description.tasks.sensitivity import SensitivityTask
 from rfem_jax.report.annotations import Figure
 from rfem_jax.report.output import write_csv
-from rfem_jax.report.quantities import as_specified
 from rfem_jax.report.style import BAR_COLOURS, HATCHES, add_titles, new_figure, panel_grid
 from rfem_jax.report.tasks import study_problem
 from rfem_jax.report.tasks.task_files import metric_units, write_task_json
 from rfem_jax.report.tasks.task_report import TaskReport
+from rfem_jax.tolerancing import Tolerances
 from rfem_jax.tolerancing import sensitivity as differentiate
 from rfem_jax.tolerancing.layout import align_columns, wrap_lines
 from rfem_jax.tolerancing.sensitivities import Sensitivities
@@ -52,7 +53,7 @@ class SensitivityReport(TaskReport[SensitivityTask, Derivatives]):
         on_stage(f"Differentiating {len(task.metrics)} metrics to order {task.order}{twice}")
         problem = study_problem.build_problem(study, task.metrics)
         refined = problem.with_method(finer_method(study.method)) if task.half_step else None
-        tolerances = study_problem.build_tolerances(self.tolerances)
+        tolerances = Tolerances.of(self.study)
         found = differentiate(problem, task.at, task.order, tolerances, task.mode, batch=task.batch, refined=refined)
         return Derivatives(found, bool(getattr(problem, "undamped", False)))
 

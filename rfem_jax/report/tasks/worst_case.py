@@ -19,6 +19,7 @@ from rfem_jax.report.style import CASE_COLOURS, MARKERS, add_titles, new_figure
 from rfem_jax.report.tasks import study_problem
 from rfem_jax.report.tasks.task_files import write_task_json
 from rfem_jax.report.tasks.task_report import TaskReport
+from rfem_jax.tolerancing import Tolerances
 from rfem_jax.tolerancing import worst_case as search_worst_case
 from rfem_jax.tolerancing.layout import show_number
 from rfem_jax.tolerancing.quadratic_model import choose_mode, expand_by_differences
@@ -35,7 +36,7 @@ class WorstCaseReport(TaskReport[WorstCaseTask, dict[str, WorstCase]]):
         """The worst cases of all metrics, with one quadratic model for all of them."""
         task = self.task
         problem = study_problem.build_problem(self.study, task.metrics)
-        tolerances = study_problem.build_tolerances(self.tolerances)
+        tolerances = Tolerances.of(self.study)
         keys = jax.random.split(jax.random.key(task.seed), len(task.metrics))
         on_stage("Expanding to second order")
         centre = {name: float(mean) for name, mean in tolerances.means().items()}

@@ -1,6 +1,6 @@
 """All keys of a study file, as its reader knows them: the reference that `rfem-jax keys` prints.
 
-Place in the pipeline: study_reader, tasks -> **study_keys** -> `rfem_jax.report.keys_text`. A table's keys are the
+Place in the pipeline: study_reader, tasks -> **key_reference** -> `rfem_jax.report.keys_text`. A table's keys are the
 arguments of a class, and what they mean is said in that class's docstring; what differs in a file is said here.
 """
 
@@ -57,7 +57,7 @@ class KeyTable:
     keys: tuple[Key, ...]
 
 
-def study_keys() -> list[KeyTable]:
+def key_tables() -> list[KeyTable]:
     """All tables that a study file may have, tasks from outside the package included."""
     required, optional = STUDY_KEYS
     own = {name: f"the table [{name}]" for name in task_kinds()}
