@@ -32,21 +32,12 @@ from exudyn_speed import fastest  # noqa: E402
 from exudyn_tilted_hinge import compare_tilted_hinge  # noqa: E402
 
 from rfem_jax import assemble, assembly_errors, discretise, run_cases  # noqa: E402
+from rfem_jax.validation.reference_values import read_reference  # noqa: E402
 
 __all__ = ["fastest", "simulate"]
 
 JOINTS = "ABCD"
-# An independent code: absolute coordinates, 8th order, converged to 1e-9 (a substitute data set).
-REFERENCE_FORCE = {
-    "P1": (29.93278, 25.91493, 12.56326, 11.81606),
-    "P2": (41.46875, 38.74036, 31.62188, 31.33896),
-}
-REFERENCE_MOMENT = {"P2": (9.213726, 7.317616, 1.818548, 7.583982)}
-REFERENCE_PRELOAD = {"P2": ((31.34090, 31.28346, 31.25915, 31.40522), (10.43996, 7.85153, 1.53258, 8.68342))}
-REFERENCE_MOTION = {  # angle turned and rate at 0.1 s, at 0.5 s
-    "P1": (0.6678438, 29.776717, 10.5764467, 33.089962),
-    "P2": (0.6482074, 28.753503, 10.4551728, 35.134345),
-}
+REFERENCE = read_reference("four_bar_study")
 FORMS = ("linear", "geometrically_exact")
 # Fair tolerances (relative) of RMS forces, RMS moments, preload against exact rotations.
 LIMITS = {"linear": (5e-4, 1e-3, 5e-4), "geometrically_exact": (1e-4, 1e-4, 1e-5)}
@@ -102,10 +93,10 @@ def compare_preload(report: Report, cases) -> None:
     for case in cases:
         theirs = speed.prepared(case.name)[1][1]
         ours = {f: assemble(m, assembly_errors(m, case.errors)).preload for f, m in models.items()}
-        for i, joint in enumerate(JOINTS):
+        for joint in JOINTS:
             for kind, unit in ((0, "force N"), (1, "moment N m")):
                 value = float(np.linalg.norm(theirs[joint][kind]))
-                given = REFERENCE_PRELOAD.get(case.name, (None, None))[kind]
+                given = REFERENCE[("preload_force", "preload_moment")[kind]].get(case.name, {}).get(joint)
                 row = [case.name, joint, unit]
                 for form, loads in ours.items():
                     vector = np.asarray(loads[joint][kind])
@@ -113,13 +104,13 @@ def compare_preload(report: Report, cases) -> None:
                     scale = max(np.linalg.norm(theirs[j][kind]) for j in JOINTS)
                     away = float(np.linalg.norm(vector - theirs[joint][kind]) / scale)
                     worst[form] = max(worst[form], away)
-                rows.append([*row, value, None if given is None else given[i]])
+                rows.append([*row, value, given])
                 if given is not None:
                     # The reference's moments leave out the one that holds the crank (about y).
                     across = float(np.linalg.norm(theirs[joint][kind] * [1.0, 1.0 - kind, 1.0]))
                     report.check(
                         f"Exudyn's preload, {case.name} {joint} {unit}, against the reference",
-                        abs(across / given[i] - 1.0),
+                        abs(across / given - 1.0),
                         2e-6,
                     )
     heads = ["case", "joint", "preload", *(f"ours {f}" for f in models), "exudyn", "reference"]
@@ -161,10 +152,10 @@ def compare_rms(report: Report, cases, theirs: dict, ours: dict) -> None:
     """RMS loads of all joints, Exudyn at its smallest step against ours and the reference."""
     rows, worst = [], {form: [0.0, 0.0] for form in ours}
     for case in cases:
-        for kind, given in (("force", REFERENCE_FORCE), ("moment", REFERENCE_MOMENT)):
-            for i, joint in enumerate(JOINTS):
+        for kind in ("force", "moment"):
+            for joint in JOINTS:
                 value = theirs[case.name][kind][joint]
-                known = given.get(case.name)
+                reference = REFERENCE[f"rms_{kind}"].get(case.name, {}).get(joint)
                 row = [case.name, joint, f"RMS {kind}"]
                 for form, runs in ours.items():
                     mine = float(getattr(runs[case.name].metrics, f"rms_{kind}")[joint])
@@ -173,7 +164,6 @@ def compare_rms(report: Report, cases, theirs: dict, ours: dict) -> None:
                     if away is not None:
                         place = 0 if kind == "force" else 1
                         worst[form][place] = max(worst[form][place], abs(away))
-                reference = None if known is None else known[i]
                 rows.append([*row, value, reference, relative(value, reference)])
                 if reference is not None:
                     report.check(
@@ -247,15 +237,15 @@ def converge(report: Report, quick: bool) -> None:
 
 
 def _check_motion(report: Report, case: str) -> None:
-    known = REFERENCE_MOTION.get(case)
-    if known is None:
+    if case not in REFERENCE["crank_angle"]:
         return
     h = speed.converged_runs(case)[1].histories
-    for k, t in enumerate((0.1, 0.5)):
-        at = int(np.searchsorted(h.times, t - 1e-6))
-        turned, rate = h.angle[at] - h.angle[0], h.rate[at]
-        report.check(f"Exudyn's angle, {case} at {t} s", abs(turned / known[2 * k] - 1.0), 2e-6)
-        report.check(f"Exudyn's rate, {case} at {t} s", abs(rate / known[2 * k + 1] - 1.0), 1e-5)
+    for t, known in REFERENCE["crank_angle"][case].items():
+        at = int(np.searchsorted(h.times, float(t) - 1e-6))
+        away = abs((h.angle[at] - h.angle[0]) / known - 1.0)
+        report.check(f"Exudyn's angle, {case} at {t} s", away, 2e-6)
+        away = abs(h.rate[at] / REFERENCE["crank_rate"][case][t] - 1.0)
+        report.check(f"Exudyn's rate, {case} at {t} s", away, 1e-5)
 
 
 def _radii(report: Report) -> None:

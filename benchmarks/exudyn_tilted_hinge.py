@@ -1,79 +1,40 @@
 """The flexible four-bar with a tilted hinge: Exudyn against published values and against ours.
 
-O. A. Bauchau et al., Validation of flexible multibody dynamics beam formulations using benchmark
-problems, Multibody Syst. Dyn. 37 (2016) 29-48; set-up of its public versions (mb_sef_py).  Values:
-limits of mesh refinement in the window 0.1 s <= t <= 2.4 s by two independent codes, and the errors
-of a geometrically exact chain of m sdes a bar.
+Mechanism and reference values are those of `rfem_jax.validation.tilted_hinge`: limits of mesh refinement in the window
+0.1 s <= t <= 2.4 s by two independent codes, and the errors of a geometrically exact chain of m sdes a bar.
 """
 
 import numpy as np
 from exudyn_models import Settings
 from exudyn_runs import simulate
 
-from rfem_jax import (
-    STATUS,
-    GivenSection,
-    Joint,
-    Link,
-    Mechanism,
-    Method,
-    PrescribedRate,
-    assembly_errors,
-    discretise,
-)
+from rfem_jax import STATUS, Method, PrescribedRate, assembly_errors, discretise
 from rfem_jax import simulate as simulate_ours
+from rfem_jax.validation.reference_values import read_reference
+from rfem_jax.validation.tilted_hinge import SAVE_EVERY, WINDOW, mechanism
 
-WINDOW = (0.1, 2.4)
 STEP = 2e-3
-LIMIT = {
-    "force A": 332.215,
-    "moment A": 67.982,
-    "moment B": 30.470,
-    "moment C": 49.010,
-    "moment D": 23.294,
-    "u_Y of C at 2 s": 2.660182e-3,
-}
+REFERENCE = read_reference("tilted_hinge")
 JOINTS, KINDS = "ABCD", ("force", "moment")
-NAMES = (*(f"{kind} {j}" for kind in KINDS for j in JOINTS), "u_Y of C at 2 s")
-CHAIN = {4: (0.0197, 0.0350), 8: (0.0049, 0.0086), 16: (0.0012, 0.0022)}  # force A, moment B
-SAVE_EVERY = 4e-3
-
-
-def _section(axial, shear, torsion, bending, density, rotary):
-    return GivenSection(axial, shear, shear, torsion, bending, bending, density, 2.0 * rotary, rotary, rotary)
-
-
-def tilted_hinge(m: int) -> Mechanism:
-    """The four-bar with m sdes a bar; the pin of C is tilted by the error "C.pin_tilt_x"."""
-    thick = _section(52.99e6, 16.88e6, 733.5, 1131.0, 1.997, 42.6e-6)
-    thin = _section(13.25e6, 4.22e6, 45.84, 70.66, 0.4992, 2.662e-6)
-    return Mechanism(
-        links=(
-            Link("bar1", 0.12, thick, None, rfes=m + 1),
-            Link("bar2", 0.24, thick, None, rfes=m + 1),
-            Link("bar3", 0.12, thin, None, rfes=m + 1),
-        ),
-        joints=(
-            Joint("A", "base", "bar1", position=(0.0, 0.0, 0.0), angle=-np.pi / 2),
-            Joint("B", "bar1", "bar2", angle=np.pi / 2),
-            Joint("D", "base", "bar3", position=(0.24, 0.0, 0.0), angle=-np.pi / 2),
-            Joint("C", "bar2", "bar3", cut=True),
-        ),
-        gravity=(0.0, 0.0, 0.0),
-        driven_joint="A",
-    )
+AT_2_S = "u_Y of C at 2 s"  # along the hinges, the benchmark's -z
+LIMIT = {
+    "force A": REFERENCE["rms_force"],
+    **{f"moment {joint}": moment for joint, moment in REFERENCE["rms_moment"].items()},
+    AT_2_S: -REFERENCE["displacement_at_2_s"],
+}
+NAMES = (*(f"{kind} {j}" for kind in KINDS for j in JOINTS), AT_2_S)
 
 
 def by_exudyn(m: int, step: float = STEP, settings: Settings = Settings()):
     """The compared values by Exudyn, and its histories."""
-    model = discretise(tilted_hinge(m))
+    model = discretise(mechanism(m), elements="linear")
     errors = assembly_errors(model, {"C.pin_tilt_x": "5 deg"})
     result = simulate(model, errors, PrescribedRate("A", 0.6), WINDOW[1], step, settings, WINDOW, track="C")
     h = result.histories
     at = int(np.searchsorted(h.times, 2.0 - 0.1 * step))
     values = {f"{kind} {j}": result.rms[kind][j] for kind in KINDS for j in JOINTS}
     values |= {
-        "u_Y of C at 2 s": float(h.place[at, 1] - h.place[0, 1]),
+        AT_2_S: float(h.place[at, 1] - h.place[0, 1]),
         "CPU s": round(result.cpu, 3),
     }
     return values, h
@@ -81,7 +42,7 @@ def by_exudyn(m: int, step: float = STEP, settings: Settings = Settings()):
 
 def by_us(m: int, form: str):
     """The compared values by rfem_jax, and the run."""
-    model = discretise(tilted_hinge(m), elements=form)
+    model = discretise(mechanism(m), elements=form)
     errors = assembly_errors(model, {"C.pin_tilt_x": "5 deg"})
     run = simulate_ours(
         model,
@@ -140,7 +101,7 @@ def compare_tilted_hinge(report, quick: bool) -> None:
     coarse = columns["exudyn m = 4"]
     change = max(abs(half[name] / coarse[name] - 1.0) for name in NAMES)
     report.check("tilted hinge, Exudyn m = 4: change when the step is halved", change, 2e-5)
-    for m, expected in CHAIN.items():
+    for m, expected in REFERENCE["chain_error"].items():
         values = columns.get(f"exudyn m = {m}")
         if values is None:
             continue

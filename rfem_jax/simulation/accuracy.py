@@ -23,7 +23,7 @@ from rfem_jax.mechanics.model import Model
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors, assembly_errors
 from rfem_jax.mechanics.status import OK
 from rfem_jax.simulation import integration
-from rfem_jax.simulation.driving import Drive
+from rfem_jax.simulation.driving import Drive, require_driven
 from rfem_jax.simulation.generalised_alpha import ACCURACY_OF_TOLERANCE
 from rfem_jax.simulation.stability import largest_stable_step, round_down
 from rfem_jax.simulation.time_grid import TimeGrid
@@ -54,7 +54,7 @@ def choose_method(
     Trial steps go by factors of two, so that a slightly different mechanism may get a step that is longer or shorter
     by a factor of up to about two and a half (docs/theory/11_accuracy.md); both keep the accuracy.
 
-    **Raises:** `InputError` if "auto" is given without a duration.
+    **Raises:** `InputError` if "auto" is given without a duration, or with a drive of another than the driven joint.
     """
     if method.name != "auto":
         return method
@@ -63,6 +63,7 @@ def choose_method(
             'Argument `duration` must be given to choose a method for "auto", but is missing; add the '
             "duration of the simulation in seconds."
         )
+    require_driven(model, drive)
     accuracy = DEFAULT_ACCURACY if method.accuracy is None else method.accuracy
     implicit = Method("generalised_alpha", step=duration, tolerance=accuracy / ACCURACY_OF_TOLERANCE)
     longest = duration if save_every is None else min(duration, save_every)

@@ -17,6 +17,7 @@ from rfem_jax.mechanics.model import Model
 from rfem_jax.mechanics.model_with_errors import assembly_errors
 from rfem_jax.simulation import integration
 from rfem_jax.simulation.accuracy import choose_method
+from rfem_jax.simulation.driving import require_driven
 from rfem_jax.simulation.run import Run, one_of
 from rfem_jax.simulation.time_grid import TimeGrid
 
@@ -33,9 +34,10 @@ def run_cases(
 
     **Returns:** the model, and a run of NumPy arrays for every case by its name.
 
-    **Raises:** `InputError` as `choose_method`.
+    **Raises:** `InputError` as `choose_method`, and for a model whose driven joint is not that of the study's drive.
     """
     model = discretise(study.mechanism) if model is None else model
+    require_driven(model, study.drive)
     errors = [assembly_errors(model, case.errors) for case in study.cases]
     errors = jax.tree.map(lambda *leaves: jnp.stack(leaves), *errors)
     method = choose_method(model, study.method, study.drive, study.duration, errors, study.save_every)

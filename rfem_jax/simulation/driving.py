@@ -4,9 +4,30 @@ Place in the pipeline: model, drive -> **driving** -> integration, stability.
 """
 
 from rfem_jax.description.drives import MomentDrive, PrescribedDrive
-from rfem_jax.mechanics.model import Topology
+from rfem_jax.description.errors import InputError, suggestion
+from rfem_jax.mechanics.model import Model, Topology
 
 Drive = MomentDrive | PrescribedDrive | None
+
+
+def require_driven(model: Model, drive: Drive) -> None:
+    """Check that a drive acts on the model's driven joint; None always passes.
+
+    **Raises:** `InputError` if the model has no driven joint, or another one.
+    """
+    if drive is None or drive.joint == model.driven_joint:
+        return
+    tree = model.topology.joints[: model.topology.n_links]
+    if drive.joint not in tree:
+        raise InputError(
+            f"Argument `drive` must act on a joint of the tree, but acts on `{drive.joint}`; "
+            f"{suggestion(drive.joint, tree)}"
+        )
+    found = "the model has none" if model.driven_joint is None else f"that is `{model.driven_joint}`"
+    raise InputError(
+        f"Argument `drive` must act on the model's driven joint, but acts on `{drive.joint}` and {found}; the model is "
+        f"assembled with this joint held, so describe it by Mechanism(..., driven_joint={drive.joint!r})."
+    )
 
 
 def driven_index(topology: Topology) -> int:

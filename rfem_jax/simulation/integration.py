@@ -43,7 +43,7 @@ from rfem_jax.mechanics.status import (
     STEPS_EXHAUSTED,
 )
 from rfem_jax.simulation import equations
-from rfem_jax.simulation.driving import Drive, driven_index
+from rfem_jax.simulation.driving import Drive, driven_index, require_driven
 from rfem_jax.simulation.equations import Conditions, Scalar, Trajectory
 from rfem_jax.simulation.implicit_step import SOLUTION, Memory
 from rfem_jax.simulation.observation import Record, observe
@@ -94,9 +94,11 @@ def simulate(
     **Returns:** `Run`.  Works under jit, vmap, jacfwd; with fixed-step methods also grad, jacrev and Hessians (memory
     in reverse mode: the state at the end of every interval, and the steps of one interval).
 
-    **Raises:** `InputError` for arguments that cannot be used.  A run that fails says so in its status.
+    **Raises:** `InputError` for arguments that cannot be used, such as a drive of another joint than the driven one.  A
+    run that fails says so in its status.
     """
     require_double_precision()
+    require_driven(model, drive)
     grid, steps = grid_for(drive, duration, method, save_every)
     errors = assembly_errors(model) if errors is None else errors
     return _simulate(model, errors, drive, grid, start, method, steps, adjoint)

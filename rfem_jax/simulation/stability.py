@@ -15,7 +15,7 @@ from rfem_jax.description.errors import InputError
 from rfem_jax.description.methods import Method
 from rfem_jax.mechanics.discretisation import CLOSING_TOLERANCE, close_at
 from rfem_jax.mechanics.model import Model
-from rfem_jax.simulation.driving import Drive
+from rfem_jax.simulation.driving import Drive, require_driven
 from rfem_jax.simulation.stabilisation import stabilisation_of
 from rfem_jax.simulation.vibration import Modes, Vibration
 
@@ -26,7 +26,7 @@ GROWTH_TOLERANCE = 1e-6  # of the amplification in one step, relative
 def check_step(model: Model, method: Method, drive: Drive = None) -> float | None:
     """Largest stable step [s] of a fixed-step method (None for adaptive and implicit ones, and for "auto").
 
-    **Raises:** `InputError` if the method's step is larger.
+    **Raises:** `InputError` if the method's step is larger, and for a drive of another joint than the driven one.
     """
     if method.implicit:
         return None
@@ -54,7 +54,11 @@ def round_down(value: float) -> str:
 
 
 def largest_stable_step(model: Model, method: Method, drive: Drive = None) -> float:
-    """Largest step [s] at which no mode grows faster than its exact solution, at any position; 0 if there is none."""
+    """Largest step [s] at which no mode grows faster than its exact solution, at any position; 0 if there is none.
+
+    **Raises:** `InputError` for a drive of another joint than the driven one.
+    """
+    require_driven(model, drive)
     vibration = Vibration(model, isinstance(drive, PrescribedDrive))
     found = [vibration.modes(angles) for angles in _poses(model)]
     values = [modes.eigenvalues() for modes in found]
@@ -80,7 +84,11 @@ def largest_stable_step(model: Model, method: Method, drive: Drive = None) -> fl
 
 
 def eigenvalues(model: Model, drive: Drive = None) -> Complex[np.ndarray, " eigenvalues"]:
-    """Eigenvalues [rad/s] of the linearised model at its start, without stabilisation."""
+    """Eigenvalues [rad/s] of the linearised model at its start, without stabilisation.
+
+    **Raises:** `InputError` for a drive of another joint than the driven one.
+    """
+    require_driven(model, drive)
     vibration = Vibration(model, isinstance(drive, PrescribedDrive))
     return vibration.modes(np.asarray(model.start_angles)).eigenvalues()
 

@@ -9,6 +9,7 @@ Place in the pipeline: simulation, mechanics, description -> **validation** -> r
     rotating_beams        spin-up and slewing beam; rotating_beam_theory, an independent value
     tilted_hinge          the flexible four-bar with a crooked pin
     catalogue             all of them by name
+    reference_values      reads the reference values in `references`, each with its unit and source
 
-Reference values stand in these files with their sources and are never updated by a program.
+No program updates the reference values.
 """

@@ -6,16 +6,18 @@ A link on a held joint is clamped; a tip load is the weight of a point mass at t
 that weighs next to nothing. So a load is a direction of gravity, and all beams with one number of
 segments m share one compiled program. Link axes: x along the beam, y and z across it.
 
-References are those of m segments, which the rigid finite element method must meet to rounding:
-tip deflection F L^3 / (3 E I) (1 - 1 / (4 m^2)) + F L / GA, tip slope F L^2 / (2 E I), and
-frequencies of rods hinged by springs at the midpoints, over Euler and Bernoulli's.
+References are those of m segments, which the rigid finite element method must meet to rounding: tip deflection
+F L^3 / (3 E I) (1 - 1 / (4 m^2)) + F L / GA, tip slope F L^2 / (2 E I), and the frequencies of rods hinged by springs
+at the midpoints over those of an Euler-Bernoulli beam (`references/cantilever.json`).
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from rfem_jax.compilation.program import Program
 from rfem_jax.description import (
@@ -33,48 +35,42 @@ from rfem_jax.mechanics.model import Model
 from rfem_jax.mechanics.model_with_errors import apply_errors, assembly_errors
 from rfem_jax.mechanics.statics import assemble
 from rfem_jax.simulation.stability import eigenvalues
-from rfem_jax.validation.lines import Line, Outcome, relative
+from rfem_jax.validation.lines import Line, Outcome, Progress, relative
+from rfem_jax.validation.reference_values import read_reference
 
+Stiffnesses = tuple[float, float, float, float, float, float]
 STATICS_SOURCE = "closed form, m midpoints"
-FREQUENCY_SOURCE = "rods hinged by springs (rfem_theory)"
-BETA = np.array([1.875104068711961, 4.694091132974175, 7.854757438237613])
-# Frequencies of modes 1 to 3 over Euler and Bernoulli's, m segments.
-BENDING = {
-    4: (1.01453, 1.05210, 1.07486),
-    5: (1.00925, 1.03274, 1.05084),
-    8: (1.00360, 1.01257, 1.02030),
-    10: (1.00230, 1.00802, 1.01303),
-    20: (1.00057, 1.00199, 1.00327),
-    40: (1.00014, 1.00050, 1.00082),
-}
-# With shear and rotary inertia: L / h = 20, nu = 0.3, shear factor 1.2.
-SHEAR = {4: (1.01245, 1.03632, 1.03887), 80: (0.99805, 0.98651, 0.96879)}
-SLENDERNESS = 1.0 / (12.0 * 20.0**2)  # I / (A L^2)
+REFERENCE = read_reference("cantilever")
+FREQUENCY_SOURCE = REFERENCE.label
+ROOTS = np.array(REFERENCE["roots"])  # beta L of the Euler-Bernoulli beam
+# Frequencies of modes 1 to 3 over those of Euler and Bernoulli, by number of segments m.
+BENDING, SHEAR = ({int(m): row for m, row in REFERENCE[name].items()} for name in ("bending", "bending_with_shear"))
+SLENDERNESS = 1.0 / (12.0 * 20.0**2)  # I / (A L^2) of the beam with shear
 QUICK = (4, 20)
 
 
 class Bent(NamedTuple):
-    """Displacement (3,) of the tip [m] and rotation (3, 3) of the last rfe; NaN without an
-    equilibrium."""
+    """Displacement of the tip [m] and rotation of the last rfe; NaN without an equilibrium."""
 
-    tip: np.ndarray
-    rotation: np.ndarray
+    tip: Float[np.ndarray, "3"]
+    rotation: Float[np.ndarray, "3 3"]
 
 
-def clamped_beam(length: float, stiffnesses, segments: int, elements: str) -> Model:
+def clamped_beam(length: float, stiffnesses: Stiffnesses, segments: int, elements: str) -> Model:
     """A link with 1 kg at its end on a joint that is to be held.
 
     Args: length [m]; stiffnesses EA, GA_y, GA_z [N], GJ, EI_y, EI_z [N m^2]; segments m; elements:
         form of the spring-damping elements.
     """
     section = GivenSection(*stiffnesses, 1e-9, 2e-13, 1e-13, 1e-13)
-    link = Link("beam", length, section, rfes=segments + 1, point_masses=[PointMass(1.0, length)])
-    mechanism = Mechanism([link], [Joint("A", "base", "beam")], gravity=(0.0, 0.0, 0.0))
+    tip_mass = PointMass(1.0, (length, 0.0, 0.0))
+    link = Link("beam", length, section, rfes=segments + 1, point_masses=(tip_mass,))
+    mechanism = Mechanism((link,), (Joint("A", "base", "beam"),), gravity=(0.0, 0.0, 0.0))
     return discretise(mechanism, elements=elements)
 
 
-def bend(model: Model, force) -> Bent:
-    """The clamped beam under a tip force (3,) [N]."""
+def bend(model: Model, force: Sequence[float]) -> Bent:
+    """The clamped beam under a tip force (x, y, z) [N]."""
     tip, rotation, status = map(np.asarray, _bend(model, jnp.asarray(force, jnp.float64)))
     missing = 0.0 if status == 0 else np.nan
     return Bent(tip + missing, rotation + missing)
@@ -91,17 +87,20 @@ def _bend(model: Model, force):
     return end[:, 0] - straight, rotation[:, :, 0], result.status
 
 
-def frequencies(segments: int, shear_stiffness: float, rotary: float) -> np.ndarray:
-    """Lowest three frequencies of a clamped link with E I = rho A = L = 1 over Euler-Bernoulli's,
-    in the plane of motion (all other stiffnesses are so large that their modes lie above)."""
+def frequencies(segments: int, shear_stiffness: float, rotary: float) -> Float[np.ndarray, "3"]:
+    """Lowest three frequencies of a clamped link with E I = rho A = L = 1 over those of Euler and Bernoulli, in the
+    plane of motion (the modes of all other stiffnesses lie above).
+
+    Args: segments m; shear_stiffness G A_z, with the shear factor; rotary rho I_y.
+    """
     section = GivenSection(1e7, 1e9, shear_stiffness, 1e4, 1.0, 1e4, 1.0, rotary + 1e-9, rotary, 1e-9)
     link = Link("beam", 1.0, section, rfes=segments + 1)
-    mechanism = Mechanism([link], [Joint("A", "base", "beam")], driven_joint="A")
-    values = eigenvalues(discretise(mechanism), PrescribedRate("A", 1.0)).imag
-    return np.sort(values[values > 0.0])[:3] / BETA**2
+    mechanism = Mechanism((link,), (Joint("A", "base", "beam"),), driven_joint="A")
+    values = np.imag(eigenvalues(discretise(mechanism), PrescribedRate("A", 1.0)))
+    return np.sort(values[values > 0.0])[:3] / ROOTS**2
 
 
-def validate(full: bool, progress) -> Outcome:
+def validate(full: bool, progress: Progress) -> Outcome:
     """Small loads and frequencies; with `full` all numbers of segments of the tables."""
     lines: list[Line] = []
     bending = [m for m in BENDING if full or m in QUICK]
@@ -126,9 +125,9 @@ def _small_load_lines(m: int) -> list[Line]:
             relative(group, f"m = {m}, tip deflection, {name}", bent.tip[2],
                      flexure + force * length / shear, 1e-6, STATICS_SOURCE, "m")
         )  # fmt: skip
-    slope = np.arcsin(bent.rotation[2, 0])
+    angle = np.arcsin(bent.rotation[2, 0])
     known = force * length**2 / (2.0 * ei)
-    lines.append(relative(group, f"m = {m}, tip slope", slope, known, 1e-6, STATICS_SOURCE, "rad"))
+    lines.append(relative(group, f"m = {m}, tip slope", angle, known, 1e-6, STATICS_SOURCE, "rad"))
     return lines
 
 

@@ -13,7 +13,7 @@ from rfem_jax.validation import (
     rotating_beams,
     tilted_hinge,
 )
-from rfem_jax.validation.lines import Benchmark, Outcome
+from rfem_jax.validation.lines import Benchmark, Outcome, Progress
 
 BENCHMARKS = (
     Benchmark("cantilever", "cantilever, statics and frequencies", cantilevers.validate),
@@ -27,9 +27,9 @@ BENCHMARKS = (
 
 
 def chosen(names: Sequence[str] | None) -> tuple[Benchmark, ...]:
-    """The benchmarks of these names, in the catalogue's order (None: all).
+    """The benchmarks of these names in the order of the catalogue (None: all).
 
-    Raises InputError for a name that is none.
+    **Raises:** `InputError` for a name that is not in the catalogue.
     """
     known = [one.name for one in BENCHMARKS]
     for name in names or ():
@@ -42,9 +42,9 @@ def chosen(names: Sequence[str] | None) -> tuple[Benchmark, ...]:
 
 
 def compute(
-    benchmarks: Sequence[Benchmark], full: bool, watch: Callable[[Benchmark], Callable]
+    benchmarks: Sequence[Benchmark], full: bool, watch: Callable[[Benchmark], Progress]
 ) -> Iterator[tuple[Benchmark, Outcome]]:
-    """Compute benchmarks one after the other; `watch(benchmark)` gives what is called with the
+    """Compute benchmarks one after the other; `watch(benchmark)` returns the function that is called with the
     fraction done."""
     for benchmark in benchmarks:
         yield benchmark, benchmark.run(full, watch(benchmark))

@@ -2,47 +2,28 @@
 
 Place in the pipeline: three benchmarks of `catalogue`, with geometrically exact elements and m = 20
 segments, all in one compiled program.  The Princeton beam is compared with the published table and,
-because the table itself turned out to be off the rod equations, with these (`rod_theory`).
+because the table itself differs from the rod equations, with these (`rod_theory`).
 
-Sources: K. E. Bisshopp, D. C. Drucker, Q. Appl. Math. 3 (1945) 272-275 (elastica: elliptic
-integrals); L. Obrezkov et al. (2022), ANSYS beam values as tabulated in Exudyn's test models
-(Princeton beam; the experiment is E. H. Dowell and J. J. Traybar's, 1975); K. Nachbagauer et al.
-(2011, 2013) as in Exudyn's test model geometricallyExactBeamTest (thick cantilever).
+Reference values with their sources: `references/elastica.json`, `princeton_beam.json`, `thick_cantilever.json`.
 """
 
 import numpy as np
 
-from rfem_jax.validation.cantilevers import bend, clamped_beam
-from rfem_jax.validation.lines import Curve, Line, Outcome, Picture, absolute, relative
+from rfem_jax.validation.cantilevers import Stiffnesses, bend, clamped_beam
+from rfem_jax.validation.lines import Curve, Line, Outcome, Picture, Progress, absolute, relative
+from rfem_jax.validation.reference_values import read_reference
 from rfem_jax.validation.rod_theory import tip_displacement
 
 SEGMENTS = 20
 EXACT = "geometrically_exact"
 DISCRETISATION = 1e-3  # m = 20 segments: 1 / (4 m^2) = 6.3e-4 in the deflection under small loads
 
-# P L^2 / E I: w / L, u / L, tip angle [rad].
-ELASTICA = {
-    1.0: (0.30172, 0.05643, 0.46135),
-    2.0: (0.49346, 0.16064, 0.78175),
-    3.0: (0.60325, 0.25442, 0.98602),
-    5.0: (0.71379, 0.38763, 1.21537),
-    10.0: (0.81061, 0.55500, 1.43029),
-}
+ELASTICA = read_reference("elastica")
 RIGID = 2e4  # stiffnesses of the elastica other than bending, over E I / L^2
 
-# Force [N]: chordwise and flapwise displacement of the tip [m] at the angles [deg].
-PRINCETON_ANGLES = (0.0, 15.0, 30.0, 45.0, 60.0, 75.0, 90.0)
-PRINCETON = {
-    8.896: (
-        (0.010714, 0.010613, 0.010112, 0.008837, 0.006605, 0.003539, 0.0),
-        (0.0, 0.042082, 0.079395, 0.108988, 0.129888, 0.142194, 0.146246),
-    ),
-    13.345: (
-        (0.016064, 0.016458, 0.016659, 0.015186, 0.011578, 0.006249, 0.0),
-        (0.0, 0.064358, 0.117736, 0.156467, 0.181862, 0.196097, 0.200678),
-    ),
-}
-PRINCETON_SHARE = 0.01  # within which another geometrically exact code agrees with the table
+PRINCETON = read_reference("princeton_beam")
+PRINCETON_SHARE = 0.01  # of a value, within which another geometrically exact code agrees with the table
+THICK = read_reference("thick_cantilever")
 TABLE_OFF = (
     "the rod equations with the stated data, solved independently, are as far from the table, and "
     "our values agree with them (next group); with a torsion stiffness 10 % larger than stated "
@@ -50,27 +31,24 @@ TABLE_OFF = (
 )
 
 
-def elastica(full: bool, progress) -> Outcome:
+def elastica(full: bool, progress: Progress) -> Outcome:
     """Bending only, five loads."""
     del full
     model = clamped_beam(1.0, (RIGID, RIGID, RIGID, RIGID, 1.0, 1.0), SEGMENTS, EXACT)
-    source = "Bisshopp, Drucker 1945"
+    loads = np.array(ELASTICA["load"])
+    quantities = (("w / L", "deflection", ""), ("u / L", "shortening", ""), ("tip angle", "tip_angle", "rad"))
+    known = np.stack([ELASTICA[key] for _, key, _ in quantities], axis=1)
     lines: list[Line] = []
-    shown = []
-    for number, (load, (w, u, angle)) in enumerate(ELASTICA.items()):
+    ours = np.zeros_like(known)
+    for number, load in enumerate(loads):
         bent = bend(model, [0.0, 0.0, load])
-        slope = np.arctan2(bent.rotation[2, 0], bent.rotation[0, 0])
-        shown.append((bent.tip[2], -bent.tip[0], slope))
-        for name, value, known, unit in (
-            ("w / L", shown[-1][0], w, ""),
-            ("u / L", shown[-1][1], u, ""),
-            ("tip angle", slope, angle, "rad"),
-        ):
+        angle = np.arctan2(bent.rotation[2, 0], bent.rotation[0, 0])
+        ours[number] = bent.tip[2], -bent.tip[0], angle
+        for k, (name, _, unit) in enumerate(quantities):
             case = f"P L^2 / E I = {load:g}, {name}"
-            lines.append(relative("Elastica", case, value, known, DISCRETISATION, source, unit))
-        progress((number + 1) / len(ELASTICA))
-    loads = np.array(list(ELASTICA))
-    ours, known = np.array(shown), np.array(list(ELASTICA.values()))
+            value, reference = ours[number, k], known[number, k]
+            lines.append(relative("Elastica", case, value, reference, DISCRETISATION, ELASTICA.label, unit))
+        progress((number + 1) / len(loads))
     curves = []
     for k, name in enumerate(("w / L", "u / L", "tip angle, rad")):
         curves.append(Curve(name, loads, ours[:, k]))
@@ -79,8 +57,8 @@ def elastica(full: bool, progress) -> Outcome:
     return Outcome(lines, [picture])
 
 
-def princeton_section():
-    """EA, GA_y, GA_z, GJ, EI_y, EI_z of the Princeton beam; its stiff, chordwise direction is z."""
+def princeton_section() -> Stiffnesses:
+    """EA, GA_y, GA_z [N], GJ, EI_y, EI_z [N m^2] of the Princeton beam; its stiff, chordwise direction is z."""
     height, width, modulus, poisson = 12.3777e-3, 3.2024e-3, 71.7e9, 0.31
     area, rigidity = height * width, modulus / (2.0 * (1.0 + poisson))
     stiff, weak = width * height**3 / 12.0, height * width**3 / 12.0
@@ -89,24 +67,27 @@ def princeton_section():
     return modulus * area, shear, shear, torsion, modulus * stiff, modulus * weak
 
 
-def princeton_beam(full: bool, progress) -> Outcome:
+def princeton_beam(full: bool, progress: Progress) -> Outcome:
     """All angles, two loads: the table and the rod equations."""
     del full
     section = princeton_section()
     model = clamped_beam(0.508, section, SEGMENTS, EXACT)
-    angles = np.array(PRINCETON_ANGLES)
+    angles = np.array(PRINCETON["angle"])
+    directions = {name: PRINCETON[name] for name in ("chordwise", "flapwise")}
+    forces = list(directions["chordwise"])
     table_lines: list[Line] = []
     rod_lines: list[Line] = []
     curves = []
-    for number, (force, tables) in enumerate(PRINCETON.items()):
+    for number, named in enumerate(forces):
+        force = float(named)
         tips, rods = np.zeros((2, len(angles), 2))
         for place, angle in enumerate(np.radians(angles)):
             load = [0.0, force * np.sin(angle), force * np.cos(angle)]
             tips[place] = bend(model, load).tip[[2, 1]]
             rods[place] = tip_displacement(0.508, section, load)[[2, 1]]
-            progress((number + (place + 1) / len(angles)) / len(PRINCETON))
-        for k, name in enumerate(("chordwise", "flapwise")):
-            got, known = tips[:, k], np.array(tables[k])
+            progress((number + (place + 1) / len(angles)) / len(forces))
+        for k, (name, tables) in enumerate(directions.items()):
+            got, known = tips[:, k], np.array(tables[named])
             curves.append(Curve(f"{name}, {force} N", angles, got))
             curves.append(Curve(f"{name}, {force} N, table", angles, known, True))
             for angle, value, tabulated, rod in zip(angles, got, known, rods[:, k], strict=True):
@@ -122,10 +103,10 @@ def princeton_beam(full: bool, progress) -> Outcome:
 
 
 def _table_line(case: str, value: float, tabulated: float, rod: float) -> Line:
-    group, source = "Princeton beam, table", "ANSYS in Obrezkov et al. 2022"
-    if tabulated == 0.0:  # by symmetry; nothing to be relative to
+    group, source = "Princeton beam, table", PRINCETON.label
+    if tabulated == 0.0:  # by symmetry
         return absolute(group, case, value, tabulated, 1e-9, source, "m")
-    # The reason holds only where the rod equations are off the table too, and we are not off them.
+    # The reason holds only where the rod equations are off the table, too, and our value agrees with them.
     table_is_off = abs(rod - tabulated) > 0.9 * PRINCETON_SHARE * tabulated
     explained = table_is_off and abs(value - rod) <= DISCRETISATION * abs(rod)
     reason = TABLE_OFF if explained else ""
@@ -137,7 +118,7 @@ def _rod_line(case: str, value: float, rod: float) -> Line:
     return relative(group, case, value, rod, DISCRETISATION, source, "m")
 
 
-def thick_cantilever(full: bool, progress) -> Outcome:
+def thick_cantilever(full: bool, progress: Progress) -> Outcome:
     """Small load (linear) and a thousand times that."""
     del full
     length, width, height, modulus, poisson = 2.0, 0.1, 0.5, 2.07e11, 0.3
@@ -147,11 +128,12 @@ def thick_cantilever(full: bool, progress) -> Outcome:
     bending = modulus * inertia
     stiffnesses = modulus * area, shear, shear, rigidity * inertia, bending, bending
     model = clamped_beam(length, stiffnesses, SEGMENTS, EXACT)
-    group, source = "Thick cantilever", "Nachbagauer et al. 2013 (Exudyn)"
-    small, large = (bend(model, [0.0, 0.0, force]).tip for force in (62500.0, 62500.0e3))
+    group, source = "Thick cantilever", THICK.label
+    small, large = (bend(model, [0.0, 0.0, force]).tip for force in THICK["force"])
+    (w_small, w_large), (_, u_large) = THICK["deflection"], THICK["shortening"]
     progress(1.0)
     return Outcome([
-        relative(group, "62.5 kN, deflection", small[2], 8.0990e-4, DISCRETISATION, source, "m"),
-        relative(group, "62.5 MN, deflection", large[2], 0.710568, DISCRETISATION, source, "m"),
-        relative(group, "62.5 MN, shortening", -large[0], 0.150971, DISCRETISATION, source, "m"),
+        relative(group, "62.5 kN, deflection", small[2], w_small, DISCRETISATION, source, "m"),
+        relative(group, "62.5 MN, deflection", large[2], w_large, DISCRETISATION, source, "m"),
+        relative(group, "62.5 MN, shortening", -large[0], u_large, DISCRETISATION, source, "m"),
     ])  # fmt: skip

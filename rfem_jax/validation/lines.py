@@ -1,10 +1,9 @@
 """A line of the validation table: our value, the reference, their difference and the verdict.
 
-Place in the pipeline: every benchmark of this room returns lines; `report.validation_tables` shows
-them.
+Place in the pipeline: every benchmark of this package returns lines; `report.validation_tables` shows them.
 
-A line passes if the difference is within what is allowed.  Where it is not, and the reason is known
-and written down, it is "not met"; otherwise it fails.  A value that does not exist (NaN) fails.
+A line passes if the difference is within the allowed one.  Where it is not, and the reason is known and given, it is
+"not met"; otherwise it fails.  A value that is not finite fails.
 """
 
 import math
@@ -12,6 +11,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
+from jaxtyping import Array, Float, Real
+
+Number = float | np.floating | Float[Array | np.ndarray, ""]
+Progress = Callable[[float], None]
 
 PASS, NOT_MET, FAIL = "pass", "not met", "fail"
 
@@ -21,7 +24,7 @@ class Line:
     """One checked value.
 
     Args:
-        group: what lines belong together (a benchmark and a quantity).
+        group: heading of lines that belong together (a benchmark and a quantity).
         name: what is checked.
         value, reference: numbers in `unit`, or words.
         difference: relative (1) or absolute (in `unit`), as `allowed`; 0 or 1 for words.
@@ -52,39 +55,57 @@ class Line:
         return NOT_MET if self.reason else FAIL
 
 
-def relative(group, name, value, reference, allowed, source, unit="", reason="") -> Line:
+def relative(
+    group: str,
+    name: str,
+    value: Number,
+    reference: Number,
+    allowed: float,
+    source: str,
+    unit: str = "",
+    reason: str = "",
+) -> Line:
     """A value that may differ by the share `allowed` of the reference."""
     value, reference = float(value), float(reference)
     difference = (value - reference) / abs(reference)
     return Line(group, name, value, reference, difference, allowed, True, source, unit, reason)
 
 
-def absolute(group, name, value, reference, allowed, source, unit="", reason="") -> Line:
+def absolute(
+    group: str,
+    name: str,
+    value: Number,
+    reference: Number,
+    allowed: float,
+    source: str,
+    unit: str = "",
+    reason: str = "",
+) -> Line:
     """A value that may differ by `allowed`, in its unit."""
     value, reference = float(value), float(reference)
     difference = value - reference
     return Line(group, name, value, reference, difference, allowed, False, source, unit, reason)
 
 
-def same(group, name, value: str, reference: str, source, reason="") -> Line:
-    """A word that must be the reference's."""
+def same(group: str, name: str, value: str, reference: str, source: str, reason: str = "") -> Line:
+    """A word that must be that of the reference."""
     differs = 0.0 if value == reference else 1.0
     return Line(group, name, value, reference, differs, 0.0, False, source, "", reason)
 
 
 @dataclass(frozen=True)
 class Curve:
-    """Points of a picture; `reference` ones are drawn as markers."""
+    """Points of a picture; those of a reference are drawn as markers."""
 
     label: str
-    x: np.ndarray
-    y: np.ndarray
+    x: Real[np.ndarray, " points"]
+    y: Real[np.ndarray, " points"]
     reference: bool = False
 
 
 @dataclass(frozen=True)
 class Picture:
-    """What is drawn of a benchmark: one panel of curves; `name` becomes the file's."""
+    """One panel of curves; `name` becomes that of the file."""
 
     name: str
     title: str
@@ -103,8 +124,9 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Benchmark:
-    """A published problem: `run(full, progress)` computes it; progress takes the fraction done."""
+    """A published problem: `run(full, progress)` computes it, with `full` also the lines that take long; `progress` is
+    called with the fraction done."""
 
     name: str
     title: str
-    run: Callable[[bool, Callable[[float], None]], Outcome]
+    run: Callable[[bool, Progress], Outcome]

@@ -1,9 +1,9 @@
-"""Lag of a beam behind a hub that turns it: linear theory with geometric stiffening.
+"""Lag of a beam behind the hub that rotates it: linear theory with geometric stiffening.
 
 Place in the pipeline: an independent value for `rotating_beams`; it shares nothing with the rigid
 finite element method.
 
-Euler-Bernoulli beam in the hub's frame, small deflections v(x, t) [m] transverse to the turning x
+Euler-Bernoulli beam in the hub's frame, small deflections v(x, t) [m] transverse to the rotating x
 axis, tension N = rho A Omega^2 (L^2 - x^2) / 2 of the rotation:
 
     rho A (v'' - Omega^2 v) - (N v_x)_x + E I v_xxxx = -rho A x Omega'
@@ -13,7 +13,10 @@ x^2 ... x^9.  Source: T. R. Kane, R. R. Ryan, A. K. Banerjee,
 "Dynamics of a cantilever beam attached to a moving base", J. Guidance 10 (1987) 139-151.
 """
 
+from collections.abc import Callable
+
 import numpy as np
+from jaxtyping import Float
 from scipy.integrate import solve_ivp
 from scipy.linalg import eigh
 
@@ -21,8 +24,14 @@ POWERS = np.arange(2, 10)
 MODES = 4
 
 
-def tip_lag(length, bending, line_density, rate, times) -> np.ndarray:
-    """Lag of the tip [m] at `times` (T,) [s], positive against the motion.
+def tip_lag(
+    length: float,
+    bending: float,
+    line_density: float,
+    rate: Callable[[float], tuple[float, float]],
+    times: Float[np.ndarray, " times"],
+) -> Float[np.ndarray, " times"]:
+    """Lag of the tip [m] at `times` [s], positive against the motion.
 
     Args: length [m]; bending E I [N m^2]; line_density [kg/m]; rate: t -> (Omega [rad/s],
         Omega' [rad/s^2]).
@@ -31,12 +40,12 @@ def tip_lag(length, bending, line_density, rate, times) -> np.ndarray:
     nodes, weights = np.polynomial.legendre.leggauss(12)
     s, w = 0.5 * (nodes + 1.0), 0.5 * weights
     shape = s[None] ** POWERS[:, None]
-    slope = POWERS[:, None] * s[None] ** (POWERS[:, None] - 1)
+    derivative = POWERS[:, None] * s[None] ** (POWERS[:, None] - 1)
     curvature = (POWERS * (POWERS - 1))[:, None] * s[None] ** (POWERS[:, None] - 2)
     mass = (shape * w) @ shape.T
     stiffness = bending / (line_density * length**4) * (curvature * w) @ curvature.T
-    stiffening = (slope * (w * 0.5 * (1.0 - s**2))) @ slope.T
-    # In modes: mass 1, stiffness diagonal; the others are too stiff to be excited.
+    stiffening = (derivative * (w * 0.5 * (1.0 - s**2))) @ derivative.T
+    # In modal coordinates mass is 1 and stiffness diagonal; the other modes are too stiff to be excited.
     squares, modes = eigh(stiffness, mass, subset_by_index=[0, MODES - 1])
     load, softening = modes.T @ (shape @ (w * s)), modes.T @ (stiffening - mass) @ modes
 

@@ -8,15 +8,14 @@ fold of the parallelogram at 2.62 s. The benchmark's axes (x, y in the plane, z 
 are X = x, Z = y, Y = -z here. Its tilt, initial axis (0, -sin 5, cos 5), is `C.pin_tilt_x` = 5
 deg; that of TACS's example, (sin 5, 0, cos 5), is `C.pin_tilt_z` = 5 deg.
 
-Sources: O. A. Bauchau et al., "Validation of flexible multibody dynamics beam formulations using
-benchmark problems", Multibody Syst. Dyn. 37 (2016) 29-48; trajectory published with mb_sef_py (8
-SE(3) elements a bar, h = 4 ms); loads: limits of mesh refinement in which two independent codes
-agree to 3e-6.
+Source: O. A. Bauchau et al., "Validation of flexible multibody dynamics beam formulations using benchmark problems",
+Multibody Syst. Dyn. 37 (2016) 29-48; reference values: `references/tilted_hinge.json`.
 """
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from rfem_jax.compilation.program import Program
 from rfem_jax.description import (
@@ -37,11 +36,12 @@ from rfem_jax.mechanics.model import Model
 from rfem_jax.mechanics.model_with_errors import apply_errors, assembly_errors
 from rfem_jax.mechanics.statics import length_scale
 from rfem_jax.simulation import STATUS, Run, run_cases, simulate
-from rfem_jax.validation.lines import Curve, Line, Outcome, Picture, absolute, relative, same
+from rfem_jax.validation.lines import Curve, Line, Outcome, Picture, Progress, absolute, relative, same
+from rfem_jax.validation.reference_values import read_reference
 
 GROUP = "Tilted-hinge four-bar"
-TRAJECTORY_SOURCE = "Bauchau 2016 (mb_sef_py)"
-LOAD_SOURCE = "Bauchau 2016, two codes, refined"
+REFERENCE = read_reference("tilted_hinge")
+LOAD_SOURCE = REFERENCE.label
 DIFFERENCES = "central differences of runs"
 ELEMENTS = "geometrically_exact"
 TILT = np.radians(5.0)
@@ -53,40 +53,28 @@ METHOD = Method("generalised_alpha", step=2e-3, corrections=4)
 # Share of the reference: that of m = 4 by the data set; second order from there.
 FORCE_SHARE, MOMENT_SHARE = {4: 0.025, 16: 0.0025}, {4: 0.04, 16: 0.0025}
 
-# t [s]: displacement of C [m] in the benchmark's axes, away from the folds.
-TRAJECTORY = {
-    0.496: (0.03518327, -0.005273648, -7.854e-5),
-    1.000: (0.06774841, -0.02095632, -5.6534e-4),
-    1.496: (0.09380545, -0.04518574, -1.44488e-3),
-    2.000: (0.11182354, -0.07659506, -2.66971e-3),
-    2.496: (0.11964618, -0.11226678, -3.99022e-3),
-}
 TRAJECTORY_ALLOWED = 1e-4  # m
 COARSE = (
     "discretisation with m = 4, just before the fold; the value extrapolated from m = 2 and 4 is "
     "within the limit (next group)"
 )
-RMS_FORCE_A = 332.215
-RMS_MOMENT = {"A": 67.982, "B": 30.470, "C": 49.010, "D": 23.294}
-U_Z_AT_2 = -2.660182e-3
-BRANCHES = {"x1": "parallelogram", "x5": "anti-parallelogram"}
 
 
 def mechanism(segments: int) -> Mechanism:
     """The three bars with `segments` sdes each."""
     thick = GivenSection(52.99e6, 16.88e6, 16.88e6, 733.5, 1131.0, 1131.0, 1.997, 2 * 42.6e-6, 42.6e-6, 42.6e-6)
     thin = GivenSection(13.25e6, 4.22e6, 4.22e6, 45.84, 70.66, 70.66, 0.4992, 2 * 2.662e-6, 2.662e-6, 2.662e-6)
-    links = [
+    links = (
         Link("bar1", 0.12, thick, rfes=segments + 1),
         Link("bar2", 0.24, thick, rfes=segments + 1),
         Link("bar3", 0.12, thin, rfes=segments + 1),
-    ]
-    joints = [
-        Joint("A", "base", "bar1", position=(0.0, 0.0, 0.0), angle="-90 deg"),
-        Joint("B", "bar1", "bar2", angle="90 deg"),
-        Joint("D", "base", "bar3", position=(0.24, 0.0, 0.0), angle="-90 deg"),
+    )
+    joints = (
+        Joint("A", "base", "bar1", position=(0.0, 0.0, 0.0), angle=np.radians(-90.0)),
+        Joint("B", "bar1", "bar2", angle=np.radians(90.0)),
+        Joint("D", "base", "bar3", position=(0.24, 0.0, 0.0), angle=np.radians(-90.0)),
         Joint("C", "bar2", "bar3", cut=True),
-    ]
+    )
     return Mechanism(links, joints, gravity=(0.0, 0.0, 0.0), driven_joint="A", elements=ELEMENTS)
 
 
@@ -103,8 +91,8 @@ def study(segments: int, cases: dict[str, dict], duration: float) -> Study:
     )
 
 
-def displacement(run: Run) -> np.ndarray:
-    """Displacement of C (T, 3) [m] in the benchmark's axes."""
+def displacement(run: Run) -> Float[np.ndarray, "times 3"]:
+    """Displacement of C [m] in the benchmark's axes."""
     u = run.ends["bar2"] - np.array([0.24, 0.0, 0.12])
     return np.stack([u[:, 0], u[:, 2], -u[:, 1]], axis=1)
 
@@ -122,7 +110,7 @@ def branch_name(run: Run) -> str:
     return "parallelogram" if modes[-1] != modes[0] else "anti-parallelogram"
 
 
-def validate(full: bool, progress) -> Outcome:
+def validate(full: bool, progress: Progress) -> Outcome:
     """m = 4 for all lines, m = 2 for order and derivatives, m = 16 for loads; with `full` m = 8 too."""
     parts = 5 if full else 4
     lines = axis_lines()
@@ -180,7 +168,10 @@ def axis_lines() -> list[Line]:
 def _axis_at_start(model: Model, tilt, error: str):
     actual = apply_errors(model, assembly_errors(model, {error: tilt}))
     now = motion_of(actual, static_state(model.start_coordinates()))
-    return closure(actual, now, length_scale(model)).rotation[:, 1, 0]
+    cuts = closure(actual, now, length_scale(model))
+    if cuts is None:
+        raise ValueError("The mechanism has no cut joint.")
+    return cuts.rotation[:, 1, 0]
 
 
 def trajectory_lines(coarse: Run, run: Run) -> list[Line]:
@@ -188,7 +179,9 @@ def trajectory_lines(coarse: Run, run: Run) -> list[Line]:
     group = f"{GROUP}, trajectory"
     status = STATUS[int(run.status)].name
     raw, extrapolated = [same(group, "m = 4, status of the run", status, "ok", "-")], []
-    for time, known in TRAJECTORY.items():
+    source = REFERENCE.quantities["trajectory"].label
+    for named, known in REFERENCE["trajectory"].items():
+        time = float(named)
         two, four = (displacement(one)[at_time(one, time)] for one in (coarse, run))
         limit = (4.0 * four - two) / 3.0
         for k, axis in enumerate("xyz"):
@@ -196,11 +189,11 @@ def trajectory_lines(coarse: Run, run: Run) -> list[Line]:
             explained = abs(limit[k] - known[k]) <= TRAJECTORY_ALLOWED
             raw.append(
                 absolute(group, f"m = 4, {name}", four[k], known[k], TRAJECTORY_ALLOWED,
-                         TRAJECTORY_SOURCE, "m", COARSE if explained else "")
+                         source, "m", COARSE if explained else "")
             )  # fmt: skip
             extrapolated.append(
                 absolute(f"{group}, extrapolated", f"m = 2, 4: {name}", limit[k], known[k],
-                         TRAJECTORY_ALLOWED, TRAJECTORY_SOURCE, "m")
+                         TRAJECTORY_ALLOWED, source, "m")
             )  # fmt: skip
     return raw + extrapolated
 
@@ -210,14 +203,14 @@ def load_lines(m: int, run: Run) -> list[Line]:
     window = run.window(*WINDOW)
     group = f"{GROUP}, RMS loads in W1, m = {m}"
     lines = [
-        relative(group, f"m = {m}, RMS force {joint}", window.rms_force[joint], RMS_FORCE_A,
+        relative(group, f"m = {m}, RMS force {joint}", window.rms_force[joint], REFERENCE["rms_force"],
                  FORCE_SHARE[m], LOAD_SOURCE, "N")
         for joint in "ABCD"
     ]  # fmt: skip
     lines += [
         relative(group, f"m = {m}, RMS moment {joint}", window.rms_moment[joint], known,
                  MOMENT_SHARE[m], LOAD_SOURCE, "N m")
-        for joint, known in RMS_MOMENT.items()
+        for joint, known in REFERENCE["rms_moment"].items()
     ]  # fmt: skip
     return lines
 
@@ -231,9 +224,13 @@ def order_lines(runs: dict[int, Run]) -> list[Line]:
         return run.window(*WINDOW)
 
     quantities = {
-        "RMS force A": (lambda run: float(window(run).rms_force["A"]), RMS_FORCE_A, "N"),
-        "RMS moment B": (lambda run: float(window(run).rms_moment["B"]), RMS_MOMENT["B"], "N m"),
-        "u_z of C at 2 s": (lambda run: displacement(run)[at_time(run, 2.0), 2], U_Z_AT_2, "m"),
+        "RMS force A": (lambda run: float(window(run).rms_force["A"]), REFERENCE["rms_force"], "N"),
+        "RMS moment B": (lambda run: float(window(run).rms_moment["B"]), REFERENCE["rms_moment"]["B"], "N m"),
+        "u_z of C at 2 s": (
+            lambda run: displacement(run)[at_time(run, 2.0), 2],
+            REFERENCE["displacement_at_2_s"],
+            "m",
+        ),
     }
     lines = []
     for name, (read, known, unit) in quantities.items():
@@ -249,16 +246,17 @@ def order_lines(runs: dict[int, Run]) -> list[Line]:
 
 def branch_lines(runs: dict[str, Run]) -> list[Line]:
     """Which way the parallelogram went at its fold."""
+    quantity = REFERENCE.quantities["branch"]
     return [
-        same(f"{GROUP}, branch", f"branch at {END} s, tilt {name[1:]} deg", branch_name(runs[name]),
-             known, "two codes (bauchau_four_bar)")
-        for name, known in BRANCHES.items()
+        same(f"{GROUP}, branch", f"branch at {END} s, tilt {tilt} deg", branch_name(runs[f"x{tilt}"]),
+             known, quantity.label)
+        for tilt, known in quantity.values.items()
     ]  # fmt: skip
 
 
 def derivative_lines(model: Model, runs: dict[str, Run]) -> list[Line]:
     """d/d(tilt) of mean-square loads in W1 by forward-mode differentiation, m = 2."""
-    slopes = _slopes(model, jnp.asarray(TILT))
+    derivatives = _derivatives(model, jnp.asarray(TILT))
     lines = []
     for joint, kind, unit in (("A", "force", "N^2/rad"), ("B", "moment", "(N m)^2/rad"),
                               ("C", "moment", "(N m)^2/rad")):  # fmt: skip
@@ -267,14 +265,14 @@ def derivative_lines(model: Model, runs: dict[str, Run]) -> list[Line]:
         )
         lines.append(
             relative(f"{GROUP}, derivatives", f"m = 2, d(mean-square {kind} {joint}) / d(tilt)",
-                     slopes[kind][joint], (more - less) / (2.0 * DIFFERENCE), 1e-3, DIFFERENCES,
+                     derivatives[kind][joint], (more - less) / (2.0 * DIFFERENCE), 1e-3, DIFFERENCES,
                      unit)
         )  # fmt: skip
     return lines
 
 
 @Program
-def _slopes(model: Model, tilt):
+def _derivatives(model: Model, tilt):
     def loads(tilt):
         run = simulate(
             model, assembly_errors(model, {"C.pin_tilt_x": tilt}), drive=PrescribedRate("A", 0.6),
@@ -291,12 +289,13 @@ def pictures(runs: dict[str, Run]) -> list[Picture]:
     run = runs["x5"]
     shown = run.times <= WINDOW[1] + 0.1
     curves = []
-    times = np.array(list(TRAJECTORY))
+    published = np.array(list(REFERENCE["trajectory"].values()))
+    times = np.array([float(time) for time in REFERENCE["trajectory"]])
     for axis, name in enumerate("xyz"):
         scale, label = (10.0, " x 10") if name == "z" else (1.0, "")
         curves.append(Curve(f"u_{name}{label}, m = 4", run.times[shown],
                             scale * displacement(run)[shown, axis]))  # fmt: skip
-        known = scale * np.array(list(TRAJECTORY.values()))[:, axis]
+        known = scale * published[:, axis]
         curves.append(Curve(f"u_{name}{label}, published", times, known, True))
     forces = [
         Curve(label, run.times[shown], np.linalg.norm(runs[name].loads["A"].force, axis=1)[shown])

@@ -40,7 +40,7 @@ print(*(str(one.message) for one in said))
 
 
 def compiled_loop():
-    """Number of loops compiled as one kernel, and results, of a program rotating the axes of 300 bodies 50 times."""
+    """Number of loops compiled as one kernel, and results, of a program that rotates axes of 300 bodies 50 times."""
 
     def rotate(x, _):
         c, s = jnp.cos(x[:300]), jnp.sin(x[:300])

@@ -262,7 +262,7 @@ def test_derivatives_of_a_batch_are_those_of_its_samples(case):
 
 
 def check_derivatives_of_a_batch(case):
-    """Both modes through the batch: a function and its rule need the same batch axes (jax issue 16374)."""
+    """Forward and reverse mode: under vmap a function and its rule need the same batch axes (jax issue 16374)."""
     mechanism, drive, method = BATCHES[case]
     model = discretise(mechanism)
     name = f"{mechanism.links[-1].name}.length"

@@ -26,9 +26,11 @@ from rfem_jax import (
 from rfem_jax.simulation import integration
 from rfem_jax.simulation.accuracy import estimate_change, rms_loads
 from rfem_jax.simulation.time_grid import divide_time
+from rfem_jax.validation.reference_values import read_reference
 from tests.mechanisms import link
 
 STUDY = Path(__file__).parents[2] / "studies" / "four_bar" / "study.toml"
+LARGEST_STEP = read_reference("four_bar_study")["largest_stable_step"]["study"]["rk4"]
 ERRORS = {"D.delta_x": 0.005, "D.d_y": 5e-4, "B.child.delta_z": 0.002, "coupler.length": 1e-4}
 
 
@@ -194,7 +196,7 @@ def test_auto_takes_the_step_from_the_accuracy(monkeypatch):
     monkeypatch.setattr("rfem_jax.simulation.accuracy.LAST", 4)
     chosen = choose_method(model, Method("auto", accuracy=1e-3), study.drive, 0.5)
     assert chosen.name == "rk4"
-    np.testing.assert_allclose(chosen.step, 0.9 * 1.94e-5, rtol=0.02)
+    np.testing.assert_allclose(chosen.step, 0.9 * LARGEST_STEP, rtol=0.02)
 
 
 def test_changes_are_relative_to_the_load_or_to_a_twentieth_of_the_largest():
@@ -214,7 +216,7 @@ def test_auto_takes_no_step_longer_than_between_saved_times(save_every, monkeypa
     for name, free in (("generalised_alpha", 1e-3), ("rk4", None)):
         monkeypatch.setattr("rfem_jax.simulation.accuracy._longest_step", lambda *_, step=free: step)
         chosen = choose_method(model, Method("auto"), study.drive, 0.5, save_every=save_every)
-        longest = 1e-3 if free else 0.9 * 1.94e-5
+        longest = 1e-3 if free else 0.9 * LARGEST_STEP
         np.testing.assert_allclose(chosen.step, min(longest, save_every or 0.5), rtol=0.02)
         assert chosen.name == name
 

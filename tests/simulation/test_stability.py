@@ -18,7 +18,9 @@ from rfem_jax import (
     simulate,
 )
 from rfem_jax.simulation.stability import eigenvalues
+from rfem_jax.validation.reference_values import read_reference
 
+REFERENCE = read_reference("four_bar_study")
 STUDIES = Path(__file__).parents[2] / "studies" / "four_bar"
 
 pytestmark = pytest.mark.usefixtures("quick_compilation")
@@ -31,12 +33,13 @@ def models():
 
 @pytest.mark.parametrize(
     ("name", "method", "limit"),
-    # Found by simulation with independent codes; leapfrog damped: with the velocity of second order
-    # the limit is lower than the 7.6e-6 s of the first-order variant, which uses the last step's velocity.
     [
-        ("study", "rk4", 1.94e-5),
-        ("undamped", "rk4", 2.04e-5),
-        ("undamped", "leapfrog", 1.44e-5),
+        *(
+            (name, method, step)
+            for name, steps in REFERENCE["largest_stable_step"].items()
+            for method, step in steps.items()
+        ),
+        # Lower than the 7.6e-6 s of the first-order variant, which uses the last step's velocity.
         ("study", "leapfrog", 4.66e-6),
     ],
 )
@@ -48,8 +51,9 @@ def test_limits_of_the_study(models, name, method, limit):
 def test_frequencies_with_the_crank_held(models):
     values = np.sort(np.abs(eigenvalues(models["undamped"], PrescribedRate("A", 1.0)).imag))
     elastic = values[values > 100.0][::2]
-    np.testing.assert_allclose(elastic[:4], [634.0, 1630.0, 1633.0, 2903.0], atol=2.0)
-    np.testing.assert_allclose(elastic[-1], 1.378e5, rtol=1e-3)
+    known = REFERENCE["angular_frequencies"]
+    np.testing.assert_allclose(elastic[:4], known["lowest"], atol=2.0)
+    np.testing.assert_allclose(elastic[-1], known["highest"], rtol=1e-3)
 
 
 def test_a_step_too_large_is_refused_with_the_allowed_one(models):

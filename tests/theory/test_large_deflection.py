@@ -31,6 +31,7 @@ from rfem_jax import (
     simulate,
 )
 from rfem_jax.mechanics.loads import static_state
+from rfem_jax.validation.reference_values import read_reference
 
 SEGMENTS = (10, 20)
 LOADS = 5  # of every batch
@@ -92,14 +93,8 @@ def extrapolated(values):
     return values[1] + (values[1] - values[0]) / 3.0
 
 
-ELASTICA = np.array(
-    [
-        [1.0, 0.30172, 0.05643, 0.46135],
-        [2.0, 0.49346, 0.16064, 0.78175],
-        [3.0, 0.60325, 0.25442, 0.98602],
-        [5.0, 0.71379, 0.38763, 1.21537],
-        [10.0, 0.81061, 0.55500, 1.43029],
-    ]
+ELASTICA = np.stack(
+    [read_reference("elastica")[name] for name in ("load", "deflection", "shortening", "tip_angle")], axis=1
 )
 
 
@@ -128,8 +123,9 @@ def test_thick_cantilever():
     """Both loads: 62.5 kN (sag FL^3/3EI + FL/k_s GA) and a thousand times as much."""
     shear = 10.0 * 1.3 / (12.0 + 11.0 * 0.3)
     stiffness = section_of_rectangle(2.07e11, 0.3, 0.5, 0.1, shear, 1.0)
-    values = pair(2.0, stiffness, np.outer([62.5e3, 62.5e6], [0.0, 0.0, 1.0]))
-    expected = np.array([8.0990e-4, 0.710568, -0.150971])
+    reference = read_reference("thick_cantilever")
+    values = pair(2.0, stiffness, np.outer(reference["force"], [0.0, 0.0, 1.0]))
+    expected = np.array([*reference["deflection"], -reference["shortening"][1]])
     found = np.stack([values[:, 0, 2], values[:, 1, 2], values[:, 1, 0]], axis=1)
     coarse, fine = found / expected - 1.0
     assert np.abs(fine).max() < 7e-4
@@ -138,13 +134,12 @@ def test_thick_cantilever():
 
 
 PRINCETON = (0.508, section_of_rectangle(71.7e9, 0.31, 3.2024e-3, 12.3777e-3, 5.0 / 6.0, 0.198))
-ANSYS = np.array(
-    [  # force, angle from the stiff direction, chordwise, flapwise displacement
-        [8.896, 30.0, 0.010112, 0.079395],
-        [13.345, 30.0, 0.016659, 0.117736],
-        [8.896, 60.0, 0.006605, 0.129888],
-        [13.345, 60.0, 0.011578, 0.181862],
-        [13.345, 90.0, 0.0, 0.200678],
+TABLE = read_reference("princeton_beam")
+LOADED = (("8.896", 30.0), ("13.345", 30.0), ("8.896", 60.0), ("13.345", 60.0), ("13.345", 90.0))  # force, angle
+ANSYS = np.array(  # force, angle from the stiff direction, chordwise, flapwise displacement
+    [
+        [float(force), angle, *(TABLE[name][force][TABLE["angle"].index(angle)] for name in ("chordwise", "flapwise"))]
+        for force, angle in LOADED
     ]
 )
 
