@@ -49,14 +49,12 @@ from rfem_jax.mechanics.residual import Residual
 class InterfaceOperator(NamedTuple):
     """The c interfaces of a flexible link, in global axes at their own points.
 
-    rotations: 2 c of (3, 3), from the second derivatives of an interface's angles and displacements to its
-    accelerations; transfer (6, 6 c): wrench on the link frame per unit wrench on the interfaces; compliance
-    (6 c, 6 c): accelerations per unit wrench; outboard (6 c, 6 c): articulated inertias of the links
-    outboard, and transmissibility (6 c, 6 c) = (stiffness + outboard)^-1 stiffness, by which these reduce the
-    accelerations; None without links outboard.
+    transfer (6, 6 c): wrench on the link frame per unit wrench on the interfaces; compliance (6 c, 6 c):
+    accelerations per unit wrench; outboard (6 c, 6 c): articulated inertias of the links outboard, and
+    transmissibility (6 c, 6 c) = (stiffness + outboard)^-1 stiffness, by which these reduce the accelerations;
+    None without links outboard.
     """
 
-    rotations: tuple[Float[Array, "3 3"], ...]
     transfer: Float[Array, "6 interfaces"]
     compliance: Float[Array, "interfaces interfaces"]
     outboard: Float[Array, "interfaces interfaces"] | None
@@ -67,14 +65,16 @@ class ArticulatedLink(NamedTuple):
     """One link after the elimination of its subtree, at one position.
 
     point (3,): of its spatial vectors; inertia (6, 6): articulated, before its hinge is eliminated; frame
-    (6, 6): from wrenches in link axes at the link's origin to global ones at `point`; axis (6,): of its hinge;
-    pivot: axis . inertia . axis, and scaled (6,): inertia . axis / pivot (None where the joint is held);
-    interfaces: None where there are none.
+    (6, 6): from wrenches in link axes at the link's origin to global ones at `point`; rotations: 2 c of (3, 3),
+    from the second derivatives of an interface's angles and displacements to its accelerations; axis (6,): of
+    its hinge; pivot: axis . inertia . axis, and scaled (6,): inertia . axis / pivot (None where the joint is
+    held); interfaces: None where there are none.
     """
 
     point: Float[Array, "3"]
     inertia: Float[Array, "6 6"]
     frame: Float[Array, "6 6"]
+    rotations: tuple[Float[Array, "3 3"], ...]
     axis: Float[Array, "6"]
     scaled: Float[Array, "6"] | None
     pivot: Float[Array, ""] | None
@@ -273,7 +273,7 @@ def _eliminate(
         node = topology.parents[l]
         if node != BASE:
             outboard[node] = outboard.get(node, 0.0) + inertia
-        links[l] = ArticulatedLink(points[l], at_hinge, frame, axis, scaled, pivot, interfaces)
+        links[l] = ArticulatedLink(points[l], at_hinge, frame, rotations, axis, scaled, pivot, interfaces)
     return tuple(links[l] for l in range(n))
 
 
@@ -294,11 +294,11 @@ def _interface_operator(
     transfer = shift - product(frame, transpose(frame_to_interface))
     compliance = _congruent(rotations, operator.compliance)
     if not any(node in outboard for node in nodes):
-        return InterfaceOperator(rotations, transfer, compliance, None, None)
+        return InterfaceOperator(transfer, compliance, None, None)
     inertia = _block_diagonal([outboard.get(node) for node in nodes])
     stiffness = _congruent(_inverse_transposed(rotations), operator.stiffness)
     transmissibility = product(algebra.invert_positive(stiffness + inertia), stiffness)
-    return InterfaceOperator(rotations, transfer, compliance, inertia, transmissibility)
+    return InterfaceOperator(transfer, compliance, inertia, transmissibility)
 
 
 def _block_diagonal(blocks: Sequence[Array | None]) -> Array:
@@ -344,7 +344,7 @@ def _respond(
             wrench = jnp.concatenate([loads.get(node, zeros) for node in _interfaces_of(topology, l)])
             free = product(interfaces.compliance, wrench)
             if of_interfaces is not None:
-                free = free + _rotated(interfaces.rotations, of_interfaces[l][:, None])
+                free = free + _rotated(link.rotations, of_interfaces[l][:, None])
             if interfaces.transmissibility is not None:
                 # Accelerations with the links outboard, whose inertia loads the interfaces; link frame at rest.
                 free = product(interfaces.transmissibility, free)
@@ -425,7 +425,7 @@ def _elastic_accelerations(topology: Topology, matrix: IterationMatrix, loads: A
         free = by_component(solve(operator.factored, loads[:, a:b]))
         y = free - constant_product(operator.rigid_response, acceleration)
         if link.interfaces is not None:
-            wrench = _rotated_back(link.interfaces.rotations, response.interface_wrenches[l])
+            wrench = _rotated_back(link.rotations, response.interface_wrenches[l])
             y = y + constant_product(operator.interface_rows.T, wrench)
         parts.append(y.reshape((6, b - a)))
     y = jnp.concatenate(parts, axis=1)
