@@ -14,9 +14,10 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 from jax.flatten_util import ravel_pytree
-from jaxtyping import ArrayLike, Float
+from jaxtyping import Float
 
 from rfem_jax.mechanics import elasticity
+from rfem_jax.mechanics.algebra import Scalar
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation
 from rfem_jax.mechanics.joint_forces import hinge_moment
 from rfem_jax.mechanics.model import BASE, Coordinates, State
@@ -58,9 +59,7 @@ def transforms(actual: ModelWithErrors, position: Coordinates) -> list[Float[Arr
     return [frames[node] for node in range(topology.n_links + topology.n_rfes)]
 
 
-def constraints(
-    actual: ModelWithErrors, position: Coordinates, scale: Float[ArrayLike, ""]
-) -> Float[Array, " constraints"]:
+def constraints(actual: ModelWithErrors, position: Coordinates, scale: Scalar) -> Float[Array, " constraints"]:
     """Equation (18) for all cut joints (5 cuts,) [m]; `scale` [m] multiplies the equations of the axes."""
     topology = actual.topology
     frames = [*transforms(actual, position), jnp.eye(4)]

@@ -13,9 +13,10 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import Array
-from jaxtyping import ArrayLike, Float
+from jaxtyping import Float
 
 from rfem_jax.mechanics import loads
+from rfem_jax.mechanics.algebra import Scalar
 from rfem_jax.mechanics.condensation import link_operators
 from rfem_jax.mechanics.cut_joints import closure
 from rfem_jax.mechanics.kinematics import motion_of
@@ -40,8 +41,8 @@ def static_tangent(
     actual: ModelWithErrors,
     position: Coordinates,
     held: tuple[int, ...],
-    scale: Float[ArrayLike, ""],
-    stiffness: Float[ArrayLike, ""],
+    scale: Scalar,
+    stiffness: Scalar,
 ) -> StaticTangent:
     """Tangent at one position with undeformed links, the joints of the links `held` held; scale [m] as in
     `closure`, stiffness [N/m] of the mechanism."""

@@ -24,7 +24,7 @@ from jaxtyping import ArrayLike, Float, Int
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.errors import InputError, suggestion
 from rfem_jax.mechanics import elasticity, loads
-from rfem_jax.mechanics.algebra import apply_transposed, cross, dot
+from rfem_jax.mechanics.algebra import Scalar, apply_transposed, cross, dot
 from rfem_jax.mechanics.cut_joints import closure
 from rfem_jax.mechanics.inputs import DriveInput
 from rfem_jax.mechanics.kinematics import motion_of, range_used
@@ -291,11 +291,19 @@ def named(model: Model, joint_loads: loads.JointLoads) -> dict[str, Load]:
 
 
 def quasi_static_rates(
-    model: Model, actual: ModelWithErrors, held: dict[int, Float[Array, ""]], driven_rate: Float[ArrayLike, ""]
+    model: Model, actual: ModelWithErrors, held: dict[int, Float[Array, ""]], driven_rate: Scalar
 ) -> Coordinates:
     """Rates of the coordinates when the driven joint moves at a rate [rad/s] through equilibria: the
-    derivative of the static equilibrium by the driven angle, times the rate."""
+    derivative of the static equilibrium by the driven angle, times the rate.
+
+    **Raises:** `InputError` if no joint of the model is driven.
+    """
     driven = model.topology.driven
+    if driven is None:
+        raise InputError(
+            "Argument `model` must have a driven joint to move through equilibria, but has none; "
+            "give the mechanism a `driven_joint`."
+        )
 
     def at_angle(angle):
         return equilibrium(model, actual, {**held, driven: angle})[0]
