@@ -1,20 +1,24 @@
 """One instant: discretisation, errors, kinematics, dynamics, closure, joint loads; static assembly.
 
-model, discretisation      description -> Model
-nominal_geometry           the perfect mechanism in NumPy: does it close, rank, mobility
-realisation                + AssemblyErrors -> constants of the equations of motion
-kinematics                 + State -> positions and velocities
-elasticity, exact_elements forces of the sdes, linear and geometrically exact
-cut_joints                 constraints of the cut joints
-inputs                     what the drive does at the instant
-dynamics                   accelerations by the recursive formulation
-reference_formulation      the same, dense and literal, to test against
-loads                      joint loads, energies, balances
-balance                    what given accelerations and multipliers leave over
-chains, condensation       a flexible link as implicit steps feel it
-newton                     what takes away the rest, by the links' structure
-statics                    assembled start state and preload
-static_matrix, _search     its equations solved, by the links' structure and by Newton's method
+model, discretisation       description -> Model
+nominal_geometry            the perfect mechanism in NumPy: does it close, rank, mobility
+model_with_errors           + AssemblyErrors -> constants of the equations of motion
+kinematics                  + State -> positions and velocities
+centre_lines                where the links are in space
+elasticity, exact_elements  forces of the sdes, linear and geometrically exact
+cut_joints                  constraints of the cut joints
+inputs, joint_forces        the drive at one instant, moments about the hinges
+dynamics                    accelerations by the articulated-body algorithm
+reference_formulation       the same, dense, to test against
+loads                       joint loads, energies, balance of momentum
+residual                    residual of the equations for given accelerations and multipliers
+block_tridiagonal           linear systems of the rfes of a link
+condensation                flexible links condensed to their frames and interfaces
+newton                      Newton increments by recursion over the links
+statics                     assembled start state and preload
+static_matrix, _search      its tangent by recursion over the links, and Newton's method
+status                      what can happen to an assembly or a run
+algebra, reordering         vectors, rotations, spatial vectors; permutations of rows
 """
 
 from rfem_jax.mechanics.discretisation import Structure, describe, discretise

@@ -14,14 +14,17 @@ of the global frame, so that bodies share one reference point and no transform i
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jaxtyping import Float
 
 from rfem_jax.mechanics.reordering import reorder
+
+Scalar = Float[Array, ""] | float
 
 IDENTITY = np.eye(3)
 
 
-def cross(a: Array, b: Array) -> Array:
-    """Vector product of (3, ...) with (3, ...)."""
+def cross(a: Float[Array, "3 *#n"], b: Float[Array, "3 *#n"]) -> Float[Array, "3 ..."]:
+    """Vector product."""
     return _cycle(a * _cycle(b) - _cycle(a) * b)
 
 
@@ -30,48 +33,50 @@ def _cycle(a: Array) -> Array:
     return reorder(a, (1, 2, 0))
 
 
-def dot(a: Array, b: Array) -> Array:
+def dot(a: Float[Array, "n *#k"], b: Float[Array, "n *#k"]) -> Float[Array, "..."]:
     """Sum over the first axis of the product."""
     return jnp.sum(a * b, axis=0)
 
 
-def apply(matrix: Array, vector: Array) -> Array:
-    """Matrix (m, n, ...) times vector (n, ...)."""
+def apply(matrix: Float[Array, "m n *#k"], vector: Float[Array, "n *#k"]) -> Float[Array, "m ..."]:
+    """Matrix times vector."""
     return jnp.sum(matrix * vector[None], axis=1)
 
 
-def apply_transposed(matrix: Array, vector: Array) -> Array:
-    """Transpose of a matrix (n, m, ...) times vector (n, ...)."""
+def apply_transposed(matrix: Float[Array, "n m *#k"], vector: Float[Array, "n *#k"]) -> Float[Array, "m ..."]:
+    """Transpose of a matrix times vector."""
     return jnp.sum(matrix * vector[:, None], axis=0)
 
 
-def product(a: Array, b: Array) -> Array:
-    """Matrix (m, n, ...) times matrix (n, k, ...)."""
+def product(
+    a: Float[Array, "m n *#k"], b: Float[Array, "n p *#k"] | Float[np.ndarray, "n p *#k"]
+) -> Float[Array, "m p ..."]:
+    """Matrix times matrix."""
     return jnp.sum(a[:, :, None] * b[None], axis=1)
 
 
-def product_transposed(a: Array, b: Array) -> Array:
-    """Matrix (m, n, ...) times the transpose of (k, n, ...)."""
+def product_transposed(a: Float[Array, "m n *#k"], b: Float[Array, "p n *#k"]) -> Float[Array, "m p ..."]:
+    """Matrix times the transpose of a matrix."""
     return jnp.sum(a[:, None] * b[None], axis=2)
 
 
-def constant_product(matrix: Array, b: Array) -> Array:
-    """Constant matrix (m, n) times (n, ...)."""
+def constant_product(matrix: Float[Array, "m n"], b: Float[Array, " n *k"]) -> Float[Array, " m *k"]:
+    """Matrix without later axes times vectors with any."""
     return jnp.tensordot(matrix, b, axes=1)
 
 
-def by_component(values: Array) -> Array:
+def by_component(values: Float[Array, "6 m *k"]) -> Float[Array, " size *k"]:
     """Flatten (6, m, ...) to (6 m, ...): all first components, all second ones, and so on."""
     return values.reshape((6 * values.shape[1],) + values.shape[2:])
 
 
-def transpose(matrix: Array) -> Array:
+def transpose(matrix: Float[Array, "m n *k"]) -> Float[Array, "n m *k"]:
     """Exchange the first two axes."""
     return jnp.swapaxes(matrix, 0, 1)
 
 
-def cross_matrix(a: Array) -> Array:
-    """The matrix (3, 3, ...) of `a x`."""
+def cross_matrix(a: Float[Array, " 3 *k"]) -> Float[Array, "3 3 *k"]:
+    """The matrix of the vector product `a x`."""
     zero = jnp.zeros_like(a[0])
     return jnp.stack(
         [
@@ -82,63 +87,70 @@ def cross_matrix(a: Array) -> Array:
     )
 
 
-def rotation_x(angle: Array) -> Array:
-    """Right-handed rotation about x, (3, 3, ...)."""
+def rotation_x(angle: Float[Array, "*k"]) -> Float[Array, "3 3 *k"]:
+    """Right-handed rotation about x by an angle [rad]."""
     c, s, one, zero = _rotation_entries(angle)
     return _matrix([[one, zero, zero], [zero, c, -s], [zero, s, c]])
 
 
-def rotation_y(angle: Array) -> Array:
-    """Right-handed rotation about y, (3, 3, ...)."""
+def rotation_y(angle: Float[Array, "*k"]) -> Float[Array, "3 3 *k"]:
+    """Right-handed rotation about y by an angle [rad]."""
     c, s, one, zero = _rotation_entries(angle)
     return _matrix([[c, zero, s], [zero, one, zero], [-s, zero, c]])
 
 
-def rotation_z(angle: Array) -> Array:
-    """Right-handed rotation about z, (3, 3, ...)."""
+def rotation_z(angle: Float[Array, "*k"]) -> Float[Array, "3 3 *k"]:
+    """Right-handed rotation about z by an angle [rad]."""
     c, s, one, zero = _rotation_entries(angle)
     return _matrix([[c, -s, zero], [s, c, zero], [zero, zero, one]])
 
 
-def _rotation_entries(angle):
+def _rotation_entries(angle: Array) -> tuple[Array, Array, Array, Array]:
+    """Cosine, sine, one and zero."""
     one = jnp.ones_like(angle)
     return jnp.cos(angle), jnp.sin(angle), one, 0.0 * one
 
 
-def _matrix(rows):
+def _matrix(rows: list[list[Array]]) -> Array:
     return jnp.stack([jnp.stack(row) for row in rows])
 
 
-def spatial(angular: Array, linear: Array) -> Array:
-    """Spatial vector (6, ...) from its two halves (motion: at the origin; wrench: moment, force)."""
+def spatial(angular: Float[Array, " 3 *k"], linear: Float[Array, " 3 *k"]) -> Float[Array, " 6 *k"]:
+    """Spatial vector from its two halves (motion: at the origin; wrench: moment, force)."""
     return jnp.concatenate([angular, linear])
 
 
-def wrench_at_origin(moment: Array, force: Array, point: Array) -> Array:
-    """Wrench (6, ...) of a force at `point` and a moment, taken at the global origin."""
+def wrench_at_origin(
+    moment: Float[Array, " 3 *k"], force: Float[Array, " 3 *k"], point: Float[Array, " 3 *k"]
+) -> Float[Array, " 6 *k"]:
+    """Wrench at the global origin of a force at `point` and a moment."""
     return spatial(moment + cross(point, force), force)
 
 
-def motion_at_origin(angular: Array, linear: Array, point: Array) -> Array:
-    """Spatial velocity (6, ...) at the origin of a body with an angular velocity and the linear one of its `point`."""
+def motion_at_origin(
+    angular: Float[Array, " 3 *k"], linear: Float[Array, " 3 *k"], point: Float[Array, " 3 *k"]
+) -> Float[Array, " 6 *k"]:
+    """Spatial velocity at the origin of a body with an angular velocity and the linear velocity of its `point`."""
     return spatial(angular, linear + cross(point, angular))
 
 
-def motion_cross(velocity: Array, motion: Array) -> Array:
+def motion_cross(velocity: Float[Array, " 6 *k"], motion: Float[Array, " 6 *k"]) -> Float[Array, " 6 *k"]:
     """Spatial cross product of a velocity with a motion vector (Featherstone's crm)."""
     w, v = velocity[:3], velocity[3:]
     return spatial(cross(w, motion[:3]), cross(w, motion[3:]) + cross(v, motion[:3]))
 
 
-def force_cross(velocity: Array, wrench: Array) -> Array:
+def force_cross(velocity: Float[Array, " 6 *k"], wrench: Float[Array, " 6 *k"]) -> Float[Array, " 6 *k"]:
     """Spatial cross product of a velocity with a force vector (Featherstone's crf)."""
     w, v = velocity[:3], velocity[3:]
     return spatial(cross(w, wrench[:3]) + cross(v, wrench[3:]), cross(w, wrench[3:]))
 
 
-def spatial_inertia(mass: Array, centre: Array, inertia: Array) -> Array:
-    """Spatial inertia (6, 6, ...) at the global origin of bodies with centres of mass (3, ...) and
-    central inertia tensors (3, 3, ...) in global axes."""
+def spatial_inertia(
+    mass: Float[Array, "*k"], centre: Float[Array, " 3 *k"], inertia: Float[Array, "3 3 *k"]
+) -> Float[Array, "6 6 *k"]:
+    """Spatial inertia at the global origin of bodies with given centres of mass and central inertia tensors in
+    global axes."""
     shift = cross_matrix(centre)
     first = mass[None, None] * shift
     identity = jnp.asarray(IDENTITY).reshape((3, 3) + (1,) * (centre.ndim - 1))
@@ -147,9 +159,11 @@ def spatial_inertia(mass: Array, centre: Array, inertia: Array) -> Array:
     return jnp.concatenate([upper, lower])
 
 
-def spatial_mobility(mass: Array, centre: Array, inverse: Array) -> Array:
-    """Inverse of `spatial_inertia` (6, 6, ...), from the inverses (3, 3, ...) of the central inertia
-    tensors; accurate where a numerical inverse of the ill-conditioned inertia is not."""
+def spatial_mobility(
+    mass: Float[Array, "*k"], centre: Float[Array, " 3 *k"], inverse: Float[Array, "3 3 *k"]
+) -> Float[Array, "6 6 *k"]:
+    """Inverse of `spatial_inertia`, from the inverses of the central inertia tensors; accurate where a numerical
+    inverse of the ill-conditioned inertia is not."""
     shift = cross_matrix(centre)
     shifted = product(shift, inverse)
     identity = jnp.asarray(IDENTITY).reshape((3, 3) + (1,) * (centre.ndim - 1))
@@ -158,8 +172,8 @@ def spatial_mobility(mass: Array, centre: Array, inverse: Array) -> Array:
     return jnp.concatenate([upper, jnp.concatenate([shifted, corner], axis=1)])
 
 
-def invert_positive(matrix: Array) -> Array:
-    """Inverse of symmetric positive definite matrices (n, n, ...), n small and static.
+def invert_positive(matrix: Float[Array, "n n *k"]) -> Float[Array, "n n *k"]:
+    """Inverse of symmetric positive definite matrices, n small and static.
 
     Block elimination (Schur complements) down to blocks of at most three rows, inverted by the
     adjugate: no pivoting, no loop at run time, and derivatives need no rule of their own.
@@ -178,8 +192,8 @@ def invert_positive(matrix: Array) -> Array:
     return jnp.concatenate([top, bottom])
 
 
-def invert_block(m: Array) -> Array:
-    """Inverse of matrices (n, n, ...) with n <= 3: adjugate over determinant."""
+def invert_block(m: Float[Array, "n n *k"]) -> Float[Array, "n n *k"]:
+    """Inverse of matrices with n <= 3: adjugate over determinant."""
     if m.shape[0] == 0:
         return m
     if m.shape[0] == 1:

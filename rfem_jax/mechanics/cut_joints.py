@@ -14,10 +14,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jaxtyping import ArrayLike, Float
+from jaxtyping import Float
 
 from rfem_jax.mechanics import algebra
-from rfem_jax.mechanics.algebra import apply, apply_transposed, cross, dot, product
+from rfem_jax.mechanics.algebra import Scalar, apply, apply_transposed, cross, dot, product
 from rfem_jax.mechanics.kinematics import Motion, node_frames
 from rfem_jax.mechanics.model import BASE, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
@@ -55,7 +55,7 @@ class Closure(NamedTuple):
         return jnp.concatenate([moments, forces])
 
 
-def closure(actual: ModelWithErrors, motion: Motion, scale: Float[ArrayLike, ""]) -> Closure | None:
+def closure(actual: ModelWithErrors, motion: Motion, scale: Scalar) -> Closure | None:
     """Constraints of all cut joints (None without any); `scale` [m] multiplies the two axis
     equations."""
     topology = actual.topology

@@ -6,7 +6,6 @@ Place in the pipeline: description -> **discretisation** -> everything else.
 from typing import NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -80,7 +79,7 @@ def discretise(mechanism: Mechanism, rfes: int | None = None, elements: str | No
 
 def require_double_precision() -> None:
     """Refuse to go on in float32."""
-    if not jax.config.jax_enable_x64:
+    if jnp.result_type(float) != jnp.float64:
         raise InputError(
             "Argument `jax_enable_x64` must be True, but JAX computes in float32; put "
             '`jax.config.update("jax_enable_x64", True)` before the first call.'
@@ -117,7 +116,12 @@ def _rank(jacobian: np.ndarray) -> int:
 
 def close_at(
     model: Model, angles: Float[np.ndarray, " links"]
-) -> tuple[Float[np.ndarray, " links"], np.ndarray, np.ndarray, np.ndarray]:
+) -> tuple[
+    Float[np.ndarray, " links"],
+    Float[np.ndarray, " constraints"],
+    Float[np.ndarray, " cuts"],
+    Float[np.ndarray, " cuts"],
+]:
     """Refine all joint angles [rad] but the driven one so that the nominal rigid loops close: Newton's method
     with steps of least norm.
 
@@ -135,7 +139,8 @@ def close_at(
         angles[free] -= step * min(1.0, 0.5 / max(largest, 1e-300))
         if largest < 1e-14:
             break
-    return angles, *gaps(geometry, place(geometry, angles))
+    residual, alignment, cut_angles = gaps(geometry, place(geometry, angles))
+    return angles, residual, alignment, cut_angles
 
 
 def _close(model: Model) -> Model:

@@ -306,12 +306,10 @@ def _multipliers(
         return zeros, zeros
     with jax.named_scope("multipliers"):
         points = _points_of(topology, motion, tree)
-        rows = 0.0
-        for node in sorted(set(topology.parents[topology.n_links :]) | set(topology.children[topology.n_links :])):
-            if node == BASE:
-                continue
-            unit = unit_columns(topology, cuts, node, points[node])
-            rows = rows + product(algebra.transpose(unit), responses[node])
+        sides = set(topology.parents[topology.n_links :]) | set(topology.children[topology.n_links :])
+        units = ((node, unit_columns(topology, cuts, node, points[node])) for node in sorted(sides) if node != BASE)
+        rows = sum((product(algebra.transpose(unit), responses[node]) for node, unit in units), start=0.0)
+        rows = jnp.asarray(rows)
 
         def by_cut(values):
             return jnp.swapaxes(values, 0, 1).reshape(-1)

@@ -130,7 +130,7 @@ def spring_blocks(
 ) -> SpringBlocks:
     """Blocks from the deflections of every sde (second axis) due to unit motions (first axis) of its right
     and of its left rfe."""
-    inner = _is_inner(actual)[:, None, None]
+    inner = jnp.asarray(_is_inner(actual)[:, None, None])
 
     def block(one, other):
         return jnp.einsum("bak,ak,cak->kbc", one, actual.stiffness, other)

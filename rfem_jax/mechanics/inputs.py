@@ -8,8 +8,9 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jaxtyping import ArrayLike, Float
+from jaxtyping import Float
 
+from rfem_jax.mechanics.algebra import Scalar
 from rfem_jax.mechanics.model import Coordinates, State, Topology
 
 
@@ -25,9 +26,9 @@ class Stabilisation(NamedTuple):
     """Baumgarte's stabilisation (Comput. Methods Appl. Mech. Eng. 1 (1972) 1-16): Phi'' = -velocity_gain
     Phi' - position_gain Phi with gains [1/s, 1/s^2], and the length [m] that scales the axis equations."""
 
-    velocity_gain: Float[ArrayLike, ""]
-    position_gain: Float[ArrayLike, ""]
-    scale: Float[ArrayLike, ""]
+    velocity_gain: Scalar
+    position_gain: Scalar
+    scale: Scalar
 
 
 def impose(topology: Topology, state: State, drive: DriveInput) -> State:

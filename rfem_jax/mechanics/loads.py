@@ -76,11 +76,11 @@ def joint_loads(actual: ModelWithErrors, result: Accelerations, drive: DriveInpu
             for j in range(l + 1, n):
                 if topology.parents[j] == l:
                     wrench = wrench + wrenches[j]
-            for i, j in enumerate(topology.cuts if cuts is not None else ()):
-                if topology.parents[j] == l:
+            for i, j in enumerate(topology.cuts):
+                if cuts is not None and topology.parents[j] == l:
                     unit = cuts.wrenches(i, "parent", point)
                     wrench = wrench + apply(unit, result.multipliers[:, i])
-                if topology.children[j] == l:
+                if cuts is not None and topology.children[j] == l:
                     unit = cuts.wrenches(i, "child", point)
                     wrench = wrench - apply(unit, result.multipliers[:, i])
             wrenches[l] = wrench
@@ -237,7 +237,7 @@ def energies(actual: ModelWithErrors, state: State) -> Energies:
 
 def base_wrench(topology: Topology, wrenches: Sequence[Float[Array, "6"]]) -> Float[Array, "6"]:
     """Wrench at the global origin that the base exerts, from those of all joints."""
-    return sum(w for w, parent in zip(wrenches, topology.parents) if parent == BASE)
+    return jnp.asarray(sum(w for w, parent in zip(wrenches, topology.parents) if parent == BASE))
 
 
 def momentum_residual(

@@ -283,7 +283,7 @@ def _links_in_tree_order(mechanism: Mechanism) -> list[Link]:
 
 
 def _section_row(link: Link) -> list[float]:
-    p = link.section.properties(link.material)
+    p = link.properties
     return [
         *(p.axial, p.shear_y, p.shear_z, p.torsion, p.bending_y, p.bending_z),
         *(p.line_density, p.rotary_x, p.rotary_y, p.rotary_z, p.damping),

@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.core import Tracer
 from jaxtyping import ArrayLike, Float, PyTree
 
 from rfem_jax.compilation.program import Program
@@ -65,7 +66,7 @@ def assembly_errors(model: Model, values: Mapping[str, ArrayLike | str] | None =
         part, place = _locate(topology, name)
         if isinstance(value, str):
             value = quantity(value, error_dimension(name), f"error {name!r}")
-        if isinstance(value, jax.core.Tracer):
+        if isinstance(value, Tracer):
             traced.append((part, place, value))
         else:
             parts[part][place] = value
@@ -280,11 +281,11 @@ def _spring_damping_elements(model: Model, length: Array) -> dict[str, Array]:
     place = (index + 0.5) / np.maximum(count, 1.0)
     extent = length[link]
     return {
-        "rest": right * extent,
+        "rest": jnp.asarray(right) * extent,
         "stiffness": model.section[:6][:, link] * (count / extent)[None],
         "damping": model.section[10][link],
-        "lever_left": (place - left) * extent,
-        "lever_right": (place - right) * extent,
+        "lever_left": jnp.asarray(place - left) * extent,
+        "lever_right": jnp.asarray(place - right) * extent,
     }
 
 

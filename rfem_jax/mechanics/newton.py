@@ -46,38 +46,48 @@ from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 from rfem_jax.mechanics.residual import Residual
 
 
+class Outboard(NamedTuple):
+    """The links outboard of a link's c interfaces: their articulated inertias (6 c, 6 c), and transmissibility
+    (6 c, 6 c) = (stiffness + inertia)^-1 stiffness, by which these reduce the interfaces' accelerations."""
+
+    inertia: Float[Array, "interfaces interfaces"]
+    transmissibility: Float[Array, "interfaces interfaces"]
+
+
 class InterfaceOperator(NamedTuple):
     """The c interfaces of a flexible link, in global axes at their own points.
 
-    rotations: 2 c of (3, 3), from the second derivatives of an interface's angles and displacements to its
-    accelerations; transfer (6, 6 c): wrench on the link frame per unit wrench on the interfaces; compliance
-    (6 c, 6 c): accelerations per unit wrench; outboard (6 c, 6 c): articulated inertias of the links
-    outboard, and transmissibility (6 c, 6 c) = (stiffness + outboard)^-1 stiffness, by which these reduce the
-    accelerations; None without links outboard.
+    transfer (6, 6 c): wrench on the link frame per unit wrench on the interfaces; compliance (6 c, 6 c):
+    accelerations per unit wrench; outboard: None where no links are.
     """
 
-    rotations: tuple[Float[Array, "3 3"], ...]
     transfer: Float[Array, "6 interfaces"]
     compliance: Float[Array, "interfaces interfaces"]
-    outboard: Float[Array, "interfaces interfaces"] | None
-    transmissibility: Float[Array, "interfaces interfaces"] | None
+    outboard: Outboard | None
+
+
+class Hinge(NamedTuple):
+    """A joint that is not held: scaled (6,) = inertia . axis / pivot, pivot = axis . inertia . axis."""
+
+    scaled: Float[Array, "6"]
+    pivot: Float[Array, ""]
 
 
 class ArticulatedLink(NamedTuple):
     """One link after the elimination of its subtree, at one position.
 
     point (3,): of its spatial vectors; inertia (6, 6): articulated, before its hinge is eliminated; frame
-    (6, 6): from wrenches in link axes at the link's origin to global ones at `point`; axis (6,): of its hinge;
-    pivot: axis . inertia . axis, and scaled (6,): inertia . axis / pivot (None where the joint is held);
-    interfaces: None where there are none.
+    (6, 6): from wrenches in link axes at the link's origin to global ones at `point`; rotations: 2 c of (3, 3),
+    from the second derivatives of an interface's angles and displacements to its accelerations; axis (6,): of
+    its joint; hinge: None where the joint is held; interfaces: None where there are none.
     """
 
     point: Float[Array, "3"]
     inertia: Float[Array, "6 6"]
     frame: Float[Array, "6 6"]
+    rotations: tuple[Float[Array, "3 3"], ...]
     axis: Float[Array, "6"]
-    scaled: Float[Array, "6"] | None
-    pivot: Float[Array, ""] | None
+    hinge: Hinge | None
     interfaces: InterfaceOperator | None
 
 
@@ -85,14 +95,15 @@ class Response(NamedTuple):
     """Accelerations under K columns of loads, K last (or without this axis for one).
 
     loads (6, K) by link: of its subtree, condensed to it; hinges (L, K); links (6, K) by link; interfaces
-    (6 c, K) by link, and interface_wrenches (6 c, K): wrenches that the joints exert on them.
+    (6 c, K) of the links that have any, and interface_wrenches (6 c, K): wrenches that the joints exert on
+    them.
     """
 
     loads: tuple[Float[Array, " 6 *k"], ...]
     hinges: Float[Array, " links *k"]
     links: tuple[Float[Array, " 6 *k"], ...]
-    interfaces: tuple[Array | None, ...]
-    interface_wrenches: tuple[Array | None, ...]
+    interfaces: dict[int, Float[Array, " interfaces *k"]]
+    interface_wrenches: dict[int, Float[Array, " interfaces *k"]]
 
 
 class ClosureMatrix(NamedTuple):
@@ -137,9 +148,10 @@ def iteration_matrix(
         units = {node: unit_columns(topology, cuts, node, points[node]) for node in sorted(set(sides)) if node != BASE}
         columns = 5 * topology.n_cuts
         hinge_loads = jnp.zeros((topology.n_links, columns))
-        responses = _respond(topology, links, hinge_loads, None, None, units, columns)
+        responses = _respond(topology, links, hinge_loads, {}, {}, units, columns)
         rows = sum(product(transpose(unit), _of_node(topology, responses, node)) for node, unit in units.items())
-        return IterationMatrix(operators, links, ClosureMatrix(units, responses, invert_closure(topology, rows)))
+        inverse = invert_closure(topology, jnp.asarray(rows))
+        return IterationMatrix(operators, links, ClosureMatrix(units, responses, inverse))
 
 
 def newton_increment(topology: Topology, matrix: IterationMatrix, residual: Residual) -> NewtonIncrement:
@@ -155,14 +167,9 @@ def increment_and_wrenches(
         operators = matrix.operators
         loads = jnp.concatenate([residual.moment, residual.force])
         on_rfes = tuple(by_component(loads[:, a:b]) for a, b in topology.ranges)
-        on_links = tuple(
-            None if operator is None else -constant_product(operator.rigid_response.T, load)
-            for operator, load in zip(operators, on_rfes)
-        )
-        of_interfaces = tuple(
-            None if operator is None else constant_product(operator.interface_rows, load)
-            for operator, load in zip(operators, on_rfes)
-        )
+        flexible = {l: operator for l, operator in enumerate(operators) if operator is not None}
+        on_links = {l: -constant_product(op.rigid_response.T, on_rfes[l]) for l, op in flexible.items()}
+        of_interfaces = {l: constant_product(op.interface_rows, on_rfes[l]) for l, op in flexible.items()}
         applied = _respond(topology, matrix.links, residual.hinge[:, None], on_links, of_interfaces, {}, 1)
         response = jax.tree.map(lambda x: x[:, 0], applied)
         multipliers = jnp.zeros_like(residual.closing)
@@ -197,7 +204,7 @@ def _points(topology: Topology, motion: Motion) -> dict[int, Array]:
     return points
 
 
-def _wrench_transform(rotation: Array | np.ndarray, arm: Array) -> Array:
+def _wrench_transform(rotation: Array | np.ndarray, arm: Array) -> Float[Array, "6 6"]:
     """From wrenches in rotated axes at a point to wrenches at another, from which `arm` reaches to the first."""
     zeros = jnp.zeros_like(rotation)
     top = jnp.concatenate([rotation, product(algebra.cross_matrix(arm), rotation)], axis=1)
@@ -259,21 +266,20 @@ def _eliminate(
         interfaces, rotations = None, _interface_rotations(topology, motion, l)
         if operator is not None and rotations:
             interfaces = _interface_operator(topology, l, operator, frame, rotations, points, outboard)
-            transfer, reduction = interfaces.transfer, interfaces.transmissibility
-            if interfaces.outboard is not None and reduction is not None:
-                loaded = product(interfaces.outboard, reduction)
-                inertia = inertia + product(product(transfer, loaded), transpose(transfer))
+            if interfaces.outboard is not None:
+                transfer, reduced = interfaces.transfer, product(*interfaces.outboard)
+                inertia = inertia + product(product(transfer, reduced), transpose(transfer))
         axis = algebra.spatial(motion.axis[:3, l], motion.axis[3:, l] + cross(motion.axis[:3, l], points[l]))
-        at_hinge, scaled, pivot = inertia, None, None
+        at_hinge, hinge = inertia, None
         if l not in held:
             force_rows = apply(inertia, axis)
             pivot = dot(axis, force_rows)
-            scaled = force_rows / pivot[None]
-            inertia = inertia - force_rows[:, None] * scaled[None]
+            hinge = Hinge(force_rows / pivot[None], pivot)
+            inertia = inertia - force_rows[:, None] * hinge.scaled[None]
         node = topology.parents[l]
         if node != BASE:
             outboard[node] = outboard.get(node, 0.0) + inertia
-        links[l] = ArticulatedLink(points[l], at_hinge, frame, axis, scaled, pivot, interfaces)
+        links[l] = ArticulatedLink(points[l], at_hinge, frame, rotations, axis, hinge, interfaces)
     return tuple(links[l] for l in range(n))
 
 
@@ -294,11 +300,11 @@ def _interface_operator(
     transfer = shift - product(frame, transpose(frame_to_interface))
     compliance = _congruent(rotations, operator.compliance)
     if not any(node in outboard for node in nodes):
-        return InterfaceOperator(rotations, transfer, compliance, None, None)
+        return InterfaceOperator(transfer, compliance, None)
     inertia = _block_diagonal([outboard.get(node) for node in nodes])
     stiffness = _congruent(_inverse_transposed(rotations), operator.stiffness)
     transmissibility = product(algebra.invert_positive(stiffness + inertia), stiffness)
-    return InterfaceOperator(rotations, transfer, compliance, inertia, transmissibility)
+    return InterfaceOperator(transfer, compliance, Outboard(inertia, transmissibility))
 
 
 def _block_diagonal(blocks: Sequence[Array | None]) -> Array:
@@ -320,14 +326,14 @@ def _respond(
     topology: Topology,
     links: tuple[ArticulatedLink, ...],
     hinge_loads: Array,
-    on_links: tuple[Array | None, ...] | None,
-    of_interfaces: tuple[Array | None, ...] | None,
+    on_links: dict[int, Array],
+    of_interfaces: dict[int, Array],
     units: dict[int, Array],
     columns: int,
 ) -> Response:
-    """Response to K columns of loads: moments (L, K) about the hinges; wrenches (6,) on the links in their axes
-    and second derivatives (6 c,) of the interfaces' coordinates due to the residual, by link; and wrenches
-    `units` (6, K) on nodes."""
+    """Response to K columns of loads: moments (L, K) about the hinges; by link wrenches (6,) on the links in
+    their axes, and second derivatives (6 c,) of the interfaces' coordinates due to the residual; and by node
+    wrenches `units` (6, K)."""
     n = topology.n_links
     zeros = jnp.zeros((6, columns))
     loads: dict[int, Array] = dict(units)
@@ -338,17 +344,17 @@ def _respond(
     for l in reversed(range(n)):
         link, interfaces = links[l], links[l].interfaces
         load = loads.get(l, zeros)
-        if on_links is not None and on_links[l] is not None:
+        if l in on_links:
             load = load + apply(link.frame, on_links[l])[:, None]
         if interfaces is not None:
             wrench = jnp.concatenate([loads.get(node, zeros) for node in _interfaces_of(topology, l)])
             free = product(interfaces.compliance, wrench)
-            if of_interfaces is not None:
-                free = free + _rotated(interfaces.rotations, of_interfaces[l][:, None])
-            if interfaces.transmissibility is not None:
+            if l in of_interfaces:
+                free = free + _rotated(link.rotations, of_interfaces[l][:, None])
+            if interfaces.outboard is not None:
                 # Accelerations with the links outboard, whose inertia loads the interfaces; link frame at rest.
-                free = product(interfaces.transmissibility, free)
-                wrench = wrench - product(interfaces.outboard, free)
+                free = product(interfaces.outboard.transmissibility, free)
+                wrench = wrench - product(interfaces.outboard.inertia, free)
             free_accelerations[l] = free
             load = load + product(interfaces.transfer, wrench)
             interface_wrenches[l] = wrench
@@ -358,8 +364,8 @@ def _respond(
         node = topology.parents[l]
         if node == BASE:
             continue
-        if link.scaled is not None:
-            load = load - link.scaled[:, None] * torque[None]
+        if link.hinge is not None:
+            load = load - link.hinge.scaled[:, None] * torque[None]
         loads[node] = loads.get(node, 0.0) + load
     return _accelerate(topology, links, subtree_loads, joint_torques, free_accelerations, interface_wrenches, zeros)
 
@@ -375,34 +381,33 @@ def _accelerate(
 ) -> Response:
     """Accelerations, from the base to the tips."""
     n = topology.n_links
-    hinges, of_links, of_interfaces, interface_wrenches = [], [], [], []
+    hinges, of_links = [], []
+    of_interfaces: dict[int, Array] = {}
+    interface_wrenches: dict[int, Array] = {}
     at: dict[int, Array] = {}
     for l in range(n):
         link, interfaces, node = links[l], links[l].interfaces, topology.parents[l]
         acceleration = zeros if node == BASE else at[node]
         rate = jnp.zeros_like(zeros[0])
-        if link.scaled is not None:
-            rate = joint_torques[l] / link.pivot[None] - dot(link.scaled[:, None], acceleration)
+        if link.hinge is not None:
+            rate = joint_torques[l] / link.hinge.pivot[None] - dot(link.hinge.scaled[:, None], acceleration)
             acceleration = acceleration + link.axis[:, None] * rate[None]
         hinges.append(rate)
         of_links.append(acceleration)
         at[l] = acceleration
         if interfaces is None:
-            of_interfaces.append(None)
-            interface_wrenches.append(None)
             continue
         with_frame = product(transpose(interfaces.transfer), acceleration)
         wrench = wrenches[l]
-        if interfaces.transmissibility is not None:
-            with_frame = product(interfaces.transmissibility, with_frame)
-            wrench = wrench - product(interfaces.outboard, with_frame)
-        ends = free_accelerations[l] + with_frame
-        of_interfaces.append(ends)
-        interface_wrenches.append(wrench)
+        if interfaces.outboard is not None:
+            with_frame = product(interfaces.outboard.transmissibility, with_frame)
+            wrench = wrench - product(interfaces.outboard.inertia, with_frame)
+        of_interfaces[l] = free_accelerations[l] + with_frame
+        interface_wrenches[l] = wrench
         for i, interface in enumerate(_interfaces_of(topology, l)):
-            at[interface] = ends[6 * i : 6 * i + 6]
+            at[interface] = of_interfaces[l][6 * i : 6 * i + 6]
     loads = tuple(subtree_loads[l] for l in range(n))
-    return Response(loads, jnp.stack(hinges), tuple(of_links), tuple(of_interfaces), tuple(interface_wrenches))
+    return Response(loads, jnp.stack(hinges), tuple(of_links), of_interfaces, interface_wrenches)
 
 
 def _of_node(topology: Topology, response: Response, node: int) -> Array:
@@ -424,8 +429,8 @@ def _elastic_accelerations(topology: Topology, matrix: IterationMatrix, loads: A
         acceleration = apply_transposed(link.frame, response.links[l])
         free = by_component(solve(operator.factored, loads[:, a:b]))
         y = free - constant_product(operator.rigid_response, acceleration)
-        if link.interfaces is not None:
-            wrench = _rotated_back(link.interfaces.rotations, response.interface_wrenches[l])
+        if l in response.interface_wrenches:
+            wrench = _rotated_back(link.rotations, response.interface_wrenches[l])
             y = y + constant_product(operator.interface_rows.T, wrench)
         parts.append(y.reshape((6, b - a)))
     y = jnp.concatenate(parts, axis=1)

@@ -2,8 +2,8 @@
 
 Place in the pipeline: model -> **nominal_geometry** -> discretisation, the check of the step.
 
-What is asked before a simulation (does it close, what is its rank, which step is stable) concerns rigid
-geometry and a few numbers: computed on the host, nothing of it is traced or compiled.
+The questions before a simulation (does it close, what is its rank, which step is stable) concern rigid
+geometry and a few numbers, so they are answered on the host, and nothing of it is traced or compiled.
 
 Symbols: twists (angular, linear) at the global origin, in global axes; n_links L, nodes n, cut joints C.
 """
@@ -11,6 +11,7 @@ Symbols: twists (angular, linear) at the global origin, in global axes; n_links 
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from rfem_jax.mechanics.model import BASE, Model, Topology, rfe_fractions
 
@@ -20,38 +21,38 @@ class NominalGeometry(NamedTuple):
     and children; rest (N,) [m]: x of the free rfes' middles in their links; scale [m]: the longest link."""
 
     topology: Topology
-    seat_rotation: np.ndarray
-    seat_position: np.ndarray
-    bore_rotation: np.ndarray
-    bore_position: np.ndarray
-    rest: np.ndarray
+    seat_rotation: Float[np.ndarray, "joints 3 3"]
+    seat_position: Float[np.ndarray, "joints 3"]
+    bore_rotation: Float[np.ndarray, "joints 3 3"]
+    bore_position: Float[np.ndarray, "joints 3"]
+    rest: Float[np.ndarray, " rfes"]
     scale: float
 
 
 class Placed(NamedTuple):
-    """The mechanism at given joint angles: rotation (L, 3, 3) and origin (L, 3) of the links, and of all joints
-    the frame on the parent (J, 3, 3), before the joint turns, and the centre on it (J, 3); of the cut joints
-    the same on the child (C, 3, 3), (C, 3)."""
+    """The mechanism at given joint angles: rotation (L, 3, 3) and origin (L, 3) of the links; of all joints the
+    joint frame G on the parent (J, 3, 3), without the joint's angle, and its centre (J, 3); of the cut joints
+    the frame on the child (C, 3, 3) and its centre (C, 3)."""
 
-    rotation: np.ndarray
-    origin: np.ndarray
-    joint_rotation: np.ndarray
-    centre: np.ndarray
-    right_rotation: np.ndarray
-    right_centre: np.ndarray
+    rotation: Float[np.ndarray, "links 3 3"]
+    origin: Float[np.ndarray, "links 3"]
+    joint_rotation: Float[np.ndarray, "joints 3 3"]
+    centre: Float[np.ndarray, "joints 3"]
+    right_rotation: Float[np.ndarray, "cuts 3 3"]
+    right_centre: Float[np.ndarray, "cuts 3"]
 
 
 class Gaps(NamedTuple):
     """How far the loops are open: residual (5 C,), lengths over the longest link, as in `cut_joints`; alignment
     (C,): y_L . y_P; angle (C,) [rad] from L to P about the hinge."""
 
-    residual: np.ndarray
-    alignment: np.ndarray
-    angle: np.ndarray
+    residual: Float[np.ndarray, " constraints"]
+    alignment: Float[np.ndarray, " cuts"]
+    angle: Float[np.ndarray, " cuts"]
 
 
 def geometry_of(model: Model) -> NominalGeometry:
-    """The constants of a model, in which no number is traced."""
+    """The constants of a model, whose numbers must not be traced."""
     topology = model.topology
     middles = [rfe_fractions(n)[1][1:] for n in topology.elements]
     length = np.asarray(model.length)
@@ -66,38 +67,38 @@ def geometry_of(model: Model) -> NominalGeometry:
     )
 
 
-def place(geometry: NominalGeometry, angles: np.ndarray) -> Placed:
-    """Links and joints at the angles (L,) [rad] of the tree joints, links undeformed."""
+def place(geometry: NominalGeometry, angles: Float[np.ndarray, " links"]) -> Placed:
+    """Links and joints at the angles [rad] of the tree joints, links undeformed."""
     topology = geometry.topology
     n, joints = topology.n_links, len(topology.joints)
     rotation, origin = np.empty((n, 3, 3)), np.empty((n, 3))
     joint_rotation, centre = np.empty((joints, 3, 3)), np.empty((joints, 3))
 
-    def frame(node):
+    def frame(node: int) -> tuple[np.ndarray, np.ndarray]:
         if node == BASE:
             return np.eye(3), np.zeros(3)
         link = topology.link_of(node)
-        along = geometry.rest[node - n] if node >= n else 0.0
-        return rotation[link], origin[link] + rotation[link, :, 0] * along
+        x = geometry.rest[node - n] if node >= n else 0.0
+        return rotation[link], origin[link] + rotation[link, :, 0] * x
 
     for j in range(joints):
         parent_rotation, parent_point = frame(topology.parents[j])
         joint_rotation[j] = parent_rotation @ geometry.seat_rotation[j]
         centre[j] = parent_point + parent_rotation @ geometry.seat_position[j]
         if j < n:
-            turned = joint_rotation[j] @ _rotation_y(angles[j])
-            rotation[j] = turned @ geometry.bore_rotation[j].T
+            hinge_rotation = joint_rotation[j] @ _rotation_y(angles[j])
+            rotation[j] = hinge_rotation @ geometry.bore_rotation[j].T
             origin[j] = centre[j] - rotation[j] @ geometry.bore_position[j]
     right = [frame(node) for node in topology.children[n:]]
     bores = zip(right, geometry.bore_rotation[n:], geometry.bore_position[n:])
-    right = [(turn @ r, point + turn @ p) for (turn, point), r, p in bores]
+    right = [(node @ r, point + node @ p) for (node, point), r, p in bores]
     return Placed(
         rotation, origin, joint_rotation, centre,
         np.array([r for r, _ in right]).reshape(-1, 3, 3), np.array([p for _, p in right]).reshape(-1, 3),
     )  # fmt: skip
 
 
-def _rotation_y(angle):
+def _rotation_y(angle: float) -> np.ndarray:
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
 
@@ -117,32 +118,34 @@ def gaps(geometry: NominalGeometry, placed: Placed) -> Gaps:
     )
 
 
-def closure_rows(geometry: NominalGeometry, placed: Placed) -> tuple[np.ndarray, np.ndarray]:
-    """Rates (C, 5, 6) of the cut joints' residuals by the twists of L and of P."""
+def closure_rows(
+    geometry: NominalGeometry, placed: Placed
+) -> tuple[Float[np.ndarray, "cuts 5 6"], Float[np.ndarray, "cuts 5 6"]]:
+    """Derivatives of the cut joints' residuals by the twists of L and of P."""
     n = geometry.topology.n_links
     y = placed.joint_rotation[n:, :, 1]
     ends = np.swapaxes(placed.right_rotation[:, :, ::2], 1, 2)
     couples = np.cross(ends, y[:, None])
 
-    def rows(centre):
-        moving = np.concatenate([-cross_matrix(centre), np.broadcast_to(np.eye(3), (len(y), 3, 3))], axis=2)
-        turning = np.concatenate([couples, np.zeros_like(couples)], axis=2)
-        return np.concatenate([moving / geometry.scale, turning], axis=1)
+    def rows(centre: np.ndarray) -> np.ndarray:
+        of_centre = np.concatenate([-cross_matrix(centre), np.broadcast_to(np.eye(3), (len(y), 3, 3))], axis=2)
+        of_axes = np.concatenate([couples, np.zeros_like(couples)], axis=2)
+        return np.concatenate([of_centre / geometry.scale, of_axes], axis=1)
 
     return -rows(placed.centre[n:]), rows(placed.right_centre)
 
 
-def cross_matrix(vectors: np.ndarray) -> np.ndarray:
-    """Matrices (..., 3, 3) of the products v x ... of vectors (..., 3)."""
+def cross_matrix(vectors: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3 3"]:
+    """Matrices of the vector products v x of vectors v."""
     x, y, z = np.moveaxis(vectors, -1, 0)
     zero = np.zeros_like(x)
     rows = [np.stack(row, -1) for row in ((zero, -z, y), (z, zero, -x), (-y, x, zero))]
     return np.stack(rows, -2)
 
 
-def closure_jacobian(geometry: NominalGeometry, placed: Placed) -> np.ndarray:
-    """Residuals differentiated by all coordinates (5 C, L + 6 N): joint angles, then the free rfes' (x, y, z
-    over the longest link, phi_x, phi_y, phi_z), rfe by rfe."""
+def closure_jacobian(geometry: NominalGeometry, placed: Placed) -> Float[np.ndarray, "constraints coordinates"]:
+    """Jacobian of the residuals (5 C, L + 6 N), by the joint angles, then the free rfes' (x, y, z over the
+    longest link, phi_x, phi_y, phi_z), rfe by rfe."""
     topology = geometry.topology
     n = topology.n_links
     left, right = closure_rows(geometry, placed)
@@ -154,8 +157,8 @@ def closure_jacobian(geometry: NominalGeometry, placed: Placed) -> np.ndarray:
                 link = topology.link_of(node)
                 if node >= n:
                     k = node - n
-                    own = slice(n + 6 * k, n + 6 * k + 6)
-                    jacobian[cut, :, own] += rows @ _elastic_twists(geometry, placed, link, k)
+                    columns = slice(n + 6 * k, n + 6 * k + 6)
+                    jacobian[cut, :, columns] += rows @ _elastic_twists(geometry, placed, link, k)
                 y, centre = placed.joint_rotation[link, :, 1], placed.centre[link]
                 axis = np.concatenate([y, np.cross(centre, y)])
                 jacobian[cut, :, link] += rows @ axis
@@ -163,7 +166,7 @@ def closure_jacobian(geometry: NominalGeometry, placed: Placed) -> np.ndarray:
     return jacobian.reshape(5 * topology.n_cuts, n + 6 * topology.n_rfes)
 
 
-def _elastic_twists(geometry, placed: Placed, link: int, rfe: int) -> np.ndarray:
+def _elastic_twists(geometry: NominalGeometry, placed: Placed, link: int, rfe: int) -> np.ndarray:
     """Twists (6, 6) of unit rates of a free rfe's coordinates."""
     rotation = placed.rotation[link]
     point = placed.origin[link] + rotation[:, 0] * geometry.rest[rfe]

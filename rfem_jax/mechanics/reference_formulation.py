@@ -1,11 +1,11 @@
-"""The equations of motion written literally: the formulation that every other one is tested against.
+"""The equations of motion as the paper writes them, dense: what the recursive formulation is tested against.
 
-Place in the pipeline: beside `dynamics`; same inputs, same results, dense and slow.
+Place in the pipeline: an alternative to `dynamics`; same inputs, same results, slow.
 
 Equation (15): A_jk = sum tr(dB/dq_j H dB/dq_k^T), h_j = sum tr(dB/dq_j H (d2B/dt2 at qdd = 0)^T) with
 the transforms B(q) of all rfes differentiated automatically, and equation (20) as one dense
 augmented system.  Nothing of the recursion is used: transforms, constraints (18) and the second
-derivatives of both are formed here again, by 4 x 4 matrices and automatic differentiation.
+derivatives of both are formed independently, by 4 x 4 matrices and automatic differentiation.
 """
 
 from functools import partial
@@ -14,35 +14,39 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 from jax.flatten_util import ravel_pytree
+from jaxtyping import Float
 
 from rfem_jax.mechanics import elasticity
+from rfem_jax.mechanics.algebra import Scalar
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation
+from rfem_jax.mechanics.joint_forces import hinge_moment
 from rfem_jax.mechanics.model import BASE, Coordinates, State
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 
 
-def _transform(rotation, position):
+def _transform(rotation: Array, position: Array) -> Array:
     top = jnp.concatenate([rotation, position[:, None]], axis=1)
     return jnp.concatenate([top, jnp.array([[0.0, 0.0, 0.0, 1.0]])])
 
 
-def _about(axis: int, angle):
+def _about(axis: int, angle: Array) -> Array:
+    """Rotation about a coordinate axis."""
     c, s = jnp.cos(angle), jnp.sin(angle)
     i, j = (axis + 1) % 3, (axis + 2) % 3
     matrix = jnp.eye(3)
     return matrix.at[i, i].set(c).at[j, j].set(c).at[i, j].set(-s).at[j, i].set(s)
 
 
-def transforms(actual: ModelWithErrors, position: Coordinates) -> list[Array]:
-    """Transforms (4, 4) of all nodes to the global frame, in the order of the nodes."""
+def transforms(actual: ModelWithErrors, position: Coordinates) -> list[Float[Array, "4 4"]]:
+    """Transforms of all nodes to the global frame, in the order of the nodes."""
     topology = actual.topology
     seat = [_transform(actual.seat_rotation[:, :, j], actual.seat_position[:, j]) for j in range(len(topology.joints))]
     bore = [_transform(actual.bore_rotation[:, :, j], actual.bore_position[:, j]) for j in range(len(topology.joints))]
     frames = {BASE: jnp.eye(4)}
     for l, (a, b) in enumerate(topology.ranges):
-        turn = _transform(_about(1, position.angles[l]), jnp.zeros(3))
-        joint = frames[topology.parents[l]] @ seat[l] @ turn
-        frames[l] = joint @ jnp.linalg.inv(bore[l])
+        about_hinge = _transform(_about(1, position.angles[l]), jnp.zeros(3))
+        hinge = frames[topology.parents[l]] @ seat[l] @ about_hinge
+        frames[l] = hinge @ jnp.linalg.inv(bore[l])
         for k in range(a, b):
             x, y, z, phi_x, phi_y, phi_z = position.elastic[:, k]
             outer = _about(2, phi_z) @ _about(1, phi_y)
@@ -55,8 +59,8 @@ def transforms(actual: ModelWithErrors, position: Coordinates) -> list[Array]:
     return [frames[node] for node in range(topology.n_links + topology.n_rfes)]
 
 
-def constraints(actual: ModelWithErrors, position: Coordinates, scale) -> Array:
-    """Equation (18) for all cut joints (5 cuts,)."""
+def constraints(actual: ModelWithErrors, position: Coordinates, scale: Scalar) -> Float[Array, " constraints"]:
+    """Equation (18) for all cut joints (5 cuts,) [m]; `scale` [m] multiplies the equations of the axes."""
     topology = actual.topology
     frames = [*transforms(actual, position), jnp.eye(4)]
     rows = []
@@ -71,9 +75,9 @@ def constraints(actual: ModelWithErrors, position: Coordinates, scale) -> Array:
     return jnp.concatenate(rows) if rows else jnp.zeros(0)
 
 
-def exact_deflections(actual: ModelWithErrors, frames: Array) -> Array:
-    """(du, theta) (6, N) of geometrically exact sdes from the transforms (nodes, 4, 4) of all nodes:
-    of the two faces of every sde."""
+def exact_deflections(actual: ModelWithErrors, frames: Float[Array, "nodes 4 4"]) -> Float[Array, "6 rfes"]:
+    """(du, theta) of geometrically exact sdes, from the transforms of all nodes to those of the two faces of
+    every sde."""
     topology = actual.topology
     if topology.n_rfes == 0:
         return jnp.zeros((6, 0))
@@ -82,7 +86,7 @@ def exact_deflections(actual: ModelWithErrors, frames: Array) -> Array:
         for k in range(a, b):
             right.append(topology.n_links + k)
             right_face.append(_along(actual.lever_right[k]))
-            # rfe 0 is its link's frame: its face is where the sde is at rest.
+            # The first sde joins the link frame, whose face is at the sde's place at rest.
             left.append(l if k == a else topology.n_links + k - 1)
             at_rest = actual.rest[k] + actual.lever_right[k]
             left_face.append(_along(at_rest if k == a else actual.lever_left[k]))
@@ -91,21 +95,22 @@ def exact_deflections(actual: ModelWithErrors, frames: Array) -> Array:
     return jax.vmap(_deflection, out_axes=1)(left, right)
 
 
-def _along(x):
+def _along(x: Array) -> Array:
+    """Transform of a shift along x."""
     return _transform(jnp.eye(3), jnp.array([1.0, 0.0, 0.0]) * x)
 
 
-def _deflection(left, right):
-    """(du, theta) (6,) of two faces: the logarithm of the relative rotation by its angle, the gap in
-    the frame half-way between them."""
-    turn = left[:3, :3].T @ right[:3, :3]
-    skew = 0.5 * (turn - turn.T)
+def _deflection(left: Array, right: Array) -> Array:
+    """(du, theta) (6,) of two faces: the logarithm of the relative rotation, and the gap in the frame midway
+    between them."""
+    rotation = left[:3, :3].T @ right[:3, :3]
+    skew = 0.5 * (rotation - rotation.T)
     sine_axis = jnp.stack([skew[2, 1], skew[0, 2], skew[1, 0]])
     square = sine_axis @ sine_axis
-    still = square < 1e-30
-    sine = jnp.sqrt(jnp.where(still, 1.0, square))
-    angle = jnp.where(still, 1.0, jnp.arctan2(sine, 0.5 * (jnp.trace(turn) - 1.0)))
-    theta = sine_axis * jnp.where(still, 1.0, angle / sine)
+    none = square < 1e-30
+    sine = jnp.sqrt(jnp.where(none, 1.0, square))
+    angle = jnp.where(none, 1.0, jnp.arctan2(sine, 0.5 * (jnp.trace(rotation) - 1.0)))
+    theta = sine_axis * jnp.where(none, 1.0, angle / sine)
     # Rodrigues' formula for minus half the angle.
     unit = skew / sine
     back = -jnp.sin(0.5 * angle) * unit + (1.0 - jnp.cos(0.5 * angle)) * unit @ unit
@@ -115,8 +120,8 @@ def _deflection(left, right):
 
 def reference_accelerations(
     actual: ModelWithErrors, state: State, drive: DriveInput, stabilisation: Stabilisation
-) -> tuple[Coordinates, Array]:
-    """Second derivatives of the coordinates and multipliers from the dense augmented system."""
+) -> tuple[Coordinates, Float[Array, " constraints"]]:
+    """Second derivatives of the coordinates and multipliers (5 cuts,) [N] from the dense augmented system."""
     topology = actual.topology
     q, unravel = ravel_pytree(state.position)
     qd, _ = ravel_pytree(state.velocity)
@@ -128,34 +133,35 @@ def reference_accelerations(
     def rate(q):
         return jax.jvp(matrices, (q,), (qd,))[1]
 
-    slopes = jax.jacfwd(matrices)(q)
+    derivatives = jax.jacfwd(matrices)(q)
     bias = jax.jvp(rate, (q,), (qd,))[1]
-    mass = jnp.einsum("nabi,nbc,nacj->ij", slopes, pseudo_inertia, slopes)
-    inertial = jnp.einsum("nabi,nbc,nac->i", slopes, pseudo_inertia, bias)
+    mass = jnp.einsum("nabi,nbc,nacj->ij", derivatives, pseudo_inertia, derivatives)
+    inertial = jnp.einsum("nabi,nbc,nac->i", derivatives, pseudo_inertia, bias)
 
     def potential(q):
         frames = matrices(q)
         weights = jnp.einsum("nabc,nc->nab", frames[:, :3, None, :], pseudo_inertia[:, :, 3])
-        fall = -jnp.sum(weights[:, :, 0] @ actual.gravity)
+        of_gravity = -jnp.sum(weights[:, :, 0] @ actual.gravity)
         if topology.exact:
             stretch = exact_deflections(actual, frames)
-            return fall + 0.5 * jnp.sum(actual.stiffness * stretch**2)
-        return fall + elasticity.elastic_energy(actual, unravel(q))
+            return of_gravity + 0.5 * jnp.sum(actual.stiffness * stretch**2)
+        return of_gravity + elasticity.elastic_energy(actual, unravel(q))
 
-    def damping(qd):
-        """Half the power that the dampers take out."""
+    def rayleigh(qd):
+        """Rayleigh's dissipation function: half the power that the dampers dissipate."""
         if topology.exact:
-            frame_rates = jnp.einsum("nabi,i->nab", slopes, qd)
+            frame_rates = jnp.einsum("nabi,i->nab", derivatives, qd)
             faces = partial(exact_deflections, actual)
             rate = jax.jvp(faces, (matrices(q),), (frame_rates,))[1]
             return 0.5 * jnp.sum(actual.stiffness * actual.damping[None] * rate**2)
-        now = State(state.position, unravel(qd))
-        return 0.5 * elasticity.dissipated_power(actual, now)
+        return 0.5 * elasticity.dissipated_power(actual, State(state.position, unravel(qd)))
 
-    force = -inertial - jax.grad(potential)(q) - jax.grad(damping)(qd)
+    force = -inertial - jax.grad(potential)(q) - jax.grad(rayleigh)(qd)
+    for l in range(topology.n_links):
+        moment = hinge_moment(topology, drive, l)
+        if moment is not None:
+            force = force.at[l].add(moment)
     driven = topology.driven
-    if drive.moment is not None:
-        force = force.at[driven].add(drive.moment)
 
     def phi(q):
         return constraints(actual, unravel(q), stabilisation.scale)
@@ -167,7 +173,7 @@ def reference_accelerations(
     gamma = -jax.jvp(phi_rate, (q,), (qd,))[1]
     gamma = gamma - stabilisation.velocity_gain * phi_rate(q)
     gamma = gamma - stabilisation.position_gain * phi(q)
-    if drive.prescribed is not None:
+    if drive.prescribed is not None and driven is not None:
         jacobian = jnp.concatenate([jacobian, jnp.eye(q.size)[driven : driven + 1]])
         gamma = jnp.concatenate([gamma, jnp.reshape(drive.prescribed[2], (1,))])
     n, c = q.size, gamma.size

@@ -1,12 +1,14 @@
-"""Rows of an array in another order, as one operation of JAX.
+"""Permutation of the rows of an array as one primitive of JAX.
 
-Place in the pipeline: algebra, elasticity use it where rows are exchanged within a formula.
+Place in the pipeline: used by algebra and the elements where rows are exchanged within a formula.
 
-Slices joined together would do the same, but XLA merges them into the formulas around: an entry is then found by
-branches, and where such formulas stand in each other, every branch has its own copy of what is inside.  A gather
-has no branches.  Its transpose in JAX is a scatter, which XLA writes as a loop over the rows; that of an order is
-the order back.
+Concatenated slices would do the same, but XLA fuses them into the formulas around them: every entry is then
+selected by branches, and where such formulas are nested, every branch has its own copy of the inner one.  A
+gather has no branches.  Its transpose in JAX is a scatter, which XLA compiles to a loop over the rows; here it is
+the gather of the inverse permutation.
 """
+
+from collections.abc import Sequence
 
 import jax
 import numpy as np
@@ -17,15 +19,18 @@ from jax.interpreters import ad, batching, mlir
 _reorder = Primitive("reorder")
 
 
-def reorder(values: Array, order, axis: int = 0) -> Array:
-    """Rows `order[0]`, `order[1]`, ... of an axis; `order` has each of its places once."""
+def reorder(values: Array | np.ndarray, order: Sequence[int] | np.ndarray, axis: int = 0) -> Array:
+    """Rows `order[0]`, `order[1]`, ... of an axis; `order` is a permutation of its places.
+
+    **Raises:** `ValueError` if it is none.
+    """
     order = tuple(int(place) for place in order)
     if sorted(order) != list(range(values.shape[axis])):
-        raise ValueError(f"{order} is no order of {values.shape[axis]} rows")
+        raise ValueError(f"{order} is no permutation of {values.shape[axis]} rows")
     return _reorder.bind(values, order=order, axis=axis)
 
 
-def _gathered(values, *, order, axis):
+def _gather(values: Array, *, order: tuple[int, ...], axis: int) -> Array:
     sizes = list(values.shape)
     sizes[axis] = 1
     numbers = lax.GatherDimensionNumbers(
@@ -37,22 +42,22 @@ def _gathered(values, *, order, axis):
     return lax.gather(values, places, numbers, sizes, unique_indices=True, mode="promise_in_bounds")
 
 
-def _reordered(values, *, order, axis):
-    return jax.jit(_gathered, static_argnames=("order", "axis"))(values, order=order, axis=axis)
+def _implementation(values: Array, *, order: tuple[int, ...], axis: int) -> Array:
+    return jax.jit(_gather, static_argnames=("order", "axis"))(values, order=order, axis=axis)
 
 
-def _reordered_back(cotangent, values, *, order, axis):
-    back = tuple(int(place) for place in np.argsort(np.array(order, int)))
-    return [_reorder.bind(cotangent, order=back, axis=axis)]
+def _transpose(cotangent, values, *, order, axis):
+    inverse = tuple(int(place) for place in np.argsort(np.array(order, int)))
+    return [_reorder.bind(cotangent, order=inverse, axis=axis)]
 
 
-def _batched(arguments, axes, *, order, axis):
+def _batch(arguments, axes, *, order, axis):
     (values,), (batch,) = arguments, axes
     return _reorder.bind(values, order=order, axis=axis + (batch <= axis)), batch
 
 
-_reorder.def_impl(_reordered)
+_reorder.def_impl(_implementation)
 _reorder.def_abstract_eval(lambda values, *, order, axis: values)
-ad.deflinear2(_reorder, _reordered_back)
-batching.primitive_batchers[_reorder] = _batched
-mlir.register_lowering(_reorder, mlir.lower_fun(_gathered, multiple_results=False))
+ad.deflinear2(_reorder, _transpose)
+batching.primitive_batchers[_reorder] = _batch
+mlir.register_lowering(_reorder, mlir.lower_fun(_gather, multiple_results=False))

@@ -14,10 +14,10 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import Array
-from jaxtyping import ArrayLike, Float
+from jaxtyping import Float
 
 from rfem_jax.mechanics import algebra, loads
-from rfem_jax.mechanics.algebra import apply, apply_transposed, cross, dot
+from rfem_jax.mechanics.algebra import Scalar, apply, apply_transposed, cross, dot
 from rfem_jax.mechanics.cut_joints import Closure, closure
 from rfem_jax.mechanics.elasticity import generalised_forces
 from rfem_jax.mechanics.inputs import DriveInput
@@ -73,7 +73,7 @@ def evaluate_residual(
     accelerations: Coordinates,
     multipliers: Float[Array, "5 cuts"],
     drive: DriveInput,
-    scale: Float[ArrayLike, ""],
+    scale: Scalar,
 ) -> Evaluation:
     """Residual for given accelerations of the coordinates and multipliers [N].
 

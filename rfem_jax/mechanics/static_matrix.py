@@ -1,10 +1,10 @@
-"""The matrix of the static equations, solved by the structure of the links.
+"""The tangent of the static equations, solved by recursion over the links.
 
 Place in the pipeline: condensation, newton -> **static_matrix** -> statics.
 
-Newton's matrix of an implicit step so long that inertia is next to nothing against the springs is that of
-the static equations of a mechanism without loads, and is solved in a time proportional to the number of
-rfes.  What is left of the inertia keeps the pivots of free hinges, about which no spring turns, from
+The iteration matrix of an implicit step so long that inertia is negligible against the springs approximates
+the tangent of the static equations of a mechanism without loads, and is solved in a time proportional to the
+number of rfes.  What remains of the inertia keeps the pivots of free hinges, about which no spring acts, from
 being zero.
 """
 
@@ -13,8 +13,10 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import Array
+from jaxtyping import Float
 
 from rfem_jax.mechanics import loads
+from rfem_jax.mechanics.algebra import Scalar
 from rfem_jax.mechanics.condensation import link_operators
 from rfem_jax.mechanics.cut_joints import closure
 from rfem_jax.mechanics.kinematics import motion_of
@@ -23,34 +25,40 @@ from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 from rfem_jax.mechanics.newton import IterationMatrix, iteration_matrix, newton_increment
 from rfem_jax.mechanics.residual import Residual
 
-# Springs over inertia, by the stiffness of a link and the mass of all.  The larger, the less a change leaves over,
-# but rounding grows with its square: in spatial loops, 1e6 would lead nowhere.
-STIFFER = 3e2
+# Springs over inertia, by the stiffness of a link and the mass of all.  The larger, the smaller the residual of a
+# solution, but rounding grows with its square: in spatial loops, 1e6 would not converge.
+STIFFNESS_RATIO = 3e2
 
 
-class MatrixAtRest(NamedTuple):
-    """Matrix of a step whose accelerations move the coordinates by `reach` [s^2] times themselves."""
+class StaticTangent(NamedTuple):
+    """Iteration matrix of a step in which coordinates change by q_factor [s^2] times the accelerations."""
 
     matrix: IterationMatrix
-    reach: Array
+    q_factor: Float[Array, ""]
 
 
-def matrix_at_rest(
-    actual: ModelWithErrors, position: Coordinates, held: tuple[int, ...], scale: Array, stiffness: Array
-) -> MatrixAtRest:
-    """Matrix at one position with undeformed links, joints of the links `held` held; scale [m] as in `closure`,
-    stiffness [N/m] of the mechanism."""
-    reach = STIFFER * jnp.sum(actual.mass) / stiffness
-    operators = link_operators(actual, reach, jnp.zeros(()))
-    now = motion_of(actual, loads.static_state(position))
-    matrix = iteration_matrix(actual, operators, now, closure(actual, now, scale), held)
-    return MatrixAtRest(matrix, reach)
+def static_tangent(
+    actual: ModelWithErrors,
+    position: Coordinates,
+    held: tuple[int, ...],
+    scale: Scalar,
+    stiffness: Scalar,
+) -> StaticTangent:
+    """Tangent at one position with undeformed links, the joints of the links `held` held; scale [m] as in
+    `closure`, stiffness [N/m] of the mechanism."""
+    q_factor = STIFFNESS_RATIO * jnp.sum(actual.mass) / stiffness
+    operators = link_operators(actual, q_factor, jnp.zeros(()))
+    motion = motion_of(actual, loads.static_state(position))
+    matrix = iteration_matrix(actual, operators, motion, closure(actual, motion, scale), held)
+    return StaticTangent(matrix, q_factor)
 
 
-def change_at_rest(topology: Topology, static: MatrixAtRest, left: Residual) -> tuple[Coordinates, Array]:
-    """Change of coordinates and multipliers (5, C) that takes away what is left over of moments, forces and
-    closure (`closing` in m); angles held do not change."""
-    left = left._replace(closing=left.closing / static.reach)
-    change = newton_increment(topology, static.matrix, left)
-    moved = jax.tree.map(lambda part: static.reach * part, change.accelerations)
-    return moved, change.multipliers
+def static_increment(
+    topology: Topology, tangent: StaticTangent, residual: Residual
+) -> tuple[Coordinates, Float[Array, "5 cuts"]]:
+    """Increments of coordinates and multipliers for which the linearised residual (`closing` in m) vanishes;
+    angles held do not change."""
+    residual = residual._replace(closing=residual.closing / tangent.q_factor)
+    increment = newton_increment(topology, tangent.matrix, residual)
+    coordinates = jax.tree.map(lambda part: tangent.q_factor * part, increment.accelerations)
+    return coordinates, increment.multipliers

@@ -2,14 +2,15 @@
 
 Place in the pipeline: model, errors -> **statics** -> start state of a simulation.
 
-With errors the links are bent to close the loops (MODEL section 5): the stationary point of springs
-+ gravity subject to the closure equations, some joints held. Written as equilibrium: no moment
-about a free hinge, springs + gravity + joint wrenches balanced on every free rfe, loops closed.
-Newton's method, differentiated by the implicit function theorem; unknowns and residuals are scaled
-by a length and a force of the mechanism.
+With errors the links are deformed when the loops are closed (MODEL section 5): the assembled state is a
+stationary point of the potential energy of springs and gravity subject to the closure equations, some joints
+held.  It is found from its equilibrium equations: zero moment about every free hinge, zero generalised force
+of springs, gravity and joints on every free rfe, closed loops.  They are solved by Newton's method and
+differentiated by the implicit function theorem; unknowns and residuals are scaled by a length and a force of
+the mechanism.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from typing import NamedTuple
 
 import equinox as eqx
@@ -18,20 +19,22 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.flatten_util import ravel_pytree
+from jaxtyping import ArrayLike, Float, Int
 
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.errors import InputError, suggestion
 from rfem_jax.mechanics import elasticity, loads
-from rfem_jax.mechanics.algebra import apply_transposed, cross, dot
+from rfem_jax.mechanics.algebra import Scalar, apply_transposed, cross, dot
 from rfem_jax.mechanics.cut_joints import closure
 from rfem_jax.mechanics.inputs import DriveInput
 from rfem_jax.mechanics.kinematics import motion_of, range_used
 from rfem_jax.mechanics.model import Coordinates, Model, State, Topology
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors, ModelWithErrors, apply_errors, assembly_errors
 from rfem_jax.mechanics.residual import Residual
-from rfem_jax.mechanics.static_matrix import change_at_rest, matrix_at_rest
+from rfem_jax.mechanics.static_matrix import static_increment, static_tangent
 from rfem_jax.mechanics.static_search import (
     Equations,
+    Linear,
     chord,
     least_squares,
     load_steps,
@@ -43,22 +46,22 @@ from rfem_jax.mechanics.status import NOT_ASSEMBLED, OK, OUT_OF_RANGE, WRONG_SID
 
 
 class Load(NamedTuple):
-    """Force [N] and moment [N m] (..., 3) of one joint in its hinge frame."""
+    """Force [N] and moment [N m] of one joint in its hinge frame."""
 
-    force: Array
-    moment: Array
+    force: Float[Array, "*times 3"]
+    moment: Float[Array, "*times 3"]
 
 
 class Assembled(NamedTuple):
-    """A mechanism put together: state at rest, preload of every joint, status code."""
+    """An assembled mechanism: state at rest, preload of every joint, status code."""
 
     state: State
     preload: dict[str, Load]
-    status: Array
+    status: Int[Array, ""]
 
 
-def assemble(model: Model, errors: AssemblyErrors, hold: dict[str, Array] | None = None) -> Assembled:
-    """Put the mechanism together: static equilibrium with some joints held.
+def assemble(model: Model, errors: AssemblyErrors, hold: Mapping[str, ArrayLike] | None = None) -> Assembled:
+    """Assemble the mechanism: static equilibrium with some joints held.
 
     **Arguments:** `hold`: joint name -> angle [rad]; None holds the driven joint at its start angle,
     {} holds nothing.
@@ -75,15 +78,18 @@ def assemble(model: Model, errors: AssemblyErrors, hold: dict[str, Array] | None
 
 
 @Program
-def _assemble(model: Model, errors: AssemblyErrors, hold) -> Assembled:
+def _assemble(model: Model, errors: AssemblyErrors, hold: dict[str, Array] | None) -> Assembled:
     actual = apply_errors(model, errors)
     position, multipliers, status = equilibrium(model, actual, held_angles(model, hold))
     state = loads.static_state(position)
     return Assembled(state, named(model, static_loads(model, actual, state, multipliers)), status)
 
 
-def held_angles(model: Model, hold: dict[str, Array] | None) -> dict[int, Array]:
-    """Link index -> held angle, checked."""
+def held_angles(model: Model, hold: Mapping[str, ArrayLike] | None) -> dict[int, Float[Array, ""]]:
+    """Link index -> held angle [rad], by the names of their joints; None: the driven joint's start angle.
+
+    **Raises:** `InputError` for a name that is not a joint of the tree.
+    """
     topology = model.topology
     if hold is None:
         driven = topology.driven
@@ -92,8 +98,8 @@ def held_angles(model: Model, hold: dict[str, Array] | None) -> dict[int, Array]
     return {topology.joints.index(name): jnp.asarray(angle) for name, angle in hold.items()}
 
 
-def _require_tree_joints(model: Model, names) -> None:
-    """Raises InputError for the first name that is not a joint of the tree."""
+def _require_tree_joints(model: Model, names: Iterable[str]) -> None:
+    """Raise InputError for the first name that is not a joint of the tree."""
     tree = model.topology.joints[: model.topology.n_links]
     for name in names:
         if name not in tree:
@@ -103,16 +109,16 @@ def _require_tree_joints(model: Model, names) -> None:
 
 
 class _Scaled(NamedTuple):
-    """Unknowns and residuals as flat arrays, measured by a length [m] and a force [N] of the mechanism.
+    """Unknowns and residuals as flat arrays, scaled by a length [m] and a force [N] of the mechanism.
 
-    units (n,): of the coordinates; generalised forces times these are works.
+    units (n,) [m, rad]: of the coordinates; generalised forces times these are works.
     """
 
     topology: Topology
-    length: Array
-    force: Array
-    units: Array
-    unravel: Callable
+    length: Float[Array, ""]
+    force: Float[Array, ""]
+    units: Float[Array, " n"]
+    unravel: Callable[[Array], Coordinates]
 
     def unknowns(self, position: Coordinates, multipliers: Array) -> Array:
         """Flat, of coordinates and multipliers (5, C)."""
@@ -129,8 +135,8 @@ class _Scaled(NamedTuple):
         works = ravel_pytree(forces)[0] * self.units / (self.force * self.length)
         return jnp.concatenate([works, closing.T.reshape(-1) / self.length])
 
-    def left_over(self, residual: Array) -> tuple[Coordinates, Array]:
-        """Generalised forces and closing (5, C) [m]."""
+    def unscaled(self, residual: Array) -> tuple[Coordinates, Array]:
+        """Generalised forces and closing (5, C) [m] of a flat residual."""
         works, closing = residual[: self.units.size], residual[self.units.size :]
         forces = self.unravel(works * (self.force * self.length) / self.units)
         return forces, closing.reshape(self.topology.n_cuts, 5).T * self.length
@@ -144,12 +150,14 @@ def _scaled(model: Model, actual: ModelWithErrors) -> _Scaled:
     return _Scaled(topology, length, _force_scale(model, actual), units, unravel)
 
 
-def equilibrium(model: Model, actual: ModelWithErrors, held: dict[int, Array]):
-    """Coordinates, multipliers (5 cuts,) [N] and status of the static equilibrium.
+def equilibrium(
+    model: Model, actual: ModelWithErrors, held: dict[int, Float[Array, ""]]
+) -> tuple[Coordinates, Float[Array, "5 cuts"], Int[Array, ""]]:
+    """Coordinates, multipliers [N] and status of the static equilibrium; `held`: link index -> angle [rad].
 
-    From the undeformed start: with the matrix of the perfect mechanism, which is solved by its structure and
-    the same for all samples of a batch, and only where that does not converge by Newton's method.
-    Geometrically exact elements, whose deflections may be large, are brought there by load steps.
+    From the undeformed start by the chord method with the tangent of the perfect mechanism, which is the same
+    for all samples of a batch, and only where that does not converge by Newton's method.  Geometrically exact
+    elements, whose deflections may be large, follow the equilibrium under growing loads.
     """
     topology = model.topology
     scaled = _scaled(model, actual)
@@ -159,7 +167,7 @@ def equilibrium(model: Model, actual: ModelWithErrors, held: dict[int, Array]):
     def residual(unknowns, args):
         actual, angles = args
         position, multipliers = scaled.coordinates(unknowns), scaled.multipliers(unknowns)
-        hinge, elastic, closing = _unbalanced(actual, position, multipliers, scaled.length)
+        hinge, elastic, closing = _static_residual(actual, position, multipliers, scaled.length)
         value = scaled.residual(Coordinates(hinge, elastic), closing)
         return jnp.where(is_given, unknowns - angles @ onto, value)
 
@@ -180,23 +188,23 @@ def equilibrium(model: Model, actual: ModelWithErrors, held: dict[int, Array]):
         solve=least_squares if topology.minimum_norm else jnp.linalg.solve,
     )
 
-    # No derivative goes through the search: its result is where the implicit function is taken.
-    goal = jax.lax.stop_gradient(args)
+    # The search is not differentiated: its derivatives are those of the implicit function, taken at its result.
+    loaded = jax.lax.stop_gradient(args)
     if topology.exact:
-        end, found = load_steps(equations, undeformed, perfect, goal)
+        end, found = load_steps(equations, undeformed, perfect, loaded)
     elif topology.minimum_norm:
-        end, found = newton(equations, guess, goal)
+        end, found = newton(equations, guess, loaded)
     else:
         constant = _preconditioner(scaled, given, perfect[0], undeformed)
-        end, found = chord(equations, constant, _rows(scaled, perfect[0]), guess, goal)
+        end, found = chord(equations, constant, _rows(scaled, perfect[0]), guess, loaded)
 
-    def solve_slope(slope, value):
+    def tangent_solve(linear, value):
         if topology.exact or topology.minimum_norm:
-            return solve_dense(equations, slope, value)
-        inverse = _preconditioner(scaled, given, goal[0], end)
-        return solve_linear(equations, inverse, slope, value)
+            return solve_dense(equations, linear, value)
+        preconditioner = _preconditioner(scaled, given, loaded[0], end)
+        return solve_linear(equations, preconditioner, linear, value)
 
-    unknowns = jax.lax.custom_root(lambda unknowns: residual(unknowns, args), end, lambda _, found: found, solve_slope)
+    unknowns = jax.lax.custom_root(lambda unknowns: residual(unknowns, args), end, lambda _, x: x, tangent_solve)
     position = scaled.coordinates(unknowns)
     found = found & jnp.all(jnp.isfinite(unknowns))
     in_range = range_used(topology, position) < 1.0
@@ -207,25 +215,25 @@ def equilibrium(model: Model, actual: ModelWithErrors, held: dict[int, Array]):
     return position, scaled.multipliers(unknowns), status.astype(jnp.int32)
 
 
-def _preconditioner(scaled: _Scaled, given, actual: ModelWithErrors, unknowns: Array) -> Callable:
-    """Nearly the inverse of the equations' matrix where the unknowns are: residual -> unknowns; the angles of the
-    links `given` are held."""
+def _preconditioner(scaled: _Scaled, given: np.ndarray, actual: ModelWithErrors, unknowns: Array) -> Linear:
+    """Preconditioner of the equations' Jacobian, residual -> unknowns, at given unknowns; the angles of the links
+    `given` are held."""
     topology = scaled.topology
     held, stiffness = tuple(given.tolist()), scaled.force / scaled.length
     position = scaled.coordinates(unknowns)
-    matrix = matrix_at_rest(actual, position, held, scaled.length, stiffness)
+    tangent = static_tangent(actual, position, held, scaled.length, stiffness)
 
     def solve(residual):
-        forces, closing = scaled.left_over(residual)
-        left = Residual(forces.angles, -forces.elastic[:3], -forces.elastic[3:], -closing)
-        change = scaled.unknowns(*change_at_rest(topology, matrix, left))
-        return change + jnp.where(np.isin(np.arange(unknowns.size), given), residual, 0.0)
+        forces, closing = scaled.unscaled(residual)
+        by_part = Residual(forces.angles, -forces.elastic[:3], -forces.elastic[3:], -closing)
+        increment = scaled.unknowns(*static_increment(topology, tangent, by_part))
+        return increment + jnp.where(np.isin(np.arange(unknowns.size), given), residual, 0.0)
 
     return solve
 
 
 def _rows(scaled: _Scaled, actual: ModelWithErrors) -> Array:
-    """Sums of the sizes of the entries in every row of the equations' matrix."""
+    """Sums of the absolute entries in every row of the equations' Jacobian, undeformed."""
     topology = scaled.topology
     springs = jnp.roll(jnp.abs(elasticity.stiffness_blocks(actual).diagonal), (3, 3), axis=(1, 2))
     one = scaled.coordinates(jnp.ones(len(scaled.units))).elastic
@@ -234,41 +242,45 @@ def _rows(scaled: _Scaled, actual: ModelWithErrors) -> Array:
     return scaled.residual(forces, jnp.full((5, topology.n_cuts), scaled.length))
 
 
-def _unbalanced(actual: ModelWithErrors, position: Coordinates, multipliers: Array, scale: Array):
-    """Moments about the hinges (L,) [N m], generalised forces left on the free rfes (6, N) and
-    closure residuals (5, C) [m] of a mechanism at rest."""
+def _static_residual(
+    actual: ModelWithErrors, position: Coordinates, multipliers: Array, scale: Array
+) -> tuple[Float[Array, " links"], Float[Array, "6 rfes"], Float[Array, "5 cuts"]]:
+    """Moments about the hinges [N m], generalised forces on the free rfes [N, N m] and closure residuals [m] of
+    a mechanism at rest."""
     topology = actual.topology
     n = topology.n_links
     state = loads.static_state(position)
-    now = motion_of(actual, state)
-    cuts = closure(actual, now, scale)
+    motion = motion_of(actual, state)
+    cuts = closure(actual, motion, scale)
     at_rest = jnp.zeros((3, n + topology.n_rfes))
-    force, moment = loads.inertial_loads(actual, now, at_rest, at_rest)
-    wrenches = loads.chain_wrenches(actual, now, cuts, multipliers, (force, moment))
-    hinge = dot(now.axis, jnp.stack(wrenches[:n], axis=1))
+    force, moment = loads.inertial_loads(actual, motion, at_rest, at_rest)
+    wrenches = loads.chain_wrenches(actual, motion, cuts, multipliers, (force, moment))
+    hinge = dot(motion.axis, jnp.stack(wrenches[:n], axis=1))
     force, moment = -force[:, n:], -moment[:, n:]
     for j, (left, right) in enumerate(zip(topology.parents, topology.children)):
         for node, sign in ((left, -1.0), (right, 1.0)):
-            # The joint of a link acts on its rfe 0; only wrenches on free rfes count here.
+            # A tree joint acts on rfe 0 of its child, which has no equation here.
             if node >= n:
                 k = node - n
-                turn = now.links.rotation[:, :, topology.link_of(node)]
-                where = now.interfaces.point[:, topology.interfaces.index(k)]
+                rotation = motion.links.rotation[:, :, topology.link_of(node)]
+                where = motion.interfaces.point[:, topology.interfaces.index(k)]
                 on_force = sign * wrenches[j][3:]
                 on_moment = sign * wrenches[j][:3] - cross(where, on_force)
                 there = jnp.asarray(np.arange(topology.n_rfes) == k, float)[None]
-                force = force + apply_transposed(turn, on_force)[:, None] * there
-                moment = moment + apply_transposed(turn, on_moment)[:, None] * there
-    outside = jnp.concatenate([force, apply_transposed(now.relative.rate_matrix, moment)])
-    elastic, _ = elasticity.generalised_forces(actual, state, now.relative)
-    return hinge, outside + elastic, jnp.zeros((5, 0)) if cuts is None else cuts.residual
+                force = force + apply_transposed(rotation, on_force)[:, None] * there
+                moment = moment + apply_transposed(rotation, on_moment)[:, None] * there
+    external = jnp.concatenate([force, apply_transposed(motion.relative.rate_matrix, moment)])
+    elastic, _ = elasticity.generalised_forces(actual, state, motion.relative)
+    return hinge, external + elastic, jnp.zeros((5, 0)) if cuts is None else cuts.residual
 
 
-def static_loads(model: Model, actual: ModelWithErrors, state: State, multipliers: Array) -> loads.JointLoads:
+def static_loads(
+    model: Model, actual: ModelWithErrors, state: State, multipliers: Float[Array, "5 cuts"]
+) -> loads.JointLoads:
     """Joint loads at rest, the moment that holds a joint included."""
-    now = motion_of(actual, state)
+    motion = motion_of(actual, state)
     at_rest = jnp.zeros((3, actual.mass.shape[0]))
-    resting = loads.Resting(now, closure(actual, now, length_scale(model)), multipliers)
+    resting = loads.Resting(motion, closure(actual, motion, length_scale(model)), multipliers)
     return loads.chain_loads(actual, resting, at_rest, at_rest, DriveInput())[0]
 
 
@@ -279,20 +291,28 @@ def named(model: Model, joint_loads: loads.JointLoads) -> dict[str, Load]:
 
 
 def quasi_static_rates(
-    model: Model, actual: ModelWithErrors, held: dict[int, Array], driven_rate: Array
+    model: Model, actual: ModelWithErrors, held: dict[int, Float[Array, ""]], driven_rate: Scalar
 ) -> Coordinates:
-    """Rates of the coordinates when the driven joint moves at a rate through equilibria: the
-    derivative of the static equilibrium along the driven angle, times the rate."""
-    driven = model.topology.driven
+    """Rates of the coordinates when the driven joint moves at a rate [rad/s] through equilibria: the
+    derivative of the static equilibrium by the driven angle, times the rate.
 
-    def along(angle):
+    **Raises:** `InputError` if no joint of the model is driven.
+    """
+    driven = model.topology.driven
+    if driven is None:
+        raise InputError(
+            "Argument `model` must have a driven joint to move through equilibria, but has none; "
+            "give the mechanism a `driven_joint`."
+        )
+
+    def at_angle(angle):
         return equilibrium(model, actual, {**held, driven: angle})[0]
 
     angle = jnp.asarray(held[driven])
-    return jax.jvp(along, (angle,), (jnp.asarray(driven_rate),))[1]
+    return jax.jvp(at_angle, (angle,), (jnp.asarray(driven_rate),))[1]
 
 
-def length_scale(model: Model) -> Array:
+def length_scale(model: Model) -> Float[Array, ""]:
     """The longest nominal link [m]."""
     return jnp.max(model.length)
 

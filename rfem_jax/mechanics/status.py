@@ -1,14 +1,16 @@
-"""What can happen to one assembly or one run: failure is data, so that a batch goes on.
+"""The status of one assembly or one run: failure is data, so that a batch goes on.
+
+Place in the pipeline: statics and simulation set it, everything after them reads it.
 
 Codes are int32 scalars in traced code; `STATUS[code]` has the short name (as in results.json) and
-the full message.  The largest code is not the worst: the first failure of a run is kept.
+the full message.  The order of the codes is no ranking: the first failure of a run is kept.
 """
 
 from typing import NamedTuple
 
 
 class Status(NamedTuple):
-    """A short name and what it means: what happened, the usual cause, other causes."""
+    """A short name, and a message: what happened, the usual cause, other causes."""
 
     name: str
     message: str
@@ -47,15 +49,15 @@ STATUS: tuple[Status, ...] = (
     ),
     Status(
         "out_of_range",
-        "A rigid finite element turned too far in its link frame: beyond 60 deg with linear "
+        "A rigid finite element rotated too far in its link frame: beyond 60 deg with linear "
         "spring-damping elements, whose results are inaccurate well below that (use elements = "
         '"geometrically_exact"); with geometrically exact ones beyond 80 deg out of the plane of '
         "motion, where their angles become singular.",
     ),
     Status(
         "not_converged",
-        "An implicit step did not balance the equations of motion within a twentieth of the largest "
-        "joint force. Usually the step is too large for the motion; more corrections a step, or links "
-        "that bend less, do the same.",
+        "The residual of the equations of motion after an implicit step exceeded a twentieth of the "
+        "largest joint force. Usually the step is too large for the motion, or the method's "
+        "`corrections` are too few; links that bend far do the same.",
     ),
 )

@@ -1,4 +1,4 @@
-"""Rows in another order: values, both modes of derivatives, batches on any axis, no scatter."""
+"""Permutations of rows: values, both modes of derivatives, batches on any axis, no scatter."""
 
 import jax
 import jax.numpy as jnp
@@ -25,7 +25,7 @@ def test_rows_are_taken(run):
 
 @pytest.mark.parametrize("order", [(0, 1, 2), (0, 1, 1, 2), (0, 1, 2, 4)])
 def test_every_row_has_one_place(order):
-    with pytest.raises(ValueError, match="no order of 4 rows"):
+    with pytest.raises(ValueError, match="no permutation of 4 rows"):
         reorder(X, order, axis=1)
 
 

@@ -85,7 +85,7 @@ def test_a_change_leaves_little_over(make, most):
 
     def residual(unknowns):
         position, multipliers = scaled.coordinates(unknowns), scaled.multipliers(unknowns)
-        hinge, *others = statics._unbalanced(actual, position, multipliers, scaled.length)
+        hinge, *others = statics._static_residual(actual, position, multipliers, scaled.length)
         value = scaled.residual(Coordinates(hinge, others[0]), others[1])
         return value.at[given].set(unknowns[given])
 
