@@ -74,8 +74,9 @@ def _draw(folder, study, name, *results):
 def _do_sensitivity(study, folder):
     task = study.tasks.sensitivity
     twice = " (twice: with the finer step too)" if task.half_step else ""
-    on_stage(f"Differentiating {len(task.metrics)} metrics to order {task.order}{twice}")
-    result, undamped = tasks.run_sensitivity(study)
+    stage = f"Differentiating {len(task.metrics)} metrics to order {task.order}{twice}"
+    on_stage(stage)
+    result, undamped = tasks.run_sensitivity(study, progress=lambda done, total: on_stage(stage, done / total))
     _show(study, sensitivity_text(result, undamped))
     written = task_files.write_sensitivity(folder, study, result, undamped)
     return result.status == "ok", written + _draw(folder, study, "sensitivity", result)

@@ -84,14 +84,17 @@ def finer_method(method):
     return replace(method, accuracy=0.1 * accuracy)
 
 
-def run_sensitivity(study):
-    """Derivatives of all metrics of the task; returns (Sensitivities, undamped)."""
+def run_sensitivity(study, progress=False):
+    """Derivatives of all metrics of the task; returns (Sensitivities, undamped).
+
+    Arguments: progress as for `sensitivity`.
+    """
     task = study.tasks.sensitivity
     problem = build_problem(study, task.metrics)
     refined = problem.with_method(finer_method(study.method)) if task.half_step else None
     result = sensitivity(
         problem, task.at, task.order, build_tolerances(study.tasks.tolerances), task.mode,
-        batch=task.batch, refined=refined,
+        batch=task.batch, refined=refined, progress=progress,
     )  # fmt: skip
     return result, bool(getattr(problem, "undamped", False))
 
