@@ -8,7 +8,6 @@ import sys
 import time
 from collections.abc import Callable
 from types import TracebackType
-from typing import Self
 
 EVERY = 5.0  # s
 
@@ -36,7 +35,7 @@ class Progress:
             else:
                 self.bar = tqdm(total=total, initial=done, unit=unit)
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> "Progress":
         return self
 
     def __exit__(

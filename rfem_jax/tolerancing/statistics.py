@@ -106,17 +106,17 @@ def _effective_number(below, nets, confidence) -> float:
     """Number n_eff of independent samples that would give the fraction of `below` (n,) the same error."""
     n = len(below)
     if nets is None:
-        return n
+        return float(n)
     p = float(np.mean(below))
     totals, r = _net_totals(below - p, nets)
     if r < 2:
-        return 1
+        return 1.0
     agree = float(totals @ totals) <= (r - 1) / r + 1e-9  # as if one net differed by one sample
     error = 1.0 / n if agree else _standard_error(below - p, nets)[0]
     tail = 0.5 + 0.5 * confidence
     factor = (stats.t.ppf(tail, n - 1) / stats.t.ppf(tail, r - 1)) ** 2
     number = float(factor * p * (1.0 - p) / error**2)
-    return max(number, n) if agree else max(number, 1.0)
+    return max(number, float(n)) if agree else max(number, 1.0)
 
 
 def estimate_mean(samples: Samples, confidence: float = 0.95, nets: Nets = None) -> Estimate:

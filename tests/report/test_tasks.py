@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 import rfem_jax.simulation
+from rfem_jax.compilation.stages import listening
 from rfem_jax.description import Method, load_study
 from rfem_jax.report import command_line
 from rfem_jax.report.command_line import main
@@ -174,6 +175,25 @@ def test_an_interrupted_study_continues_by_the_same_command(task_file, tmp_path,
     assert written == [0, 1, 2, 2, 3]
     for name in ("monte_carlo.json", "monte_carlo.csv"):
         assert (parts / name).read_bytes() == (whole / name).read_bytes()
+
+
+def test_a_finished_study_is_extended_by_a_larger_n(task_file, tmp_path):
+    small, out, whole = tmp_path / "small.toml", tmp_path / "out", tmp_path / "whole"
+    small.write_text(task_file.read_text(encoding="utf-8").replace("n = 32", "n = 20"), encoding="utf-8")
+    assert call("monte-carlo", small, out) == 0
+    assert read(out / "monte_carlo.json")["samples"] == 20
+    assert call("monte-carlo", task_file, out) == 0
+    assert call("monte-carlo", task_file, whole) == 0
+    for name in ("monte_carlo.json", "monte_carlo.csv"):
+        assert (out / name).read_bytes() == (whole / name).read_bytes()
+
+
+def test_the_command_shows_the_progress_of_a_sensitivity_study(task_file, tmp_path):
+    seen = []
+    with listening(lambda stage, done: seen.append((stage, done))):
+        assert call("sensitivity", task_file, tmp_path / "out") == 0
+    told = [done for stage, done in seen if stage.startswith("Differentiating 2 metrics")]
+    assert told == [None, 0.5, 1.0]  # both steps
 
 
 def test_the_folder_of_another_study_is_refused(task_file, tmp_path, capsys):

@@ -7,6 +7,8 @@ import pytest
 from scipy import stats
 
 from rfem_jax.description.errors import InputError
+from rfem_jax.tolerancing.allocation_request import check_request
+from rfem_jax.tolerancing.cost_models import Reciprocal
 from rfem_jax.tolerancing.distributions import (
     CorrelatedNormal,
     Normal,
@@ -15,7 +17,10 @@ from rfem_jax.tolerancing.distributions import (
     TruncatedNormal,
     Uniform,
 )
+from rfem_jax.tolerancing.monte_carlo_study import monte_carlo
 from rfem_jax.tolerancing.problem import FunctionProblem, Metric
+from rfem_jax.tolerancing.sensitivities import sensitivity
+from rfem_jax.tolerancing.worst_cases import worst_case
 
 jax.config.update("jax_enable_x64", True)
 
@@ -52,6 +57,43 @@ def test_errors_are_differentiable_in_the_width(kind):
     for mode in (jax.jacfwd, jax.jacrev):
         np.testing.assert_allclose(mode(error)(0.01), difference, rtol=1e-7)
     assert difference > 0.1
+
+
+@pytest.mark.parametrize("kind", (Uniform, Triangular, Normal, TruncatedNormal))
+def test_widths_and_intervals_may_be_strings_with_a_unit(kind):
+    angle, length = kind("0.25 deg"), kind(interval=("-0.1 mm", "0.3 mm"))
+    assert float(angle.tolerance) == pytest.approx(np.radians(0.25), rel=1e-15) and angle.centre == 0.0
+    np.testing.assert_allclose(length.interval, (-1e-4, 3e-4), rtol=1e-12)
+    assert (angle.unit, length.unit, kind(0.1).unit) == ("rad", "m", None)
+    problem = FunctionProblem(lambda e: {"y": e["a"] + e["b"]}, ("a", "b"), ("y",), error_units={"b": "m"})
+    key = jax.random.key(0)
+    given = monte_carlo(problem, Tolerances({"a": kind("0.25 deg"), "b": kind("0.1 mm")}), 8, key)
+    numbers = monte_carlo(problem, Tolerances({"a": kind(np.radians(0.25)), "b": kind(1e-4)}), 8, key)
+    np.testing.assert_allclose(given.errors, numbers.errors, rtol=1e-15)
+    wrong = Tolerances({"a": kind("0.1 mm")})
+    for study in (
+        lambda: monte_carlo(problem, wrong, 8, key),
+        lambda: sensitivity(problem, scale=wrong),
+        lambda: worst_case(problem, wrong, "y", key=key),
+    ):
+        with pytest.raises(InputError, match=r"`a` is an angle \[rad\] and its tolerance is in m"):
+            study()
+
+
+def test_points_half_widths_and_bounds_may_be_strings_with_a_unit():
+    problem = FunctionProblem(lambda e: {"y": e["a"] ** 2 + e["b"]}, ("a", "b"), ("y",), error_units={"b": "m"})
+    found = sensitivity(problem, {"a": "0.1 rad"}, scale={"a": "0.5 deg", "b": "2 mm"})
+    assert found.at == {"a": 0.1} and found.gradient[0, 0] == pytest.approx(0.2)
+    np.testing.assert_allclose(found.scale, [np.radians(0.5), 2e-3], rtol=1e-15)
+    worst = worst_case(problem, {"b": "2 mm"}, "y", key=jax.random.key(0), at={"a": "0.1 rad"})
+    assert worst.value == pytest.approx(0.012)
+    bounds = {"a": ("0.1 deg", "1 deg"), "b": (1e-4, "1 mm")}
+    request = check_request(problem, {"y": 1.0}, Reciprocal(), bounds, None, "auto", 64)
+    np.testing.assert_allclose(request.lower, [np.radians(0.1), 1e-4], rtol=1e-15)
+    np.testing.assert_allclose(request.upper, [np.radians(1.0), 1e-3], rtol=1e-15)
+    for wrong in ({"a": "0.1 mm"}, {"b": "0.1"}):
+        with pytest.raises(InputError, match="of `scale` must"):
+            sensitivity(problem, scale=wrong)
 
 
 def test_truncated_normal_stays_inside():
@@ -124,7 +166,7 @@ def test_new_half_widths_keep_centre_and_correlation():
         (lambda: Uniform("0.5 kg"), "an angle or a length"),
         (lambda: Uniform("0.5 dg"), "an angle or a length"),
         (lambda: Uniform("-0.5 deg"), "`tolerance` must be zero or positive"),
-        (lambda: Uniform([0.1, 0.2]), "must be one number"),
+        pytest.param(lambda: Uniform([0.1, 0.2]), "must be one number", marks=pytest.mark.wrong_types),
         (lambda: Normal(interval=("-0.1 mm", "0.1 deg")), "two ends of one unit"),
         (lambda: Uniform(), "neither is"),
         (lambda: Uniform(0.1, interval=(0, 1)), "both are"),
@@ -134,7 +176,7 @@ def test_new_half_widths_keep_centre_and_correlation():
         (lambda: CorrelatedNormal("ab", [[1.0, 0.5], [0.0, 1.0]]), "not symmetric"),
         (lambda: CorrelatedNormal("ab", np.eye(3)), "shape"),
         (lambda: CorrelatedNormal("aa", np.eye(2)), "repeat"),
-        (lambda: Tolerances({"a": 0.1}), "Uniform(0.1)"),
+        pytest.param(lambda: Tolerances({"a": 0.1}), "Uniform(0.1)", marks=pytest.mark.wrong_types),
         (lambda: Tolerances({}), "names none"),
         (lambda: Tolerances({"a": Uniform(1)}, correlated=CorrelatedNormal("a", [[1]])), "twice"),
         (lambda: collection().with_half_widths({"aa": 0.1}), "did you mean `a`?"),

@@ -1,6 +1,7 @@
 """Faults: kills, damaged chunks, full disks, folders of other studies, missing processes."""
 
 import errno
+import json
 import os
 import resource
 import signal
@@ -236,6 +237,79 @@ def test_folder_of_another_study_is_refused(tmp_path, changes, words):
         run(tmp_path, **changes)
     assert words in str(caught.value)
     assert marks(tmp_path) == before
+
+
+EXTENSIONS = [
+    {},
+    {"sampling": "pseudo_random"},
+    {"sobol_indices": True},
+    {"sobol_indices": True, "sampling": "pseudo_random"},
+]
+
+
+@pytest.mark.parametrize("options", EXTENSIONS, ids=str)
+def test_a_finished_study_is_extended_to_the_bits_of_a_single_run(tmp_path, options):
+    small = run(tmp_path / "grown", n=22, **options)
+    total = 4 if "sobol_indices" in options else 1  # runs per sample
+    stored = 22 * total
+    before = marks(tmp_path / "grown")
+    grown, whole = run(tmp_path / "grown", **options), run(tmp_path / "whole", **options)
+    same(grown, whole)
+    assert grown.sobol_indices == whole.sobol_indices
+    # Whole chunks are not touched, the last one keeps its samples.
+    assert grown.chunks_computed == -(-N * total // BATCH) - stored // BATCH
+    after = marks(tmp_path / "grown")
+    kept = {f"chunk-{c:06d}.npz" for c in range(stored // BATCH)}
+    assert kept == {name for name, mark in before.items() if after[name] == mark}
+    for path in (tmp_path / "whole").iterdir():
+        assert (tmp_path / "grown" / path.name).read_bytes() == path.read_bytes()
+    # Fewer samples again: the first of those that are there.
+    again = run(tmp_path / "grown", n=22, **options)
+    assert again.chunks_computed == 0 and marks(tmp_path / "grown") == after
+    same(again, small)
+    assert json.loads((tmp_path / "grown" / "manifest.json").read_text())["n"] == N
+
+
+def test_samples_that_are_there_are_not_computed_again_by_an_extension(tmp_path, monkeypatch):
+    run(tmp_path, n=22)
+    counts = []
+
+    def evaluate(problem, tolerances, points, lanes, original=execution.evaluate):
+        counts.append(len(points))
+        return original(problem, tolerances, points, lanes)
+
+    monkeypatch.setattr(execution, "evaluate", evaluate)
+    told = []
+    run(tmp_path, n=40, progress=lambda *seen: told.append(seen))
+    assert counts == [10, 8]  # the second chunk had 6 of 16 samples
+    assert told == [(32, 40), (40, 40)]
+
+
+def test_an_extension_that_is_interrupted_keeps_the_samples_before_it(tmp_path, reference, monkeypatch):
+    run(tmp_path, n=22)
+    whole = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+
+    def fail(path, payload, original=results_store.write_whole):
+        if path.name == "chunk-000001.npz":
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        original(path, payload)
+
+    monkeypatch.setattr(results_store, "write_whole", fail)
+    with pytest.raises(ChunkWriteError):
+        run(tmp_path)
+    monkeypatch.undo()
+    for name in ("chunk-000000.npz", "chunk-000001.npz"):
+        assert (tmp_path / name).read_bytes() == whole[name]
+    same(run(tmp_path), reference)
+
+
+def test_another_process_waits_for_a_chunk_to_be_completed(tmp_path, monkeypatch):
+    run(tmp_path, n=22)
+    monkeypatch.setattr(jax, "process_count", lambda: 2)
+    monkeypatch.setattr(execution, "PATIENCE", 0.2)
+    # Chunk 1 is of the other process, and has only 6 of its samples.
+    with pytest.raises(TimeoutError, match="1 are missing"):
+        run(tmp_path, n=32)
 
 
 def test_limits_and_quantiles_may_change_on_finished_samples(tmp_path, reference):

@@ -1,4 +1,4 @@
-"""Metrics of runs made by hand: every catalogued one against its definition, roots at zero."""
+"""Metrics of runs made by hand: every catalogued one against its definition, roots at zero; registered ones."""
 
 from types import SimpleNamespace
 
@@ -7,10 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from rfem_jax import Joint, Mechanism, Method, PrescribedRate, Problem, discretise, sensitivity
 from rfem_jax.description.errors import InputError
-from rfem_jax.description.metric_catalogue import JOINT_METRICS
+from rfem_jax.description.metric_catalogue import JOINT_METRICS, RUN_METRICS
 from rfem_jax.tolerancing import metrics
-from rfem_jax.tolerancing.metrics import Metric, metric
+from rfem_jax.tolerancing.metrics import Metric, metric, register_metric
+from tests.mechanisms import link
 
 jax.config.update("jax_enable_x64", True)
 
@@ -82,3 +84,63 @@ def test_metrics_of_ones_own_and_bad_ones():
         metric("A.rms_forse")
     with pytest.raises(InputError, match="did you mean `end_energy`"):
         metric("end_enrgy")
+
+
+@pytest.fixture
+def registered():
+    """Two metrics of a program that uses the package; the catalogue is the same afterwards."""
+    kept = [(catalogue, dict(catalogue)) for catalogue in (JOINT_METRICS, RUN_METRICS)]
+    register_metric("tip", "m", lambda run: run.ends["arm"][-1, 0], label="horizontal place of the tip")
+    register_metric("pull", "N", lambda run, joint: run.loads[joint].force[-1, 0], of_joints=True)
+    yield
+    for catalogue, entries in kept:
+        catalogue.clear()
+        catalogue.update(entries)
+
+
+@pytest.fixture(scope="module")
+def pendulum():
+    """A rigid arm that turns at a prescribed rate, half a radian from the horizontal at first."""
+    return discretise(Mechanism([link("arm", 0.3)], [Joint("A", "base", "arm", angle=0.5)], driven_joint="A"))
+
+
+RATE, DURATION = 3.0, 4e-4
+
+
+def build(model, names):
+    return Problem(model, PrescribedRate("A", RATE), DURATION, names, Method("rk4", step=2e-5), 2e-4)
+
+
+def test_a_registered_metric_runs_through_a_problem_and_sensitivities_to_their_table(registered, pendulum):
+    problem = build(pendulum, ("tip", "A.pull", "end_energy"))
+    assert problem.metrics[0] is metric("tip") and problem.metrics[1].label == "pull in A"
+    found = sensitivity(problem, order=1, scale={"arm.length": "1 mm", "A.delta_x": "0.5 deg"})
+    end = 0.5 + RATE * DURATION
+    # The tip is at L cos(angle) at the end; a longer arm has it farther out.
+    assert found.value[0] == pytest.approx(0.3 * np.cos(end), rel=1e-9)
+    assert found.gradient[0, 0] == pytest.approx(np.cos(end), rel=1e-9)
+    assert found.gradient_scaled[0, 0] == pytest.approx(1e-3 * np.cos(end), rel=1e-9)
+    rows = {(row["metric"], row["error"]): row for row in found.rows()}
+    assert rows["tip", "arm.length"]["gradient"] == found.gradient[0, 0]
+    assert np.isfinite(rows["A.pull", "arm.length"]["gradient"])
+    table = found.table("tip")
+    assert "horizontal place of the tip [m]" in table and "arm.length" in table and "pull in A [N]" in str(found)
+
+
+def test_a_problem_refuses_metrics_that_it_cannot_compute(registered, pendulum):
+    for names, words in (
+        ("tipp", "did you mean `tip`"),
+        ("Q.pull", "of joints of the model"),
+        (Metric("y", "N"), "must hold metrics with a function of a run, but 'y' has none"),
+        (("tip", "tip"), "`tip` occurs twice"),
+        ((), "at least one name"),
+    ):
+        with pytest.raises(InputError) as caught:
+            build(pendulum, names)
+        assert words in str(caught.value)
+
+
+def test_a_metric_that_is_replaced_is_another_one(registered):
+    before = metric("tip")
+    register_metric("tip", "rad", lambda run: run.angle[-1], replace=True)
+    assert metric("tip") is not before and metric("tip").unit == "rad" and metric("tip") is metric("tip")

@@ -1,5 +1,6 @@
 """Sensitivities of closed-form problems: derivatives, symmetry, kinks, principal directions."""
 
+import sys
 from typing import ClassVar
 
 import jax
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 
 from rfem_jax.description.errors import InputError
+from rfem_jax.tolerancing import progress
 from rfem_jax.tolerancing.problem import FunctionProblem, Metric
 from rfem_jax.tolerancing.quadratic_model import REVERSE_COST, choose_mode, expand, linearise_points
 from rfem_jax.tolerancing.sensitivities import sensitivity
@@ -182,6 +184,42 @@ def test_bad_input_is_refused_with_the_nearest_name(problem):
         sensitivity(problem, scale={"D.delta_x": 0.0})
     with pytest.raises(InputError, match="`order` must be 1 or 2"):
         sensitivity(problem, order=3)
+
+
+@pytest.mark.parametrize(
+    ("mode", "order", "batch", "told"),
+    [
+        ("forward", 2, 16, [2, 4, 6, 7]),  # 7 tangents within each of 2 directions
+        ("reverse", 2, 7, [3, 6, 7]),  # 2 cotangents within each of 3
+        ("forward", 1, 4, [4, 7]),
+        ("reverse", 1, 4, [7]),
+        ("forward", 2, 64, [7]),
+    ],
+)
+def test_progress_counts_directions_and_changes_no_number(mode, order, batch, told):
+    names = tuple(f"e{i}" for i in range(7))
+    many = FunctionProblem(smooth, names, ("a", "b"))
+    at = {name: 0.1 * i - 0.2 for i, name in enumerate(names)}
+    seen = []
+    found = sensitivity(many, at, order, mode=mode, batch=batch, progress=lambda *pair: seen.append(pair))
+    assert seen == [(count, 7) for count in told]
+    whole = sensitivity(many, at, order, mode=mode, batch=1000)
+    np.testing.assert_allclose(found.gradient, whole.gradient, rtol=1e-13)
+    if order == 2:
+        np.testing.assert_allclose(found.hessian, whole.hessian, rtol=1e-12, atol=1e-13)
+    seen.clear()
+    sensitivity(many, at, order, mode=mode, batch=batch, refined=many, progress=lambda *pair: seen.append(pair))
+    assert seen == [(first + count, 14) for first in (0, 7) for count in told]
+
+
+def test_progress_is_shown_in_directions(problem, monkeypatch, capfd):
+    monkeypatch.setitem(sys.modules, "tqdm", None)  # as if it were not installed
+    monkeypatch.setattr(progress, "EVERY", 0.0)
+    sensitivity(problem, order=1, mode="forward", batch=2, progress=True)
+    lines = capfd.readouterr().err.splitlines()
+    assert [line.split(",")[0] for line in lines] == ["2 of 3 directions", "3 of 3 directions"]
+    sensitivity(problem, order=1)
+    assert capfd.readouterr().err == ""
 
 
 def test_linearisation_of_many_points_marks_failed_ones():

@@ -69,7 +69,7 @@ def test_empty_and_single_samples_say_so():
     assert np.isnan(statistics.estimate_mean(np.zeros(0)).value)
     assert statistics.estimate_mean(np.ones(1)).high == np.inf
     assert np.isnan(statistics.estimate_std(np.ones(1)).value)
-    assert statistics.estimate_yield(np.zeros(0)).high == 1.0
+    assert statistics.estimate_yield(np.zeros(0, dtype=bool)).high == 1.0
     with pytest.raises(InputError, match="`quantiles` must lie between 0 and 1"):
         statistics.estimate_quantile(np.ones(3), 1.0)
     with pytest.raises(InputError, match="`confidence` must"):

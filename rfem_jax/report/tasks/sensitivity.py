@@ -50,11 +50,15 @@ class SensitivityReport(TaskReport[SensitivityTask, Derivatives]):
         """Derivatives of all metrics of the task."""
         task, study = self.task, self.study
         twice = " (twice: with the finer step too)" if task.half_step else ""
-        on_stage(f"Differentiating {len(task.metrics)} metrics to order {task.order}{twice}")
+        stage = f"Differentiating {len(task.metrics)} metrics to order {task.order}{twice}"
+        on_stage(stage)
         problem = study_problem.build_problem(study, task.metrics)
         refined = problem.with_method(finer_method(study.method)) if task.half_step else None
         tolerances = Tolerances.of(self.study)
-        found = differentiate(problem, task.at, task.order, tolerances, task.mode, batch=task.batch, refined=refined)
+        found = differentiate(
+            problem, task.at, task.order, tolerances, task.mode, batch=task.batch, refined=refined,
+            progress=lambda done, total: on_stage(stage, done / total),
+        )  # fmt: skip
         return Derivatives(found, bool(getattr(problem, "undamped", False)))
 
     def succeeded(self, result: Derivatives) -> bool:
