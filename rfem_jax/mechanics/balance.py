@@ -4,7 +4,8 @@ Place in the pipeline: kinematics, elasticity, cut_joints, loads -> **balance** 
 
 `dynamics` solves for the accelerations; here they are given, and the joint loads follow by
 Newton-Euler from the chains' ends to the base.  What does not balance is the moment about every
-hinge, the generalised forces on every free rfe, and the closure of every cut joint.
+hinge, the generalised forces on every free rfe, and the closure of every cut joint
+(theory (3.11)).
 """
 
 from typing import NamedTuple

@@ -2,8 +2,8 @@
 
 The chain is cut into segments.  Within one the inverse is a dense matrix, which a processor applies fastest
 to many samples at once; from segment to segment only what the rfes beside the cut do is handed on: forwards
-to eliminate, backwards to substitute.  Work and memory thus grow with the number of rfes, not with its
-square.
+to eliminate, backwards to substitute (theory (7.14), (7.15)).  Work and memory thus grow with the number of
+rfes, not with its square.
 
 Vectors of a segment are flat, component by component: all rfes' first components, all second ones, and so on.
 """

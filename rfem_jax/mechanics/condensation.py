@@ -2,14 +2,14 @@
 
 Place in the pipeline: model -> **condensation** -> newton.
 
-In the link's own axes, near its undeformed shape, the free rfes obey
+In the link's own axes, near its undeformed shape, the free rfes obey (theory (7.8))
 
     (M + s K) y + M X A = r + S w,      s = q_factor + damping * v_factor
 
 for the second derivatives y of the elastic coordinates, the acceleration A of the link frame, residual
 generalised forces r and wrenches w on the rfes that carry joints; M, K, X and S are constant.
 M + s K, factored once along the chain of rfes, gives the link as it is felt at its frame and at its
-carriers (static condensation of structural dynamics, of M + s K instead of K).
+carriers (theory (7.9), (7.10): static condensation of structural dynamics, of M + s K instead of K).
 
 The matrices serve Newton's method, whose solution does not depend on them, and are therefore not
 differentiated.  They are those of a sample's own links: with those of the perfect mechanism, length

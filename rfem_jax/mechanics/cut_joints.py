@@ -2,9 +2,9 @@
 
 Place in the pipeline: kinematics -> **cut_joints** -> dynamics, newton, statics.
 
-Equation (18): the joint centres of the left side L and the right side P coincide (three equations,
+Theory (5.1): the joint centres of the left side L and the right side P coincide (three equations,
 global axes), and the hinge axis y_L is perpendicular to x_P and z_P (two equations, times a length
-so that all five are in metres and the multipliers in newtons).  Equation (19) is complete:
+so that all five are in metres and the multipliers in newtons).  Theory (5.3) is complete:
 gamma = -(Phi_q)_dot q_dot.  All C cut joints are one array axis.
 """
 
@@ -105,7 +105,7 @@ def closure(realised: Realisation, now: Motion, scale: Array) -> Closure | None:
 
 
 def assembly_modes(realised: Realisation, now: Motion, cuts: Closure) -> Array:
-    """On which side every cut joint closes its loop (C,): +1, -1, or 0 at the fold itself.
+    """On which side every cut joint closes its loop (C,): +1, -1, or 0 at the fold itself (theory (5.13)).
 
     The sign of y_L . (left arm x right arm); an arm reaches from the joint that carries the link on
     that side (the datum for the base) to the cut joint.  A planar four-bar has two closed positions

@@ -79,7 +79,7 @@ def require_double_precision() -> None:
 
 
 def describe(model: Model) -> Structure:
-    """Rank and mobility at the nominal start, flexible and with every link rigid."""
+    """Rank and mobility at the nominal start, flexible and with every link rigid (theory (5.8))."""
     geometry = geometry_of(model)
     jacobian = closure_jacobian(geometry, place(geometry, np.asarray(model.start_angles)))
     rank, rigid_rank = _rank(jacobian), _rank(jacobian[:, : model.topology.n_links])
@@ -104,7 +104,7 @@ def _rank(jacobian: np.ndarray) -> int:
 
 
 def close_at(model: Model, angles: np.ndarray):
-    """Refine all joint angles but the driven one so that the nominal rigid loops close.
+    """Refine all joint angles but the driven one so that the nominal rigid loops close (theory (5.10)).
 
     **Returns:** angles (links,), remaining residuals (5 cuts,) over the longest link, y_L . y_P of
     each cut joint, and the angles of the cut joints.

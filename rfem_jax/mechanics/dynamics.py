@@ -3,12 +3,12 @@
 Place in the pipeline: kinematics, elasticity, cut_joints -> **dynamics** -> loads, simulation.
 
 A free rfe is held by elastic forces alone: its absolute acceleration is wrench over inertia, and its
-articulated inertia seen from the link frame is zero (MODEL section 3).  What remains is the
+articulated inertia seen from the link frame is zero (docs/theory/4_recursion.md).  What remains is the
 *skeleton*: rfes 0, joined by hinges, and the free rfes that another link hangs on.  Each island of
-the skeleton is solved by Featherstone's articulated-body recursion (2008, ch. 7) for the applied
-loads and for unit multipliers of the cut joints at once; the multipliers follow from equation (19),
-the elastic accelerations from the absolute ones.  Cost and memory are linear in the number of rfes;
-no mechanism-wide mass matrix is formed.
+the skeleton is solved by Featherstone's articulated-body recursion (theory (4.4) to (4.9); 2008,
+ch. 7) for the applied loads and for unit multipliers of the cut joints at once; the multipliers
+follow from theory (5.6), the elastic accelerations from the absolute ones.  Cost and memory are
+linear in the number of rfes; no mechanism-wide mass matrix is formed.
 
 Wrenches and accelerations of rfes are in the axes of their link; those of the skeleton are spatial
 vectors in global axes at one point of their island, where its root is at this instant (a common
@@ -302,7 +302,7 @@ def _free_responses(realised, now: Motion, cuts, angular, linear) -> dict[int, A
 
 
 def _multipliers(topology, cuts, now, skeleton: Skeleton, response, stabilisation: Stabilisation):
-    """Multipliers (5 C,) of equation (19), cut by cut, and their part due to stabilisation."""
+    """Multipliers (5 C,) of theory (5.6), cut by cut, and their part due to stabilisation."""
     if cuts is None:
         none = jnp.zeros((0,) + skeleton.load.shape[2:])
         return none, none

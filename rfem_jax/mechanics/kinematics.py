@@ -2,8 +2,8 @@
 
 Place in the pipeline: realisation + state -> **kinematics** -> elasticity, closure, dynamics, loads.
 
-The relative motion of the free rfes (MODEL equations (2) to (4)) is taken for all of them at once in
-their link frames; then the links are placed one after another from the base (equation (6) with both
+The relative motion of the free rfes (theory (2.7) to (2.10)) is taken for all of them at once in
+their link frames; then the links are placed one after another from the base (theory (2.6) with both
 errors).  Frames: link frame {p,0} = H (F_c E_c)^-1 with the hinge frame H = F E R_y(phi).
 
 Symbols: R rotation, w angular velocity; spatial velocities (6,) at the global origin.
@@ -92,7 +92,7 @@ def motion(realised: Realisation, state: State) -> Motion:
 def relative_motion(
     realised: Realisation, position: Coordinates, velocity: Coordinates
 ) -> RelativeMotion:
-    """Motion of the free rfes in their link frames (equation (4) and its rate): R = R_z R_y R_x for
+    """Motion of the free rfes in their link frames (theory (2.7), (2.8), (2.10)): R = R_z R_y R_x for
     linear elements, R_y R_z R_x for exact ones, so that in-plane bending has no limit."""
     u, phi = position.elastic[:3], position.elastic[3:]
     u_dot, rate = velocity.elastic[:3], velocity.elastic[3:]

@@ -6,7 +6,7 @@ The matrix is approximate: links have the inertia of their undeformed shape, and
 and dampers but not that of gyroscopic and joint loads.  Every flexible link is then what `condensation`
 makes of it, and the tree of links is solved by Featherstone's articulated-body recursion with these
 inertias, for the residual and for unit multipliers of the cut joints at once; the multipliers follow from
-the closure.  A matrix serves all corrections of one step.
+the closure (theory (7.11) to (7.13)).  A matrix serves all corrections of one step.
 
 Joints hang on the rfes where they are: rates of the angles of a rfe turn it about its present axes.
 Springs are so stiff over a long step that a hundredth of a radian there would cost Newton's method most of

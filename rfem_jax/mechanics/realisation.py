@@ -3,8 +3,8 @@
 Place in the pipeline: model + errors -> **realisation** -> kinematics, dynamics, loads.
 
 `AssemblyErrors` says how the mechanism is wrong (all zero: perfect); `realise` turns model and
-errors into the constants of the equations of motion: joint frames (MODEL equation (8), generalised
-to every joint and both its sides), masses, inertias, stiffnesses.  Everything that does not change
+errors into the constants of the equations of motion: joint frames (theory (2.3) to (2.6), every
+joint on both its sides), masses, inertias, stiffnesses.  Everything that does not change
 in time is computed here, once a simulation.
 """
 
@@ -253,7 +253,7 @@ def _node_fractions(topology: Topology):
 
 
 def _spring_damping_elements(model: Model, length) -> dict:
-    """Stiffness, damping and lever arms of the sde before every free rfe (MODEL section 2)."""
+    """Stiffness, damping and lever arms of the sde before every free rfe (theory (1.7), (1.8))."""
     topology = model.topology
     link = topology.link_of_rfe.astype(int)
     count = np.array(topology.elements, dtype=float)[link] - 1.0

@@ -5,7 +5,7 @@ Place in the pipeline: condensation, newton -> **static_matrix** -> statics.
 Newton's matrix of an implicit step so long that inertia is next to nothing against the springs is that of
 the static equations of a mechanism without loads, and is solved in a time proportional to the number of
 rfes.  What is left of the inertia keeps the pivots of free hinges, about which no spring turns, from
-being zero.
+being zero (theory (6.4)).
 """
 
 from typing import NamedTuple

@@ -6,7 +6,7 @@ When to stop: the residual of a slender beam does not go below EA/Delta times th
 positions, far above any fixed fraction of its bending forces (EI/L^2), while the positions that it
 stands for are known to their last digits. So Newton's step is judged, relative to length and
 radian, and every residual relative to what a change of that size would make of it (its own row of
-the matrix).
+the matrix; theory (6.2)).
 
 Where the links' structure gives nearly the inverse of the matrix, that is applied again and again until little is
 left over.  Only where it does not lead there is the matrix itself formed, in a loop that is not entered otherwise:

@@ -2,7 +2,7 @@
 
 Place in the pipeline: model, errors -> **statics** -> start state of a simulation.
 
-With errors the links are bent to close the loops (MODEL section 5): the stationary point of springs
+With errors the links are bent to close the loops (theory (6.1)): the stationary point of springs
 + gravity subject to the closure equations, some joints held. Written as equilibrium: no moment
 about a free hinge, springs + gravity + joint wrenches balanced on every free rfe, loops closed.
 Newton's method, differentiated by the implicit function theorem; unknowns and residuals are scaled

@@ -3,9 +3,9 @@
 Place in the pipeline: model, drive, duration, accuracy -> **method** -> cases, Problem.
 
 RMS loads of trial assemblies are compared between a step and half of it.  The implicit method is of order
-2, so four thirds of the change estimate the error of the longer step.  One compiled program serves all
-steps.  Where no step is good enough (undamped vibrations, whose phase decides forces) Runge-Kutta 4 at
-nine tenths of its largest stable step is taken.
+2, so four thirds of the change estimate the error of the longer step (theory (11.3), (11.4)).  One compiled
+program serves all steps.  Where no step is good enough (undamped vibrations, whose phase decides forces)
+Runge-Kutta 4 at nine tenths of its largest stable step is taken.
 """
 
 from dataclasses import replace

@@ -3,7 +3,7 @@
 Place in the pipeline: mechanics -> **equations** -> integration.
 
 The integrals of squared loads, of the drive's power and of the dissipated power are states of the
-same integration, so that a run needs no history for its metrics.
+same integration, so that a run needs no history for its metrics (theory (3.12)).
 """
 
 import equinox as eqx

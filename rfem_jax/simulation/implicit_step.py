@@ -4,7 +4,7 @@ Place in the pipeline: newton -> **implicit_step** -> generalised_alpha.
 
 Derivatives are those of the solution of a step's equations (implicit function theorem), not of the
 corrections that find it; they are found by corrections with Newton's matrix, as many as the accuracy of the
-loads asks for.  What these leave over is seen in the derivative of `Run.equation_residual`.
+loads asks for (theory (7.17) to (7.20)).  What these leave over is seen in the derivative of `Run.equation_residual`.
 
 A method gives: `matrix(operators, constants, *given)`; `solve(constants, *given)`: the step's end;
 `end_of_step(unknowns, constants, *given)`: residual, and the end if that is nothing; `end_by_wrenches`: the

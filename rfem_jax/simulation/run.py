@@ -162,7 +162,7 @@ class Run(eqx.Module):
 
 def derivative_residual(change: Run) -> Array:
     """How far a derivative is from solving the differentiated equations: the largest change of
-    `equation_residual` over the largest change of a joint force.
+    `equation_residual` over the largest change of a joint force (theory (11.14)).
 
     **Arguments:** `change`: derivative of a run along one direction, as `jax.jvp` gives it (for several: under
     vmap, or `jacfwd`'s with the direction as the last axis).

@@ -9,7 +9,7 @@ The inner problem is solved by the spectral projected gradient of `projected_gra
 rho grows where the violation does not shrink. Scale c and h to the order of one.
 
 Symbols: x (k,), h (c,), mu (c,) multipliers (dc/dh at the solution), rho penalty.
-Source: J. Nocedal, S. J. Wright, Numerical Optimization, 2nd ed. (2006), section 17.4; E. G.
+Source: theory (10.14); J. Nocedal, S. J. Wright, Numerical Optimization, 2nd ed. (2006), section 17.4; E. G.
 Birgin, J. M. Martinez, Practical Augmented Lagrangian Methods (2014), algorithm 4.1 (rule for rho).
 """
 

@@ -3,8 +3,8 @@
 Place in the pipeline: Run -> **metric** -> Problem.
 
 Every metric has a name, a unit, a label and a function of a run.  Mean squares are smooth; RMS
-values are their roots and have a cone where the load vanishes (MODEL section 8); a p-norm is a
-smooth stand-in for a maximum.  A metric of your own:
+values are their roots and have a cone where the load vanishes (theory (8.5), (9.5)); a p-norm is a
+smooth stand-in for a maximum (theory (8.7)).  A metric of your own:
 
     Metric("A.swing", "rad", "largest crank angle", function=lambda run: jnp.max(run.angle))
 """

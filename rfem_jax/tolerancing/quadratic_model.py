@@ -1,4 +1,4 @@
-"""The quadratic model of all metrics about a point: value, gradient, Hessian.
+"""The quadratic model of all metrics about a point: value, gradient, Hessian (theory (10.2)).
 
 Place in the pipeline: what sensitivities report, where worst cases start, and what an allocation is
 first solved on.
@@ -14,7 +14,7 @@ pulls m cotangents back (k*m for the Hessian, forward over reverse). One cotange
 "auto" takes forward mode while k <= REVERSE_COST * m. Both run in chunks of `batch` directions.
 
 `expand` gives the exact Hessian, by a program of its own. `expand_by_differences` takes central
-differences of exact gradients at two steps (h and 2 h, extrapolated: an error of h^4), by the same
+differences of exact gradients at two steps (theory (10.3): h and 2 h, extrapolated, an error of h^4), by the same
 program that searches use, and states the error.
 Source: Griewank, Walther, Evaluating Derivatives, 2nd ed. (2008), chapters 3 and 5; L. F.
 Richardson, Phil. Trans. R. Soc. A 210 (1911) 307-357 (extrapolation).
@@ -92,7 +92,7 @@ class QuadraticModel(eqx.Module):
     def mean(self, covariance):
         """Mean (m,) over errors of mean zero and covariance S (k, k): f + 1/2 tr(H S).
 
-        Exact for a quadratic metric and any distribution (MODEL.md section 8).
+        Exact for a quadratic metric and any distribution (theory (9.6)).
         """
         if self.hessian is None:
             return self.value

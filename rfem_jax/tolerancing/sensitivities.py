@@ -8,13 +8,13 @@ Place in the pipeline: after a problem (errors -> metrics); its result feeds tab
 Symbols: g gradient [metric unit per rad or m], H Hessian, t half-widths of the tolerances [rad, m],
 f value of the metric, z = e/t errors in tolerances.
 
-Symmetry (MODEL.md section 8). At the nominal point the resultant loads of a planar mechanism are
+Symmetry (theory (9.3), (9.5)). At the nominal point the resultant loads of a planar mechanism are
 even in the out-of-plane errors: their gradients vanish and only the Hessian says anything. A mean
 square that is itself zero there is f = 1/2 e^T H e: its root (an RMS moment) is a cone, with no
 derivative but with a slope sqrt(1/2 e^T H e) along every direction e. Zero by symmetry is judged
 against the Hessian times the tolerances, as a derivative has no scale of its own. The principal
 directions are the eigenvectors of the scaled Hessian t H t: the combinations of errors that hurt
-most.
+most (theory (10.4)).
 """
 
 from dataclasses import dataclass, field

@@ -119,7 +119,8 @@ def maximise_quadratic(value, gradient, hessian, region, key):
 
 
 def quadratic_bound(value, gradient, hessian, region):
-    """An upper bound of the quadratic model over the region (z coordinates), in closed form.
+    """An upper bound of the quadratic model over the region (z coordinates), in closed form
+    (theory (10.11)).
 
     Box: value + sum|g| + 1/2 sum|H|; ellipsoid: value + |g| + 1/2 max(0, largest eigenvalue).
     """

@@ -8,7 +8,7 @@ segments m share one compiled program. Link axes: x along the beam, y and z acro
 
 References are those of m segments, which the rigid finite element method must meet to rounding:
 tip deflection F L^3 / (3 E I) (1 - 1 / (4 m^2)) + F L / GA, tip slope F L^2 / (2 E I), and
-frequencies of rods hinged by springs at the midpoints, over Euler and Bernoulli's.
+frequencies of rods hinged by springs at the midpoints, over Euler and Bernoulli's (theory (11.1), (11.2)).
 """
 
 from typing import NamedTuple
@@ -36,7 +36,7 @@ from rfem_jax.simulation.stability import eigenvalues
 from rfem_jax.validation.lines import Line, Outcome, relative
 
 STATICS_SOURCE = "closed form, m midpoints"
-FREQUENCY_SOURCE = "rods hinged by springs (rfem_theory)"
+FREQUENCY_SOURCE = "rods hinged by springs (theory (11.2))"
 BETA = np.array([1.875104068711961, 4.694091132974175, 7.854757438237613])
 # Frequencies of modes 1 to 3 over Euler and Bernoulli's, m segments.
 BENDING = {

@@ -257,7 +257,7 @@ def branch_lines(runs: dict[str, Run]) -> list[Line]:
     """Which way the parallelogram went at its fold."""
     return [
         same(f"{GROUP}, branch", f"branch at {END} s, tilt {name[1:]} deg", branch_name(runs[name]),
-             known, "two codes (bauchau_four_bar)")
+             known, "two independent codes")
         for name, known in BRANCHES.items()
     ]  # fmt: skip
 
