@@ -1,4 +1,5 @@
-"""Documents: links lead somewhere, the theory's equations are numbered in order, and those referred to exist."""
+"""Documents: links lead somewhere, the theory's equations are numbered in order, and those that it or the code
+refers to exist."""
 
 import re
 from pathlib import Path
@@ -13,10 +14,24 @@ DOCUMENTS = sorted(
 ) + sorted(ROOT.glob("*.md"))
 PICTURES = sorted((ROOT / "docs").rglob("*.svg"))
 CHAPTERS = sorted(THEORY.glob("[0-9]*.md"))
+PROGRAMS = sorted(
+    path
+    for folder in ("rfem_jax", "tests", "benchmarks", "studies")
+    for ending in ("py", "toml")
+    for path in (ROOT / folder).rglob(f"*.{ending}")
+    if path != Path(__file__)
+)
 
 LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
 TAG = re.compile(r"\\tag\{(\d+\.\d+)\}")
 NUMBER = re.compile(r"\((\d{1,2}\.\d{1,2})\)")
+CITATION = re.compile(r"\btheory ((?:(?:, | and | to )?\(\d+\.\d+\))+)", flags=re.IGNORECASE)
+FILE = re.compile(r"\bdocs/[\w./]*\w")
+# Notes that are not in the repository, and the paper's numbers, which docs/theory/README.md translates.
+ELSEWHERE = re.compile(
+    r"\bMODEL(\.md)?\b|\brfem_theory\b|\bbauchau_four_bar\b|\bfour_bar_study\.md\b"
+    r"|\b(JOINTS|CONTRACT|DESIGN|HOUSE)\.md\b|\b[Ee]quations? \(\d+\)"
+)
 
 
 def prose(text: str) -> str:
@@ -78,3 +93,30 @@ def test_pictures_have_a_title_and_a_white_background(path):
     ground = picture.find(f"{space}rect")
     assert ground is not None and ground.get("fill") == "#ffffff"
     assert [ground.get(side) for side in ("width", "height")] == picture.get("viewBox").split()[2:]
+
+
+def running_text(path: Path) -> str:
+    """A program with the line breaks of its docstrings and comments taken out."""
+    return re.sub(r"\s+(?:# )?\s*", " ", path.read_text(encoding="utf-8"))
+
+
+def cited(text: str) -> set[str]:
+    """Numbers of the theory's equations that a program cites, as "theory (3.4), (3.5)" or "theory (3.1) to (3.4)"."""
+    return {number for numbers in CITATION.findall(text) for number in NUMBER.findall(numbers)}
+
+
+@pytest.mark.parametrize("path", PROGRAMS, ids=lambda path: str(path.relative_to(ROOT)))
+def test_what_programs_cite_is_in_the_repository(path):
+    text = running_text(path)
+    missing = cited(text) - equations()
+    assert not missing, f"{path} cites equations {sorted(missing)}, which the theory does not have"
+    for file in FILE.findall(text):
+        assert (ROOT / file).exists(), f"{path} cites {file}, which does not exist"
+    found = ELSEWHERE.search(text)
+    assert not found, f"{path} cites {found[0] if found else ''}, which is not in the repository"
+
+
+def test_the_package_cites_every_chapter():
+    """Otherwise the pattern of citations, or a chapter, has lost its use."""
+    numbers = {number for path in (ROOT / "rfem_jax").rglob("*.py") for number in cited(running_text(path))}
+    assert {number.partition(".")[0] for number in numbers} == {path.name.partition("_")[0] for path in CHAPTERS}

@@ -71,7 +71,7 @@ class PrescribedDrive(eqx.Module):
 
 
 class MomentRamp(MomentDrive):
-    """M = moment * t / rise_time up to rise_time, then 0; equation (21).
+    """M = moment * t / rise_time up to rise_time, then 0; theory (3.5).
 
     Args:
         joint: the joint's name.

@@ -6,7 +6,7 @@ Place in the pipeline: `mechanism` lists the names of its errors, `study` checks
 Names: JOINT.delta_x, .delta_z [rad], .d_x, .d_y, .d_z [m] displace the joint's seat in its parent;
 JOINT.child.delta_x ... the bore in the child; JOINT.pin_tilt_x, .pin_tilt_z [rad] tilt one pin in
 both links (nothing stressed at the start angle); LINK.length [m]; LINK.twist [rad].
-Source: MODEL.md section 1, equation (8).
+Source: theory (2.3) to (2.5).
 """
 
 import math

@@ -5,7 +5,7 @@ Place in the pipeline: joints connect the links of a mechanism; cut joints close
 Frames: `position` and `orientation` place the joint's nominal frame F in the parent's frame (the
 global frame for the base; the link frame, x along the beam, for a link); `child_position` and
 `child_orientation` place the hinge in the child's link frame. R = R_z R_y R_x.
-Source: MODEL.md section 1.
+Source: theory (2.3) to (2.6).
 """
 
 from dataclasses import dataclass

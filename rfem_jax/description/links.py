@@ -4,7 +4,7 @@ Place in the pipeline: a mechanism is links joined by joints; `mechanics` divide
 into rigid finite elements (rfes).
 
 Symbols: length L [m], from joint to joint; rfes n [1], m = n - 1 spring-damping elements per link.
-Source: MODEL.md sections 1 and 2.
+Source: theory (1.3) to (1.6).
 """
 
 from dataclasses import dataclass

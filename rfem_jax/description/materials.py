@@ -4,7 +4,7 @@ Place in the pipeline: a section combines with a material to stiffnesses per len
 
 Symbols: youngs_modulus E [Pa]; shear_modulus G [Pa]; poisson_ratio nu [1], G = E / (2 (1 + nu));
 density rho [kg/m^3]; damping eta [s] (Kelvin-Voigt: damping matrix = eta * stiffness matrix).
-Source: MODEL.md section 2.
+Source: theory (1.1), (1.7).
 """
 
 from collections.abc import Callable

@@ -4,7 +4,7 @@ Place in the pipeline: the whole of what is built, without errors and drive; `me
 it. Everything is checked at construction.
 
 Symbols: gravity [m/s^2] in the global frame, whose X-Z plane is the plane of the nominal motion.
-Source: MODEL.md section 1.
+Source: docs/theory/1_discretisation.md, docs/theory/2_frames_and_errors.md.
 """
 
 import math

@@ -4,7 +4,7 @@ Place in the pipeline: specified in a study; `simulation` turns it into a solver
 
 Symbols: step h [s]; rtol, atol [1] relative and absolute tolerance of adaptive steps; stabilisation
 [1] dimensionless Baumgarte gain; accuracy [1] relative accuracy asked of the method "auto".
-Source: MODEL.md sections 4 and 6.
+Source: theory (3.12), (3.13), (5.7), (7.1) to (7.7), (11.4).
 """
 
 from collections.abc import Callable

@@ -5,7 +5,7 @@ Place in the pipeline: links hold a section and a material; `mechanics` reads `S
 Axes of a section: y along the hinge axis, z in the plane of motion. Symbols: A [m^2] area; I_y
 [m^4] second moment for bending in the plane of motion (about y), I_z out of it (about z); J_t [m^4]
 torsion constant; kappa [1] shear factor (effective shear stiffness = G A / kappa).
-Source: MODEL.md section 2; G. R. Cowper, J. Appl. Mech. 33 (1966) 335-340 (tube, nu = 0).
+Source: theory (1.1), (1.2); G. R. Cowper, J. Appl. Mech. 33 (1966) 335-340 (tube, nu = 0).
 """
 
 import abc

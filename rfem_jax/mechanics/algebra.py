@@ -7,8 +7,9 @@ vector (6, ...) with the angular part first; every later axis (bodies, columns o
 The contiguous axis is thus the one with many equal operations, and no function here needs a batched
 product of small matrices, which XLA runs slowly on a CPU.
 
-Spatial vectors (Featherstone, Rigid Body Dynamics Algorithms, 2008, ch. 2) are taken at the origin
-of the global frame, so that bodies share one reference point and no transform is needed.
+Spatial vectors (theory (2.11) to (2.13); Featherstone, Rigid Body Dynamics Algorithms, 2008, ch. 2)
+are taken at the origin of the global frame, so that bodies share one reference point and no
+transform is needed.
 """
 
 import jax.numpy as jnp

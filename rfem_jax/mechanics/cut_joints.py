@@ -2,9 +2,9 @@
 
 Place in the pipeline: kinematics -> **cut_joints** -> dynamics, residual, newton, statics.
 
-Equation (18): the joint centres of the left side L and the right side P coincide (three equations,
+Theory (5.1): the joint centres of the left side L and the right side P coincide (three equations,
 global axes), and the hinge axis y_L is perpendicular to x_P and z_P (two equations, times a length
-so that all five are in metres and the multipliers in newtons).  Equation (19) is complete:
+so that all five are in metres and the multipliers in newtons).  Theory (5.3) is complete:
 gamma = -(Phi_q)_dot q_dot.  All C cut joints are one array axis.
 """
 

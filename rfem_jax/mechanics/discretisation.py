@@ -87,7 +87,7 @@ def require_double_precision() -> None:
 
 
 def describe(model: Model) -> Structure:
-    """Rank and mobility at the nominal start, flexible and with every link rigid."""
+    """Rank and mobility at the nominal start, flexible and with every link rigid (theory (5.8))."""
     geometry = geometry_of(model)
     placed = place(geometry, np.asarray(model.start_angles))
     jacobian = closure_jacobian(geometry, placed)

@@ -3,7 +3,7 @@
 Place in the pipeline: kinematics, exact_elements -> **elasticity** -> dynamics, residual, statics.
 
 Sde k joins free rfe k (its right neighbour) to rfe k-1 of the same link, or to the link frame.
-Classical linear form (MODEL section 2, equation (16)): with the lever arms s from the rfes' middles
+Classical linear form (theory (1.8) to (1.11)): with the lever arms s from the rfes' middles
 to the sde,
 
     du = (u_right + phi_right x s_right) - (u_left + phi_left x s_left),  dphi = phi_right - phi_left.

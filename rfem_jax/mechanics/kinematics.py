@@ -2,8 +2,8 @@
 
 Place in the pipeline: model with errors + state -> **kinematics** -> elasticity, cut_joints, dynamics, loads.
 
-The relative motion of the free rfes (MODEL equations (2) to (4)) is taken for all of them at once in
-their link frames; then the links are placed one after another from the base (equation (6) with both
+The relative motion of the free rfes (theory (2.7) to (2.10)) is taken for all of them at once in
+their link frames; then the links are placed one after another from the base (theory (2.6) with both
 errors).  Frames: link frame {p,0} = H (F_c E_c)^-1 with the hinge frame H = F E R_y(phi).
 
 Symbols: R rotation, w angular velocity; spatial velocities (6,) at the global origin.

@@ -3,8 +3,8 @@
 Place in the pipeline: dynamics -> **loads** -> simulation (metrics, Run).
 
 A joint's load is the force and the moment that the parent side exerts on the child link, about the
-hinge's centre, in the hinge frame (y along the hinge; in L at a cut joint), in N and N m (MODEL
-section 7).  A drive that is a given moment is an external load and not part of it; the moment that
+hinge's centre, in the hinge frame (y along the hinge; in L at a cut joint), in N and N m (theory
+(8.1) to (8.3)).  A drive that is a given moment is an external load and not part of it; the moment that
 enforces a prescribed angle is.
 
 They are computed in two ways, and every run checks them by the balance of momentum: `chain_loads` is the

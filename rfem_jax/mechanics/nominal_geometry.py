@@ -104,7 +104,7 @@ def _rotation_y(angle: float) -> np.ndarray:
 
 
 def gaps(geometry: NominalGeometry, placed: Placed) -> Gaps:
-    """The five equations of every cut joint (`cut_joints`, equation (18))."""
+    """The five equations of every cut joint (`cut_joints`, theory (5.1))."""
     n = geometry.topology.n_links
     left, right = placed.joint_rotation[n:], placed.right_rotation
     y = left[:, :, 1]

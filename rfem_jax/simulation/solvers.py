@@ -123,7 +123,7 @@ class RungeKutta4(diffrax.AbstractSolver):
 
 
 class Leapfrog(diffrax.AbstractSolver):
-    """Drift-kick-drift with one right-hand side a step, order 2.
+    """Drift-kick-drift with one right-hand side a step, order 2 (theory (3.13)).
 
     For a state with `position`, `velocity` and `integrals`:
 

@@ -1,4 +1,4 @@
-"""Baumgarte's gains of a method.
+"""Baumgarte's gains of a method (theory (5.7)).
 
 Place in the pipeline: methods -> **stabilisation** -> stepping, stability.
 

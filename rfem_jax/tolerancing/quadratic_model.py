@@ -1,4 +1,4 @@
-"""The quadratic model of all metrics about a point: value, gradient, Hessian.
+"""The quadratic model of all metrics about a point: value, gradient, Hessian (theory (10.2)).
 
 Place in the pipeline: sensitivities report it, worst cases start from it, and an allocation is first solved on it.
 

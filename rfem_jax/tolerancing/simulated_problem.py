@@ -98,7 +98,7 @@ class Problem(eqx.Module):
     @property
     def undamped(self) -> bool:
         """True if no flexible link has damping: derivatives of mean-square forces then depend on
-        the phase of undamped vibrations (MODEL section 8)."""
+        the phase of undamped vibrations (docs/theory/9_symmetry.md)."""
         flexible = np.array(self.model.topology.elements) > 1
         return bool(flexible.any() and not np.asarray(self.model.section[10])[flexible].any())
 

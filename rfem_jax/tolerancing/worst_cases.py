@@ -1,4 +1,4 @@
-"""Worst case: the largest value of a metric over a region of tolerances.
+"""Worst case: the largest value of a metric over a region of tolerances (theory (10.9)).
 
 Place in the pipeline: after a problem and tolerances; an allocation is built on it and verified by it.
 

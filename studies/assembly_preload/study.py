@@ -3,7 +3,7 @@
     python studies/assembly_preload/study.py --out results/assembly_preload
 
 The main study's four-bar (studies/four_bar/study.toml, a substitute for the paper's lost data)
-stands still at every crank angle, the crank held: no dynamics (MODEL section 5).  Equilibria come
+stands still at every crank angle, the crank held: no dynamics (theory (6.1)).  Equilibria come
 from `assemble(model, errors, hold={"A": angle})`, started from the closed perfect mechanism there.
 
     slopes       derivative of the preload of every joint by every error, at zero error (jacfwd)
@@ -124,7 +124,7 @@ def slopes(model, names, poses):
 def with_crooked_pins(model, names, values) -> tuple[list[str], np.ndarray]:
     """Names and slopes (..., errors) with those of crooked pins, through seat and bore, added.
 
-    Its bore is the seat's tilt, turned back by the joint's angle at the start (MODEL section 1).
+    Its bore is the seat's tilt, turned back by the joint's angle at the start (theory (2.4)).
     """
     names, parts = list(names), [values]
     angles = np.concatenate([model.start_angles, model.cut_angles])

@@ -273,7 +273,7 @@ def test_planar_double_pendulum_by_lagrange(double, name, length_1):
 
 
 def tilt(x, z):
-    """Equation (8): R_z R_x."""
+    """Theory (2.3): R_z R_x."""
     return rotation(x, 0.0, z)
 
 

@@ -1,5 +1,5 @@
 """What symmetry says of the flexible four-bar: planar stays planar, the frame of the description
-does not matter, and mirrored errors give mirrored loads (MODEL section 8)."""
+does not matter, and mirrored errors give mirrored loads (theory (9.1), (9.2))."""
 
 import equinox as eqx
 import jax
