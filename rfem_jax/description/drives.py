@@ -8,7 +8,7 @@ Pieces are chosen by `phase`, the number of breakpoints passed, never by compari
 Values are float64 JAX arrays: new values do not compile anew.
 
 Symbols: t [s]; moment [N m] about +y of the joint; change of the angle since the start [rad], rate
-[rad/s], acceleration [rad/s^2]. Source: MODEL.md section 6, equation (21).
+[rad/s], acceleration [rad/s^2]. Source: theory (3.5), (3.6).
 """
 
 import abc

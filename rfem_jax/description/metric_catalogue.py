@@ -7,8 +7,8 @@ A metric of a joint is named "JOINT.KIND" ("A.rms_force"), a metric of the whole
 An entry holds everything about its kind, so that a new metric is one call of `register_metric`, here or in a program
 of the user. The functions read attributes of a run (`rfem_jax.simulation.Run`); nothing is imported from there.
 
-Mean squares are smooth. RMS values are their square roots and have a kink where the load vanishes (MODEL section 8).
-The peak of a load is a p-norm over the saved times, a smooth approximation of the maximum.
+Mean squares are smooth. RMS values are their square roots and have a kink where the load vanishes (theory (8.5),
+(9.5)). The peak of a load is a p-norm over the saved times, a smooth approximation of the maximum (theory (8.7)).
 """
 
 from collections.abc import Callable
@@ -66,7 +66,7 @@ def register_metric(
             traced and differentiated: write it with `jax.numpy`.
         label: for tables and pictures; "{joint}" stands for the joint's name. Made of the name if left out.
         even: True if the value does not change when all out-of-plane errors of a planar mechanism change sign
-            (MODEL section 8), None if unknown.
+            (theory (9.3)), None if unknown.
         of_joints: True for a metric that every joint has.
         nonnegative: True if the value is never negative; a limit in a study file must then be positive.
         replace: True to replace a metric of the same name.

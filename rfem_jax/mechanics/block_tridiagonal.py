@@ -2,10 +2,10 @@
 
 Place in the pipeline: algebra -> **block_tridiagonal** -> condensation, newton.
 
-The block Thomas algorithm (Golub and Van Loan, Matrix Computations, 2013, section 4.5) on blocks of up to
-`BLOCK` rfes: the inverse of a block is a dense matrix, which a processor applies fastest to many samples at
-once, and neighbouring blocks are coupled by their adjacent rfes only.  Work and memory thus grow with the
-number of rfes, not with its square.
+The block Thomas algorithm (theory (7.14), (7.15); Golub and Van Loan, Matrix Computations, 2013, section 4.5)
+on blocks of up to `BLOCK` rfes: the inverse of a block is a dense matrix, which a processor applies fastest to
+many samples at once, and neighbouring blocks are coupled by their adjacent rfes only.  Work and memory
+thus grow with the number of rfes, not with its square.
 
 Vectors of a block are flat, component by component: all rfes' first components, all second ones, and so on.
 """

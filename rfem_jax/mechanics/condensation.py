@@ -3,6 +3,7 @@
 Place in the pipeline: model with errors, block_tridiagonal -> **condensation** -> newton, static_matrix.
 
 In the link's axes, linearised about its undeformed shape, the equations of the free rfes are
+(theory (7.8))
 
     (M + s K) y + M X A = r + S w,      s = q_factor + damping * v_factor
 
@@ -10,7 +11,8 @@ for the second derivatives y of the elastic coordinates, the acceleration A of t
 generalised forces r and wrenches w on the link's interfaces, which are the free rfes that carry joints;
 M, K, X (rigid-body modes) and S (selection of the interfaces) are constant.  Eliminating all other
 coordinates is static condensation (Guyan, AIAA J. 3 (1965) 380; with the link frame as a boundary as in
-Craig and Bampton, AIAA J. 6 (1968) 1313-1319) of the dynamic stiffness M + s K, so that nothing is lost.
+Craig and Bampton, AIAA J. 6 (1968) 1313-1319) of the dynamic stiffness M + s K, so that nothing is lost
+(theory (7.9), (7.10)).
 
 The operators approximate the tangent for Newton's method, whose solution does not depend on them, and are
 therefore not differentiated.  They are those of each sample's links: with those of the perfect mechanism,

@@ -98,7 +98,7 @@ def closure(actual: ModelWithErrors, motion: Motion, scale: Scalar) -> Closure |
 
 
 def assembly_modes(actual: ModelWithErrors, motion: Motion, cuts: Closure) -> Float[Array, " cuts"]:
-    """On which side every cut joint closes its loop: +1, -1, or 0 at the change point itself.
+    """On which side every cut joint closes its loop: +1, -1, or 0 at the change point itself (theory (5.13)).
 
     The sign of y_L . (left arm x right arm); an arm reaches from the tree joint of the link on that side
     (the datum for the base) to the cut joint.  A planar four-bar has two assembly modes for one crank

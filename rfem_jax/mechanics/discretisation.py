@@ -123,7 +123,7 @@ def close_at(
     Float[np.ndarray, " cuts"],
 ]:
     """Refine all joint angles [rad] but the driven one so that the nominal rigid loops close: Newton's method
-    with steps of least norm.
+    with steps of least norm (theory (5.10)).
 
     **Returns:** angles (links,), residuals (5 cuts,) over the longest link, y_L . y_P of each cut joint,
     and the angles of the cut joints.

@@ -3,12 +3,12 @@
 Place in the pipeline: kinematics, elasticity, cut_joints, joint_forces -> **dynamics** -> loads, simulation.
 
 A free rfe is held by elastic forces alone: its absolute acceleration is wrench over inertia, and the
-articulated inertia that it passes to its link frame is zero (MODEL section 3).  What remains is the reduced
-tree of *interface bodies*: the rfes 0 of the links, joined by hinges, and the free rfes with links outboard.
-It falls into islands (`model`), each solved by the articulated-body algorithm (Featherstone 2008, ch. 7) for
-the applied loads and for unit multipliers of the cut joints at once; the multipliers follow from equation
-(19), the elastic accelerations from the absolute ones.  Cost and memory are linear in the number of rfes; no
-mechanism-wide mass matrix is formed.
+articulated inertia that it passes to its link frame is zero (docs/theory/4_recursion.md).  What remains is the
+reduced tree of *interface bodies*: the rfes 0 of the links, joined by hinges, and the free rfes with links
+outboard.  It falls into islands (`model`), each solved by the articulated-body algorithm (theory (4.4) to
+(4.9); Featherstone 2008, ch. 7) for the applied loads and for unit multipliers of the cut joints at once; the
+multipliers follow from theory (5.6), the elastic accelerations from the absolute ones.  Cost and memory are
+linear in the number of rfes; no mechanism-wide mass matrix is formed.
 
 Wrenches and accelerations of rfes are in the axes of their link; those of the reduced tree are spatial
 vectors in global axes at one point of their island, the place of its root at this instant: a common point
@@ -300,7 +300,7 @@ def _multipliers(
     responses: dict[int, Array],
     stabilisation: Stabilisation,
 ) -> tuple[Array, Array]:
-    """Multipliers (5 C,) of equation (19), cut by cut, and their part due to stabilisation."""
+    """Multipliers (5 C,) of theory (5.6), cut by cut, and their part due to stabilisation."""
     if cuts is None:
         zeros = jnp.zeros((0,))
         return zeros, zeros

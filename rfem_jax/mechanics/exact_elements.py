@@ -2,7 +2,7 @@
 
 Place in the pipeline: kinematics -> **exact elements** -> elasticity -> dynamics, statics.
 
-The second form of MODEL section 2.  An sde joins the faces of its two rfes, l (left) and r (right; rfe 0
+Theory (1.12) to (1.15).  An sde joins the faces of its two rfes, l (left) and r (right; rfe 0
 of the link is the left one of the first sde), at the lever arms a = s R e_x from their middles:
 
     theta = rotation vector of R_l^T R_r,  du = M^T (face_r - face_l),  M = R_l exp(theta / 2),

@@ -92,7 +92,7 @@ def motion_of(actual: ModelWithErrors, state: State) -> Motion:
 
 
 def relative_motion(actual: ModelWithErrors, position: Coordinates, velocity: Coordinates) -> RelativeMotion:
-    """Motion of the free rfes in their link frames (equation (4) and its rate): R = R_z R_y R_x for
+    """Motion of the free rfes in their link frames (theory (2.7), (2.8), (2.10)): R = R_z R_y R_x for
     linear elements, R_y R_z R_x for exact ones, so that in-plane bending has no limit."""
     u, phi = position.elastic[:3], position.elastic[3:]
     u_dot, rate = velocity.elastic[:3], velocity.elastic[3:]

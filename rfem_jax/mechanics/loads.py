@@ -65,7 +65,7 @@ class Resting(NamedTuple):
 
 
 def joint_loads(actual: ModelWithErrors, result: Accelerations, drive: DriveInput) -> JointLoads:
-    """Loads of all joints by the equations of motion of the rfes 0."""
+    """Loads of all joints by the equations of motion of the rfes 0 (theory (8.4))."""
     with jax.named_scope("joint_loads"):
         topology, tree, cuts = actual.topology, result.interface_tree, result.closure
         n = topology.n_links

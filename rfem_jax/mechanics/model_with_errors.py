@@ -3,8 +3,8 @@
 Place in the pipeline: model + errors -> **model_with_errors** -> kinematics, dynamics, loads.
 
 `AssemblyErrors` are the deviations from the nominal mechanism (all zero: perfect); `apply_errors` computes
-from model and errors the constants of the equations of motion: joint frames (MODEL equation (8), generalised
-to every joint and both its sides), masses, inertias, stiffnesses.  Everything that does not change in time
+from model and errors the constants of the equations of motion: joint frames (theory (2.3) to (2.6), every joint
+on both its sides), masses, inertias, stiffnesses.  Everything that does not change in time
 is computed here, once a simulation.
 """
 
@@ -270,7 +270,8 @@ def _node_fractions(topology: Topology) -> tuple[np.ndarray, np.ndarray, np.ndar
 
 
 def _spring_damping_elements(model: Model, length: Array) -> dict[str, Array]:
-    """Rest position of every free rfe; stiffness, damping and lever arms of the sde on its left (MODEL section 2)."""
+    """Rest position of every free rfe; stiffness, damping and lever arms of the sde on its left (theory (1.7),
+    (1.8))."""
     topology = model.topology
     link = topology.link_of_rfe.astype(int)
     count = np.array(topology.elements, dtype=float)[link] - 1.0

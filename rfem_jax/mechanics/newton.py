@@ -6,8 +6,8 @@ The iteration matrix approximates the tangent: links have the inertia of their u
 stiffness of springs and dampers but not that of gyroscopic and joint loads.  Every flexible link is then
 condensed to its frame and interfaces (`condensation`), and the tree of links is solved by the
 articulated-body algorithm (Featherstone 2008, ch. 7) with these inertias, for the residual and for unit
-multipliers of the cut joints at once; the multipliers follow from the closure.  One matrix serves all
-iterations of a step.
+multipliers of the cut joints at once; the multipliers follow from the closure (theory (7.11) to (7.13)).
+One matrix serves all iterations of a step.
 
 Rotations are not linearised about the undeformed shape: the rates of an interface's angles act about its
 present axes.  Springs are so stiff over a long step that an error of a hundredth of a radian there would cost

@@ -2,9 +2,9 @@
 
 Place in the pipeline: an alternative to `dynamics`; same inputs, same results, slow.
 
-Equation (15): A_jk = sum tr(dB/dq_j H dB/dq_k^T), h_j = sum tr(dB/dq_j H (d2B/dt2 at qdd = 0)^T) with
-the transforms B(q) of all rfes differentiated automatically, and equation (20) as one dense
-augmented system.  Nothing of the recursion is used: transforms, constraints (18) and the second
+Theory (3.2): A_jk = sum tr(dB/dq_j H dB/dq_k^T), h_j = sum tr(dB/dq_j H (d2B/dt2 at qdd = 0)^T) with
+the transforms B(q) of all rfes differentiated automatically, and theory (3.3), (3.4) as one dense
+augmented system.  Nothing of the recursion is used: transforms, constraints, theory (5.1), and the second
 derivatives of both are formed independently, by 4 x 4 matrices and automatic differentiation.
 """
 
@@ -60,7 +60,7 @@ def transforms(actual: ModelWithErrors, position: Coordinates) -> list[Float[Arr
 
 
 def constraints(actual: ModelWithErrors, position: Coordinates, scale: Scalar) -> Float[Array, " constraints"]:
-    """Equation (18) for all cut joints (5 cuts,) [m]; `scale` [m] multiplies the equations of the axes."""
+    """Theory (5.1) for all cut joints (5 cuts,) [m]; `scale` [m] multiplies the equations of the axes."""
     topology = actual.topology
     frames = [*transforms(actual, position), jnp.eye(4)]
     rows = []
@@ -183,7 +183,7 @@ def reference_accelerations(
 
 
 def _pseudo_inertia(actual: ModelWithErrors) -> Array:
-    """H (nodes, 4, 4) of equation (15) about every node's reference point."""
+    """H (nodes, 4, 4) of theory (3.1) about every node's reference point."""
     identity = jnp.eye(3)
     blocks = []
     for node in range(actual.mass.size):

@@ -5,7 +5,7 @@ implicit methods.
 
 `dynamics` solves for the accelerations; here they are given, and the joint loads follow by the recursive
 Newton-Euler algorithm.  The residual is the moment about every hinge, the generalised forces on every free
-rfe, and the constraint equations of every cut joint.
+rfe, and the constraint equations of every cut joint (theory (3.11)).
 """
 
 from collections.abc import Sequence

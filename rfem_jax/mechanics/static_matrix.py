@@ -5,7 +5,7 @@ Place in the pipeline: condensation, newton -> **static_matrix** -> statics.
 The iteration matrix of an implicit step so long that inertia is negligible against the springs approximates
 the tangent of the static equations of a mechanism without loads, and is solved in a time proportional to the
 number of rfes.  What remains of the inertia keeps the pivots of free hinges, about which no spring acts, from
-being zero.
+being zero (theory (6.4)).
 """
 
 from typing import NamedTuple

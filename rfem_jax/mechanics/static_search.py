@@ -6,7 +6,7 @@ Convergence: the residual of a slender beam does not go below EA/Delta times the
 positions, far above any fixed fraction of its bending forces (EI/L^2), while the positions that it
 stands for are known to their last digits. So the Newton step is judged, relative to length and
 radian, and every residual relative to what a step of that size would change of it (its own row of
-the Jacobian).
+the Jacobian; theory (6.2)).
 
 Where recursion over the links gives a preconditioner of the Jacobian, the linear equations are solved by
 iterative refinement with it.  Only where that does not converge is the Jacobian itself formed, in a loop

@@ -2,7 +2,7 @@
 
 Place in the pipeline: model, errors -> **statics** -> start state of a simulation.
 
-With errors the links are deformed when the loops are closed (MODEL section 5): the assembled state is a
+With errors the links are deformed when the loops are closed (theory (6.1)): the assembled state is a
 stationary point of the potential energy of springs and gravity subject to the closure equations, some joints
 held.  It is found from its equilibrium equations: zero moment about every free hinge, zero generalised force
 of springs, gravity and joints on every free rfe, closed loops.  They are solved by Newton's method and

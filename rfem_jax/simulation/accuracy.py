@@ -3,9 +3,9 @@
 Place in the pipeline: model, drive, duration, accuracy -> **method** -> cases, Problem.
 
 RMS loads of trial assemblies are compared between a step and half of it.  The implicit method is of order 2, so
-four thirds of the change estimate the error of the longer step (Richardson).  One compiled program serves all steps.
-Where no step is accurate enough (undamped vibrations, on whose phase forces depend) Runge-Kutta 4 is taken, at nine
-tenths of its largest stable step.
+four thirds of the change estimate the error of the longer step (Richardson; theory (11.3), (11.4)).  One compiled
+program serves all steps.  Where no step is accurate enough (undamped vibrations, on whose phase forces depend)
+Runge-Kutta 4 is taken, at nine tenths of its largest stable step.
 """
 
 from dataclasses import replace

@@ -3,7 +3,7 @@
 Place in the pipeline: equations, newton, implicit_step -> **generalised_alpha** -> solvers, stepping.
 
 J. Chung, G. M. Hulbert, J. Appl. Mech. 60 (1993) 371-375; for constraints at the level of positions M. Arnold,
-O. Bruels, Multibody Syst. Dyn. 18 (2007) 185-202:
+O. Bruels, Multibody Syst. Dyn. 18 (2007) 185-202; theory (7.1) to (7.7):
 
     q1 = q0 + h v0 + h^2 ((1/2 - beta) a0 + beta a1),     v1 = v0 + h ((1 - gamma) a0 + gamma a1)
     (1 - alpha_m) a1 + alpha_m a0 = (1 - alpha_f) v1' + alpha_f v0'

@@ -1,4 +1,4 @@
-"""What a run records of one instant: loads, energies, residuals and balances.
+"""What a run records of one instant: loads, energies, residuals and balances (theory (11.8) to (11.12)).
 
 Place in the pipeline: equations, generalised_alpha -> **observation** -> integration.
 """

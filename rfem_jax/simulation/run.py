@@ -169,8 +169,8 @@ def derivative_residual(change: Run) -> Float[Array, "*directions"]:
     vmap, or `jacfwd`'s with the direction as the last axis).
 
     **Returns:** for every direction the largest change of `equation_residual` over the largest change of a joint
-    force; zero for explicit methods.  Above `RESIDUAL_LIMIT` the derivative has not converged: choose a smaller
-    tolerance of the method, or a smaller step.
+    force (theory (11.14)); zero for explicit methods.  Above `RESIDUAL_LIMIT` the derivative has not converged:
+    choose a smaller tolerance of the method, or a smaller step.
     """
 
     def largest(values, axes):

@@ -2,7 +2,8 @@
 
 Place in the pipeline: model -> **vibration** -> stability.
 
-All bodies (rfes) have six velocities each, in the axes of their link; joints are constraints on these:
+All bodies (rfes) have six velocities each, in the axes of their link; joints are constraints on these
+(theory (11.5)):
 
     M w'' + C w' + K w + G^T lambda = 0,     G w = 0.
 

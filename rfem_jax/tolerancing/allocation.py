@@ -1,4 +1,4 @@
-"""Allocation: the cheapest tolerances with which limits on metrics hold.
+"""Allocation: the cheapest tolerances with which limits on metrics hold (theory (10.12)).
 
 Place in the pipeline: last of the studies; uses the quadratic model, worst cases and sampling.
 

@@ -1,4 +1,5 @@
-"""Predictions of an allocation: limits on metrics as constraints h(t) <= 0 on the tolerances.
+"""Predictions of an allocation: limits on metrics as constraints h(t) <= 0 on the tolerances (theory (10.15) to
+(10.17)).
 
 Place in the pipeline: under the allocation; differentiable models (quadratic, with corrections from the full problem)
 that the augmented Lagrangian solves on. They are pytrees: new numbers do not compile again.

@@ -9,8 +9,8 @@ The inner problem is solved by the spectral projected gradient of `projected_gra
 violation does not shrink. Scale c and h to the order of one.
 
 Symbols: x (k,), h (c,), mu (c,) multipliers (dc/dh at the solution), rho penalty.
-Source: J. Nocedal, S. J. Wright, Numerical Optimization, 2nd ed. (2006), section 17.4; E. G. Birgin, J. M. Martinez,
-Practical Augmented Lagrangian Methods (2014), algorithm 4.1 (rule for rho).
+Source: theory (10.14); J. Nocedal, S. J. Wright, Numerical Optimization, 2nd ed. (2006), section 17.4; E. G. Birgin,
+J. M. Martinez, Practical Augmented Lagrangian Methods (2014), algorithm 4.1 (rule for rho).
 """
 
 from collections.abc import Callable

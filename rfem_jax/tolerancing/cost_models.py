@@ -8,8 +8,8 @@ a cost (in any currency), decreasing in t; the total is the sum over errors. Eac
     Exponential         c(t) = fixed + factor exp(-rate t)
 
 Symbols: fixed [cost], factor [cost times the unit of t, of t^2, or cost], rate [1/unit of t].
-Source: M. Hallmann, B. Schleich, S. Wartzack, From tolerance allocation to tolerance-cost optimization, Int. J. Adv.
-Manuf. Technol. 107 (2020) 4859-4912, section on tolerance-cost functions.
+Source: theory (10.13); M. Hallmann, B. Schleich, S. Wartzack, From tolerance allocation to tolerance-cost
+optimization, Int. J. Adv. Manuf. Technol. 107 (2020) 4859-4912, section on tolerance-cost functions.
 """
 
 from collections.abc import Callable, Mapping, Sequence

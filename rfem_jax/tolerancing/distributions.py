@@ -13,8 +13,8 @@ function, which is differentiable in the half-width t.
 Symbols: t half-width [rad or m], c centre of the interval [rad or m], k standard deviations within the half-width (3
 unless given: 99.73 % of a normal error lies inside), z(u) standard normal quantile, u (d,) point of the unit cube,
 one coordinate per error.
-Source: L. Devroye, Non-Uniform Random Variate Generation (1986), chapter II.2 (inversion); N. L. Johnson, S. Kotz,
-N. Balakrishnan, Continuous Univariate Distributions, vol. 1 (1994), 10.1 (truncated normal).
+Source: theory (10.1); L. Devroye, Non-Uniform Random Variate Generation (1986), chapter II.2 (inversion);
+N. L. Johnson, S. Kotz, N. Balakrishnan, Continuous Univariate Distributions, vol. 1 (1994), 10.1 (truncated normal).
 """
 
 from collections.abc import Iterable, Mapping, Sequence

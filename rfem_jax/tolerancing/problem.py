@@ -39,8 +39,8 @@ class Metric:
 
         Metric("A.swing", "rad", "largest crank angle", function=lambda run: jnp.max(run.angle))
 
-    `even`: True if the value does not change when all out-of-plane errors of a planar mechanism change sign (MODEL
-    section 8), None if unknown. `function`: Run -> scalar; the simulator needs it, a `FunctionProblem` does not.
+    `even`: True if the value does not change when all out-of-plane errors of a planar mechanism change sign
+    (theory (9.3)), None if unknown. `function`: Run -> scalar; the simulator needs it, a `FunctionProblem` does not.
     Raises: InputError for a name that is no word and a function that cannot be called.
     """
 

@@ -14,8 +14,8 @@ that needs values and gradients, and searches that have ended cost nothing more.
 
 Symbols: x (k,) point, f value, s residual |P(x + grad f) - x|_inf (zero exactly at points that satisfy the first-order
 conditions).
-Source: E. G. Birgin, J. M. Martinez, M. Raydan, Nonmonotone spectral projected gradient methods on convex sets, SIAM
-J. Optim. 10 (2000) 1196-1211, algorithm SPG2.
+Source: theory (10.10); E. G. Birgin, J. M. Martinez, M. Raydan, Nonmonotone spectral projected gradient methods on
+convex sets, SIAM J. Optim. 10 (2000) 1196-1211, algorithm SPG2.
 """
 
 from collections.abc import Callable

@@ -13,8 +13,8 @@ runs the forward pass, stores it, and runs it back), so "auto" takes forward mod
 in chunks of `batch` directions.
 
 `expand` gives the exact Hessian, by a program of its own. `expand_by_differences` takes central differences of exact
-gradients at two steps (h and 2 h, extrapolated: an error of h^4), by the same program that searches use, and estimates
-their error.
+gradients at two steps (theory (10.3): h and 2 h, extrapolated, an error of h^4), by the same program that searches
+use, and estimates their error.
 Source: Griewank, Walther, Evaluating Derivatives, 2nd ed. (2008), chapters 3 and 5; L. F. Richardson, Phil. Trans. R.
 Soc. A 210 (1911) 307-357 (extrapolation).
 """
@@ -101,7 +101,7 @@ class QuadraticModel(eqx.Module):
     def mean(self, covariance: Float[Array, "k k"]) -> Values:
         """Mean (m,) over errors of mean zero and covariance S: f + 1/2 tr(H S).
 
-        Exact for a quadratic metric and any distribution (MODEL section 8).
+        Exact for a quadratic metric and any distribution (theory (9.6)).
         """
         if self.hessian is None:
             return self.value

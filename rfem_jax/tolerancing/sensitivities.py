@@ -8,12 +8,12 @@ Place in the pipeline: after a problem (errors -> metrics); its result feeds tab
 Symbols: g gradient [metric unit per rad or m], H Hessian, t half-widths of the tolerances [rad, m], f value of the
 metric, z = e/t errors in tolerances.
 
-Symmetry (MODEL section 8). At the nominal point the resultant loads of a planar mechanism are even in the out-of-plane
-errors: their gradients vanish and only the Hessian shows an effect. A mean square that is itself zero there is
-f = 1/2 e^T H e. Its square root (an RMS moment) has a kink: no derivative, but a one-sided derivative
+Symmetry (theory (9.3), (9.5)). At the nominal point the resultant loads of a planar mechanism are even in the
+out-of-plane errors: their gradients vanish and only the Hessian shows an effect. A mean square that is itself zero
+there is f = 1/2 e^T H e. Its square root (an RMS moment) has a kink: no derivative, but a one-sided derivative
 sqrt(1/2 e^T H e) along every direction e. Whether a gradient is zero by symmetry is judged against the Hessian times
 the tolerances, as a derivative has no scale of its own. The principal directions are the eigenvectors of the scaled
-Hessian t H t, the combinations of errors with the largest effect.
+Hessian t H t, the combinations of errors with the largest effect (theory (10.4)).
 """
 
 from collections.abc import Mapping, Sequence

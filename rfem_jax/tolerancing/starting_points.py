@@ -136,7 +136,7 @@ def maximise_quadratic(
 def quadratic_bound(
     value: float, gradient: Float[np.ndarray, " k"], hessian: Float[np.ndarray, "k k"], region: str
 ) -> float:
-    """An upper bound of the quadratic model over the region (z coordinates), in closed form.
+    """An upper bound of the quadratic model over the region (z coordinates), in closed form (theory (10.11)).
 
     Box: value + sum|g| + 1/2 sum|H|; ellipsoid: value + |g| + 1/2 max(0, largest eigenvalue).
     """

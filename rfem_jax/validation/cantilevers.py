@@ -8,7 +8,7 @@ segments m share one compiled program. Link axes: x along the beam, y and z acro
 
 References are those of m segments, which the rigid finite element method must meet to rounding: tip deflection
 F L^3 / (3 E I) (1 - 1 / (4 m^2)) + F L / GA, tip slope F L^2 / (2 E I), and the frequencies of rods hinged by springs
-at the midpoints over those of an Euler-Bernoulli beam (`references/cantilever.json`).
+at the midpoints over those of an Euler-Bernoulli beam (theory (11.1), (11.2); `references/cantilever.json`).
 """
 
 from collections.abc import Sequence
