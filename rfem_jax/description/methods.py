@@ -41,9 +41,9 @@ class Method(ChecksItself):
     """An integration method; numbers in SI or strings with a unit.
 
     Args:
-        name: "rk4" (classical Runge-Kutta 4), "leapfrog", a diffrax explicit solver by its
-            lower-case name, or "auto".
-        step: h [s], > 0; needed by "rk4" and "leapfrog". The other diffrax solvers take
+        name: "rk4" (classical Runge-Kutta 4), "leapfrog", "generalised_alpha", an explicit solver of diffrax
+            by its lower-case name ("tsit5", "dopri5", "dopri8", ...), or "auto".
+        step: h [s], > 0; needed by "rk4", "leapfrog" and "generalised_alpha". The solvers of diffrax take
             either a step (fixed) or both tolerances (adaptive).
         rtol, atol: tolerances, > 0.
         stabilisation: Baumgarte gain, >= 0; None = the default, 0 = none.
@@ -118,7 +118,7 @@ class Method(ChecksItself):
                 f"Argument `corrections` must be a whole number of at least 1, but is {count}; the "
                 f"default is {_DEFAULTS['corrections']}."
             )
-        return int(count)
+        return int(float(count))
 
     def _check_adaptive(self) -> None:
         tolerances = self.rtol is not None or self.atol is not None
