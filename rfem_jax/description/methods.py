@@ -7,23 +7,33 @@ Symbols: step h [s]; rtol, atol [1] relative and absolute tolerance of adaptive 
 Source: theory (3.12), (3.13), (5.7), (7.1) to (7.7), (11.4).
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from numbers import Real
+from typing import Any
 
 from rfem_jax.description.errors import ChecksItself, InputError, require_choice
-from rfem_jax.description.units import Quantity, non_negative_quantity, positive_quantity
+from rfem_jax.description.units import non_negative_quantity, positive_quantity
 
 ADAPTIVE_METHODS = ("tsit5", "dopri5", "dopri8", "bosh3", "heun", "midpoint", "ralston")
 FIXED_METHODS = ("rk4", "leapfrog")
 IMPLICIT_METHODS = ("generalised_alpha",)
 METHODS = (*FIXED_METHODS, *IMPLICIT_METHODS, *ADAPTIVE_METHODS, "auto")
-SPECTRAL_RADIUS, CORRECTIONS, TOLERANCE = 0.6, 5, 1e-8
 
-
-_IMPLICIT_SETTINGS = {
-    "spectral_radius": SPECTRAL_RADIUS, "corrections": CORRECTIONS, "tolerance": TOLERANCE
-}  # fmt: skip
+# Which settings a method has; all others must be left out.
+SETTINGS_OF: dict[str, tuple[str, ...]] = {
+    **dict.fromkeys(FIXED_METHODS, ("step", "stabilisation")),
+    **dict.fromkeys(IMPLICIT_METHODS, ("step", "spectral_radius", "corrections", "tolerance")),
+    **dict.fromkeys(ADAPTIVE_METHODS, ("step", "rtol", "atol", "stabilisation")),
+    "auto": ("accuracy", "stabilisation"),
+}
+_DIMENSIONS = {"step": "time"}  # of the settings that have one
+_MAY_BE_ZERO = ("stabilisation", "spectral_radius")
+_BELOW_ONE = {
+    "accuracy": "it is a relative error, such as 1e-4",
+    "spectral_radius": "the joint loads would oscillate from step to step; the default is 0.6",
+    "tolerance": "it is a share of the largest joint load, such as 1e-08",
+}
+_DEFAULTS = {"spectral_radius": 0.6, "corrections": 5, "tolerance": 1e-8}
 
 
 @dataclass(frozen=True)
@@ -31,9 +41,9 @@ class Method(ChecksItself):
     """An integration method; numbers in SI or strings with a unit.
 
     Args:
-        name: "rk4" (classical Runge-Kutta 4), "leapfrog", a diffrax explicit solver by its
-            lower-case name, or "auto".
-        step: h [s], > 0; needed by "rk4" and "leapfrog". The other diffrax solvers take
+        name: "rk4" (classical Runge-Kutta 4), "leapfrog", "generalised_alpha", an explicit solver of diffrax
+            by its lower-case name ("tsit5", "dopri5", "dopri8", ...), or "auto".
+        step: h [s], > 0; needed by "rk4", "leapfrog" and "generalised_alpha". The solvers of diffrax take
             either a step (fixed) or both tolerances (adaptive).
         rtol, atol: tolerances, > 0.
         stabilisation: Baumgarte gain, >= 0; None = the default, 0 = none.
@@ -58,34 +68,22 @@ class Method(ChecksItself):
 
     def __post_init__(self):
         require_choice(self.name, METHODS, "`name` of the method")
-        self._set("step", positive_quantity, "time")
-        self._set("rtol", positive_quantity, "none")
-        self._set("atol", positive_quantity, "none")
-        self._set("stabilisation", non_negative_quantity, "none")
-        self._set("accuracy", positive_quantity, "none")
-        self._check_implicit()
-        tolerances = self.rtol is not None or self.atol is not None
-        if self.name == "auto":
-            self._check_auto(tolerances)
-            return
-        if self.accuracy is not None:
-            raise InputError(
-                'Argument `accuracy` must be left out unless the method is "auto", but the method '
-                f'is "{self.name}"; remove it, or use method = "auto".'
-            )
-        if self.name in (*FIXED_METHODS, *IMPLICIT_METHODS) and tolerances:
-            raise InputError(
-                f'Arguments `rtol` and `atol` must be left out with the method "{self.name}", '
-                'whose step is fixed, but were given; remove them, or use for example "dopri8".'
-            )
-        if self.name in (*FIXED_METHODS, *IMPLICIT_METHODS) and self.step is None:
-            example = "1e-3" if self.implicit else "1e-5"
+        for field in SETTINGS_OF[self.name]:
+            self._set(field)
+        for field in (one.name for one in fields(self) if one.name != "name"):
+            if getattr(self, field) is not None and field not in SETTINGS_OF[self.name]:
+                others = ", ".join(f'"{name}"' for name, settings in SETTINGS_OF.items() if field in settings)
+                raise InputError(
+                    f'Argument `{field}` must be left out with the method "{self.name}", but was given; remove it, or '
+                    f"take a method that has it ({others})."
+                )
+        if self.name in ADAPTIVE_METHODS:
+            self._check_adaptive()
+        elif self.name != "auto" and self.step is None:
             raise InputError(
                 f'Argument `step` must be given for the method "{self.name}", but is missing; '
-                f"add for example step = {example}."
+                f"add for example step = {'1e-3' if self.implicit else '1e-5'}."
             )
-        if self.name in ADAPTIVE_METHODS:
-            self._check_adaptive(tolerances)
 
     @property
     def adaptive(self) -> bool:
@@ -97,55 +95,33 @@ class Method(ChecksItself):
         """True if every step solves equations."""
         return self.name in IMPLICIT_METHODS
 
-    def _check_implicit(self) -> None:
-        for field, default in _IMPLICIT_SETTINGS.items():
-            if not self.implicit and getattr(self, field) is not None:
-                raise InputError(
-                    f'Argument `{field}` must be left out unless the method is "generalised_alpha", '
-                    f'but the method is "{self.name}"; remove it.'
-                )
-            if self.implicit and getattr(self, field) is None:
-                object.__setattr__(self, field, default)
-        if not self.implicit:
+    def _set(self, field: str) -> None:
+        """Check and convert one setting; one that is left out takes its default, if it has one."""
+        given = getattr(self, field)
+        given = _DEFAULTS.get(field) if given is None else given
+        if given is None:
             return
-        if self.stabilisation is not None:
-            raise InputError(
-                'Argument `stabilisation` must be left out with the method "generalised_alpha", which '
-                "closes the joints in every step, but was given; remove it."
-            )
-        radius = self._set("spectral_radius", non_negative_quantity, "none")
-        if radius is not None and radius >= 1.0:
-            raise InputError(
-                "Argument `spectral_radius` must be less than 1, but is "
-                f"{radius:g}: the joint loads would oscillate from step to step; "
-                f"the default is {SPECTRAL_RADIUS}."
-            )
-        tolerance = self._set("tolerance", positive_quantity, "none")
-        if tolerance is not None and tolerance >= 1.0:
-            raise InputError(
-                f"Argument `tolerance` must be less than 1, but is {tolerance:g}; it is a share of the "
-                f"largest joint load, such as {TOLERANCE:g}."
-            )
-        count = self.corrections
-        if isinstance(count, bool) or not isinstance(count, Real) or count != int(count) or count < 1:
+        where = f"`{field}` of the method"
+        if field == "corrections":
+            value = self._whole(given)
+        else:
+            convert = non_negative_quantity if field in _MAY_BE_ZERO else positive_quantity
+            value = convert(given, _DIMENSIONS.get(field, "none"), where)
+        if field in _BELOW_ONE and value >= 1.0:
+            raise InputError(f"Argument `{field}` must be less than 1, but is {value:g}; {_BELOW_ONE[field]}.")
+        object.__setattr__(self, field, value)
+
+    @staticmethod
+    def _whole(count: Any) -> int:
+        if isinstance(count, bool) or not isinstance(count, Real) or not float(count).is_integer() or count < 1:
             raise InputError(
                 f"Argument `corrections` must be a whole number of at least 1, but is {count}; the "
-                f"default is {CORRECTIONS}."
+                f"default is {_DEFAULTS['corrections']}."
             )
+        return int(float(count))
 
-    def _check_auto(self, tolerances: bool) -> None:
-        if self.step is not None or tolerances:
-            raise InputError(
-                'Arguments `step`, `rtol` and `atol` must be left out with the method "auto", '
-                "which chooses them, but were given; remove them, or name the method."
-            )
-        if self.accuracy is not None and self.accuracy >= 1.0:
-            raise InputError(
-                f"Argument `accuracy` must be less than 1, but was {self.accuracy}; it is a "
-                "relative error, such as 1e-4."
-            )
-
-    def _check_adaptive(self, tolerances: bool) -> None:
+    def _check_adaptive(self) -> None:
+        tolerances = self.rtol is not None or self.atol is not None
         if self.step is not None and tolerances:
             raise InputError(
                 f'Argument `step` of the method "{self.name}" must be given or else `rtol` and '
@@ -157,11 +133,3 @@ class Method(ChecksItself):
                 f'Argument `step` of the method "{self.name}" must be given or else both `rtol` '
                 "and `atol`, but neither is complete; add for example rtol = 1e-8 and atol = 1e-10."
             )
-
-    def _set(self, field: str, convert: Callable[[Quantity, str, str], float], dimension: str) -> float | None:
-        given = getattr(self, field)
-        if given is None:
-            return None
-        value = convert(given, dimension, f"`{field}` of the method")
-        object.__setattr__(self, field, value)
-        return value

@@ -29,6 +29,9 @@ from rfem_jax.report.shapes import assembly_figure
 from rfem_jax.report.style import SETTINGS, add_legend, add_titles, bar_style, line_style, new_figure
 from rfem_jax.report.summary import joint_names, reference_case, total_energy
 
+MOST_BASE_JOINTS = 3
+ROUNDING = 1e-9  # of the largest component: drawn as zero, as the moment about a hinge is
+
 # {case: times and values}
 Histories = dict[str, tuple[Float[np.ndarray, " times"], Float[np.ndarray, " times"]]]
 
@@ -62,36 +65,69 @@ def history_figure(study: Study, histories: Histories, heading: str, label: str)
     return figure
 
 
-def component_figure(study: Study, runs: Mapping[str, Run], summaries: Summaries, joint: str) -> Figure:
-    """Force components in `joint` without and with errors (the paper's Fig. 12).
+def component_figure(
+    study: Study, runs: Mapping[str, Run], summaries: Summaries, joint: str, quantity: Quantity
+) -> Figure:
+    """Components of the force or the moment in `joint` without and with errors (the paper's Fig. 12).
 
-    Shows the reference case, the case with the largest RMS force in the joint and the last one.
+    Arguments: quantity, RMS_FORCE or RMS_MOMENT. Shows the reference case, the case with the largest RMS in the joint
+    and the last one.
     """
+    load = quantity.name.removeprefix("rms_")
     reference = reference_case(study)
     others = [case.name for case in study.cases if case.name != reference]
-    loads = {case: summaries[case]["joints"][joint]["rms_force"] for case in others}
+    sizes = {case: summaries[case]["joints"][joint][quantity.name] for case in others}
     shown = [reference]
     if others:
-        worst = max(others, key=lambda case: np.nan_to_num(loads[case], nan=-1.0))
+        worst = max(others, key=lambda case: np.nan_to_num(sizes[case], nan=-1.0))
         shown += [case for case in others if case in (worst, others[-1])]
     figure = new_figure(7.2, 7.2)
     axes = figure.subplots(3, 1, sharex=True)
     order = [case.name for case in study.cases]
-    names = ("(a) x, across the hinge", "(b) y, along the hinge", "(c) z, across the hinge")
-    for case in shown:
+    names = {
+        "force": ("(a) x, across the hinge", "(b) y, along the hinge", "(c) z, across the hinge"),
+        "moment": ("(a) about x, across the hinge", "(b) about y, the hinge", "(c) about z, across the hinge"),
+    }
+    loads = {case: np.asarray(getattr(runs[case].loads[joint], load)) for case in shown}
+    largest = max(np.max(np.abs(values), initial=0.0, where=np.isfinite(values)) for values in loads.values())
+    for case, values in loads.items():
         times = np.asarray(runs[case].times)
         label = f"{case}, {'with' if any(summaries[case]['errors'].values()) else 'no'} errors"
-        force = np.asarray(runs[case].loads[joint].force)
+        values = np.where(np.abs(values) < ROUNDING * largest, 0.0, values)
         for axis in range(3):
             style = line_style(order.index(case), len(times))
-            axes[axis].plot(times, force[:, axis], label=label, **{**style, "linewidth": 0.9})
-    for axis, name in zip(axes, names, strict=True):
+            axes[axis].plot(times, values[:, axis], label=label, **{**style, "linewidth": 0.9})
+    for axis, name in zip(axes, names[load], strict=True):
         axis.set_title(name, loc="left")
-        axis.set_ylabel("force, N")
+        axis.set_ylabel(f"{load}, {quantity.unit}")
     add_legend(axes[0])
     axes[-1].set_xlabel("time, s")
-    add_titles(figure, f"Force in joint {joint}, hinge frame, on the child link", study)
+    add_titles(figure, f"{load.capitalize()} in joint {joint}, hinge frame, on the child link", study)
     return figure
+
+
+def shown_joints(study: Study, summaries: Summaries) -> list[str]:
+    """Joints whose histories are drawn: those of the base (three at most), and the one with the largest RMS force and
+    the one with the largest RMS moment of all cases."""
+    names = [joint.name for joint in study.mechanism.joints if joint.parent == "base"][:MOST_BASE_JOINTS]
+    for quantity in (RMS_FORCE, RMS_MOMENT):
+        sizes = {
+            name: max(np.nan_to_num(one["joints"][name][quantity.name], nan=-1.0) for one in summaries.values())
+            for name in joint_names(study)
+        }
+        names.append(max(sizes, key=lambda name: sizes[name]))
+    return list(dict.fromkeys(names))
+
+
+def _load_figures(study: Study, runs: Mapping[str, Run], summaries: Summaries) -> dict[str, Figure]:
+    """Forces and moments of some joints, a picture each; the first of the base is called so."""
+    figures = {}
+    for number, joint in enumerate(shown_joints(study, summaries)):
+        name = "base_joint" if number == 0 else f"joint_{joint}"
+        for quantity in (RMS_FORCE, RMS_MOMENT):
+            load = quantity.name.removeprefix("rms_")
+            figures[f"{name}_{load}"] = component_figure(study, runs, summaries, joint, quantity)
+    return figures
 
 
 def bars_figure(study: Study, summaries: Summaries, panels: Sequence[tuple[Quantity, str]], heading: str) -> Figure:
@@ -166,8 +202,7 @@ def draw_figures(study: Study, runs: Mapping[str, Run], summaries: Summaries) ->
         preloads = ((PRELOAD_FORCE, "Preload force"), (PRELOAD_MOMENT, "Preload moment"))
         heading = "Preload in the joints at the start (weight and holding moment included)"
         figures["preload"] = bars_figure(study, summaries, preloads, heading)
-        first = next(joint for joint in study.mechanism.joints if joint.parent == "base")
-        figures["base_joint_force"] = component_figure(study, runs, summaries, first.name)
+        figures |= _load_figures(study, runs, summaries)
         figures["assembly"] = assembly_figure(study, runs)
     return figures
 

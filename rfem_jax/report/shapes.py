@@ -59,13 +59,43 @@ def exaggerated_lines(run: Run, factor: float) -> dict[str, Line]:
     return lines
 
 
-def joint_point(mechanism: Mechanism, joint: Joint, lines: Mapping[str, Line]) -> Point:
-    """Where `joint` sits on the centre line of its child link, (3,) m."""
-    length = mechanism.link(joint.child).length
-    share = joint.child_position[0] / length if joint.child_position is not None else 1.0 if joint.cut else 0.0
-    line = lines[joint.child]
-    places = np.linspace(0.0, 1.0, len(line))
-    return np.array([np.interp(share, places, line[:, axis]) for axis in range(3)])
+def point_on_line(line: Line, nominal: Line, x: float) -> Point:
+    """The point of an assembled centre line that is x [m] from the origin of its link, (3,) m.
+
+    `nominal` is the straight line of the same points, which need not be equally spaced; beyond its ends (a rigid link
+    may have joints there) the line goes on straight.
+    """
+    places = np.linalg.norm(nominal - nominal[0], axis=1)
+    piece = int(np.clip(np.searchsorted(places, x, side="right") - 1, 0, len(places) - 2))
+    share = (x - places[piece]) / (places[piece + 1] - places[piece])
+    return line[piece] + share * (line[piece + 1] - line[piece])
+
+
+def seats(mechanism: Mechanism, joint: Joint) -> list[tuple[str, Point]]:
+    """[(link, position of the joint in its frame (3,) m)]: in the child, and in the parent if that is no base."""
+    child = joint.child_position
+    if child is None:
+        child = (mechanism.link(joint.child).length if joint.cut else 0.0, 0.0, 0.0)
+    found = [(joint.child, np.array(child))]
+    if joint.parent != "base":
+        parent = joint.position
+        if parent is None:
+            parent = (mechanism.link(joint.parent).length, 0.0, 0.0)
+        found.append((joint.parent, np.array(parent)))
+    return found
+
+
+def joint_point(mechanism: Mechanism, joint: Joint, lines: Mapping[str, Line], nominal: Mapping[str, Line]) -> Point:
+    """Where `joint` is, (3,) m: on the centre line of a link whose axis it lies on. A joint that is off the axes of all
+    its links is drawn between the nearest points of their lines (a joint of the base at its nominal place)."""
+    found = seats(mechanism, joint)
+    places = [point_on_line(lines[link], nominal[link], float(seat[0])) for link, seat in found]
+    for place, (_, seat) in zip(places, found, strict=True):
+        if not np.any(seat[1:]):
+            return place
+    if joint.parent == "base":
+        return np.array(joint.position or (0.0, 0.0, 0.0))
+    return np.mean(places, axis=0)
 
 
 def _limits(runs: Mapping[str, Run], factor: float) -> tuple[Point, Point]:
@@ -83,18 +113,23 @@ def _limits(runs: Mapping[str, Run], factor: float) -> tuple[Point, Point]:
 def _draw_mechanism(axes: Axes3D, mechanism: Mechanism, run: Run, factor: float) -> None:
     """Nominal lines thin and grey, assembled lines thick, joints with their names."""
     lines = exaggerated_lines(run, factor)
+    colours = {link: CASE_COLOURS[(index + 1) % len(CASE_COLOURS)] for index, link in enumerate(lines)}
     for index, link in enumerate(lines):
         nominal = np.asarray(run.nominal_lines[link])
         label = "perfect mechanism" if index == 0 else None
         axes.plot(*nominal.T, color="#808080", linestyle=":", linewidth=1.2, label=label)
         style = LINE_STYLES[index % len(LINE_STYLES)]
-        colour = CASE_COLOURS[(index + 1) % len(CASE_COLOURS)]
-        axes.plot(*lines[link].T, color=colour, linestyle=style, linewidth=2.2, label=link)
+        axes.plot(*lines[link].T, color=colours[link], linestyle=style, linewidth=2.2, label=link)
         # Thin rungs from the perfect to the assembled line show the direction of the deflection.
         for start, end in zip(nominal[::2], lines[link][::2], strict=True):
-            axes.plot(*np.stack([start, end], axis=1), color=colour, linewidth=0.5)
+            axes.plot(*np.stack([start, end], axis=1), color=colours[link], linewidth=0.5)
+    nominal = {link: np.asarray(line) for link, line in run.nominal_lines.items()}
     for joint in mechanism.joints:
-        point = joint_point(mechanism, joint, lines)
+        point = joint_point(mechanism, joint, lines, nominal)
+        for link, seat in seats(mechanism, joint):
+            if np.any(seat[1:]):  # an arm from the axis of the link to the joint
+                foot = point_on_line(lines[link], nominal[link], float(seat[0]))
+                axes.plot(*np.stack([foot, point], axis=1), color=colours[link], linewidth=1.2)
         marker, size = ("^", 7) if joint.parent == "base" else ("o", 5)
         axes.plot(*point[:, None], marker=marker, markersize=size, color="black", mfc="white")
         if np.isfinite(point).all():
@@ -107,7 +142,7 @@ def _format_axes(axes: Axes3D, low: Point, high: Point) -> None:
     for axis, letter, lower, upper in zip("xyz", "XYZ", low, high, strict=True):
         axes.set(**{f"{axis}lim": (lower, upper), f"{axis}label": f"{letter}, m"})
         getattr(axes, f"{axis}axis").set_major_locator(MaxNLocator(3))
-    axes.set_box_aspect(high - low, zoom=0.95)  # pyright: ignore[reportArgumentType]  # a float, says its documentation
+    axes.set_box_aspect(high - low, zoom=0.85)  # pyright: ignore[reportArgumentType]  # a float, says its documentation
     axes.view_init(elev=22.0, azim=-48.0)
     axes.tick_params(labelsize=7, pad=0)
 
@@ -132,7 +167,7 @@ def assembly_figure(study: Study, runs: Mapping[str, Run]) -> Figure:
     low, high = _limits(shown, factor)
     columns = min(len(shown), 3)
     rows = -(-len(shown) // columns)
-    width, height = max(3.9 * columns, 6.0), 3.7 * rows + 1.9
+    width, height = max(3.9 * columns, 6.0), 3.9 * rows + 1.9
     figure = new_figure(width, height, layout=None)
     for index, (case, run) in enumerate(shown.items()):
         axes = figure.add_subplot(rows, columns, index + 1, projection="3d", facecolor="none")
@@ -140,7 +175,7 @@ def assembly_figure(study: Study, runs: Mapping[str, Run]) -> Figure:
         _format_axes(axes, low, high)
         axes.set_title(f"{case}: {_deflection_text(run)}", y=1.0)
     # Layout by hand: the automatic one knows neither labels nor legends of 3D axes.
-    figure.subplots_adjust(left=0.02, right=0.96, bottom=1.1 / height, top=1.0 - 0.8 / height, wspace=0.08, hspace=0.1)
+    figure.subplots_adjust(left=0.02, right=0.96, bottom=1.3 / height, top=1.0 - 0.9 / height, wspace=0.08, hspace=0.15)
     handles, labels = figure.axes[-1].get_legend_handles_labels()
     figure.legend(
         handles,

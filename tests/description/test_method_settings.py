@@ -4,7 +4,7 @@ import diffrax
 import pytest
 
 from rfem_jax.description import Method
-from rfem_jax.description.methods import ADAPTIVE_METHODS, METHODS
+from rfem_jax.description.methods import ADAPTIVE_METHODS, METHODS, SETTINGS_OF
 
 
 @pytest.mark.parametrize("name", ADAPTIVE_METHODS)
@@ -57,3 +57,30 @@ def test_no_other_name_is_known(refused):
 def test_settings_that_do_not_fit_are_refused(refused, settings, pieces):
     with refused(*pieces):
         Method(**settings)
+
+
+@pytest.mark.parametrize(
+    ("settings", "pieces"),
+    [
+        ({"spectral_radius": 1.0}, ("`spectral_radius`", "less than 1", "oscillate")),
+        ({"spectral_radius": -0.1}, ("`spectral_radius`", "negative")),
+        ({"tolerance": 1.0}, ("`tolerance`", "less than 1")),
+        ({"corrections": 2.5}, ("`corrections`", "whole number", "2.5")),
+        ({"corrections": "4"}, ("`corrections`", "whole number")),
+        ({"corrections": True}, ("`corrections`", "whole number")),
+        ({"stabilisation": 0.1}, ("`stabilisation`", "left out", '"rk4"')),
+        ({"rtol": 1e-8}, ("`rtol`", "left out", '"dopri8"')),
+        ({"name": "rk4", "tolerance": 1e-8}, ("`tolerance`", "left out", '"generalised_alpha"')),
+    ],
+)
+def test_settings_of_the_implicit_method(refused, settings, pieces):
+    with refused(*pieces):
+        Method(**{"name": "generalised_alpha", "step": 1e-3, **settings})
+
+
+def test_defaults_belong_to_the_implicit_method_alone():
+    implicit = Method("generalised_alpha", step=1e-3, corrections=4.0)
+    assert (implicit.spectral_radius, implicit.corrections, implicit.tolerance) == (0.6, 4, 1e-8)
+    assert isinstance(implicit.corrections, int) and implicit.implicit
+    assert Method("rk4", step=1e-3).spectral_radius is None
+    assert set(SETTINGS_OF) == set(METHODS)

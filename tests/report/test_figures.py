@@ -1,6 +1,7 @@
 """Pictures: all are there, none is blank, and they show the numbers they should."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,17 +10,29 @@ from scipy.ndimage import label
 pytest.importorskip("matplotlib", reason="pictures need the extra `plots`")
 
 import matplotlib
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.image import imread
 
-from rfem_jax.report.figures import draw_figures, write_figures
+from rfem_jax.description import Joint
+from rfem_jax.report.figures import component_figure, draw_figures, shown_joints, write_figures
 from rfem_jax.report.output import write_pictures
-from rfem_jax.report.shapes import exaggerated_lines, exaggeration, round_factor
+from rfem_jax.report.quantities import RMS_MOMENT
+from rfem_jax.report.shapes import (
+    assembly_figure,
+    exaggerated_lines,
+    exaggeration,
+    joint_point,
+    point_on_line,
+    round_factor,
+    seats,
+)
 from rfem_jax.report.style import SETTINGS, bar_style, line_style
 from rfem_jax.report.summary import summarise
 
 NAMES = {
     *("angle", "rate", "energy", "maximum_forces", "rms_loads", "preload"),
-    *("base_joint_force", "assembly"),
+    *("base_joint_force", "base_joint_moment", "joint_D_force", "joint_D_moment"),
+    *("joint_C_force", "joint_C_moment", "assembly"),
 }
 
 
@@ -60,6 +73,7 @@ def test_every_picture_has_a_title_and_units(figures):
         ("rms_loads", "moment, N m"),
         ("preload", "moment, N m"),
         ("base_joint_force", "force, N"),
+        ("joint_D_moment", "moment, N m"),
         ("assembly", "Z, m"),
     ):
         words = texts(figures[name])
@@ -102,6 +116,21 @@ def test_force_components_without_and_with_errors(figures, runs):
     np.testing.assert_array_equal(panels[1].lines[1].get_ydata(), runs["P2"].loads["A"].force[:, 1])
 
 
+def test_joints_of_the_base_and_the_most_loaded_ones_have_their_pictures(figures, study, runs, statuses):
+    curves = figures["joint_C_moment"].axes[2].lines
+    np.testing.assert_array_equal(curves[1].get_ydata(), runs["P2"].loads["C"].moment[:, 2])
+    assert "Moment in joint C" in texts(figures["joint_C_moment"])
+    assert "about y, the hinge" in texts(figures["joint_D_moment"])
+    runs["P2"].loads["A"].moment[:, 1] = 1e-15  # rounding of a moment that a hinge cannot have
+    rounded = component_figure(study, runs, summarise(study, runs, statuses), "A", RMS_MOMENT).axes[1].lines[1]
+    np.testing.assert_array_equal(rounded.get_ydata(), 0.0)
+    summaries = summarise(study, runs, statuses)
+    assert shown_joints(study, summaries) == ["A", "D", "C"]
+    summaries["P3"]["joints"]["B"]["rms_moment"] = 100.0  # of one case is enough
+    summaries["P1"]["joints"]["B"]["rms_force"] = float("nan")
+    assert shown_joints(study, summaries) == ["A", "D", "C", "B"]
+
+
 def test_a_failed_case_is_marked_and_does_not_break_pictures(tmp_path, study, runs, statuses):
     run = runs["P2"]
     run.angle[3:] = np.nan
@@ -124,7 +153,8 @@ def test_a_single_case_without_a_drive(study, runs, statuses):
     object.__setattr__(study, "cases", study.cases[:1])
     runs = {"P1": runs["P1"]}
     figures = draw_figures(study, runs, summarise(study, runs, statuses))
-    assert set(figures) == NAMES - {"angle", "rate"}
+    # The loads of this run are zero: no joint is loaded most.
+    assert set(figures) == NAMES - {"angle", "rate", "joint_C_force", "joint_C_moment"}
     assert len(figures["energy"].axes) == 1
 
 
@@ -138,6 +168,78 @@ def test_the_exaggeration_factor(runs):
     lines = exaggerated_lines(runs["P2"], factor)
     np.testing.assert_allclose(lines["rocker"][-1], [0.244, 0.04, 0.295])
     assert exaggeration({"P1": runs["P1"]}) == 1.0
+
+
+NODES = np.array([0.0, 0.075, 0.15, 0.225, 0.28125, 0.3])  # middles of five rfes: not equally spaced
+
+
+def test_points_of_a_line_are_found_by_their_distance_from_its_origin():
+    straight = np.outer(NODES, [0.0, 0.6, 0.8])
+    bent = straight + np.outer(NODES**2, [1.0, 0.0, 0.0])
+    for x in (0.0, 0.15, 0.28125, 0.3):
+        np.testing.assert_allclose(point_on_line(bent, straight, x), [x**2, 0.6 * x, 0.8 * x], atol=1e-15)
+    np.testing.assert_allclose(point_on_line(straight, straight, 0.26), 0.26 * np.array([0.0, 0.6, 0.8]))
+    # Beyond the ends of a rigid link.
+    np.testing.assert_allclose(point_on_line(straight, straight, 0.4), [0.0, 0.24, 0.32])
+    np.testing.assert_allclose(point_on_line(straight, straight, -0.1), [0.0, -0.06, -0.08])
+
+
+@pytest.fixture
+def ternary(study):
+    """A coupler with a third joint, 60 mm off its axis, at which the strut ends; its lines."""
+    strut = replace(study.mechanism.links[2], name="strut", length=0.2)
+    third = Joint("E", "strut", "coupler", child_position=(0.17, 0.0, 0.06), cut=True)
+    joints = (*study.mechanism.joints, Joint("F", "base", "strut", position=(0.0, 0.0, 0.42)), third)
+    mechanism = replace(study.mechanism, links=(*study.mechanism.links, strut), joints=joints)
+    lines = {
+        "crank": np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.12]]),
+        "coupler": np.array([0.0, 0.0, 0.12]) + np.outer(NODES, [1.0, 0.0, 0.0]),
+        "rocker": np.array([0.3, 0.0, 0.0]) + np.outer(NODES, [0.0, 0.0, 0.4]),
+        "strut": np.array([0.17, 0.0, 0.38]) + np.outer(NODES / 1.5, [0.0, 0.0, -1.0]),
+    }
+    return mechanism, lines
+
+
+def test_a_joint_off_the_axis_of_its_link_is_drawn_where_the_other_link_ends(ternary):
+    mechanism, lines = ternary
+    np.testing.assert_allclose(joint_point(mechanism, mechanism.joint("E"), lines, lines), [0.17, 0.0, 0.18])
+    np.testing.assert_allclose(joint_point(mechanism, mechanism.joint("B"), lines, lines), [0.0, 0.0, 0.12])
+    (child, seat), (parent, end) = seats(mechanism, mechanism.joint("E"))
+    assert (
+        (child, parent) == ("coupler", "strut") and tuple(seat) == (0.17, 0.0, 0.06) and tuple(end) == (0.2, 0.0, 0.0)
+    )
+    # A joint in the middle of a link, on its axis, is on its line.
+    on_axis = replace(mechanism.joint("E"), child_position=(0.17, 0.0, 0.0))
+    np.testing.assert_allclose(joint_point(mechanism, on_axis, lines, lines), [0.17, 0.0, 0.12])
+    # Off both axes: between them.
+    off_both = replace(mechanism.joint("E"), position=(0.1, 0.0, 0.02))
+    np.testing.assert_allclose(joint_point(mechanism, off_both, lines, lines), [0.17, 0.0, 0.2])
+
+
+def test_an_arm_joins_the_axis_and_the_joint(ternary, study, runs):
+    mechanism, lines = ternary
+    run = SimpleNamespace(**{**vars(runs["P1"]), "centre_lines": lines, "nominal_lines": lines})
+    figure = assembly_figure(replace(study, mechanism=mechanism, cases=study.cases[:1]), {"P1": run})
+    arms = [np.stack(line.get_data_3d(), axis=1) for line in figure.axes[0].lines if line.get_linewidth() == 1.2]
+    arms = [arm for arm in arms if len(arm) == 2 and np.ptp(arm[:, 2]) > 0.05]
+    assert any(np.allclose(arm, [[0.17, 0.0, 0.12], [0.17, 0.0, 0.18]]) for arm in arms)
+
+
+def test_no_label_of_the_assembly_is_clipped(study, runs):
+    """Labels of axes and legend are inside of the picture and apart from each other, for any number of cases."""
+    for count in (1, 2, 3, 4):
+        few = {f"P{number}": runs["P2"] for number in range(count)}
+        figure = assembly_figure(study, few)
+        canvas = FigureCanvasAgg(figure)
+        canvas.draw()
+        boxes = [figure.legends[0].get_window_extent()]
+        for axes in figure.axes:
+            for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
+                boxes.append(axis.label.get_window_extent())
+        width, height = canvas.get_width_height()
+        for box in boxes:
+            assert box.x0 >= 0 and box.y0 >= 0 and box.x1 <= width and box.y1 <= height
+        assert not any(boxes[0].overlaps(box) for box in boxes[1:])
 
 
 def test_the_title_names_the_factor(figures):
