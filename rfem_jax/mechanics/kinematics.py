@@ -164,19 +164,18 @@ def _on_link(link: Frames, in_link_frame: tuple[Array, Array, Array, Array]) -> 
 
 
 def _interface_frames(topology: Topology, relative: RelativeMotion, links: Frames) -> Frames:
-    rfes = np.array(topology.interfaces, dtype=int)
-    owners = np.array([topology.link_of(topology.n_links + k) for k in rfes], dtype=int)
+    owners = [topology.link_of(topology.n_links + k) for k in topology.interfaces]
     return _on_link(
         jax.tree.map(lambda x: _columns(x, owners), links),
-        jax.tree.map(lambda x: _columns(x, rfes), _in_link_frame(relative)),
+        jax.tree.map(lambda x: _columns(x, topology.interfaces), _in_link_frame(relative)),
     )
 
 
-def _columns(values: Array, indices: np.ndarray) -> Array:
+def _columns(values: Array, indices: Sequence[int]) -> Array:
     """Columns of the last axis at static indices."""
     if len(indices) == 0:
         return values[..., :0]
-    return jnp.stack([values[..., int(i)] for i in indices], axis=-1)
+    return jnp.stack([values[..., i] for i in indices], axis=-1)
 
 
 def _place_link(actual: ModelWithErrors, state: State, index: int, parent: Frames) -> tuple[Frames, Frames, Array]:

@@ -13,7 +13,7 @@ of motion of the rfes 0 alone, whose elastic wrenches the accelerations needed a
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -45,6 +45,7 @@ class Energies(NamedTuple):
     gravity: Float[Array, ""]
 
 
+@runtime_checkable
 class Solved(Protocol):
     """Of the solution of one instant, or of a mechanism at rest: motion, closure, multipliers (5, C) [N]."""
 

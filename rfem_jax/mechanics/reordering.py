@@ -30,7 +30,7 @@ def reorder(values: Array | np.ndarray, order: Sequence[int] | np.ndarray, axis:
     return _reorder.bind(values, order=order, axis=axis)
 
 
-def _gather(values: Array, *, order: tuple[int, ...], axis: int) -> Array:
+def _gather(values: Array | np.ndarray, *, order: tuple[int, ...], axis: int) -> Array:
     sizes = list(values.shape)
     sizes[axis] = 1
     numbers = lax.GatherDimensionNumbers(
@@ -42,7 +42,7 @@ def _gather(values: Array, *, order: tuple[int, ...], axis: int) -> Array:
     return lax.gather(values, places, numbers, sizes, unique_indices=True, mode="promise_in_bounds")
 
 
-def _implementation(values: Array, *, order: tuple[int, ...], axis: int) -> Array:
+def _implementation(values: Array | np.ndarray, *, order: tuple[int, ...], axis: int) -> Array:
     return jax.jit(_gather, static_argnames=("order", "axis"))(values, order=order, axis=axis)
 
 

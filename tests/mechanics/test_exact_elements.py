@@ -21,7 +21,7 @@ def actual_chain(elements, errors=None):
 
 @pytest.fixture(scope="module")
 def exact():
-    """Model of the open chain with errors, realised, and a state far from equilibrium."""
+    """Model of the open chain with errors, and a state far from equilibrium."""
     model = discretise(open_chain(), elements="geometrically_exact")
     rng = np.random.default_rng(3)
     actual = apply_errors(model, some_errors(model, rng))
@@ -54,14 +54,14 @@ def energy(actual, elastic):
 
 def test_spring_forces_are_minus_the_gradient_of_the_energy(exact):
     _, actual, state = exact
-    slope = np.asarray(jax.jit(jax.grad(energy, argnums=1))(actual, state.position.elastic))
+    gradient = np.asarray(jax.jit(jax.grad(energy, argnums=1))(actual, state.position.elastic))
     forces = np.asarray(spring_forces(actual, state.position.elastic))
-    scale = np.abs(slope).max(axis=1, keepdims=True)
-    np.testing.assert_allclose(forces / scale, -slope / scale, rtol=0, atol=1e-11)
+    scale = np.abs(gradient).max(axis=1, keepdims=True)
+    np.testing.assert_allclose(forces / scale, -gradient / scale, rtol=0, atol=1e-11)
 
 
-def test_dampers_take_out_the_dissipated_power(exact):
-    """Also: their generalised forces are minus half the slope of the power in the rates."""
+def test_dampers_do_the_work_of_the_dissipated_power(exact):
+    """Also: their generalised forces are minus half the derivative of the power by the rates."""
     _, actual, state = exact
 
     @jax.jit
@@ -72,13 +72,13 @@ def test_dampers_take_out_the_dissipated_power(exact):
             velocity = Coordinates(state.velocity.angles, rates)
             return elasticity.dissipated_power(actual, State(state.position, velocity))
 
-        value, slope = jax.value_and_grad(power)(state.velocity.elastic)
-        return damping, value, slope
+        value, derivative = jax.value_and_grad(power)(state.velocity.elastic)
+        return damping, value, derivative
 
-    damping, power, slope = map(np.asarray, both(actual, state))
+    damping, power, derivative = map(np.asarray, both(actual, state))
     assert power > 1.0
     np.testing.assert_allclose(-np.sum(damping * state.velocity.elastic), power, rtol=1e-9)
-    np.testing.assert_allclose(damping, -0.5 * slope, rtol=0, atol=1e-9 * np.abs(slope).max())
+    np.testing.assert_allclose(damping, -0.5 * derivative, rtol=0, atol=1e-9 * np.abs(derivative).max())
 
 
 def test_rates_of_the_deflections_are_their_derivatives(exact):
@@ -89,24 +89,24 @@ def test_rates_of_the_deflections_are_their_derivatives(exact):
         def stretch(position):
             return elasticity.deflections(actual, at_rest(position))[0]
 
-        along = jax.jvp(stretch, (state.position,), (state.velocity,))[1]
-        return along, elasticity.deflections(actual, state)[1]
+        derivative = jax.jvp(stretch, (state.position,), (state.velocity,))[1]
+        return derivative, elasticity.deflections(actual, state)[1]
 
-    along, rate = map(np.asarray, both(actual, state))
-    np.testing.assert_allclose(rate, along, rtol=1e-10, atol=1e-12 * np.abs(along).max())
+    derivative, rate = map(np.asarray, both(actual, state))
+    np.testing.assert_allclose(rate, derivative, rtol=1e-10, atol=1e-12 * np.abs(derivative).max())
 
 
 @pytest.mark.parametrize("size", [0.0, 1e-9, 1e-4, 0.04, 0.15, 0.5, 1.0])
-def test_deflections_meet_the_literal_ones_at_every_size(exact, size):
-    """From angles inside the series to turns beyond 90 deg between neighbours."""
+def test_deflections_meet_those_of_transforms_at_every_size(exact, size):
+    """From angles within the series to rotations beyond 90 deg between neighbours."""
     _, actual, state = exact
     position = with_elastic(state.position, size * state.position.elastic)
     ours, _ = elasticity.deflections(actual, at_rest(position))
-    literal = exact_deflections(actual, jnp.stack(transforms(actual, position)))
-    # The literal ones subtract places of global size.
-    np.testing.assert_allclose(ours[:3], literal[:3], rtol=0, atol=1e-15)
-    np.testing.assert_allclose(ours[3:], literal[3:], rtol=1e-14, atol=1e-15)
-    largest = np.sqrt(np.max(np.sum(np.asarray(literal[3:]) ** 2, axis=0)))
+    reference = exact_deflections(actual, jnp.stack(transforms(actual, position)))
+    # Those of transforms subtract positions of global size.
+    np.testing.assert_allclose(ours[:3], reference[:3], rtol=0, atol=1e-15)
+    np.testing.assert_allclose(ours[3:], reference[3:], rtol=1e-14, atol=1e-15)
+    largest = np.sqrt(np.max(np.sum(np.asarray(reference[3:]) ** 2, axis=0)))
     assert 0.2 * size <= largest <= 2.0 * size
 
 
@@ -122,18 +122,18 @@ def angles_of(rotation):
 
 
 def test_a_rigid_motion_of_both_faces_changes_nothing(exact):
-    """All free rfes of a link turn and shift together: only its first sde notices."""
+    """All free rfes of a link rotate and shift together: only its first sde is deflected."""
     _, actual, state = exact
     spin, shift = jnp.array([0.3, -0.5, 0.4]), jnp.array([0.02, 0.01, -0.03])
     skew = jnp.cross(jnp.eye(3), spin)
     relative = relative_motion(actual, state.position, state.velocity)
 
     def moved(share):
-        turn = jax.scipy.linalg.expm(share * skew)
-        place = turn @ relative.position + share * shift[:, None]
+        rotation = jax.scipy.linalg.expm(share * skew)
+        place = rotation @ relative.position + share * shift[:, None]
         u = place.at[0].add(-actual.rest)
-        turned = jnp.einsum("ij,jkn->ikn", turn, relative.rotation)
-        return jnp.concatenate([u, jax.vmap(angles_of, 2, 1)(turned)])
+        rotated = jnp.einsum("ij,jkn->ikn", rotation, relative.rotation)
+        return jnp.concatenate([u, jax.vmap(angles_of, 2, 1)(rotated)])
 
     def stretch(share):
         position = with_elastic(state.position, moved(share))

@@ -1,4 +1,4 @@
-"""The recursive formulation against the literal one (trace formula, dense augmented system)."""
+"""The recursive formulation against the reference (trace formula, dense augmented system)."""
 
 import jax
 import jax.numpy as jnp
@@ -41,8 +41,8 @@ def close(actual, state):
             value = constraints(actual, unravel(q), 0.3)
             return value, value
 
-        slope, value = jax.jacfwd(residual, has_aux=True)(flat)
-        return flat - moves * (jnp.linalg.pinv(slope * moves[None]) @ value), None
+        jacobian, value = jax.jacfwd(residual, has_aux=True)(flat)
+        return flat - moves * (jnp.linalg.pinv(jacobian * moves[None]) @ value), None
 
     flat, _ = jax.lax.scan(newton, flat, length=12)
     return State(unravel(flat), state.velocity)
@@ -50,19 +50,19 @@ def close(actual, state):
 
 CASES = [
     *[(make, "moment", "linear") for make in ALL],
-    (four_bar, "turned", "linear"),
-    (open_chain, "turned", "linear"),
+    (four_bar, "prescribed", "linear"),
+    (open_chain, "prescribed", "linear"),
     (four_bar, "moment", "geometrically_exact"),
     (three_link_loop, "moment", "geometrically_exact"),
-    (open_chain, "turned", "geometrically_exact"),
+    (open_chain, "prescribed", "geometrically_exact"),
 ]
 
 
 @pytest.fixture(scope="module", params=CASES, ids=lambda case: "-".join([case[0].__name__, *case[1:]]))
 def compared(request):
-    """Both formulations on random closed states with random errors, by a moment or a given turn."""
+    """Both formulations on random closed states with random errors, driven by a moment or a prescribed angle."""
     make, driven, elements = request.param
-    prescribed = driven == "turned"
+    prescribed = driven == "prescribed"
     model = discretise(make(), elements=elements)
     rng = np.random.default_rng(7)
 
@@ -79,8 +79,8 @@ def compared(request):
         joint = loads.joint_loads(actual, fast, drive)
         chain, base = loads.chain_loads(actual, fast, fast.angular, fast.linear, drive)
         residual = loads.momentum_residual(actual, state, fast.coordinates, base)
-        own = fast.multipliers.T.reshape(-1)
-        return fast.coordinates, own, slow, multipliers, residual, joint, chain
+        multipliers_by_cut = fast.multipliers.T.reshape(-1)
+        return fast.coordinates, multipliers_by_cut, slow, multipliers, residual, joint, chain
 
     samples = [(some_errors(model, rng), random_state(model, rng)) for _ in range(STATES)]
     samples = jax.tree.map(lambda *x: jnp.stack(x), *samples)
@@ -109,7 +109,7 @@ def test_joint_loads_balance_the_rate_of_momentum(compared):
 
 def test_no_moment_about_a_free_hinge(compared):
     model, prescribed, out = compared
-    joint = out[-1]  # by the chain, where nothing makes the moment vanish
+    joint = out[-1]  # by Newton-Euler over all rfes, where no equation makes the moment vanish
     largest = np.abs(joint.moment).max(axis=(1, 2)) + np.abs(joint.force).max(axis=(1, 2))
     about_hinge = np.abs(joint.moment[:, 1]) / largest[:, None]
     for j in range(about_hinge.shape[1]):

@@ -1,5 +1,5 @@
-"""The balance of given accelerations, and Newton's corrections for implicit steps, against the
-accelerations of the recursion and against the matrix differentiated automatically."""
+"""The residual of given accelerations, and Newton increments for implicit steps, against the accelerations
+of the recursion and against the Jacobian by automatic differentiation."""
 
 import jax
 import jax.numpy as jnp
@@ -24,7 +24,7 @@ PAIRS = [(four_bar, True), (twisted_spatial_loop, False), (two_loop_six_bar, Fal
 
 
 def loaded_chain():
-    """Links with heavy points off their axes, one of them on the rfe that carries the next link."""
+    """Links with point masses off their axes, one of them on the interface to the next link."""
     steel = Material("steel", youngs_modulus=210e9, density=7850.0, poisson_ratio=0.3, damping=1e-4)
     bar = Rectangle(0.01, 0.02)
     links = [
@@ -36,7 +36,7 @@ def loaded_chain():
 
 
 @pytest.fixture(
-    scope="module", params=PAIRS + [(loaded_chain, False)], ids=lambda pair: pair[0].__name__ + "-turned" * pair[1]
+    scope="module", params=PAIRS + [(loaded_chain, False)], ids=lambda pair: pair[0].__name__ + "-prescribed" * pair[1]
 )
 def mechanism(request):
     """Model, constants, drive and a closed state in motion: links undeformed, all rates at random that
@@ -48,8 +48,8 @@ def mechanism(request):
     size = (6, model.topology.n_rfes)
     drive = DriveInput()
     if model.topology.driven is not None:
-        turn = (model.start_angles[model.topology.driven], jnp.asarray(-2.0), jnp.asarray(11.0))
-        drive = DriveInput(prescribed=turn) if prescribed else DriveInput(moment=jnp.asarray(1.7))
+        given = (model.start_angles[model.topology.driven], jnp.asarray(-2.0), jnp.asarray(11.0))
+        drive = DriveInput(prescribed=given) if prescribed else DriveInput(moment=jnp.asarray(1.7))
     rates = Coordinates(
         jnp.asarray(rng.normal(size=model.topology.n_links) * 3.0),
         jnp.asarray(rng.normal(size=size) * np.array([0.02] * 3 + [1.0] * 3)[:, None]),
@@ -58,14 +58,14 @@ def mechanism(request):
     return model, actual, drive, state, prescribed
 
 
-def worst(left):
+def worst(evaluation):
     return max(
         float(jnp.max(jnp.abs(part), initial=0.0))
-        for part in (left.hinge, left.force, left.moment, left.closing_acceleration)
+        for part in (evaluation.hinge, evaluation.force, evaluation.moment, evaluation.closing_acceleration)
     )
 
 
-def test_solved_accelerations_balance(mechanism):
+def test_solved_accelerations_have_no_residual(mechanism):
     model, actual, drive, state, prescribed = mechanism
     scale = length_scale(model)
 
@@ -73,10 +73,10 @@ def test_solved_accelerations_balance(mechanism):
     def both(state):
         gains = Stabilisation(jnp.zeros(()), jnp.zeros(()), scale)
         result = accelerations(actual, state, drive, gains)
-        left = evaluate_residual(actual, state, result.coordinates, result.multipliers, drive, scale)
+        evaluation = evaluate_residual(actual, state, result.coordinates, result.multipliers, drive, scale)
         return (
             result,
-            left,
+            evaluation,
             evaluate_residual(
                 actual,
                 state,
@@ -87,17 +87,17 @@ def test_solved_accelerations_balance(mechanism):
             ),
         )
 
-    result, left, unsolved = both(state)
+    result, evaluation, unsolved = both(state)
     if prescribed:
-        # What is left over at the prescribed joint is the moment that enforces its angle.
-        left = left._replace(hinge=left.hinge.at[model.topology.driven].set(0.0))
+        # The residual of the prescribed joint is the moment that enforces its angle.
+        evaluation = evaluation._replace(hinge=evaluation.hinge.at[model.topology.driven].set(0.0))
     assert worst(unsolved) > 1.0
-    assert worst(left) < 1e-9 * worst(unsolved)
-    np.testing.assert_allclose(left.angular, result.angular, atol=1e-9 * np.abs(result.angular).max())
-    np.testing.assert_allclose(left.linear, result.linear, atol=1e-9 * np.abs(result.linear).max())
+    assert worst(evaluation) < 1e-9 * worst(unsolved)
+    np.testing.assert_allclose(evaluation.angular, result.angular, atol=1e-9 * np.abs(result.angular).max())
+    np.testing.assert_allclose(evaluation.linear, result.linear, atol=1e-9 * np.abs(result.linear).max())
 
 
-def test_corrections_at_a_given_state_find_the_accelerations(mechanism):
+def test_increments_at_a_given_state_find_the_accelerations(mechanism):
     model, actual, drive, state, prescribed = mechanism
     scale, topology = length_scale(model), model.topology
 
@@ -112,16 +112,18 @@ def test_corrections_at_a_given_state_find_the_accelerations(mechanism):
             found = Coordinates(angles, found.elastic)
         multipliers = jnp.zeros_like(result.multipliers)
 
-        def correct(carry, _):
+        def improve(carry, _):
             found, multipliers = carry
-            left = evaluate_residual(actual, state, found, multipliers, drive, scale)
-            matrix = iteration_matrix(actual, operators, left.motion, left.closure, (topology.driven,) * prescribed)
-            left = left._replace(closing=left.closing_acceleration)
-            change = newton_increment(topology, matrix, residual_of(left))
-            found = jax.tree.map(jnp.add, found, change.accelerations)
-            return (found, multipliers + change.multipliers), None
+            evaluation = evaluate_residual(actual, state, found, multipliers, drive, scale)
+            matrix = iteration_matrix(
+                actual, operators, evaluation.motion, evaluation.closure, (topology.driven,) * prescribed
+            )
+            evaluation = evaluation._replace(closing=evaluation.closing_acceleration)
+            increment = newton_increment(topology, matrix, residual_of(evaluation))
+            found = jax.tree.map(jnp.add, found, increment.accelerations)
+            return (found, multipliers + increment.multipliers), None
 
-        return result, jax.lax.scan(correct, (found, multipliers), length=2)[0]
+        return result, jax.lax.scan(improve, (found, multipliers), length=2)[0]
 
     result, (found, multipliers) = solve(state)
     pairs = (
@@ -137,7 +139,7 @@ def test_corrections_at_a_given_state_find_the_accelerations(mechanism):
 
 def equations_at(actual, start, scale, drive, factors, prescribed):
     """Residual (unknowns) of an implicit step from `start`, at rest: flat function, wrenches of the tree joints
-    likewise, balance at zero, unravel."""
+    likewise, evaluation at zero, unravel."""
     topology = actual.topology
     q_factor, v_factor = factors
     driven = np.arange(topology.n_links) == topology.driven
@@ -151,9 +153,9 @@ def equations_at(actual, start, scale, drive, factors, prescribed):
         return evaluate_residual(actual, State(position, velocity), found, multipliers, drive, scale)
 
     def equations(flat):
-        left = evaluate(flat)
-        hinge = jnp.where(driven, -flat[: topology.n_links], left.hinge) if prescribed else left.hinge
-        return ravel_pytree((hinge, left.force, left.moment, left.closing / q_factor))[0]
+        evaluation = evaluate(flat)
+        hinge = jnp.where(driven, -flat[: topology.n_links], evaluation.hinge) if prescribed else evaluation.hinge
+        return ravel_pytree((hinge, evaluation.force, evaluation.moment, evaluation.closing / q_factor))[0]
 
     def wrenches(flat):
         return jnp.stack(evaluate(flat).wrenches[: topology.n_links])
@@ -162,7 +164,7 @@ def equations_at(actual, start, scale, drive, factors, prescribed):
 
 
 def random_load(topology, free):
-    """Residual of random size, nothing at the hinges that are not free."""
+    """Residual of random size, zero at the hinges that are not free."""
     rng = np.random.default_rng(5)
     size = (3, topology.n_rfes)
     load = Residual(
@@ -172,19 +174,19 @@ def random_load(topology, free):
     return jax.tree.map(jnp.asarray, load)
 
 
-def largest_gap(change, exact):
+def largest_gap(increment, exact):
     """Largest deviation of the angles, elastic coordinates and multipliers, each relative to its largest."""
     (accelerations, multipliers) = exact
     pairs = (
-        (change.accelerations.angles, accelerations.angles),
-        (change.accelerations.elastic, accelerations.elastic),
-        (change.multipliers, multipliers),
+        (increment.accelerations.angles, accelerations.angles),
+        (increment.accelerations.elastic, accelerations.elastic),
+        (increment.multipliers, multipliers),
     )
     return max(np.abs(a - b).max() / np.abs(b).max() for a, b in pairs if b.size)
 
 
-def test_matrix_is_the_slope_of_the_balance_at_rest(mechanism):
-    """Undeformed and at rest, without weight, one correction solves the differentiated equations."""
+def test_matrix_is_the_tangent_at_rest(mechanism):
+    """Undeformed and at rest, without weight, one increment solves the linearised equations."""
     model, actual, _, _, prescribed = mechanism
     topology, scale = model.topology, length_scale(model)
     actual = jax.tree.map(lambda x: x, actual)
@@ -192,56 +194,60 @@ def test_matrix_is_the_slope_of_the_balance_at_rest(mechanism):
     factors = jnp.asarray(3e-7), jnp.asarray(6e-4)
     drive = DriveInput()
     if prescribed:
-        nothing = jnp.zeros(())
-        drive = DriveInput(prescribed=(model.start_angles[topology.driven], nothing, nothing))
+        zero = jnp.zeros(())
+        drive = DriveInput(prescribed=(model.start_angles[topology.driven], zero, zero))
 
     @jax.jit
     def both(load):
         start = model.start_coordinates()
-        equations, wrenches, left, unknowns, unravel = equations_at(actual, start, scale, drive, factors, prescribed)
-        slope = jax.jacfwd(equations)(unknowns)
+        equations, wrenches, evaluation, unknowns, unravel = equations_at(
+            actual, start, scale, drive, factors, prescribed
+        )
+        tangent = jax.jacfwd(equations)(unknowns)
         operators = link_operators(actual, *factors)
-        matrix = iteration_matrix(actual, operators, left.motion, left.closure, (topology.driven,) * prescribed)
-        exact = jnp.linalg.solve(slope, -ravel_pytree(load)[0])
+        matrix = iteration_matrix(
+            actual, operators, evaluation.motion, evaluation.closure, (topology.driven,) * prescribed
+        )
+        exact = jnp.linalg.solve(tangent, -ravel_pytree(load)[0])
         by_exact = jax.jvp(wrenches, (unknowns,), (exact,))[1]
         return unravel(exact), by_exact, increment_and_wrenches(topology, matrix, load)
 
     free = np.arange(topology.n_links) != topology.driven if prescribed else 1.0
-    exact, by_exact, (change, by_change) = both(random_load(topology, free))
-    assert largest_gap(change, exact) < 1e-7
-    np.testing.assert_allclose(by_change, by_exact, atol=1e-7 * np.abs(by_exact).max())
+    exact, by_exact, (increment, by_increment) = both(random_load(topology, free))
+    assert largest_gap(increment, exact) < 1e-7
+    np.testing.assert_allclose(by_increment, by_exact, atol=1e-7 * np.abs(by_exact).max())
 
 
 @pytest.mark.parametrize("elements", ["linear", "geometrically_exact"])
 def test_matrix_holds_for_links_that_are_bent_to_fit(elements):
-    """Assembled with an error of 1 deg, over a step that makes springs as good as rigid: what a correction
-    leaves over of any error, and what it would with rfes taken as not turned (spectral radii)."""
+    """Assembled with an error of 1 deg, over a step that makes springs as good as rigid: spectral radii of the
+    iteration, and of one with the rfes taken as not rotated."""
     model = discretise(four_bar(3), elements=elements)
     actual = apply_errors(model, assembly_errors(model, {"D.delta_x": np.radians(1.0)}))
     topology, scale = model.topology, length_scale(model)
     factors = jnp.asarray(3e-6), jnp.asarray(2e-3)
 
     @jax.jit
-    def left_over():
+    def iterations():
         start = equilibrium(model, actual, {0: model.start_angles[0]})[0]
-        equations, _, left, unknowns, _ = equations_at(actual, start, scale, DriveInput(), factors, False)
-        slope = jax.jacfwd(equations)(unknowns)
-        _parts, unravel = ravel_pytree(residual_of(left))
+        equations, _, evaluation, unknowns, _ = equations_at(actual, start, scale, DriveInput(), factors, False)
+        tangent = jax.jacfwd(equations)(unknowns)
+        _parts, unravel = ravel_pytree(residual_of(evaluation))
 
-        def by(now):
+        def iteration(motion):
             operators = link_operators(actual, *factors)
             if topology.exact:
-                operators = present_operators(actual, now.relative, *factors)
-            matrix = iteration_matrix(actual, operators, now, left.closure)
+                operators = present_operators(actual, motion.relative, *factors)
+            matrix = iteration_matrix(actual, operators, motion, evaluation.closure)
             solve = jax.vmap(lambda load: ravel_pytree(newton_increment(topology, matrix, unravel(load)))[0])
-            return jnp.eye(len(unknowns)) + solve(slope.T).T
+            return jnp.eye(len(unknowns)) + solve(tangent.T).T
 
-        identity = jnp.broadcast_to(jnp.eye(3)[:, :, None], left.motion.relative.rate_matrix.shape)
-        unturned = left.motion.relative._replace(rate_matrix=identity)
-        return by(left.motion), by(left.motion._replace(relative=unturned))
+        identity = jnp.broadcast_to(jnp.eye(3)[:, :, None], evaluation.motion.relative.rate_matrix.shape)
+        unrotated = evaluation.motion.relative._replace(rate_matrix=identity)
+        return iteration(evaluation.motion), iteration(evaluation.motion._replace(relative=unrotated))
 
-    now, unturned = (np.abs(np.linalg.eigvals(np.asarray(m))).max() for m in left_over())
-    assert now < 0.02 and 10.0 * now < unturned
+    present, unrotated = (np.abs(np.linalg.eigvals(np.asarray(m))).max() for m in iterations())
+    assert present < 0.02 and 10.0 * present < unrotated
 
 
 @pytest.fixture(scope="module")
@@ -262,7 +268,7 @@ def test_operators_of_exact_elements_are_the_linear_ones_at_the_undeformed_state
 
 
 def test_operators_of_a_batch_leave_lapack_alone(exact_chain):
-    """Batched calls of several links run side by side, and can wait for each other's threads for ever."""
+    """Batched calls of several links run side by side, and can deadlock on few threads."""
     model, _ = exact_chain
     factors = jnp.asarray(3e-7), jnp.asarray(6e-4)
     rest = model.start_coordinates()

@@ -1,4 +1,4 @@
-"""The static equilibrium found by the structure of the links, against Newton's method with the dense matrix."""
+"""The static equilibrium found by recursion over the links, against Newton's method with the dense Jacobian."""
 
 import equinox as eqx
 import jax
@@ -18,13 +18,13 @@ def four_bar_of_long_chains():
 
 
 def equilibria(make):
-    """Function of a share of some errors and of a turn of the first joint: coordinates and multipliers, status."""
+    """Function of a share of some errors and of a rotation of the first joint: coordinates and multipliers, status."""
     model = discretise(make())
     errors = some_errors(model, np.random.default_rng(2))
 
-    def at(share, turn):
+    def at(share, rotation):
         actual = apply_errors(model, jax.tree.map(lambda x: share * x, errors))
-        *found, status = statics.equilibrium(model, actual, {0: model.start_angles[0] + turn})
+        *found, status = statics.equilibrium(model, actual, {0: model.start_angles[0] + rotation})
         return found, status
 
     return at
@@ -34,37 +34,39 @@ def with_derivatives(at):
     """Values, derivatives along both arguments, backward of one number and the same forward, status."""
 
     @jax.jit
-    def evaluate(share, turn):
-        values, push, status = jax.linearize(at, share, turn, has_aux=True)
-        forward = push(1.0, 0.0), push(0.0, 1.0)
+    def evaluate(share, rotation):
+        values, jvp, status = jax.linearize(at, share, rotation, has_aux=True)
+        forward = jvp(1.0, 0.0), jvp(0.0, 1.0)
         weights = jax.tree.map(lambda x: jnp.cos(jnp.arange(x.size)).reshape(x.shape), values)
 
         def number(values):
             return sum(map(jnp.vdot, jax.tree.leaves(weights), jax.tree.leaves(values)))
 
-        backward = jax.linear_transpose(push, share, turn)(weights)
+        backward = jax.linear_transpose(jvp, share, rotation)(weights)
         return values, forward, backward, tuple(map(number, forward)), status
 
     return evaluate(jnp.asarray(0.7), jnp.asarray(0.05))
 
 
 def without_matrix(function, at, *others):
-    """In the place of the matrix, where the structure must do."""
+    """In the place of the Jacobian, where the recursion must do."""
     return function(at, *others), jnp.full((at.size, at.size), jnp.nan)
 
 
 @pytest.mark.parametrize("make", [four_bar_of_long_chains, twisted_spatial_loop])
-def test_structure_alone_finds_the_equilibrium_and_its_derivatives(make, monkeypatch):
+def test_recursion_alone_finds_the_equilibrium_and_its_derivatives(make, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(static_search, "_linearised", without_matrix)
         *found, status = with_derivatives(equilibria(make))
         assert status == OK
     with monkeypatch.context() as patch:
         patch.setattr(
-            statics, "chord", lambda equations, inverse, rows, *place: static_search.newton(equations, *place)
+            statics, "chord", lambda equations, preconditioner, rows, *place: static_search.newton(equations, *place)
         )
         patch.setattr(
-            statics, "solve_linear", lambda equations, inverse, *rest: static_search.solve_dense(equations, *rest)
+            statics,
+            "solve_linear",
+            lambda equations, preconditioner, *rest: static_search.solve_dense(equations, *rest),
         )
         *expected, status = with_derivatives(equilibria(make))
         assert status == OK
@@ -75,8 +77,8 @@ def test_structure_alone_finds_the_equilibrium_and_its_derivatives(make, monkeyp
 
 
 @pytest.mark.parametrize("make, most", [(four_bar, 1e-3), (twisted_spatial_loop, 1e-2)])
-def test_a_change_leaves_little_over(make, most):
-    """Of a mechanism at rest, undeformed: spectral radius of what is left over."""
+def test_the_preconditioner_is_nearly_exact(make, most):
+    """Of a mechanism at rest, undeformed: spectral radius of the iteration."""
     model = discretise(make())
     actual = eqx.tree_at(lambda r: r.gravity, apply_errors(model, assembly_errors(model)), jnp.zeros(3))
     scaled = statics._scaled(model, actual)
@@ -90,34 +92,34 @@ def test_a_change_leaves_little_over(make, most):
         return value.at[given].set(unknowns[given])
 
     @jax.jit
-    def left_over():
-        inverse = statics._preconditioner(scaled, given, actual, start)
-        return jnp.eye(start.size) - jax.vmap(inverse, 1, 1)(jax.jacfwd(residual)(start))
+    def iteration():
+        preconditioner = statics._preconditioner(scaled, given, actual, start)
+        return jnp.eye(start.size) - jax.vmap(preconditioner, 1, 1)(jax.jacfwd(residual)(start))
 
-    assert 0.0 < np.abs(np.linalg.eigvals(left_over())).max() < most
+    assert 0.0 < np.abs(np.linalg.eigvals(iteration())).max() < most
 
 
-def test_where_structure_does_not_lead_the_matrix_does(monkeypatch):
-    """Weight alone holds a pendulum: no spring does."""
+def test_where_the_recursion_does_not_converge_the_jacobian_does(monkeypatch):
+    """Weight alone holds a pendulum, no spring."""
     model = discretise(Mechanism([link("rod", 0.3, 3)], [Joint("A", "base", "rod", angle=1.4)]))
     actual = apply_errors(model, assembly_errors(model))
 
     def at(gravity):
-        now = eqx.tree_at(lambda r: r.gravity, actual, gravity)
-        position, _, status = statics.equilibrium(model, now, {})
+        loaded = eqx.tree_at(lambda r: r.gravity, actual, gravity)
+        position, _, status = statics.equilibrium(model, loaded, {})
         return position.angles[0], status
 
     @jax.jit
     def both(gravity):
-        angle, push, status = jax.linearize(at, gravity, has_aux=True)
-        slopes = jax.vmap(push)(jnp.eye(3)), jax.linear_transpose(push, gravity)(1.0)[0]
-        return (angle, status), slopes
+        angle, jvp, status = jax.linearize(at, gravity, has_aux=True)
+        derivatives = jax.vmap(jvp)(jnp.eye(3)), jax.linear_transpose(jvp, gravity)(1.0)[0]
+        return (angle, status), derivatives
 
     gravity = jnp.asarray([0.6, 0.0, -9.8])
-    (angle, status), slopes = both(gravity)
+    (angle, status), derivatives = both(gravity)
     assert status == OK
     np.testing.assert_allclose(angle, np.pi / 2 - np.arctan(0.6 / 9.8), atol=1e-5)
-    np.testing.assert_allclose(slopes[0][0], -9.8 / (0.6**2 + 9.8**2), rtol=1e-4)
-    np.testing.assert_allclose(slopes[0], slopes[1], rtol=1e-9)
+    np.testing.assert_allclose(derivatives[0][0], -9.8 / (0.6**2 + 9.8**2), rtol=1e-4)
+    np.testing.assert_allclose(derivatives[0], derivatives[1], rtol=1e-9)
     monkeypatch.setattr(static_search, "_linearised", without_matrix)
     assert jax.jit(at)(gravity)[1] == NOT_ASSEMBLED

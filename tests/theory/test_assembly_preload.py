@@ -191,7 +191,7 @@ def test_slope_along_a_turn(study_script):
 
 
 def test_crooked_pins_follow_from_seat_and_bore(study_script):
-    """The slopes added for crooked pins are those of the library's own pins, kept in place while
+    """The derivatives added for crooked pins are those of the library's own pins, kept in place while
     the crank turns; at the start they stress nothing."""
     model = discretise(study_mechanism(), rfes=3)
     start = float(model.start_angles[0])

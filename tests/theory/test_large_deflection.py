@@ -48,7 +48,7 @@ def clamped(m, length, stiffness, elements):
 @eqx.filter_jit
 @eqx.filter_vmap(in_axes=(None, 0))
 def bent(model, force):
-    """Coordinates, status and clamp's load under a force at the tip, and the slopes of the coordinates
+    """Coordinates, status and clamp's load under a force at the tip, and the derivatives of the coordinates
     with its share."""
 
     def under(share):
@@ -56,8 +56,8 @@ def bent(model, force):
         out = assemble(loaded, assembly_errors(loaded), {"A": 0.0})
         return out.state.position.elastic, (out.status, out.preload["A"])
 
-    elastic, slope, (status, clamp) = jax.jvp(under, (1.0,), (1.0,), has_aux=True)
-    return elastic, slope, status, clamp
+    elastic, derivative, (status, clamp) = jax.jvp(under, (1.0,), (1.0,), has_aux=True)
+    return elastic, derivative, status, clamp
 
 
 def solve(m, length, stiffness, forces, elements="geometrically_exact"):
@@ -185,10 +185,10 @@ def test_derivative_of_a_large_deflection():
     """By the implicit function theorem through the load steps, against differences."""
     step = 1e-4
     shares = np.array([1.0, 1.0 + step, 1.0 - step])
-    _, _, (elastic, slope, status, _) = solve(10, *SLENDER, np.outer(shares, [0.0, 4.0, -6.0]))
+    _, _, (elastic, derivative, status, _) = solve(10, *SLENDER, np.outer(shares, [0.0, 4.0, -6.0]))
     assert (status == 0).all()
     differences = (elastic[1] - elastic[2]) / (2.0 * step)
-    np.testing.assert_allclose(slope[0], differences, rtol=0, atol=1e-7 * np.abs(slope[0]).max())
+    np.testing.assert_allclose(derivative[0], differences, rtol=0, atol=1e-7 * np.abs(derivative[0]).max())
 
 
 SOFT = (1.0, (1e4, 1e4, 1e4, 1.0, 1.0, 1.0))

@@ -40,7 +40,7 @@ def clamped(place, elements):
 @eqx.filter_jit
 @eqx.filter_vmap(in_axes=(None, 0, 0))
 def bent(model, ratio, load):
-    """Coordinates, their slopes with the load, status and clamp's load; EA = GA = ratio."""
+    """Coordinates, their derivatives with the load, status and clamp's load; EA = GA = ratio."""
     model = eqx.tree_at(lambda x: x.section, model, model.section.at[:3].set(ratio))
 
     def under(load):
@@ -48,8 +48,8 @@ def bent(model, ratio, load):
         out = assemble(loaded, assembly_errors(loaded), {"A": 0.0})
         return out.state.position.elastic, (out.status, out.preload["A"])
 
-    elastic, slope, (status, clamp) = jax.jvp(under, (load,), (1.0,), has_aux=True)
-    return elastic, slope, status, clamp
+    elastic, derivative, (status, clamp) = jax.jvp(under, (load,), (1.0,), has_aux=True)
+    return elastic, derivative, status, clamp
 
 
 def solve(place, elements, loads):
@@ -63,14 +63,14 @@ def solve(place, elements, loads):
 def test_linear_elements_meet_the_closed_form():
     """The load sits in the middle of the last rfe, where it is linear in the coordinates."""
     place = 1.0 - 0.25 / M
-    ratios, loads, (elastic, slope, status, clamp) = solve(place, "linear", [1e-6, 0.01, 1.5])
+    ratios, loads, (elastic, derivative, status, clamp) = solve(place, "linear", [1e-6, 0.01, 1.5])
     assert (status == 0).all()
     sag = loads * (np.sum((place - SDES) ** 2) / M + 1.0 / ratios)
     # The least deflections are 3e-7 of the length: a few roundings of a position are more than 1e-9 of that.
     np.testing.assert_allclose(elastic[:, 2, -1], -sag, rtol=1e-9, atol=1e-15)
     np.testing.assert_allclose(elastic[:, 4, -1], loads * np.sum(place - SDES) / M, rtol=1e-9, atol=1e-15)
-    # One linear solve, without the corrections of further iterations.
-    error = np.abs(slope * loads[:, None, None] - elastic).max(axis=(1, 2))
+    # One linear solve, without refinement by further iterations.
+    error = np.abs(derivative * loads[:, None, None] - elastic).max(axis=(1, 2))
     assert (error < 1e-10 + 1e-15 * ratios).all()
     np.testing.assert_allclose(clamp.force[:, 2], loads, rtol=1e-9)
     # The clamp's arm is that of the deformed beam, which the linear form does not shorten.
@@ -78,16 +78,16 @@ def test_linear_elements_meet_the_closed_form():
 
 
 def chain(ratio, load):
-    """Sag, retreat, turn of the last rfe's middle: rigid segments, joined by springs that see the
+    """Sag, retreat, rotation of the last rfe's middle: rigid segments, joined by springs that see the
     load in the axes midway between their faces and its moment about the middle of their gap."""
     edges = np.concatenate([[0.0], SDES, [1.0]])
     extent = np.diff(edges)
 
-    def place(turns, force):
-        angles = np.concatenate([[0.0], np.cumsum(turns)])
+    def place(rotations, force):
+        angles = np.concatenate([[0.0], np.cumsum(rotations)])
         point, middles = np.array([extent[0], 0.0]), []
         for e in range(M):
-            midway = angles[e] + 0.5 * turns[e]
+            midway = angles[e] + 0.5 * rotations[e]
             t, n = np.array([[np.cos(midway), np.sin(midway)], [-np.sin(midway), np.cos(midway)]])
             gap = force / (M * ratio) * (t[1] * t + n[1] * n)
             middles.append(point + 0.5 * gap)
@@ -95,22 +95,22 @@ def chain(ratio, load):
             point = point + gap + extent[e + 1] * along
         return point, np.array(middles), along
 
-    def unbalanced(turns, force):
-        end, middles, _ = place(turns, force)
-        return turns - force * (end - middles)[:, 0] / M
+    def residual(rotations, force):
+        end, middles, _ = place(rotations, force)
+        return rotations - force * (end - middles)[:, 0] / M
 
-    turns = np.zeros(M)
+    rotations = np.zeros(M)
     for share in np.linspace(0.25, 1.0, 4):
-        turns = root(unbalanced, turns, args=(share * load,), tol=1e-14).x
-    assert np.abs(unbalanced(turns, load)).max() < 1e-12
-    end, _, along = place(turns, load)
+        rotations = root(residual, rotations, args=(share * load,), tol=1e-14).x
+    assert np.abs(residual(rotations, load)).max() < 1e-12
+    end, _, along = place(rotations, load)
     middle = end - 0.5 * extent[-1] * along
-    return np.array([middle[1], 1.0 - 0.25 / M - middle[0], np.sum(turns)]), end
+    return np.array([middle[1], 1.0 - 0.25 / M - middle[0], np.sum(rotations)]), end
 
 
 def test_exact_elements_meet_the_exact_chain_and_the_elastica():
     loads = [0.01, 1.0, 5.0]
-    ratios, loads, (elastic, slope, status, clamp) = solve(1.0, "geometrically_exact", loads)
+    ratios, loads, (elastic, derivative, status, clamp) = solve(1.0, "geometrically_exact", loads)
     assert (status == 0).all()
 
     def seen(part):
@@ -126,7 +126,7 @@ def test_exact_elements_meet_the_exact_chain_and_the_elastica():
             for k, p in zip(ratios, loads)
         ]
     )
-    np.testing.assert_allclose(seen(slope), differences, rtol=2e-7, atol=1e-8)
+    np.testing.assert_allclose(seen(derivative), differences, rtol=2e-7, atol=1e-8)
     np.testing.assert_allclose(clamp.force[:, 2], loads, rtol=1e-9)
     np.testing.assert_allclose(clamp.moment[:, 1], -loads * tips[:, 0], rtol=1e-8)
     # The elastica, an inextensible beam.
@@ -182,8 +182,8 @@ def put_together(model, section, case):
         forces = jnp.stack([load.force for load in out.preload.values()])
         return out.preload["C"].force[1], (out.status, forces)
 
-    (value, (status, forces)), slope = jax.value_and_grad(preload, has_aux=True)(case[2])
-    return value, slope, status, forces
+    (value, (status, forces)), derivative = jax.value_and_grad(preload, has_aux=True)(case[2])
+    return value, derivative, status, forces
 
 
 @pytest.fixture(scope="module")
@@ -202,13 +202,13 @@ def blades(four_bar):
 @pytest.mark.parametrize("elements", ["linear", "geometrically_exact"])
 def test_four_bar_of_blades_assembles(blades, elements):
     """EA L^2/EI of the rocker: 1.2e6 and 1.2e8.  Its preload has its derivative."""
-    value, slope, status, _ = blades[elements]
+    value, derivative, status, _ = blades[elements]
     assert (status[:7] == 0).all()
     assert abs(value[0]) < 1e-9 * abs(value[1])  # a planar mechanism
     for one, above, below in ((1, 2, 3), (4, 5, 6)):
         difference = (value[above] - value[below]) / (2.0 * STEP)
         assert abs(difference) > 0.1 * abs(value[one] / CASES[one, 2])
-        np.testing.assert_allclose(slope[one], difference, rtol=2e-6)
+        np.testing.assert_allclose(derivative[one], difference, rtol=2e-6)
 
 
 def test_both_forms_give_the_same_preload_of_blades(blades):
