@@ -69,8 +69,8 @@ class Scenarios(eqx.Module):
     def __call__(self, t: Float[Array, " k"]) -> Float[Array, " j"]:
         """h (j,) of half-widths t (k,)."""
         away = self.points * t[None] - self.anchors
-        bent = jnp.einsum("jab,ja,jb->j", self.quadratic.hessian[self.owner], away, away)
-        h = self.values + jnp.sum(self.gradients * away, axis=1) + 0.5 * bent
+        quadratic = jnp.einsum("jab,ja,jb->j", self.quadratic.hessian[self.owner], away, away)
+        h = self.values + jnp.sum(self.gradients * away, axis=1) + 0.5 * quadratic
         return jnp.where(self.mask, h, -1.0)
 
 
@@ -87,8 +87,8 @@ class Sampled(eqx.Module):
         """h (n, l) of half-widths t (k,)."""
         away = self.units * t[None] - self.anchors
         curved = jnp.einsum("lab,na->nlb", self.quadratic.hessian, away)
-        bent = jnp.einsum("nlb,nb->nl", curved, away)
-        return self.values + jnp.einsum("nlk,nk->nl", self.gradients, away) + 0.5 * bent
+        quadratic = jnp.einsum("nlb,nb->nl", curved, away)
+        return self.values + jnp.einsum("nlk,nk->nl", self.gradients, away) + 0.5 * quadratic
 
 
 class Moments(eqx.Module):

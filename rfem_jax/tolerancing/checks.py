@@ -30,7 +30,7 @@ def require_float64() -> None:
 def check_known(names: Iterable[str], known: Collection[str], what: str) -> None:
     """Raise InputError for the first of `names` that is not in `known`, with the nearest known one.
 
-    Args: what, the argument that holds the names.
+    Args: what, name of the argument that holds them.
     """
     for name in names:
         if name not in known:
@@ -93,7 +93,7 @@ def error_value(value: ErrorValue, unit: str, where: str) -> float:
 def parse_error(text: str, where: str) -> tuple[float, str]:
     """Number [rad or m] and unit, "rad" or "m", of a string such as "0.25 deg" or "0.1 mm".
 
-    Raises: InputError for what is neither an angle nor a length; `where` names it.
+    Raises: InputError for a string that is neither an angle nor a length; `where` names it.
     """
     for unit, dimension in DIMENSIONS.items():
         try:

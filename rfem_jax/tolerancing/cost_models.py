@@ -1,4 +1,4 @@
-"""Cost models: what a tolerance costs.
+"""Cost models: the cost of a tolerance as a function of its half-width.
 
 Place in the pipeline: input of an allocation. A cost model is any callable of one half-width t [rad or m] that returns
 a cost (in any currency), decreasing in t; the total is the sum over errors. Each error may have a model of its own.

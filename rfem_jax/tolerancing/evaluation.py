@@ -36,7 +36,7 @@ def select_half_widths(
     """Names (k) and half-widths (k,) [rad or m] of a `Tolerances` collection, or of a mapping from names to
     half-widths (numbers in rad or m, or strings with a unit).
 
-    Args: what, the argument that holds them.
+    Args: what, name of the argument that holds them.
     Raises: InputError for unknown names and for half-widths that are not positive and finite.
     """
     widths = tolerances.half_widths() if isinstance(tolerances, Tolerances) else tolerances

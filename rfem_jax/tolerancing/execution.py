@@ -53,7 +53,7 @@ Arrays = dict[str, np.ndarray]  # "errors", "values", "status" of some samples
 
 @runtime_checkable
 class Device(Protocol):
-    """What `require_threads` reads of a JAX device."""
+    """The part of a JAX device that `require_threads` reads."""
 
     @property
     def platform(self) -> str:
@@ -62,7 +62,7 @@ class Device(Protocol):
 
 
 def default_lanes() -> int:
-    """Samples that a device computes at once unless the user says otherwise."""
+    """Samples that a device computes at once by default."""
     return LANES.get(jax.default_backend(), LANES_ELSEWHERE)
 
 
@@ -205,7 +205,7 @@ def _wait_for(store: ResultsStore, missing: dict[int, int]) -> dict[int, Arrays]
         if time.monotonic() - last > PATIENCE:
             raise TimeoutError(
                 f"No new chunk of the other processes for {PATIENCE:.0f} s in `{store.folder}`; "
-                f"{len(missing) - len(chunks)} are missing. See what stopped them and start again: "
+                f"{len(missing) - len(chunks)} are missing. Find out why they stopped and start again: "
                 "finished chunks are kept."
             )
         if len(chunks) < len(missing):

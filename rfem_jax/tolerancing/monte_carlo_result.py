@@ -40,7 +40,7 @@ class Yield:
 class MonteCarloResult:
     """Result of a Monte Carlo study.
 
-    names, error_units (d) and metrics, metric_units, labels (m): what was varied and computed;
+    names, error_units (d) and metrics, metric_units, labels (m): of the errors that vary and of the metrics;
     errors [rad or m], values (NaN where the sample failed), status (0 good): of all N runs;
     samples: n, the first rows, which all statistics use; failures {cause: count} of them;
     statistics {metric: MetricStatistics};

@@ -268,7 +268,7 @@ def _estimate_indices(values, metrics, factors, n, confidence) -> dict[str, Sobo
 def _control(
     model, tolerances, errors, values, metrics, confidence, nets
 ) -> tuple[dict[str, ControlledMean] | None, str | None]:
-    """Controlled means by metric, and a note that says why some do not exist."""
+    """Controlled means by metric, and a note on why some do not exist."""
     failed = int(np.sum(np.isnan(values).any(axis=1)))
     if failed:
         # The model's mean is known over all errors, not over those whose samples are good.
@@ -338,7 +338,7 @@ def _cause(problem, code) -> str:
 
 
 def _identify(problem, tolerances, key) -> dict[str, Any]:
-    """What tells this study from others, apart from the numbers of its call."""
+    """Everything that distinguishes this study from others, apart from the numbers of its call."""
     return {
         "study": "monte_carlo",
         "format": FORMAT,

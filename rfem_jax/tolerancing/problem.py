@@ -1,4 +1,4 @@
-"""The interface of this package: what a problem is, its metrics, and problems made of a JAX function.
+"""The interface of this package: problems, their metrics, and problems made of a JAX function.
 
 Place in the pipeline: the simulator (`simulated_problem`) or a function in closed form (`FunctionProblem`) ->
 **problem** -> all tolerance studies.
@@ -77,12 +77,12 @@ class ToleranceProblem(Protocol):
 
     @property
     def metrics(self) -> tuple[Metric, ...]:
-        """What it returns, in order."""
+        """Its metrics, in the order of all arrays."""
         ...
 
     @property
     def error_names(self) -> tuple[str, ...]:
-        """Names of all errors that it accepts, in order."""
+        """Names of all errors that it accepts, in the order of all arrays."""
         ...
 
     def error_unit(self, name: str) -> str:

@@ -18,7 +18,7 @@ class Progress:
     """Context that counts samples, or another `unit`: `advance(count)`.
 
     Args: progress False, True, or a function of (done, total); total number; done, the number of those that are there
-        already and do not count for the rate; unit, what is counted.
+        already and do not count for the rate; unit, a word for one of them.
     """
 
     def __init__(self, progress: ProgressOption, total: int, done: int = 0, unit: str = "sample"):

@@ -51,9 +51,9 @@ POINTS_WITH_TANGENTS = 4  # times the lanes: points x tangents at once
 STEP = 0.01  # of a tolerance
 SUMS = {"forward": 8, "reverse": 2}  # each one is two directions more in reverse mode
 
-Values = Float[Array, " m"]
+ValueVector = Float[Array, " m"]
 Jacobian = Float[Array, "m k"]
-Function = Callable[[Float[Array, " k"]], tuple[Values, Status]]
+Function = Callable[[Float[Array, " k"]], tuple[ValueVector, Status]]
 
 
 class QuadraticModel(eqx.Module):
@@ -91,14 +91,14 @@ class QuadraticModel(eqx.Module):
         )
         return residual / force if force != 0.0 else residual
 
-    def __call__(self, deviation: Float[Array, " k"]) -> Values:
+    def __call__(self, deviation: Float[Array, " k"]) -> ValueVector:
         """Values (m,) at point + deviation."""
         linear = self.value + self.gradient @ deviation
         if self.hessian is None:
             return linear
         return linear + 0.5 * jnp.einsum("mij,i,j->m", self.hessian, deviation, deviation)
 
-    def mean(self, covariance: Float[Array, "k k"]) -> Values:
+    def mean(self, covariance: Float[Array, "k k"]) -> ValueVector:
         """Mean (m,) over errors of mean zero and covariance S: f + 1/2 tr(H S).
 
         Exact for a quadratic metric and any distribution (theory (9.6)).
@@ -131,7 +131,9 @@ def choose_mode(mode: str, errors: int, metrics: int) -> str:
     return "forward" if errors <= REVERSE_COST * metrics else "reverse"
 
 
-def differentiate(function: Function, x: Float[Array, " k"], mode: str, batch: int) -> tuple[Values, Jacobian, Status]:
+def differentiate(
+    function: Function, x: Float[Array, " k"], mode: str, batch: int
+) -> tuple[ValueVector, Jacobian, Status]:
     """Value (m,), Jacobian (m, k) and status of `function(x) -> ((m,), status)`; traced."""
     if mode == "reverse":
         value, pull, status = jax.vjp(function, x, has_aux=True)
@@ -153,7 +155,7 @@ def _push(function, x, directions, batch):
 
 def differentiate_twice(
     function: Function, x: Float[Array, " k"], directions: Float[Array, "d k"], mode: str, batch: int
-) -> tuple[Values, Jacobian, Float[Array, "d m k"], Status]:
+) -> tuple[ValueVector, Jacobian, Float[Array, "d m k"], Status]:
     """Value (m,), Jacobian (m, k), its derivatives (d, m, k) along directions, and status; traced.
 
     Forward mode over the first derivative in the chosen mode.
@@ -172,7 +174,7 @@ def differentiate_twice(
 
 def stack_checked(
     problem: ImplicitProblem, names: Sequence[str], base: Base, x: Float[Array, " k"], count: int
-) -> tuple[Values, Status]:
+) -> tuple[ValueVector, Status]:
     """`stack_metrics` with 2 `count` values more: sums, with random signs, of the residual of the equations of motion
     and of the joint forces.
 
@@ -415,7 +417,7 @@ def _extrapolate(jacobians, m, k):
     hessian[~np.all(np.isfinite(jacobians[0]), axis=1)] = np.nan
     largest = np.max(np.abs(hessian), axis=(1, 2))
     safe = np.where(largest > 0, largest, 1.0)
-    # What extrapolation removed, the error of `near`, is an upper bound of the remaining one; and rounding.
+    # Extrapolation removes the error of `near`, an upper bound of the remaining one; rounding is added.
     rounding = 4 * np.finfo(float).eps / STEP * np.max(np.abs(jacobians), axis=(0, 2))
     error = (np.max(np.abs(near - far), axis=(0, 2)) / 3 + rounding) / safe
     return hessian, error

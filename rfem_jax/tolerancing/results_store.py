@@ -36,7 +36,7 @@ class ChunkWriteError(OSError):
 
 
 class StudyFolderError(InputError):
-    """A folder that cannot hold this study: `finding` says why, `remedy` how to correct it.
+    """A folder that cannot hold this study: `finding` is the reason, `remedy` the way to correct it.
 
     The sentence names the library's argument; the command line words its own.
     """
@@ -51,7 +51,7 @@ class ResultsStore:
 
     Args: folder, path (made if missing); study, a JSON-able dict that identifies the study; counts {name: number},
         numbers that may grow from one run to the next, such as that of the samples: the manifest keeps the largest.
-    Raises: StudyFolderError when the folder belongs to another study (and says what differs) or
+    Raises: StudyFolderError when the folder belongs to another study (with the differences) or
         holds other files; ChunkWriteError when the folder cannot be written.
     """
 

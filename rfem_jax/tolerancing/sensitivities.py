@@ -211,8 +211,8 @@ def sensitivity(
 
     Args: at {error: value}, None for the nominal point; order 1 or 2; scale, a Tolerances collection or {error:
         half-width}, the unit each error is measured in (it has no other: its nominal value is zero); values and
-        half-widths in rad or m, or strings with a unit; mode "auto", "forward" or "reverse" (quadratic_model.py says
-        how "auto" decides); names of the errors (default: those of `scale`, else all); batch, directions at once;
+        half-widths in rad or m, or strings with a unit; mode "auto", "forward" or "reverse" (quadratic_model.py
+        explains "auto"); names of the errors (default: those of `scale`, else all); batch, directions at once;
         refined, the same problem with a finer step, which shows how far the derivatives can be trusted; progress True
         for a bar, or a function of (done, total) directions, counted twice with `refined`.
     Returns: Sensitivities. A point that failed is reported by its `status`.

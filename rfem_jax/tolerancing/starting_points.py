@@ -32,7 +32,7 @@ KINDS = ("corners", "random", "sobol")
 EXHAUSTIVE = 12  # 2^12 corners are still few
 SEEDS = 64
 
-Model = tuple[float, Float[np.ndarray, " k"], Float[np.ndarray, "k k"]]  # value, gradient, Hessian in z
+Expansion = tuple[float, Float[np.ndarray, " k"], Float[np.ndarray, "k k"]]  # value, gradient, Hessian in z
 
 _project_unit_box = partial(project_box, lower=-1.0, upper=1.0)
 
@@ -158,9 +158,9 @@ def distinct(
 
 
 def start_points(
-    counts: Mapping[str, int], model: Model | None, region: str, k: int, key: RandomKey
+    counts: Mapping[str, int], model: Expansion | None, region: str, k: int, key: RandomKey
 ) -> Float[np.ndarray, "starts k"]:
-    """Starts (n, k) of a search in z, as many of each kind as `counts` {"corners": n, "random": n, "sobol": n} says.
+    """Starts (n, k) of a search in z; `counts` {"corners": n, "random": n, "sobol": n} of each kind.
 
     Args: model (value, gradient, Hessian) in z or None; key of the random points. "corners" are the maxima of the
         quadratic model; where it has fewer (or there is no model), corners with random signs are added, on an

@@ -44,7 +44,7 @@ from rfem_jax.tolerancing.quadratic_model import (
 from rfem_jax.tolerancing.sampling import RandomKey
 from rfem_jax.tolerancing.starting_points import (
     EXHAUSTIVE,
-    Model,
+    Expansion,
     box_corners,
     distinct,
     maximise_quadratic,
@@ -262,7 +262,7 @@ class _Frame:
         scale = self.sign * scale
         return values[:, self.index] / scale, gradients @ self.matrix / scale
 
-    def scale_model(self, model: QuadraticModel) -> Model:
+    def scale_model(self, model: QuadraticModel) -> Expansion:
         """Value, gradient and Hessian of the metric in z. Raises InputError for a model that does not fit."""
         if model.names != self.names or model.hessian is None:
             raise InputError(
@@ -376,7 +376,7 @@ def _active(z, names, region) -> dict[str, str]:
     return {name: "upper" if x > 0 else "lower" for name, x in zip(names, z, strict=True) if abs(x) >= 1 - ON_BOUND}
 
 
-def _predict(frame, scaled: Model | None, key) -> dict[str, Any]:
+def _predict(frame, scaled: Expansion | None, key) -> dict[str, Any]:
     """Maximum and bound of the quadratic model: fields of the result."""
     if scaled is None:
         return {"quadratic_value": np.nan, "quadratic_errors": {}, "quadratic_bound": np.nan}
