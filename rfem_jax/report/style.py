@@ -43,7 +43,7 @@ SETTINGS: dict[Any, Any] = {
 
 
 def new_figure(width: float, height: float, layout: Literal["constrained"] | None = "constrained") -> Figure:
-    """An empty figure of this size [inches], whose parts find their places by themselves (None: do not)."""
+    """An empty figure of this size [inches], whose parts are laid out automatically (None: by hand)."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height), layout=layout)
