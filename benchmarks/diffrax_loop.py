@@ -1,10 +1,10 @@
 """diffrax's own loop over steps against ours: tracing, compilation, time of a sample, memory.
 
-    python benchmarks/diffrax_loop.py METHOD LOOP MODE BATCH
+    python benchmarks/diffrax_loop.py METHOD LOOP MODE BATCH [--share 1] [--rfes 5]
 
 METHOD: generalised_alpha, rk4; LOOP: own, or `diffeqsolve` in every interval of the time grid with the adjoint
-forward, direct or checkpoint; MODE: value, forward (three errors), reverse (one metric).  Main study, as one
-process a row, since the programs are large.
+forward, direct or checkpoint; MODE: value, forward (three errors), reverse (one metric).  Main study; one process a
+row, since the programs are large.  `--share` simulates a share of the duration.
 """
 
 import argparse
@@ -34,15 +34,17 @@ ADJOINTS = {
 
 
 def by_diffeqsolve(adjoint: str):
-    """The steps of one interval, in the place of `stepping._fixed`; an interval of length zero takes one step of
-    its own, since diffrax takes none."""
+    """One interval, in the place of `stepping._fixed`.
+
+    An interval of length zero takes one step by itself, where diffrax would take none.
+    """
 
     def integrate(solver, carry, start, length, steps, conditions):
         terms, y = diffrax.ODETerm(stepping.vector_field), (carry.trajectory, carry.peaks)
         memory = solver.resume(terms, start, start + length, y, conditions, carry.memory)
         moving = length > 0.0
 
-        def stand():
+        def step_of_length_zero():
             found, _, _, after, _ = solver.step(terms, start, start, y, conditions, memory, False)
             return found, after
 
@@ -55,21 +57,21 @@ def by_diffeqsolve(adjoint: str):
             )  # fmt: skip
             return jax.tree.map(lambda x: x[-1], solution.ys), solution.solver_state
 
-        (trajectory, peaks), memory = jax.lax.cond(moving, move, stand)
+        (trajectory, peaks), memory = jax.lax.cond(moving, move, step_of_length_zero)
         memory = None if carry.memory is None else memory
         return carry._replace(trajectory=trajectory, peaks=peaks, memory=memory)
 
     return integrate
 
 
-def loads(method: str, mode: str):
+def loads(method: str, mode: str, share: float, rfes: int):
     """Three errors -> mean squares of the joint loads."""
     study = load_study(STUDY)
-    model = discretise(study.mechanism)
+    model = discretise(study.mechanism, rfes=rfes)
     if method == "rk4":
-        chosen, duration = Method(method, step=1e-5), 0.12 if mode == "value" else 0.02
+        chosen, duration = Method(method, step=1e-5), share * (0.12 if mode == "value" else 0.02)
     else:
-        chosen, duration = Method(method, step=2.5e-3, tolerance=1e-3), 0.5
+        chosen, duration = Method(method, step=2.5e-3, tolerance=1e-3), share * 0.5
     grid, steps = integration.grid_for(study.drive, duration, chosen, duration / 20)
 
     def function(point):
@@ -89,10 +91,12 @@ def main() -> None:
     parser.add_argument("loop", choices=("own", *ADJOINTS))
     parser.add_argument("mode", choices=("value", "forward", "reverse"))
     parser.add_argument("batch", type=int)
+    parser.add_argument("--share", type=float, default=1.0, help="of the duration that is simulated")
+    parser.add_argument("--rfes", type=int, default=5, help="of a flexible link")
     options = parser.parse_args()
     if options.loop != "own":
         stepping._fixed = by_diffeqsolve(options.loop)
-    function = loads(options.method, options.mode)
+    function = loads(options.method, options.mode, options.share, options.rfes)
     if options.mode == "forward":
         function = jax.jacfwd(function)
     if options.mode == "reverse":

@@ -1,11 +1,11 @@
 """How long a user waits for the first answer: processor and clock time of whole processes.
 
-    python benchmarks/first_answer.py [--old FOLDER] [--repeat 3] [--only run check ...] [--no-exudyn]
+    python benchmarks/first_answer.py [--old FOLDER] [--repeat 3] [--only run check ...] [--no-exudyn] [--out FOLDER]
 
-Every command runs in a process of its own with an empty home (cold: nothing compiled, no cache of any kind, but
-Python's own byte code), then again (warm), this version and, with `--old`, another checkout of the project in
-turns, so that both see the same machine.  Times are those of the process and all its children, by the system's
-own account; installation is excluded.  Prints a table of medians and writes it with all single times into
+Every command runs in a process of its own with an empty home (cold: nothing compiled, no cache but Python's byte
+code), then again (warm).  With `--old`, this version and another checkout of the project alternate, so that the load of
+the machine is the same for both.  Times are those of the process and all its children, as the system counts them;
+installation is excluded.  Prints a table of medians and writes it with all single times to
 `benchmark_results/first_answer.json`.
 
     run          README's first command: five cases, tables, files, pictures
@@ -15,9 +15,8 @@ own account; installation is excluded.  Prints a table of medians and writes it 
     gradient     mean-square moments by 3 errors, batch of 16, `auto` at 0.1 %; likewise
     sensitivity, monte_carlo   the shipped studies
 
-Exudyn, where it does the same (only warm: it compiles nothing): `run`, five cases with their static starts, and
-`monte_carlo`, 4096 samples on all cores, at the step and settings that are its fastest within 0.1 %
-(`exudyn_first_answer.py`).
+Exudyn, which compiles nothing, does two of them (`exudyn_first_answer.py`): `run`, five cases with their static
+starts, and `monte_carlo`, 4096 samples on all cores, with its fastest step and settings within 0.1 %.
 """
 
 import argparse
@@ -110,7 +109,7 @@ def measure(python: str, arguments: list[str], folder: Path, environment: dict) 
 
 
 def measure_all(name: str, versions: dict[str, Path], repeat: int, python: str) -> list[dict]:
-    """Single times of one program: {"program", "version", "state", "cpu", "clock"}, versions in turns."""
+    """Single times of one program: {"program", "version", "state", "cpu", "clock"}; versions alternate."""
     rows = []
     for _ in range(repeat):
         with tempfile.TemporaryDirectory() as root:
@@ -131,7 +130,7 @@ def measure_all(name: str, versions: dict[str, Path], repeat: int, python: str) 
 
 
 def measure_exudyn(name: str, repeat: int, python: str) -> list[dict]:
-    """The same by Exudyn; one start whose times do not count fills the caches of its model's numbers."""
+    """The same by Exudyn; a first run, which is not timed, fills the caches of the model's numbers."""
     rows = []
     with tempfile.TemporaryDirectory() as home:
         environment = environment_of("example", HERE, Path(home))
@@ -171,11 +170,12 @@ def table(rows: list[dict]) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--old", type=Path, help="another checkout of the project, measured in turns")
+    parser.add_argument("--old", type=Path, help="another checkout of the project, measured alternately")
     parser.add_argument("--repeat", type=int, default=3, help="cold and warm starts of each program")
     parser.add_argument("--only", nargs="+", choices=NAMES, default=NAMES, metavar="NAME")
     parser.add_argument("--no-exudyn", action="store_true")
     parser.add_argument("--python", default=sys.executable, help="interpreter of the measured processes")
+    parser.add_argument("--out", type=Path, default=HERE / "benchmark_results", help="folder for the times")
     options = parser.parse_args()
     versions = {"now": HERE} | ({"old": options.old.resolve()} if options.old else {})
     rows = []
@@ -189,12 +189,11 @@ def main() -> None:
 
 def write(rows: list[dict], options) -> None:
     """All single times and the table, after every program: a long measurement may be interrupted."""
-    folder = HERE / "benchmark_results"
-    folder.mkdir(exist_ok=True)
+    options.out.mkdir(parents=True, exist_ok=True)
     machine = {"python": platform.python_version(), "cores": os.cpu_count(), "machine": platform.processor()}
     limits = {"memory_bytes": resource.getrlimit(resource.RLIMIT_AS)[0]}
     content = {"machine": machine | limits, "old": str(options.old), "times": rows, "table": table(rows)}
-    (folder / "first_answer.json").write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+    (options.out / "first_answer.json").write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

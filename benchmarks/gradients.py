@@ -1,7 +1,7 @@
 """Cost of derivatives, as ratios to one simulation in the same run, and memory.
 
     python benchmarks/gradients.py [--methods generalised_alpha rk4] [--counts 3 30] [--batches 1 16]
-                                   [--tolerance 1e-3] [--parts cost accuracy]
+                                   [--tolerance 1e-3] [--parts cost accuracy] [--share 1] ...
 
 cost: for 3 errors (joint D) and 30 (both sides of all joints), alone and in a batch: the value, forward mode
 (`jacfwd` of the mean-square moments of all joints) and reverse mode (`grad` of one).  The implicit
@@ -12,6 +12,8 @@ compilation apart; memory is what the compiler reserves for intermediates.
 accuracy: derivatives of all mean squares at tolerances from loose to tight, against those at a tolerance
 of 1e-11; the errors of five kinds at 0.05 to 3 times their sizes.  Differences are relative to the
 largest influence on the same metric in the same sample (derivative times size).
+
+`--share` simulates a share of these durations.
 """
 
 import argparse
@@ -51,15 +53,15 @@ KINDS = {"D.delta_x": 2e-3, "D.delta_z": -1.5e-3, "D.d_y": 5e-4, "B.child.delta_
 SCALES, TIGHT = (0.05, 0.5, 1.0, 3.0), 1e-11
 
 
-def build_problem(method: str, rfes: int, tolerance: float) -> Problem:
-    """The main study by one method."""
+def build_problem(method: str, rfes: int, tolerance: float, share: float) -> Problem:
+    """The main study, or a share of its duration, by one method."""
     study = load_study(STUDY)
     model = discretise(study.mechanism, rfes=rfes)
     if method == "generalised_alpha":
         chosen = Method(method, step=2e-3, tolerance=tolerance)
-        return Problem(model, study.drive, 0.5, METRICS, chosen, save_every=2e-2)
+        return Problem(model, study.drive, 0.5 * share, METRICS, chosen, save_every=min(2e-2, 0.5 * share))
     chosen = Method(method, step=0.9 * largest_stable_step(model, Method(method, step=1e-6)))
-    return Problem(model, study.drive, 0.01, METRICS, chosen, save_every=1e-3)
+    return Problem(model, study.drive, 0.01 * share, METRICS, chosen, save_every=min(1e-3, 0.01 * share))
 
 
 def chosen_errors(problem: Problem, count: int) -> tuple[str, ...]:
@@ -90,34 +92,36 @@ def measure(label: str, function, points, base: float | None, repeats: int) -> f
     return least
 
 
-def influences(step: float, tolerance: float, rfes: int) -> np.ndarray:
+def influences(step: float, tolerance: float, rfes: int, share: float) -> np.ndarray:
     """Derivatives times the errors' sizes (samples, metrics, errors)."""
     study = load_study(STUDY)
     model = discretise(study.mechanism, rfes=rfes)
     method = Method("generalised_alpha", step=step, tolerance=tolerance, corrections=12)
     metrics = tuple(f"{j}.mean_square_{kind}" for j in "ABCD" for kind in ("force", "moment"))
-    problem = Problem(model, study.drive, 0.5, metrics, method, save_every=2.5e-2)
+    duration = 0.5 * share
+    problem = Problem(model, study.drive, duration, metrics, method, save_every=min(2.5e-2, duration))
     sizes = jnp.asarray(list(KINDS.values()))
 
-    def values(share):
-        return jnp.stack(list(problem(dict(zip(KINDS, share * sizes)))[0].values()))
+    def values(factors):
+        return jnp.stack(list(problem(dict(zip(KINDS, factors * sizes)))[0].values()))
 
-    shares = jnp.asarray(SCALES)[:, None] * jnp.ones((1, len(KINDS)))
-    return np.asarray(jax.jit(jax.vmap(jax.jacfwd(values)))(shares))
+    factors = jnp.asarray(SCALES)[:, None] * jnp.ones((1, len(KINDS)))
+    return np.asarray(jax.jit(jax.vmap(jax.jacfwd(values)))(factors))
 
 
-def measure_accuracy(rfes: int) -> None:
+def measure_accuracy(options) -> None:
     """One row for every step and tolerance."""
-    print(f"\n{'step ms':>8}{'tolerance':>11}{'corrections':>13}   difference, errors at {SCALES} times")
-    for step in (2.5e-3, 5e-3):
-        exact = influences(step, TIGHT, rfes)
+    print(f"\n{'step ms':>8}{'tolerance':>11}{'increments':>12}    difference, errors at {SCALES} times")
+    for step in options.steps:
+        exact = influences(step, TIGHT, options.rfes, options.share)
         scale = np.abs(exact).max(axis=2, keepdims=True)
-        for tolerance in (1e-3, 1e-4, 1e-5, 1e-6):
+        for tolerance in options.tolerances:
             method = Method("generalised_alpha", step=step, tolerance=tolerance)
-            off = np.abs((influences(step, tolerance, rfes) - exact) / scale).max(axis=(1, 2))
+            found = influences(step, tolerance, options.rfes, options.share)
+            off = np.abs((found - exact) / scale).max(axis=(1, 2))
             shown = "".join(f"{one:>10.1e}" for one in off)
             count = GeneralisedAlpha(method).tangent_increments
-            print(f"{1e3 * step:>8g}{tolerance:>11g}{count:>13}   {shown}", flush=True)
+            print(f"{1e3 * step:>8g}{tolerance:>11g}{count:>12}    {shown}", flush=True)
 
 
 def measure_cost(options) -> None:
@@ -125,7 +129,7 @@ def measure_cost(options) -> None:
     header = ("compile s", "ms a sample", "ratio", "MB a sample")
     print(f"{'':<44}{header[0]:>10}{header[1]:>14}{header[2]:>8}{header[3]:>20}")
     for method in options.methods:
-        problem = build_problem(method, options.rfes, options.tolerance)
+        problem = build_problem(method, options.rfes, options.tolerance, options.share)
         for batch in options.batches:
             base = None
             for count in options.counts:
@@ -140,9 +144,11 @@ def measure_cost(options) -> None:
                 if base is None:
                     base = measure(f"{label}, value", values, points, None, options.repeats)
                 label = f"{label}, {count} errors"
-                measure(f"{label}, forward", jax.jacfwd(values), points, base, options.repeats)
+                if "forward" in options.modes:
+                    measure(f"{label}, forward", jax.jacfwd(values), points, base, options.repeats)
                 one = jax.grad(lambda p, values=values: values(p)[METRICS[0]])
-                measure(f"{label}, reverse", one, points, base, options.repeats)
+                if "reverse" in options.modes:
+                    measure(f"{label}, reverse", one, points, base, options.repeats)
 
 
 def main() -> None:
@@ -154,12 +160,17 @@ def main() -> None:
     parser.add_argument("--batches", nargs="+", type=int, default=[1, 16])
     parser.add_argument("--rfes", type=int, default=5)
     parser.add_argument("--tolerance", type=float, default=1e-3, help="of the implicit method")
+    parser.add_argument("--modes", nargs="+", choices=("forward", "reverse"), default=["forward", "reverse"])
+    parser.add_argument("--steps", nargs="+", type=float, default=[2.5e-3, 5e-3], help="s, of the part accuracy")
+    tolerances = [1e-3, 1e-4, 1e-5, 1e-6]
+    parser.add_argument("--tolerances", nargs="+", type=float, default=tolerances, help="of the part accuracy")
     parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--share", type=float, default=1.0, help="of the durations that are simulated")
     options = parser.parse_args()
     if "cost" in options.parts:
         measure_cost(options)
     if "accuracy" in options.parts:
-        measure_accuracy(options.rfes)
+        measure_accuracy(options)
 
 
 if __name__ == "__main__":

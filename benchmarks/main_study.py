@@ -1,10 +1,10 @@
 """Time of the main study, compilation apart: the five cases as one batch, and batches of more.
 
-    python benchmarks/main_study.py [--samples 1 5 64] [--duration 0.02]
+    python benchmarks/main_study.py [--samples 1 5 64] [--duration 0.02] [--rfes 5] [--repeats 101]
 
 Prints build, lowering, compilation, first and steady run; time a step and sample; and, on the same
 inputs, one right-hand side of the recursive against the dense reference formulation.  Medians of
-repeated runs, results waited for.
+repeated runs, each until its results are there.
 """
 
 import argparse
@@ -34,7 +34,7 @@ STUDY = Path(__file__).parents[1] / "studies" / "four_bar" / "study.toml"
 
 
 def timed(function, *arguments):
-    """Result and seconds of one call, waited for."""
+    """Result and seconds of one call, until the result is there."""
     start = time.perf_counter()
     result = jax.block_until_ready(function(*arguments))
     return result, time.perf_counter() - start
@@ -76,7 +76,7 @@ def measure(study, model, samples: int, duration: float) -> None:
     )
 
 
-def compare_formulations(model) -> None:
+def compare_formulations(model, repeats: int) -> None:
     """One right-hand side, recursive against dense, alone."""
     actual = jax.jit(apply_errors)(model, assembly_errors(model))
     state = static_state(model.start_coordinates())
@@ -88,7 +88,7 @@ def compare_formulations(model) -> None:
     def dense(state):
         return reference_accelerations(actual, state, DriveInput(), gains)[0]
 
-    times = [median_time(jax.jit(f), state, repeats=101) for f in (fast, dense)]
+    times = [median_time(jax.jit(f), state, repeats=repeats) for f in (fast, dense)]
     print(
         f"One right-hand side: recursive {1e6 * times[0]:.0f} us, dense {1e6 * times[1]:.0f} us, "
         f"ratio {times[1] / times[0]:.1f}"
@@ -99,9 +99,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--samples", type=int, nargs="+", default=[1, 5, 64])
     parser.add_argument("--duration", type=float, default=0.02, help="simulated seconds")
+    parser.add_argument("--rfes", type=int, default=5, help="of a flexible link")
+    parser.add_argument("--repeats", type=int, default=101, help="of one right-hand side")
     options = parser.parse_args()
     study = load_study(STUDY)
-    model, build = timed(lambda: discretise(study.mechanism))
+    model, build = timed(lambda: discretise(study.mechanism, rfes=options.rfes))
     print(
         f"{platform.processor() or platform.machine()}, {jax.devices()[0].device_kind}, "
         f"JAX {jax.__version__}; {study.method.name}, step {study.method.step:g} s"
@@ -113,7 +115,7 @@ def main() -> None:
     )
     for samples in options.samples:
         measure(study, model, samples, options.duration)
-    compare_formulations(model)
+    compare_formulations(model, options.repeats)
 
 
 if __name__ == "__main__":

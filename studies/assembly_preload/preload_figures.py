@@ -1,4 +1,4 @@
-"""Pictures of the preload study: along the turn, each error at its worst, drive moment.
+"""Pictures of the preload study: over a revolution of the crank, each error at its worst, drive moment.
 
 Units: crank angle deg; N and N m per deg or mm; colours and marks from `rfem_jax.report.style`.
 """
@@ -30,17 +30,17 @@ def write_figures(folder, study, joints, degrees, names, per_unit, tables) -> li
 
 
 def sizes(per_unit, names, error, joint, load) -> np.ndarray:
-    """Resultant along the turn."""
+    """Resultant over the revolution."""
     return np.linalg.norm(per_unit[:, joint, load, :, names.index(error)], axis=-1)
 
 
 def closed(degrees, values):
-    """A full turn whose end is its start."""
+    """A full revolution, with its start repeated at its end."""
     return np.append(degrees, degrees[0] + 360.0), np.append(values, values[0])
 
 
 def angle_axis(axes) -> None:
-    """Ticks of a turn that starts with the crank up."""
+    """Ticks of a revolution that starts with the crank up."""
     axes.set_xticks(np.arange(-90, 271, 90))
     axes.set_xlim(-90, 270)
 
@@ -73,7 +73,7 @@ def base_joint_figure(study, joints, degrees, names, per_unit) -> Figure:
         axes.set_ylim(0.0, axes.get_ylim()[1] if axes is panels[0] else top)
         axes.set_xlabel("crank angle, deg")
     legend(*panels[0].get_legend_handles_labels())
-    add_titles(figure, "Assembly preload by unit errors of joint D over a turn", study)
+    add_titles(figure, "Assembly preload by unit errors of joint D over a revolution", study)
     return figure
 
 
@@ -106,7 +106,7 @@ def other_errors_figure(study, joints, degrees, names, per_unit) -> Figure:
 
 
 def peaks_figure(study, joints, rows) -> Figure:
-    """Largest resultants over the turn as numbers on colours, errors that do something."""
+    """Largest resultants over the revolution as numbers on colours, of errors that cause any."""
     rows = [row for row in rows if max(row[f"{j}_force_N"] for j in joints) > SMALL * 100]
     rows = sorted(rows, key=lambda row: (row["per"], row["error"]))
     figure = Figure(figsize=(7.6, 1.9 + 0.21 * len(rows)), layout="constrained")
@@ -137,7 +137,7 @@ def peaks_figure(study, joints, rows) -> Figure:
         axes.grid(visible=False)
         axes.set_xlabel("joint")
         axes.set_title(title, loc="left")
-    add_titles(figure, "Largest assembly preload over a turn, per unit error", study)
+    add_titles(figure, "Largest assembly preload over a revolution, per unit error", study)
     return figure
 
 

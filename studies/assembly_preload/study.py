@@ -1,25 +1,27 @@
-"""What assembly errors do to the joints before anything moves: preload over a turn of the crank.
+"""What assembly errors do to the joints before anything moves: preload over a revolution of the crank.
 
-    python studies/assembly_preload/study.py --out results/assembly_preload
+    python studies/assembly_preload/study.py --out results/assembly_preload [--quick]
 
-The main study's four-bar (studies/four_bar/study.toml, a substitute for the paper's lost data)
-stands still at every crank angle, the crank held: no dynamics (theory (6.1)).  Equilibria come
-from `assemble(model, errors, hold={"A": angle})`, started from the closed perfect mechanism there.
+The main study's four-bar (studies/four_bar/study.toml, a substitute for the paper's lost data) in static equilibrium
+at every crank angle, the crank held: no dynamics (theory (6.1)).  Equilibria come from `assemble(model, errors, hold={"A": angle})`,
+started from the closed perfect mechanism there.
 
-    slopes       derivative of the preload of every joint by every error, at zero error (jacfwd)
+    derivatives  of the preload of every joint by every error, at zero error (jacfwd)
     differences  preload with an error of 1 deg or 1 mm minus that of the perfect mechanism
-    drive        moment that holds the crank, and the energy whose slope along the angle it is
+    drive        moment that holds the crank, and the energy whose derivative along the angle it is
 
-A *crooked pin* tilts seat and bore alike at the start angle; its slope is a sum of theirs.
+A *crooked pin* tilts seat and bore alike at the start angle; its derivative is a sum of theirs.
 Files: one CSV a question, `results.json`, four pictures.  Units: N, N m, deg, mm; loads in hinge
-frames.
+frames.  `--quick` takes 8 positions and fewer rfes, as a trial of the command.
 """
 
 import argparse
 import sys
 import time
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 from rfem_jax.compilation.options import take_process
 
@@ -33,16 +35,33 @@ import equinox as eqx  # noqa: E402
 import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
 import preload_figures  # noqa: E402
+from jax import Array  # noqa: E402
 
-from rfem_jax import assemble, assembly_errors, discretise, load_study  # noqa: E402
+from rfem_jax import (  # noqa: E402
+    AssemblyErrors,
+    Model,
+    Study,
+    assemble,
+    assembly_errors,
+    discretise,
+    load_study,
+)
 from rfem_jax.mechanics.discretisation import close_at  # noqa: E402
 from rfem_jax.mechanics.loads import energies  # noqa: E402
 from rfem_jax.mechanics.model_with_errors import apply_errors, error_dimension  # noqa: E402
 from rfem_jax.report.output import write_csv, write_json  # noqa: E402
 
-RFES = 9  # a flexible link: 8 spring-damping elements
-OTHERS = (5, 17)  # at the start only, for the discretisation error
-ANGLES = 72  # over a full turn
+
+class Size(NamedTuple):
+    """rfes of a flexible link; other numbers of them, at the start only, for the discretisation error; number of
+    crank angles over a revolution."""
+
+    rfes: int
+    others: tuple[int, ...]
+    angles: int
+
+
+FULL, QUICK = Size(9, (5, 17), 72), Size(3, (), 8)
 SHOWN = (
     "D.delta_x",
     "D.delta_z",
@@ -65,10 +84,10 @@ def unit_error(name: str) -> float:
     return UNIT[error_dimension(name)]
 
 
-def poses_over_turn(model, angles) -> tuple[np.ndarray, np.ndarray]:
+def poses_over_revolution(model: Model, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Angles (angles, links) and cut angles (angles, cuts) [rad] of the perfect rigid mechanism.
 
-    Raises: SystemExit where it cannot close (a crank that does not turn all the way round).
+    Raises: SystemExit where it cannot close (a crank that cannot make a full revolution).
     """
     driven, pose, poses = model.topology.driven, np.asarray(model.start_angles), []
     for angle in angles:
@@ -81,10 +100,10 @@ def poses_over_turn(model, angles) -> tuple[np.ndarray, np.ndarray]:
     return tuple(np.stack(part) for part in zip(*poses))
 
 
-def held(model, start_angles, cut_angles, errors):
+def held(model: Model, start_angles: Array, cut_angles: Array, errors: AssemblyErrors) -> tuple[Array, Array, Array]:
     """Preload (joints by name, force and moment, 3) [N, N m], potential energy [J], status.
 
-    The crank is held where the perfect mechanism is closed, from where Newton's method starts.
+    The crank is held at `start_angles`, those of the closed perfect mechanism, from which Newton's method starts.
     """
     placed = eqx.tree_at(lambda m: (m.start_angles, m.cut_angles), model, (start_angles, cut_angles))
     driven = model.topology.driven
@@ -108,7 +127,7 @@ def equilibria(model, poses, values):
 
 
 @eqx.filter_jit
-def slopes(model, names, poses):
+def derivatives(model, names, poses):
     """Derivatives of the preload at zero error, per rad or m (poses, joints, 2, 3, errors)."""
 
     def one(pose):
@@ -121,12 +140,12 @@ def slopes(model, names, poses):
     return jax.lax.map(one, poses)
 
 
-def with_crooked_pins(model, names, values) -> tuple[list[str], np.ndarray]:
-    """Names and slopes (..., errors) with those of crooked pins, through seat and bore, added.
+def with_crooked_pins(model: Model, names: Sequence[str], values: np.ndarray) -> tuple[list[str], np.ndarray]:
+    """Names and derivatives (..., errors) with those of crooked pins, through seat and bore, added.
 
-    Its bore is the seat's tilt, turned back by the joint's angle at the start (theory (2.4)).
+    The tilt of the bore is that of the seat, rotated back by the joint's angle at the start (theory (2.4)).
     """
-    names, parts = list(names), [values]
+    all_names, parts = list(names), [values]
     angles = np.concatenate([model.start_angles, model.cut_angles])
     for joint, angle in zip(model.topology.joints, angles):
         cosine, sine = np.cos(angle), np.sin(angle)
@@ -136,14 +155,14 @@ def with_crooked_pins(model, names, values) -> tuple[list[str], np.ndarray]:
                 f"{joint}.child.delta_x": by_x,
                 f"{joint}.child.delta_z": by_z,
             }
-            pin = sum(share * values[..., names.index(name)] for name, share in shares.items())
-            parts.append(pin[..., None])
-            names.append(f"{joint}.pin_tilt_{axis}")
-    return names, np.concatenate(parts, axis=-1)
+            pin = sum((share * values[..., all_names.index(name)] for name, share in shares.items()), 0.0)
+            parts.append(np.asarray(pin)[..., None])
+            all_names.append(f"{joint}.pin_tilt_{axis}")
+    return all_names, np.concatenate(parts, axis=-1)
 
 
-def slope_along_turn(values: np.ndarray, angles: np.ndarray) -> np.ndarray:
-    """Derivative along axis 0 of values given at equal distances over one full period [1/rad]."""
+def derivative_along_revolution(values: np.ndarray, angles: np.ndarray) -> np.ndarray:
+    """Derivative along axis 0 [1/rad] of values at equal distances over a period, by Fourier series."""
     waves = np.fft.rfftfreq(len(angles), (angles[1] - angles[0]) / (2.0 * np.pi))
     shape = (-1, *[1] * (values.ndim - 1))
     spectrum = np.fft.rfft(values, axis=0) * (1j * waves).reshape(shape)
@@ -156,7 +175,7 @@ def resultants(preload: np.ndarray, axis: int) -> np.ndarray:
 
 
 def history_rows(joints, names, degrees, per_unit) -> list[dict]:
-    """Preload per unit error at every angle: components of every joint; per_unit as `slopes`."""
+    """Preload per unit error at every angle: components of every joint; per_unit as `derivatives`."""
     rows = []
     for e, name in enumerate(names):
         for i, angle in enumerate(degrees):
@@ -170,7 +189,7 @@ def history_rows(joints, names, degrees, per_unit) -> list[dict]:
 
 
 def peak_rows(joints, names, degrees, per_unit) -> list[dict]:
-    """Largest resultants over the turn, and where, by error and joint."""
+    """Largest resultants over the revolution, and where, by error and joint."""
     rows = []
     sizes = resultants(per_unit, 3)
     for e, name in enumerate(names):
@@ -184,7 +203,7 @@ def peak_rows(joints, names, degrees, per_unit) -> list[dict]:
 
 
 def linearity_rows(joints, names, per_unit, differences) -> list[dict]:
-    """Derivative against difference for a unit error: deviation over the turn, relative to the
+    """Derivative against difference for a unit error: largest deviation over the revolution, relative to the
     largest preload of that error."""
     rows = []
     for e, name in enumerate(SHOWN):
@@ -202,32 +221,32 @@ def linearity_rows(joints, names, per_unit, differences) -> list[dict]:
 
 def drive_rows(degrees, angles, moment, energy) -> list[dict]:
     """Moment that holds the crank: perfect, and its change by each unit error."""
-    slope = slope_along_turn(energy, angles)
-    columns = {"perfect": (moment[:, 0], slope[:, 0])} | {
-        name: (moment[:, e] - moment[:, 0], slope[:, e] - slope[:, 0]) for e, name in enumerate(SHOWN, start=1)
+    rate = derivative_along_revolution(energy, angles)
+    columns = {"perfect": (moment[:, 0], rate[:, 0])} | {
+        name: (moment[:, e] - moment[:, 0], rate[:, e] - rate[:, 0]) for e, name in enumerate(SHOWN, start=1)
     }
     return [
         {
             "case": name,
             "crank_angle_deg": float(angle),
             "moment_Nm": float(of_moment[i]),
-            "slope_of_energy_Nm": float(of_energy[i]),
+            "derivative_of_energy_Nm": float(of_energy[i]),
         }
         for name, (of_moment, of_energy) in columns.items()
         for i, angle in enumerate(degrees)
     ]
 
 
-def discretisation_rows(study, joints, names, usual) -> list[dict]:
+def discretisation_rows(study, joints, names, usual, size: Size) -> list[dict]:
     """Preload per unit D.delta_x, D.delta_z, D.d_y at the start for several numbers of rfes."""
     rows, units = [], np.array([unit_error(name) for name in names])
-    for rfes in sorted((RFES, *OTHERS)):
-        if rfes == RFES:
+    for rfes in sorted((size.rfes, *size.others)):
+        if rfes == size.rfes:
             values = usual[0]
         else:
             model = discretise(study.mechanism, rfes=rfes)
             pose = (model.start_angles[None], model.cut_angles[None])
-            values = np.asarray(slopes(model, names, pose))[0] * units
+            values = np.asarray(derivatives(model, names, pose))[0] * units
         sizes = resultants(values, 2)
         for name in SHOWN[:3]:
             row = {"error": name, "per": UNIT_NAME[error_dimension(name)], "rfes": rfes}
@@ -239,9 +258,9 @@ def discretisation_rows(study, joints, names, usual) -> list[dict]:
 
 
 def print_summary(tables, joints) -> None:
-    """What an engineer reads first."""
+    """The main results."""
     print(
-        "\nLargest preload over the turn per unit error: force in "
+        "\nLargest preload over the revolution per unit error: force in "
         f"{', '.join(joints)} [N], moment in {', '.join(joints)} [N m]"
     )
     for row in tables["peaks"]:
@@ -259,22 +278,62 @@ def print_summary(tables, joints) -> None:
     for row in tables["discretisation"]:
         numbers = "".join(f"{row[f'{j}_moment_Nm']:10.4f}" for j in joints)
         print(f"  {row['error']:<10}rfes {row['rfes']:<4}force {row['A_force_N']:9.4f} N   moments {numbers} N m")
-    print("\nMoment that holds the crank: extremes over the turn, and the slope of the energy")
+    print("\nMoment that holds the crank: extremes over the revolution, and the derivative of the energy")
     for name in dict.fromkeys(row["case"] for row in tables["drive"]):
         rows = [row for row in tables["drive"] if row["case"] == name]
         moment = np.array([row["moment_Nm"] for row in rows])
-        off = moment - np.array([row["slope_of_energy_Nm"] for row in rows])
+        off = moment - np.array([row["derivative_of_energy_Nm"] for row in rows])
         print(
             f"  {name:<16}{moment.min():9.4f} ... {moment.max():.4f} N m, mean "
-            f"{moment.mean():.1e}, slope of the energy differs by {np.abs(off).max():.1e}"
+            f"{moment.mean():.1e}, derivative of the energy differs by {np.abs(off).max():.1e}"
         )
+
+
+def compute(study: Study, size: Size, progress: Callable[[str], None]):
+    """Joints, crank angles [deg], names of errors, preload per unit error (angles, joints, 2, 3, errors), tables.
+
+    Raises: SystemExit if an equilibrium is not found.
+    """
+    model = discretise(study.mechanism, rfes=size.rfes)
+    joints = sorted(model.joint_names)
+    rotation = 2.0 * np.pi * np.arange(size.angles) / size.angles
+    angles = float(model.start_angles[model.topology.driven]) + rotation
+    degrees = np.round(np.rad2deg(angles), 9)
+    poses = tuple(jnp.asarray(part) for part in poses_over_revolution(model, angles))
+
+    progress("derivatives by all errors over the revolution")
+    names = tuple(name for name in model.topology.error_names if "pin_tilt" not in name)
+    values = np.asarray(derivatives(model, names, poses))
+    names, values = with_crooked_pins(model, names, values)
+    per_unit = values * np.array([unit_error(name) for name in names])
+
+    progress(f"{len(SHOWN)} unit errors over the revolution")
+    rows = np.concatenate([np.zeros((1, len(SHOWN))), np.diag([unit_error(n) for n in SHOWN])])
+    preload, energy, status = map(np.asarray, equilibria(model, poses, jnp.asarray(rows)))
+    if (status != 0).any():
+        raise SystemExit(f"{(status != 0).sum()} positions not assembled; nothing was written.")
+    differences = preload[:, 1:] - preload[:, :1]
+
+    progress("the start with other numbers of rfes")
+    free = names[: len(names) - 2 * len(joints)]
+    holding = preload[:, :, joints.index("A"), 1, 1]
+    tables = {
+        "peaks": peak_rows(joints, names, degrees, per_unit),
+        "linearity": linearity_rows(joints, names, per_unit, differences),
+        "drive": drive_rows(degrees, angles, holding, energy),
+        "discretisation": discretisation_rows(study, joints, tuple(free), per_unit, size),
+        "preload_per_unit_error": history_rows(joints, names, degrees, per_unit),
+    }
+    return joints, degrees, names, per_unit, tables
 
 
 def main() -> None:
     """The command."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, required=True, help="folder for tables and pictures")
-    folder = parser.parse_args().out
+    parser.add_argument("--quick", action="store_true", help=f"{QUICK.angles} positions, {QUICK.rfes} rfes: a trial")
+    options = parser.parse_args()
+    folder, size = options.out, QUICK if options.quick else FULL
     folder.mkdir(parents=True, exist_ok=True)
     start = time.monotonic()
 
@@ -283,44 +342,15 @@ def main() -> None:
 
     study = load_study(Path(__file__).parents[1] / "four_bar" / "study.toml")
     study = replace(study, title="Steel four-bar", note="Substitute for the paper's lost data.")
-    model = discretise(study.mechanism, rfes=RFES)
-    joints = sorted(model.joint_names)
-    turned = 2.0 * np.pi * np.arange(ANGLES) / ANGLES
-    angles = float(model.start_angles[model.topology.driven]) + turned
-    degrees = np.round(np.rad2deg(angles), 9)
-    poses = tuple(jnp.asarray(part) for part in poses_over_turn(model, angles))
-
-    progress("derivatives by all errors over the turn")
-    names = tuple(name for name in model.topology.error_names if "pin_tilt" not in name)
-    values = np.asarray(slopes(model, names, poses))
-    names, values = with_crooked_pins(model, names, values)
-    per_unit = values * np.array([unit_error(name) for name in names])
-
-    progress(f"{len(SHOWN)} unit errors over the turn")
-    rows = np.concatenate([np.zeros((1, len(SHOWN))), np.diag([unit_error(n) for n in SHOWN])])
-    preload, energy, status = map(np.asarray, equilibria(model, poses, jnp.asarray(rows)))
-    if (status != 0).any():
-        raise SystemExit(f"{(status != 0).sum()} positions not assembled; nothing was written.")
-    differences = preload[:, 1:] - preload[:, :1]
-
-    progress("the start with fewer and more rfes")
-    free = names[: len(names) - 2 * len(joints)]
-    holding = preload[:, :, joints.index("A"), 1, 1]
-    tables = {
-        "peaks": peak_rows(joints, names, degrees, per_unit),
-        "linearity": linearity_rows(joints, names, per_unit, differences),
-        "drive": drive_rows(degrees, angles, holding, energy),
-        "discretisation": discretisation_rows(study, joints, tuple(free), per_unit),
-        "preload_per_unit_error": history_rows(joints, names, degrees, per_unit),
-    }
+    joints, degrees, names, per_unit, tables = compute(study, size, progress)
     for name, table in tables.items():
         write_csv(folder / f"{name}.csv", table)
     small = {name: table for name, table in tables.items() if name != "preload_per_unit_error"}
     content = {
         "title": study.title,
         "note": study.note,
-        "rfes": RFES,
-        "angles": ANGLES,
+        "rfes": size.rfes,
+        "angles": size.angles,
         "tables": small,
     }
     write_json(folder / "results.json", content)

@@ -1,14 +1,16 @@
 """Pictures of the convergence study: how many rfes, which step, and what else changes the loads.
 
-Units: relative errors; steps s; CPU seconds of one case; slopes N^2/deg and (N m)^2/deg.
+Units: relative errors; steps s; CPU seconds of one case; derivatives N^2/deg and (N m)^2/deg.
 """
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
+from rfem_jax import Study
 from rfem_jax.report.output import write_pictures
 from rfem_jax.report.style import SETTINGS, add_titles, bar_style, line_style, panel_grid
 
@@ -23,20 +25,17 @@ NAMES = {
 }
 
 
-def write_figures(folder, study, tables) -> list[Path]:
-    """Draw the five pictures into `folder`; tables as the study makes them."""
+def write_figures(folder: Path, study: Study, tables: dict[str, list[dict]]) -> list[Path]:
+    """Draw a picture for every table into `folder`."""
+    drawn = {
+        "rfes": rfes_figure,
+        "steps": steps_figure,
+        "elements": partial(difference_figure, heading="Geometrically exact against linear spring-damping elements"),
+        "crank": partial(difference_figure, heading="Flexible against rigid crank (5 rfes a link)"),
+        "damping": damping_figure,
+    }
     with rc_context(SETTINGS):
-        figures = {
-            "rfes": rfes_figure(study, tables["rfes"]),
-            "steps": steps_figure(study, tables["steps"]),
-            "elements": difference_figure(
-                study,
-                tables["elements"],
-                "Geometrically exact against linear spring-damping elements",
-            ),
-            "crank": difference_figure(study, tables["crank"], "Flexible against rigid crank (5 rfes a link)"),
-            "damping": damping_figure(study, tables["damping"]),
-        }
+        figures = {name: drawn[name](study, rows) for name, rows in tables.items()}
     return write_pictures(folder, figures)
 
 
@@ -71,8 +70,8 @@ def rfes_figure(study, rows) -> Figure:
         errors = [row["largest_relative_error"] for row in found]
         left.loglog(sdes, errors, label=f"{case} {NAMES[name]}", **every_point(k, len(sdes)))
     high = left.get_ylim()[1]
-    slope = 0.5 * high / (np.array(sdes) / sdes[0]) ** 2
-    left.loglog(sdes, slope, color="#909090", linewidth=2.5, alpha=0.6, label="second order")
+    second_order = 0.5 * high / (np.array(sdes) / sdes[0]) ** 2
+    left.loglog(sdes, second_order, color="#909090", linewidth=2.5, alpha=0.6, label="second order")
     accuracy_lines(left)
     left.set_title("(a) error of RMS loads", loc="left")
     left.set_ylabel("relative error, largest of all joints")
@@ -161,12 +160,12 @@ def damping_figure(study, rows) -> Figure:
             style = {**every_point(k, len(own)), "linestyle": "none", "markersize": 7.0}
             label = f"{method}, {step:.3g} s"
             panels[column].plot(places, [row["rms"] for row in own], label=label, **style)
-            slopes = [row["slope_of_square_per_deg"] for row in own]
-            panels[2 + column].plot(places, slopes, label=label, **style)
+            derivatives = [row["derivative_of_square_per_deg"] for row in own]
+            panels[2 + column].plot(places, derivatives, label=label, **style)
         panels[column].set_title(f"({'ab'[column]}) RMS {load} in A", loc="left")
         panels[column].set_ylabel(f"{load}, {unit}")
-        panels[2 + column].set_title(f"({'cd'[column]}) slope of its square by D.delta_x", loc="left")
-        panels[2 + column].set_ylabel(f"slope, {square} per deg")
+        panels[2 + column].set_title(f"({'cd'[column]}) derivative of its square by D.delta_x", loc="left")
+        panels[2 + column].set_ylabel(f"derivative, {square} per deg")
     for axes in panels:
         axes.set_xticks(range(len(dampings)), [f"{damping:g}" for damping in dampings])
         axes.set_xlabel("damping, s")

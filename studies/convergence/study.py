@@ -1,6 +1,6 @@
 """How many rfes, which step, which elements, how much damping: what the joint loads depend on.
 
-    python studies/convergence/study.py --out results/convergence
+    python studies/convergence/study.py --out results/convergence [--questions rfes steps ...] [--quick]
 
 The main study's four-bar (studies/four_bar/study.toml, a substitute for the paper's lost data),
 cases P1, P2 and P5, changed in one respect at a time:
@@ -11,18 +11,21 @@ cases P1, P2 and P5, changed in one respect at a time:
     crank     flexible crank against rigid one
     damping   eta = 0 ... 1e-4 s: loads, and derivatives of mean squares by D.delta_x at P2
 
-Every program is compiled first (two at a time), then run alone: times of runs are CPU seconds of
-one case undisturbed by compilation.  Files: one CSV a question, `results.json`, five pictures.
-Units: N, N m, s; errors are relative; derivatives N^2/deg and (N m)^2/deg.
+Every simulation is compiled first (two at a time), then run alone: times of runs are CPU seconds of one case
+undisturbed by compilation.  Files: one CSV and one picture a question, `results.json`.  Units: N, N m, s; errors are
+relative; derivatives N^2/deg and (N m)^2/deg.  `--quick` computes the first 10 ms with few rfes and steps: it shows
+what the command makes, its numbers mean nothing.
 """
 
 import argparse
+import itertools
 import sys
 import time
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from rfem_jax.compilation.options import take_process
 
@@ -37,50 +40,103 @@ import equinox as eqx  # noqa: E402
 import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
 
-from rfem_jax import STATUS, Method, assembly_errors, discretise, load_study, simulate  # noqa: E402
+from rfem_jax import (  # noqa: E402
+    STATUS,
+    AssemblyErrors,
+    Method,
+    Model,
+    Run,
+    Study,
+    assembly_errors,
+    discretise,
+    load_study,
+    simulate,
+)
 from rfem_jax.report.output import write_csv, write_json  # noqa: E402
 
 CASES = ("P1", "P2", "P5")
-SDES = (2, 4, 8, 16)
-USUAL = ("generalised_alpha", 2.5e-4)  # its error is far below what the other questions are about
-# A flexible crank has a tiny first rfe, which the drive turns at once: a smaller step is needed.
-OF_FLEXIBLE_CRANK = ("generalised_alpha", 5e-5)
-STEPS = (
-    *(("generalised_alpha", h) for h in (2e-3, 1e-3, 5e-4, 2.5e-4)),
-    *(("rk4", h) for h in (1.8e-5, 9e-6)),
-    ("leapfrog", 3e-6),
+QUESTIONS = ("rfes", "steps", "elements", "crank", "damping")
+
+
+class Plan(NamedTuple):
+    """What is simulated; methods are pairs (name, step [s]).
+
+    duration [s]; save_every [s]; sdes a flexible link, the study's 4 among them; usual method; that of the flexible
+    crank; methods of the question `steps`, and their reference; dampings [s]; derivatives: methods, each with the
+    number of dampings that it takes.
+    """
+
+    duration: float
+    save_every: float
+    sdes: tuple[int, ...]
+    usual: tuple[str, float]
+    of_flexible_crank: tuple[str, float]
+    steps: tuple[tuple[str, float], ...]
+    reference: tuple[str, float]
+    dampings: tuple[float, ...]
+    derivatives: tuple[tuple[str, float, int], ...]
+
+
+IMPLICIT = "generalised_alpha"
+FULL = Plan(
+    duration=0.5,
+    save_every=5e-3,  # to record a state costs as much as a step
+    sdes=(2, 4, 8, 16),
+    usual=(IMPLICIT, 2.5e-4),  # its error is far below the differences that the other questions are about
+    # A flexible crank has a tiny first rfe, which the drive accelerates at once: it needs a smaller step.
+    of_flexible_crank=(IMPLICIT, 5e-5),
+    steps=(
+        *((IMPLICIT, h) for h in (2e-3, 1e-3, 5e-4, 2.5e-4)),
+        *(("rk4", h) for h in (1.8e-5, 9e-6)),
+        ("leapfrog", 3e-6),
+    ),
+    reference=("rk4", 4.5e-6),
+    dampings=(0.0, 1e-6, 1e-5, 1e-4),
+    # Explicit methods need steps below 2e-6 s at eta = 1e-4 s: the implicit one alone takes it.
+    derivatives=(("rk4", 1.8e-5, 3), ("rk4", 9e-6, 3), (IMPLICIT, 2.5e-4, 4), (IMPLICIT, 1.25e-4, 4)),
 )
-REFERENCE = ("rk4", 4.5e-6)
-DAMPINGS = (0.0, 1e-6, 1e-5, 1e-4)  # s
-# Explicit methods need steps below 2e-6 s at eta = 1e-4 s: the implicit one alone does it.
-SLOPES = (("rk4", 1.8e-5, 3), ("rk4", 9e-6, 3), (*USUAL, 4), (USUAL[0], USUAL[1] / 2.0, 4))
+QUICK = Plan(
+    duration=0.01,
+    save_every=5e-3,
+    sdes=(2, 4),
+    usual=(IMPLICIT, 2.5e-3),
+    of_flexible_crank=(IMPLICIT, 2.5e-3),
+    steps=((IMPLICIT, 2.5e-3),),
+    reference=(IMPLICIT, 1.25e-3),
+    dampings=(0.0, 1e-5),
+    derivatives=((IMPLICIT, 2.5e-3, 2),),
+)
 METRICS = {"rms_force": "N", "rms_moment": "Nm", "max_axial_force": "N", "max_normal_force": "N"}
-SAVE_EVERY = 5e-3  # s; looking at a state costs as much as a step
 DEGREE = np.pi / 180.0
 
 
 class Program(NamedTuple):
     """A function and its arguments; `samples` simulations run in it."""
 
-    function: object
+    function: Any
     arguments: tuple
     samples: int
 
 
-def loads_program(study, model, method) -> Program:
+def run_of(study: Study, model: Model, errors: AssemblyErrors, method: tuple[str, float], plan: Plan) -> Run:
+    """One simulation of the plan."""
+    return simulate(
+        model,
+        errors,
+        drive=study.drive,
+        duration=plan.duration,
+        method=Method(method[0], step=method[1]),
+        save_every=plan.save_every,
+    )
+
+
+def loads_program(study: Study, model: Model, method: tuple[str, float], plan: Plan) -> Program:
     """Metrics, preload and status of the cases, one batch."""
 
     @eqx.filter_jit
     def run(model, errors):
         def one(errors):
-            run = simulate(
-                model,
-                errors,
-                drive=study.drive,
-                duration=study.duration,
-                method=Method(method[0], step=method[1]),
-                save_every=SAVE_EVERY,
-            )
+            run = run_of(study, model, errors, method, plan)
             return {name: getattr(run.metrics, name) for name in METRICS}, run.preload, run.status
 
         return jax.vmap(one)(errors)
@@ -90,8 +146,8 @@ def loads_program(study, model, method) -> Program:
     return Program(run, (model, errors), len(CASES))
 
 
-def slopes_program(study, model, method, dampings) -> Program:
-    """Mean squares of P2 and their derivatives by D.delta_x [rad], for several eta."""
+def derivatives_program(study: Study, model: Model, method: tuple[str, float], dampings, plan: Plan) -> Program:
+    """Mean squares of P2 and their derivatives by D.delta_x [1/rad], for several eta [s]."""
     tilt = study.case("P2").errors["D.delta_x"]
 
     @eqx.filter_jit
@@ -101,14 +157,7 @@ def slopes_program(study, model, method, dampings) -> Program:
             damped = eqx.tree_at(lambda m: m.section, model, section)
 
             def squares(tilt):
-                run = simulate(
-                    damped,
-                    assembly_errors(model, {"D.delta_x": tilt}),
-                    drive=study.drive,
-                    duration=study.duration,
-                    method=Method(method[0], step=method[1]),
-                    save_every=SAVE_EVERY,
-                )
+                run = run_of(study, damped, assembly_errors(model, {"D.delta_x": tilt}), method, plan)
                 m = run.metrics
                 return (m.mean_square_force, m.mean_square_moment), run.status
 
@@ -120,33 +169,44 @@ def slopes_program(study, model, method, dampings) -> Program:
     return Program(run, (model, jnp.asarray(dampings)), len(dampings))
 
 
-def programs_of(study) -> dict[tuple, Program]:
-    """Everything that is simulated, by (question, what)."""
+def programs_of(study: Study, plan: Plan, questions: Sequence[str]) -> dict[tuple, Program]:
+    """Everything that is simulated for some questions, by (question, variant).
+
+    ("rfes", 4) is the study itself by the usual method, with which other questions compare.
+    """
     usual = discretise(study.mechanism)
-    links = [replace(link, rigid=False, rfes=5) for link in study.mechanism.links]
-    flexible = discretise(replace(study.mechanism, links=links))
-    exact = discretise(study.mechanism, elements="geometrically_exact")
-    programs = {("rfes", m): loads_program(study, discretise(study.mechanism, rfes=m + 1), USUAL) for m in SDES}
-    for method in (*STEPS, REFERENCE):
-        if method != USUAL:
-            programs["steps", *method] = loads_program(study, usual, method)
-    programs["elements", "geometrically_exact"] = loads_program(study, exact, USUAL)
-    programs["crank", "flexible"] = loads_program(study, flexible, OF_FLEXIBLE_CRANK)
-    for name, step, count in SLOPES:
-        program = slopes_program(study, usual, (name, step), DAMPINGS[:count])
-        programs["damping", name, step] = program
+    programs = {}
+    for m in plan.sdes if "rfes" in questions else (4,):
+        programs["rfes", m] = loads_program(study, discretise(study.mechanism, rfes=m + 1), plan.usual, plan)
+    if "steps" in questions:
+        for method in (*plan.steps, plan.reference):
+            if method != plan.usual:
+                programs["steps", *method] = loads_program(study, usual, method, plan)
+    if "elements" in questions:
+        exact = discretise(study.mechanism, elements="geometrically_exact")
+        programs["elements", "geometrically_exact"] = loads_program(study, exact, plan.usual, plan)
+    if "crank" in questions:
+        links = tuple(replace(link, rigid=False, rfes=5) for link in study.mechanism.links)
+        flexible = discretise(replace(study.mechanism, links=links))
+        programs["crank", "flexible"] = loads_program(study, flexible, plan.of_flexible_crank, plan)
+    if "damping" in questions:
+        for name, step, count in plan.derivatives:
+            dampings = plan.dampings[:count]
+            programs["damping", name, step] = derivatives_program(study, usual, (name, step), dampings, plan)
+    if set(questions) == {"damping"}:
+        del programs["rfes", 4]
     return programs
 
 
 class Outcome(NamedTuple):
     """values: arrays with a leading axis of cases; seconds: CPU time of one case [s]."""
 
-    values: object
+    values: Any
     seconds: float
 
 
-def compute(programs: dict, progress) -> dict[tuple, Outcome]:
-    """Compile all programs, then run them; quick ones again, for their time."""
+def compute(programs: dict[tuple, Program], progress: Callable[[str], None]) -> dict[tuple, Outcome]:
+    """Compile all programs, then run them; short ones several times, for their time."""
     outcomes, compiled = {}, {}
     with ThreadPoolExecutor(2) as pool:
         started = {
@@ -171,8 +231,8 @@ def _words(key) -> str:
     return " ".join(str(part) for part in key)
 
 
-def require_success(outcomes) -> None:
-    """Stop if a simulation failed where the step is not the question."""
+def require_success(outcomes: dict[tuple, Outcome]) -> None:
+    """Stop if a simulation failed, unless the step is the question."""
     for key, outcome in outcomes.items():
         if key[0] != "steps" and status_of(outcome) != "ok":
             raise SystemExit(f"{_words(key)}: {status_of(outcome)}; no tables were written.")
@@ -188,21 +248,21 @@ def metric(outcome: Outcome, name: str, case: str, joint: str) -> float:
     return float(outcome.values[0][name][joint][CASES.index(case)])
 
 
-def worst(outcome, limit, name, case, joints) -> float | None:
-    """Largest relative difference over the joints to `limit` (joint -> value); None if it is 0."""
+def worst(outcome: Outcome, limit: dict[str, float], name: str, case: str, joints: Sequence[str]) -> float | None:
+    """Largest relative difference over the joints to `limit` (joint -> value); None where that is zero."""
     if min(limit[joint] for joint in joints) < 1e-3:
-        return None  # the perfect mechanism has no moments, but for rounding
+        return None  # moments of the perfect mechanism are rounding
     return max(abs(metric(outcome, name, case, j) / limit[j] - 1.0) for j in joints)
 
 
-def rfes_table(outcomes, joints) -> list[dict]:
+def rfes_table(outcomes: dict[tuple, Outcome], joints: Sequence[str], plan: Plan) -> list[dict]:
     """Loads against m, with errors against the limit by Richardson's extrapolation (order 2)."""
     rows = []
-    fine, finest = (outcomes["rfes", m] for m in SDES[-2:])
+    fine, finest = (outcomes["rfes", m] for m in plan.sdes[-2:])
     for case in CASES:
         for name, unit in METRICS.items():
             limit = {j: (4.0 * metric(finest, name, case, j) - metric(fine, name, case, j)) / 3.0 for j in joints}
-            for m in SDES:
+            for m in plan.sdes:
                 outcome = outcomes["rfes", m]
                 rows.append(
                     {
@@ -219,12 +279,12 @@ def rfes_table(outcomes, joints) -> list[dict]:
     return rows
 
 
-def steps_table(outcomes, joints) -> list[dict]:
+def steps_table(outcomes: dict[tuple, Outcome], joints: Sequence[str], plan: Plan) -> list[dict]:
     """Loads against method and step, with errors against the reference, and cost."""
     rows = []
-    reference = outcomes["steps", *REFERENCE]
-    for method in (*STEPS, REFERENCE):
-        outcome = outcomes["rfes", 4] if method == USUAL else outcomes["steps", *method]
+    reference = outcomes["steps", *plan.reference]
+    for method in (*plan.steps, plan.reference):
+        outcome = outcomes["rfes", 4] if method == plan.usual else outcomes["steps", *method]
         for case in CASES:
             for name, unit in METRICS.items():
                 limit = {j: metric(reference, name, case, j) for j in joints}
@@ -240,14 +300,14 @@ def steps_table(outcomes, joints) -> list[dict]:
                         "unit": unit,
                         "status": status,
                         **{j: metric(outcome, name, case, j) if good else None for j in joints},
-                        "largest_relative_error": None if method == REFERENCE else error,
+                        "largest_relative_error": None if method == plan.reference else error,
                         "cpu_s_per_case": outcome.seconds,
                     }
                 )
     return rows
 
 
-def comparison_table(names, outcomes, joints) -> list[dict]:
+def comparison_table(names: Sequence[str], outcomes: Sequence[Outcome], joints: Sequence[str]) -> list[dict]:
     """Two variants side by side with their relative difference, joint by joint."""
     rows = []
     for case in CASES:
@@ -276,12 +336,12 @@ def _any_metric(outcome, name, case, joint) -> float:
     return float(np.linalg.norm(load[CASES.index(case)]))
 
 
-def damping_table(outcomes, joints) -> list[dict]:
+def damping_table(outcomes: dict[tuple, Outcome], joints: Sequence[str], plan: Plan) -> list[dict]:
     """RMS loads of P2 and derivatives of mean squares by D.delta_x, by damping, method and step."""
     rows = []
-    for name, step, count in SLOPES:
-        values, slopes, _ = outcomes["damping", name, step].values
-        for i, damping in enumerate(DAMPINGS[:count]):
+    for name, step, count in plan.derivatives:
+        values, derivatives, _ = outcomes["damping", name, step].values
+        for i, damping in enumerate(plan.dampings[:count]):
             for kind, unit in enumerate(("N", "Nm")):
                 for joint in joints:
                     rows.append(
@@ -293,14 +353,27 @@ def damping_table(outcomes, joints) -> list[dict]:
                             "unit": unit,
                             "joint": joint,
                             "rms": float(np.sqrt(values[kind][joint][i])),
-                            "slope_of_square_per_deg": float(slopes[kind][joint][i]) * DEGREE,
+                            "derivative_of_square_per_deg": float(derivatives[kind][joint][i]) * DEGREE,
                         }
                     )
     return rows
 
 
-def print_summary(tables) -> None:
-    """What an engineer reads first."""
+def print_summary(tables: dict[str, list[dict]], plan: Plan) -> None:
+    """The main results of the questions that were computed."""
+    if "rfes" in tables:
+        print_rfes(tables["rfes"])
+    if "steps" in tables:
+        print_steps(tables["steps"], plan)
+    for title in ("elements", "crank"):
+        if title in tables:
+            print_differences(title, tables[title])
+    if "damping" in tables:
+        print_damping(tables["damping"])
+
+
+def print_rfes(rows: list[dict]) -> None:
+    """Errors against m, and the observed order."""
     print("\nRelative error of RMS loads (largest over the joints) against sdes a link")
     for case, name in (
         ("P1", "rms_force"),
@@ -309,52 +382,59 @@ def print_summary(tables) -> None:
         ("P5", "rms_force"),
         ("P5", "rms_moment"),
     ):
-        rows = [r for r in tables["rfes"] if r["case"] == case and r["metric"] == name]
-        errors = [r["largest_relative_error"] for r in rows]
-        order = np.log2(errors[0] / errors[1]), np.log2(errors[1] / errors[2])
-        text = "  ".join(f"m={r['sdes']}: {e:.2e}" for r, e in zip(rows, errors))
-        print(f"  {case} {name:<11}{text}  observed order {order[0]:.2f}, {order[1]:.2f}")
+        own = [r for r in rows if r["case"] == case and r["metric"] == name]
+        errors = [r["largest_relative_error"] for r in own]
+        # The last error is that of the extrapolation itself.
+        orders = ", ".join(f"{np.log2(a / b):.2f}" for a, b in itertools.pairwise(errors[:-1]))
+        text = "  ".join(f"m={r['sdes']}: {e:.2e}" for r, e in zip(own, errors))
+        print(f"  {case} {name:<11}{text}  observed order {orders or '-'}")
+
+
+def print_steps(rows: list[dict], plan: Plan) -> None:
+    """Errors and cost of every method and step."""
     print("\nRelative error of the loads (largest over the joints, P2 and P5) against the step")
-    for method in STEPS:
-        rows = [r for r in tables["steps"] if (r["method"], r["step_s"]) == method and r["case"] in ("P2", "P5")]
-        text = rows[0]["status"]
+    for method in plan.steps:
+        own = [r for r in rows if (r["method"], r["step_s"]) == method and r["case"] in ("P2", "P5")]
+        text = own[0]["status"]
         if text == "ok":
-            errors = {n: max(r["largest_relative_error"] for r in rows if r["metric"] == n) for n in METRICS}
+            errors = {n: max(r["largest_relative_error"] for r in own if r["metric"] == n) for n in METRICS}
             text = "  ".join(f"{n} {e:.1e}" for n, e in errors.items())
-        print(f"  {method[0]:<18}{method[1]:8.2g} s  {text}  {rows[0]['cpu_s_per_case']:.3f} s CPU")
-    for title in ("elements", "crank"):
-        print(f"\nLargest relative difference over the joints: {title}")
-        for case in CASES:
-            parts = []
-            for name in dict.fromkeys(row["metric"] for row in tables[title]):
-                found = [
-                    row["relative_difference"]
-                    for row in tables[title]
-                    if row["metric"] == name and row["case"] == case and row["relative_difference"] is not None
-                ]
-                if found:
-                    parts.append(f"{name} {max(found, key=abs):+.1e}")
-            print(f"  {case} {'  '.join(parts)}")
-    print_damping(tables["damping"])
+        print(f"  {method[0]:<18}{method[1]:8.2g} s  {text}  {own[0]['cpu_s_per_case']:.3f} s CPU")
 
 
-def print_damping(rows) -> None:
+def print_differences(title: str, rows: list[dict]) -> None:
+    """Differences of two variants by case and load."""
+    print(f"\nLargest relative difference over the joints: {title}")
+    for case in CASES:
+        parts = []
+        for name in dict.fromkeys(row["metric"] for row in rows):
+            own = [row["relative_difference"] for row in rows if row["metric"] == name and row["case"] == case]
+            found = [difference for difference in own if difference is not None]
+            if found:
+                parts.append(f"{name} {max(found, key=abs):+.1e}")
+        print(f"  {case} {'  '.join(parts)}")
+
+
+def print_damping(rows: list[dict]) -> None:
     """Joint A in full; of all joints the largest change between the two steps of a method."""
-    print("\nRMS loads of P2 in joint A, and slopes of their squares by D.delta_x, against damping")
+    print("\nRMS loads of P2 in joint A, and derivatives of their squares by D.delta_x, against damping")
     runs = dict.fromkeys((r["damping_s"], r["method"], r["step_s"]) for r in rows)
     for damping, method, step in sorted(runs):
         wanted = (damping, method, step, "A")
         force, moment = (r for r in rows if (r["damping_s"], r["method"], r["step_s"], r["joint"]) == wanted)
         print(
             f"  eta {damping:<7g}{method:<18}{step:8.3g} s  {force['rms']:.5f} N  "
-            f"{force['slope_of_square_per_deg']:.2f} N^2/deg  {moment['rms']:.6f} N m  "
-            f"{moment['slope_of_square_per_deg']:.4f} (N m)^2/deg"
+            f"{force['derivative_of_square_per_deg']:.2f} N^2/deg  {moment['rms']:.6f} N m  "
+            f"{moment['derivative_of_square_per_deg']:.4f} (N m)^2/deg"
         )
-    print("\nLargest relative change of these over the joints when the step is halved")
-    for damping, method in dict.fromkeys((d, m) for d, m, _ in sorted(runs)):
+    pairs = [(damping, method) for damping, method, _ in sorted(runs)]
+    halved = [pair for pair in dict.fromkeys(pairs) if pairs.count(pair) == 2]
+    if halved:
+        print("\nLargest relative change of these over the joints when the step is halved")
+    for damping, method in halved:
         parts = []
         for load in ("force", "moment"):
-            for quantity in ("rms", "slope_of_square_per_deg"):
+            for quantity in ("rms", "derivative_of_square_per_deg"):
                 own = [r for r in rows if (r["damping_s"], r["method"], r["load"]) == (damping, method, load)]
                 half = len(own) // 2
                 change = max(abs(b[quantity] / a[quantity] - 1.0) for a, b in zip(own[:half], own[half:]))
@@ -362,11 +442,29 @@ def print_damping(rows) -> None:
         print(f"  eta {damping:<7g}{method:<18}{'  '.join(parts)}")
 
 
+def tables_of(outcomes: dict[tuple, Outcome], joints: Sequence[str], plan: Plan, questions: Sequence[str]) -> dict:
+    """One table a question."""
+    usual, tables = outcomes.get(("rfes", 4)), {}
+    if "rfes" in questions:
+        tables["rfes"] = rfes_table(outcomes, joints, plan)
+    if "steps" in questions:
+        tables["steps"] = steps_table(outcomes, joints, plan)
+    for question, names in (("elements", ("linear", "geometrically_exact")), ("crank", ("rigid", "flexible"))):
+        if question in questions:
+            tables[question] = comparison_table(names, (usual, outcomes[question, names[1]]), joints)
+    if "damping" in questions:
+        tables["damping"] = damping_table(outcomes, joints, plan)
+    return tables
+
+
 def main() -> None:
     """The command."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, required=True, help="folder for tables and pictures")
-    folder = parser.parse_args().out
+    parser.add_argument("--questions", nargs="+", choices=QUESTIONS, default=QUESTIONS, help="all by default")
+    parser.add_argument("--quick", action="store_true", help="the first 10 ms, few rfes and steps: only a trial")
+    options = parser.parse_args()
+    folder, plan = options.out, QUICK if options.quick else FULL
     folder.mkdir(parents=True, exist_ok=True)
     start = time.monotonic()
 
@@ -374,28 +472,17 @@ def main() -> None:
         print(f"[{time.monotonic() - start:4.0f} s] {text}", file=sys.stderr, flush=True)
 
     study = load_study(Path(__file__).parents[1] / "four_bar" / "study.toml")
-    study = replace(study, title="Steel four-bar", note="Substitute for the paper's lost data.")
+    note = "Substitute for the paper's lost data." + (" A trial (--quick)." if options.quick else "")
+    study = replace(study, title="Steel four-bar", note=note)
     joints = sorted(joint.name for joint in study.mechanism.joints)
-    outcomes = compute(programs_of(study), progress)
+    outcomes = compute(programs_of(study, plan, options.questions), progress)
     require_success(outcomes)
-    usual = outcomes["rfes", 4]
-    tables = {
-        "rfes": rfes_table(outcomes, joints),
-        "steps": steps_table(outcomes, joints),
-        "elements": comparison_table(
-            ("linear", "geometrically_exact"),
-            (usual, outcomes["elements", "geometrically_exact"]),
-            joints,
-        ),
-        "crank": comparison_table(("rigid", "flexible"), (usual, outcomes["crank", "flexible"]), joints),
-        "damping": damping_table(outcomes, joints),
-    }
+    tables = tables_of(outcomes, joints, plan, options.questions)
     for name, rows in tables.items():
         write_csv(folder / f"{name}.csv", rows)
-    content = {"title": study.title, "note": study.note, "tables": tables}
-    write_json(folder / "results.json", content)
+    write_json(folder / "results.json", {"title": study.title, "note": study.note, "tables": tables})
     convergence_figures.write_figures(folder, study, tables)
-    print_summary(tables)
+    print_summary(tables, plan)
     print(f"\nTables and pictures are in {folder} ({time.monotonic() - start:.0f} s).")
 
 

@@ -28,7 +28,7 @@ STATUS = {0: ("ok", "The run is complete."), 3: ("diverged", "The run diverged; 
 def packages(monkeypatch, runs):
     """Stand-ins for mechanics and simulation; what they do can be changed by a test."""
     mechanics, simulation = ModuleType("mechanics"), ModuleType("simulation")
-    counts = {"coordinates": 51, "constraints": 5, "rank": 5, "mobility": 46, "rigid_mobility": 1}
+    counts = {"coordinates": 51, "constraints": 5, "rank": 5, "mobility": 46, "rigid_mobility": 1, "gap": 0.0}
     mechanics.discretise = lambda mechanism: SimpleNamespace(mechanism=mechanism)
     mechanics.describe = lambda model: SimpleNamespace(**counts, redundant=False)
     simulation.STATUS = STATUS

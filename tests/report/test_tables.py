@@ -8,7 +8,7 @@ from rfem_jax.report.overview import format_error, section_text, study_text
 from rfem_jax.report.summary import summarise
 from rfem_jax.report.tables import format_numbers, format_table, results_text
 
-COUNTS = {"coordinates": 51, "constraints": 5, "rank": 5, "mobility": 46, "rigid_mobility": 1}
+COUNTS = {"coordinates": 51, "constraints": 5, "rank": 5, "mobility": 46, "rigid_mobility": 1, "gap": 0.0}
 
 
 def test_columns_are_aligned():
