@@ -3,8 +3,8 @@
     python studies/assembly_preload/study.py --out results/assembly_preload [--quick]
 
 The main study's four-bar (studies/four_bar/study.toml, a substitute for the paper's lost data) in static equilibrium
-at every crank angle, the crank held: no dynamics (theory (6.1)).  Equilibria come from `assemble(model, errors, hold={"A": angle})`,
-started from the closed perfect mechanism there.
+at every crank angle, the crank held: no dynamics (theory (6.1)).  Equilibria come from
+`assemble(model, errors, hold={"A": angle})`, started from the closed perfect mechanism there.
 
     derivatives  of the preload of every joint by every error, at zero error (jacfwd)
     differences  preload with an error of 1 deg or 1 mm minus that of the perfect mechanism
