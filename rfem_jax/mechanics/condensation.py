@@ -73,12 +73,11 @@ def link_operators(
     topology, n = actual.topology, actual.topology.n_links
     springs = elasticity.stiffness_blocks(actual)
     zeros = jnp.zeros_like(actual.rest)
-    middle = jnp.stack([actual.rest, zeros, zeros], axis=1)
-    inertia = jnp.moveaxis(actual.inertia[:, :, n:], 2, 0)
+    middle = jnp.stack([actual.rest, zeros, zeros])
+    centre, inertia = actual.centre[:, n:], actual.inertia[:, :, n:]
 
     def operator(l, a, b):
-        bodies = actual.mass[n + a : n + b], actual.centre[:, n + a : n + b].T, inertia[a:b]
-        mass, coupling, rigid = _rigid_link(actual, l, bodies, middle[a:b])
+        mass, coupling, rigid = _rigid_link(actual, l, centre[:, a:b], inertia[:, :, a:b], middle[:, a:b])
         s = q_factor + actual.damping[a] * v_factor
         factored = factor(mass + s * springs.diagonal[a:b], s * springs.lower[a:b])
         return _condense(factored, coupling, rigid, local_interfaces(topology, l))
@@ -86,26 +85,26 @@ def link_operators(
     return tuple(operator(l, a, b) if b > a else None for l, (a, b) in enumerate(topology.ranges))
 
 
-def _rigid_link(actual: ModelWithErrors, link: int, bodies: tuple[Array, Array, Array], middle: Array):
-    """Inertias M (m, 6, 6) of the free rfes with (mass, centre, inertia) `bodies`, rfe first; M X (m, 6, 6)
-    for their middles (m, 3) in the link frame; inertia (6, 6) of the whole link, rigid, at its frame."""
-    mass = jax.vmap(_inertia)(*bodies)
+def _rigid_link(
+    actual: ModelWithErrors, link: int, centre: Array, inertia: Array, middle: Array
+) -> tuple[Array, Array, Array]:
+    """Inertias M (m, 6, 6) of the free rfes of a link with centres (3, m) and central inertias (3, 3, m); M X
+    (m, 6, 6) for their middles (3, m) in the link frame; inertia (6, 6) of the whole link, rigid, at its frame."""
+    a, b = actual.topology.ranges[link]
+    n = actual.topology.n_links
+    mass = algebra.spatial_inertia(actual.mass[n + a : n + b], centre, inertia)
+    mass = jnp.moveaxis(mass, 2, 0)
     # Motion of the rfes' middles when the link frame moves: linear += angular x position.
-    rigid_modes = jax.vmap(lambda p: jnp.eye(6).at[3:, :3].set(-_cross_matrix(p)))(middle)
+    shift = jnp.moveaxis(algebra.cross_matrix(middle), 2, 0)
+    rigid_modes = jnp.broadcast_to(jnp.eye(6), (b - a, 6, 6)).at[:, 3:, :3].set(-shift)
     coupling = jnp.einsum("mij,mjk->mik", mass, rigid_modes)
-    root = _inertia(actual.mass[link], actual.centre[:, link], actual.inertia[:, :, link])
+    root = root_inertia(actual, link)
     return mass, coupling, root + jnp.einsum("mji,mjk->ik", rigid_modes, coupling)
 
 
-def _cross_matrix(p):
-    return jnp.cross(jnp.eye(3), p[None]).T * -1.0
-
-
-def _inertia(mass, centre, inertia):
-    """Inertia (6, 6), angular part first, of one body about its reference point."""
-    shift = _cross_matrix(centre)
-    first = mass * shift
-    return jnp.block([[inertia - first @ shift, first], [-first, mass * jnp.eye(3)]])
+def root_inertia(actual: ModelWithErrors, link: int) -> Float[Array, "6 6"]:
+    """Spatial inertia of a link's rfe 0 at its frame, in its axes."""
+    return algebra.spatial_inertia(actual.mass[link], actual.centre[:, link], actual.inertia[:, :, link])
 
 
 def present_operators(
@@ -120,15 +119,13 @@ def present_operators(
     rotated = product(relative.rotation, actual.inertia[:, :, topology.n_links :])
     inertia = product_transposed(rotated, relative.rotation)
     centre = apply(relative.rotation, actual.centre[:, topology.n_links :])
-    inertia = jnp.moveaxis(inertia, 2, 0)
     # From rates of the coordinates, whose angles are about the rfe's present axes, to twists in link axes.
     rates = jnp.zeros((topology.n_rfes, 6, 6)).at[:, 3:, 3:].set(jnp.eye(3))
     rates = rates.at[:, :3, :3].set(jnp.moveaxis(relative.rate_matrix, 2, 0))
 
     def operator(l, a, b):
-        n = topology.n_links
-        bodies = actual.mass[n + a : n + b], centre[:, a:b].T, inertia[a:b]
-        mass, coupling, rigid = _rigid_link(actual, l, bodies, relative.position[:, a:b].T)
+        middle = relative.position[:, a:b]
+        mass, coupling, rigid = _rigid_link(actual, l, centre[:, a:b], inertia[:, :, a:b], middle)
         s, t = q_factor + actual.damping[a] * v_factor, rates[a:b]
         diagonal = jnp.einsum("mji,mjk,mkl->mil", t, mass + s * springs.diagonal[a:b], t)
         left = jnp.roll(t, 1, axis=0)

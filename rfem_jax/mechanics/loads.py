@@ -25,6 +25,7 @@ from rfem_jax.mechanics.algebra import apply, apply_transposed, cross, dot
 from rfem_jax.mechanics.cut_joints import Closure
 from rfem_jax.mechanics.dynamics import Accelerations, link_axes
 from rfem_jax.mechanics.inputs import DriveInput
+from rfem_jax.mechanics.joint_forces import hinge_moments
 from rfem_jax.mechanics.kinematics import Motion, all_frames, motion_of, spread, total
 from rfem_jax.mechanics.model import BASE, Coordinates, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
@@ -121,10 +122,9 @@ def _in_hinge_frames(topology: Topology, result: Solved, force: Array, moment: A
     centres, in global axes; those of cut joints from the multipliers."""
     rotation = result.motion.hinges.rotation
     force, moment = apply_transposed(rotation, force), apply_transposed(rotation, moment)
-    if drive.moment is not None:
-        is_driven = jnp.arange(topology.n_links) == topology.driven
-        about_hinge = moment[1] - jnp.where(is_driven, drive.moment[None], 0.0)
-        moment = jnp.stack([moment[0], about_hinge, moment[2]])
+    external = hinge_moments(topology, drive)
+    if external is not None:
+        moment = jnp.stack([moment[0], moment[1] - external, moment[2]])
     cuts = result.closure
     if cuts is not None:
         arm = cuts.right_centre - cuts.centre

@@ -38,7 +38,7 @@ from rfem_jax.mechanics.algebra import (
     transpose,
 )
 from rfem_jax.mechanics.block_tridiagonal import solve
-from rfem_jax.mechanics.condensation import LinkOperator
+from rfem_jax.mechanics.condensation import LinkOperator, root_inertia
 from rfem_jax.mechanics.cut_joints import Closure, invert_closure, unit_columns
 from rfem_jax.mechanics.kinematics import Motion
 from rfem_jax.mechanics.model import BASE, Coordinates, Topology
@@ -260,7 +260,7 @@ def _eliminate(
     for l in reversed(range(n)):
         rotation, operator = motion.links.rotation[:, :, l], operators[l]
         frame = _wrench_transform(rotation, motion.links.point[:, l] - points[l])
-        in_link = _rigid_inertia(actual, l) if operator is None else operator.inertia
+        in_link = root_inertia(actual, l) if operator is None else operator.inertia
         inertia = algebra.product_transposed(product(frame, in_link), frame)
         inertia = inertia + outboard.get(l, 0.0)
         interfaces, rotations = None, _interface_rotations(topology, motion, l)
@@ -315,11 +315,6 @@ def _block_diagonal(blocks: Sequence[Array | None]) -> Array:
         for i, block in enumerate(filled)
     ]
     return jnp.concatenate(rows)
-
-
-def _rigid_inertia(actual: ModelWithErrors, link: int) -> Array:
-    mass, centre = actual.mass[link], actual.centre[:, link]
-    return algebra.spatial_inertia(mass, centre, actual.inertia[:, :, link])
 
 
 def _respond(
