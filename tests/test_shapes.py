@@ -1,0 +1,36 @@
+"""Arrays have the shapes and kinds that annotations say: a simulation is traced with all of them checked."""
+
+from tests.processes import in_a_new_process
+
+CHECKED = """
+import jaxtyping
+jaxtyping.install_import_hook(
+    ["rfem_jax.description", "rfem_jax.mechanics", "rfem_jax.simulation"], "beartype.beartype"
+)
+import jax
+jax.config.update("jax_enable_x64", True)
+import rfem_jax
+from tests.mechanisms import four_bar
+
+drive = rfem_jax.MomentRamp("A", 1.5, 0.01)
+for elements in ("linear", "geometrically_exact"):
+    model = rfem_jax.discretise(four_bar(3), elements=elements)
+    for method in (rfem_jax.Method("rk4", step=1e-5), rfem_jax.Method("generalised_alpha", step=1e-3)):
+
+        def simulate(tilt):
+            errors = rfem_jax.assembly_errors(model, {"D.delta_x": tilt})
+            run = rfem_jax.simulate(model, errors, drive=drive, duration=0.02, method=method, save_every=1e-2)
+            return run.metrics.mean_square_moment["D"]
+
+        print(jax.eval_shape(jax.jacfwd(simulate), 0.01).shape)
+try:
+    from rfem_jax.mechanics import algebra
+    algebra.rotation_y("no array")
+except jaxtyping.TypeCheckError:
+    print("checked")
+"""
+
+
+def test_a_simulation_has_the_shapes_of_its_annotations():
+    """Tracing alone: nothing is compiled."""
+    assert in_a_new_process(CHECKED).splitlines() == ["()"] * 4 + ["checked"]
