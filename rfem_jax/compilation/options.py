@@ -21,7 +21,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 # Loops of any size are one kernel; XLA does not unroll loops over axes, which would double the time of compilation.
 OPTIONS = ("xla_cpu_small_while_loop_byte_threshold=1000000000000000", "xla_cpu_disable_loop_unrolling=true")
@@ -147,7 +147,7 @@ class OwnProgram:
         """Its options besides those of the process."""
         return ([] if _attempt.fusion else [FUSION]) + ([] if self.scalarised else [NO_LOOP_ROTATION])
 
-    def add_to(self, options):
+    def add_to(self, options: Any) -> Any:
         """The options of a compilation with these."""
         options = _with(self.options(), options)
         if not self.scalarised:

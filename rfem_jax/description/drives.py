@@ -34,7 +34,7 @@ from rfem_jax.description.units import (
 )
 
 Scalar = Float[Array, ""]
-Time = Float[Array, ""] | float
+Time = int | float | Float[Array | np.ndarray, ""]
 Phase = Int[Array, ""] | int | np.integer
 if TYPE_CHECKING:
     Law = Callable[..., Scalar]

@@ -16,7 +16,7 @@ from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float, Int
 
 from rfem_jax.compilation.scalarisation import nothing_known
-from rfem_jax.description.drives import MomentDrive, PrescribedDrive
+from rfem_jax.description.drives import MomentDrive, Phase, PrescribedDrive, Time
 from rfem_jax.mechanics import loads, model_with_errors
 from rfem_jax.mechanics.condensation import LinkOperator
 from rfem_jax.mechanics.dynamics import Accelerations, accelerations
@@ -166,9 +166,7 @@ class _FromStartAngle(PrescribedDrive):
     def breakpoints(self) -> tuple[float, ...]:
         return self.drive.breakpoints()
 
-    def motion_at(
-        self, t: Scalar, phase: Int[Array, ""]
-    ) -> tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]]:
+    def motion_at(self, t: Time, phase: Phase) -> tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]]:
         angle, rate, acceleration = self.drive.motion_at(t, phase)
         return self.start + angle, rate, acceleration
 

@@ -44,7 +44,7 @@ from jaxtyping import Array, Bool, Float, PyTree
 from rfem_jax.description.drives import PrescribedDrive
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.methods import Method
-from rfem_jax.mechanics import loads
+from rfem_jax.mechanics import algebra, loads
 from rfem_jax.mechanics.condensation import LinkOperator, link_operators, present_operators
 from rfem_jax.mechanics.cut_joints import closure
 from rfem_jax.mechanics.elasticity import dissipated_power
@@ -375,7 +375,7 @@ def squared_forces(rates: Integrals) -> Float[Array, "2 joints"]:
 
 
 def residual_forces(
-    actual: ModelWithErrors, evaluation: Evaluation, drive: DriveInput, scale: Float[Array, ""]
+    actual: ModelWithErrors, evaluation: Evaluation, drive: DriveInput, scale: algebra.Scalar
 ) -> Float[Array, " n"]:
     """The residual as forces [N]: on the rfes, about the hinges, and to close the cut joints.
 

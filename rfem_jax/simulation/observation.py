@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from rfem_jax.mechanics import loads
+from rfem_jax.mechanics import algebra, loads
 from rfem_jax.mechanics.centre_lines import link_ends
 from rfem_jax.mechanics.cut_joints import Closure, assembly_modes
 from rfem_jax.mechanics.dynamics import Accelerations
@@ -76,9 +76,7 @@ class Record(NamedTuple):
     squares: Float[Array, "2 joints"]
 
 
-def solved_instant(
-    actual: ModelWithErrors, result: Accelerations, drive: DriveInput, scale: Float[Array, ""]
-) -> Instant:
+def solved_instant(actual: ModelWithErrors, result: Accelerations, drive: DriveInput, scale: algebra.Scalar) -> Instant:
     """An instant whose equations of motion were solved for the accelerations; `scale` [m] as in `closure`."""
     joint, base = loads.chain_loads(actual, result, result.angular, result.linear, drive)
     drift, drift_angle = cut_drift(result.closure, scale)
@@ -102,7 +100,7 @@ def evaluated_instant(
     evaluation: Evaluation,
     accelerations: Coordinates,
     drive: DriveInput,
-    scale: Float[Array, ""],
+    scale: algebra.Scalar,
     residual: Float[Array, " n"],
 ) -> Instant:
     """An instant at which the equations of motion hold up to a residual [N]; `scale` [m] as in `closure`.
@@ -175,7 +173,7 @@ def _branch(actual: ModelWithErrors, instant: Instant) -> Float[Array, " cuts"]:
     return assembly_modes(actual, instant.motion, instant.closure)
 
 
-def cut_drift(cuts: Closure | None, scale: Float[Array, ""]) -> tuple[Float[Array, ""], Float[Array, ""]]:
+def cut_drift(cuts: Closure | None, scale: algebra.Scalar) -> tuple[Float[Array, ""], Float[Array, ""]]:
     """Closure errors of the cut joints: largest distance [m] of two joint centres, largest axis equation [rad]."""
     if cuts is None:
         return jnp.zeros(()), jnp.zeros(())

@@ -228,7 +228,7 @@ class Tolerances(eqx.Module):
             )
 
     @classmethod
-    def of(cls, study) -> "Tolerances":
+    def of(cls, study: Study | SpecifiedTolerances) -> "Tolerances":
         """The distributions that a study specifies, for `monte_carlo`, `worst_case` and the like.
 
         Args: study, as `load_study` gives it, or its `tolerances`.

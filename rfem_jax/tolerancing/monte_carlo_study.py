@@ -99,6 +99,7 @@ def monte_carlo(
     require_float64()
     tolerances = distributions_of(tolerances)
     _check_tolerances(problem, tolerances)
+    assert isinstance(tolerances, Tolerances)
     batch = whole_number(_as_int(batch), "batch", 1)
     lanes = default_lanes() if lanes is None else whole_number(_as_int(lanes), "lanes", 1)
     asked = _read_statistics(problem, limits, quantiles, confidence)
