@@ -183,11 +183,11 @@ def study_script():
             sys.modules.pop(name, None)
 
 
-def test_slope_along_a_turn(study_script):
+def test_derivative_along_a_revolution(study_script):
     angles = 0.4 + 2.0 * np.pi * np.arange(24) / 24
     values = np.stack([np.sin(3.0 * angles), 2.0 + np.cos(angles)], axis=1)
     expected = np.stack([3.0 * np.cos(3.0 * angles), -np.sin(angles)], axis=1)
-    np.testing.assert_allclose(study_script.slope_along_turn(values, angles), expected, atol=1e-12)
+    np.testing.assert_allclose(study_script.derivative_along_revolution(values, angles), expected, atol=1e-12)
 
 
 def test_crooked_pins_follow_from_seat_and_bore(study_script):
@@ -195,10 +195,10 @@ def test_crooked_pins_follow_from_seat_and_bore(study_script):
     the crank turns; at the start they stress nothing."""
     model = discretise(study_mechanism(), rfes=3)
     start = float(model.start_angles[0])
-    turned, cut = study_script.poses_over_turn(model, [start, start + 0.7, start + 1.4])
+    turned, cut = study_script.poses_over_revolution(model, [start, start + 0.7, start + 1.4])
     names = tuple(name for name in model.topology.error_names if "pin_tilt" not in name)
     poses = (jnp.asarray(turned), jnp.asarray(cut))
-    values = np.asarray(study_script.slopes(model, names, poses))
+    values = np.asarray(study_script.derivatives(model, names, poses))
     more, values = study_script.with_crooked_pins(model, names, values)
     pins = [i for i, name in enumerate(more) if "pin_tilt" in name]
     assert len(pins) == 8
