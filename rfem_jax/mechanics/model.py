@@ -131,17 +131,44 @@ class Topology(NamedTuple):
         return self.joints.index(name)
 
 
-class Model(eqx.Module):
-    """What the mechanism is: nominal numbers of a discretised mechanism (SI units).
+class Sections(eqx.Module):
+    """Properties of the links' cross-sections, per unit length.
 
-    section rows: EA, GA_y, GA_z, GJ, EI_y, EI_z, rho A, rho I_x, rho I_y, rho I_z, damping [s].
-    Frames of a joint on its two sides (F and F_c) are relative to the node's frame: the link frame
-    for rfe 0, the frame at the segment's middle for a free rfe.
+    stiffness: EA, GA_y, GA_z [N], GJ, EI_y, EI_z [N m^2], in the order of a sde's deflections (du, dphi).
+    line_density: rho A [kg/m].
+    rotary: rho I_x, rho I_y, rho I_z [kg m].
+    damping: time constant eta of the stiffness-proportional damping [s].
+    """
+
+    stiffness: Float[Array, "6 links"]
+    line_density: Float[Array, " links"]
+    rotary: Float[Array, "3 links"]
+    damping: Float[Array, " links"]
+
+    @property
+    def bending(self) -> Float[Array, " links"]:
+        """EI_y, for bending in the plane of motion [N m^2]."""
+        return self.stiffness[4]
+
+
+class Model(eqx.Module):
+    """The nominal, discretised mechanism (SI units).
+
+    length: of the links [m]; section: of their cross-sections; parent_*, child_*: frames of the joints on
+    their two sides (F and F_c), relative to the node's frame, which is the link frame for rfe 0 and the frame
+    at the segment's middle for a free rfe; point_*: mass [kg], place in the node's frame [m] and principal
+    moments of inertia [kg m^2] of the point masses; start_angles, cut_angles: of the tree joints and the cut
+    joints at the closed start [rad]; gravity [m/s^2] in global axes.
+
+    `equinox.tree_at` may replace what leaves the geometry as it is, also by traced values to differentiate by:
+    section, point masses, gravity.  With another length or joint frame the start angles no longer close the
+    loops, and another length does not move the joints on the link either, so that results and derivatives are
+    wrong without a sign of it: use the length errors of `assembly_errors`, or describe and discretise anew.
     """
 
     topology: Topology = eqx.field(static=True)
     length: Float[Array, " links"]
-    section: Float[Array, "11 links"]
+    section: Sections
     parent_rotation: Float[Array, "3 3 joints"]
     parent_position: Float[Array, "3 joints"]
     child_rotation: Float[Array, "3 3 joints"]
@@ -248,16 +275,16 @@ def build_model(mechanism: Mechanism, elements: dict[str, int], exact: bool = Fa
         exact=exact,
     )
 
-    def columns(rows, width):
+    def columns(rows: Sequence[Sequence[float] | np.ndarray], width: int) -> Array:
         return jnp.asarray(np.array(rows, dtype=float).reshape(-1, width).T)
 
-    def rotations(orientations):
+    def rotations(orientations: Sequence[Sequence[float]]) -> Array:
         return jnp.asarray(np.stack([_orientation(o) for o in orientations], axis=-1))
 
     return Model(
         topology=topology,
         length=jnp.asarray([link.length for link in links]),
-        section=columns([_section_row(link) for link in links], 11),
+        section=_sections(links),
         parent_rotation=rotations([j.orientation for j in joints]),
         parent_position=columns([p[1] for p in parents], 3),
         child_rotation=rotations([j.child_orientation for j in joints]),
@@ -282,12 +309,18 @@ def _links_in_tree_order(mechanism: Mechanism) -> list[Link]:
     return sorted(mechanism.links, key=lambda link: depth(link.name))
 
 
-def _section_row(link: Link) -> list[float]:
-    p = link.properties
-    return [
-        *(p.axial, p.shear_y, p.shear_z, p.torsion, p.bending_y, p.bending_z),
-        *(p.line_density, p.rotary_x, p.rotary_y, p.rotary_z, p.damping),
-    ]
+def _sections(links: Sequence[Link]) -> Sections:
+    properties = [link.properties for link in links]
+
+    def rows(*names: str) -> Array:
+        return jnp.asarray(np.array([[getattr(p, name) for p in properties] for name in names], dtype=float))
+
+    return Sections(
+        stiffness=rows("axial", "shear_y", "shear_z", "torsion", "bending_y", "bending_z"),
+        line_density=rows("line_density")[0],
+        rotary=rows("rotary_x", "rotary_y", "rotary_z"),
+        damping=rows("damping")[0],
+    )
 
 
 def _orientation(angles: Sequence[float]) -> np.ndarray:

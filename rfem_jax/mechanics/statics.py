@@ -319,7 +319,8 @@ def length_scale(model: Model) -> Float[Array, ""]:
 
 def _force_scale(model: Model, actual: ModelWithErrors) -> Array:
     """A force [N] of the mechanism: its bending stiffness over a length squared, or its weight."""
-    bending = [model.section[4, l] / model.length[l] ** 2 for l, n in enumerate(model.topology.elements) if n > 1]
+    stiffness = model.section.bending
+    bending = [stiffness[l] / model.length[l] ** 2 for l, n in enumerate(model.topology.elements) if n > 1]
     if bending:
         return jax.lax.stop_gradient(jnp.max(jnp.stack(bending)))
     weight = jnp.sum(actual.mass) * jnp.linalg.norm(model.gravity)

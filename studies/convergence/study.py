@@ -97,8 +97,8 @@ def slopes_program(study, model, method, dampings) -> Program:
     @eqx.filter_jit
     def run(model, dampings):
         def one(damping):
-            section = model.section.at[10].set(damping)
-            damped = eqx.tree_at(lambda m: m.section, model, section)
+            of_links = jnp.full_like(model.section.damping, damping)
+            damped = eqx.tree_at(lambda m: m.section.damping, model, of_links)
 
             def squares(tilt):
                 run = simulate(
