@@ -1,6 +1,6 @@
 """The discretised mechanism: `Model`, its static `Topology`, and the state's coordinates.
 
-Place in the pipeline: description -> **model** -> model_with_errors -> kinematics.
+Place in the pipeline: model_building makes it -> **model** -> model_with_errors -> kinematics.
 
 A *node* is a rigid body: -1 is the base, 0 .. links-1 are the rfes 0 (one a link, whose frame is the
 link frame {p,0}), and links + k is the free rfe k.  All free rfes of all links stand in one array
@@ -14,7 +14,6 @@ Symbols: n_links L, n_rfes N (free rfes), joints J = L tree joints (joint l carr
 joints.  Arrays are components first (see `algebra`).
 """
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -24,8 +23,6 @@ from jax import Array
 from jaxtyping import Float, Int
 
 from rfem_jax.description.errors import InputError
-from rfem_jax.description.links import Link
-from rfem_jax.description.mechanism import Mechanism
 
 BASE = -1
 
@@ -209,125 +206,3 @@ def rfe_fractions(elements: int) -> tuple[Float[np.ndarray, " n"], Float[np.ndar
     m = elements - 1
     edges = np.concatenate([[0.0], (np.arange(m) + 0.5) / m, [1.0]])
     return np.diff(edges), 0.5 * (edges[1:] + edges[:-1])
-
-
-def build_model(mechanism: Mechanism, elements: dict[str, int], exact: bool = False) -> Model:
-    """Arrays of a mechanism whose links have the given numbers of rfes (by name).
-
-    The start angles are the description's approximate ones; `discretise` closes the loops.
-    """
-    links = _links_in_tree_order(mechanism)
-    index = {link.name: i for i, link in enumerate(links)}
-    counts = tuple(elements[link.name] for link in links)
-    first = np.concatenate([[0], np.cumsum([n - 1 for n in counts])])
-
-    def locate(link_index: int, position: Sequence[float]) -> tuple[int, np.ndarray]:
-        """Node that holds a point of a link, and the point in the node's frame."""
-        link, n = links[link_index], counts[link_index]
-        _, middles = rfe_fractions(n)
-        edge = np.clip(position[0] / link.length * (n - 1) + 0.5, 0, n - 1)
-        i = 0 if n == 1 else int(min(edge, n - 1))
-        if i == 0:
-            return link_index, np.asarray(position)
-        return (
-            len(links) + int(first[link_index]) + i - 1,
-            np.asarray(position) - [middles[i] * link.length, 0.0, 0.0],
-        )
-
-    def attach(owner: str, position: Sequence[float] | None, at_end: bool) -> tuple[int, np.ndarray, bool]:
-        """Node and place in its frame of one side of a joint, and whether that is the far end of a link; without
-        a position this is the link's end (`at_end`) or its start."""
-        if owner == "base":
-            return BASE, np.asarray((0.0, 0.0, 0.0) if position is None else position), False
-        link = links[index[owner]]
-        if position is None:
-            position = (link.length if at_end else 0.0, 0.0, 0.0)
-        ends_there = abs(position[0] - link.length) <= 1e-12 * link.length
-        return *locate(index[owner], position), ends_there
-
-    tree = {joint.child: joint for joint in mechanism.joints if not joint.cut}
-    joints = [tree[link.name] for link in links] + [j for j in mechanism.joints if j.cut]
-    parents = [attach(j.parent, j.position, True) for j in joints]
-    children = [attach(j.child, j.child_position, j.cut) for j in joints]
-    for joint, (node, _, _) in zip(joints[: len(links)], children):
-        if node >= len(links):
-            raise InputError(
-                f"Argument `child_position` of joint {joint.name!r} must lie on the first rigid "
-                f"finite element of link {joint.child!r}, but is {joint.child_position}: a tree "
-                "joint carries its link there. Swap the link's ends or cut this joint instead."
-            )
-    masses = [(i, mass) for i, link in enumerate(links) for mass in link.point_masses]
-    located = [locate(i, mass.position) for i, mass in masses]
-    driven = mechanism.driven_joint
-    topology = Topology(
-        links=tuple(link.name for link in links),
-        joints=tuple(j.name for j in joints),
-        joint_order=tuple(j.name for j in mechanism.joints),
-        error_names=tuple(mechanism.error_names),
-        parents=tuple(p[0] for p in parents),
-        children=tuple(c[0] for c in children),
-        parent_at_end=tuple(p[2] for p in parents),
-        child_at_end=tuple(c[2] for c in children),
-        elements=counts,
-        driven=None if driven is None else [j.name for j in joints].index(driven),
-        masses=tuple(node for node, _ in located),
-        minimum_norm=mechanism.redundant_reactions == "minimum_norm",
-        exact=exact,
-    )
-
-    def columns(rows: Sequence[Sequence[float] | np.ndarray], width: int) -> Array:
-        return jnp.asarray(np.array(rows, dtype=float).reshape(-1, width).T)
-
-    def rotations(orientations: Sequence[Sequence[float]]) -> Array:
-        return jnp.asarray(np.stack([_orientation(o) for o in orientations], axis=-1))
-
-    return Model(
-        topology=topology,
-        length=jnp.asarray([link.length for link in links]),
-        section=_sections(links),
-        parent_rotation=rotations([j.orientation for j in joints]),
-        parent_position=columns([p[1] for p in parents], 3),
-        child_rotation=rotations([j.child_orientation for j in joints]),
-        child_position=columns([c[1] for c in children], 3),
-        point_mass=jnp.asarray(np.array([mass.mass for _, mass in masses], dtype=float)),
-        point_position=columns([point for _, point in located], 3),
-        point_inertia=columns([mass.inertia for _, mass in masses], 3),
-        start_angles=jnp.asarray([float(j.angle or 0.0) for j in joints[: len(links)]]),
-        cut_angles=jnp.zeros(len(joints) - len(links)),
-        gravity=jnp.asarray(mechanism.gravity, dtype=float),
-    )
-
-
-def _links_in_tree_order(mechanism: Mechanism) -> list[Link]:
-    """By depth in the tree, else in the order of the description (`Mechanism.tree_joints` goes down to a link's
-    children before its siblings)."""
-    parent = {j.child: j.parent for j in mechanism.joints if not j.cut}
-
-    def depth(name: str) -> int:
-        return 0 if parent[name] == "base" else 1 + depth(parent[name])
-
-    return sorted(mechanism.links, key=lambda link: depth(link.name))
-
-
-def _sections(links: Sequence[Link]) -> Sections:
-    properties = [link.properties for link in links]
-
-    def rows(*names: str) -> Array:
-        return jnp.asarray(np.array([[getattr(p, name) for p in properties] for name in names], dtype=float))
-
-    return Sections(
-        stiffness=rows("axial", "shear_y", "shear_z", "torsion", "bending_y", "bending_z"),
-        line_density=rows("line_density")[0],
-        rotary=rows("rotary_x", "rotary_y", "rotary_z"),
-        damping=rows("damping")[0],
-    )
-
-
-def _orientation(angles: Sequence[float]) -> np.ndarray:
-    """R = R_z R_y R_x of three angles about x, y, z."""
-    cx, cy, cz = np.cos(angles)
-    sx, sy, sz = np.sin(angles)
-    rx = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
-    ry = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
-    rz = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
-    return rz @ ry @ rx
