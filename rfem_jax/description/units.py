@@ -187,7 +187,8 @@ def _as_float(value: Any, where: str) -> float:
     except TypeError:  # a traced value, a complex array
         raise InputError(
             f"{subject(where)} must be a number known before compilation, but was {value!r}; "
-            "give it outside `jit`, and vary assembly errors or the model instead."
+            "give it outside `jit`, and vary instead assembly errors, length errors among them, or what leaves "
+            "the geometry of the model as it is: its `section`, point masses and `gravity`."
         ) from None
 
 

@@ -1,6 +1,7 @@
 """One instant: discretisation, errors, kinematics, dynamics, closure, joint loads; static assembly.
 
-model, discretisation       description -> Model
+model, model_building       description -> Model
+discretisation              its loops closed at the start, rank and mobility
 nominal_geometry            the perfect mechanism in NumPy: does it close, rank, mobility
 model_with_errors           + AssemblyErrors -> constants of the equations of motion
 kinematics                  + State -> positions and velocities

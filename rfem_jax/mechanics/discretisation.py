@@ -1,6 +1,6 @@
 """From a described mechanism to a model: discretisation, closed start, rank and mobility.
 
-Place in the pipeline: description -> **discretisation** -> everything else.
+Place in the pipeline: model_building, nominal_geometry -> **discretisation** -> everything else.
 """
 
 from typing import NamedTuple
@@ -13,7 +13,8 @@ from jaxtyping import Float
 from rfem_jax.description.errors import InputError, require_choice
 from rfem_jax.description.mechanism import ELEMENTS, Mechanism
 from rfem_jax.mechanics.cut_joints import RANK_TOLERANCE
-from rfem_jax.mechanics.model import Model, build_model
+from rfem_jax.mechanics.model import Model
+from rfem_jax.mechanics.model_building import build_model
 from rfem_jax.mechanics.nominal_geometry import closure_jacobian, gaps, geometry_of, place
 
 # Of the longest link.  Overconstrained loops close only as well as their numbers were typed: with angles of six

@@ -1,6 +1,6 @@
 """The discretised mechanism: `Model`, its static `Topology`, and the state's coordinates.
 
-Place in the pipeline: description -> **model** -> model_with_errors -> kinematics.
+Place in the pipeline: model_building makes it -> **model** -> model_with_errors -> kinematics.
 
 A *node* is a rigid body: -1 is the base, 0 .. links-1 are the rfes 0 (one a link, whose frame is the
 link frame {p,0}), and links + k is the free rfe k.  All free rfes of all links stand in one array
@@ -14,7 +14,6 @@ Symbols: n_links L, n_rfes N (free rfes), joints J = L tree joints (joint l carr
 joints.  Arrays are components first (see `algebra`).
 """
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -24,8 +23,6 @@ from jax import Array
 from jaxtyping import Float, Int
 
 from rfem_jax.description.errors import InputError
-from rfem_jax.description.links import Link
-from rfem_jax.description.mechanism import Mechanism
 
 BASE = -1
 
@@ -131,17 +128,44 @@ class Topology(NamedTuple):
         return self.joints.index(name)
 
 
-class Model(eqx.Module):
-    """What the mechanism is: nominal numbers of a discretised mechanism (SI units).
+class Sections(eqx.Module):
+    """Properties of the links' cross-sections, per unit length.
 
-    section rows: EA, GA_y, GA_z, GJ, EI_y, EI_z, rho A, rho I_x, rho I_y, rho I_z, damping [s].
-    Frames of a joint on its two sides (F and F_c) are relative to the node's frame: the link frame
-    for rfe 0, the frame at the segment's middle for a free rfe.
+    stiffness: EA, GA_y, GA_z [N], GJ, EI_y, EI_z [N m^2], in the order of a sde's deflections (du, dphi).
+    line_density: rho A [kg/m].
+    rotary: rho I_x, rho I_y, rho I_z [kg m].
+    damping: time constant eta of the stiffness-proportional damping [s].
+    """
+
+    stiffness: Float[Array, "6 links"]
+    line_density: Float[Array, " links"]
+    rotary: Float[Array, "3 links"]
+    damping: Float[Array, " links"]
+
+    @property
+    def bending(self) -> Float[Array, " links"]:
+        """EI_y, for bending in the plane of motion [N m^2]."""
+        return self.stiffness[4]
+
+
+class Model(eqx.Module):
+    """The nominal, discretised mechanism (SI units).
+
+    length: of the links [m]; section: of their cross-sections; parent_*, child_*: frames of the joints on
+    their two sides (F and F_c), relative to the node's frame, which is the link frame for rfe 0 and the frame
+    at the segment's middle for a free rfe; point_*: mass [kg], place in the node's frame [m] and principal
+    moments of inertia [kg m^2] of the point masses; start_angles, cut_angles: of the tree joints and the cut
+    joints at the closed start [rad]; gravity [m/s^2] in global axes.
+
+    `equinox.tree_at` may replace what leaves the geometry as it is, also by traced values to differentiate by:
+    section, point masses, gravity.  With another length or joint frame the start angles no longer close the
+    loops, and another length does not move the joints on the link either, so that results and derivatives are
+    wrong without a sign of it: use the length errors of `assembly_errors`, or describe and discretise anew.
     """
 
     topology: Topology = eqx.field(static=True)
     length: Float[Array, " links"]
-    section: Float[Array, "11 links"]
+    section: Sections
     parent_rotation: Float[Array, "3 3 joints"]
     parent_position: Float[Array, "3 joints"]
     child_rotation: Float[Array, "3 3 joints"]
@@ -182,119 +206,3 @@ def rfe_fractions(elements: int) -> tuple[Float[np.ndarray, " n"], Float[np.ndar
     m = elements - 1
     edges = np.concatenate([[0.0], (np.arange(m) + 0.5) / m, [1.0]])
     return np.diff(edges), 0.5 * (edges[1:] + edges[:-1])
-
-
-def build_model(mechanism: Mechanism, elements: dict[str, int], exact: bool = False) -> Model:
-    """Arrays of a mechanism whose links have the given numbers of rfes (by name).
-
-    The start angles are the description's approximate ones; `discretise` closes the loops.
-    """
-    links = _links_in_tree_order(mechanism)
-    index = {link.name: i for i, link in enumerate(links)}
-    counts = tuple(elements[link.name] for link in links)
-    first = np.concatenate([[0], np.cumsum([n - 1 for n in counts])])
-
-    def locate(link_index: int, position: Sequence[float]) -> tuple[int, np.ndarray]:
-        """Node that holds a point of a link, and the point in the node's frame."""
-        link, n = links[link_index], counts[link_index]
-        _, middles = rfe_fractions(n)
-        edge = np.clip(position[0] / link.length * (n - 1) + 0.5, 0, n - 1)
-        i = 0 if n == 1 else int(min(edge, n - 1))
-        if i == 0:
-            return link_index, np.asarray(position)
-        return (
-            len(links) + int(first[link_index]) + i - 1,
-            np.asarray(position) - [middles[i] * link.length, 0.0, 0.0],
-        )
-
-    def attach(owner: str, position: Sequence[float] | None, at_end: bool) -> tuple[int, np.ndarray, bool]:
-        """Node and place in its frame of one side of a joint, and whether that is the far end of a link; without
-        a position this is the link's end (`at_end`) or its start."""
-        if owner == "base":
-            return BASE, np.asarray((0.0, 0.0, 0.0) if position is None else position), False
-        link = links[index[owner]]
-        if position is None:
-            position = (link.length if at_end else 0.0, 0.0, 0.0)
-        ends_there = abs(position[0] - link.length) <= 1e-12 * link.length
-        return *locate(index[owner], position), ends_there
-
-    tree = {joint.child: joint for joint in mechanism.joints if not joint.cut}
-    joints = [tree[link.name] for link in links] + [j for j in mechanism.joints if j.cut]
-    parents = [attach(j.parent, j.position, True) for j in joints]
-    children = [attach(j.child, j.child_position, j.cut) for j in joints]
-    for joint, (node, _, _) in zip(joints[: len(links)], children):
-        if node >= len(links):
-            raise InputError(
-                f"Argument `child_position` of joint {joint.name!r} must lie on the first rigid "
-                f"finite element of link {joint.child!r}, but is {joint.child_position}: a tree "
-                "joint carries its link there. Swap the link's ends or cut this joint instead."
-            )
-    masses = [(i, mass) for i, link in enumerate(links) for mass in link.point_masses]
-    located = [locate(i, mass.position) for i, mass in masses]
-    driven = mechanism.driven_joint
-    topology = Topology(
-        links=tuple(link.name for link in links),
-        joints=tuple(j.name for j in joints),
-        joint_order=tuple(j.name for j in mechanism.joints),
-        error_names=tuple(mechanism.error_names),
-        parents=tuple(p[0] for p in parents),
-        children=tuple(c[0] for c in children),
-        parent_at_end=tuple(p[2] for p in parents),
-        child_at_end=tuple(c[2] for c in children),
-        elements=counts,
-        driven=None if driven is None else [j.name for j in joints].index(driven),
-        masses=tuple(node for node, _ in located),
-        minimum_norm=mechanism.redundant_reactions == "minimum_norm",
-        exact=exact,
-    )
-
-    def columns(rows, width):
-        return jnp.asarray(np.array(rows, dtype=float).reshape(-1, width).T)
-
-    def rotations(orientations):
-        return jnp.asarray(np.stack([_orientation(o) for o in orientations], axis=-1))
-
-    return Model(
-        topology=topology,
-        length=jnp.asarray([link.length for link in links]),
-        section=columns([_section_row(link) for link in links], 11),
-        parent_rotation=rotations([j.orientation for j in joints]),
-        parent_position=columns([p[1] for p in parents], 3),
-        child_rotation=rotations([j.child_orientation for j in joints]),
-        child_position=columns([c[1] for c in children], 3),
-        point_mass=jnp.asarray(np.array([mass.mass for _, mass in masses], dtype=float)),
-        point_position=columns([point for _, point in located], 3),
-        point_inertia=columns([mass.inertia for _, mass in masses], 3),
-        start_angles=jnp.asarray([float(j.angle or 0.0) for j in joints[: len(links)]]),
-        cut_angles=jnp.zeros(len(joints) - len(links)),
-        gravity=jnp.asarray(mechanism.gravity, dtype=float),
-    )
-
-
-def _links_in_tree_order(mechanism: Mechanism) -> list[Link]:
-    """By depth in the tree, else in the order of the description (`Mechanism.tree_joints` goes down to a link's
-    children before its siblings)."""
-    parent = {j.child: j.parent for j in mechanism.joints if not j.cut}
-
-    def depth(name: str) -> int:
-        return 0 if parent[name] == "base" else 1 + depth(parent[name])
-
-    return sorted(mechanism.links, key=lambda link: depth(link.name))
-
-
-def _section_row(link: Link) -> list[float]:
-    p = link.properties
-    return [
-        *(p.axial, p.shear_y, p.shear_z, p.torsion, p.bending_y, p.bending_z),
-        *(p.line_density, p.rotary_x, p.rotary_y, p.rotary_z, p.damping),
-    ]
-
-
-def _orientation(angles: Sequence[float]) -> np.ndarray:
-    """R = R_z R_y R_x of three angles about x, y, z."""
-    cx, cy, cz = np.cos(angles)
-    sx, sy, sz = np.sin(angles)
-    rx = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
-    ry = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
-    rz = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
-    return rz @ ry @ rx

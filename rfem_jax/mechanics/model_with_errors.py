@@ -232,7 +232,7 @@ def _bodies(
     n_links, nodes = topology.n_links, topology.n_links + topology.n_rfes
     link, share, middle = _node_fractions(topology)
     extent = share * length[link]
-    density, rotary = model.section[6][link], model.section[7:10][:, link]
+    density, rotary = model.section.line_density[link], model.section.rotary[:, link]
     mass = density * extent
     slender = jnp.asarray(np.array([0.0, 1.0, 1.0]))[:, None] * (mass * extent**2 / 12.0)[None]
     principal = slender + rotary * extent[None]
@@ -283,8 +283,8 @@ def _spring_damping_elements(model: Model, length: Array) -> dict[str, Array]:
     extent = length[link]
     return {
         "rest": jnp.asarray(right) * extent,
-        "stiffness": model.section[:6][:, link] * (count / extent)[None],
-        "damping": model.section[10][link],
+        "stiffness": model.section.stiffness[:, link] * (count / extent)[None],
+        "damping": model.section.damping[link],
         "lever_left": jnp.asarray(place - left) * extent,
         "lever_right": jnp.asarray(place - right) * extent,
     }

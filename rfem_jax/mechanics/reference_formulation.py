@@ -161,7 +161,6 @@ def reference_accelerations(
         moment = hinge_moment(topology, drive, l)
         if moment is not None:
             force = force.at[l].add(moment)
-    driven = topology.driven
 
     def phi(q):
         return constraints(actual, unravel(q), stabilisation.scale)
@@ -171,9 +170,8 @@ def reference_accelerations(
 
     jacobian = jax.jacfwd(phi)(q)
     gamma = -jax.jvp(phi_rate, (q,), (qd,))[1]
-    gamma = gamma - stabilisation.velocity_gain * phi_rate(q)
-    gamma = gamma - stabilisation.position_gain * phi(q)
-    if drive.prescribed is not None and driven is not None:
+    gamma = gamma - stabilisation.velocity_gain * phi_rate(q) - stabilisation.position_gain * phi(q)
+    if drive.prescribed is not None and (driven := topology.driven) is not None:
         jacobian = jnp.concatenate([jacobian, jnp.eye(q.size)[driven : driven + 1]])
         gamma = jnp.concatenate([gamma, jnp.reshape(drive.prescribed[2], (1,))])
     n, c = q.size, gamma.size

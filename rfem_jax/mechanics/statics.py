@@ -190,13 +190,7 @@ def equilibrium(
 
     # The search is not differentiated: its derivatives are those of the implicit function, taken at its result.
     loaded = jax.lax.stop_gradient(args)
-    if topology.exact:
-        end, found = load_steps(equations, undeformed, perfect, loaded)
-    elif topology.minimum_norm:
-        end, found = newton(equations, guess, loaded)
-    else:
-        constant = _preconditioner(scaled, given, perfect[0], undeformed)
-        end, found = chord(equations, constant, _rows(scaled, perfect[0]), guess, loaded)
+    end, found = _search(scaled, equations, given, (undeformed, guess), perfect, loaded)
 
     def tangent_solve(linear, value):
         if topology.exact or topology.minimum_norm:
@@ -213,6 +207,25 @@ def equilibrium(
     status = jnp.where(right_side, jnp.where(in_range, OK, OUT_OF_RANGE), WRONG_SIDE)
     status = jnp.where(found, status, NOT_ASSEMBLED)
     return position, scaled.multipliers(unknowns), status.astype(jnp.int32)
+
+
+def _search(
+    scaled: _Scaled,
+    equations: Equations,
+    given: np.ndarray,
+    starts: tuple[Array, Array],
+    perfect: tuple[ModelWithErrors, Array],
+    loaded: tuple[ModelWithErrors, Array],
+) -> tuple[Array, Array]:
+    """Unknowns under load and whether they were found, from the undeformed start without and with the held angles;
+    `perfect` and `loaded`: args of the equations."""
+    topology, (undeformed, guess) = scaled.topology, starts
+    if topology.exact:
+        return load_steps(equations, undeformed, perfect, loaded)
+    if topology.minimum_norm:
+        return newton(equations, guess, loaded)
+    constant = _preconditioner(scaled, given, perfect[0], undeformed)
+    return chord(equations, constant, _rows(scaled, perfect[0]), guess, loaded)
 
 
 def _preconditioner(scaled: _Scaled, given: np.ndarray, actual: ModelWithErrors, unknowns: Array) -> Linear:
@@ -319,7 +332,8 @@ def length_scale(model: Model) -> Float[Array, ""]:
 
 def _force_scale(model: Model, actual: ModelWithErrors) -> Array:
     """A force [N] of the mechanism: its bending stiffness over a length squared, or its weight."""
-    bending = [model.section[4, l] / model.length[l] ** 2 for l, n in enumerate(model.topology.elements) if n > 1]
+    stiffness = model.section.bending
+    bending = [stiffness[l] / model.length[l] ** 2 for l, n in enumerate(model.topology.elements) if n > 1]
     if bending:
         return jax.lax.stop_gradient(jnp.max(jnp.stack(bending)))
     weight = jnp.sum(actual.mass) * jnp.linalg.norm(model.gravity)

@@ -100,7 +100,7 @@ class Problem(eqx.Module):
         """True if no flexible link has damping: derivatives of mean-square forces then depend on
         the phase of undamped vibrations (docs/theory/9_symmetry.md)."""
         flexible = np.array(self.model.topology.elements) > 1
-        return bool(flexible.any() and not np.asarray(self.model.section[10])[flexible].any())
+        return bool(flexible.any() and not np.asarray(self.model.section.damping)[flexible].any())
 
     def with_method(self, method: Method) -> "Problem":
         """The same problem by another method, for example with a finer step."""

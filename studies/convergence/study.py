@@ -153,8 +153,8 @@ def derivatives_program(study: Study, model: Model, method: tuple[str, float], d
     @eqx.filter_jit
     def run(model, dampings):
         def one(damping):
-            section = model.section.at[10].set(damping)
-            damped = eqx.tree_at(lambda m: m.section, model, section)
+            of_links = jnp.full_like(model.section.damping, damping)
+            damped = eqx.tree_at(lambda m: m.section.damping, model, of_links)
 
             def squares(tilt):
                 run = run_of(study, damped, assembly_errors(model, {"D.delta_x": tilt}), method, plan)

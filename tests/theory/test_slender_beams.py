@@ -23,6 +23,7 @@ from rfem_jax import (
     assembly_errors,
     discretise,
 )
+from rfem_jax.mechanics.model import Sections
 from rfem_jax.validation.reference_values import read_reference
 
 M = 10  # segments
@@ -41,7 +42,8 @@ def clamped(place, elements):
 @eqx.filter_vmap(in_axes=(None, 0, 0))
 def bent(model, ratio, load):
     """Coordinates, their derivatives with the load, status and clamp's load; EA = GA = ratio."""
-    model = eqx.tree_at(lambda x: x.section, model, model.section.at[:3].set(ratio))
+    stiffness = model.section.stiffness.at[:3].set(ratio)
+    model = eqx.tree_at(lambda x: x.section.stiffness, model, stiffness)
 
     def under(load):
         loaded = eqx.tree_at(lambda x: x.gravity, model, load * jnp.array([0.0, 0.0, -1.0]))
@@ -140,8 +142,7 @@ def test_exact_elements_meet_the_exact_chain_and_the_elastica():
 
 
 def blade(thickness, width=0.01):
-    """Section row of a steel blade, thin in the plane of motion: EA, GA_y, GA_z, GJ, EI_y, EI_z,
-    line density, rotary inertias, damping."""
+    """Sections of one link, a steel blade, thin in the plane of motion."""
     young, shear, density = 210e9, 210e9 / 2.6, 7850.0
     area = width * thickness
     about_y, about_z = width * thickness**3 / 12.0, thickness * width**3 / 12.0
@@ -149,8 +150,12 @@ def blade(thickness, width=0.01):
     stiffness = [young * area, shear * area / 1.2, shear * area / 1.2, shear * torsion]
     inertia = [about_y + about_z, about_y, about_z]
     bending = [young * about_y, young * about_z]
-    row = [*stiffness, *bending, *(density * x for x in [area, *inertia]), 0.0]
-    return np.array(row)
+    return Sections(
+        stiffness=jnp.array([*stiffness, *bending])[:, None],
+        line_density=jnp.array([density * area]),
+        rotary=jnp.array([density * x for x in inertia])[:, None],
+        damping=jnp.zeros(1),
+    )
 
 
 STEP = 1e-5  # of errors, in differences
@@ -173,8 +178,8 @@ CASES = np.array(
 @eqx.filter_vmap(in_axes=(None, 0, 0))
 def put_together(model, section, case):
     """Axial preload of C, its derivative with D.delta_x, status and all preload forces."""
-    rows = model.section.at[:, 1:].set(section[:, None])
-    model = eqx.tree_at(lambda m: (m.section, m.gravity), model, (rows, case[1] * model.gravity))
+    sections = jax.tree.map(lambda old, new: old.at[..., 1:].set(new), model.section, section)
+    model = eqx.tree_at(lambda m: (m.section, m.gravity), model, (sections, case[1] * model.gravity))
 
     def preload(tilt):
         errors = {"D.delta_x": tilt, "D.d_x": case[3], "coupler.length": case[4]}
@@ -189,12 +194,12 @@ def put_together(model, section, case):
 @pytest.fixture(scope="module")
 def blades(four_bar):
     """Results of `put_together` by form of the elements; coupler and rocker are blades."""
-    sections = np.stack([blade(thickness) for thickness in CASES[:, 0]])
+    sections = jax.tree.map(lambda *x: jnp.stack(x), *[blade(thickness) for thickness in CASES[:, 0]])
     results = {}
     for elements in ("linear", "geometrically_exact"):
         model = four_bar("C", rigid="crank", rfes=4, elements=elements)
         assert model.topology.links[0] == "crank"
-        out = put_together(model, jnp.asarray(sections), jnp.asarray(CASES))
+        out = put_together(model, sections, jnp.asarray(CASES))
         results[elements] = jax.tree.map(np.asarray, out)
     return results
 

@@ -1,0 +1,159 @@
+"""From a described mechanism to the arrays of a model, before its loops are closed.
+
+Place in the pipeline: description -> **model_building** -> discretisation.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from rfem_jax.description.errors import InputError
+from rfem_jax.description.joints import Joint
+from rfem_jax.description.links import Link
+from rfem_jax.description.mechanism import Mechanism
+from rfem_jax.mechanics.model import BASE, Model, Sections, Topology, rfe_fractions
+
+
+def build_model(mechanism: Mechanism, elements: dict[str, int], exact: bool = False) -> Model:
+    """Arrays of a mechanism whose links have the given numbers of rfes (by name).
+
+    The start angles are the description's approximate ones; `discretise` closes the loops.
+
+    **Raises:** `InputError` if a tree joint does not lie on the first rfe of its link.
+    """
+    links = _links_in_tree_order(mechanism)
+    discretised = _Links(tuple(links), tuple(elements[link.name] for link in links))
+    tree = {joint.child: joint for joint in mechanism.joints if not joint.cut}
+    joints = [tree[link.name] for link in links] + [j for j in mechanism.joints if j.cut]
+    parents = [discretised.attach(j.parent, j.position, True) for j in joints]
+    children = [discretised.attach(j.child, j.child_position, j.cut) for j in joints]
+    _require_first_rfes(joints[: len(links)], children)
+    masses = [(i, mass) for i, link in enumerate(links) for mass in link.point_masses]
+    located = [discretised.locate(i, mass.position) for i, mass in masses]
+    driven = mechanism.driven_joint
+    topology = Topology(
+        links=tuple(link.name for link in links),
+        joints=tuple(j.name for j in joints),
+        joint_order=tuple(j.name for j in mechanism.joints),
+        error_names=tuple(mechanism.error_names),
+        parents=tuple(p.node for p in parents),
+        children=tuple(c.node for c in children),
+        parent_at_end=tuple(p.at_end for p in parents),
+        child_at_end=tuple(c.at_end for c in children),
+        elements=discretised.elements,
+        driven=None if driven is None else [j.name for j in joints].index(driven),
+        masses=tuple(node for node, _ in located),
+        minimum_norm=mechanism.redundant_reactions == "minimum_norm",
+        exact=exact,
+    )
+    return Model(
+        topology=topology,
+        length=jnp.asarray([link.length for link in links]),
+        section=_sections(links),
+        parent_rotation=_rotations([j.orientation for j in joints]),
+        parent_position=_columns([p.position for p in parents]),
+        child_rotation=_rotations([j.child_orientation for j in joints]),
+        child_position=_columns([c.position for c in children]),
+        point_mass=jnp.asarray(np.array([mass.mass for _, mass in masses], dtype=float)),
+        point_position=_columns([position for _, position in located]),
+        point_inertia=_columns([mass.inertia for _, mass in masses]),
+        start_angles=jnp.asarray([float(j.angle or 0.0) for j in joints[: len(links)]]),
+        cut_angles=jnp.zeros(len(joints) - len(links)),
+        gravity=jnp.asarray(mechanism.gravity, dtype=float),
+    )
+
+
+class _Attachment(NamedTuple):
+    """One side of a joint: its node, its place in the node's frame [m], whether that is the far end of a link."""
+
+    node: int
+    position: np.ndarray
+    at_end: bool
+
+
+class _Links(NamedTuple):
+    """The links in the order of the model, and their numbers of rfes."""
+
+    links: tuple[Link, ...]
+    elements: tuple[int, ...]
+
+    def locate(self, index: int, position: Sequence[float]) -> tuple[int, np.ndarray]:
+        """Node that holds a point of a link, and the point in the node's frame."""
+        link, n = self.links[index], self.elements[index]
+        _, middles = rfe_fractions(n)
+        edge = np.clip(position[0] / link.length * (n - 1) + 0.5, 0, n - 1)
+        i = 0 if n == 1 else int(min(edge, n - 1))
+        if i == 0:
+            return index, np.asarray(position)
+        before = sum(n - 1 for n in self.elements[:index])
+        return len(self.links) + before + i - 1, np.asarray(position) - [middles[i] * link.length, 0.0, 0.0]
+
+    def attach(self, owner: str, position: Sequence[float] | None, at_end: bool) -> _Attachment:
+        """One side of a joint; without a position it is at the link's end (`at_end`) or its start."""
+        if owner == "base":
+            return _Attachment(BASE, np.asarray((0.0, 0.0, 0.0) if position is None else position), False)
+        index = [link.name for link in self.links].index(owner)
+        link = self.links[index]
+        if position is None:
+            position = (link.length if at_end else 0.0, 0.0, 0.0)
+        ends_there = abs(position[0] - link.length) <= 1e-12 * link.length
+        return _Attachment(*self.locate(index, position), ends_there)
+
+
+def _require_first_rfes(joints: Sequence[Joint], children: Sequence[_Attachment]) -> None:
+    """Raise InputError for the first tree joint that does not lie on rfe 0 of its link."""
+    for joint, (node, _, _) in zip(joints, children):
+        if node >= len(joints):
+            raise InputError(
+                f"Argument `child_position` of joint {joint.name!r} must lie on the first rigid "
+                f"finite element of link {joint.child!r}, but is {joint.child_position}: a tree "
+                "joint carries its link there. Swap the link's ends or cut this joint instead."
+            )
+
+
+def _links_in_tree_order(mechanism: Mechanism) -> list[Link]:
+    """By depth in the tree, else in the order of the description (`Mechanism.tree_joints` goes down to a link's
+    children before its siblings)."""
+    parent = {j.child: j.parent for j in mechanism.joints if not j.cut}
+
+    def depth(name: str) -> int:
+        return 0 if parent[name] == "base" else 1 + depth(parent[name])
+
+    return sorted(mechanism.links, key=lambda link: depth(link.name))
+
+
+def _sections(links: Sequence[Link]) -> Sections:
+    properties = [link.properties for link in links]
+
+    def rows(*names: str) -> Array:
+        return jnp.asarray(np.array([[getattr(p, name) for p in properties] for name in names], dtype=float))
+
+    return Sections(
+        stiffness=rows("axial", "shear_y", "shear_z", "torsion", "bending_y", "bending_z"),
+        line_density=rows("line_density")[0],
+        rotary=rows("rotary_x", "rotary_y", "rotary_z"),
+        damping=rows("damping")[0],
+    )
+
+
+def _orientation(angles: Sequence[float]) -> np.ndarray:
+    """R = R_z R_y R_x of three angles about x, y, z."""
+    cx, cy, cz = np.cos(angles)
+    sx, sy, sz = np.sin(angles)
+    rx = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
+    ry = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
+    rz = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
+    return rz @ ry @ rx
+
+
+def _columns(rows: Sequence[Sequence[float] | np.ndarray]) -> Array:
+    """Vectors (3, n)."""
+    return jnp.asarray(np.array(rows, dtype=float).reshape(-1, 3).T)
+
+
+def _rotations(orientations: Sequence[Sequence[float]]) -> Array:
+    """Rotations (3, 3, n) by angles about x, y, z."""
+    return jnp.asarray(np.stack([_orientation(o) for o in orientations], axis=-1))
