@@ -1,11 +1,17 @@
 """rfem_jax against an independent engine, Exudyn, in the same run: accuracy and time.
 
-    python benchmarks/against_exudyn.py [--quick] [--json FILE]
+    python benchmarks/against_exudyn.py [--quick | --trial] [--parts preload loads convergence time ...] [--json FILE]
 
-Tables: preload and RMS loads of the main study's cases (ours linear, ours geometrically exact,
-Exudyn, the values of the independent reference code); time histories; convergence of Exudyn itself;
-its fastest settings and times; the four-bar with a tilted hinge.  Every stated agreement is
-checked; the exit code is 1 if one fails.  `--quick` leaves out most of our own simulations.
+    preload       at the start, of the main study's cases: ours linear, ours geometrically exact, Exudyn, and the
+                  values of the independent reference code
+    loads         RMS loads and time histories, likewise
+    convergence   of Exudyn itself with its step
+    time          of Exudyn: its fastest settings
+    tilted_hinge  the four-bar with a tilted hinge
+    open_chain    an open chain with all errors
+
+Every agreement is checked; the exit code is 1 if one fails.  `--quick` leaves out most of our own simulations.
+`--trial` simulates few steps: it shows that the command works, and its agreements may fail (exit code 0).
 
 Other modules may import `simulate(model, errors, drive, duration, step, ...)` and
 `fastest(case, accuracy) -> (step, seconds, error)` from here.  Times are medians; other programs on
@@ -58,7 +64,7 @@ class Report:
         sys.stdout.flush()
 
     def check(self, what: str, value: float, limit: float) -> None:
-        """State an agreement: `value` is at most `limit`."""
+        """Check an agreement: `value` is at most `limit`."""
         good = bool(value <= limit)
         self.passed += good
         self.failed += [] if good else [what]
@@ -141,11 +147,11 @@ def _models() -> dict:
     return {form: linear if form == "linear" else discretise(study.mechanism, elements=form) for form in FORMS}
 
 
-def our_runs(cases, duration: float) -> dict:
+def our_runs(cases, duration: float, forms=FORMS) -> dict:
     """form -> case -> our run with the study's method and step (Runge-Kutta 4, 1e-5 s)."""
     study, _ = speed.main_study()
     part = dataclasses.replace(study, cases=cases, duration=duration)
-    return {form: run_cases(part, model=model)[1] for form, model in _models().items()}
+    return {form: run_cases(part, model=_models()[form])[1] for form in forms}
 
 
 def compare_rms(report: Report, cases, theirs: dict, ours: dict) -> None:
@@ -179,13 +185,13 @@ def compare_rms(report: Report, cases, theirs: dict, ours: dict) -> None:
         report.check(f"RMS moments, ours {form} against Exudyn", moment, LIMITS[form][1])
 
 
-def compare_histories(report: Report, cases, ours: dict) -> None:
+def compare_histories(report: Report, cases, ours: dict, search: speed.Search) -> None:
     """Crank angle and rate, and the vectors of force and moment, at our saved times."""
     rows = []
     for case in cases:
         for form, mine in ours.items():
             r = mine[case.name]
-            theirs = speed.converged_at(case.name, r.times)
+            theirs = speed.converged_at(case.name, r.times, search)
             row = [case.name, form]
             for name in ("angle", "rate"):
                 row.append(_short(np.abs(theirs[name] - np.asarray(getattr(r, name))).max()))
@@ -202,20 +208,21 @@ def compare_histories(report: Report, cases, ours: dict) -> None:
             report.check(f"crank rate (rad/s), {case.name}, ours {form}", row[3], limit_rate)
             report.check(f"force histories (RMS), {case.name}, ours {form}", row[5], 5e-3)
     report.table(
-        f"Time histories, Exudyn extrapolated from {speed.CONVERGED_STEPS} s: largest differences; "
+        f"Time histories, Exudyn extrapolated from {search.converged} s: largest differences; "
         "loads of all joints as vectors in hinge frames, over the largest load",
         ["case", "ours", "angle rad", "rate rad/s", "force, largest", "force, RMS", "moment, largest", "moment, RMS"],
         rows,
     )
 
 
-def converge(report: Report, quick: bool) -> None:
-    """RMS loads of Exudyn against its step, its order, and what the spectral radius does."""
-    steps = (2e-3, 1e-3, 5e-4, 2e-4, 1e-4, 5e-5)
-    for case in ("P1", "P2", "P5"):
-        reference, rows, before = speed.converged(case), [], None
+def converge(report: Report, quick: bool, search: speed.Search) -> None:
+    """RMS loads of Exudyn against its step, its order, and the effect of the spectral radius."""
+    trial = search == speed.TRIAL
+    steps = (2e-3, 1e-3) if trial else (2e-3, 1e-3, 5e-4, 2e-4, 1e-4, 5e-5)
+    for case in ("P2",) if trial else ("P1", "P2", "P5"):
+        reference, rows, before = speed.converged(case, search), [], None
         for step in steps:
-            result = speed.solve(case, step)
+            result = speed.solve(case, step, search=search)
             error = speed.error_of(result.rms, reference)
             order = None
             if before is not None:
@@ -231,9 +238,10 @@ def converge(report: Report, quick: bool) -> None:
             rows,
         )
         report.check(f"Exudyn's RMS loads at {steps[-1]:g} s, {case}, converged", before[1], 3e-5)
-        _check_motion(report, case)
-    if not quick:
-        _radii(report)
+        if not trial:
+            _check_motion(report, case)
+    if not quick or trial:
+        _radii(report, search)
 
 
 def _check_motion(report: Report, case: str) -> None:
@@ -248,13 +256,13 @@ def _check_motion(report: Report, case: str) -> None:
         report.check(f"Exudyn's rate, {case} at {t} s", away, 1e-5)
 
 
-def _radii(report: Report) -> None:
+def _radii(report: Report, search: speed.Search) -> None:
     rows = []
     for radius in (1.0, 0.95, 0.9, 0.8, 0.7, 0.6, 0.5, 0.3, 0.0):
         row = [radius]
         for step in (2e-3, 1e-3, 5e-4):
-            result = speed.solve("P5", step, Settings(spectral_radius=radius))
-            error = None if result is None else speed.error_of(result.rms, speed.converged("P5"))
+            result = speed.solve("P5", step, Settings(spectral_radius=radius), search)
+            error = None if result is None else speed.error_of(result.rms, speed.converged("P5", search))
             row.append("fails" if error is None else _short(error))
         rows.append(row)
     report.table(
@@ -264,11 +272,11 @@ def _radii(report: Report) -> None:
     )
 
 
-def time_it(report: Report, quick: bool) -> None:
+def time_it(report: Report, quick: bool, search: speed.Search) -> None:
     """Exudyn's fastest runs at given accuracies, and what its settings cost."""
     rows = []
     for accuracy in (1e-2, 1e-3) if quick else (1e-2, 1e-3, 1e-4):
-        b = speed.best("P5", accuracy)
+        b = speed.best("P5", accuracy, search)
         s = b.settings
         rows.append(
             [
@@ -283,8 +291,8 @@ def time_it(report: Report, quick: bool) -> None:
             ]
         )
     report.table(
-        f"Exudyn {exu.config.Version()}, P5, 0.5 s of motion, one thread, solver alone: fastest "
-        f"found (medians of {speed.TIMED})",
+        f"Exudyn {exu.config.Version()}, P5, {search.duration:g} s of motion, one thread, solver alone: fastest "
+        f"found (medians of {search.timed})",
         ["RMS loads within", "step ms", "error", "CPU s", "clock s", "clock, spread", "settings"],
         rows,
     )
@@ -303,22 +311,22 @@ def time_it(report: Report, quick: bool) -> None:
     for name, change in changes.items():
         cells = [name]
         for step in (5e-3, 2e-3, 1e-3):
-            runs = [speed.solve("P5", step, base._replace(**change)) for _ in range(3)]
+            runs = [speed.solve("P5", step, base._replace(**change), search) for _ in range(min(3, search.timed))]
             if None in runs:
                 cells += ["fails", "fails"]
                 continue
-            error = speed.error_of(runs[0].rms, speed.converged("P5"))
+            error = speed.error_of(runs[0].rms, speed.converged("P5", search))
             cells += [round(float(np.median([r.cpu for r in runs])), 4), _short(error)]
         rows.append(cells)
     heads = ["change", "5 ms: CPU s", "error", "2 ms: CPU s", "error ", "1 ms: CPU s", "error  "]
     report.table("What a setting costs (first row: the base)", heads, rows)
-    _whole_sample(report)
+    _whole_sample(report, search)
 
 
-def _whole_sample(report: Report) -> None:
+def _whole_sample(report: Report, search: speed.Search) -> None:
     """What a sample of a Monte Carlo costs Exudyn besides the solver."""
     link, start = speed.prepared("P5")
-    settings = speed.best("P5", 1e-2).settings
+    settings = speed.best("P5", 1e-2, search).settings
     rows = []
     for name, work in (
         ("building the system (Python)", lambda: build(link, settings, start[0])),
@@ -333,36 +341,55 @@ def _whole_sample(report: Report) -> None:
     report.table("Besides the solver, once a sample", ["work", "CPU s"], rows)
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="few cases, little of our own runs")
-    parser.add_argument("--json", metavar="FILE", help="write all tables to a file")
-    options = parser.parse_args()
-    report, (study, _) = Report(), speed.main_study()
-    cases = tuple(c for c in study.cases if c.name in ("P2", "P5") or not options.quick)
-    compare_preload(report, cases)
-    duration = 0.02 if options.quick else study.duration
-    ours = our_runs(cases, duration)
-    if options.quick:
-        theirs = {case.name: rms_loads(speed.converged_runs(case.name)[1].histories, (0.0, duration)) for case in cases}
-        print(f"\n--quick: ours over {duration} s only, so without the reference's values.")
+PARTS = ("preload", "loads", "convergence", "time", "tilted_hinge", "open_chain")
+
+
+def compare_loads(report: Report, cases, quick: bool, search: speed.Search) -> None:
+    """RMS loads and histories, ours against Exudyn's; in a quick run over a short time."""
+    study, _ = speed.main_study()
+    duration = min(0.02, search.duration) if quick else study.duration
+    ours = our_runs(cases, duration, FORMS[:1] if search == speed.TRIAL else FORMS)
+    if quick:
+        theirs = {c.name: rms_loads(speed.converged_runs(c.name, search)[1].histories, (0.0, duration)) for c in cases}
+        print(f"\nOurs over {duration} s only, so without the reference's values.")
         _quick_rms(report, theirs, ours)
     else:
         theirs = {case.name: speed.converged(case.name) for case in cases}
         compare_rms(report, cases, theirs, ours)
-    compare_histories(report, cases, ours)
-    converge(report, options.quick)
-    time_it(report, options.quick)
-    compare_tilted_hinge(report, options.quick)
-    if not options.quick:
-        compare_open_chain(report)
+    compare_histories(report, cases, ours, search)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--parts", nargs="+", choices=PARTS, help="all by default; --quick leaves out the open chain")
+    parser.add_argument("--quick", action="store_true", help="few cases, little of our own runs")
+    parser.add_argument("--trial", action="store_true", help="few steps: only to see that it works")
+    parser.add_argument("--json", metavar="FILE", help="write all tables to a file")
+    options = parser.parse_args()
+    report, (study, _) = Report(), speed.main_study()
+    quick, search = options.quick or options.trial, speed.TRIAL if options.trial else speed.FULL
+    wanted = ("P2",) if options.trial else ("P2", "P5")
+    cases = tuple(c for c in study.cases if c.name in wanted or not quick)
+    parts = options.parts or [part for part in PARTS if part != "open_chain" or not quick]
+    if "preload" in parts:
+        compare_preload(report, cases)
+    if "loads" in parts:
+        compare_loads(report, cases, quick, search)
+    if "convergence" in parts:
+        converge(report, quick, search)
+    if "time" in parts:
+        time_it(report, quick, search)
+    if "tilted_hinge" in parts:
+        compare_tilted_hinge(report, quick, options.trial)
+    if "open_chain" in parts:
+        compare_open_chain(report, options.trial)
     print(f"\n{report.passed} agreements met, {len(report.failed)} failed")
     for what in report.failed:
         print(f"  {what}")
     if options.json:
         with open(options.json, "w", encoding="utf-8") as file:
             json.dump(report.data, file, indent=1, allow_nan=False)
-    return 1 if report.failed else 0
+    return 1 if report.failed and not options.trial else 0
 
 
 def _quick_rms(report: Report, theirs: dict, ours: dict) -> None:

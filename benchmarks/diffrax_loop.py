@@ -1,6 +1,6 @@
 """diffrax's own loop over steps against ours: tracing, compilation, time of a sample, memory.
 
-    python benchmarks/diffrax_loop.py METHOD LOOP MODE BATCH [--share 1] [--rfes 5]
+    python benchmarks/diffrax_loop.py METHOD LOOP MODE BATCH [--share 1] [--rfes 5] [--study FILE]
 
 METHOD: generalised_alpha, rk4; LOOP: own, or `diffeqsolve` in every interval of the time grid with the adjoint
 forward, direct or checkpoint; MODE: value, forward (three errors), reverse (one metric).  Main study; one process a
@@ -26,7 +26,7 @@ from rfem_jax import Method, assembly_errors, discretise, load_study  # noqa: E4
 from rfem_jax.simulation import integration, stepping  # noqa: E402
 
 STUDY = Path(__file__).parents[1] / "studies" / "four_bar" / "study.toml"
-NAMES = ("D.delta_x", "D.delta_z", "D.d_y")
+KINDS = ("delta_x", "delta_z", "d_y")  # of the last joint
 ADJOINTS = {
     "forward": diffrax.ForwardMode, "direct": diffrax.DirectAdjoint,
     "checkpoint": diffrax.RecursiveCheckpointAdjoint,
@@ -64,18 +64,19 @@ def by_diffeqsolve(adjoint: str):
     return integrate
 
 
-def loads(method: str, mode: str, share: float, rfes: int):
+def loads(options):
     """Three errors -> mean squares of the joint loads."""
-    study = load_study(STUDY)
-    model = discretise(study.mechanism, rfes=rfes)
-    if method == "rk4":
-        chosen, duration = Method(method, step=1e-5), share * (0.12 if mode == "value" else 0.02)
+    study = load_study(options.study)
+    model = discretise(study.mechanism, rfes=options.rfes)
+    names = [f"{max(model.joint_names)}.{kind}" for kind in KINDS]
+    if options.method == "rk4":
+        chosen, duration = Method("rk4", step=1e-5), options.share * (0.12 if options.mode == "value" else 0.02)
     else:
-        chosen, duration = Method(method, step=2.5e-3, tolerance=1e-3), share * 0.5
+        chosen, duration = Method("generalised_alpha", step=2.5e-3, tolerance=1e-3), options.share * 0.5
     grid, steps = integration.grid_for(study.drive, duration, chosen, duration / 20)
 
     def function(point):
-        errors = assembly_errors(model, dict(zip(NAMES, point)))
+        errors = assembly_errors(model, dict(zip(names, point)))
         prepared = integration.prepare(model, errors, study.drive, None)
         carry = integration.start_carry(model, prepared, study.drive, chosen)
         carry, _ = integration.advance(model, prepared.actual, study.drive, carry, grid, chosen, steps, None)
@@ -93,10 +94,11 @@ def main() -> None:
     parser.add_argument("batch", type=int)
     parser.add_argument("--share", type=float, default=1.0, help="of the duration that is simulated")
     parser.add_argument("--rfes", type=int, default=5, help="of a flexible link")
+    parser.add_argument("--study", type=Path, default=STUDY, help="file; the main study by default")
     options = parser.parse_args()
     if options.loop != "own":
         stepping._fixed = by_diffeqsolve(options.loop)
-    function = loads(options.method, options.mode, options.share, options.rfes)
+    function = loads(options)
     if options.mode == "forward":
         function = jax.jacfwd(function)
     if options.mode == "reverse":

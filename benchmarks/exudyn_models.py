@@ -103,7 +103,7 @@ NODE_TYPES = {
 
 
 def linkage(model: Model, errors: AssemblyErrors) -> Linkage:
-    """Plain numbers of a model realised with its errors, in Exudyn's axes."""
+    """Plain numbers of a model with its errors, in Exudyn's axes."""
     topology = model.topology
     actual, frames = _actual(model, errors)
     rotation, point = (np.asarray(part) for part in frames)

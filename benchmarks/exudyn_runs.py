@@ -112,8 +112,8 @@ def equilibrium(link, settings: Settings, turned: float = 0.0, poses=None):
 def _loads_of(force, couples, rotation, cut):
     """Force and moment (T, 3) on the child, and the angle (T,), from Exudyn's multipliers.
 
-    force: what the joint's constraint measures, in the parent's frame (the child feels its
-    negative); couples: multipliers of the two axis equations z0 . x1 = 0 and z0 . y1 = 0, whose
+    force: what the joint's constraint measures, in the parent's frame (its negative acts on the
+    child); couples: multipliers of the two axis equations z0 . x1 = 0 and z0 . y1 = 0, whose
     moments on the child are along the child's y and -x.  Loads are in the child's frame, at a cut
     joint in the parent's.
     """

@@ -22,11 +22,43 @@ from exudyn_runs import equilibrium, run
 from rfem_jax import assembly_errors, discretise, load_study
 
 STUDY = Path(__file__).parents[1] / "studies" / "four_bar" / "study.toml"
-STEPS = (1e-2, 6.25e-3, 5e-3, 4e-3, 3.125e-3, 2.5e-3, 2e-3, 1.25e-3, 1e-3, 5e-4, 2.5e-4)
-CONVERGED_STEPS = (5e-5, 2.5e-5)
 SMALLEST_LOAD = 1e-6  # N, N m: smaller RMS loads are zero and have no relative error
-FINEST_ACCURACY = 1e-4
-TIMED = 5
+
+
+class Search(NamedTuple):
+    """What is simulated and searched: duration [s]; steps [s]; the two steps of the converged result [s]; finest
+    accuracy that is searched; timed runs; node types; tolerances of Newton's method; spectral radii."""
+
+    duration: float
+    steps: tuple[float, ...]
+    converged: tuple[float, float]
+    finest: float
+    timed: int
+    nodes: tuple[str, ...]
+    tolerances: tuple[float, ...]
+    radii: tuple[float, ...]
+
+
+FULL = Search(
+    duration=0.5,
+    steps=(1e-2, 6.25e-3, 5e-3, 4e-3, 3.125e-3, 2.5e-3, 2e-3, 1.25e-3, 1e-3, 5e-4, 2.5e-4),
+    converged=(5e-5, 2.5e-5),
+    finest=1e-4,
+    timed=5,
+    nodes=("angles", "euler_parameters"),
+    tolerances=(1e-4, 1e-5),
+    radii=(0.6, 0.7),
+)
+# A few steps: that everything works, not how fast.
+TRIAL = FULL._replace(
+    duration=0.02,
+    steps=(2e-3, 1e-3),
+    converged=(5e-4, 2.5e-4),
+    finest=0.2,
+    timed=1,
+    nodes=("angles",),
+    tolerances=(1e-5,),
+)
 
 
 class Best(NamedTuple):
@@ -57,51 +89,52 @@ def prepared(case: str):
     return link, equilibrium(link, Settings())
 
 
-def solve(case: str, step: float, settings: Settings = Settings()):
+def solve(case: str, step: float, settings: Settings = Settings(), search: Search = FULL):
     """A run of a case of the main study, or None where Exudyn's solver fails."""
     study, _ = main_study()
     link, start = prepared(case)
     try:
-        return run(link, study.drive, study.duration, step, settings, start=start)
+        return run(link, study.drive, search.duration, step, settings, start=start)
     except exu.SolverError:
         return None
 
 
 @functools.cache
-def converged_runs(case: str):
+def converged_runs(case: str, search: Search = FULL):
     """Runs at the two smallest steps."""
-    return tuple(solve(case, step) for step in CONVERGED_STEPS)
+    return tuple(solve(case, step, search=search) for step in search.converged)
 
 
-def extrapolated(coarse, fine):
+def extrapolated(coarse, fine, search: Search = FULL):
     """The limit of second order of values at the two smallest steps."""
-    gain = (CONVERGED_STEPS[0] / CONVERGED_STEPS[1]) ** 2 - 1.0
+    gain = (search.converged[0] / search.converged[1]) ** 2 - 1.0
     return fine + (fine - coarse) / gain
 
 
 @functools.cache
-def converged(case: str) -> dict:
+def converged(case: str, search: Search = FULL) -> dict:
     """RMS loads extrapolated from the two smallest steps."""
-    coarse, fine = (result.rms for result in converged_runs(case))
+    coarse, fine = (result.rms for result in converged_runs(case, search))
     return {
-        kind: {joint: extrapolated(coarse[kind][joint], fine[kind][joint]) for joint in fine[kind]} for kind in fine
+        kind: {joint: extrapolated(coarse[kind][joint], fine[kind][joint], search) for joint in fine[kind]}
+        for kind in fine
     }
 
 
-def converged_at(case: str, times) -> dict:
+def converged_at(case: str, times, search: Search = FULL) -> dict:
     """Motion and loads at times [s] that are ends of steps, extrapolated likewise: "angle", "rate"
     (T,), "force" and "moment" (joint -> (T, 3)); at a jump of the drive the values before it."""
     rows = []
-    for step, result in zip(CONVERGED_STEPS, converged_runs(case)):
+    for step, result in zip(search.converged, converged_runs(case, search)):
         h = result.histories
         at = np.searchsorted(h.times, np.asarray(times) - 0.1 * step)
         rows.append((h, at))
     (a, i), (b, k) = rows
     return {
-        "angle": extrapolated(a.angle[i], b.angle[k]),
-        "rate": extrapolated(a.rate[i], b.rate[k]),
-        "force": {j: extrapolated(a.force[j][i], b.force[j][k]) for j in a.force},
-        "moment": {j: extrapolated(a.moment[j][i], b.moment[j][k]) for j in a.moment},
+        "angle": extrapolated(a.angle[i], b.angle[k], search),
+        "rate": extrapolated(a.rate[i], b.rate[k], search),
+        "force": {j: extrapolated(a.force[j][i], b.force[j][k], search) for j in a.force},
+        "moment": {j: extrapolated(a.moment[j][i], b.moment[j][k], search) for j in a.moment},
     }
 
 
@@ -115,10 +148,10 @@ def error_of(rms: dict, reference: dict) -> float:
     )
 
 
-def variants():
+def variants(search: Search = FULL):
     """The settings that are tried."""
     for nodes, fresh, relative, radius in itertools.product(
-        ("angles", "euler_parameters"), (True, False), (1e-4, 1e-5), (0.6, 0.7)
+        search.nodes, (True, False), search.tolerances, search.radii
     ):
         yield Settings(
             spectral_radius=radius,
@@ -130,28 +163,29 @@ def variants():
 
 
 @functools.cache
-def survey(case: str) -> tuple:
+def survey(case: str, search: Search = FULL) -> tuple:
     """(settings, step, error, CPU seconds) of all settings, one run each, from long steps to short
     ones until two in a row reach the finest accuracy."""
     rows = []
-    for settings in variants():
+    for settings in variants(search):
         before = np.inf
-        for step in STEPS:
-            result = solve(case, step, settings)
+        for step in search.steps:
+            result = solve(case, step, settings, search)
             failed = result is None or not np.isfinite(result.histories.angle[-1])
-            error = np.inf if failed else error_of(result.rms, converged(case))
+            error = np.inf if failed else error_of(result.rms, converged(case, search))
             rows.append((settings, step, error, np.inf if failed else result.cpu))
-            if max(before, error) <= FINEST_ACCURACY:
+            if max(before, error) <= search.finest:
                 break
             before = error
     return tuple(rows)
 
 
 @functools.cache
-def best(case: str, accuracy: float) -> Best:
-    """The fastest settings and step (CPU time, which other programs disturb least) whose RMS loads
-    are within `accuracy` of the converged ones."""
-    rows = survey(case)
+def best(case: str, accuracy: float, search: Search = FULL) -> Best:
+    """The fastest settings and step (CPU time, which other programs disturb least) whose RMS loads are within
+    `accuracy` of the converged ones; of a trial within the finest accuracy that it searches, if that is larger."""
+    rows = survey(case, search)
+    accuracy = max(accuracy, search.finest) if search == TRIAL else accuracy
     good = [
         row
         for row, finer in itertools.pairwise(rows)
@@ -159,12 +193,11 @@ def best(case: str, accuracy: float) -> Best:
     ]
     if not good:
         raise ValueError(
-            f"Argument `accuracy` must be at least {FINEST_ACCURACY:g}, the finest that is "
-            f"searched, but is {accuracy:g}."
+            f"Argument `accuracy` must be at least {search.finest:g}, the finest that is searched, but is {accuracy:g}."
         )
     timed = []
     for settings, step, error, _ in sorted(good, key=lambda row: row[3])[:4]:
-        runs = [solve(case, step, settings) for _ in range(TIMED)]
+        runs = [solve(case, step, settings, search) for _ in range(search.timed)]
         clock = [r.seconds for r in runs]
         timed.append(
             Best(

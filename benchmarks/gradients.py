@@ -1,7 +1,7 @@
 """Cost of derivatives, as ratios to one simulation in the same run, and memory.
 
     python benchmarks/gradients.py [--methods generalised_alpha rk4] [--counts 3 30] [--batches 1 16]
-                                   [--tolerance 1e-3] [--parts cost accuracy] [--share 1] ...
+                                   [--tolerance 1e-3] [--parts cost accuracy] [--share 1] [--study FILE] ...
 
 cost: for 3 errors (joint D) and 30 (both sides of all joints), alone and in a batch: the value, forward mode
 (`jacfwd` of the mean-square moments of all joints) and reverse mode (`grad` of one).  The implicit
@@ -13,7 +13,8 @@ accuracy: derivatives of all mean squares at tolerances from loose to tight, aga
 of 1e-11; the errors of five kinds at 0.05 to 3 times their sizes.  Differences are relative to the
 largest influence on the same metric in the same sample (derivative times size).
 
-`--share` simulates a share of these durations.
+`--share` simulates a share of these durations; `--study` takes another study file, whose errors are then in the order
+of the model.
 """
 
 import argparse
@@ -47,27 +48,30 @@ from rfem_jax import (  # noqa: E402
 from rfem_jax.simulation.generalised_alpha import GeneralisedAlpha  # noqa: E402
 
 STUDY = Path(__file__).parents[1] / "studies" / "four_bar" / "study.toml"
-METRICS = tuple(f"{joint}.mean_square_moment" for joint in "ABCD")
 FIRST = ("D.delta_x", "D.delta_z", "D.d_y")
 KINDS = {"D.delta_x": 2e-3, "D.delta_z": -1.5e-3, "D.d_y": 5e-4, "B.child.delta_x": 1e-3, "coupler.length": 5e-4}
+SIZES = {"delta_x": 2e-3, "delta_z": -1.5e-3, "d_y": 5e-4}  # of other studies
 SCALES, TIGHT = (0.05, 0.5, 1.0, 3.0), 1e-11
 
 
-def build_problem(method: str, rfes: int, tolerance: float, share: float) -> Problem:
-    """The main study, or a share of its duration, by one method."""
-    study = load_study(STUDY)
-    model = discretise(study.mechanism, rfes=rfes)
+def build_problem(options, method: str) -> Problem:
+    """The study, or a share of its duration, by one method."""
+    study = load_study(options.study)
+    model = discretise(study.mechanism, rfes=options.rfes)
+    metrics = tuple(f"{joint}.mean_square_moment" for joint in sorted(model.joint_names))
     if method == "generalised_alpha":
-        chosen = Method(method, step=2e-3, tolerance=tolerance)
-        return Problem(model, study.drive, 0.5 * share, METRICS, chosen, save_every=min(2e-2, 0.5 * share))
+        chosen, duration = Method(method, step=2e-3, tolerance=options.tolerance), 0.5 * options.share
+        return Problem(model, study.drive, duration, metrics, chosen, save_every=min(2e-2, duration))
     chosen = Method(method, step=0.9 * largest_stable_step(model, Method(method, step=1e-6)))
-    return Problem(model, study.drive, 0.01 * share, METRICS, chosen, save_every=min(1e-3, 0.01 * share))
+    duration = 0.01 * options.share
+    return Problem(model, study.drive, duration, metrics, chosen, save_every=min(1e-3, duration))
 
 
 def chosen_errors(problem: Problem, count: int) -> tuple[str, ...]:
     """The first `count` errors: those of joint D first, then seats and bores of all joints."""
-    sides = [n for n in problem.error_names if "pin" not in n and n not in FIRST]
-    return (*FIRST, *sides)[:count]
+    first = tuple(name for name in FIRST if name in problem.error_names)
+    others = [n for n in problem.error_names if "pin" not in n and n not in FIRST]
+    return (*first, *others)[:count]
 
 
 def measure(label: str, function, points, base: float | None, repeats: int) -> float:
@@ -92,20 +96,24 @@ def measure(label: str, function, points, base: float | None, repeats: int) -> f
     return least
 
 
-def influences(step: float, tolerance: float, rfes: int, share: float) -> np.ndarray:
+def influences(options, step: float, tolerance: float) -> np.ndarray:
     """Derivatives times the errors' sizes (samples, metrics, errors)."""
-    study = load_study(STUDY)
-    model = discretise(study.mechanism, rfes=rfes)
+    study = load_study(options.study)
+    model = discretise(study.mechanism, rfes=options.rfes)
     method = Method("generalised_alpha", step=step, tolerance=tolerance, corrections=12)
-    metrics = tuple(f"{j}.mean_square_{kind}" for j in "ABCD" for kind in ("force", "moment"))
-    duration = 0.5 * share
+    metrics = tuple(f"{j}.mean_square_{kind}" for j in sorted(model.joint_names) for kind in ("force", "moment"))
+    duration = 0.5 * options.share
     problem = Problem(model, study.drive, duration, metrics, method, save_every=min(2.5e-2, duration))
-    sizes = jnp.asarray(list(KINDS.values()))
+    sizes = KINDS
+    if not set(KINDS) <= set(problem.error_names):
+        joint = sorted(model.joint_names)[-1]
+        sizes = {f"{joint}.{kind}": size for kind, size in SIZES.items()}
 
     def values(factors):
-        return jnp.stack(list(problem(dict(zip(KINDS, factors * sizes)))[0].values()))
+        point = factors * jnp.asarray(list(sizes.values()))
+        return jnp.stack(list(problem(dict(zip(sizes, point)))[0].values()))
 
-    factors = jnp.asarray(SCALES)[:, None] * jnp.ones((1, len(KINDS)))
+    factors = jnp.asarray(SCALES)[:, None] * jnp.ones((1, len(sizes)))
     return np.asarray(jax.jit(jax.vmap(jax.jacfwd(values)))(factors))
 
 
@@ -113,11 +121,11 @@ def measure_accuracy(options) -> None:
     """One row for every step and tolerance."""
     print(f"\n{'step ms':>8}{'tolerance':>11}{'increments':>12}    difference, errors at {SCALES} times")
     for step in options.steps:
-        exact = influences(step, TIGHT, options.rfes, options.share)
+        exact = influences(options, step, TIGHT)
         scale = np.abs(exact).max(axis=2, keepdims=True)
         for tolerance in options.tolerances:
             method = Method("generalised_alpha", step=step, tolerance=tolerance)
-            found = influences(step, tolerance, options.rfes, options.share)
+            found = influences(options, step, tolerance)
             off = np.abs((found - exact) / scale).max(axis=(1, 2))
             shown = "".join(f"{one:>10.1e}" for one in off)
             count = GeneralisedAlpha(method).tangent_increments
@@ -129,7 +137,7 @@ def measure_cost(options) -> None:
     header = ("compile s", "ms a sample", "ratio", "MB a sample")
     print(f"{'':<44}{header[0]:>10}{header[1]:>14}{header[2]:>8}{header[3]:>20}")
     for method in options.methods:
-        problem = build_problem(method, options.rfes, options.tolerance, options.share)
+        problem = build_problem(options, method)
         for batch in options.batches:
             base = None
             for count in options.counts:
@@ -146,7 +154,8 @@ def measure_cost(options) -> None:
                 label = f"{label}, {count} errors"
                 if "forward" in options.modes:
                     measure(f"{label}, forward", jax.jacfwd(values), points, base, options.repeats)
-                one = jax.grad(lambda p, values=values: values(p)[METRICS[0]])
+                metric = problem.metrics[0].name
+                one = jax.grad(lambda p, values=values, metric=metric: values(p)[metric])
                 if "reverse" in options.modes:
                     measure(f"{label}, reverse", one, points, base, options.repeats)
 
@@ -165,6 +174,7 @@ def main() -> None:
     tolerances = [1e-3, 1e-4, 1e-5, 1e-6]
     parser.add_argument("--tolerances", nargs="+", type=float, default=tolerances, help="of the part accuracy")
     parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--study", type=Path, default=STUDY, help="file; the main study by default")
     parser.add_argument("--share", type=float, default=1.0, help="of the durations that are simulated")
     options = parser.parse_args()
     if "cost" in options.parts:

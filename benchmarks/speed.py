@@ -1,6 +1,6 @@
 """How fast the simulator is at a wanted accuracy, beside the peer and a naive version.
 
-    python benchmarks/speed.py [--quick] [--parts methods table peer dense devices scaling]
+    python benchmarks/speed.py [--quick | --trial] [--parts methods table peer dense devices scaling]
                                [--cases P5] [--batches 1 8 16 32 64] [--platforms cpu] [--out DIR]
                                [--sweeps rfes links batch errors]
 
@@ -9,14 +9,15 @@
               run apart, accuracy, memory
     peer      Exudyn at the same accuracy on the same processor
     dense     a naive dense right-hand side beside the recursive one
-    devices   a batch on one CPU device and shared by two
+    devices   a batch on one CPU device and divided between two
     scaling   time against rfes, links, batch and number of errors in a gradient, with pictures
 
-The study four-bar, 0.5 s, errors of a case scaled sample by sample (1 to 0.2).  CPU times are those
-of the processor, one thread: other programs count less than by the clock.  Error: largest relative
-deviation of the RMS force and moment of all joints from the converged result.  Settings are judged
-by the case itself, as the peer's are; a step counts only if the next smaller one is as accurate,
-and if Newton's method left so little over in every step that the run's status is ok.
+The study four-bar, 0.5 s, errors of a case scaled sample by sample (1 to 0.2).  CPU times are those of the processor,
+one thread: other programs disturb them less than the clock's.  Error: largest relative deviation of the RMS force and
+moment of all joints from the converged result.  Settings are judged by the case itself, as the peer's are; a step
+counts only if the next smaller one is as accurate, and if the residual of every step is so small that the run's
+status is ok.  `--trial` simulates 25 ms with 2 rfes and few samples: it shows that the command works, its numbers mean
+nothing.
 """
 
 import argparse
@@ -34,8 +35,11 @@ import numpy as np
 import speed_scaling
 from jax.sharding import Mesh, PartitionSpec
 from speed_timing import (
+    FULL,
     INTERVAL,
     STUDY,
+    TRIAL,
+    Size,
     converged,
     error_of,
     run_once,
@@ -57,16 +61,13 @@ from rfem_jax.mechanics.reference_formulation import reference_accelerations
 from rfem_jax.simulation.integration import RESIDUAL_LIMIT
 
 ACCURACIES = (1e-2, 1e-3)
-STEPS = (4, 5, 6, 7, 8, 10, 12, 15, 18, 20, 25, 33, 50)  # in an interval of 25 ms
-SEARCHED = 16  # samples of the batch by which settings are compared
-EXPLICIT_STEP = 1e-5  # s
-EXPLICIT_DURATION = 5e-3  # s simulated, times for 0.5 s by proportion
+EXPLICIT_STEP = 1e-5  # s; in batches times for 0.5 s are by proportion
 CPP_RIGHT_HAND_SIDE = 58e-9  # s a sample and core, hand-written C++, AVX-512, another machine
 
 
 class Found(NamedTuple):
-    """A setting of generalised-alpha: method, error of the case, processor s a sample, largest
-    share of a load that Newton's method left over."""
+    """A setting of generalised-alpha: method, error of the case, processor s a sample, largest residual of a step
+    over the largest joint force."""
 
     method: Method
     error: float
@@ -77,11 +78,12 @@ class Found(NamedTuple):
 def search_settings(model, case: str, reference, options) -> dict[float, Found]:
     """The fastest setting within every accuracy whose runs have the status ok."""
     rows = []
-    print("\nSettings of generalised_alpha, batch of 16: error of the case, of all samples, left over, CPU ms a sample")
+    samples = options.size.samples
+    print(f"\nSettings of generalised_alpha, batch of {samples}: error of the case, of all, residual, CPU ms a sample")
     for tolerance in options.tolerances:
         for radius in options.radii:
             first = Method("generalised_alpha", step=INTERVAL, tolerance=tolerance, spectral_radius=radius)
-            rows.append(_search_steps(model, case, reference, first))
+            rows.append(_search_steps(model, case, reference, first, options.size))
     best = {}
     for accuracy in ACCURACIES:
         good = [
@@ -99,15 +101,15 @@ def search_settings(model, case: str, reference, options) -> dict[float, Found]:
     return best
 
 
-def _search_steps(model, case, reference, first: Method) -> list[Found]:
+def _search_steps(model, case, reference, first: Method, size: Size) -> list[Found]:
     """Shorter and shorter steps until two in a row reach the finest accuracy."""
-    loads = stepping(model, case, SEARCHED, first)
-    loads(STEPS[0])
+    loads = stepping(model, case, size.samples, first, size.duration)
+    loads(size.steps[0])
     found: list[Found] = []
-    for steps in STEPS:
+    for steps in size.steps:
         runs = [run_once(loads, steps) for _ in range(3)]
         result, residual = (np.asarray(x) for x in runs[0][0])
-        seconds = min(run[2] for run in runs) / SEARCHED
+        seconds = min(run[2] for run in runs) / size.samples
         method = replace(first, step=INTERVAL / steps)
         one = Found(method, error_of(result[:1], reference), seconds, float(residual))
         print(
@@ -139,20 +141,20 @@ def measure_table(model, case: str, methods, reference, options) -> list[dict]:
     for name in options.platforms:
         for method in methods:
             for batch in options.batches:
-                rows.append(_measure_row(model, case, method, batch, reference, name))
+                rows.append(_measure_row(model, case, method, batch, reference, name, options.size))
     return rows
 
 
-def _measure_row(model, case, method: Method, batch: int, reference, name: str) -> dict:
-    # A method with small steps runs a part of the time only, but alone all of it, for the error.
+def _measure_row(model, case, method: Method, batch: int, reference, name: str, size: Size) -> dict:
+    # Explicit methods in a batch run a part of the duration; alone they run all of it, for the error.
     whole = method.implicit or batch == 1
-    duration = STUDY.duration if whole else EXPLICIT_DURATION
+    duration = size.duration if whole else size.explicit_duration
     with jax.default_device(jax.devices(name)[0]):
         errors = sample_errors(case, batch)
         run = jax.vmap(simulation(model, method, duration=duration))
-        timing = timed(run, errors, repeats=5 if method.implicit else 3)
+        timing = timed(run, errors, repeats=min(size.repeats, 5 if method.implicit else 3))
     share = 1e3 * STUDY.duration / duration / batch
-    # The processor waits for an accelerator: the clock counts there.
+    # On an accelerator, for which the processor waits, the time is the clock's.
     seconds = (timing.cpu, timing.least, timing.most) if name == "cpu" else (timing.clock,) * 3
     row = {
         "case": case,
@@ -180,23 +182,24 @@ def _measure_row(model, case, method: Method, batch: int, reference, name: str) 
     return row
 
 
-def compare_with_peer(case: str, best: dict[float, Found], rows: list[dict]) -> None:
+def compare_with_peer(case: str, best: dict[float, Found], rows: list[dict], options) -> None:
     """Processor seconds of Exudyn's fastest run over ours, at equal accuracy."""
     try:
-        from exudyn_speed import best as best_of_peer
+        import exudyn_speed
     except SystemExit as missing:
         print(f"\nNo comparison with the peer: {missing}")
         return
-    print("\nAgainst Exudyn at the same accuracy, CPU time of one thread (ours: and static start)")
+    search = exudyn_speed.TRIAL if options.trial else exudyn_speed.FULL
+    print("\nAgainst Exudyn at the same accuracy, CPU time of one thread (ours with the static start)")
     for accuracy, found in best.items():
-        peer = best_of_peer(case, accuracy)
+        peer = exudyn_speed.best(case, accuracy, search)
         own = {
             row["batch"]: row["ms_a_sample"]
             for row in rows
             if row["method"] == _label(found.method) and row["platform"] == "cpu"
         }
         if np.isfinite(found.seconds):
-            own.setdefault(SEARCHED, 1e3 * found.seconds)
+            own.setdefault(options.size.samples, 1e3 * found.seconds)
         print(
             f"  within {accuracy:g}: Exudyn {1e3 * peer.cpu:.1f} ms (step "
             f"{1e3 * peer.step:g} ms, error {peer.error:.1e}); ours, error {found.error:.1e}:"
@@ -208,8 +211,9 @@ def compare_with_peer(case: str, best: dict[float, Found], rows: list[dict]) -> 
             )
 
 
-def compare_with_dense(model, case: str, best: dict[float, Found], batch: int) -> None:
+def compare_with_dense(model, case: str, best: dict[float, Found], size: Size) -> None:
     """One right-hand side, recursive and dense, and what 0.5 s of Runge-Kutta 4 cost with them."""
+    batch = size.samples
     mechanisms = jax.vmap(lambda values: apply_errors(model, assembly_errors(model, values)))(
         sample_errors(case, batch)
     )
@@ -228,8 +232,8 @@ def compare_with_dense(model, case: str, best: dict[float, Found], batch: int) -
     evaluations = 4 * STUDY.duration / EXPLICIT_STEP
     print(f"\nOne right-hand side in a batch of {batch}, CPU; 0.5 s by Runge-Kutta 4 at {1e6 * EXPLICIT_STEP:g} us")
     for label, function in (("recursive", recursive), ("naive dense", dense)):
-        timing = timed(_repeated(jax.vmap(function)), mechanisms, states)
-        one = timing.cpu / REPETITIONS / batch
+        timing = timed(_repeated(jax.vmap(function), size.evaluations), mechanisms, states, repeats=size.repeats)
+        one = timing.cpu / size.evaluations / batch
         text = f"  {label:<12}{1e6 * one:9.2f} us a sample, {evaluations * one:8.2f} s a simulation"
         known = {a: f for a, f in best.items() if np.isfinite(f.seconds)}
         for accuracy, found in known.items() if label == "naive dense" else ():
@@ -239,47 +243,45 @@ def compare_with_dense(model, case: str, best: dict[float, Found], batch: int) -
         print(text, flush=True)
 
 
-REPETITIONS = 200
-
-
-def _repeated(function):
+def _repeated(function, evaluations: int):
     """Many evaluations in one program, each of which needs the one before."""
 
     def run(mechanisms, states):
-        def again(states, _):
+        def evaluate(states, _):
             answer = function(mechanisms, states)
             moved = jax.tree.map(lambda q, a: q + 1e-18 * a, states.position, answer)
             return State(moved, states.velocity), None
 
-        return jax.lax.scan(again, states, length=REPETITIONS)[0]
+        return jax.lax.scan(evaluate, states, length=evaluations)[0]
 
     return run
 
 
-def compare_devices(model, case: str, method: Method, batch: int) -> None:
+def compare_devices(model, case: str, method: Method, size: Size) -> None:
     """A batch on one device, and in equal parts on two."""
+    batch = 2 * size.samples
     print(f"\nDevices, {_label(method)}, batch {batch}: clock s, CPU s, ms a sample by the clock")
-    for count in (1, 2):
+    for count in size.devices:
         devices = jax.devices("cpu")[:count]
         if len(devices) < count:
             print(f"  {count} CPU devices: only {len(devices)} here.")
             return
         mesh, across = Mesh(devices, ("samples",)), PartitionSpec("samples")
         run = jax.shard_map(
-            jax.vmap(simulation(model, method)),
+            jax.vmap(simulation(model, method, duration=size.duration)),
             mesh=mesh,
             in_specs=across,
             out_specs=across,
             check_vma=False,
         )
         placed = jax.NamedSharding(mesh, across)
-        timing = timed(run, jax.device_put(sample_errors(case, batch), placed))
+        timing = timed(run, jax.device_put(sample_errors(case, batch), placed), repeats=size.repeats)
         one = 1e3 * timing.clock / batch
         print(f"  {count} CPU: {timing.clock:.3f} {timing.cpu:.3f} {one:.2f}", flush=True)
 
 
 def defaults() -> dict[float, Found]:
-    """The settings that the search found, for parts that run without it."""
+    """Settings that a search has found, for parts that run without one."""
     settings = {1e-2: (6.25e-3, 0.4), 1e-3: (2.5e-3, 0.6)}
     return {
         accuracy: Found(
@@ -295,6 +297,7 @@ def parse_options():
     parts = ("methods", "table", "peer", "dense", "devices", "scaling")
     parser.add_argument("--parts", nargs="+", choices=parts, default=list(parts))
     parser.add_argument("--quick", action="store_true", help="a subset, about 3 minutes")
+    parser.add_argument("--trial", action="store_true", help="25 ms, 2 rfes, few samples: numbers mean nothing")
     parser.add_argument("--cases", nargs="+", default=["P5"])
     parser.add_argument("--batches", type=int, nargs="+")
     parser.add_argument("--tolerances", type=float, nargs="+")
@@ -307,19 +310,23 @@ def parse_options():
     parser.add_argument("--out", type=Path, default=Path("benchmark_results"))
     # Read by speed_timing, before JAX starts.
     options = parser.parse_args()
-    quick = options.quick
+    quick, options.size = options.quick or options.trial, TRIAL if options.trial else FULL
     options.batches = options.batches or ([1, 16] if quick else [1, 8, 16, 32, 64])
     options.tolerances = options.tolerances or list(ACCURACIES)
     options.radii = options.radii or ([0.6] if quick else [0.4, 0.6, 0.8])
     if quick:
         options.explicit = options.explicit[:1]
+    if options.trial:
+        # The tolerance of the converged result, so that one program serves both.
+        options.batches, options.explicit, options.tolerances = [options.size.samples], [], [1e-8]
     return options
 
 
 def main() -> None:
     options = parse_options()
     options.out.mkdir(parents=True, exist_ok=True)
-    model, build, _ = run_once(lambda: discretise(STUDY.mechanism))
+    size = options.size
+    model, build, _ = run_once(lambda: discretise(STUDY.mechanism, rfes=size.rfes))
     print(
         f"{platform.processor() or platform.machine()}, {jax.devices()[0].device_kind}, "
         f"JAX {jax.__version__}, XLA_FLAGS {os.environ['XLA_FLAGS']}\n"
@@ -330,21 +337,22 @@ def main() -> None:
     for case in options.cases:
         best = defaults()
         if {"methods", "table"} & set(options.parts):
-            reference = converged(model, case)
+            reference = converged(model, case, size.converged, size.samples, size.duration)
         if "methods" in options.parts:
             best = {**best, **search_settings(model, case, reference, options)}
         if "table" in options.parts:
-            methods = [*dict.fromkeys(found.method for found in best.values()), *explicit]
+            found = list(best.values())[:1] if options.trial else best.values()
+            methods = [*dict.fromkeys(one.method for one in found), *explicit]
             rows += measure_table(model, case, methods, reference, options)
         if "peer" in options.parts:
-            compare_with_peer(case, best, [row for row in rows if row["case"] == case])
+            compare_with_peer(case, best, [row for row in rows if row["case"] == case], options)
         if "dense" in options.parts:
-            compare_with_dense(model, case, best, SEARCHED)
+            compare_with_dense(model, case, best, size)
         if "devices" in options.parts:
-            compare_devices(model, case, best[ACCURACIES[0]].method, 2 * SEARCHED)
+            compare_devices(model, case, best[ACCURACIES[0]].method, size)
     (options.out / "speed.json").write_text(json.dumps(rows, indent=1))
     if "scaling" in options.parts:
-        speed_scaling.draw(options.out, options.quick, options.sweeps)
+        speed_scaling.draw(options.out, options.size is TRIAL, options.quick, options.sweeps)
 
 
 if __name__ == "__main__":

@@ -3,7 +3,7 @@
     sweep -> Points (size, processor seconds) -> table and log-log picture with a line of slope one
 
 Generalised-alpha, steps of 2.5 ms, all samples of a batch with errors of their own.  Links: a row
-of parallelograms, each of which hangs on the rocker of the one before (a coupler, a rocker, a cut
+of parallelograms, each outboard of the rocker of the one before (a coupler, a rocker, a cut
 joint more), driven at the first crank.  Gradients: of the mean-square moments of all joints
 (forward mode) or of one (reverse), over the time of one simulation in the same batch.
 """
@@ -30,7 +30,7 @@ from rfem_jax import (
 )
 
 METHOD = Method("generalised_alpha", step=2.5e-3, tolerance=1e-3)
-BATCH, SHORT = 8, 0.1  # samples; s simulated by the row of parallelograms
+BATCH, SHORT, TRIAL = 8, 0.1, 5e-3  # samples; s simulated by the row of parallelograms, and in a trial
 SWEEP_NAMES = ("rfes", "links", "batch", "errors")
 FIRST = ("D.delta_x", "D.delta_z", "D.d_y")
 
@@ -45,34 +45,36 @@ class Points(NamedTuple):
 
 
 class Sweep(NamedTuple):
-    """What a sweep varies and measures: label and unit of the axes, function of the sizes, its
-    sizes, fewer of them for a quick run."""
+    """What a sweep varies and measures: label and unit of the axes, function of the sizes and of whether it is a trial,
+    its sizes, fewer of them for a quick run, and one for a trial."""
 
     label: str
     unit: str
     measure: Callable
     sizes: tuple[int, ...]
     quick: tuple[int, ...]
+    trial: tuple[int, ...]
 
 
-def draw(out: Path, quick: bool, names=SWEEP_NAMES) -> None:
-    """The named sweeps, printed and drawn to `out`/scaling.png."""
+def draw(out: Path, trial: bool, quick: bool, names=SWEEP_NAMES) -> None:
+    """The named sweeps, printed and drawn to `out`/scaling.png; a trial simulates 5 ms, gradients of a pendulum."""
     all_sweeps = {
-        "rfes": Sweep("rfes in a link", "ms a sample", over_rfes, (3, 5, 9, 17, 33, 65), (3, 9, 33)),
-        "links": Sweep("links", "ms a sample", over_links, (1, 2, 3, 4, 6), (1, 2, 3)),
+        "rfes": Sweep("rfes in a link", "ms a sample", over_rfes, (3, 5, 9, 17, 33, 65), (3, 9, 33), (2,)),
+        "links": Sweep("links", "ms a sample", over_links, (1, 2, 3, 4, 6), (1, 2, 3), (1,)),
         "batch": Sweep(
             "samples in the batch",
             "ms the batch",
             over_batch,
             (1, 2, 4, 8, 16, 32, 64, 128),
             (1, 8, 64),
+            (2,),
         ),
-        "errors": Sweep("errors in a gradient", "times one simulation", over_errors, (1, 3, 10, 30), (3, 30)),
+        "errors": Sweep("errors in a gradient", "times one simulation", over_errors, (1, 3, 10, 30), (3, 30), (1,)),
     }
     drawn = []
     for name in names:
         sweep = all_sweeps[name]
-        curves = sweep.measure(sweep.quick if quick else sweep.sizes)
+        curves = sweep.measure(sweep.trial if trial else sweep.quick if quick else sweep.sizes, trial)
         for curve in curves:
             print(f"\n{sweep.label}, {curve.name}: {sweep.unit} (CPU), compilation s")
             for size, value, compiling in zip(curve.sizes, curve.values, curve.compilation):
@@ -81,12 +83,12 @@ def draw(out: Path, quick: bool, names=SWEEP_NAMES) -> None:
     _picture(drawn, out / "scaling.png")
 
 
-def over_rfes(counts) -> list[Points]:
+def over_rfes(counts, trial: bool) -> list[Points]:
     """The study's four-bar with more and more rfes in both flexible links."""
     rows = []
     for count in counts:
         model = discretise(STUDY.mechanism, rfes=count)
-        run = jax.vmap(simulation(model, METHOD))
+        run = jax.vmap(simulation(model, METHOD, duration=TRIAL if trial else STUDY.duration))
         rows.append(timed(run, sample_errors("P5", BATCH), repeats=3))
     return [_points("four-bar", counts, rows, BATCH)]
 
@@ -110,36 +112,45 @@ def row_of_parallelograms(cells: int, rfes: int = 3) -> Mechanism:
     return Mechanism(links, [*joints, *cuts], driven_joint="crank_pivot")
 
 
-def over_links(cells) -> list[Points]:
+def over_links(cells, trial: bool) -> list[Points]:
     """Rows of parallelograms."""
-    sizes, rows = [], []
+    sizes, rows, duration = [], [], TRIAL if trial else SHORT
     for count in cells:
         model = discretise(row_of_parallelograms(count))
         batch = {"crank_pivot.delta_x": 1e-3 * jnp.linspace(1, 0.2, BATCH)}
-        run = jax.vmap(simulation(model, METHOD, MomentRamp("crank_pivot", 1.5, 0.05), SHORT))
+        run = jax.vmap(simulation(model, METHOD, MomentRamp("crank_pivot", 1.5, 0.05), duration))
         rows.append(timed(run, batch, repeats=3))
         sizes.append(len(model.topology.elements))
-    return [_points("row of parallelograms, 0.1 s", sizes, rows, BATCH)]
+    return [_points(f"row of parallelograms, {duration:g} s", sizes, rows, BATCH)]
 
 
-def over_batch(counts) -> list[Points]:
+def over_batch(counts, trial: bool) -> list[Points]:
     """The study's four-bar, more and more samples."""
     model = discretise(STUDY.mechanism)
-    run = jax.vmap(simulation(model, METHOD))
+    run = jax.vmap(simulation(model, METHOD, duration=TRIAL if trial else STUDY.duration))
     rows = [timed(run, sample_errors("P5", count), repeats=3) for count in counts]
     return [_points("four-bar", counts, rows, 1)]
 
 
-def over_errors(counts) -> list[Points]:
+def pendulum() -> tuple[Mechanism, MomentRamp]:
+    """A driven flexible link, whose derivatives compile in seconds, and its drive."""
+    steel = Material("steel", youngs_modulus=210e9, density=7850.0, poisson_ratio=0.3, damping=1e-5)
+    bar = Link("bar", 0.3, Rectangle(0.01, 0.01), steel, rfes=2)
+    return Mechanism((bar,), (Joint("A", "base", "bar"),), driven_joint="A"), MomentRamp("A", 1.5, 0.05)
+
+
+def over_errors(counts, trial: bool) -> list[Points]:
     """Derivatives with respect to more and more errors, over one simulation."""
-    model = discretise(STUDY.mechanism)
-    metrics = tuple(f"{joint}.mean_square_moment" for joint in "ABCD")
-    problem = Problem(model, STUDY.drive, STUDY.duration, metrics, METHOD, save_every=25e-3)
-    sides = [n for n in problem.error_names if "pin" not in n and n not in FIRST]
+    mechanism, drive = pendulum() if trial else (STUDY.mechanism, STUDY.drive)
+    model, duration = discretise(mechanism), TRIAL if trial else STUDY.duration
+    metrics = tuple(f"{joint}.mean_square_moment" for joint in sorted(model.joint_names))
+    problem = Problem(model, drive, duration, metrics, METHOD, save_every=min(25e-3, duration))
+    first = tuple(name for name in FIRST if name in problem.error_names)
+    others = [n for n in problem.error_names if "pin" not in n and n not in FIRST]
     curves = {"forward": [], "reverse": []}
     base = None
     for count in counts:
-        names = (*FIRST, *sides)[:count]
+        names = (*first, *others)[:count]
 
         def values(point, names=names):
             return problem(dict(zip(names, point)))[0]

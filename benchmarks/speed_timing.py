@@ -42,6 +42,26 @@ SCALES = np.linspace(1.0, 0.2, 16)  # of a case's errors, sample by sample, over
 SMALLEST_LOAD = 1e-6  # N, N m: smaller RMS loads are zero and have no relative error
 
 
+class Size(NamedTuple):
+    """How much is computed: rfes of a flexible link; simulated duration [s], a multiple of `INTERVAL`, and that of
+    explicit methods in a batch; steps in an interval that are searched, and those of the converged result; samples of
+    the batch by which settings are compared; evaluations of a right-hand side; timed runs; numbers of CPU devices."""
+
+    rfes: int
+    duration: float
+    explicit_duration: float
+    steps: tuple[int, ...]
+    converged: int
+    samples: int
+    evaluations: int
+    repeats: int
+    devices: tuple[int, ...]
+
+
+FULL = Size(5, 0.5, 5e-3, (4, 5, 6, 7, 8, 10, 12, 15, 18, 20, 25, 33, 50), 500, 16, 200, 5, (1, 2))
+TRIAL = Size(2, 0.025, 2e-4, (4, 5), 8, 2, 2, 1, (2,))
+
+
 class Timing(NamedTuple):
     """One program: lowering, compilation, first run by the clock; steady: medians of clock and
     processor time, the least and the most processor time; memory of intermediates; its result."""
@@ -58,7 +78,7 @@ class Timing(NamedTuple):
 
 
 def run_once(function, *arguments) -> tuple[Any, float, float]:
-    """Result, waited for; clock and processor time [s]."""
+    """Result; clock and processor time [s] until it is there."""
     clock, cpu = time.perf_counter(), time.process_time()
     result = jax.block_until_ready(function(*arguments))
     return result, time.perf_counter() - clock, time.process_time() - cpu
@@ -92,7 +112,7 @@ def sample_errors(case: str, count: int) -> dict[str, Array]:
     return {name: scales * value for name, value in named.items()}
 
 
-def simulation(model, method: Method, drive=STUDY.drive, duration=0.5):
+def simulation(model, method: Method, drive=STUDY.drive, duration=STUDY.duration):
     """Errors {name: value} -> RMS loads (2, joints) of one sample."""
 
     def run(errors) -> Array:
@@ -110,11 +130,11 @@ def simulation(model, method: Method, drive=STUDY.drive, duration=0.5):
     return run
 
 
-def stepping(model, case: str, count: int, method: Method):
-    """Steps an interval -> RMS loads (samples, 2, joints) and the largest share of a load that
-    Newton's method left over, by one program for all steps."""
+def stepping(model, case: str, count: int, method: Method, duration=STUDY.duration):
+    """Steps an interval -> RMS loads (samples, 2, joints) and the largest residual of a step over the largest joint
+    force, by one program for all steps."""
     errors = sample_errors(case, count)
-    grid, _ = grid_for(STUDY.drive, STUDY.duration, method, INTERVAL)
+    grid, _ = grid_for(STUDY.drive, duration, method, INTERVAL)
 
     def loads(steps: int):
         count = jnp.asarray(steps, jnp.float64)
@@ -124,11 +144,11 @@ def stepping(model, case: str, count: int, method: Method):
     return loads
 
 
-def converged(model, case: str, steps: int = 500) -> np.ndarray:
-    """RMS loads of the 16 samples by generalised-alpha, extrapolated from steps of twice
-    `INTERVAL` / steps and of that (with 500: 50 us) by its order 2."""
+def converged(model, case: str, steps: int = 500, samples: int = len(SCALES), duration=STUDY.duration) -> np.ndarray:
+    """RMS loads of the samples by generalised-alpha, extrapolated from steps of twice `INTERVAL` / steps and of that
+    (with 500: 50 us) by its order 2."""
     method = Method("generalised_alpha", step=INTERVAL)
-    loads = stepping(model, case, len(SCALES), method)
+    loads = stepping(model, case, samples, method, duration)
     coarse, fine = (np.asarray(loads(n)[0]) for n in (steps // 2, steps))
     return fine + (fine - coarse) / 3.0
 

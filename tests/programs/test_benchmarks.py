@@ -1,0 +1,143 @@
+"""The programs in `benchmarks`, on small inputs: they run, and measure what they say; their times are not looked at."""
+
+import importlib.util
+import json
+import re
+
+import pytest
+
+from tests.programs.conftest import rows_of
+
+pytestmark = pytest.mark.slow
+needs_exudyn = pytest.mark.skipif(importlib.util.find_spec("exudyn") is None, reason="Exudyn is not installed")
+
+
+def test_main_study(run_program):
+    said = run_program("benchmarks/main_study.py", "--samples", 1, "--duration", 1e-4, "--rfes", 2, "--repeats", 1)
+    assert re.search(r"^ +1( +\d+\.\d\d){6}$", said, re.M)
+    assert re.search(r"recursive \d+ us, dense \d+ us", said)
+
+
+def test_cost_of_gradients(run_program, pendulum_file):
+    said = run_program(
+        "benchmarks/gradients.py", "--study", pendulum_file, "--rfes", 2, "--share", 0.01, "--parts", "cost",
+        "--counts", 2, "--batches", 1, "--repeats", 1,
+    )  # fmt: skip
+    labels = [f"{method}, batch 1" for method in ("generalised_alpha", "rk4")]
+    for label in labels:
+        for row in (f"{label}, value", f"{label}, 2 errors, forward", f"{label}, 2 errors, reverse"):
+            assert re.search(rf"^{row}( +\d+\.\d+){{4}}$", said, re.M), said
+
+
+def test_accuracy_of_gradients(run_program, pendulum_file):
+    """A tighter tolerance gives a derivative that is more accurate, by more Newton increments."""
+    said = run_program(
+        "benchmarks/gradients.py", "--study", pendulum_file, "--rfes", 2, "--share", 0.04, "--parts", "accuracy",
+        "--steps", 2.5e-3, "--tolerances", 1e-2, 1e-6,
+    )  # fmt: skip
+    loose, tight = (line.split() for line in said.splitlines()[-2:])
+    assert int(loose[2]) < int(tight[2])
+    assert all(float(b) < 0.1 * float(a) for a, b in zip(loose[3:], tight[3:]))
+
+
+@pytest.mark.parametrize(
+    ("method", "loop", "mode"),
+    [
+        ("generalised_alpha", "own", "value"),
+        ("generalised_alpha", "checkpoint", "reverse"),
+        ("rk4", "forward", "forward"),
+        ("rk4", "direct", "value"),
+    ],
+)
+def test_diffrax_loop(run_program, pendulum_file, method, loop, mode):
+    said = run_program(
+        "benchmarks/diffrax_loop.py", method, loop, mode, 1, "--share", 0.01, "--rfes", 2, "--study", pendulum_file
+    )
+    assert re.match(rf"{method}, {loop}, {mode}, batch 1: tracing \d+\.\d s, .* ms and \d+\.\d+ MB a sample$", said)
+
+
+def test_first_answer(run_program, tmp_path):
+    said = run_program("benchmarks/first_answer.py", "--only", "check", "--repeat", 1, "--no-exudyn", "--out", tmp_path)
+    content = json.loads((tmp_path / "first_answer.json").read_text())
+    assert [(row["program"], row["state"]) for row in content["times"]] == [("check", "cold"), ("check", "warm")]
+    assert all(row["cpu"] > 0.0 and row["memory_mb"] > 10.0 for row in content["times"])
+    assert content["table"] in said
+
+
+def speed(run_program, folder, *arguments):
+    return run_program("benchmarks/speed.py", "--trial", "--out", folder, "--parts", *arguments)
+
+
+def test_speed_searches_settings(run_program, tmp_path):
+    said = speed(run_program, tmp_path, "methods")
+    assert re.search(r"Fastest within 0.01, status ok: generalised_alpha \S+ ms, tolerance 1e-08", said)
+
+
+def test_speed_table(run_program, tmp_path):
+    speed(run_program, tmp_path, "table")
+    (row,) = json.loads((tmp_path / "speed.json").read_text())
+    assert row["batch"] == 2 and row["error"] <= row["error_of_all"] < 1e-2 and row["memory_mb"] > 0.0
+
+
+def test_speed_of_a_dense_right_hand_side(run_program, tmp_path):
+    said = speed(run_program, tmp_path, "dense")
+    recursive, dense = (float(re.search(rf"{name} +([\d.]+) us", said)[1]) for name in ("recursive", "naive dense"))
+    assert 0.0 < recursive < dense
+
+
+def test_speed_on_two_devices(run_program, tmp_path):
+    assert re.search(r"2 CPU: [\d.]+ [\d.]+ [\d.]+", speed(run_program, tmp_path, "devices"))
+
+
+@pytest.mark.parametrize("sweep", ["rfes", "links", "batch", "errors"])
+def test_speed_scaling(run_program, tmp_path, sweep):
+    said = speed(run_program, tmp_path, "scaling", "--sweeps", sweep)
+    assert (tmp_path / "scaling.png").stat().st_size > 1000
+    curves = re.findall(r"^ +(\d+) +[\d.]+ +[\d.]+$", said, re.M)
+    assert curves == {"rfes": ["2"], "links": ["3"], "batch": ["2"], "errors": ["1", "1"]}[sweep]
+
+
+@needs_exudyn
+def test_speed_beside_exudyn(run_program, tmp_path):
+    assert re.search(r"within 0.01: Exudyn [\d.]+ ms", speed(run_program, tmp_path, "peer"))
+
+
+def agreements(path):
+    return {entry["what"]: entry["met"] for entry in json.loads(path.read_text())["agreements"]}
+
+
+@needs_exudyn
+@pytest.mark.parametrize("part", ["preload", "loads", "convergence", "open_chain"])
+def test_agreement_with_exudyn(run_program, tmp_path, part):
+    """Also with few steps, but for rates with the elements that are not exact."""
+    file = tmp_path / "tables.json"
+    run_program("benchmarks/against_exudyn.py", "--trial", "--parts", part, "--json", file)
+    found = agreements(file)
+    assert len(found) >= {"preload": 10, "loads": 5, "convergence": 1, "open_chain": 7}[part]
+    assert [what for what, met in found.items() if not met] == []
+
+
+@needs_exudyn
+def test_tilted_hinge_by_exudyn(run_program, tmp_path):
+    """With steps ten times as long; their error is the one agreement that may fail."""
+    file = tmp_path / "tables.json"
+    said = run_program("benchmarks/against_exudyn.py", "--trial", "--parts", "tilted_hinge", "--json", file)
+    assert [what for what, met in agreements(file).items() if not met and "halved" not in what] == []
+    force = next(row for row in rows_of(said) if row[0] == "force A")
+    assert float(force[1]) == pytest.approx(1.0197 * float(force[2]), rel=1e-3)
+
+
+@needs_exudyn
+def test_time_of_exudyn(run_program):
+    said = run_program("benchmarks/against_exudyn.py", "--trial", "--parts", "time")
+    rows = rows_of(said)
+    assert {"Lie-group nodes", "dense solver", "building and static start"} <= {row[0] for row in rows}
+
+
+@needs_exudyn
+@pytest.mark.parametrize(("study", "samples"), [("run", 1), ("monte_carlo", 4)])
+def test_first_answer_of_exudyn(run_program, study, samples):
+    said = run_program("benchmarks/exudyn_first_answer.py", study, "--step", 1e-2, "--samples", samples)
+    numbers = [float(x) for x in re.findall(r"\d+\.\d+", said)]
+    assert said.startswith({"run": "P1", "monte_carlo": "mean"}[study])
+    assert len(numbers) >= 8 and max(numbers) < 100.0

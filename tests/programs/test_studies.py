@@ -1,0 +1,86 @@
+"""The programs in `studies`, on small inputs: they run, write what they promise, and their numbers are plausible."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+
+pytestmark = pytest.mark.slow
+
+
+def table(path):
+    with open(path, newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def column(rows, name):
+    return np.array([float(row[name]) for row in rows])
+
+
+def test_assembly_preload(run_program, tmp_path):
+    said = run_program("studies/assembly_preload/study.py", "--quick", "--out", tmp_path)
+    assert "Tables and pictures are in" in said
+    pictures = {"errors_of_joint_D", "moments_by_error", "largest_preload", "drive_moment"}
+    assert {path.stem for path in tmp_path.glob("*.png")} == pictures
+    assert json.loads((tmp_path / "results.json").read_text())["angles"] == 8
+    # One force along the hinges of all joints; in-plane errors stress nothing.
+    peaks = {row["error"]: row for row in table(tmp_path / "peaks.csv")}
+    assert len(peaks) == 54
+    tilt = [float(peaks["D.delta_x"][f"{joint}_force_N"]) for joint in "ABCD"]
+    np.testing.assert_allclose(tilt, tilt[0], rtol=1e-2)
+    assert tilt[0] > 50.0 and float(peaks["D.d_x"]["A_force_N"]) < 0.1
+    # A unit error and the derivative agree; the moment that holds the crank is the derivative of the energy.
+    assert column(table(tmp_path / "linearity.csv"), "relative_deviation_of_force").max() < 0.05
+    drive = [row for row in table(tmp_path / "drive.csv") if row["case"] == "perfect"]
+    np.testing.assert_allclose(column(drive, "moment_Nm"), column(drive, "derivative_of_energy_Nm"), atol=0.02)
+
+
+QUESTIONS = ("rfes", "steps", "elements", "crank", "damping")
+
+
+@pytest.mark.parametrize("question", QUESTIONS)
+def test_convergence(run_program, tmp_path, question):
+    said = run_program("studies/convergence/study.py", "--quick", "--questions", question, "--out", tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == {f"{question}.csv", f"{question}.png", "results.json"}
+    assert "A trial" in json.loads((tmp_path / "results.json").read_text())["note"]
+    assert f"are in {tmp_path}" in said
+    CHECKS[question](table(tmp_path / f"{question}.csv"))
+
+
+def check_rfes(rows):
+    """Two numbers of sdes: the finer one is four times as near to the extrapolated value."""
+    own = [row for row in rows if (row["case"], row["metric"]) == ("P2", "rms_force")]
+    coarse, fine = column(own, "largest_relative_error")
+    assert 0.01 < fine < 0.1
+    np.testing.assert_allclose(coarse / fine, 4.0, rtol=0.1)
+
+
+def check_steps(rows):
+    assert {row["status"] for row in rows} == {"ok"}
+    errors = [row["largest_relative_error"] for row in rows if row["metric"] == "rms_force"]
+    assert sorted(float(error) for error in errors if error)[-1] < 1e-2 and "" in errors
+
+
+def check_elements(rows):
+    """Linear and geometrically exact elements differ by less than a thousandth in preload forces, but do differ."""
+    own = [row for row in rows if (row["case"], row["metric"]) == ("P2", "preload_force")]
+    difference = np.abs(column(own, "relative_difference"))
+    assert 1e-6 < difference.max() < 1e-3
+
+
+def check_crank(rows):
+    """A flexible crank takes half of the preload."""
+    own = [row for row in rows if (row["case"], row["metric"]) == ("P2", "preload_force")]
+    np.testing.assert_allclose(column(own, "relative_difference"), -0.52, atol=0.05)
+
+
+def check_damping(rows):
+    assert {row["damping_s"] for row in rows} == {"0.0", "1e-05"}
+    forces = [row for row in rows if row["load"] == "force"]
+    # The preload dominates: mean squares grow with the square of the tilt of 0.5 deg.
+    expected = 2.0 * column(forces, "rms") ** 2 / 0.5
+    np.testing.assert_allclose(column(forces, "derivative_of_square_per_deg"), expected, rtol=0.2)
+
+
+CHECKS = {name: globals()[f"check_{name}"] for name in QUESTIONS}

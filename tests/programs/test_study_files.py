@@ -1,0 +1,122 @@
+"""The study files in `studies`: each is valid as it is, and its commands run on a reduced copy.
+
+Copies are short, with few rfes and samples.  Second derivatives of the four-bar take minutes to compile: copies of
+studies that need them have a double pendulum of rigid links instead, whose joints are A and D.
+"""
+
+import csv
+import json
+import tomllib
+
+import pytest
+
+from rfem_jax import discretise, load_study
+from tests.programs.conftest import ROOT
+
+STUDIES = ROOT / "studies"
+FILES = sorted(path.relative_to(STUDIES).as_posix() for path in STUDIES.rglob("*.toml"))
+HINGES = [
+    {"name": "A", "parent": "base", "child": "crank", "angle": "90 deg"},
+    {"name": "D", "parent": "crank", "child": "coupler"},
+]
+
+
+def to_toml(value):
+    """Nested tables and lists in TOML's inline form."""
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{json.dumps(key)} = {to_toml(entry)}" for key, entry in value.items()) + "}"
+    if isinstance(value, list):
+        return f"[{', '.join(map(to_toml, value))}]"
+    return json.dumps(value)
+
+
+def reduced(name, pendulum=False):
+    """Text of a smaller study."""
+    content = tomllib.loads((STUDIES / name).read_text(encoding="utf-8"))
+    simulation = {"duration": 5e-3, "save_every": 2.5e-3}
+    if content["simulation"]["method"] == "auto":
+        simulation |= {"method": "generalised_alpha", "step": 2.5e-3}
+    else:
+        simulation |= {key: content["simulation"][key] for key in ("method", "step")}
+    mechanism = content["mechanism"]
+    for link in mechanism["links"]:
+        link |= {"rfes": 1 if pendulum or link.get("rigid") else 2}
+    if pendulum:
+        mechanism["links"], mechanism["joints"] = mechanism["links"][:2], HINGES
+        bounds = content.get("allocation", {}).get("bounds", {})
+        for error in [name for name in bounds if name.split(".")[0] not in ("A", "D", "crank", "coupler")]:
+            del bounds[error]
+    for task, sizes in {
+        "monte_carlo": {"n": 8, "batch": 4},
+        "worst_case": {"evaluations": 4, "batch": 4},
+        "allocation": {"samples": 16, "verify_samples": 16, "batch": 4},
+    }.items():
+        if task in content:
+            content[task] |= {key: size for key, size in sizes.items() if key in content[task]}
+    return "\n".join(f"{key} = {to_toml(value)}" for key, value in {**content, "simulation": simulation}.items())
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_every_file_is_valid(name):
+    study = load_study(STUDIES / name)
+    model = discretise(study.mechanism)
+    assert model.driven_joint == study.drive.joint == "A" and model.joint_names == ("A", "B", "D", "C")
+    assert any(name.startswith(f"{folder}/") for folder in ("four_bar", *COMMANDS)), "no test runs this file"
+
+
+@pytest.fixture
+def run_command(run_program, tmp_path):
+    """Run a command on a text of a study; its output folder and what it prints."""
+
+    def run(command, text):
+        file, out = tmp_path / "study.toml", tmp_path / "out"
+        file.write_text(text, encoding="utf-8")
+        said = run_program("rfem_jax.report.command_line", command, file, "--out", out)
+        return out, said
+
+    return run
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["four_bar/study.toml", "four_bar/undamped.toml"])
+def test_four_bar(run_command, name):
+    out, said = run_command("run", reduced(name))
+    cases = json.loads((out / "results.json").read_text())["cases"]
+    assert list(cases) == ["P1", "P2", "P3", "P4", "P5"]
+    assert all(case["status"] == "ok" for case in cases.values())
+    # A tilt loads all joints from the start.
+    forces = [case["joints"]["A"]["rms_force"] for case in cases.values()]
+    assert forces[1] > 5.0 * forces[0] and "P5" in said
+
+
+@pytest.mark.slow
+def test_monte_carlo(run_command):
+    out, said = run_command("monte-carlo", reduced("monte_carlo/study.toml"))
+    with open(next(out.glob("*samples*.csv")), newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 8
+    assert "D.rms_force" in said
+
+
+COMMANDS = {
+    "monte_carlo": (("study.toml", "monte-carlo"),),
+    "tolerance_sensitivity": (("study.toml", "sensitivity"),),
+    "tolerance_allocation": (
+        ("study.toml", "worst-case"),
+        ("study.toml", "allocate"),
+        ("yield.toml", "allocate"),
+        ("all_joints.toml", "allocate"),
+    ),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "command"),
+    [(f"{folder}/{file}", command) for folder in list(COMMANDS)[1:] for file, command in COMMANDS[folder]],
+)
+def test_tolerance_studies(run_command, name, command):
+    out, said = run_command(command, reduced(name, pendulum=True))
+    written = {path.suffix for path in out.iterdir()}
+    assert {".json", ".csv", ".png"} <= written
+    assert "D.delta_x" in said
