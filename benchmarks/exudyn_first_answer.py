@@ -25,20 +25,20 @@ STUDIES = Path(__file__).resolve().parents[1] / "studies"
 FASTEST = Settings(relative=1e-4, intrinsic=False)
 
 
-def rms_of(study, model, errors: dict, step: float) -> np.ndarray:
+def rms_of(study, model, errors: dict, step: float, duration: float | None = None) -> np.ndarray:
     """RMS force and moment (2, joints) of one sample."""
     link = linkage(model, assembly_errors(model, errors))
-    result = run(link, study.drive, study.duration, step, FASTEST, start=equilibrium(link, Settings()))
+    result = run(link, study.drive, duration or study.duration, step, FASTEST, start=equilibrium(link, Settings()))
     return np.array([list(result.rms[kind].values()) for kind in ("force", "moment")])
 
 
-def samples_of(share: np.ndarray, step: float) -> np.ndarray:
+def samples_of(share: np.ndarray, step: float, duration: float | None = None) -> np.ndarray:
     """RMS loads (samples, 2, joints) of errors `share` (samples, errors) of their half-widths."""
     study = load_study(STUDIES / "monte_carlo" / "study.toml")
     model = discretise(study.mechanism)
     widths = study.tasks.tolerances.half_widths()
     return np.array([
-        rms_of(study, model, {n: float(s * w) for s, (n, w) in zip(row, widths.items())}, step)
+        rms_of(study, model, {n: float(s * w) for s, (n, w) in zip(row, widths.items())}, step, duration)
         for row in share
     ])  # fmt: skip
 
@@ -48,16 +48,17 @@ def main() -> None:
     parser.add_argument("study", choices=("run", "monte_carlo"))
     parser.add_argument("--step", type=float, default=1e-3, help="s")
     parser.add_argument("--samples", type=int, default=4096)
+    parser.add_argument("--duration", type=float, help="s, instead of the study's")
     options = parser.parse_args()
     if options.study == "run":
         study = load_study(STUDIES / "four_bar" / "study.toml")
         model = discretise(study.mechanism)
         for case in study.cases[: options.samples]:
-            print(case.name, rms_of(study, model, case.errors, options.step))
+            print(case.name, rms_of(study, model, case.errors, options.step, options.duration))
         return
     cores = len(os.sched_getaffinity(0))
     share = np.random.default_rng(1).uniform(-1.0, 1.0, (options.samples, 3))
-    parts = [(part, options.step) for part in np.array_split(share, cores)]
+    parts = [(part, options.step, options.duration) for part in np.array_split(share, cores)]
     # JAX's threads do not survive a fork.
     with multiprocessing.get_context("spawn").Pool(cores) as pool:
         values = np.concatenate(pool.starmap(samples_of, parts))

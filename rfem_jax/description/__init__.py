@@ -20,7 +20,13 @@ from rfem_jax.description.joints import Joint
 from rfem_jax.description.links import Link, PointMass
 from rfem_jax.description.materials import Material
 from rfem_jax.description.mechanism import Mechanism
-from rfem_jax.description.methods import Method
+from rfem_jax.description.methods import (
+    AutomaticMethod,
+    DiffraxMethod,
+    FixedStepMethod,
+    GeneralisedAlphaMethod,
+    Method,
+)
 from rfem_jax.description.sections import (
     Circle,
     GivenSection,
@@ -33,8 +39,12 @@ from rfem_jax.description.study import Case, Study, load_study
 from rfem_jax.description.units import quantity
 
 __all__ = [
+    "AutomaticMethod",
     "Case",
     "Circle",
+    "DiffraxMethod",
+    "FixedStepMethod",
+    "GeneralisedAlphaMethod",
     "GivenSection",
     "InputError",
     "Joint",

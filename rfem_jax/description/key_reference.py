@@ -14,7 +14,7 @@ from rfem_jax.description.joints import Joint
 from rfem_jax.description.links import Link, PointMass
 from rfem_jax.description.materials import Material
 from rfem_jax.description.mechanism import Mechanism
-from rfem_jax.description.methods import Method
+from rfem_jax.description.methods import METHOD_CLASSES, settings_of
 from rfem_jax.description.study import CASE_KEYS, STUDY_KEYS, Case, Study
 from rfem_jax.description.study_reader import DRIVES, MECHANISM_KEYS, SHAPES, SIMULATION_KEYS
 from rfem_jax.description.tables import keys_of
@@ -77,7 +77,7 @@ def key_tables() -> list[KeyTable]:
     for name, (kind, required, optional) in DRIVES.items():
         header, own = f'[drive] of kind "{name}"', {"kind": f'"{name}"'}
         tables.append(_table(header, kind, ("joint", "kind", *required), optional, own))
-    tables.append(_simulation_table())
+    tables += _simulation_tables()
     tables.append(_table("[[cases]]", Case, *CASE_KEYS))
     tolerance = _table("[tolerances] ERROR", SpecifiedTolerance, *keys_of(SpecifiedTolerance, omit=("error",)))
     either = Key("ERROR = ...", "-", "a half-width alone, or a table { ... } of the keys below")
@@ -107,11 +107,15 @@ def argument_meanings(kind: type) -> dict[str, str]:
     return meanings
 
 
-def _simulation_table() -> KeyTable:
-    required, optional = SIMULATION_KEYS
-    study, method = argument_meanings(Study), argument_meanings(Method)["name"]
-    own = {"duration": study["duration"], "save_every": study["save_every"], "method": method}
-    return _table("[simulation]", Method, required, optional, own)
+def _simulation_tables() -> list[KeyTable]:
+    """What all simulations have, and the settings of each class of methods."""
+    method = 'name of the method; left out: "rk4" if there is a step, else "auto"'
+    tables = [_table("[simulation]", Study, *SIMULATION_KEYS, {"method": method})]
+    for kind in dict.fromkeys(METHOD_CLASSES.values()):
+        names = ", ".join(f'"{name}"' for name in kind.names)
+        settings = [one.name for one in settings_of(kind)]
+        tables.append(_table(f"[simulation], settings of the method {names}", kind, (), settings))
+    return tables
 
 
 def _table(

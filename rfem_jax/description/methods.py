@@ -1,126 +1,176 @@
-"""Method: the name of an integration method and its settings.
+"""Methods of integration and their settings, a class for each family.
 
-Place in the pipeline: specified in a study; `simulation` turns it into a solver.
+Place in the pipeline: specified in a study; `simulation` makes the solver of a method.
+
+    FixedStepMethod     rk4, leapfrog
+    GeneralisedAlphaMethod
+    DiffraxMethod       explicit solvers of diffrax, with a fixed step or with tolerances
+    AutomaticMethod     auto: `simulation.accuracy` chooses the method and its step
 
 Symbols: step h [s]; rtol, atol [1] relative and absolute tolerance of adaptive steps; stabilisation
 [1] dimensionless Baumgarte gain; accuracy [1] relative accuracy asked of the method "auto".
 Source: theory (3.12), (3.13), (5.7), (7.1) to (7.7), (11.4).
 """
 
-from dataclasses import dataclass, fields
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields
 from numbers import Real
-from typing import Any
+from typing import Any, ClassVar, Self, cast
 
-from rfem_jax.description.errors import ChecksItself, InputError, require_choice
+from rfem_jax.description.errors import ChecksItself, InputError, Problems, require_choice, require_name
 from rfem_jax.description.units import non_negative_quantity, positive_quantity
 
-ADAPTIVE_METHODS = ("tsit5", "dopri5", "dopri8", "bosh3", "heun", "midpoint", "ralston")
-FIXED_METHODS = ("rk4", "leapfrog")
-IMPLICIT_METHODS = ("generalised_alpha",)
-METHODS = (*FIXED_METHODS, *IMPLICIT_METHODS, *ADAPTIVE_METHODS, "auto")
-
-# Which settings a method has; all others must be left out.
-SETTINGS_OF: dict[str, tuple[str, ...]] = {
-    **dict.fromkeys(FIXED_METHODS, ("step", "stabilisation")),
-    **dict.fromkeys(IMPLICIT_METHODS, ("step", "spectral_radius", "corrections", "tolerance")),
-    **dict.fromkeys(ADAPTIVE_METHODS, ("step", "rtol", "atol", "stabilisation")),
-    "auto": ("accuracy", "stabilisation"),
-}
-_DIMENSIONS = {"step": "time"}  # of the settings that have one
-_MAY_BE_ZERO = ("stabilisation", "spectral_radius")
-_BELOW_ONE = {
-    "accuracy": "it is a relative error, such as 1e-4",
-    "spectral_radius": "the joint loads would oscillate from step to step; the default is 0.6",
-    "tolerance": "it is a share of the largest joint load, such as 1e-08",
-}
-_DEFAULTS = {"spectral_radius": 0.6, "corrections": 5, "tolerance": 1e-8}
+DEFAULT_ACCURACY = 1e-3  # of "auto"
 
 
-@dataclass(frozen=True)
+def _count(given: Any, dimension: str, where: str) -> int:
+    del dimension
+    if isinstance(given, bool) or not isinstance(given, Real) or not float(given).is_integer() or given < 1:
+        raise InputError(f"Argument {where} must be a whole number of at least 1, but is {given}; write for example 5.")
+    return int(float(given))
+
+
+def setting(
+    default: Any = None,
+    dimension: str = "none",
+    convert: Callable[[Any, str, str], Any] = positive_quantity,
+    below_one: str = "",
+) -> Any:
+    """A field of a method's class: its default; the dimension of a quantity; the function that checks and converts
+    it, called with (value, dimension, its name for messages); why it must be less than 1, "" where it need not be."""
+    return field(default=default, metadata={"dimension": dimension, "convert": convert, "below_one": below_one})
+
+
+@dataclass(frozen=True, init=False)
 class Method(ChecksItself):
-    """An integration method; numbers in SI or strings with a unit.
+    """An integration method with its settings; numbers in SI or strings with a unit.
+
+    `Method(name, **settings)` makes an object of the class that has this name: `Method("rk4", step=1e-5)` is a
+    `FixedStepMethod`. A class of one's own is added by `rfem_jax.register_method`.
 
     Args:
         name: "rk4" (classical Runge-Kutta 4), "leapfrog", "generalised_alpha", an explicit solver of diffrax
             by its lower-case name ("tsit5", "dopri5", "dopri8", ...), or "auto".
-        step: h [s], > 0; needed by "rk4", "leapfrog" and "generalised_alpha". The solvers of diffrax take
-            either a step (fixed) or both tolerances (adaptive).
-        rtol, atol: tolerances, > 0.
-        stabilisation: Baumgarte gain, >= 0; None = the default, 0 = none.
-        accuracy: > 0, < 1; for "auto" only, which chooses step and tolerances itself.
-        spectral_radius: of "generalised_alpha" at infinite frequency, from 0 (such vibrations vanish in one
-            step) to below 1 (they stay); default 0.6.
-        corrections: largest number of Newton increments in a step of "generalised_alpha"; at least 1, default 5.
-        tolerance: largest residual allowed, as a share of the largest joint load, > 0, < 1; default 1e-8.
+        settings: those of the class, by their names.
     Raises:
         InputError: an unknown name, a value out of range, or settings that do not fit the method.
     """
 
     name: str = "rk4"
-    step: float | None = None
-    rtol: float | None = None
-    atol: float | None = None
-    stabilisation: float | None = None
-    accuracy: float | None = None
-    spectral_radius: float | None = None
-    corrections: int | None = None
-    tolerance: float | None = None
+    # What every method may be asked for; a class that has the setting declares it again.
+    step: float | None = field(default=None, init=False)
+    stabilisation: float | None = field(default=None, init=False)
+
+    names: ClassVar[tuple[str, ...]] = ()
+    implicit: ClassVar[bool] = False  # whether every step solves equations
+    example: ClassVar[str] = ""  # of settings that must be given
+
+    def __new__(cls, name: Any = "rk4", *arguments: Any, **settings: Any) -> Self:
+        del arguments
+        if cls is not Method:
+            return object.__new__(cls)
+        kind = METHOD_CLASSES[require_choice(name, tuple(METHOD_CLASSES), "`name` of the method")]
+        _refuse_settings_of_others(name, kind, settings)
+        return cast(Self, object.__new__(kind))
+
+    def __init__(self, name: str = "rk4", **settings: Any) -> None:
+        """For signatures alone: `__new__` makes an object of a subclass, which has an `__init__` of its own."""
+        raise NotImplementedError
 
     def __post_init__(self):
-        require_choice(self.name, METHODS, "`name` of the method")
-        for field in SETTINGS_OF[self.name]:
-            self._set(field)
-        for field in (one.name for one in fields(self) if one.name != "name"):
-            if getattr(self, field) is not None and field not in SETTINGS_OF[self.name]:
-                others = ", ".join(f'"{name}"' for name, settings in SETTINGS_OF.items() if field in settings)
-                raise InputError(
-                    f'Argument `{field}` must be left out with the method "{self.name}", but was given; remove it, or '
-                    f"take a method that has it ({others})."
-                )
-        if self.name in ADAPTIVE_METHODS:
-            self._check_adaptive()
-        elif self.name != "auto" and self.step is None:
+        require_choice(self.name, self.names, "`name` of the method")
+        problems = Problems()
+        for one in settings_of(type(self)):
+            with problems.noted():
+                self._convert(one.name, one.default, **one.metadata)
+        problems.refuse()
+        if self.example and self.step is None:
             raise InputError(
                 f'Argument `step` must be given for the method "{self.name}", but is missing; '
-                f"add for example step = {'1e-3' if self.implicit else '1e-5'}."
+                f"add for example {self.example}."
             )
 
     @property
     def adaptive(self) -> bool:
         """True if the method chooses its steps from tolerances."""
-        return self.rtol is not None
+        return False
 
-    @property
-    def implicit(self) -> bool:
-        """True if every step solves equations."""
-        return self.name in IMPLICIT_METHODS
-
-    def _set(self, field: str) -> None:
-        """Check and convert one setting; one that is left out takes its default, if it has one."""
-        given = getattr(self, field)
-        given = _DEFAULTS.get(field) if given is None else given
+    def _convert(self, name: str, default: Any, dimension: str, convert: Callable, below_one: str) -> None:
+        given = getattr(self, name)
+        given = default if given is None else given
         if given is None:
             return
-        where = f"`{field}` of the method"
-        if field == "corrections":
-            value = self._whole(given)
-        else:
-            convert = non_negative_quantity if field in _MAY_BE_ZERO else positive_quantity
-            value = convert(given, _DIMENSIONS.get(field, "none"), where)
-        if field in _BELOW_ONE and value >= 1.0:
-            raise InputError(f"Argument `{field}` must be less than 1, but is {value:g}; {_BELOW_ONE[field]}.")
-        object.__setattr__(self, field, value)
+        value = convert(given, dimension, f"`{name}` of the method")
+        if below_one and value >= 1.0:
+            raise InputError(f"Argument `{name}` must be less than 1, but is {value:g}; {below_one}.")
+        object.__setattr__(self, name, value)
 
-    @staticmethod
-    def _whole(count: Any) -> int:
-        if isinstance(count, bool) or not isinstance(count, Real) or not float(count).is_integer() or count < 1:
-            raise InputError(
-                f"Argument `corrections` must be a whole number of at least 1, but is {count}; the "
-                f"default is {_DEFAULTS['corrections']}."
-            )
-        return int(float(count))
 
-    def _check_adaptive(self) -> None:
+@dataclass(frozen=True)
+class FixedStepMethod(Method):
+    """An explicit method with a fixed step.
+
+    Args:
+        name: "rk4" or "leapfrog".
+        step: h [s], > 0; must be given.
+        stabilisation: Baumgarte gain, >= 0; None = the default, 0 = none.
+    """
+
+    step: float | None = setting(dimension="time")
+    stabilisation: float | None = setting(convert=non_negative_quantity)
+
+    names: ClassVar[tuple[str, ...]] = ("rk4", "leapfrog")
+    example: ClassVar[str] = "step = 1e-5"
+
+
+@dataclass(frozen=True)
+class GeneralisedAlphaMethod(Method):
+    """The implicit method.
+
+    Args:
+        name: "generalised_alpha".
+        step: h [s], > 0; must be given.
+        spectral_radius: at infinite frequency, from 0 (such vibrations vanish in one step) to below 1 (they stay).
+        corrections: largest number of Newton increments in a step; at least 1.
+        tolerance: largest residual allowed, as a share of the largest joint load, > 0, < 1.
+    """
+
+    name: str = "generalised_alpha"
+    step: float | None = setting(dimension="time")
+    spectral_radius: float = setting(
+        0.6,
+        convert=non_negative_quantity,
+        below_one="the joint loads would oscillate from step to step; the default is 0.6",
+    )
+    corrections: int = setting(5, convert=_count)
+    tolerance: float = setting(1e-8, below_one="it is a share of the largest joint load, such as 1e-08")
+
+    names: ClassVar[tuple[str, ...]] = ("generalised_alpha",)
+    implicit: ClassVar[bool] = True
+    example: ClassVar[str] = "step = 1e-3"
+
+
+@dataclass(frozen=True)
+class DiffraxMethod(Method):
+    """An explicit solver of diffrax, with a fixed step or with tolerances.
+
+    Args:
+        name: "tsit5", "dopri5", "dopri8", "bosh3", "heun", "midpoint" or "ralston".
+        step: h [s], > 0, of fixed steps; or else both tolerances.
+        rtol, atol: tolerances of adaptive steps, > 0.
+        stabilisation: Baumgarte gain, >= 0; None = the default, 0 = none.
+    """
+
+    name: str = "tsit5"
+    step: float | None = setting(dimension="time")
+    rtol: float | None = setting()
+    atol: float | None = setting()
+    stabilisation: float | None = setting(convert=non_negative_quantity)
+
+    names: ClassVar[tuple[str, ...]] = ("tsit5", "dopri5", "dopri8", "bosh3", "heun", "midpoint", "ralston")
+
+    def __post_init__(self):
+        super().__post_init__()
         tolerances = self.rtol is not None or self.atol is not None
         if self.step is not None and tolerances:
             raise InputError(
@@ -133,3 +183,75 @@ class Method(ChecksItself):
                 f'Argument `step` of the method "{self.name}" must be given or else both `rtol` '
                 "and `atol`, but neither is complete; add for example rtol = 1e-8 and atol = 1e-10."
             )
+
+    @property
+    def adaptive(self) -> bool:
+        return self.rtol is not None
+
+
+@dataclass(frozen=True)
+class AutomaticMethod(Method):
+    """A method and a step that keep an accuracy, chosen for the mechanism.
+
+    Args:
+        name: "auto".
+        accuracy: relative, of the RMS joint loads, > 0, < 1; None = 1e-3.
+        stabilisation: Baumgarte gain, >= 0, if an explicit method is chosen; None = the default, 0 = none.
+    """
+
+    name: str = "auto"
+    accuracy: float | None = setting(below_one="it is a relative error, such as 1e-4")
+    stabilisation: float | None = setting(convert=non_negative_quantity)
+
+    names: ClassVar[tuple[str, ...]] = ("auto",)
+
+
+METHOD_CLASSES: dict[str, type[Method]] = {
+    name: kind
+    for kind in (FixedStepMethod, GeneralisedAlphaMethod, DiffraxMethod, AutomaticMethod)
+    for name in kind.names
+}
+
+
+def add_method_class(kind: type[Method]) -> None:
+    """Make the names of a class known; its solver is said by `simulation.solvers.register_method`, which calls this.
+
+    Raises:
+        InputError: no subclass with names of its own, or a name that is known already.
+    """
+    if not (isinstance(kind, type) and issubclass(kind, Method) and kind.names):
+        raise InputError(
+            f"Argument `kind` must be a subclass of Method with `names`, but was {kind!r}; see CONTRIBUTING.md."
+        )
+    for name in kind.names:
+        require_name(name, "`names` of the method", reserved=tuple(METHOD_CLASSES))
+    METHOD_CLASSES.update(dict.fromkeys(kind.names, kind))
+
+
+def settings_of(kind: type[Method]) -> list[Any]:
+    """The dataclass fields of a class that are settings: all that can be given but the name."""
+    return [one for one in fields(kind) if one.init and one.name != "name"]
+
+
+def setting_names() -> list[str]:
+    """Names of the settings of all methods."""
+    found = dict.fromkeys(METHOD_CLASSES.values())
+    return list(dict.fromkeys(one.name for kind in found for one in settings_of(kind)))
+
+
+def _refuse_settings_of_others(name: str, kind: type[Method], given: dict[str, Any]) -> None:
+    own = {one.name for one in settings_of(kind)}
+    problems = Problems()
+    for setting_name in (key for key in given if key not in own):
+        having = [
+            f'"{other}"'
+            for other, of_other in METHOD_CLASSES.items()
+            if setting_name in {one.name for one in settings_of(of_other)}
+        ]
+        with problems.noted():
+            if having:
+                raise InputError(
+                    f'Argument `{setting_name}` must be left out with the method "{name}", but was given; remove it, '
+                    f"or take a method that has it ({', '.join(having)})."
+                )
+    problems.refuse()

@@ -23,7 +23,7 @@ from rfem_jax.description.joints import Joint
 from rfem_jax.description.links import Link, PointMass
 from rfem_jax.description.materials import Material
 from rfem_jax.description.mechanism import Mechanism
-from rfem_jax.description.methods import Method
+from rfem_jax.description.methods import Method, setting_names
 from rfem_jax.description.sections import Circle, GivenSection, Rectangle, Section, Tube
 from rfem_jax.description.tables import checked_list, checked_table, keys_of, named_place
 
@@ -39,11 +39,7 @@ DRIVES = {
 }
 _MECHANISM_OPTIONS = ("gravity", "redundant_reactions", "elements")
 MECHANISM_KEYS = (("links", "joints"), ("materials", "sections", *_MECHANISM_OPTIONS))
-_METHOD_KEYS = (
-    "step", "rtol", "atol", "stabilisation", "accuracy", "spectral_radius", "corrections",
-    "tolerance",
-)  # fmt: skip
-SIMULATION_KEYS = (("duration",), ("method", "save_every", *_METHOD_KEYS))
+SIMULATION_KEYS = (("duration",), ("method", "save_every"))  # and the settings of the method
 
 
 def read_mechanism(table: object) -> Mechanism:
@@ -80,8 +76,9 @@ def read_drive(table: object) -> MomentDrive | PrescribedDrive:
 def read_simulation(table: object) -> tuple[Any, Method, Any]:
     """Return (duration, Method, save_every or None) of the table [simulation]."""
     place = "[simulation]"
-    content = checked_table(table, place, *SIMULATION_KEYS)
-    settings = {key: content[key] for key in _METHOD_KEYS if key in content}
+    required, optional = SIMULATION_KEYS
+    content = checked_table(table, place, required, (*optional, *setting_names()))
+    settings = {key: content[key] for key in setting_names() if key in content}
     with located(place):
         method = Method(content.get("method", "rk4" if "step" in content else "auto"), **settings)
     return content["duration"], method, content.get("save_every")

@@ -315,7 +315,7 @@ def _check(arguments: argparse.Namespace) -> int:
         return DONE
     _announce("Looking for the largest stable step")
     step = check_step(model, study.method, study.drive)
-    found = "any, or chosen by the method" if step is None else f"{float(step):.3g} s"
+    found = "any, chosen by the method, or not known" if step is None else f"{float(step):.3g} s"
     show(f"Largest stable step of {study.method.name}: {found}.")
     return DONE
 

@@ -18,7 +18,13 @@ from jaxtyping import Array, Bool, Float
 
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.errors import InputError
-from rfem_jax.description.methods import Method
+from rfem_jax.description.methods import (
+    DEFAULT_ACCURACY,
+    AutomaticMethod,
+    FixedStepMethod,
+    GeneralisedAlphaMethod,
+    Method,
+)
 from rfem_jax.mechanics.model import Model
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors, assembly_errors
 from rfem_jax.mechanics.status import OK
@@ -28,7 +34,6 @@ from rfem_jax.simulation.generalised_alpha import ACCURACY_OF_TOLERANCE
 from rfem_jax.simulation.stability import largest_stable_step, round_down
 from rfem_jax.simulation.time_grid import TimeGrid
 
-DEFAULT_ACCURACY = 1e-3
 TRIAL_INTERVALS = 50
 FIRST, LAST = 2, 256  # steps in an interval
 # Changes are relative to the load of the joint, but at least to this share of the largest load of its kind.
@@ -56,7 +61,7 @@ def choose_method(
 
     **Raises:** `InputError` if "auto" is given without a duration, or with a drive of another than the driven joint.
     """
-    if method.name != "auto":
+    if not isinstance(method, AutomaticMethod):
         return method
     if duration is None:
         raise InputError(
@@ -65,12 +70,12 @@ def choose_method(
         )
     require_driven(model, drive)
     accuracy = DEFAULT_ACCURACY if method.accuracy is None else method.accuracy
-    implicit = Method("generalised_alpha", step=duration, tolerance=accuracy / ACCURACY_OF_TOLERANCE)
+    implicit = GeneralisedAlphaMethod(step=duration, tolerance=accuracy / ACCURACY_OF_TOLERANCE)
     longest = duration if save_every is None else min(duration, save_every)
     step = _longest_step(model, implicit, drive, duration, accuracy, errors)
     if step is not None:
         return replace(implicit, step=min(float(round_down(step)), longest))
-    trial = Method("rk4", step=1e-6, stabilisation=method.stabilisation)
+    trial = FixedStepMethod("rk4", step=1e-6, stabilisation=method.stabilisation)
     limit = 0.9 * largest_stable_step(model, trial, drive)
     # Rigid links have no limit; but no step is longer than those that were not accurate enough with the implicit
     # method.

@@ -43,7 +43,7 @@ from jaxtyping import Array, Bool, Float, PyTree
 
 from rfem_jax.description.drives import PrescribedDrive
 from rfem_jax.description.errors import InputError
-from rfem_jax.description.methods import Method
+from rfem_jax.description.methods import GeneralisedAlphaMethod, Method
 from rfem_jax.mechanics import algebra, loads
 from rfem_jax.mechanics.condensation import LinkOperator, link_operators, present_operators
 from rfem_jax.mechanics.cut_joints import closure
@@ -116,9 +116,9 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
     tolerance: float = eqx.field(static=True)
 
     def __init__(self, method: Method):
-        radius = method.spectral_radius
-        if radius is None or method.corrections is None or method.tolerance is None:
+        if not isinstance(method, GeneralisedAlphaMethod):
             raise InputError(f'Argument `method` must be "generalised_alpha", but is {method.name!r}.')
+        radius = method.spectral_radius
         self.alpha_m = (2.0 * radius - 1.0) / (radius + 1.0)
         self.alpha_f = radius / (radius + 1.0)
         self.gamma = 0.5 + self.alpha_f - self.alpha_m

@@ -6,6 +6,7 @@ Place in the pipeline: generalised_alpha, methods -> **solvers** -> stepping.
     Leapfrog          one right-hand side a step
     PeakTracking      wraps any explicit solver and keeps maxima of the joint forces, outside of the error control
     observed_solver   what `stepping` integrates with, by any method: an `IntervalSolver`
+    register_method   adds a class of methods with its solver
 
 diffrax's own explicit solvers are taken by their names.
 """
@@ -18,7 +19,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
-from rfem_jax.description.methods import Method
+from rfem_jax.description.methods import (
+    DiffraxMethod,
+    FixedStepMethod,
+    GeneralisedAlphaMethod,
+    Method,
+    add_method_class,
+)
 from rfem_jax.mechanics.inputs import DriveInput
 from rfem_jax.mechanics.model import Coordinates, State
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
@@ -272,18 +279,45 @@ _DIFFRAX = {
     "midpoint": diffrax.Midpoint,
     "ralston": diffrax.Ralston,
 }
+_MAKERS: dict[type[Method], Callable[[Any], diffrax.AbstractSolver]] = {
+    FixedStepMethod: lambda method: RungeKutta4() if method.name == "rk4" else Leapfrog(),
+    GeneralisedAlphaMethod: GeneralisedAlpha,
+    # With "bounded" loops over the stages all transforms apply, in forward and reverse mode.
+    DiffraxMethod: lambda method: _DIFFRAX[method.name](scan_kind="bounded"),
+}
+
+
+def register_method(kind: type[Method], make_solver: Callable[[Any], diffrax.AbstractSolver]) -> None:
+    """Add a class of integration methods. From then on its names are known in `Method` and in study files.
+
+        @dataclass(frozen=True)
+        class Kutta(FixedStepMethod):
+            names: ClassVar[tuple[str, ...]] = ("kutta3",)
+
+        register_method(Kutta, lambda method: KuttaSolver())
+        run = simulate(model, errors, method=Method("kutta3", step=1e-5), ...)
+
+    Programs of such a method are compiled in every process: nothing is known of its source.
+
+    **Arguments:** `kind`: a frozen dataclass derived from `Method` (or from a class of methods) whose `names` are its
+    own; its other fields are the settings. `make_solver`: from a method of this class to its diffrax solver. An
+    explicit one advances a `Trajectory`, and its dense information holds the increments h f of its stages, first
+    stage first, as "k" (all Runge-Kutta methods of diffrax that derive from `diffrax.AbstractERK` do). An implicit one
+    (`implicit = True` in the class) is an `IntervalSolver`. Steps of an explicit method are checked for stability
+    only if it derives from `diffrax.AbstractERK`.
+
+    **Raises:** `InputError` for a class that is not of this form, or a name that is known already.
+    """
+    add_method_class(kind)
+    _MAKERS[kind] = make_solver
 
 
 def observed_solver(method: Method) -> IntervalSolver:
     """The solver that integrates trajectory and maxima of forces by a method."""
-    return GeneralisedAlpha(method) if method.implicit else PeakTracking(make_solver(method))
+    solver = make_solver(method)
+    return solver if isinstance(solver, IntervalSolver) else PeakTracking(solver)
 
 
 def make_solver(method: Method) -> diffrax.AbstractSolver:
-    """The diffrax solver of an explicit method."""
-    if method.name == "rk4":
-        return RungeKutta4()
-    if method.name == "leapfrog":
-        return Leapfrog()
-    # With "bounded" loops over the stages all transforms apply, in forward and reverse mode.
-    return _DIFFRAX[method.name](scan_kind="bounded")
+    """The diffrax solver of a method."""
+    return _MAKERS[type(method)](method)

@@ -7,12 +7,15 @@ of closure errors by Baumgarte's terms, are tested with the stability function o
 the amplification matrix of each mode (leapfrog): theory (11.6), (11.7).
 """
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 from jaxtyping import Complex
 
 from rfem_jax.description.drives import PrescribedDrive
 from rfem_jax.description.errors import InputError
-from rfem_jax.description.methods import Method
+from rfem_jax.description.methods import FixedStepMethod, Method
 from rfem_jax.mechanics.discretisation import CLOSING_TOLERANCE, close_at
 from rfem_jax.mechanics.model import Model
 from rfem_jax.simulation.driving import Drive, require_driven
@@ -24,13 +27,14 @@ GROWTH_TOLERANCE = 1e-6  # of the amplification in one step, relative
 
 
 def check_step(model: Model, method: Method, drive: Drive = None) -> float | None:
-    """Largest stable step [s] of a fixed-step method (None for adaptive and implicit ones, and for "auto").
+    """Largest stable step [s] of a fixed-step method.
+
+    None for adaptive and implicit ones, for "auto", and for a method from outside of this package that is no
+    Runge-Kutta method of diffrax: nothing is known of its stability.
 
     **Raises:** `InputError` if the method's step is larger, and for a drive of another joint than the driven one.
     """
-    if method.implicit:
-        return None
-    if method.step is None:
+    if method.implicit or method.step is None or not _stability_known(method):
         return None
     limit = largest_stable_step(model, method, drive)
     if limit == 0.0:
@@ -112,7 +116,7 @@ def _poses(model: Model) -> np.ndarray:
 
 
 def _stable(model: Model, method: Method, modes: Modes, values: np.ndarray, step: float) -> bool:
-    trial = Method(method.name, step=step, stabilisation=method.stabilisation)
+    trial = replace(method, step=step)
     if model.topology.n_cuts:
         rate = np.sqrt(float(stabilisation_of(model, trial).position_gain))
         modes, values = _with_gaps(modes, rate), np.append(values, -rate)
@@ -136,19 +140,33 @@ def _with_gaps(modes: Modes, rate: float) -> Modes:
     return Modes(squares, damping)
 
 
-def _stability_function(method: Method, z: np.ndarray) -> np.ndarray:
-    """R(z) of an explicit Runge-Kutta method."""
-    if method.name == "rk4":
-        return 1.0 + z * (1.0 + z / 2.0 * (1.0 + z / 3.0 * (1.0 + z / 4.0)))
+def _stability_known(method: Method) -> bool:
+    return method.name in FixedStepMethod.names or _tableau(method) is not None
+
+
+def _tableau(method: Method) -> Any:
+    """Coefficients of a Runge-Kutta method of diffrax; None for any other method."""
     # Imported here, since most checks do not need it and it takes long.
     import diffrax
 
     from rfem_jax.simulation.solvers import make_solver
 
     solver = make_solver(method)
-    if not isinstance(solver, diffrax.AbstractERK):
-        raise TypeError(f"{method.name} is no Runge-Kutta method.")
-    tableau = solver.tableau
+    return solver.tableau if isinstance(solver, diffrax.AbstractERK) else None
+
+
+def _stability_function(method: Method, z: np.ndarray) -> np.ndarray:
+    """R(z) of an explicit Runge-Kutta method."""
+    if method.name == "rk4":
+        return 1.0 + z * (1.0 + z / 2.0 * (1.0 + z / 3.0 * (1.0 + z / 4.0)))
+    import diffrax
+
+    tableau = _tableau(method)
+    if tableau is None:
+        raise InputError(
+            f"Argument `method` must be a Runge-Kutta method for its largest stable step, but {method.name!r} is none; "
+            "try steps."
+        )
     if isinstance(tableau, diffrax.MultiButcherTableau):
         tableau = tableau.tableaus[0]
     weights = np.asarray(tableau.b_sol)

@@ -1,13 +1,17 @@
 """Methods: names, settings that fit, refusals."""
 
+import copy
+import pickle
+from dataclasses import replace
+
 import diffrax
 import pytest
 
-from rfem_jax.description import Method
-from rfem_jax.description.methods import ADAPTIVE_METHODS, METHODS, SETTINGS_OF
+from rfem_jax.description import InputError, Method
+from rfem_jax.description.methods import METHOD_CLASSES, DiffraxMethod, FixedStepMethod
 
 
-@pytest.mark.parametrize("name", ADAPTIVE_METHODS)
+@pytest.mark.parametrize("name", DiffraxMethod.names)
 def test_adaptive_methods_are_explicit_solvers_of_diffrax_with_an_error_estimate(name):
     (solver,) = [kind for key, kind in vars(diffrax).items() if key.lower() == name]
     assert issubclass(solver, diffrax.AbstractAdaptiveSolver)
@@ -25,7 +29,7 @@ def test_fixed_methods():
 
 
 def test_no_other_name_is_known(refused):
-    for name in METHODS:
+    for name in METHOD_CLASSES:
         with refused("`name` of the method", f"`{name}`?"):
             Method(name + "x", step=1e-5)
     with refused("`name` of the method"):
@@ -82,5 +86,28 @@ def test_defaults_belong_to_the_implicit_method_alone():
     implicit = Method("generalised_alpha", step=1e-3, corrections=4.0)
     assert (implicit.spectral_radius, implicit.corrections, implicit.tolerance) == (0.6, 4, 1e-8)
     assert isinstance(implicit.corrections, int) and implicit.implicit
-    assert Method("rk4", step=1e-3).spectral_radius is None
-    assert set(SETTINGS_OF) == set(METHODS)
+    assert not hasattr(Method("rk4", step=1e-3), "spectral_radius")
+
+
+@pytest.mark.parametrize("name", METHOD_CLASSES)
+def test_a_method_is_of_the_class_that_has_its_name(name):
+    method = Method(name, **({"step": 1e-3} if name != "auto" else {}))
+    kind = METHOD_CLASSES[name]
+    assert type(method) is kind and method.name == name
+    assert method == kind(name, **({"step": 1e-3} if name != "auto" else {}))
+    assert method == copy.copy(method) == pickle.loads(pickle.dumps(method)) == replace(method)
+    assert hash(method) == hash(replace(method))
+
+
+def test_a_class_refuses_the_names_of_others(refused):
+    with refused("`name` of the method", "rk4", "leapfrog"):
+        FixedStepMethod("dopri8", step=1e-3)
+
+
+def test_all_mistakes_are_told_at_once():
+    with pytest.raises(InputError) as caught:
+        Method("generalised_alpha", step=-1.0, tolerance=2.0, corrections=0)
+    assert [problem.split("`")[1] for problem in caught.value.problems] == ["step", "corrections", "tolerance"]
+    with pytest.raises(InputError) as caught:
+        Method("rk4", step=1e-5, rtol=1e-3, accuracy=1e-3)
+    assert [problem.split("`")[1] for problem in caught.value.problems] == ["rtol", "accuracy"]

@@ -8,8 +8,8 @@ import pytest
 
 from tests.programs.conftest import rows_of
 
-pytestmark = pytest.mark.slow
-needs_exudyn = pytest.mark.skipif(importlib.util.find_spec("exudyn") is None, reason="Exudyn is not installed")
+without_peer = importlib.util.find_spec("exudyn") is None
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(without_peer, reason="needs the extra `bench`")]
 
 
 def test_main_study(run_program):
@@ -97,7 +97,6 @@ def test_speed_scaling(run_program, tmp_path, sweep):
     assert curves == {"rfes": ["2"], "links": ["3"], "batch": ["2"], "errors": ["1", "1"]}[sweep]
 
 
-@needs_exudyn
 def test_speed_beside_exudyn(run_program, tmp_path):
     assert re.search(r"within 0.01: Exudyn [\d.]+ ms", speed(run_program, tmp_path, "peer"))
 
@@ -106,7 +105,6 @@ def agreements(path):
     return {entry["what"]: entry["met"] for entry in json.loads(path.read_text())["agreements"]}
 
 
-@needs_exudyn
 @pytest.mark.parametrize("part", ["preload", "loads", "convergence", "open_chain"])
 def test_agreement_with_exudyn(run_program, tmp_path, part):
     """Also with few steps, but for rates with the elements that are not exact."""
@@ -117,7 +115,6 @@ def test_agreement_with_exudyn(run_program, tmp_path, part):
     assert [what for what, met in found.items() if not met] == []
 
 
-@needs_exudyn
 def test_tilted_hinge_by_exudyn(run_program, tmp_path):
     """With steps ten times as long; their error is the one agreement that may fail."""
     file = tmp_path / "tables.json"
@@ -127,17 +124,15 @@ def test_tilted_hinge_by_exudyn(run_program, tmp_path):
     assert float(force[1]) == pytest.approx(1.0197 * float(force[2]), rel=1e-3)
 
 
-@needs_exudyn
 def test_time_of_exudyn(run_program):
     said = run_program("benchmarks/against_exudyn.py", "--trial", "--parts", "time")
     rows = rows_of(said)
     assert {"Lie-group nodes", "dense solver", "building and static start"} <= {row[0] for row in rows}
 
 
-@needs_exudyn
 @pytest.mark.parametrize(("study", "samples"), [("run", 1), ("monte_carlo", 4)])
 def test_first_answer_of_exudyn(run_program, study, samples):
-    said = run_program("benchmarks/exudyn_first_answer.py", study, "--step", 1e-2, "--samples", samples)
+    said = run_program("benchmarks/exudyn_first_answer.py", study, "--duration", 0.02, "--samples", samples)
     numbers = [float(x) for x in re.findall(r"\d+\.\d+", said)]
     assert said.startswith({"run": "P1", "monte_carlo": "mean"}[study])
     assert len(numbers) >= 8 and max(numbers) < 100.0

@@ -89,7 +89,7 @@ def test_check_prints_what_was_understood(packages, study_file, capsys):
 def test_check_of_an_adaptive_method(packages, study_file, capsys):
     packages.simulation.check_step = lambda model, method, drive: None
     assert main(["check", str(study_file)]) == 0
-    assert "Largest stable step of rk4: any, or chosen by the method." in capsys.readouterr().out
+    assert "Largest stable step of rk4: any, chosen by the method, or not known." in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("command", [["check"], ["run", "--out", "unused"]])

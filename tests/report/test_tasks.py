@@ -315,14 +315,17 @@ def test_wrong_options_are_one_sentence(task_file, tmp_path, capsys, options, wo
     ("method", "expected"),
     [
         (Method("rk4", step=2e-5), Method("rk4", step=1e-5)),
+        (Method("generalised_alpha", step=2e-3), Method("generalised_alpha", step=1e-3)),
         (Method("dopri8", rtol=1e-6, atol=1e-9), Method("dopri8", rtol=1e-7, atol=1e-10)),
+        (Method("auto"), Method("auto", accuracy=1e-4)),
+        (Method("auto", accuracy=2e-3), Method("auto", accuracy=2e-4)),
     ],
 )
 def test_the_finer_method(method, expected):
     finer = finer_method(method)
-    assert (finer.name, finer.step) == (expected.name, expected.step)
-    assert finer.rtol == (None if expected.rtol is None else pytest.approx(expected.rtol))
-    assert finer.atol == (None if expected.atol is None else pytest.approx(expected.atol))
+    assert type(finer) is type(expected)
+    numbers = {name: value for name, value in vars(expected).items() if isinstance(value, float)}
+    assert {name: getattr(finer, name) for name in numbers} == pytest.approx(numbers)
 
 
 def test_distributions_are_those_that_are_specified(tmp_path):

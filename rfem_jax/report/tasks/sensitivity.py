@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from rfem_jax.compilation.stages import on_stage
 from rfem_jax.description.error_catalogue import as_specified
-from rfem_jax.description.methods import Method
+from rfem_jax.description.methods import DEFAULT_ACCURACY, Method
 from rfem_jax.description.study import Study
 from rfem_jax.description.tasks.sensitivity import SensitivityTask
 from rfem_jax.report.annotations import Figure
@@ -101,10 +101,8 @@ def finer_method(method: Method) -> Method:
     """The same method with half the step, or a tenth of its tolerances."""
     if method.step is not None:
         return replace(method, step=0.5 * method.step)
-    if method.rtol is not None and method.atol is not None:
-        return replace(method, rtol=0.1 * method.rtol, atol=0.1 * method.atol)
-    accuracy = 1e-4 if method.accuracy is None else method.accuracy
-    return replace(method, accuracy=0.1 * accuracy)
+    shares = {name: getattr(method, name) for name in ("rtol", "atol", "accuracy") if hasattr(method, name)}
+    return replace(method, **{name: 0.1 * (value or DEFAULT_ACCURACY) for name, value in shares.items()})
 
 
 def sensitivity_text(result: Sensitivities, undamped: bool) -> str:
