@@ -10,6 +10,13 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # Tests replace parts of the package, which the key of a kept program does not see.
 os.environ.setdefault("RFEM_JAX_NO_CACHE", "1")
 
+# With RFEM_JAX_CHECK_TYPES=1 types and shapes of all annotations are checked while tests run; .ci/run does so once.
+TYPES_CHECKED = os.environ.get("RFEM_JAX_CHECK_TYPES") == "1"
+if TYPES_CHECKED:
+    import jaxtyping
+
+    jaxtyping.install_import_hook("rfem_jax", "beartype.beartype")
+
 from rfem_jax.compilation import options
 
 options.take_process()
@@ -24,6 +31,13 @@ if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
+
+
+def pytest_collection_modifyitems(items):
+    """The checker is faster than the messages of functions that are given a value of a wrong type."""
+    for item in items:
+        if TYPES_CHECKED and item.get_closest_marker("wrong_types"):
+            item.add_marker(pytest.mark.skip(reason="types are checked at run time"))
 
 
 @pytest.fixture(scope="module")

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 from jax import Array
+from jax.core import ShapedArray
 from jax.experimental import serialize_executable
 from jax.experimental.compilation_cache import compilation_cache
 from jax.typing import ArrayLike
@@ -112,7 +113,10 @@ class Packed(NamedTuple):
 
 
 def trace(
-    function: Callable, arrays: Sequence[ArrayLike | jax.ShapeDtypeStruct], facts: Callable[[], list], quick: bool
+    function: Callable,
+    arrays: Sequence[ArrayLike | jax.ShapeDtypeStruct | ShapedArray],
+    facts: Callable[[], list],
+    quick: bool,
 ) -> Traced:
     """Trace and lower a function for arrays, or for their shapes; `facts` is called afterwards."""
     what = function.__name__.strip("_").replace("_", " ")

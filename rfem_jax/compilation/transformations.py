@@ -11,7 +11,7 @@ The only module that uses private names of JAX: they say which transformations a
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -27,6 +27,7 @@ from jax.typing import ArrayLike
 EAGER = (JVPTrace, LinearizeTrace, BatchTrace)
 
 
+@runtime_checkable
 class Transformable(Protocol):
     """What this module needs of `call.Call`, which says more."""
 

@@ -15,11 +15,12 @@ Source: theory (3.12), (3.13), (5.7), (7.1) to (7.7), (11.4).
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from numbers import Real
-from typing import Any, ClassVar, Self, cast
+from typing import Any, ClassVar, TypeVar, cast
 
 from rfem_jax.description.errors import ChecksItself, InputError, Problems, require_choice, require_name
 from rfem_jax.description.units import non_negative_quantity, positive_quantity
 
+AnyMethod = TypeVar("AnyMethod", bound="Method")
 DEFAULT_ACCURACY = 1e-3  # of "auto"
 
 
@@ -65,13 +66,13 @@ class Method(ChecksItself):
     implicit: ClassVar[bool] = False  # whether every step solves equations
     example: ClassVar[str] = ""  # of settings that must be given
 
-    def __new__(cls, name: Any = "rk4", *arguments: Any, **settings: Any) -> Self:
+    def __new__(cls: type[AnyMethod], name: Any = "rk4", *arguments: Any, **settings: Any) -> AnyMethod:
         del arguments
         if cls is not Method:
             return object.__new__(cls)
         kind = METHOD_CLASSES[require_choice(name, tuple(METHOD_CLASSES), "`name` of the method")]
         _refuse_settings_of_others(name, kind, settings)
-        return cast(Self, object.__new__(kind))
+        return cast(AnyMethod, object.__new__(kind))
 
     def __init__(self, name: str = "rk4", **settings: Any) -> None:
         """For signatures alone: `__new__` makes an object of a subclass, which has an `__init__` of its own."""

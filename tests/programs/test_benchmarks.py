@@ -130,7 +130,7 @@ def test_time_of_exudyn(run_program):
     assert {"Lie-group nodes", "dense solver", "building and static start"} <= {row[0] for row in rows}
 
 
-@pytest.mark.parametrize(("study", "samples"), [("run", 1), ("monte_carlo", 4)])
+@pytest.mark.parametrize(("study", "samples"), [("run", 2), ("monte_carlo", 4)])
 def test_first_answer_of_exudyn(run_program, study, samples):
     said = run_program("benchmarks/exudyn_first_answer.py", study, "--duration", 0.02, "--samples", samples)
     numbers = [float(x) for x in re.findall(r"\d+\.\d+", said)]

@@ -73,7 +73,7 @@ def test_empty_and_single_samples_say_so():
     with pytest.raises(InputError, match="`quantiles` must lie between 0 and 1"):
         statistics.estimate_quantile(np.ones(3), 1.0)
     with pytest.raises(InputError, match="`confidence` must"):
-        statistics.require_confidence(95)
+        statistics.require_confidence(95.0)
 
 
 def ishigami(u, a=7.0, b=0.1):
