@@ -17,7 +17,7 @@ if TYPES_CHECKED:
 
     jaxtyping.install_import_hook("rfem_jax", "beartype.beartype")
 
-from rfem_jax.compilation import options
+from rfem_jax.compilation import options  # noqa: E402
 
 options.take_process()
 
