@@ -45,7 +45,7 @@ from rfem_jax import (  # noqa: E402
     largest_stable_step,
     load_study,
 )
-from rfem_jax.simulation.generalised_alpha import GeneralisedAlpha  # noqa: E402
+from rfem_jax.simulation.solvers.generalised_alpha import GeneralisedAlpha  # noqa: E402
 
 STUDY = Path(__file__).parents[1] / "studies" / "four_bar" / "study.toml"
 FIRST = ("D.delta_x", "D.delta_z", "D.d_y")

@@ -70,6 +70,27 @@ def test_no_circles_of_files():
         visit(name, [])
 
 
+def place_of(name: str) -> str:
+    """The sub-package of a module, such as `mechanics.statics`, or the module itself where it is in none."""
+    parts = name.split(".")[1:]
+    return ".".join(parts[:2] if (ROOT / "rfem_jax" / "/".join(parts[:2])).is_dir() else parts)
+
+
+def test_no_circles_of_sub_packages():
+    names = {"rfem_jax." + ".".join(p.relative_to(ROOT / "rfem_jax").with_suffix("").parts): p for p in FILES}
+    names = {name: path for name, path in names.items() if path.name != "__init__.py"}
+    imports: dict[str, set[str]] = {}
+    for name, path in names.items():
+        others = {place_of(other) for other in imported_files(path) if other in names}
+        imports.setdefault(place_of(name), set()).update(others - {place_of(name)})
+    assert {"mechanics.implicit", "simulation.solvers", "tolerancing.problems"} <= set(imports)
+    while imports:
+        free = [place for place, others in imports.items() if not others & set(imports)]
+        assert free, f"circle among {sorted(imports)}"
+        for place in free:
+            del imports[place]
+
+
 def test_a_file_and_its_functions_have_different_names():
     for path in FILES:
         names = {

@@ -215,7 +215,7 @@ METHOD_CLASSES: dict[str, type[Method]] = {
 
 
 def add_method_class(kind: type[Method]) -> None:
-    """Make the names of a class known; its solver is said by `simulation.solvers.register_method`, which calls this.
+    """Make the names of a class known; its solver is said by `rfem_jax.register_method`, which calls this.
 
     Raises:
         InputError: no subclass with names of its own, or a name that is known already.

@@ -6,18 +6,14 @@ nominal_geometry            the perfect mechanism in NumPy: does it close, rank,
 model_with_errors           + AssemblyErrors -> constants of the equations of motion
 kinematics                  + State -> positions and velocities
 centre_lines                where the links are in space
-elasticity, exact_elements  forces of the sdes, linear and geometrically exact
+elements                    forces of the sdes, linear and geometrically exact
 cut_joints                  constraints of the cut joints
 inputs, joint_forces        the drive at one instant, moments about the hinges
 dynamics                    accelerations by the articulated-body algorithm
 reference_formulation       the same, dense, to test against
 loads                       joint loads, energies, balance of momentum
-residual                    residual of the equations for given accelerations and multipliers
-block_tridiagonal           linear systems of the rfes of a link
-condensation                flexible links condensed to their frames and interfaces
-newton                      Newton increments by recursion over the links
+implicit                    residual of the equations for given accelerations, its Newton increments
 statics                     assembled start state and preload
-static_matrix, _search      its tangent by recursion over the links, and Newton's method
 status                      what can happen to an assembly or a run
 algebra, reordering         vectors, rotations, spatial vectors; permutations of rows
 """
@@ -25,7 +21,7 @@ algebra, reordering         vectors, rotations, spatial vectors; permutations of
 from rfem_jax.mechanics.discretisation import Structure, describe, discretise
 from rfem_jax.mechanics.model import Coordinates, Model, State
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors, assembly_errors
-from rfem_jax.mechanics.statics import Assembled, Load, assemble
+from rfem_jax.mechanics.statics.assembly import Assembled, Load, assemble
 from rfem_jax.mechanics.status import STATUS
 
 __all__ = [

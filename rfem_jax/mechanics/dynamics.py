@@ -26,7 +26,7 @@ from jaxtyping import Float
 from rfem_jax.mechanics import algebra
 from rfem_jax.mechanics.algebra import apply, apply_transposed, cross, dot, product
 from rfem_jax.mechanics.cut_joints import Closure, closure, invert_closure, unit_columns
-from rfem_jax.mechanics.elasticity import elastic_loads
+from rfem_jax.mechanics.elements.elasticity import elastic_loads
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation
 from rfem_jax.mechanics.joint_forces import hinge_moment
 from rfem_jax.mechanics.kinematics import Motion, motion_of, node_frames, spread, total

@@ -20,10 +20,11 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float
 
-from rfem_jax.mechanics import algebra, elasticity
+from rfem_jax.mechanics import algebra
 from rfem_jax.mechanics.algebra import apply, apply_transposed, cross, dot
 from rfem_jax.mechanics.cut_joints import Closure
 from rfem_jax.mechanics.dynamics import Accelerations, link_axes
+from rfem_jax.mechanics.elements import elasticity
 from rfem_jax.mechanics.inputs import DriveInput
 from rfem_jax.mechanics.joint_forces import hinge_moments
 from rfem_jax.mechanics.kinematics import Motion, all_frames, motion_of, spread, total

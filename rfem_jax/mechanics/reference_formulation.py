@@ -16,8 +16,8 @@ from jax import Array
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
-from rfem_jax.mechanics import elasticity
 from rfem_jax.mechanics.algebra import Scalar
+from rfem_jax.mechanics.elements import elasticity
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation
 from rfem_jax.mechanics.joint_forces import hinge_moment
 from rfem_jax.mechanics.model import BASE, Coordinates, State

@@ -28,7 +28,8 @@ _MODULES = {
     "cases": "run_cases",
     "integration": "simulate",
     "run": "STATUS Run derivative_residual one_of",
-    "solvers": "Leapfrog PeakTracking RungeKutta4 register_method",
+    "solvers.catalogue": "register_method",
+    "solvers.explicit": "Leapfrog PeakTracking RungeKutta4",
     "stability": "check_step largest_stable_step",
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names.split()}

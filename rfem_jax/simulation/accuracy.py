@@ -30,7 +30,7 @@ from rfem_jax.mechanics.model_with_errors import AssemblyErrors, assembly_errors
 from rfem_jax.mechanics.status import OK
 from rfem_jax.simulation import integration
 from rfem_jax.simulation.driving import Drive, require_driven
-from rfem_jax.simulation.generalised_alpha import ACCURACY_OF_TOLERANCE
+from rfem_jax.simulation.solvers.generalised_alpha import ACCURACY_OF_TOLERANCE
 from rfem_jax.simulation.stability import largest_stable_step, round_down
 from rfem_jax.simulation.time_grid import TimeGrid
 

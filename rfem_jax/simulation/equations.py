@@ -18,8 +18,8 @@ from jaxtyping import Array, Float, Int
 from rfem_jax.compilation.scalarisation import nothing_known
 from rfem_jax.description.drives import MomentDrive, Phase, PrescribedDrive, Time
 from rfem_jax.mechanics import loads, model_with_errors
-from rfem_jax.mechanics.condensation import LinkOperator
 from rfem_jax.mechanics.dynamics import Accelerations, accelerations
+from rfem_jax.mechanics.implicit.condensation import LinkOperator
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation, impose
 from rfem_jax.mechanics.model import Coordinates, Model, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors

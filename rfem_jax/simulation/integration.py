@@ -25,7 +25,7 @@ from rfem_jax.mechanics.centre_lines import link_lines
 from rfem_jax.mechanics.discretisation import require_double_precision
 from rfem_jax.mechanics.model import Model, State
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors, ModelWithErrors, apply_errors, assembly_errors
-from rfem_jax.mechanics.statics import (
+from rfem_jax.mechanics.statics.assembly import (
     Load,
     equilibrium,
     held_angles,
@@ -45,11 +45,11 @@ from rfem_jax.mechanics.status import (
 from rfem_jax.simulation import equations
 from rfem_jax.simulation.driving import Drive, driven_index, require_driven
 from rfem_jax.simulation.equations import Conditions, Scalar, Trajectory
-from rfem_jax.simulation.implicit_step import SOLUTION, Memory
 from rfem_jax.simulation.observation import Record, observe
 from rfem_jax.simulation.packing import pack, unpack
 from rfem_jax.simulation.run import RESIDUAL_LIMIT, DrivenJoint, LoadIntegrals, Metrics, Run
-from rfem_jax.simulation.solvers import observed_solver
+from rfem_jax.simulation.solvers.catalogue import observed_solver
+from rfem_jax.simulation.solvers.implicit_step import SOLUTION, Memory
 from rfem_jax.simulation.stabilisation import stabilisation_of
 from rfem_jax.simulation.stepping import Carry, step_intervals
 from rfem_jax.simulation.time_grid import TimeGrid, divide_time

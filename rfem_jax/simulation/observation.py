@@ -14,11 +14,11 @@ from rfem_jax.mechanics import algebra, loads
 from rfem_jax.mechanics.centre_lines import link_ends
 from rfem_jax.mechanics.cut_joints import Closure, assembly_modes
 from rfem_jax.mechanics.dynamics import Accelerations
+from rfem_jax.mechanics.implicit.residual import Evaluation
 from rfem_jax.mechanics.inputs import DriveInput
 from rfem_jax.mechanics.kinematics import Motion, range_used
 from rfem_jax.mechanics.model import Coordinates, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
-from rfem_jax.mechanics.residual import Evaluation
 from rfem_jax.simulation import equations
 from rfem_jax.simulation.equations import Integrals
 from rfem_jax.simulation.run import Energy

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from rfem_jax.mechanics.statics import Load
+from rfem_jax.mechanics.statics.assembly import Load
 from rfem_jax.mechanics.status import STATUS
 from rfem_jax.simulation.equations import Scalar, safe_sqrt
 

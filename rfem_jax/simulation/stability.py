@@ -149,7 +149,7 @@ def _tableau(method: Method) -> Any:
     # Imported here, since most checks do not need it and it takes long.
     import diffrax
 
-    from rfem_jax.simulation.solvers import make_solver
+    from rfem_jax.simulation.solvers.catalogue import make_solver
 
     solver = make_solver(method)
     return solver.tableau if isinstance(solver, diffrax.AbstractERK) else None

@@ -27,9 +27,9 @@ from rfem_jax.simulation import equations
 from rfem_jax.simulation.batches import like_batched
 from rfem_jax.simulation.driving import Drive
 from rfem_jax.simulation.equations import Conditions, Scalar, Trajectory
-from rfem_jax.simulation.implicit_step import Memory
-from rfem_jax.simulation.recorded_steps import RecordedSteps
-from rfem_jax.simulation.solvers import observed_solver
+from rfem_jax.simulation.solvers.catalogue import observed_solver
+from rfem_jax.simulation.solvers.implicit_step import Memory
+from rfem_jax.simulation.solvers.recorded_steps import RecordedSteps
 from rfem_jax.simulation.stabilisation import stabilisation_of
 from rfem_jax.simulation.time_grid import TimeGrid
 

@@ -3,17 +3,17 @@
 Every study takes a `problem(errors) -> (values, status)`: the simulator (`Problem`) or any function
 (`FunctionProblem`).
 
-    metrics, simulated_problem   the simulator as a problem
-    distributions                of the errors within their tolerances
-    sensitivities                first and second derivatives, principal error directions
-    monte_carlo_study            scatter, yield, Sobol' indices
-    worst_cases                  the largest value within the tolerances
-    allocation                   the cheapest tolerances that keep the limits
+    problems        the simulator as a problem, its metrics; distributions of errors; evaluation in batches
+    sensitivities   first and second derivatives, principal error directions
+    sampling        Monte Carlo: scatter, yield, Sobol' indices
+    optimisation    optimisers under bounds and constraints
+    worst_cases     the largest value within the tolerances
+    allocation      the cheapest tolerances that keep the limits
 """
 
-from rfem_jax.tolerancing.allocation import allocate
-from rfem_jax.tolerancing.cost_models import Exponential, Reciprocal, ReciprocalSquared
-from rfem_jax.tolerancing.distributions import (
+from rfem_jax.tolerancing.allocation.allocation_study import allocate
+from rfem_jax.tolerancing.allocation.cost_models import Exponential, Reciprocal, ReciprocalSquared
+from rfem_jax.tolerancing.problems.distributions import (
     CorrelatedNormal,
     Normal,
     Tolerances,
@@ -21,12 +21,12 @@ from rfem_jax.tolerancing.distributions import (
     TruncatedNormal,
     Uniform,
 )
-from rfem_jax.tolerancing.metrics import metric, register_metric
-from rfem_jax.tolerancing.monte_carlo_study import monte_carlo
-from rfem_jax.tolerancing.problem import FunctionProblem, Metric
-from rfem_jax.tolerancing.quadratic_model import QuadraticModel, expand
+from rfem_jax.tolerancing.problems.metrics import metric, register_metric
+from rfem_jax.tolerancing.problems.problem import FunctionProblem, Metric
+from rfem_jax.tolerancing.problems.quadratic_model import QuadraticModel, expand
+from rfem_jax.tolerancing.problems.simulated_problem import Problem
+from rfem_jax.tolerancing.sampling.monte_carlo_study import monte_carlo
 from rfem_jax.tolerancing.sensitivities import sensitivity
-from rfem_jax.tolerancing.simulated_problem import Problem
 from rfem_jax.tolerancing.worst_cases import worst_case
 
 __all__ = [

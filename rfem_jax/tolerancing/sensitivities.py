@@ -26,12 +26,12 @@ from jaxtyping import Bool, Float
 from rfem_jax.description.error_catalogue import as_specified
 from rfem_jax.description.errors import InputError
 from rfem_jax.tolerancing.checks import ErrorValues, check_known
-from rfem_jax.tolerancing.distributions import Tolerances
-from rfem_jax.tolerancing.evaluation import describe_status, read_point, select_half_widths
 from rfem_jax.tolerancing.layout import align_columns, show_error, show_number, without_rounding, wrap_lines
-from rfem_jax.tolerancing.problem import Metric, ToleranceProblem
+from rfem_jax.tolerancing.problems.distributions import Tolerances
+from rfem_jax.tolerancing.problems.evaluation import describe_status, read_point, select_half_widths
+from rfem_jax.tolerancing.problems.problem import Metric, ToleranceProblem
+from rfem_jax.tolerancing.problems.quadratic_model import QuadraticModel, check_expansion, expand_point
 from rfem_jax.tolerancing.progress import Progress, ProgressOption
-from rfem_jax.tolerancing.quadratic_model import QuadraticModel, check_expansion, expand_point
 
 NOT_CONVERGED = "derivative_not_converged"
 VANISHING = 1e-6  # gradient below this part of (Hessian x tolerances): zero by symmetry

@@ -24,25 +24,9 @@ from jaxtyping import Float
 
 from rfem_jax.description.errors import InputError
 from rfem_jax.tolerancing.checks import ErrorValues, require_float64
-from rfem_jax.tolerancing.distributions import Tolerances, distributions_of
-from rfem_jax.tolerancing.evaluation import (
-    Base,
-    evaluate_points,
-    metric_index,
-    select_half_widths,
-    split_errors,
-)
 from rfem_jax.tolerancing.layout import align_columns, show_error, show_number, wrap_lines
-from rfem_jax.tolerancing.problem import Metric, ToleranceProblem
-from rfem_jax.tolerancing.projected_gradient import Search, climb_together
-from rfem_jax.tolerancing.quadratic_model import (
-    QuadraticModel,
-    choose_mode,
-    expand_by_differences,
-    linearise_points,
-)
-from rfem_jax.tolerancing.sampling import RandomKey
-from rfem_jax.tolerancing.starting_points import (
+from rfem_jax.tolerancing.optimisation.projected_gradient import Search, climb_together
+from rfem_jax.tolerancing.optimisation.starting_points import (
     EXHAUSTIVE,
     Expansion,
     box_corners,
@@ -53,6 +37,22 @@ from rfem_jax.tolerancing.starting_points import (
     region_matrix,
     start_points,
 )
+from rfem_jax.tolerancing.problems.distributions import Tolerances, distributions_of
+from rfem_jax.tolerancing.problems.evaluation import (
+    Base,
+    evaluate_points,
+    metric_index,
+    select_half_widths,
+    split_errors,
+)
+from rfem_jax.tolerancing.problems.problem import Metric, ToleranceProblem
+from rfem_jax.tolerancing.problems.quadratic_model import (
+    QuadraticModel,
+    choose_mode,
+    expand_by_differences,
+    linearise_points,
+)
+from rfem_jax.tolerancing.sampling.sequences import RandomKey
 
 STARTS = {"corners": 4, "random": 4, "sobol": 8}
 ON_BOUND = 1e-9

@@ -33,7 +33,7 @@ from rfem_jax.mechanics.discretisation import discretise
 from rfem_jax.mechanics.kinematics import motion_of
 from rfem_jax.mechanics.model import Model
 from rfem_jax.mechanics.model_with_errors import apply_errors, assembly_errors
-from rfem_jax.mechanics.statics import assemble
+from rfem_jax.mechanics.statics.assembly import assemble
 from rfem_jax.simulation.stability import eigenvalues
 from rfem_jax.validation.lines import Line, Outcome, Progress, relative
 from rfem_jax.validation.reference_values import read_reference

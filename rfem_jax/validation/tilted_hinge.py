@@ -34,7 +34,7 @@ from rfem_jax.mechanics.kinematics import motion_of
 from rfem_jax.mechanics.loads import static_state
 from rfem_jax.mechanics.model import Model
 from rfem_jax.mechanics.model_with_errors import apply_errors, assembly_errors
-from rfem_jax.mechanics.statics import length_scale
+from rfem_jax.mechanics.statics.assembly import length_scale
 from rfem_jax.simulation import STATUS, Run, run_cases, simulate
 from rfem_jax.validation.lines import Curve, Line, Outcome, Picture, Progress, absolute, relative, same
 from rfem_jax.validation.reference_values import read_reference

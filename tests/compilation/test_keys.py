@@ -12,8 +12,8 @@ import pytest
 from rfem_jax import Method, MomentRamp, Problem, discretise
 from rfem_jax.compilation import keys
 from rfem_jax.compilation.keys import NotDigestible, canonical, digest_content, digest_named
-from rfem_jax.tolerancing.execution import fingerprint_problem
-from rfem_jax.tolerancing.metrics import end_angle, metric
+from rfem_jax.tolerancing.problems.execution import fingerprint_problem
+from rfem_jax.tolerancing.problems.metrics import end_angle, metric
 from tests.mechanisms import four_bar
 
 SMALL = "generalised_alpha"
@@ -81,7 +81,7 @@ def user_namespace():
 
 def disguised():
     function = user_namespace()["own"]
-    function.__module__, function.__qualname__ = "rfem_jax.mechanics.statics", "assemble"
+    function.__module__, function.__qualname__ = "rfem_jax.mechanics.statics.assembly", "assemble"
     return function
 
 

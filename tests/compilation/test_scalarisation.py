@@ -24,8 +24,8 @@ from rfem_jax.mechanics.inputs import Stabilisation
 from rfem_jax.mechanics.model_with_errors import apply_errors
 from rfem_jax.simulation import equations, integration, stepping
 from rfem_jax.simulation.equations import Conditions
-from rfem_jax.simulation.generalised_alpha import GeneralisedAlpha
-from rfem_jax.simulation.implicit_step import StepConstants, StepStart, form_matrix, solved_step
+from rfem_jax.simulation.solvers.generalised_alpha import GeneralisedAlpha
+from rfem_jax.simulation.solvers.implicit_step import StepConstants, StepStart, form_matrix, solved_step
 from tests.mechanisms import ALL, four_bar, link, open_chain, random_state, some_errors
 from tests.processes import in_a_new_process
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rfem_jax import InputError, Mechanism, assembly_errors, discretise
-from rfem_jax.mechanics import elasticity
+from rfem_jax.mechanics.elements import elasticity
 from rfem_jax.mechanics.kinematics import relative_motion
 from rfem_jax.mechanics.model import Coordinates, State
 from rfem_jax.mechanics.model_with_errors import apply_errors

@@ -8,16 +8,16 @@ import pytest
 from jax.flatten_util import ravel_pytree
 
 from rfem_jax import Joint, Link, Material, Mechanism, PointMass, Rectangle, assembly_errors, discretise
-from rfem_jax.mechanics import elasticity, exact_elements
-from rfem_jax.mechanics.condensation import link_operators, present_operators
 from rfem_jax.mechanics.dynamics import accelerations
+from rfem_jax.mechanics.elements import elasticity, exact_elements
+from rfem_jax.mechanics.implicit.condensation import link_operators, present_operators
+from rfem_jax.mechanics.implicit.newton import increment_and_wrenches, iteration_matrix, newton_increment
+from rfem_jax.mechanics.implicit.residual import Residual, evaluate_residual, residual_of
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation, impose
 from rfem_jax.mechanics.kinematics import relative_motion
 from rfem_jax.mechanics.model import Coordinates, State
 from rfem_jax.mechanics.model_with_errors import apply_errors
-from rfem_jax.mechanics.newton import increment_and_wrenches, iteration_matrix, newton_increment
-from rfem_jax.mechanics.residual import Residual, evaluate_residual, residual_of
-from rfem_jax.mechanics.statics import equilibrium, length_scale
+from rfem_jax.mechanics.statics.assembly import equilibrium, length_scale
 from tests.mechanisms import four_bar, twisted_spatial_loop, two_loop_six_bar
 
 PAIRS = [(four_bar, True), (twisted_spatial_loop, False), (two_loop_six_bar, False)]

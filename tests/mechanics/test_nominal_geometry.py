@@ -15,7 +15,7 @@ from rfem_jax.mechanics.kinematics import motion_of
 from rfem_jax.mechanics.model import Coordinates
 from rfem_jax.mechanics.model_with_errors import apply_errors
 from rfem_jax.mechanics.nominal_geometry import closure_jacobian, gaps, geometry_of, place
-from rfem_jax.mechanics.statics import length_scale
+from rfem_jax.mechanics.statics.assembly import length_scale
 from rfem_jax.report.overview import count_lines
 from tests.mechanisms import link, twisted_spatial_loop, two_loop_six_bar
 

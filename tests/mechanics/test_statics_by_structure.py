@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from rfem_jax import Coordinates, Joint, Mechanism, discretise
-from rfem_jax.mechanics import static_search, statics
 from rfem_jax.mechanics.model_with_errors import apply_errors, assembly_errors
+from rfem_jax.mechanics.statics import assembly, search
 from rfem_jax.mechanics.status import NOT_ASSEMBLED, OK
 from tests.mechanisms import four_bar, link, some_errors, twisted_spatial_loop
 
@@ -24,7 +24,7 @@ def equilibria(make):
 
     def at(share, rotation):
         actual = apply_errors(model, jax.tree.map(lambda x: share * x, errors))
-        *found, status = statics.equilibrium(model, actual, {0: model.start_angles[0] + rotation})
+        *found, status = assembly.equilibrium(model, actual, {0: model.start_angles[0] + rotation})
         return found, status
 
     return at
@@ -56,17 +56,17 @@ def without_matrix(function, at, *others):
 @pytest.mark.parametrize("make", [four_bar_of_long_chains, twisted_spatial_loop])
 def test_recursion_alone_finds_the_equilibrium_and_its_derivatives(make, monkeypatch):
     with monkeypatch.context() as patch:
-        patch.setattr(static_search, "_linearised", without_matrix)
+        patch.setattr(search, "_linearised", without_matrix)
         *found, status = with_derivatives(equilibria(make))
         assert status == OK
     with monkeypatch.context() as patch:
         patch.setattr(
-            statics, "chord", lambda equations, preconditioner, rows, *place: static_search.newton(equations, *place)
+            assembly, "chord", lambda equations, preconditioner, rows, *place: search.newton(equations, *place)
         )
         patch.setattr(
-            statics,
+            assembly,
             "solve_linear",
-            lambda equations, preconditioner, *rest: static_search.solve_dense(equations, *rest),
+            lambda equations, preconditioner, *rest: search.solve_dense(equations, *rest),
         )
         *expected, status = with_derivatives(equilibria(make))
         assert status == OK
@@ -81,19 +81,19 @@ def test_the_preconditioner_is_nearly_exact(make, most):
     """Of a mechanism at rest, undeformed: spectral radius of the iteration."""
     model = discretise(make())
     actual = eqx.tree_at(lambda r: r.gravity, apply_errors(model, assembly_errors(model)), jnp.zeros(3))
-    scaled = statics._scaled(model, actual)
+    scaled = assembly._scaled(model, actual)
     start = scaled.unknowns(model.start_coordinates(), jnp.zeros((5, model.topology.n_cuts)))
     given = np.array([0])
 
     def residual(unknowns):
         position, multipliers = scaled.coordinates(unknowns), scaled.multipliers(unknowns)
-        hinge, *others = statics._static_residual(actual, position, multipliers, scaled.length)
+        hinge, *others = assembly._static_residual(actual, position, multipliers, scaled.length)
         value = scaled.residual(Coordinates(hinge, others[0]), others[1])
         return value.at[given].set(unknowns[given])
 
     @jax.jit
     def iteration():
-        preconditioner = statics._preconditioner(scaled, given, actual, start)
+        preconditioner = assembly._preconditioner(scaled, given, actual, start)
         return jnp.eye(start.size) - jax.vmap(preconditioner, 1, 1)(jax.jacfwd(residual)(start))
 
     assert 0.0 < np.abs(np.linalg.eigvals(iteration())).max() < most
@@ -106,7 +106,7 @@ def test_where_the_recursion_does_not_converge_the_jacobian_does(monkeypatch):
 
     def at(gravity):
         loaded = eqx.tree_at(lambda r: r.gravity, actual, gravity)
-        position, _, status = statics.equilibrium(model, loaded, {})
+        position, _, status = assembly.equilibrium(model, loaded, {})
         return position.angles[0], status
 
     @jax.jit
@@ -121,5 +121,5 @@ def test_where_the_recursion_does_not_converge_the_jacobian_does(monkeypatch):
     np.testing.assert_allclose(angle, np.pi / 2 - np.arctan(0.6 / 9.8), atol=1e-5)
     np.testing.assert_allclose(derivatives[0][0], -9.8 / (0.6**2 + 9.8**2), rtol=1e-4)
     np.testing.assert_allclose(derivatives[0], derivatives[1], rtol=1e-9)
-    monkeypatch.setattr(static_search, "_linearised", without_matrix)
+    monkeypatch.setattr(search, "_linearised", without_matrix)
     assert jax.jit(at)(gravity)[1] == NOT_ASSEMBLED

@@ -12,7 +12,7 @@ from rfem_jax import Method, check_step, discretise, load_study, register_method
 from rfem_jax.description import FixedStepMethod, InputError, methods
 from rfem_jax.report import command_line
 from rfem_jax.report.command_line import main
-from rfem_jax.simulation import solvers
+from rfem_jax.simulation.solvers import catalogue
 from tests.programs.conftest import PENDULUM
 
 RK4 = PENDULUM.replace("duration = 0.5", "duration = 0.02\nsave_every = 1e-3").replace("rfes = 2", "rfes = 1")
@@ -59,7 +59,7 @@ def make_kutta3(method):
 def registered(monkeypatch):
     """The method is known within the test; the settings of the process are left alone."""
     monkeypatch.setattr(methods, "METHOD_CLASSES", dict(methods.METHOD_CLASSES))
-    monkeypatch.setattr(solvers, "_MAKERS", dict(solvers._MAKERS))
+    monkeypatch.setattr(catalogue, "_MAKERS", dict(catalogue._MAKERS))
     monkeypatch.setattr(command_line, "set_up_jax", lambda *_: None)
     register_method(Kutta3, make_kutta3)
 

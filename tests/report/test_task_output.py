@@ -10,7 +10,7 @@ from rfem_jax.report.command_line import main
 from rfem_jax.report.tasks import study_problem
 from rfem_jax.report.tasks.task_report import report_on
 from rfem_jax.tolerancing.layout import WIDTH, align_columns, show_number, wrap_lines
-from rfem_jax.tolerancing.problem import FunctionProblem, Metric
+from rfem_jax.tolerancing.problems.problem import FunctionProblem, Metric
 
 from . import closed_form
 from .conftest import STUDY

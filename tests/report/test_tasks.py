@@ -24,7 +24,7 @@ from rfem_jax.report.tasks.sensitivity import finer_method
 from rfem_jax.report.tasks.task_overview import tasks_text
 from rfem_jax.tolerancing import Tolerances, monte_carlo
 from rfem_jax.tolerancing import worst_case as search
-from rfem_jax.tolerancing.results_store import ResultsStore
+from rfem_jax.tolerancing.problems.results_store import ResultsStore
 
 from . import closed_form
 from .conftest import STUDY

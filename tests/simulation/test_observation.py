@@ -10,7 +10,7 @@ from rfem_jax.mechanics.cut_joints import assembly_modes, closure
 from rfem_jax.mechanics.kinematics import motion_of
 from rfem_jax.mechanics.loads import static_state
 from rfem_jax.mechanics.model_with_errors import apply_errors
-from rfem_jax.mechanics.statics import length_scale
+from rfem_jax.mechanics.statics.assembly import length_scale
 from tests.mechanisms import link
 
 pytestmark = pytest.mark.usefixtures("quick_compilation")

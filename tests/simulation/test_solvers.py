@@ -14,7 +14,8 @@ from rfem_jax.simulation.equations import (
     safe_sqrt,
     start_trajectory,
 )
-from rfem_jax.simulation.solvers import Leapfrog, observed_solver
+from rfem_jax.simulation.solvers.catalogue import observed_solver
+from rfem_jax.simulation.solvers.explicit import Leapfrog
 from rfem_jax.simulation.stepping import stabilisation_of, vector_field
 from rfem_jax.simulation.time_grid import divide_time
 

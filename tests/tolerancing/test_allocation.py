@@ -7,18 +7,18 @@ import pytest
 from scipy import stats
 
 from rfem_jax.description.errors import InputError
-from rfem_jax.tolerancing.allocation import allocate
-from rfem_jax.tolerancing.allocation_models import Moments, Quadratic, quantile_weights
-from rfem_jax.tolerancing.augmented_lagrangian import minimise
-from rfem_jax.tolerancing.cost_models import (
+from rfem_jax.tolerancing.allocation.allocation_study import allocate
+from rfem_jax.tolerancing.allocation.cost_models import (
     Exponential,
     Reciprocal,
     ReciprocalSquared,
     assign_costs,
     total_cost,
 )
-from rfem_jax.tolerancing.distributions import Uniform
-from rfem_jax.tolerancing.problem import FunctionProblem
+from rfem_jax.tolerancing.allocation.models import Moments, Quadratic, quantile_weights
+from rfem_jax.tolerancing.optimisation.augmented_lagrangian import minimise
+from rfem_jax.tolerancing.problems.distributions import Uniform
+from rfem_jax.tolerancing.problems.problem import FunctionProblem
 
 jax.config.update("jax_enable_x64", True)
 

@@ -7,14 +7,14 @@ import pytest
 from scipy import optimize, special, stats
 
 from rfem_jax.description.errors import InputError
-from rfem_jax.tolerancing.allocation import ATTEMPTS, _passes, allocate
-from rfem_jax.tolerancing.allocation_models import Verified
-from rfem_jax.tolerancing.allocation_request import check_request
-from rfem_jax.tolerancing.cost_models import Exponential, Reciprocal, ReciprocalSquared
-from rfem_jax.tolerancing.distributions import Uniform
-from rfem_jax.tolerancing.problem import FunctionProblem, Metric
-from rfem_jax.tolerancing.quadratic_model import expand
-from rfem_jax.tolerancing.statistical_criteria import StatisticalCriterion
+from rfem_jax.tolerancing.allocation.allocation_study import ATTEMPTS, _passes, allocate
+from rfem_jax.tolerancing.allocation.cost_models import Exponential, Reciprocal, ReciprocalSquared
+from rfem_jax.tolerancing.allocation.models import Verified
+from rfem_jax.tolerancing.allocation.request import check_request
+from rfem_jax.tolerancing.allocation.statistical_criteria import StatisticalCriterion
+from rfem_jax.tolerancing.problems.distributions import Uniform
+from rfem_jax.tolerancing.problems.problem import FunctionProblem, Metric
+from rfem_jax.tolerancing.problems.quadratic_model import expand
 
 jax.config.update("jax_enable_x64", True)
 

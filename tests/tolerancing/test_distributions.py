@@ -7,9 +7,9 @@ import pytest
 from scipy import stats
 
 from rfem_jax.description.errors import InputError
-from rfem_jax.tolerancing.allocation_request import check_request
-from rfem_jax.tolerancing.cost_models import Reciprocal
-from rfem_jax.tolerancing.distributions import (
+from rfem_jax.tolerancing.allocation.cost_models import Reciprocal
+from rfem_jax.tolerancing.allocation.request import check_request
+from rfem_jax.tolerancing.problems.distributions import (
     CorrelatedNormal,
     Normal,
     Tolerances,
@@ -17,8 +17,8 @@ from rfem_jax.tolerancing.distributions import (
     TruncatedNormal,
     Uniform,
 )
-from rfem_jax.tolerancing.monte_carlo_study import monte_carlo
-from rfem_jax.tolerancing.problem import FunctionProblem, Metric
+from rfem_jax.tolerancing.problems.problem import FunctionProblem, Metric
+from rfem_jax.tolerancing.sampling.monte_carlo_study import monte_carlo
 from rfem_jax.tolerancing.sensitivities import sensitivity
 from rfem_jax.tolerancing.worst_cases import worst_case
 

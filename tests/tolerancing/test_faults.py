@@ -17,11 +17,11 @@ import pytest
 
 import rfem_jax
 from rfem_jax.description.errors import InputError
-from rfem_jax.tolerancing import execution, results_store
-from rfem_jax.tolerancing.distributions import Tolerances, Uniform
-from rfem_jax.tolerancing.monte_carlo_study import monte_carlo
-from rfem_jax.tolerancing.problem import FunctionProblem
-from rfem_jax.tolerancing.results_store import ChunkWriteError, CorruptChunkWarning, ResultsStore
+from rfem_jax.tolerancing.problems import execution, results_store
+from rfem_jax.tolerancing.problems.distributions import Tolerances, Uniform
+from rfem_jax.tolerancing.problems.problem import FunctionProblem
+from rfem_jax.tolerancing.problems.results_store import ChunkWriteError, CorruptChunkWarning, ResultsStore
+from rfem_jax.tolerancing.sampling.monte_carlo_study import monte_carlo
 
 jax.config.update("jax_enable_x64", True)
 

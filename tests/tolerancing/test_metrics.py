@@ -10,8 +10,8 @@ import pytest
 from rfem_jax import Joint, Mechanism, Method, PrescribedRate, Problem, discretise, sensitivity
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.metric_catalogue import JOINT_METRICS, RUN_METRICS
-from rfem_jax.tolerancing import metrics
-from rfem_jax.tolerancing.metrics import Metric, metric, register_metric
+from rfem_jax.tolerancing.problems import metrics
+from rfem_jax.tolerancing.problems.metrics import Metric, metric, register_metric
 from tests.mechanisms import link
 
 jax.config.update("jax_enable_x64", True)

@@ -15,10 +15,10 @@ import pytest
 import rfem_jax
 from rfem_jax.description.errors import InputError
 from rfem_jax.tolerancing import progress as progress_module
-from rfem_jax.tolerancing.distributions import CorrelatedNormal, Normal, Tolerances, Uniform
-from rfem_jax.tolerancing.monte_carlo_study import monte_carlo
-from rfem_jax.tolerancing.problem import FunctionProblem, Metric
-from rfem_jax.tolerancing.quadratic_model import expand
+from rfem_jax.tolerancing.problems.distributions import CorrelatedNormal, Normal, Tolerances, Uniform
+from rfem_jax.tolerancing.problems.problem import FunctionProblem, Metric
+from rfem_jax.tolerancing.problems.quadratic_model import expand
+from rfem_jax.tolerancing.sampling.monte_carlo_study import monte_carlo
 
 jax.config.update("jax_enable_x64", True)
 

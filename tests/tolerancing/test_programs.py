@@ -12,19 +12,19 @@ import numpy as np
 import pytest
 
 from rfem_jax.description.errors import InputError
-from rfem_jax.tolerancing.allocation import allocate
-from rfem_jax.tolerancing.cost_models import Reciprocal
-from rfem_jax.tolerancing.distributions import Tolerances, Uniform
-from rfem_jax.tolerancing.evaluation import evaluate_points
-from rfem_jax.tolerancing.metrics import metric
-from rfem_jax.tolerancing.problem import FunctionProblem
-from rfem_jax.tolerancing.projected_gradient import climb, climb_together, project_ball
-from rfem_jax.tolerancing.quadratic_model import (
+from rfem_jax.tolerancing.allocation.allocation_study import allocate
+from rfem_jax.tolerancing.allocation.cost_models import Reciprocal
+from rfem_jax.tolerancing.optimisation.projected_gradient import climb, climb_together, project_ball
+from rfem_jax.tolerancing.optimisation.starting_points import projection
+from rfem_jax.tolerancing.problems.distributions import Tolerances, Uniform
+from rfem_jax.tolerancing.problems.evaluation import evaluate_points
+from rfem_jax.tolerancing.problems.metrics import metric
+from rfem_jax.tolerancing.problems.problem import FunctionProblem
+from rfem_jax.tolerancing.problems.quadratic_model import (
     expand,
     expand_by_differences,
     linearise_points,
 )
-from rfem_jax.tolerancing.starting_points import projection
 from rfem_jax.tolerancing.worst_cases import worst_case
 
 jax.config.update("jax_enable_x64", True)

@@ -6,8 +6,8 @@ import pytest
 from scipy import stats
 
 from rfem_jax.description.errors import InputError
-from rfem_jax.tolerancing import statistics
-from rfem_jax.tolerancing.sampling import design_points
+from rfem_jax.tolerancing.sampling import statistics
+from rfem_jax.tolerancing.sampling.sequences import design_points
 
 jax.config.update("jax_enable_x64", True)
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from rfem_jax.description.errors import InputError
-from rfem_jax.tolerancing.distributions import CorrelatedNormal, Tolerances, Uniform
-from rfem_jax.tolerancing.problem import FunctionProblem
-from rfem_jax.tolerancing.projected_gradient import climb, project_ball
-from rfem_jax.tolerancing.starting_points import maximise_quadratic, quadratic_bound
+from rfem_jax.tolerancing.optimisation.projected_gradient import climb, project_ball
+from rfem_jax.tolerancing.optimisation.starting_points import maximise_quadratic, quadratic_bound
+from rfem_jax.tolerancing.problems.distributions import CorrelatedNormal, Tolerances, Uniform
+from rfem_jax.tolerancing.problems.problem import FunctionProblem
 from rfem_jax.tolerancing.worst_cases import worst_case
 
 jax.config.update("jax_enable_x64", True)

@@ -27,11 +27,11 @@ from rfem_jax.report.tasks import study_problem
 from rfem_jax.report.tasks.task_files import write_task_json
 from rfem_jax.report.tasks.task_report import TaskReport
 from rfem_jax.tolerancing import Exponential, Reciprocal, ReciprocalSquared, allocate
-from rfem_jax.tolerancing.allocation import Allocation, LimitCheck
-from rfem_jax.tolerancing.cost_models import total_cost
-from rfem_jax.tolerancing.distributions import DISTRIBUTIONS
+from rfem_jax.tolerancing.allocation.allocation_study import Allocation, LimitCheck
+from rfem_jax.tolerancing.allocation.cost_models import total_cost
 from rfem_jax.tolerancing.layout import align_columns
-from rfem_jax.tolerancing.quadratic_model import choose_mode, expand_by_differences
+from rfem_jax.tolerancing.problems.distributions import DISTRIBUTIONS
+from rfem_jax.tolerancing.problems.quadratic_model import choose_mode, expand_by_differences
 
 CostModel = Reciprocal | ReciprocalSquared | Exponential
 Limits = dict[str, tuple[float | None, float | None]]

@@ -32,9 +32,9 @@ from rfem_jax.report.tasks.task_files import metric_units, write_task_json
 from rfem_jax.report.tasks.task_report import TaskReport
 from rfem_jax.tolerancing import Tolerances
 from rfem_jax.tolerancing import monte_carlo as sample_problem
-from rfem_jax.tolerancing.monte_carlo_result import MonteCarloResult
-from rfem_jax.tolerancing.results_store import StudyFolderError
-from rfem_jax.tolerancing.statistics import Estimate
+from rfem_jax.tolerancing.problems.results_store import StudyFolderError
+from rfem_jax.tolerancing.sampling.monte_carlo_result import MonteCarloResult
+from rfem_jax.tolerancing.sampling.statistics import Estimate
 
 MOST_PANELS = 12
 MOST_EACH = 4  # errors and metrics of a scatter matrix

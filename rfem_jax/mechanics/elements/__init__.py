@@ -1,0 +1,1 @@
+"""Forces of the spring-damping elements, linear and geometrically exact."""

@@ -1,0 +1,137 @@
+"""Spring-damping elements: elastic energy, dissipated power, wrenches and generalised forces.
+
+Place in the pipeline: kinematics, exact_elements -> **elasticity** -> dynamics, residual, statics.
+
+Sde k joins free rfe k (its right neighbour) to rfe k-1 of the same link, or to the link frame.
+Classical linear form (theory (1.8) to (1.11)): with the lever arms s from the rfes' middles
+to the sde,
+
+    du = (u_right + phi_right x s_right) - (u_left + phi_left x s_left),  dphi = phi_right - phi_left.
+
+Valid for small deflections relative to the link frame.  The Kelvin-Voigt damper acts on the rates
+of du and dphi with eta times the stiffness.  The geometrically exact form is in `exact_elements`.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Float
+
+from rfem_jax.mechanics.algebra import apply_transposed
+from rfem_jax.mechanics.elements import exact_elements
+from rfem_jax.mechanics.elements.exact_elements import SpringBlocks, from_left, spring_blocks, to_left
+from rfem_jax.mechanics.kinematics import RelativeMotion, relative_motion
+from rfem_jax.mechanics.model import Coordinates, State
+from rfem_jax.mechanics.model_with_errors import ModelWithErrors
+from rfem_jax.mechanics.reordering import reorder
+
+# (a, b) of two vectors as (b_x, b_z, b_y, a_x, a_z, a_y); with these signs, of a vector's product with (1, 0, 0).
+EXCHANGED = (3, 5, 4, 0, 2, 1)
+PHI_CROSS_LEVER = np.array([0.0, 1.0, -1.0, 0.0, 0.0, 0.0])
+LEVER_CROSS_FORCE = np.array([0.0, 0.0, 0.0, 0.0, -1.0, 1.0])
+
+
+class ElasticLoads(NamedTuple):
+    """Force [N] and moment [N m] of springs and dampers on every free rfe, at its middle in link axes, and the
+    power [W] that the dampers dissipate."""
+
+    force: Float[Array, "3 rfes"]
+    moment: Float[Array, "3 rfes"]
+    dissipated: Float[Array, ""]
+
+
+def elastic_loads(
+    actual: ModelWithErrors, state: State, relative: RelativeMotion, inverse_rate: Float[Array, "3 3 rfes"]
+) -> ElasticLoads:
+    """Wrenches of springs and dampers; `inverse_rate`: the inverse of `relative.rate_matrix`."""
+    with jax.named_scope("spring_damping_elements"):
+        if actual.topology.exact:
+            deflected = exact_elements.deflections(actual, state.position.elastic[:3], relative)
+            return ElasticLoads(*exact_elements.wrenches(actual, deflected), _dissipated(actual, deflected.rate))
+        stretch, rate = _linear_deflections(actual, state)
+        generalised = _linear_forces(actual, stretch, rate)
+        return ElasticLoads(
+            generalised[:3],
+            apply_transposed(inverse_rate, generalised[3:]),
+            _dissipated(actual, rate),
+        )
+
+
+def generalised_forces(
+    actual: ModelWithErrors, state: State, relative: RelativeMotion
+) -> tuple[Float[Array, "6 rfes"], Float[Array, ""]]:
+    """Generalised forces [N, N m] of springs and dampers on the free rfes' coordinates, and the power [W]
+    that the dampers dissipate."""
+    with jax.named_scope("spring_damping_elements"):
+        if actual.topology.exact:
+            deflected = exact_elements.deflections(actual, state.position.elastic[:3], relative)
+            force, moment = exact_elements.wrenches(actual, deflected)
+            forces = jnp.concatenate([force, apply_transposed(relative.rate_matrix, moment)])
+            return forces, _dissipated(actual, deflected.rate)
+        stretch, rate = _linear_deflections(actual, state)
+        return _linear_forces(actual, stretch, rate), _dissipated(actual, rate)
+
+
+def deflections(actual: ModelWithErrors, state: State) -> tuple[Float[Array, "6 rfes"], Float[Array, "6 rfes"]]:
+    """(du, dphi) [m, rad] of all sdes and their rates."""
+    if not actual.topology.exact:
+        return _linear_deflections(actual, state)
+    relative = relative_motion(actual, state.position, state.velocity)
+    deflected = exact_elements.deflections(actual, state.position.elastic[:3], relative)
+    return deflected.stretch, deflected.rate
+
+
+def elastic_energy(actual: ModelWithErrors, position: Coordinates) -> Float[Array, ""]:
+    """Energy of all springs [J]."""
+    at_rest = State(position, jax.tree.map(jnp.zeros_like, position))
+    stretch, _ = deflections(actual, at_rest)
+    return 0.5 * jnp.sum(actual.stiffness * stretch**2, axis=(0, 1))
+
+
+def stiffness_blocks(actual: ModelWithErrors) -> SpringBlocks:
+    """Stiffness of the springs of undeformed links, in both forms of the elements."""
+    n = actual.topology.n_rfes
+    units = jnp.broadcast_to(jnp.roll(jnp.eye(6), 3, axis=1)[:, :, None], (6, 6, n))
+
+    def by_rfe(lever):
+        return jax.vmap(lambda unit: _face(unit, lever))(units)
+
+    return spring_blocks(actual, by_rfe(actual.lever_right), -by_rfe(actual.lever_left))
+
+
+def dissipated_power(actual: ModelWithErrors, state: State) -> Float[Array, ""]:
+    """Power that all dampers dissipate [W]."""
+    return _dissipated(actual, deflections(actual, state)[1])
+
+
+def _dissipated(actual: ModelWithErrors, rate: Array) -> Array:
+    return jnp.sum(actual.stiffness * actual.damping[None] * rate**2, axis=(0, 1))
+
+
+def _linear_deflections(actual: ModelWithErrors, state: State) -> tuple[Array, Array]:
+    """(du, dphi) and their rates, by the same function since it is linear in the coordinates."""
+
+    def between_faces(elastic):
+        right = _face(elastic, actual.lever_right)
+        return right - _face(from_left(actual, elastic), actual.lever_left)
+
+    return between_faces(state.position.elastic), between_faces(state.velocity.elastic)
+
+
+def _linear_forces(actual: ModelWithErrors, stretch: Array, rate: Array) -> Array:
+    stress = actual.stiffness * (stretch + actual.damping[None] * rate)
+    on_right = -_face_transposed(stress, actual.lever_right)
+    return on_right + to_left(actual, _face_transposed(stress, actual.lever_left))
+
+
+def _face(elastic: Array, lever: Array) -> Array:
+    """Motion of the face at x = lever from a rfe's middle: (u + phi x (lever, 0, 0), phi)."""
+    return elastic + PHI_CROSS_LEVER[:, None] * lever[None] * reorder(elastic, EXCHANGED)
+
+
+def _face_transposed(stress: Array, lever: Array) -> Array:
+    """The wrench at a rfe's middle of one at its face: (force, moment - force x (lever, 0, 0))."""
+    return stress + LEVER_CROSS_FORCE[:, None] * lever[None] * reorder(stress, EXCHANGED)

@@ -1,0 +1,231 @@
+"""The residual of the equations of motion for given accelerations and multipliers (inverse dynamics).
+
+Place in the pipeline: kinematics, elasticity, cut_joints, joint_forces, loads -> **residual** -> newton,
+implicit methods.
+
+`dynamics` solves for the accelerations; here they are given, and the joint loads follow by the recursive
+Newton-Euler algorithm.  The residual is the moment about every hinge, the generalised forces on every free
+rfe, and the constraint equations of every cut joint (theory (3.11)).
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+from jaxtyping import Float
+
+from rfem_jax.mechanics import algebra, loads
+from rfem_jax.mechanics.algebra import Scalar, apply, apply_transposed, cross, dot
+from rfem_jax.mechanics.cut_joints import Closure, closure
+from rfem_jax.mechanics.elements.elasticity import generalised_forces
+from rfem_jax.mechanics.inputs import DriveInput
+from rfem_jax.mechanics.joint_forces import hinge_moments
+from rfem_jax.mechanics.kinematics import Motion, motion_of, spread
+from rfem_jax.mechanics.model import BASE, Coordinates, State, Topology
+from rfem_jax.mechanics.model_with_errors import ModelWithErrors
+
+
+class Residual(NamedTuple):
+    """Residual of the equations of motion: hinge (L,) [N m]; force [N], moment [N m] (3, N) on the free rfes;
+    closing (5, C) [m/s^2]: second derivative of Phi, zero in a solution."""
+
+    hinge: Float[Array, " links"]
+    force: Float[Array, "3 rfes"]
+    moment: Float[Array, "3 rfes"]
+    closing: Float[Array, "5 cuts"]
+
+
+class Evaluation(NamedTuple):
+    """The residual at one instant, and what was computed with it.
+
+    hinge (L,): drive minus moment about every tree joint's hinge [N m]; force, moment (3, N): on the
+    free rfes at their middles, in link axes and about the axes of the angles' rates [N, N m]; closing,
+    closing_rate, closing_acceleration (5, C): Phi [m] and its derivatives; angular, linear (3, nodes):
+    accelerations of the nodes in link axes; motion, closure, multipliers: what it was computed from;
+    wrenches (6,): of all joints at the global origin; dissipated [W]: power of the dampers.
+    """
+
+    hinge: Float[Array, " links"]
+    force: Float[Array, "3 rfes"]
+    moment: Float[Array, "3 rfes"]
+    closing: Float[Array, "5 cuts"]
+    closing_rate: Float[Array, "5 cuts"]
+    closing_acceleration: Float[Array, "5 cuts"]
+    angular: Float[Array, "3 nodes"]
+    linear: Float[Array, "3 nodes"]
+    motion: Motion
+    closure: Closure | None
+    multipliers: Float[Array, "5 cuts"]
+    wrenches: list[Float[Array, "6"]]
+    dissipated: Float[Array, ""]
+
+
+def residual_of(evaluation: Evaluation) -> Residual:
+    """The part that a Newton increment makes vanish, with `closing` as it stands in the evaluation."""
+    return Residual(evaluation.hinge, evaluation.force, evaluation.moment, evaluation.closing)
+
+
+def evaluate_residual(
+    actual: ModelWithErrors,
+    state: State,
+    accelerations: Coordinates,
+    multipliers: Float[Array, "5 cuts"],
+    drive: DriveInput,
+    scale: Scalar,
+) -> Evaluation:
+    """Residual for given accelerations of the coordinates and multipliers [N].
+
+    `state` is taken with prescribed values already imposed; `scale` [m] as in `closure`.
+    """
+    with jax.named_scope("residual"):
+        topology = actual.topology
+        n = topology.n_links
+        motion = motion_of(actual, state)
+        cuts = closure(actual, motion, scale)
+        spatial = _spatial_accelerations(actual, motion, state, accelerations)
+        angular, linear = _node_accelerations(topology, motion, spatial, accelerations)
+        inertial = loads.inertial_loads(actual, motion, angular, linear)
+        wrenches = loads.chain_wrenches(actual, motion, cuts, multipliers, inertial)
+        hinge = -dot(motion.axis, jnp.stack(wrenches[:n], axis=1))
+        applied = hinge_moments(topology, drive)
+        if applied is not None:
+            hinge = hinge + applied
+        elastic, dissipated = generalised_forces(actual, state, motion.relative)
+        on_force, on_moment = _interface_loads(topology, motion, wrenches)
+        moment = apply_transposed(motion.relative.rate_matrix, on_moment - inertial[1][:, n:])
+        zeros = jnp.zeros((5, 0))
+        return Evaluation(
+            hinge=hinge,
+            force=elastic[:3] + on_force - inertial[0][:, n:],
+            moment=elastic[3:] + moment,
+            closing=zeros if cuts is None else cuts.residual,
+            closing_rate=zeros if cuts is None else cuts.rate,
+            closing_acceleration=zeros if cuts is None else cuts.bias + _closing_acceleration(topology, cuts, spatial),
+            angular=angular,
+            linear=linear,
+            motion=motion,
+            closure=cuts,
+            multipliers=multipliers,
+            wrenches=wrenches,
+            dissipated=dissipated,
+        )
+
+
+def _spatial_accelerations(
+    actual: ModelWithErrors, motion: Motion, state: State, accelerations: Coordinates
+) -> dict[int, Array]:
+    """Spatial accelerations (6,) at the global origin of the links and of the interfaces, by node."""
+    topology = actual.topology
+    n = topology.n_links
+    bias = algebra.motion_cross(motion.hinges.velocity, motion.axis * state.velocity.angles[None])
+    over_hinge = motion.axis * accelerations.angles[None] + bias
+    links: dict[int, Array] = {}
+    interfaces: dict[int, Array] = {}
+
+    def of(node: int) -> Array | float:
+        if node == BASE:
+            return 0.0
+        if node < n:
+            return links[node]
+        if node not in interfaces:
+            interfaces[node] = _interface_acceleration(topology, motion, links, node, accelerations)
+        return interfaces[node]
+
+    for l in range(n):
+        links[l] = of(topology.parents[l]) + over_hinge[:, l]
+    for k in topology.interfaces:
+        of(n + k)
+    return {**links, **interfaces}
+
+
+def _interface_acceleration(
+    topology: Topology, motion: Motion, links: dict[int, Array], node: int, accelerations: Coordinates
+) -> Array:
+    """Spatial acceleration (6,) of a free rfe at the global origin."""
+    k, l = node - topology.n_links, topology.link_of(node)
+    rotation, origin = motion.links.rotation[:, :, l], motion.links.point[:, l]
+    relative = jax.tree.map(lambda x: x[..., k], motion.relative)
+    angular = apply(relative.rate_matrix, accelerations.elastic[3:, k]) + relative.rate_bias
+    linear = accelerations.elastic[:3, k] - cross(angular, relative.position) - cross(relative.angular, relative.linear)
+    angular = apply(rotation, angular)
+    in_link = algebra.spatial(angular, apply(rotation, linear) + cross(origin, angular))
+    velocity = motion.interfaces.velocity[:, topology.interfaces.index(k)] - motion.links.velocity[:, l]
+    return links[l] + algebra.motion_cross(motion.links.velocity[:, l], velocity) + in_link
+
+
+def _node_accelerations(
+    topology: Topology, motion: Motion, spatial: dict[int, Array], accelerations: Coordinates
+) -> tuple[Array, Array]:
+    """Angular and linear accelerations (3, nodes) of the reference points, in link axes."""
+    of_links = jnp.stack([spatial[l] for l in range(topology.n_links)], axis=1)
+    rotation, origin = motion.links.rotation, motion.links.point
+    spin, velocity = motion.links.velocity[:3], motion.links.velocity[3:]
+    classical = of_links[3:] + cross(of_links[:3], origin)
+    classical = classical + cross(spin, velocity + cross(spin, origin))
+    root_angular = apply_transposed(rotation, of_links[:3])
+    root_linear = apply_transposed(rotation, classical)
+    spin = spread(topology, apply_transposed(rotation, spin))
+    of_link = spread(topology, root_angular)
+    relative = motion.relative
+    linear = (
+        spread(topology, root_linear)
+        + cross(of_link, relative.position)
+        + cross(spin, cross(spin, relative.position) + 2.0 * relative.linear)
+        + accelerations.elastic[:3]
+    )
+    angular = (
+        of_link
+        + cross(spin, relative.angular)
+        + relative.rate_bias
+        + apply(relative.rate_matrix, accelerations.elastic[3:])
+    )
+    return (
+        jnp.concatenate([root_angular, angular], axis=1),
+        jnp.concatenate([root_linear, linear], axis=1),
+    )
+
+
+def _interface_loads(
+    topology: Topology, motion: Motion, wrenches: Sequence[Float[Array, "6"]]
+) -> tuple[Float[Array, "3 rfes"], Float[Array, "3 rfes"]]:
+    """Forces [N] and moments [N m] of the joints on the free rfes at their middles, in link axes, from the
+    wrenches of all joints at the global origin."""
+    n = topology.n_links
+    columns = [jnp.zeros((3,))] * topology.n_rfes
+    forces, moments = list(columns), list(columns)
+    for j, sides in enumerate(zip(topology.parents, topology.children)):
+        for node, sign in zip(sides, (-1.0, 1.0)):
+            # A tree joint acts on rfe 0 of its child, which has no equation here.
+            if node < n:
+                continue
+            k = node - n
+            rotation = motion.links.rotation[:, :, topology.link_of(node)]
+            where = motion.interfaces.point[:, topology.interfaces.index(k)]
+            force = sign * wrenches[j][3:]
+            moment = sign * wrenches[j][:3] - cross(where, force)
+            forces[k] = forces[k] + apply_transposed(rotation, force)
+            moments[k] = moments[k] + apply_transposed(rotation, moment)
+    if not columns:
+        return jnp.zeros_like(motion.relative.linear), jnp.zeros_like(motion.relative.linear)
+    return jnp.stack(forces, axis=1), jnp.stack(moments, axis=1)
+
+
+def _closing_acceleration(topology: Topology, cuts: Closure, spatial: dict[int, Array]) -> Array:
+    """Phi_q q_ddot (5, C): accelerations of the joint centres, and powers of the unit couples on the
+    angular accelerations, right side minus left."""
+    columns = []
+    for i, j in enumerate(topology.cuts):
+        total = jnp.zeros_like(cuts.residual[:, i])
+        for node, centre, sign in (
+            (topology.children[j], cuts.right_centre[:, i], 1.0),
+            (topology.parents[j], cuts.centre[:, i], -1.0),
+        ):
+            if node != BASE:
+                angular = spatial[node][:3]
+                linear = spatial[node][3:] + cross(angular, centre)
+                about_axes = dot(cuts.couples[:, :, i], angular[:, None])
+                total = total + sign * jnp.concatenate([linear, about_axes])
+        columns.append(total)
+    return jnp.stack(columns, axis=1)

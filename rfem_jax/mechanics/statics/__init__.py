@@ -1,0 +1,6 @@
+"""Static equilibrium: the assembled start state and its preload.
+
+tangent     of the static equations, by recursion over the links
+search      Newton's method, and the linear equations of the derivatives
+assembly    equilibrium, its derivatives, loads and status
+"""

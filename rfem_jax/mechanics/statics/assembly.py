@@ -1,0 +1,341 @@
+"""Static assembly: the equilibrium in which the mechanism is put together, and its preload.
+
+Place in the pipeline: model, errors -> **statics** -> start state of a simulation.
+
+With errors the links are deformed when the loops are closed (theory (6.1)): the assembled state is a
+stationary point of the potential energy of springs and gravity subject to the closure equations, some joints
+held.  It is found from its equilibrium equations: zero moment about every free hinge, zero generalised force
+of springs, gravity and joints on every free rfe, closed loops.  They are solved by Newton's method and
+differentiated by the implicit function theorem; unknowns and residuals are scaled by a length and a force of
+the mechanism.
+"""
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.flatten_util import ravel_pytree
+from jaxtyping import ArrayLike, Float, Int
+
+from rfem_jax.compilation.program import Program
+from rfem_jax.description.errors import InputError, suggestion
+from rfem_jax.mechanics import loads
+from rfem_jax.mechanics.algebra import Scalar, apply_transposed, cross, dot
+from rfem_jax.mechanics.cut_joints import closure
+from rfem_jax.mechanics.elements import elasticity
+from rfem_jax.mechanics.implicit.residual import Residual
+from rfem_jax.mechanics.inputs import DriveInput
+from rfem_jax.mechanics.kinematics import motion_of, range_used
+from rfem_jax.mechanics.model import Coordinates, Model, State, Topology
+from rfem_jax.mechanics.model_with_errors import AssemblyErrors, ModelWithErrors, apply_errors, assembly_errors
+from rfem_jax.mechanics.statics.search import (
+    Equations,
+    Linear,
+    chord,
+    least_squares,
+    load_steps,
+    newton,
+    solve_dense,
+    solve_linear,
+)
+from rfem_jax.mechanics.statics.tangent import static_increment, static_tangent
+from rfem_jax.mechanics.status import NOT_ASSEMBLED, OK, OUT_OF_RANGE, WRONG_SIDE
+
+
+class Load(NamedTuple):
+    """Force [N] and moment [N m] of one joint in its hinge frame."""
+
+    force: Float[Array, "*times 3"]
+    moment: Float[Array, "*times 3"]
+
+
+class Assembled(NamedTuple):
+    """An assembled mechanism: state at rest, preload of every joint, status code."""
+
+    state: State
+    preload: dict[str, Load]
+    status: Int[Array, ""]
+
+
+def assemble(model: Model, errors: AssemblyErrors, hold: Mapping[str, ArrayLike] | None = None) -> Assembled:
+    """Assemble the mechanism: static equilibrium with some joints held.
+
+    **Arguments:** `hold`: joint name -> angle [rad]; None holds the driven joint at its start angle,
+    {} holds nothing.
+
+    **Returns:** state (velocities zero), preload (gravity and holding moment included) and status
+    (0 = ok; see `STATUS`). Differentiable with respect to errors and held angles.
+
+    **Raises:** `InputError` if `hold` names a joint that is not a joint of the tree.
+    """
+    if hold is not None:
+        _require_tree_joints(model, hold)
+        hold = {name: jnp.asarray(angle, jnp.float64) for name, angle in hold.items()}
+    return _assemble(model, errors, hold)
+
+
+@Program
+def _assemble(model: Model, errors: AssemblyErrors, hold: dict[str, Array] | None) -> Assembled:
+    actual = apply_errors(model, errors)
+    position, multipliers, status = equilibrium(model, actual, held_angles(model, hold))
+    state = loads.static_state(position)
+    return Assembled(state, named(model, static_loads(model, actual, state, multipliers)), status)
+
+
+def held_angles(model: Model, hold: Mapping[str, ArrayLike] | None) -> dict[int, Float[Array, ""]]:
+    """Link index -> held angle [rad], by the names of their joints; None: the driven joint's start angle.
+
+    **Raises:** `InputError` for a name that is not a joint of the tree.
+    """
+    topology = model.topology
+    if hold is None:
+        driven = topology.driven
+        return {} if driven is None else {driven: model.start_angles[driven]}
+    _require_tree_joints(model, hold)
+    return {topology.joints.index(name): jnp.asarray(angle) for name, angle in hold.items()}
+
+
+def _require_tree_joints(model: Model, names: Iterable[str]) -> None:
+    """Raise InputError for the first name that is not a joint of the tree."""
+    tree = model.topology.joints[: model.topology.n_links]
+    for name in names:
+        if name not in tree:
+            raise InputError(
+                f"Argument `hold` must name joints of the tree, but has {name!r}; {suggestion(name, tree)}"
+            )
+
+
+class _Scaled(NamedTuple):
+    """Unknowns and residuals as flat arrays, scaled by a length [m] and a force [N] of the mechanism.
+
+    units (n,) [m, rad]: of the coordinates; generalised forces times these are works.
+    """
+
+    topology: Topology
+    length: Float[Array, ""]
+    force: Float[Array, ""]
+    units: Float[Array, " n"]
+    unravel: Callable[[Array], Coordinates]
+
+    def unknowns(self, position: Coordinates, multipliers: Array) -> Array:
+        """Flat, of coordinates and multipliers (5, C)."""
+        return jnp.concatenate([ravel_pytree(position)[0] / self.units, multipliers.T.reshape(-1) / self.force])
+
+    def coordinates(self, unknowns: Array) -> Coordinates:
+        return self.unravel(unknowns[: self.units.size] * self.units)
+
+    def multipliers(self, unknowns: Array) -> Array:
+        return unknowns[self.units.size :].reshape(self.topology.n_cuts, 5).T * self.force
+
+    def residual(self, forces: Coordinates, closing: Array) -> Array:
+        """Flat, of generalised forces and closing (5, C) [m]."""
+        works = ravel_pytree(forces)[0] * self.units / (self.force * self.length)
+        return jnp.concatenate([works, closing.T.reshape(-1) / self.length])
+
+    def unscaled(self, residual: Array) -> tuple[Coordinates, Array]:
+        """Generalised forces and closing (5, C) [m] of a flat residual."""
+        works, closing = residual[: self.units.size], residual[self.units.size :]
+        forces = self.unravel(works * (self.force * self.length) / self.units)
+        return forces, closing.reshape(self.topology.n_cuts, 5).T * self.length
+
+
+def _scaled(model: Model, actual: ModelWithErrors) -> _Scaled:
+    length, topology = length_scale(model), model.topology
+    displacements = jnp.ones((6, topology.n_rfes)).at[:3].set(length)
+    units, _ = ravel_pytree(Coordinates(jnp.ones(topology.n_links), displacements))
+    unravel = ravel_pytree(model.start_coordinates())[1]
+    return _Scaled(topology, length, _force_scale(model, actual), units, unravel)
+
+
+def equilibrium(
+    model: Model, actual: ModelWithErrors, held: dict[int, Float[Array, ""]]
+) -> tuple[Coordinates, Float[Array, "5 cuts"], Int[Array, ""]]:
+    """Coordinates, multipliers [N] and status of the static equilibrium; `held`: link index -> angle [rad].
+
+    From the undeformed start by the chord method with the tangent of the perfect mechanism, which is the same
+    for all samples of a batch, and only where that does not converge by Newton's method.  Geometrically exact
+    elements, whose deflections may be large, follow the equilibrium under growing loads.
+    """
+    topology = model.topology
+    scaled = _scaled(model, actual)
+    given = np.array(list(held), int)
+    undeformed = scaled.unknowns(model.start_coordinates(), jnp.zeros((5, topology.n_cuts)))
+
+    def residual(unknowns, args):
+        actual, angles = args
+        position, multipliers = scaled.coordinates(unknowns), scaled.multipliers(unknowns)
+        hinge, elastic, closing = _static_residual(actual, position, multipliers, scaled.length)
+        value = scaled.residual(Coordinates(hinge, elastic), closing)
+        return jnp.where(is_given, unknowns - angles @ onto, value)
+
+    angles = jnp.array([*held.values()], float)
+    onto = (given[:, None] == np.arange(undeformed.size)).astype(float)
+    is_given = onto.any(axis=0)
+    args = actual, angles
+    perfect = (
+        eqx.tree_at(lambda r: r.gravity, apply_errors(model, assembly_errors(model)), jnp.zeros(3)),
+        model.start_angles[given],
+    )
+    guess = jnp.where(is_given, angles @ onto, undeformed)
+    perfect, undeformed, guess = jax.lax.stop_gradient((perfect, undeformed, guess))
+    equations = Equations(
+        residual,
+        scaled.coordinates,
+        n_coordinates=scaled.units.size,
+        solve=least_squares if topology.minimum_norm else jnp.linalg.solve,
+    )
+
+    # The search is not differentiated: its derivatives are those of the implicit function, taken at its result.
+    loaded = jax.lax.stop_gradient(args)
+    end, found = _search(scaled, equations, given, (undeformed, guess), perfect, loaded)
+
+    def tangent_solve(linear, value):
+        if topology.exact or topology.minimum_norm:
+            return solve_dense(equations, linear, value)
+        preconditioner = _preconditioner(scaled, given, loaded[0], end)
+        return solve_linear(equations, preconditioner, linear, value)
+
+    unknowns = jax.lax.custom_root(lambda unknowns: residual(unknowns, args), end, lambda _, x: x, tangent_solve)
+    position = scaled.coordinates(unknowns)
+    found = found & jnp.all(jnp.isfinite(unknowns))
+    in_range = range_used(topology, position) < 1.0
+    cuts = closure(actual, motion_of(actual, loads.static_state(position)), scaled.length)
+    right_side = True if cuts is None else jnp.all(cuts.alignment > 0.0)
+    status = jnp.where(right_side, jnp.where(in_range, OK, OUT_OF_RANGE), WRONG_SIDE)
+    status = jnp.where(found, status, NOT_ASSEMBLED)
+    return position, scaled.multipliers(unknowns), status.astype(jnp.int32)
+
+
+def _search(
+    scaled: _Scaled,
+    equations: Equations,
+    given: np.ndarray,
+    starts: tuple[Array, Array],
+    perfect: tuple[ModelWithErrors, Array],
+    loaded: tuple[ModelWithErrors, Array],
+) -> tuple[Array, Array]:
+    """Unknowns under load and whether they were found, from the undeformed start without and with the held angles;
+    `perfect` and `loaded`: args of the equations."""
+    topology, (undeformed, guess) = scaled.topology, starts
+    if topology.exact:
+        return load_steps(equations, undeformed, perfect, loaded)
+    if topology.minimum_norm:
+        return newton(equations, guess, loaded)
+    constant = _preconditioner(scaled, given, perfect[0], undeformed)
+    return chord(equations, constant, _rows(scaled, perfect[0]), guess, loaded)
+
+
+def _preconditioner(scaled: _Scaled, given: np.ndarray, actual: ModelWithErrors, unknowns: Array) -> Linear:
+    """Preconditioner of the equations' Jacobian, residual -> unknowns, at given unknowns; the angles of the links
+    `given` are held."""
+    topology = scaled.topology
+    held, stiffness = tuple(given.tolist()), scaled.force / scaled.length
+    position = scaled.coordinates(unknowns)
+    tangent = static_tangent(actual, position, held, scaled.length, stiffness)
+
+    def solve(residual):
+        forces, closing = scaled.unscaled(residual)
+        by_part = Residual(forces.angles, -forces.elastic[:3], -forces.elastic[3:], -closing)
+        increment = scaled.unknowns(*static_increment(topology, tangent, by_part))
+        return increment + jnp.where(np.isin(np.arange(unknowns.size), given), residual, 0.0)
+
+    return solve
+
+
+def _rows(scaled: _Scaled, actual: ModelWithErrors) -> Array:
+    """Sums of the absolute entries in every row of the equations' Jacobian, undeformed."""
+    topology = scaled.topology
+    springs = jnp.roll(jnp.abs(elasticity.stiffness_blocks(actual).diagonal), (3, 3), axis=(1, 2))
+    one = scaled.coordinates(jnp.ones(len(scaled.units))).elastic
+    hinges = jnp.full(topology.n_links, scaled.force * scaled.length)
+    forces = Coordinates(hinges, jnp.einsum("kij,jk->ik", springs, one))
+    return scaled.residual(forces, jnp.full((5, topology.n_cuts), scaled.length))
+
+
+def _static_residual(
+    actual: ModelWithErrors, position: Coordinates, multipliers: Array, scale: Array
+) -> tuple[Float[Array, " links"], Float[Array, "6 rfes"], Float[Array, "5 cuts"]]:
+    """Moments about the hinges [N m], generalised forces on the free rfes [N, N m] and closure residuals [m] of
+    a mechanism at rest."""
+    topology = actual.topology
+    n = topology.n_links
+    state = loads.static_state(position)
+    motion = motion_of(actual, state)
+    cuts = closure(actual, motion, scale)
+    at_rest = jnp.zeros((3, n + topology.n_rfes))
+    force, moment = loads.inertial_loads(actual, motion, at_rest, at_rest)
+    wrenches = loads.chain_wrenches(actual, motion, cuts, multipliers, (force, moment))
+    hinge = dot(motion.axis, jnp.stack(wrenches[:n], axis=1))
+    force, moment = -force[:, n:], -moment[:, n:]
+    for j, (left, right) in enumerate(zip(topology.parents, topology.children)):
+        for node, sign in ((left, -1.0), (right, 1.0)):
+            # A tree joint acts on rfe 0 of its child, which has no equation here.
+            if node >= n:
+                k = node - n
+                rotation = motion.links.rotation[:, :, topology.link_of(node)]
+                where = motion.interfaces.point[:, topology.interfaces.index(k)]
+                on_force = sign * wrenches[j][3:]
+                on_moment = sign * wrenches[j][:3] - cross(where, on_force)
+                there = jnp.asarray(np.arange(topology.n_rfes) == k, float)[None]
+                force = force + apply_transposed(rotation, on_force)[:, None] * there
+                moment = moment + apply_transposed(rotation, on_moment)[:, None] * there
+    external = jnp.concatenate([force, apply_transposed(motion.relative.rate_matrix, moment)])
+    elastic, _ = elasticity.generalised_forces(actual, state, motion.relative)
+    return hinge, external + elastic, jnp.zeros((5, 0)) if cuts is None else cuts.residual
+
+
+def static_loads(
+    model: Model, actual: ModelWithErrors, state: State, multipliers: Float[Array, "5 cuts"]
+) -> loads.JointLoads:
+    """Joint loads at rest, the moment that holds a joint included."""
+    motion = motion_of(actual, state)
+    at_rest = jnp.zeros((3, actual.mass.shape[0]))
+    resting = loads.Resting(motion, closure(actual, motion, length_scale(model)), multipliers)
+    return loads.chain_loads(actual, resting, at_rest, at_rest, DriveInput())[0]
+
+
+def named(model: Model, joint_loads: loads.JointLoads) -> dict[str, Load]:
+    """Loads by the names of the joints, in the order of the description."""
+    order = [(name, model.topology.joints.index(name)) for name in model.joint_names]
+    return {name: Load(joint_loads.force[:, j], joint_loads.moment[:, j]) for name, j in order}
+
+
+def quasi_static_rates(
+    model: Model, actual: ModelWithErrors, held: dict[int, Float[Array, ""]], driven_rate: Scalar
+) -> Coordinates:
+    """Rates of the coordinates when the driven joint moves at a rate [rad/s] through equilibria: the
+    derivative of the static equilibrium by the driven angle, times the rate.
+
+    **Raises:** `InputError` if no joint of the model is driven.
+    """
+    driven = model.topology.driven
+    if driven is None:
+        raise InputError(
+            "Argument `model` must have a driven joint to move through equilibria, but has none; "
+            "give the mechanism a `driven_joint`."
+        )
+
+    def at_angle(angle):
+        return equilibrium(model, actual, {**held, driven: angle})[0]
+
+    angle = jnp.asarray(held[driven])
+    return jax.jvp(at_angle, (angle,), (jnp.asarray(driven_rate),))[1]
+
+
+def length_scale(model: Model) -> Float[Array, ""]:
+    """The longest nominal link [m]."""
+    return jnp.max(model.length)
+
+
+def _force_scale(model: Model, actual: ModelWithErrors) -> Array:
+    """A force [N] of the mechanism: its bending stiffness over a length squared, or its weight."""
+    stiffness = model.section.bending
+    bending = [stiffness[l] / model.length[l] ** 2 for l, n in enumerate(model.topology.elements) if n > 1]
+    if bending:
+        return jax.lax.stop_gradient(jnp.max(jnp.stack(bending)))
+    weight = jnp.sum(actual.mass) * jnp.linalg.norm(model.gravity)
+    return jax.lax.stop_gradient(weight + jnp.sum(actual.mass))

@@ -1,0 +1,232 @@
+"""Newton's method for static equations, and the solution of the linear ones in their derivatives.
+
+Place in the pipeline: tangent -> **search** -> assembly.
+
+Convergence: the residual of a slender beam does not go below EA/Delta times the rounding of
+positions, far above any fixed fraction of its bending forces (EI/L^2), while the positions that it
+stands for are known to their last digits. So the Newton step is judged, relative to length and
+radian, and every residual relative to what a step of that size would change of it (its own row of
+the Jacobian; theory (6.2)).
+
+Where recursion over the links gives a preconditioner of the Jacobian, the linear equations are solved by
+iterative refinement with it.  Only where that does not converge is the Jacobian itself formed, in a loop
+that is not entered otherwise: a batch pays for it only if one of its samples needs it.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+from jaxtyping import Bool, Float
+
+from rfem_jax.mechanics.model import Coordinates
+
+TOLERANCE = 1e-10
+SMALLEST_SINGULAR_VALUE = 1e-9  # of the largest, where equations contradict each other
+MAX_ITERATIONS = 50
+# With a constant matrix convergence is linear, so the last step must be down to rounding.
+CHORD_TOLERANCE, CHORD_ITERATIONS = 1e-14, 30
+# The adjoint variables of the multipliers are as much larger than others as springs are stiff: all digits count.
+LINEAR_TOLERANCE, ADJOINT_TOLERANCE, LARGEST_LINEAR_ERROR, LINEAR_ITERATIONS = 1e-12, 1e-16, 1e-11, 40
+ITERATIONS_OF_A_STEP = 15
+MAX_LOAD_STEPS = 60
+SMALLEST_LOAD_STEP = 1e-3
+LARGEST_ROTATION_OF_A_STEP = 0.7  # rad
+
+Linear = Callable[[Float[Array, " n"]], Float[Array, " n"]]
+
+
+class Equations(NamedTuple):
+    """The static equations in flat unknowns: coordinates, then multipliers.
+
+    residual: (unknowns, args) -> residual; coordinates: unknowns -> `Coordinates`; n_coordinates: how many
+    of the unknowns they are; solve: (Jacobian, values) -> unknowns, of the linearised equations (not
+    lineax's, which ends the whole batch where the cotangent of a failed sample is NaN).
+    """
+
+    residual: Callable[[Float[Array, " n"], Any], Float[Array, " n"]]
+    coordinates: Callable[[Float[Array, " n"]], Coordinates]
+    n_coordinates: int
+    solve: Callable[[Float[Array, "n n"], Float[Array, " n"]], Float[Array, " n"]]
+
+
+def chord(
+    equations: Equations, preconditioner: Linear, rows: Float[Array, " n"], start: Float[Array, " n"], args: Any
+) -> tuple[Float[Array, " n"], Bool[Array, ""]]:
+    """Unknowns and whether they were found by the chord method (Newton's with a constant matrix, here
+    `preconditioner` for its inverse), where that does not converge by Newton's method from the start.
+
+    `rows`: sums of the absolute entries of the matrix by row, of an unloaded mechanism.
+    """
+    n = equations.n_coordinates
+
+    def constant(unknowns):
+        value = equations.residual(unknowns, args)
+        loaded = 1.0 + jnp.max(jnp.abs(unknowns[n:]), initial=0.0)
+        return value, preconditioner(value), rows * loaded
+
+    near, found = _iterate(n, start, CHORD_ITERATIONS, constant, tolerance=CHORD_TOLERANCE)
+    return newton(equations, jnp.where(found, near, start), args, found=found)
+
+
+def solve_dense(equations: Equations, linear: Linear, value: Float[Array, " n"]) -> Float[Array, " n"]:
+    """Solution of linear(x) = value with the dense matrix of a linear function."""
+    return equations.solve(_linearised(linear, jnp.zeros_like(value))[1], value)
+
+
+def solve_linear(
+    equations: Equations, preconditioner: Linear, linear: Linear, value: Float[Array, " n"]
+) -> Float[Array, " n"]:
+    """`solve_dense` by iterative refinement with a preconditioner, where that converges."""
+
+    def refined(preconditioner, tolerance):
+        def solved(linear, value):
+            x, found = _refine(linear, value, preconditioner, tolerance)
+
+            def dense(_):
+                return solve_dense(equations, linear, value), jnp.ones((), bool)
+
+            hopeless = ~jnp.all(jnp.isfinite(value))
+            return jax.lax.while_loop(lambda carry: ~carry[1], dense, (x, found | hopeless))[0]
+
+        return solved
+
+    transposed = jax.linear_transpose(preconditioner, value)
+    return jax.lax.custom_linear_solve(
+        linear,
+        value,
+        refined(preconditioner, LINEAR_TOLERANCE),
+        transpose_solve=refined(lambda value: transposed(value)[0], ADJOINT_TOLERANCE),
+    )
+
+
+def _refine(linear: Linear, value: Array, preconditioner: Linear, tolerance: float) -> tuple[Array, Array]:
+    """Solution by iterative refinement, as long as its increments become smaller and until the next one would be
+    small, and whether it is."""
+
+    def size(x):
+        return jnp.max(jnp.abs(x))
+
+    def next_is_small(tolerance, x, increment, before):
+        """Increments become smaller by nearly the same factor every time."""
+        return increment * increment <= tolerance * size(x) * before
+
+    def going_on(carry):
+        *found, count = carry
+        _, increment, before = found
+        # The first increment sets the angles; only the second sets the coordinates that follow from these.
+        shrinking = (increment < before) | (count < 3)
+        return ~next_is_small(tolerance, *found) & shrinking & (count < LINEAR_ITERATIONS)
+
+    def improve(carry):
+        x, increment, _, count = carry
+        change = preconditioner(value - linear(x))
+        return x + change, size(change), increment, count + 1
+
+    first = preconditioner(value)
+    carry = (first, size(first), size(first), jnp.ones((), jnp.int32))
+    *found, _ = jax.lax.while_loop(going_on, improve, carry)
+    return found[0], next_is_small(LARGEST_LINEAR_ERROR, *found)
+
+
+def _linearised(function: Callable, at: Array, *others: Any) -> tuple[Array, Array]:
+    """Value and Jacobian of a function at one place.  The barrier keeps the Jacobian in place: much of it is
+    constant, and XLA would move that out of a loop that is seldom entered."""
+    rows, at, others = jax.lax.optimization_barrier((jnp.arange(at.size), at, others))
+    units = (rows[:, None] == rows[None]).astype(at.dtype)
+    value, jvp = jax.linearize(lambda x: function(x, *others), at)
+    return value, jax.vmap(jvp, out_axes=1)(units)
+
+
+def newton(
+    equations: Equations,
+    start: Float[Array, " n"],
+    args: Any,
+    iterations: int = MAX_ITERATIONS,
+    found: bool | Bool[Array, ""] = False,
+) -> tuple[Float[Array, " n"], Bool[Array, ""]]:
+    """Unknowns after Newton's method and whether it converged; nothing is done if `found`."""
+
+    n = equations.n_coordinates
+
+    def present(unknowns):
+        value, jacobian = _linearised(equations.residual, unknowns, args)
+        size = jnp.concatenate([jnp.ones(n), 1.0 + jnp.abs(unknowns[n:])])
+        return value, equations.solve(jacobian, value), jnp.abs(jacobian) @ size
+
+    return _iterate(n, start, iterations, present, found)
+
+
+def _iterate(
+    n: int,
+    start: Array,
+    iterations: int,
+    step_from: Callable[[Array], tuple[Array, Array, Array]],
+    found: bool | Array = False,
+    tolerance: float = TOLERANCE,
+) -> tuple[Array, Array]:
+    """Unknowns, `n` of them coordinates, after steps from `step_from` (unknowns -> residual, step, and by how
+    much a step of size one changes the residual), and whether they converged.
+
+    The last step must be small in the coordinates (multipliers follow them: their rounding is that
+    of the stiffest spring), and the residual before it small in every row against the change by such a
+    step of the coordinates; the latter fails where equations contradict each other.
+    """
+
+    def going_on(carry):
+        unknowns, converged, count = carry
+        return ~converged & jnp.all(jnp.isfinite(unknowns)) & (count < iterations)
+
+    def improve(carry):
+        unknowns, _, count = carry
+        value, step, rows = step_from(unknowns)
+        small_step = jnp.max(jnp.abs(step[:n])) <= tolerance
+        small_residual = jnp.all(jnp.abs(value) <= TOLERANCE * rows)
+        return unknowns - step, small_step & small_residual, count + 1
+
+    carry = (start, jnp.asarray(found), jnp.zeros((), jnp.int32))
+    unknowns, converged, _ = jax.lax.while_loop(going_on, improve, carry)
+    return unknowns, converged
+
+
+def load_steps(
+    equations: Equations, start: Float[Array, " n"], unloaded: Any, loaded: Any
+) -> tuple[Float[Array, " n"], Bool[Array, ""]]:
+    """Unknowns of the equilibrium under full load, followed from the unloaded one, and whether it was reached.
+
+    Errors, gravity and held angles grow together from zero by a share (`unloaded` and `loaded` are the args of
+    the equations): all at once first; a step on which Newton's method does not converge, or changes the angles
+    of an rfe by so much that the equilibrium may be another one, is halved, any other is followed by one twice
+    as long. The constants of the mechanism are interpolated, so that on the way the rotations of its frames
+    hold to second order in the errors only.
+    """
+
+    def going_on(carry):
+        _, reached, step, count = carry
+        return (reached < 1.0) & (step > SMALLEST_LOAD_STEP) & (count < MAX_LOAD_STEPS)
+
+    def advance(carry):
+        unknowns, reached, step, count = carry
+        share = jnp.minimum(reached + step, 1.0)
+        args = jax.tree.map(lambda a, b: a + share * (b - a), unloaded, loaded)
+        new, found = newton(equations, unknowns, args, ITERATIONS_OF_A_STEP)
+        rotation = equations.coordinates(new - unknowns).elastic[3:]
+        found = found & (jnp.max(jnp.abs(rotation), initial=0.0) < LARGEST_ROTATION_OF_A_STEP)
+        return (
+            jnp.where(found, new, unknowns),
+            jnp.where(found, share, reached),
+            jnp.where(found, 2.0 * step, 0.5 * step),
+            count + 1,
+        )
+
+    one = jnp.ones(())
+    carry = (start, 0.0 * one, one, jnp.zeros((), jnp.int32))
+    unknowns, reached, _, _ = jax.lax.while_loop(going_on, advance, carry)
+    return unknowns, reached >= 1.0
+
+
+def least_squares(matrix: Float[Array, "n n"], value: Float[Array, " n"]) -> Float[Array, " n"]:
+    """The shortest solution of equations that may contradict each other."""
+    return jnp.linalg.pinv(matrix, rtol=SMALLEST_SINGULAR_VALUE) @ value

@@ -1,0 +1,399 @@
+"""Generalised-alpha: an implicit method of order 2 whose steps follow the motion, not the stiffness.
+
+Place in the pipeline: equations, newton, implicit_step -> **generalised_alpha** -> solvers, stepping.
+
+J. Chung, G. M. Hulbert, J. Appl. Mech. 60 (1993) 371-375; for constraints at the level of positions M. Arnold,
+O. Bruels, Multibody Syst. Dyn. 18 (2007) 185-202; theory (7.1) to (7.7):
+
+    q1 = q0 + h v0 + h^2 ((1/2 - beta) a0 + beta a1),     v1 = v0 + h ((1 - gamma) a0 + gamma a1)
+    (1 - alpha_m) a1 + alpha_m a0 = (1 - alpha_f) v1' + alpha_f v0'
+    equations of motion at (q1, v1, v1', lambda1, t1),    Phi(q1) = 0
+
+with coefficients from the spectral radius at infinite frequency.  v' are the accelerations of the motion, a the
+auxiliary ones of the method, lambda the multipliers.
+
+    t0 ------------------------------- h ------------------------------> t1
+    StepStart                                                            StepEnd
+    q0, v0 (trajectory)           .----------------------------.         q1, v1, integrals (trajectory)
+    a0, v0' (memory)              |                            |         a1, v1', lambda1 (memory)
+         |                        v                            |             ^
+         '-> predict ----> v1', lambda1 --> newmark: a1, q1, v1 --> evaluate -- converged
+                                  ^                               | residual
+                                  '------- Newton increment <-----' not small
+
+Newton's method uses one iteration matrix a step, formed at the prediction.  It stops when the residual is a small
+share of the largest joint force so far and the cut joints are closed, or after as many increments as are allowed;
+the residual at the end is part of the result.  The joint loads come from v1' and lambda1, with which the equations
+of motion hold at t1; integrals of squared loads and of powers are sums by the trapezoidal rule.
+
+A step of length zero finds v' and lambda at a given state: with it the method starts, and restarts after a jump of
+the drive.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from typing import ClassVar
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, PyTree
+
+from rfem_jax.description.drives import PrescribedDrive
+from rfem_jax.description.errors import InputError
+from rfem_jax.description.methods import GeneralisedAlphaMethod, Method
+from rfem_jax.mechanics import algebra, loads
+from rfem_jax.mechanics.cut_joints import closure
+from rfem_jax.mechanics.elements.elasticity import dissipated_power
+from rfem_jax.mechanics.implicit.condensation import LinkOperator, link_operators, present_operators
+from rfem_jax.mechanics.implicit.newton import IterationMatrix, iteration_matrix, newton_increment
+from rfem_jax.mechanics.implicit.residual import Evaluation, evaluate_residual, residual_of
+from rfem_jax.mechanics.inputs import DriveInput, impose
+from rfem_jax.mechanics.kinematics import motion_of
+from rfem_jax.mechanics.model import Coordinates, State, Topology
+from rfem_jax.mechanics.model_with_errors import ModelWithErrors
+from rfem_jax.simulation import equations
+from rfem_jax.simulation.driving import driven_index
+from rfem_jax.simulation.equations import Conditions, Integrals, Scalar, Trajectory, drive_input
+from rfem_jax.simulation.observation import Instant, cut_drift, evaluated_instant
+from rfem_jax.simulation.run import RESIDUAL_LIMIT
+from rfem_jax.simulation.solvers.implicit_step import (
+    Memory,
+    StepConstants,
+    StepEnd,
+    StepStart,
+    Unknowns,
+    form_matrix,
+    solved_step,
+)
+
+CLOSED = 1e-7  # drift of the cut joints that Newton's method may leave, relative to the longest link
+# The residual acts as an error force in every step, and after a jump loads are a fraction of the largest so far: RMS
+# loads err by up to this many times the tolerance, and derivatives need be no more accurate.  With one Newton
+# increment derivatives err by 2e-3 at errors of practical size (twenty times that where the errors are so small that
+# loads hardly depend on them), with every further one by a thirteenth, for steps of 2.5 ms; for 5 ms by 1e-2 and a
+# ninth: table in benchmarks/README.md.
+ACCURACY_OF_TOLERANCE = 30.0
+ERROR_OF_FIRST_INCREMENT, REDUCTION_BY_INCREMENT = 5e-3, 1.0 / 13.0
+
+MadeJump = bool | Bool[Array | np.ndarray, ""]
+StepState = tuple[Trajectory, Float[Array, "2 joints"]]
+
+
+class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
+    """The method as a diffrax solver of the equations of motion.
+
+    It reads the mechanism itself instead of the vector field of its terms, so it solves these equations only:
+
+        diffrax.diffeqsolve(terms, GeneralisedAlpha(method), t0, t1, h, y0, args=conditions, ...)
+
+    with y0 = (`Trajectory`, squared maxima (2, joints) so far of axial and normal forces), args = `Conditions`
+    of one phase of the drive, terms = `diffrax.ODETerm(stepping.vector_field)`.  One call integrates between two
+    jumps of the drive.  Steps may vary; if all have one length, and the `operators` of the conditions are those of
+    this length, they are not formed in every step.  A step in which Newton's method fails has the result
+    `nonlinear_max_steps_reached`.
+
+    **Arguments:** `method`: an implicit `Method`.
+
+    Attributes: max_increments: largest number of Newton increments in a step; tolerance: largest residual, as a
+    share of the largest joint force.
+
+    **Raises:** `InputError` for a method that is not implicit.
+    """
+
+    term_structure: ClassVar = diffrax.AbstractTerm
+    interpolation_cls: ClassVar[Callable] = diffrax.LocalLinearInterpolation
+    # diffrax's adjoints look at it: a step takes every transform.
+    scan_kind: ClassVar[str] = "bounded"
+
+    alpha_m: float = eqx.field(static=True)
+    alpha_f: float = eqx.field(static=True)
+    beta: float = eqx.field(static=True)
+    gamma: float = eqx.field(static=True)
+    max_increments: int = eqx.field(static=True)
+    tolerance: float = eqx.field(static=True)
+
+    def __init__(self, method: Method):
+        if not isinstance(method, GeneralisedAlphaMethod):
+            raise InputError(f'Argument `method` must be "generalised_alpha", but is {method.name!r}.')
+        radius = method.spectral_radius
+        self.alpha_m = (2.0 * radius - 1.0) / (radius + 1.0)
+        self.alpha_f = radius / (radius + 1.0)
+        self.gamma = 0.5 + self.alpha_f - self.alpha_m
+        self.beta = 0.25 * (self.gamma + 0.5) ** 2
+        self.max_increments = method.corrections
+        self.tolerance = method.tolerance
+
+    @property
+    def tangent_increments(self) -> int:
+        """Number of Newton increments of a derivative, from the tolerance."""
+        wanted = ACCURACY_OF_TOLERANCE * self.tolerance
+        further = math.log(wanted / ERROR_OF_FIRST_INCREMENT) / math.log(REDUCTION_BY_INCREMENT)
+        return max(1, 1 + math.ceil(further))
+
+    def order(self, terms: PyTree) -> int:
+        return 2
+
+    def func(self, terms: diffrax.AbstractTerm, t0: Scalar, y0: StepState, args: Conditions) -> StepState:
+        return terms.vf(t0, y0, args)
+
+    def init(self, terms: diffrax.AbstractTerm, t0: Scalar, t1: Scalar, y0: StepState, args: Conditions) -> Memory:
+        """Accelerations and multipliers at the start, by a step of length zero."""
+        del t1
+        return self.step(terms, t0, t0, y0, args, self.start(args, y0[0]), False)[3]
+
+    def start(self, conditions: Conditions, trajectory: Trajectory) -> Memory:
+        """Memory before the first step, all zero: that step must have length zero."""
+        multipliers = jnp.zeros((5, conditions.actual.topology.n_cuts))
+        zeros = jax.tree.map(jnp.zeros_like, trajectory.velocity)
+        rates = jax.tree.map(jnp.zeros_like, trajectory.integrals)
+        return Memory(zeros, zeros, multipliers, rates, jnp.zeros(()), jnp.zeros(()))
+
+    def resume(
+        self,
+        terms: diffrax.AbstractTerm,
+        t0: Scalar,
+        t1: Scalar,
+        y0: StepState,
+        args: Conditions,
+        memory: Memory,
+    ) -> Memory:
+        """Memory at the start of an interval: that at the end of the one before."""
+        del terms, t0, t1, y0, args
+        return memory
+
+    def step(
+        self,
+        terms: diffrax.AbstractTerm,
+        t0: Scalar,
+        t1: Scalar,
+        y0: StepState,
+        args: Conditions,
+        solver_state: Memory,
+        made_jump: MadeJump,
+    ) -> tuple[StepState, None, dict[str, StepState], Memory, diffrax.RESULTS]:
+        """One step; of length zero: accelerations and multipliers at the given state.
+
+        After a jump of the drive the caller takes a step of length zero, so `made_jump` is not read.
+        """
+        del terms, made_jump
+        h, (trajectory, peaks) = jnp.asarray(t1 - t0), y0
+        operators = args.operators
+        if operators is None:
+            operators = jax.tree.map(lambda x: x[0], self.operators(args.actual, h[None]))
+        start = StepStart(eqx.tree_at(lambda c: c.operators, args, None), trajectory, solver_state)
+        seen = jnp.maximum(peaks, squared_forces(solver_state.rates))
+        constants = StepConstants(t1, h, jnp.sqrt(jnp.max(seen)))
+        operators, constants, fixed = jax.lax.stop_gradient((operators, constants, start))
+        matrix = form_matrix(self, operators, constants, fixed)
+        trajectory, memory = solved_step(self, matrix, constants, start)
+        y1 = trajectory, jnp.maximum(peaks, squared_forces(memory.rates))
+        allowed = RESIDUAL_LIMIT * jnp.sqrt(jnp.max(jax.lax.stop_gradient(y1[1])))
+        result = diffrax.RESULTS.where(
+            memory.residual <= allowed,
+            diffrax.RESULTS.successful,
+            diffrax.RESULTS.nonlinear_max_steps_reached,  # pyright: ignore[reportArgumentType] # an enumeration's item
+        )
+        return y1, None, {"y0": y0, "y1": y1}, memory, result
+
+    def factors(self, h: Float[Array, ""]) -> tuple[Float[Array, ""], Float[Array, ""]]:
+        """Derivatives of q1 [s^2] and v1 [s] with respect to v1' for a step of length h [s]."""
+        share = (1.0 - self.alpha_f) / (1.0 - self.alpha_m)
+        return self.beta * h**2 * share, self.gamma * h * share
+
+    def operators(self, actual: ModelWithErrors, lengths: Float[Array, " lengths"]) -> tuple[LinkOperator | None, ...]:
+        """Condensed links for steps of several lengths [s], which are the first axis of the result."""
+        return jax.vmap(lambda h: link_operators(actual, *self.factors(h)))(lengths)
+
+    def instant(
+        self, t: Scalar, h: Float[Array, ""], trajectory: Trajectory, memory: Memory, conditions: Conditions
+    ) -> tuple[Float[Array, "2 joints"], State, DriveInput, Instant]:
+        """At the end t of a step of length h [s]: squared forces [N^2], state, drive, and the instant."""
+        scale = conditions.stabilisation.scale
+        state = State(trajectory.position, trajectory.velocity)
+        drive = drive_input(conditions.drive, t, conditions.phase)
+        accelerations, multipliers = memory.accelerations, memory.multipliers
+        evaluation = evaluate_residual(conditions.actual, state, accelerations, multipliers, drive, scale)
+        forces = residual_forces(conditions.actual, self._closing_as_acceleration(evaluation, h), drive, scale)
+        topology = conditions.actual.topology
+        instant = evaluated_instant(topology, evaluation, accelerations, drive, scale, forces)
+        return squared_forces(memory.rates), state, drive, instant
+
+    def solve(self, matrix: IterationMatrix, constants: StepConstants, start: StepStart) -> StepEnd:
+        """Newton's method from the prediction, by increments with the iteration matrix."""
+        conditions, trajectory, memory = start
+        topology = conditions.actual.topology
+        drift = CLOSED * conditions.stabilisation.scale
+        predicted = self.predict(constants, start)
+        evaluation = self.evaluate(predicted, constants, start)[0]
+
+        def unconverged(carry):
+            count, converged, _, _, _ = carry
+            return (count == 0) | ((count < self.max_increments) & ~converged)
+
+        def improve(carry):
+            count, _, unknowns, residual, _ = carry
+            increment = newton_increment(topology, matrix, residual)
+            unknowns = jax.tree.map(jnp.add, unknowns, increment)
+            evaluation, end = self.evaluate(unknowns, constants, start)
+            closed = cut_drift(evaluation.closure, conditions.stabilisation.scale)[0] <= drift
+            converged = (end.memory.residual <= self.tolerance * constants.largest_force) & closed
+            return count + 1, converged, unknowns, residual_of(evaluation), end
+
+        # The first increment is always made, so the end of the step at the prediction is not needed.
+        count, converged = jnp.zeros((), jnp.int32), jnp.zeros((), bool)
+        carry = count, converged, predicted, residual_of(evaluation), StepEnd(trajectory, memory)
+        return jax.lax.while_loop(unconverged, improve, carry)[4]
+
+    def iteration_matrix(
+        self, operators: tuple[LinkOperator | None, ...], constants: StepConstants, start: StepStart
+    ) -> IterationMatrix:
+        """Approximate Jacobian of the residual, formed at the prediction; the solution does not depend on it."""
+        h, (conditions, trajectory, memory) = constants.length, start
+        actual, scale = conditions.actual, conditions.stabilisation.scale
+        drive = drive_input(conditions.drive, constants.end, conditions.phase)
+        accelerations, _ = self.predict(constants, start)
+        state, _ = self._newmark(h, trajectory, memory, accelerations, actual.topology, drive)
+        now = motion_of(actual, state)
+        if actual.topology.exact:
+            operators = present_operators(actual, now.relative, *self.factors(h))
+        prescribed = isinstance(conditions.drive, PrescribedDrive)
+        held = (driven_index(actual.topology),) if prescribed else ()
+        return iteration_matrix(actual, operators, now, closure(actual, now, scale), held)
+
+    def predict(self, constants: StepConstants, start: StepStart) -> Unknowns:
+        """Accelerations and multipliers of the last step as a first guess.
+
+        Geometrically exact links keep their shape instead: their matrix is formed at the prediction, and
+        accelerations of stiff vibrations, carried on over a long step, would bend them far.
+        """
+        h, (conditions, trajectory, memory) = constants.length, start
+        topology = conditions.actual.topology
+        drive = drive_input(conditions.drive, constants.end, conditions.phase)
+        accelerations = memory.accelerations
+        if topology.exact:
+            moving = h > 0.0
+            step = jnp.where(moving, h, 1.0)
+            old, a0 = accelerations.elastic, memory.auxiliary.elastic
+            a1 = -(trajectory.velocity.elastic / step + (0.5 - self.beta) * a0) / self.beta
+            mixed = (1.0 - self.alpha_m) * a1 + self.alpha_m * a0 - self.alpha_f * old
+            elastic = jnp.where(moving, mixed / (1.0 - self.alpha_f), old)
+            accelerations = Coordinates(accelerations.angles, elastic)
+        return Unknowns(_with_prescribed(topology, drive, accelerations), memory.multipliers)
+
+    def evaluate(self, unknowns: Unknowns, constants: StepConstants, start: StepStart) -> tuple[Evaluation, StepEnd]:
+        """Residual at given unknowns (its `closing` as an acceleration), and the end of the step if it is zero."""
+        h, (conditions, trajectory, memory) = constants.length, start
+        actual, scale = conditions.actual, conditions.stabilisation.scale
+        drive = drive_input(conditions.drive, constants.end, conditions.phase)
+        accelerations, multipliers = unknowns
+        state, auxiliary = self._newmark(h, trajectory, memory, accelerations, actual.topology, drive)
+        evaluation = evaluate_residual(actual, state, accelerations, multipliers, drive, scale)
+        evaluation = self._closing_as_acceleration(evaluation, h)
+        return evaluation, self._step_end(evaluation, unknowns, state, auxiliary, drive, h, start)
+
+    def end_from_wrenches(
+        self,
+        wrenches: Sequence[Float[Array, "6"]],
+        unknowns: Unknowns,
+        evaluation: Evaluation,
+        constants: StepConstants,
+        start: StepStart,
+    ) -> StepEnd:
+        """The end of the step at given unknowns and wrenches of the tree joints, for those of the evaluation."""
+        h, (conditions, trajectory, memory) = constants.length, start
+        actual = conditions.actual
+        drive = drive_input(conditions.drive, constants.end, conditions.phase)
+        state, auxiliary = self._newmark(h, trajectory, memory, unknowns.accelerations, actual.topology, drive)
+        evaluation = evaluation._replace(
+            multipliers=unknowns.multipliers,
+            wrenches=[*wrenches, *loads.cut_wrenches(evaluation.closure, unknowns.multipliers)],
+            dissipated=dissipated_power(actual, state),
+        )
+        return self._step_end(evaluation, unknowns, state, auxiliary, drive, h, start)
+
+    def _closing_as_acceleration(self, evaluation: Evaluation, h) -> Evaluation:
+        """The evaluation with its closure error [m] as the acceleration [m/s^2] that removes it within the step."""
+        moving, (q_factor, _) = h > 0.0, self.factors(h)
+        by_step = evaluation.closing / jnp.where(moving, q_factor, 1.0)
+        return evaluation._replace(closing=jnp.where(moving, by_step, evaluation.closing_acceleration))
+
+    def _newmark(self, h, trajectory: Trajectory, memory: Memory, accelerations: Coordinates, topology, drive):
+        """Newmark's formulas: (q1, v1) from v1', with the prescribed motion imposed, and a1."""
+        moving = h > 0.0
+
+        def auxiliary(new, old, a):
+            mixed = (1.0 - self.alpha_f) * new + self.alpha_f * old - self.alpha_m * a
+            return jnp.where(moving, mixed / (1.0 - self.alpha_m), new)
+
+        a0 = memory.auxiliary
+        a1 = jax.tree.map(auxiliary, accelerations, memory.accelerations, a0)
+        position = jax.tree.map(
+            lambda q, v, a, b: q + h * (v + h * ((0.5 - self.beta) * a + self.beta * b)),
+            trajectory.position,
+            trajectory.velocity,
+            a0,
+            a1,
+        )
+        velocity = jax.tree.map(
+            lambda v, a, b: v + h * ((1.0 - self.gamma) * a + self.gamma * b),
+            trajectory.velocity,
+            a0,
+            a1,
+        )
+        return impose(topology, State(position, velocity), drive), a1
+
+    def _step_end(self, evaluation: Evaluation, unknowns: Unknowns, state, auxiliary, drive, h, start) -> StepEnd:
+        """Trajectory and memory at the end: loads from the evaluation, integrals by the trapezoidal rule."""
+        conditions, trajectory, memory = start
+        actual, scale = conditions.actual, conditions.stabilisation.scale
+        accelerations, multipliers = unknowns
+        residual = jnp.max(jnp.abs(residual_forces(actual, evaluation, drive, scale)), initial=0.0)
+        residual = jax.lax.stop_gradient(residual)
+        joint = loads.loads_of_wrenches(actual.topology, evaluation, evaluation.wrenches, drive)
+        axial, normal, moment = equations.squares(joint)
+        work = equations.drive_power(actual.topology, state, drive, joint)
+        rates = Integrals(axial, normal, moment, work, evaluation.dissipated)
+        integrals = jax.tree.map(
+            lambda sum, old, new: sum + 0.5 * h * (old + new),
+            trajectory.integrals,
+            memory.rates,
+            rates,
+        )
+        most = jnp.maximum(memory.largest_residual, residual)
+        return StepEnd(
+            Trajectory(state.position, state.velocity, integrals),
+            Memory(accelerations, auxiliary, multipliers, rates, residual, most),
+        )
+
+
+def squared_forces(rates: Integrals) -> Float[Array, "2 joints"]:
+    """Squared axial and normal forces [N^2]."""
+    return jnp.stack([rates.axial_square, rates.normal_square])
+
+
+def residual_forces(
+    actual: ModelWithErrors, evaluation: Evaluation, drive: DriveInput, scale: algebra.Scalar
+) -> Float[Array, " n"]:
+    """The residual as forces [N]: on the rfes, about the hinges, and to close the cut joints.
+
+    **Arguments:** `scale`: a length [m] of the mechanism; the closing of the evaluation is an acceleration.
+    """
+    hinge = evaluation.hinge
+    if drive.prescribed is not None:
+        # About the driven hinge this is the moment that enforces the motion, no residual.
+        hinge = jnp.where(np.arange(hinge.shape[0]) == actual.topology.driven, 0.0, hinge)
+    moment, hinge = evaluation.moment / scale, hinge / scale
+    parts = evaluation.force, moment, hinge, evaluation.closing * jnp.sum(actual.mass)
+    return jnp.concatenate([part.reshape(-1) for part in parts])
+
+
+def _with_prescribed(topology: Topology, drive: DriveInput, accelerations: Coordinates) -> Coordinates:
+    """The accelerations with that of a prescribed joint put in."""
+    if drive.prescribed is None:
+        return accelerations
+    driven = np.arange(topology.n_links) == topology.driven
+    angles = jnp.where(driven, drive.prescribed[2][None], accelerations.angles)
+    return Coordinates(angles, accelerations.elastic)

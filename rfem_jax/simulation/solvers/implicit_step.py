@@ -1,0 +1,207 @@
+"""One step of an implicit method as a differentiable function of its start.
+
+Place in the pipeline: newton -> **implicit_step** -> generalised_alpha.
+
+A step from a start x solves equations R(z, x) = 0 for the unknowns z, accelerations and multipliers at its end, by
+Newton's method with an approximate Jacobian, the iteration matrix.  It is differentiated by the implicit function
+theorem,
+
+    dR/dz dz + dR/dx dx = 0,
+
+not through the iterations.  This linear system is solved iteratively, too: increments with the iteration matrix
+in place of dR/dz, as many as the accuracy asked of the loads needs (theory (7.17) to (7.20)).  The residual that
+remains of it shows in the derivative of `Run.equation_residual`.
+"""
+
+import functools
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol, runtime_checkable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.ad_checkpoint import checkpoint_name
+from jaxtyping import Array, Float
+
+from rfem_jax.mechanics.implicit.condensation import LinkOperator
+from rfem_jax.mechanics.implicit.newton import (
+    IterationMatrix,
+    NewtonIncrement,
+    increment_and_wrenches,
+    newton_increment,
+)
+from rfem_jax.mechanics.implicit.residual import Evaluation, residual_of
+from rfem_jax.mechanics.model import Coordinates
+from rfem_jax.simulation import equations
+from rfem_jax.simulation.batches import like_batched
+from rfem_jax.simulation.equations import Conditions, Integrals, Scalar, Trajectory
+
+SOLUTION = "solution of an implicit step"  # what reverse mode keeps of a step
+Unknowns = NewtonIncrement  # accelerations and multipliers, as the increments that are added to them
+
+
+class Memory(NamedTuple):
+    """What an implicit method remembers from step to step besides the trajectory.
+
+    accelerations v' of the coordinates; auxiliary: the method's own accelerations a; multipliers [N]; rates: time
+    derivatives of the integrals; residual [N]: largest force that the residual of the last step has, and
+    largest_residual [N] that of all steps so far.
+    """
+
+    accelerations: Coordinates
+    auxiliary: Coordinates
+    multipliers: Float[Array, "5 cuts"]
+    rates: Integrals
+    residual: Float[Array, ""]
+    largest_residual: Float[Array, ""]
+
+
+class StepStart(NamedTuple):
+    """What a step starts from, and is differentiated by."""
+
+    conditions: Conditions
+    trajectory: Trajectory
+    memory: Memory
+
+
+class StepConstants(NamedTuple):
+    """What a step needs besides its start, without derivatives: its end [s] and length [s]; largest_force [N] that a
+    joint has carried so far."""
+
+    end: Scalar
+    length: Float[Array, ""]
+    largest_force: Float[Array, ""]
+
+
+class StepEnd(NamedTuple):
+    """What a step returns."""
+
+    trajectory: Trajectory
+    memory: Memory
+
+
+@runtime_checkable
+class ImplicitMethod(Protocol):
+    """An implicit method whose steps `solved_step` takes and differentiates; hashable, without arrays."""
+
+    @property
+    def tangent_increments(self) -> int:
+        """Number of Newton increments by which the derivative of the unknowns is found."""
+        ...
+
+    def iteration_matrix(
+        self, operators: tuple[LinkOperator | None, ...], constants: StepConstants, start: StepStart
+    ) -> IterationMatrix:
+        """The approximate Jacobian of the step's equations, factored."""
+        ...
+
+    def solve(self, matrix: IterationMatrix, constants: StepConstants, start: StepStart) -> StepEnd:
+        """Solve the equations of the step by Newton's method with the iteration matrix."""
+        ...
+
+    def predict(self, constants: StepConstants, start: StepStart) -> Unknowns:
+        """Initial guess of the unknowns."""
+        ...
+
+    def evaluate(self, unknowns: Unknowns, constants: StepConstants, start: StepStart) -> tuple[Evaluation, StepEnd]:
+        """The step's equations at given unknowns: their residual, and the end of the step if that is zero."""
+        ...
+
+    def end_from_wrenches(
+        self,
+        wrenches: Sequence[Float[Array, "6"]],
+        unknowns: Unknowns,
+        evaluation: Evaluation,
+        constants: StepConstants,
+        start: StepStart,
+    ) -> StepEnd:
+        """The end of the step at given unknowns and wrenches of the tree joints at the global origin, instead of
+        those of the evaluation."""
+        ...
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def form_matrix(
+    method: ImplicitMethod, operators: tuple[LinkOperator | None, ...], constants: StepConstants, start: StepStart
+) -> IterationMatrix:
+    """The iteration matrix of a step; jitted, so that transformations of the loops around it trace it once."""
+    return method.iteration_matrix(operators, constants, start)
+
+
+@functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
+def solved_step(method: ImplicitMethod, matrix: IterationMatrix, constants: StepConstants, start: StepStart) -> StepEnd:
+    """The end of a step, differentiable with respect to its start."""
+    end = _solve(method, matrix, constants, start)
+    return like_batched(end, end.memory.accelerations.angles)
+
+
+@functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _solution(method, matrix, constants, start):
+    """The unknowns that solve the equations of a step."""
+    return _unknowns_of(_solve(method, matrix, constants, start))
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _solve(method, matrix, constants, start):
+    """`method.solve`, jitted as `form_matrix`."""
+    return method.solve(matrix, constants, start)
+
+
+def _unknowns_of(end: StepEnd) -> Unknowns:
+    return Unknowns(end.memory.accelerations, end.memory.multipliers)
+
+
+def _differentiate(method, primals, tangents):
+    """Rule of `solved_step`: its value and its tangent."""
+    matrix, constants, start = primals
+    inputs, fixed, along = equations.active_inputs(start, tangents[2])
+    # Kept by name, so that reverse mode does not repeat Newton's method.
+    solution = jax.tree.map(lambda x: checkpoint_name(x, SOLUTION), _solution(method, matrix, constants, start))
+    end, tangent = _end_and_tangent(method, matrix, constants, solution, inputs, fixed, along)
+    return like_batched(end, solution.accelerations.angles), tangent
+
+
+def _differentiate_solution(method, primals, tangents):
+    """Rule of `_solution`, for derivatives of higher order."""
+    end, tangent = _differentiate(method, primals, tangents)
+    return _unknowns_of(end), _unknowns_of(tangent)
+
+
+solved_step.defjvp(_differentiate, symbolic_zeros=True)
+_solution.defjvp(_differentiate_solution, symbolic_zeros=True)
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _end_and_tangent(method, matrix, constants, solution, inputs, fixed, along):
+    """The end of a step whose unknowns are known, and its derivative along a tangent of the active inputs."""
+
+    def at(unknowns, inputs):
+        evaluation, end = method.evaluate(unknowns, constants, eqx.combine(inputs, fixed))
+        return (residual_of(evaluation), end), evaluation
+
+    def predicted(inputs):
+        return method.predict(constants, eqx.combine(inputs, fixed))
+
+    # One linearisation at the solution serves all increments.
+    (_, end), linearised, evaluation = jax.linearize(at, solution, inputs, has_aux=True)
+    start = eqx.combine(inputs, fixed)
+    topology = start.conditions.actual.topology
+
+    def refine(found, _):
+        residual, _ = linearised(found, along)
+        return jax.tree.map(jnp.add, found, newton_increment(topology, matrix, residual)), None
+
+    found = jax.jvp(predicted, (inputs,), (along,))[1]
+    if method.tangent_increments > 1:
+        found, _ = jax.lax.scan(refine, found, None, length=method.tangent_increments - 1)
+    residual, end_tangent = linearised(found, along)
+
+    # What the last increment changes of the loads also follows from the iteration matrix, as accurately as the
+    # increment itself; another evaluation of the linearised equations would cost half as much again.
+    def end_at(wrenches, unknowns):
+        return method.end_from_wrenches(wrenches, unknowns, evaluation, constants, start)
+
+    increment, wrenches = increment_and_wrenches(topology, matrix, residual)
+    tree_joints = list(evaluation.wrenches[: topology.n_links])
+    more = jax.jvp(end_at, (tree_joints, solution), (wrenches, increment))[1]
+    return end, jax.tree.map(jnp.add, end_tangent, more)

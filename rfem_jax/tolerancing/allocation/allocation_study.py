@@ -1,0 +1,346 @@
+"""Allocation: the cheapest tolerances with which limits on metrics hold (theory (10.12)).
+
+Place in the pipeline: last of the studies; uses the quadratic model, worst cases and sampling.
+
+    min sum_i c_i(t_i)   subject to   criterion of every limited metric at t <= limit,
+                                      smallest_i <= t_i <= largest_i
+
+Solved in x = log t by an augmented Lagrangian with gradients, first on the quadratic model about the centre, then by
+successive correction: observe the full problem at the answer, correct the model there, solve again (steps of at most a
+factor `STEP` in t), until limits hold and the cost does not change any more. The answer is then verified by a run with
+random numbers that have not been used before. See worst_case_criterion.py and statistical_criteria.py for the meaning
+of "worst_case", "rss" and "yield" and for their corrections.
+
+Symbols: t (k,) half-widths [rad, m], c_i cost of error i, h = (f - limit)/headroom normalised limit,
+headroom = |limit - f(centre)|.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import numpy as np
+
+from rfem_jax.description.errors import InputError, require_choice
+from rfem_jax.tolerancing.allocation.cost_models import CostModel
+from rfem_jax.tolerancing.allocation.models import Answer, Verified
+from rfem_jax.tolerancing.allocation.request import Request, check_request
+from rfem_jax.tolerancing.allocation.statistical_criteria import StatisticalCriterion
+from rfem_jax.tolerancing.allocation.worst_case_criterion import WorstCaseCriterion
+from rfem_jax.tolerancing.checks import ErrorValues, require_float64
+from rfem_jax.tolerancing.layout import align_columns, show_error, show_number, wrap_lines
+from rfem_jax.tolerancing.problems.distributions import Normal, Tolerance
+from rfem_jax.tolerancing.problems.problem import ToleranceProblem
+from rfem_jax.tolerancing.problems.quadratic_model import QuadraticModel
+from rfem_jax.tolerancing.sampling.sequences import RandomKey
+from rfem_jax.tolerancing.worst_cases import STARTS
+
+CRITERIA = ("worst_case", "rss", "yield")
+STEP = 2.0
+ATTEMPTS = 4  # settled answers that a fresh run checks
+
+Criterion = WorstCaseCriterion | StatisticalCriterion
+
+
+@dataclass(frozen=True, eq=False)
+class LimitCheck:
+    """One limit and its metric at the answer, all in the metric's unit.
+
+    side "upper" or "lower"; nominal: at the centre; quadratic: by the quadratic model alone; predicted: by the
+    corrected model that found the answer; verified: by the fresh run, with its confidence interval (a worst case has
+    none: both ends are the value). Margins are distances to the limit, positive where it holds. shadow_price:
+    d(cost)/d(limit), the change of the cost when the limit is relaxed by one unit (negative or zero for an upper
+    limit, zero where it is not active).
+    """
+
+    metric: str
+    unit: str
+    side: str
+    limit: float
+    nominal: float
+    quadratic: float
+    predicted: float
+    verified: float
+    verified_interval: tuple[float, float]
+    predicted_margin: float
+    verified_margin: float
+    shadow_price: float
+
+
+@dataclass(frozen=True, eq=False)
+class Allocation:
+    """The answer of an allocation.
+
+    status: "ok" (found, and the fresh run agrees), "not_verified" (found, but the fresh run violates a limit beyond
+    its confidence interval), "not_converged", or "infeasible"; message: one sentence, for an infeasible request the
+    limit that cannot be met and the best reachable value; tolerances {name: half-width [rad or m]} (of an infeasible
+    request those nearest to the limits), cost; at_bounds {name: "smallest" | "largest"}; limits: LimitCheck of each;
+    level: the fraction of samples that the statistical criteria refer to (NaN for worst case); predicted_yield,
+    verified_yield, yield_interval: fraction within all limits (NaN for worst case; predicted only for "yield");
+    verified_by: a description of the fresh run; history: (cost, largest h on the full problem) per round; failed:
+    failed samples in all rounds and in the fresh run; hessian_error: the estimated relative error of the quadratic
+    model's Hessian by differences (NaN where it is exact).
+    """
+
+    criterion: str
+    status: str
+    message: str
+    tolerances: dict[str, float]
+    units: dict[str, str]
+    cost: float
+    at_bounds: dict[str, str]
+    limits: tuple[LimitCheck, ...]
+    level: float
+    predicted_yield: float
+    verified_yield: float
+    yield_interval: tuple[float, float]
+    verified_by: str
+    history: tuple[tuple[float, float], ...]
+    failed: int
+    hessian_error: float
+
+    def __str__(self) -> str:
+        head = f"Allocation ({self.criterion}): status {self.status}, "
+        head += f"cost {show_number(self.cost, 7)}"
+        rows = [[n, show_error(t, self.units[n]), self.at_bounds.get(n, "")] for n, t in self.tolerances.items()]
+        parts = [head, wrap_lines(self.message)]
+        parts.append(align_columns(["error", "tolerance", "bound"], rows))
+        header = ["limit", "value", "nominal", "quadratic", "predicted", "verified", "interval"]
+        header += ["margin"]
+        parts.append(align_columns(header, [self._row(check) for check in self.limits]))
+        if np.isfinite(self.verified_yield):
+            low, high = self.yield_interval
+            parts.append(f"verified yield {self.verified_yield:.5f} ({low:.5f} to {high:.5f})")
+        parts.append(f"verified by {self.verified_by}; {self.failed} failed samples")
+        if np.isfinite(self.hessian_error):
+            parts.append(f"Hessian by differences of gradients, error {self.hessian_error:.0e}")
+        return "\n".join(part for part in parts if part)
+
+    @staticmethod
+    def _row(check):
+        numbers = (check.limit, check.nominal, check.quadratic, check.predicted, check.verified)
+        ends = (show_number(end, scale=check.limit) for end in check.verified_interval)
+        return [
+            f"{check.metric} [{check.unit or 1}]",
+            *(show_number(number, scale=check.limit) for number in numbers),
+            " to ".join(ends),
+            show_number(check.verified_margin),
+        ]
+
+
+def allocate(
+    problem: ToleranceProblem,
+    limits: Mapping[str, Any],
+    cost: CostModel | Mapping[str, CostModel],
+    bounds: Mapping[str, Sequence[float | str]],
+    criterion: str = "worst_case",
+    *,
+    key: RandomKey,
+    target: float = 0.9973,
+    coverage: float = 3.0,
+    statistic: str = "quantile",
+    distribution: Callable[[float], Tolerance] = Normal,
+    samples: int | None = None,
+    verify_samples: int = 4096,
+    at: ErrorValues | None = None,
+    starts: Mapping[str, int] = STARTS,
+    rounds: int = 12,
+    tolerance: float = 1e-4,
+    model: QuadraticModel | None = None,
+    mode: str = "auto",
+    batch: int = 256,
+) -> Allocation:
+    """Find the cheapest tolerances with which limits on metrics hold.
+
+    Args: limits {metric: upper limit, or (lower or None, upper or None)}; cost, one cost model for all errors or
+        {error: model} (cost_models.py), a callable of one half-width; bounds {error: (smallest, largest half-width)},
+        in rad or m, or strings with a unit, of the errors to allocate; criterion "worst_case", "rss" or "yield"; key,
+        a JAX key; at {error: value}, the centre of the tolerances.
+        "yield": target, the fraction of samples within all limits. "rss": coverage, the number c of standard
+        deviations, and statistic "quantile" or "mean". Both: distribution, a class or callable half-width ->
+        Tolerance; samples, the number of standard points (default: twenty or more beyond the yield, 2048 for "rss");
+        verify_samples of the fresh run. "worst_case": starts of each search.
+        rounds of correction until an answer settles and a fresh run checks it (a few times at most, each after a
+        correction by the last run); tolerance on limits (of the headroom) and cost, ten times as much on the cost of a
+        yield; model, a QuadraticModel of order 2 at the centre in the errors of `bounds` (None: by differences of
+        gradients); mode of the gradients; batch, the most samples at once.
+    The full problem is compiled twice, whatever the rounds: for values, and for values with derivatives.
+    Raises: InputError for unknown names, bad bounds or options.
+    """
+    require_float64()
+    require_choice(criterion, CRITERIA, "criterion")
+    require_choice(statistic, ("quantile", "mean"), "statistic")
+    if not 0 < target < 1:
+        raise InputError(f"Argument `target` must lie between 0 and 1, but it is {target}.")
+    request = check_request(problem, limits, cost, bounds, at, mode, batch, model, together=criterion != "worst_case")
+    design, refine, verify, last = jax.random.split(key, 4)
+    if criterion == "worst_case":
+        study: Criterion = WorstCaseCriterion(request, design, starts)
+    else:
+        study = StatisticalCriterion(
+            request, design, criterion, level=target, coverage=coverage, statistic=statistic, distribution=distribution,
+            samples=_sample_number(samples, criterion, target), verify_samples=verify_samples,
+        )  # fmt: skip
+    return _solve(study, request, criterion, rounds, tolerance, (refine, verify, last))
+
+
+def _sample_number(samples, criterion, target) -> int:
+    """The number given, or for a yield a power of two with twenty samples beyond the quantile."""
+    if samples is not None:
+        return int(samples)
+    if criterion == "rss":
+        return 2048  # its quantile comes from the moments; the samples give their correction
+    return int(np.clip(2 ** np.ceil(np.log2(20 / (1 - target))), 256, 16384))
+
+
+def _solve(study: Criterion, request: Request, criterion, rounds, tolerance, keys) -> Allocation:
+    refine, verify, last = keys
+    answer, history, status, verified = _correct(study, request, rounds, tolerance, refine, verify)
+    message = ""
+    if verified is None:
+        verified = study.verify(np.exp(answer.x), jax.random.fold_in(verify, rounds))
+    if status != "ok":
+        status, message = _explain(study, request, status, verified, last, tolerance)
+    return _report(study, request, criterion, answer, history, (status, message), verified)
+
+
+def _correct(
+    study: Criterion, request: Request, rounds, tolerance, refine, verify
+) -> tuple[Answer, list[tuple[float, float]], str, Verified | None]:
+    """Solve, observe, correct until settled and verified: answer, history, status, and the last fresh run."""
+    lower, upper = np.log(request.lower), np.log(request.upper)
+    answer = study.solve(0.5 * (lower + upper), lower, upper)
+    history, before, fresh = [], np.inf, None
+    settling = study.settling * tolerance
+    for attempt in range(ATTEMPTS):
+        for number in range(attempt * rounds, (attempt + 1) * rounds):
+            t = np.exp(answer.x)
+            worst = float(np.max(study.observe(t, jax.random.fold_in(refine, number))))
+            history.append((answer.cost, worst))
+            if worst <= tolerance and abs(answer.cost - before) <= settling * abs(answer.cost):
+                break
+            before = answer.cost
+            following = _next(study, answer, lower, upper)
+            stuck = np.max(np.abs(following.x - answer.x)) <= 1e-6
+            if stuck and worst > tolerance and following.violation > tolerance:
+                return answer, history, "not_converged", None
+            answer = following
+        else:
+            return answer, history, "not_converged", None
+        fresh = study.verify(t, jax.random.fold_in(verify, number))
+        if _passes(study, fresh, tolerance):
+            return answer, history, "ok", fresh
+        study.learn(t, fresh)
+        answer, before = _next(study, answer, lower, upper), np.inf
+    return answer, history, "not_verified", fresh
+
+
+def _next(study: Criterion, answer: Answer, lower, upper) -> Answer:
+    """The cheapest point of the study's present model near the last one."""
+    near = np.clip(answer.x - np.log(STEP), lower, upper)
+    far = np.clip(answer.x + np.log(STEP), lower, upper)
+    return study.solve(answer.x, near, far)
+
+
+def _passes(study: Criterion, verified: Verified, tolerance) -> bool:
+    """Whether the fresh run agrees: no limit (or the joint yield) violated beyond its interval."""
+    if isinstance(study, StatisticalCriterion) and study.joint:
+        return verified.fraction_interval[1] >= study.level
+    return bool(np.all(verified.low <= 10 * tolerance))
+
+
+def _explain(study: Criterion, request: Request, status, verified: Verified, key, tolerance) -> tuple[str, str]:
+    """Status and message: tells an infeasible request from one that did not converge."""
+    if status == "not_verified":
+        return status, (
+            "Fresh runs kept violating a limit beyond their confidence interval; use more samples or rounds."
+        )
+    best = np.minimum(study.best(key), np.where(np.isfinite(verified.h), verified.h, np.inf))
+    out = [i for i in range(len(request.limits)) if not best[i] <= tolerance]
+    if out:
+        i = max(out, key=lambda j: best[j])
+        limit = request.limits[i]
+        word = "at most" if limit.sign > 0 else "at least"
+        return "infeasible", (
+            f"The limit {word} {show_number(limit.bound, 6)} {limit.unit} on {limit.metric} cannot be met: the best "
+            f"value within the bounds is {show_number(limit.restore(best[i]), 6)} {limit.unit}; relax it to that, or "
+            "allow smaller tolerances."
+        )
+    if isinstance(study, StatisticalCriterion) and study.joint and study.best_yield() < study.level:
+        return "infeasible", (
+            f"The yield {study.level} cannot be met by all limits together: with the smallest tolerances it is "
+            f"{study.best_yield():.5f}; relax a limit or allow smaller tolerances."
+        )
+    return status, "The corrections did not settle; ask for more rounds or a looser tolerance."
+
+
+def _report(study: Criterion, request: Request, criterion, answer: Answer, history, outcome, verified) -> Allocation:
+    """`outcome`: status, message."""
+    t = np.exp(answer.x)
+    level, predicted, failed = np.nan, np.nan, study.failed
+    by = "worst-case searches from fresh starts"
+    if isinstance(study, StatisticalCriterion):
+        by = f"a fresh Monte Carlo run of {study.verify_samples} samples"
+        level, failed = study.level, failed + verified.failed
+        predicted = study.predicted_yield(t) if study.joint else np.nan
+    return Allocation(
+        criterion=criterion,
+        status=outcome[0],
+        message=outcome[1],
+        tolerances=request.tolerances(t),
+        units={name: request.problem.error_unit(name) for name in request.names},
+        cost=answer.cost,
+        at_bounds=_at_bounds(request, t),
+        limits=_check_limits(request, answer, study.quadratic_worst(t), verified),
+        level=level,
+        predicted_yield=predicted,
+        verified_yield=verified.fraction,
+        yield_interval=verified.fraction_interval,
+        verified_by=by,
+        history=tuple(history),
+        failed=failed,
+        hessian_error=_hessian_error(request),
+    )
+
+
+def _check_limits(request: Request, answer: Answer, quadratic, verified: Verified) -> tuple[LimitCheck, ...]:
+    """The limits with their values by the quadratic model, `quadratic` (l,), at the answer and in the fresh run."""
+    checks = []
+    for i, limit in enumerate(request.limits):
+        predicted, value = limit.restore(answer.h[i]), limit.restore(verified.h[i])
+        low, high = sorted(float(limit.restore(h[i])) for h in (verified.low, verified.high))
+        checks.append(
+            LimitCheck(
+                metric=limit.metric,
+                unit=limit.unit,
+                side="upper" if limit.sign > 0 else "lower",
+                limit=limit.bound,
+                nominal=limit.nominal,
+                quadratic=float(limit.restore(quadratic[i])),
+                predicted=float(predicted),
+                verified=float(value),
+                verified_interval=(low, high),
+                predicted_margin=float(limit.sign * (limit.bound - predicted)),
+                verified_margin=float(limit.sign * (limit.bound - value)),
+                shadow_price=float(-limit.sign * answer.prices[i] / limit.headroom),
+            )
+        )
+    return tuple(checks)
+
+
+def _at_bounds(request: Request, t) -> dict[str, str]:
+    """{error: "smallest" | "largest"} of the tolerances that are at a bound."""
+    found = {}
+    for name, x, low, high in zip(request.names, t, request.lower, request.upper, strict=True):
+        if x <= low * (1 + 1e-6):
+            found[name] = "smallest"
+        elif x >= high * (1 - 1e-6):
+            found[name] = "largest"
+    return found
+
+
+def _hessian_error(request: Request) -> float:
+    """The largest estimated error of a limited metric's Hessian, NaN where Hessians are exact."""
+    error = request.model.hessian_error
+    return np.nan if error is None else max(float(error[limit.position]) for limit in request.limits)

@@ -1,0 +1,258 @@
+"""The statistical criteria of an allocation: root sum of squares (RSS) and yield.
+
+Place in the pipeline: like worst_case_criterion.py, between an allocation and the full problem.
+
+rss     for each limit alone: mean + c deviations (third-order Cornish-Fisher quantile of the quadratic model; the
+        classical root sum of squares for linear metrics, and with the skewness of even metrics such as mean squares up
+        to about a tenth above the true quantile where one principal direction dominates, on the safe side), or the
+        mean alone.
+yield   at least the fraction `level` of all samples holds all limits together.
+
+Each observation takes values and derivatives of the full problem at the fixed standard points, and so corrects the
+model to first order. Failed samples are left out of statistics, and count as bad: the quantile of the others is raised
+for them. A fresh run that falls short beyond its confidence interval (by chance the standard points gave too high a
+yield) raises the aim by the shortfall, and the next answer is verified by another run.
+
+Symbols: t (k,) half-widths [rad, m], x = log t, h (l,) normalised limits (<= 0 holds), u (n, k) standard points
+(errors for t = 1).
+"""
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from scipy.stats import norm
+
+from rfem_jax.tolerancing.allocation.models import (
+    Answer,
+    Moments,
+    Sample,
+    Sampled,
+    Verified,
+    cheapest,
+    quantile_weights,
+    sample_quantile,
+)
+from rfem_jax.tolerancing.allocation.request import Request
+from rfem_jax.tolerancing.optimisation.starting_points import sobol_units
+from rfem_jax.tolerancing.problems.distributions import Tolerance
+from rfem_jax.tolerancing.problems.evaluation import evaluate_points
+from rfem_jax.tolerancing.problems.quadratic_model import linearise_points
+from rfem_jax.tolerancing.sampling.sequences import RandomKey
+from rfem_jax.tolerancing.sampling.statistics import estimate_mean, estimate_quantile, estimate_yield
+
+FEWEST = 256  # samples kept per limit for the solves between observations
+BEYOND = 1e300  # value of a failed sample where an order is needed
+
+HalfWidths = Float[np.ndarray, " k"]
+Normalised = Float[np.ndarray, " l"]
+
+
+class StatisticalCriterion:
+    """RSS or yield over a distribution of the errors; see the module's docstring.
+
+    Args: request; key of the standard points; kind "rss" or "yield"; level, the yield aimed at; coverage c and
+        statistic "quantile" or "mean" of "rss"; distribution, a callable half-width -> Tolerance; samples, the number
+        of standard points; verify_samples of a fresh run.
+    """
+
+    def __init__(
+        self,
+        request: Request,
+        key: RandomKey,
+        kind: str,
+        *,
+        level: float,
+        coverage: float,
+        statistic: str,
+        distribution: Callable[[float], Tolerance],
+        samples: int,
+        verify_samples: int,
+    ):
+        self.request, self.joint = request, kind == "yield"
+        # The cost of a yield has a sampling error of percents: digits beyond are not worth a round.
+        self.settling = 10.0 if self.joint else 1.0
+        self.statistic = "quantile" if self.joint else statistic
+        self.coverage = coverage
+        self.level = level if self.joint else float(norm.cdf(coverage))
+        self.aim, self.extra = self.level, np.zeros(len(request.limits))
+        self.distribution, self.verify_samples = distribution(1.0), verify_samples
+        self.units = self._standard(sobol_units(len(request.names), samples, key))
+        self.good = np.ones(samples, dtype=bool)
+        self.sampled: Sampled | None = None
+        self.observed: HalfWidths | None = None
+        self.failed = 0
+
+    def _standard(self, units) -> Float[np.ndarray, "n k"]:
+        """Standard points of points (n, k) of the unit cube."""
+        return np.asarray(self.distribution.quantile(jnp.asarray(units)))
+
+    def _nominal(self) -> Sampled:
+        """The quadratic model itself as expansions, all of them about the centre."""
+        q, n = self.request.quadratic, len(self.units)
+        values = jnp.broadcast_to(q.offset, (n, *q.offset.shape))
+        gradients = jnp.broadcast_to(q.gradient, (n, *q.gradient.shape))
+        units = jnp.asarray(self.units)
+        return Sampled(q, units, jnp.zeros_like(units), values, gradients)
+
+    def model(self) -> Moments | Sample:
+        """Moments (RSS) or Sample (yield) as they are corrected so far."""
+        return self._sample_model() if self.joint else self._moments_model()
+
+    def _sample_model(self) -> Sample:
+        return Sample(*self._tail())
+
+    def _moments_model(self) -> Moments:
+        sampled, weights = self._tail()
+        deviation = jnp.full(len(self.request.names), jnp.sqrt(self.distribution.variance()))
+        coverage, extra = jnp.asarray(float(self.coverage)), jnp.asarray(self.extra)
+        sampled = None if self.sampled is None else sampled
+        quadratic = self.request.quadratic
+        return Moments(quadratic, deviation, coverage, extra, sampled, weights, self.statistic)
+
+    def _tail(self) -> tuple[Sampled, jax.Array]:
+        """The good samples that can matter to the statistic, and the weights of their order.
+
+        Samples far below the quantile, of the full and of the quadratic problem at the tolerances last observed, are
+        left out: they only cost time (the next observation looks at all of them).
+        """
+        sampled = self._nominal() if self.sampled is None else self.sampled
+        count = len(sampled.units)
+        if self.statistic == "mean":
+            return sampled, jnp.full(count, 1.0 / count)
+        weights = quantile_weights(count, self.aim * len(self.good) / count)
+        if self.observed is None:
+            return sampled, jnp.asarray(weights)
+        t = jnp.asarray(self.observed)
+        kept = max(FEWEST, 8 * int(np.sum(weights > 1e-12))) * len(self.request.limits)
+        nominal = np.asarray(self._nominal()(t))[self.good]
+        h = np.concatenate([np.asarray(sampled(t)), nominal], axis=1)
+        if self.joint:
+            h = np.max(h, axis=1, keepdims=True)
+        rank = np.max(np.argsort(np.argsort(h, axis=0, kind="stable"), axis=0), axis=1)
+        rows = np.argsort(rank, kind="stable")[-kept:]
+        fewer = (a[rows] for a in (sampled.units, sampled.anchors, sampled.values, sampled.gradients))
+        return Sampled(sampled.quadratic, *fewer), jnp.asarray(weights[-kept:])
+
+    def _quantiles(self, sampled, t) -> Normalised:
+        """The quantile (l,) of each limit alone, failed samples counted as bad."""
+        h = np.asarray(sampled(jnp.asarray(t)))
+        bad = np.full((len(self.units) - len(h), h.shape[1]), np.nan)
+        return np.array([sample_quantile(c, self.level) for c in np.concatenate([h, bad]).T])
+
+    def quadratic_worst(self, t: HalfWidths) -> Normalised:
+        """h (l,) of the quadratic model alone."""
+        if self.joint:
+            return self._quantiles(self._nominal(), t)
+        return np.asarray(self._moments_model().moments(jnp.asarray(t)))
+
+    def predicted_yield(self, t: HalfWidths) -> float:
+        """Fraction of the standard points within all limits, by the corrected model."""
+        sampled = self._nominal() if self.sampled is None else self.sampled
+        h = np.asarray(sampled(jnp.asarray(t)))
+        return float(np.sum(np.all(h <= 0, axis=1)) / len(self.units))
+
+    def solve(
+        self, x: Float[np.ndarray, " k"], lower: Float[np.ndarray, " k"], upper: Float[np.ndarray, " k"]
+    ) -> Answer:
+        """Cheapest x = log t on the model, from the start x (k,) and between lower and upper (k,)."""
+        rounds, evaluations = (15, 300) if self.joint else (25, 1000)
+        start, low, high = map(jnp.asarray, (x, lower, upper))
+        solution, unit, h = cheapest(self.model(), self.request.costs, start, low, high, rounds, evaluations)
+        x, h = np.asarray(solution.point), np.asarray(h)
+        price = np.asarray(solution.multipliers) * float(unit)
+        predicted = h
+        if self.joint:
+            # One multiplier for all limits: shared by how often each is worst near the quantile.
+            price = price * self._shares(np.exp(x))
+            predicted = self._quantiles(self.sampled or self._nominal(), np.exp(x))
+        cost = float(solution.cost) * float(unit)
+        return Answer(x, cost, predicted, float(h.max()), price)
+
+    def _shares(self, t) -> Normalised:
+        """Share of each limit in the weights of the samples in which it is the worst one."""
+        model = self._sample_model()
+        h = np.asarray(model.sampled(jnp.asarray(t)))
+        order = np.argsort(np.max(h, axis=1), kind="stable")
+        owner = np.argmax(h[order], axis=1)
+        weights = np.asarray(model.weights)
+        return np.array([weights[owner == i].sum() for i in range(h.shape[1])])
+
+    def observe(self, t: HalfWidths, key: RandomKey) -> Float[np.ndarray, " constraints"]:
+        """h of the full problem's statistic on the standard points (yield: of all limits together); its values and
+        derivatives there become the model."""
+        request = self.request
+        errors = self.units * t
+        values, jacobians, _ = linearise_points(
+            request.problem, request.names, request.base, request.centre + errors,
+            mode=request.mode, batch=request.batch,
+        )  # fmt: skip
+        h, gradients = request.normalise(values), request.normalise_jacobians(jacobians)
+        self.good = np.all(np.isfinite(h), axis=1) & np.all(np.isfinite(gradients), axis=(1, 2))
+        self.failed += int(np.sum(~self.good))
+        if not np.any(self.good):
+            return np.array([np.inf])
+        self.observed = t
+        arrays = (a[self.good] for a in (self.units, errors, h, gradients))
+        self.sampled = Sampled(request.quadratic, *map(jnp.asarray, arrays))
+        if np.mean(self.good) < self.aim:
+            return np.array([np.inf])
+        return np.asarray(self.model()(jnp.asarray(t)))
+
+    def verify(self, t: HalfWidths, key: RandomKey) -> Verified:
+        """A fresh Monte Carlo run: statistic with interval, fraction of good samples with interval."""
+        units = np.asarray(jax.random.uniform(key, (self.verify_samples, len(t)), minval=1e-12))
+        h, failed = self._sample(t, self._standard(units))
+        found = [self._estimate(column) for column in h.T]
+        values, low, high = (np.array(column) for column in zip(*found, strict=True))
+        fraction = estimate_yield(np.all(np.where(np.isfinite(h), h, np.inf) <= 0, axis=1))
+        interval = (fraction.low, fraction.high)
+        return Verified(values, low, high, fraction.value, interval, failed, ())
+
+    def _sample(self, t, units) -> tuple[Float[np.ndarray, "n l"], int]:
+        """h (n, l) of the full problem, NaN for failed samples, and their number."""
+        request = self.request
+        values, _ = evaluate_points(
+            request.problem, request.names, request.base, request.centre + units * t, request.batch
+        )
+        h = request.normalise(values)
+        failed = ~np.all(np.isfinite(h), axis=1)
+        return np.where(failed[:, None], np.nan, h), int(failed.sum())
+
+    def _estimate(self, h) -> tuple[float, float, float]:
+        """Value, low and high end of the statistic of samples h (n,)."""
+        good = h[np.isfinite(h)]
+        if self.statistic == "mean":
+            mean = estimate_mean(good)
+            return mean.value, mean.low, mean.high
+        quantile = estimate_quantile(np.where(np.isfinite(h), h, BEYOND), self.level)
+        low, high = (np.inf if end == BEYOND else end for end in (quantile.low, quantile.high))
+        return sample_quantile(h, self.level), low, high
+
+    def learn(self, t: HalfWidths, fresh: Verified) -> None:
+        """Raise the aim by the shortfall of a fresh run at t (which cannot verify an answer any more)."""
+        if self.joint:
+            short = max(self.level - fresh.fraction, 0.0)
+            self.aim = self.aim + min(short, 0.5 * (1 - self.aim))
+        else:
+            self.extra = self.extra + np.maximum(np.where(np.isfinite(fresh.h), fresh.h, 0.0), 0.0)
+
+    def best(self, key: RandomKey) -> Normalised:
+        """The statistic h (l,) of the full problem at the smallest tolerances."""
+        t = self.request.lower
+        h, _ = self._sample(t, self.units)
+        full = np.array([self._estimate(column)[0] for column in h.T])
+        if self.joint:
+            return full
+        # As for the answer: few samples estimate the difference to the quadratic model's statistic well, the
+        # statistic itself (three deviations away) badly.
+        nominal = np.asarray(self._nominal()(jnp.asarray(t)))
+        quadratic = np.array([self._estimate(column)[0] for column in nominal.T])
+        return full - quadratic + np.asarray(self._moments_model().moments(jnp.asarray(t)))
+
+    def best_yield(self) -> float:
+        """Fraction of the standard points within all limits at the smallest tolerances."""
+        h, _ = self._sample(self.request.lower, self.units)
+        return float(np.mean(np.all(np.where(np.isfinite(h), h, np.inf) <= 0, axis=1)))

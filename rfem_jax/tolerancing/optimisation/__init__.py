@@ -1,0 +1,1 @@
+"""Optimisers under bounds and constraints, and where they start."""

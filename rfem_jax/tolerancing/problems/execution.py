@@ -1,0 +1,233 @@
+"""Running many samples: lanes, devices, processes, chunks.
+
+Place in the pipeline: between the Monte Carlo study and the problem.
+
+    launch   `lanes` samples on each local device: one compiled program, whatever the batch
+    chunk    `batch` samples, the unit that is stored; the last launch of a chunk is filled up
+    process  chunk c belongs to process c modulo their number (JAX's distributed runtime)
+
+Every launch has the same shape and a device sees only its own lanes (`shard_map`: no loop waits for another device).
+The numbers of a sample therefore do not depend on batch, devices or processes, to the last bit. Processes share
+nothing but the folder of chunks: each computes its own chunks with local programs and then waits for the files of the
+others.
+
+Several CPU devices need spare threads. The program of a device occupies a thread of XLA's pool, and its batched matrix
+factorisations wait for others of the same pool; with as many threads as devices (XLA's own choice) all of them may
+wait for ever. A study that could is refused (`require_threads`). It is not moved to one device instead: the user asked
+for speed, and an error with a remedy of one line is better than a long run that is silently slower.
+
+Symbols: N samples, d coordinates, m metrics; points (N, d) of the unit cube, errors (N, d) [rad or m], values (N, m)
+[units of the metrics], status (N,) int32.
+Source: none; the layout is this library's own.
+"""
+
+import hashlib
+import os
+import re
+import time
+from collections.abc import Sequence
+from typing import Protocol, runtime_checkable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+from jaxtyping import Float
+
+from rfem_jax.compilation import keys
+from rfem_jax.compilation.program import Program
+from rfem_jax.description.errors import InputError
+from rfem_jax.tolerancing.problems.distributions import Tolerances
+from rfem_jax.tolerancing.problems.problem import ToleranceProblem
+from rfem_jax.tolerancing.problems.results_store import ResultsStore
+from rfem_jax.tolerancing.progress import Progress, ProgressOption
+
+LANES = {"cpu": 16}  # enough for a core's vector units; little waste on samples that run long
+LANES_ELSEWHERE = 256
+POLL = 0.05  # s
+PATIENCE = 3600.0  # s without a new chunk of another process
+
+Arrays = dict[str, np.ndarray]  # "errors", "values", "status" of some samples
+
+
+@runtime_checkable
+class Device(Protocol):
+    """The part of a JAX device that `require_threads` reads."""
+
+    @property
+    def platform(self) -> str:
+        """ "cpu", "gpu" or "tpu"."""
+        ...
+
+
+def default_lanes() -> int:
+    """Samples that a device computes at once by default."""
+    return LANES.get(jax.default_backend(), LANES_ELSEWHERE)
+
+
+def require_threads(devices: Sequence[Device]) -> None:
+    """Refuse several CPU `devices` that share too few threads. Raises InputError.
+
+    XLA's pool has NPROC threads (an environment variable, read when JAX starts), without it one for each core that the
+    process may use, and never fewer than devices.
+    """
+    count = len(devices)
+    if count < 2 or devices[0].platform != "cpu":
+        return
+    usable = getattr(os, "sched_getaffinity", None)
+    cores = len(usable(0)) if usable else os.cpu_count() or 1
+    specified = os.environ.get("NPROC", "")
+    threads = max(int(specified) if specified.isdecimal() else cores, count)
+    if threads < 2 * count:
+        raise InputError(
+            f"Argument `jax_num_cpu_devices` must leave two threads for each device, but {count} "
+            f"CPU devices share {threads}, and samples could wait for each other for ever; put "
+            f'os.environ["NPROC"] = "{2 * max(count, cores)}" before the first array, or use one '
+            "device."
+        )
+
+
+@Program
+def _launch(problem, tolerances, points, mesh):
+    """Errors, values and status of points (devices * lanes, d), sharded over the mesh; traced."""
+    dynamic, static = eqx.partition((problem, tolerances), eqx.is_array)
+
+    def sample(dynamic, point):
+        problem, tolerances = eqx.combine(dynamic, static)
+        errors = tolerances.errors(point)
+        values, status = problem(errors)
+        stacked = jnp.stack([jnp.asarray(values[m.name], jnp.float64) for m in problem.metrics])
+        drawn = jnp.stack([errors[name] for name in tolerances.names])
+        return drawn, stacked, jnp.asarray(status, jnp.int32)
+
+    # Device-varying types are not checked: solvers from outside do not annotate their loops.
+    over_samples = PartitionSpec("samples")
+    return jax.shard_map(
+        jax.vmap(sample, in_axes=(None, 0)),
+        mesh=mesh,
+        in_specs=(PartitionSpec(), over_samples),
+        out_specs=over_samples,
+        check_vma=False,
+    )(dynamic, points)
+
+
+def evaluate(problem: ToleranceProblem, tolerances: Tolerances, points: Float[np.ndarray, "N d"], lanes: int) -> Arrays:
+    """Evaluate points (N, d) on all local devices, launch by launch.
+
+    Returns: {"errors": (N, d), "values": (N, m), "status": (N,)}.
+    """
+    mesh = Mesh(np.array(jax.local_devices()), ("samples",))
+    sharding = NamedSharding(mesh, PartitionSpec("samples"))
+    width, count = lanes * mesh.size, len(points)
+    fill = np.repeat(points[-1:], -count % width, axis=0)
+    points = np.concatenate([points, fill])
+    parts = []
+    for first in range(0, len(points), width):
+        block = jax.device_put(points[first : first + width], sharding)
+        parts.append(jax.device_get(_launch(problem, tolerances, block, mesh)))
+    errors, values, status = (np.concatenate(part)[:count] for part in zip(*parts, strict=True))
+    return {"errors": errors, "values": values, "status": status}
+
+
+def run_chunks(
+    problem: ToleranceProblem,
+    tolerances: Tolerances,
+    points: Float[np.ndarray, "N d"],
+    *,
+    batch: int,
+    lanes: int,
+    store: ResultsStore | None,
+    progress: ProgressOption,
+) -> tuple[Arrays, int]:
+    """Evaluate all points chunk by chunk; samples that `store` holds are not computed again.
+
+    A chunk that was the last one of a smaller study is completed: its samples stay, those after them are added.
+    Returns: the arrays of `evaluate` and the number of chunks that this process wrote.
+    Raises: InputError when several processes have no common folder and when several CPU devices lack threads;
+        ChunkWriteError; TimeoutError.
+    """
+    require_threads(jax.local_devices())
+    process, processes = jax.process_index(), jax.process_count()
+    if processes > 1 and store is None:
+        raise InputError(
+            f"Argument `resume` must name a folder that all {processes} processes share, but it is "
+            "None; they hand their samples over in it."
+        )
+    parts = [points[first : first + batch] for first in range(0, len(points), batch)]
+    mine = range(process, len(parts), processes)
+    chunks = {} if store is None else _read(store, {c: len(parts[c]) for c in mine})
+    done = sum(_rows(arrays) for arrays in chunks.values())
+    computed = 0
+    shown = progress if process == 0 else False
+    with Progress(shown, sum(len(parts[c]) for c in mine), done) as bar:
+        for c in mine:
+            present = _rows(chunks[c]) if c in chunks else 0
+            if present == len(parts[c]):
+                continue
+            added = evaluate(problem, tolerances, parts[c][present:], lanes)
+            if present:
+                added = {name: np.concatenate([chunks[c][name], array]) for name, array in added.items()}
+            chunks[c] = added
+            if store is not None:
+                store.write(c, added)
+            computed += 1
+            bar.advance(len(parts[c]) - present)
+    if store is not None:
+        chunks |= _wait_for(store, {c: len(part) for c, part in enumerate(parts) if c not in chunks})
+    names = ("errors", "values", "status")
+    return {name: np.concatenate([chunks[c][name] for c in range(len(parts))]) for name in names}, computed
+
+
+def _rows(arrays: Arrays) -> int:
+    return len(arrays["status"])
+
+
+def _read(store: ResultsStore, sizes: dict[int, int], warn: bool = True) -> dict[int, Arrays]:
+    """The stored chunks {index: arrays}, at most `sizes` {index: samples} of each."""
+    found = {}
+    for c, size in sizes.items():
+        arrays = store.read(c, warn)
+        if arrays is not None:
+            found[c] = {name: array[:size] for name, array in arrays.items()}
+    return found
+
+
+def _wait_for(store: ResultsStore, missing: dict[int, int]) -> dict[int, Arrays]:
+    """Chunks {index: arrays} of other processes, `missing` {index: samples}, from their files. Raises TimeoutError."""
+    chunks, last = {}, time.monotonic()
+    while len(chunks) < len(missing):
+        # A damaged file is replaced by its owner, who warns; a chunk of too few samples is completed by its owner.
+        found = _read(store, {c: size for c, size in missing.items() if c not in chunks}, warn=False)
+        found = {c: arrays for c, arrays in found.items() if _rows(arrays) == missing[c]}
+        if found:
+            chunks, last = chunks | found, time.monotonic()
+        if time.monotonic() - last > PATIENCE:
+            raise TimeoutError(
+                f"No new chunk of the other processes for {PATIENCE:.0f} s in `{store.folder}`; "
+                f"{len(missing) - len(chunks)} are missing. Find out why they stopped and start again: "
+                "finished chunks are kept."
+            )
+        if len(chunks) < len(missing):
+            time.sleep(POLL)
+    return chunks
+
+
+def fingerprint_problem(problem: ToleranceProblem) -> str:
+    """SHA-256 of a problem: of its own `fingerprint()` if it has one; else of all its numbers, its structure and the
+    sources of this package; else, where it contains a function of the user, of its program.
+
+    The program (StableHLO of one sample, with all constants) changes with every number and every operation of the
+    model, and not from run to run; so do numbers and sources, which need no tracing.
+    """
+    own = getattr(problem, "fingerprint", None)
+    if callable(own):
+        return hashlib.sha256(str(own()).encode()).hexdigest()
+    try:
+        return keys.digest_content(problem)
+    except keys.NotDigestible:
+        scalar = jax.ShapeDtypeStruct((), jnp.float64)
+        errors = dict.fromkeys(problem.error_names, scalar)
+        text = jax.jit(lambda e: problem(e)).lower(errors).as_text()
+        text = re.sub(r"index = \d+ : ui64", "", text)  # callbacks are counted per Python process
+        return hashlib.sha256(text.encode()).hexdigest()

@@ -1,0 +1,423 @@
+"""The quadratic model of all metrics about a point: value, gradient, Hessian (theory (10.2)).
+
+Place in the pipeline: sensitivities report it, worst cases start from it, and an allocation is first solved on it.
+
+    f(x0 + e) ~ f + g.e + 1/2 e^T H e
+
+Symbols: e (k,) errors [rad, m], f (m,) metrics [their units], g (m, k) [unit per rad or m], H (m, k, k), S (k, k)
+covariance of the errors, t (k,) half-widths of the tolerances.
+
+Modes. Forward mode pushes k tangents through the simulation (k^2 for the Hessian); reverse mode pulls m cotangents
+back (k*m for the Hessian, forward over reverse). One cotangent costs about `REVERSE_COST` tangents (a reverse pass
+runs the forward pass, stores it, and runs it back), so "auto" takes forward mode while k <= REVERSE_COST * m. Both run
+in chunks of `batch` directions.
+
+`expand` gives the exact Hessian, by a program of its own. `expand_by_differences` takes central differences of exact
+gradients at two steps (theory (10.3): h and 2 h, extrapolated, an error of h^4), by the same program that searches
+use, and estimates their error.
+Source: Griewank, Walther, Evaluating Derivatives, 2nd ed. (2008), chapters 3 and 5; L. F. Richardson, Phil. Trans. R.
+Soc. A 210 (1911) 307-357 (extrapolation).
+"""
+
+from collections.abc import Callable, Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+from jaxtyping import Array, Float, Int
+
+from rfem_jax.compilation.program import Program
+from rfem_jax.description.errors import InputError
+from rfem_jax.tolerancing.checks import ErrorValues, check_known, require_float64
+from rfem_jax.tolerancing.problems.distributions import Tolerances
+from rfem_jax.tolerancing.problems.evaluation import (
+    Base,
+    map_chunks,
+    run_in_chunks,
+    select_half_widths,
+    split_errors,
+    stack_metrics,
+)
+from rfem_jax.tolerancing.problems.execution import default_lanes
+from rfem_jax.tolerancing.problems.problem import ImplicitProblem, Status, ToleranceProblem
+from rfem_jax.tolerancing.progress import Progress, ProgressOption
+
+MODES = ("auto", "forward", "reverse")
+REVERSE_COST = 3
+DIRECTIONS = 32  # tangents of one point at once
+POINTS_WITH_TANGENTS = 4  # times the lanes: points x tangents at once
+STEP = 0.01  # of a tolerance
+SUMS = {"forward": 8, "reverse": 2}  # each one is two directions more in reverse mode
+
+ValueVector = Float[Array, " m"]
+Jacobian = Float[Array, "m k"]
+Function = Callable[[Float[Array, " k"]], tuple[ValueVector, Status]]
+
+
+class QuadraticModel(eqx.Module):
+    """Second-order expansion of m metrics in k errors (fields as in the module's docstring).
+
+    `hessian` is None after an expansion of order 1. `asymmetry` (m,) is the largest |H - H^T| divided by the largest
+    |H| before H was made symmetric: an estimate of the derivatives' rounding. `hessian_error` (m,) is the estimated
+    error of a Hessian by differences relative to the largest |H|, both per tolerance; None where it is exact.
+    `residual_changes`, `force_changes` (p, k): derivatives of p sums, with random signs, of the residual of the
+    equations of motion and of the joint forces at all saved times; None for problems without a residual.
+    """
+
+    names: tuple[str, ...] = eqx.field(static=True)
+    metrics: tuple[str, ...] = eqx.field(static=True)
+    mode: str = eqx.field(static=True)
+    point: Float[Array, " k"]
+    value: Float[Array, " m"]
+    gradient: Float[Array, "m k"]
+    hessian: Float[Array, "m k k"] | None
+    asymmetry: Float[Array, " m"] | None
+    status: Int[Array, ""]
+    hessian_error: Float[Array, " m"] | None = None
+    residual_changes: Float[Array, "p k"] | None = None
+    force_changes: Float[Array, "p k"] | None = None
+
+    def derivative_residual(self, half_widths: Float[np.ndarray, " k"]) -> float | None:
+        """Change of the residual of the equations of motion relative to that of the joint forces: root mean squares
+        over all times and errors, each error by its half-width (k,). An estimate; None for problems without a
+        residual."""
+        if self.residual_changes is None or self.force_changes is None:
+            return None
+        residual, force = (
+            float(np.sqrt(np.sum((np.asarray(changes) * half_widths) ** 2)))
+            for changes in (self.residual_changes, self.force_changes)
+        )
+        return residual / force if force != 0.0 else residual
+
+    def __call__(self, deviation: Float[Array, " k"]) -> ValueVector:
+        """Values (m,) at point + deviation."""
+        linear = self.value + self.gradient @ deviation
+        if self.hessian is None:
+            return linear
+        return linear + 0.5 * jnp.einsum("mij,i,j->m", self.hessian, deviation, deviation)
+
+    def mean(self, covariance: Float[Array, "k k"]) -> ValueVector:
+        """Mean (m,) over errors of mean zero and covariance S: f + 1/2 tr(H S).
+
+        Exact for a quadratic metric and any distribution (theory (9.6)).
+        """
+        if self.hessian is None:
+            return self.value
+        return self.value + 0.5 * jnp.einsum("mij,ji->m", self.hessian, covariance)
+
+    def scaled(self, half_widths: ArrayLike) -> "QuadraticModel":
+        """The same model in errors z measured in half-widths t (k,), e = t z: gradient g t, Hessian t H t."""
+        t = jnp.asarray(half_widths)
+        hessian = None if self.hessian is None else self.hessian * jnp.outer(t, t)[None]
+        return eqx.tree_at(
+            lambda q: (q.gradient, q.hessian),
+            self,
+            (self.gradient * t[None], hessian),
+            is_leaf=lambda leaf: leaf is None,
+        )
+
+
+def choose_mode(mode: str, errors: int, metrics: int) -> str:
+    """ "forward" or "reverse" for that many errors and metrics, unless `mode` is one of them already.
+
+    Raises: InputError for an unknown mode.
+    """
+    if mode not in MODES:
+        raise InputError(f"Argument `mode` must be one of {', '.join(MODES)}, but it is {mode!r}.")
+    if mode != "auto":
+        return mode
+    return "forward" if errors <= REVERSE_COST * metrics else "reverse"
+
+
+def differentiate(
+    function: Function, x: Float[Array, " k"], mode: str, batch: int
+) -> tuple[ValueVector, Jacobian, Status]:
+    """Value (m,), Jacobian (m, k) and status of `function(x) -> ((m,), status)`; traced."""
+    if mode == "reverse":
+        value, pull, status = jax.vjp(function, x, has_aux=True)
+        cotangents = jnp.eye(value.shape[0], dtype=value.dtype)
+        return value, map_chunks(lambda c: pull(c)[0], cotangents, batch), status
+    value, jacobian, status = _push(function, x, jnp.eye(x.shape[0], dtype=x.dtype), batch)
+    return value, jacobian.T, status
+
+
+def _push(function, x, directions, batch):
+    """Value (m,), derivatives (d, m) along directions (d, k), and status; traced."""
+
+    def push(tangent):
+        return jax.jvp(function, (x,), (tangent,), has_aux=True)
+
+    value, derivatives, status = map_chunks(push, directions, batch)
+    return value[0], derivatives, status[0]
+
+
+def differentiate_twice(
+    function: Function, x: Float[Array, " k"], directions: Float[Array, "d k"], mode: str, batch: int
+) -> tuple[ValueVector, Jacobian, Float[Array, "d m k"], Status]:
+    """Value (m,), Jacobian (m, k), its derivatives (d, m, k) along directions, and status; traced.
+
+    Forward mode over the first derivative in the chosen mode.
+    """
+
+    def first(y):
+        value, jacobian, status = differentiate(function, y, mode, batch)
+        return jacobian, (value, status)
+
+    def push(tangent):
+        return jax.jvp(first, (x,), (tangent,), has_aux=True)
+
+    jacobian, change, (value, status) = jax.vmap(push)(directions)
+    return value[0], jacobian[0], change, status[0]
+
+
+def stack_checked(
+    problem: ImplicitProblem, names: Sequence[str], base: Base, x: Float[Array, " k"], count: int
+) -> tuple[ValueVector, Status]:
+    """`stack_metrics` with 2 `count` values more: sums, with random signs, of the residual of the equations of motion
+    and of the joint forces.
+
+    The mean of their squared derivatives is the sum of the squared derivatives of all these forces, so that a few
+    directions, of either mode, tell how accurate the derivatives are.
+    """
+    errors = {**base, **{name: x[i] for i, name in enumerate(names)}}
+    values, status, residual, forces = problem.with_residual(errors)
+    key = jax.random.key(0)
+    sums = [
+        jnp.sum(jax.random.rademacher(key, (count, part.size), part.dtype) * part.reshape(1, -1), axis=1)
+        for part in (residual, forces)
+    ]
+    return jnp.concatenate([jnp.stack([values[m.name] for m in problem.metrics]), *sums]), status
+
+
+def _sums(problem, mode) -> int:
+    """Number of sums of `stack_checked`, 0 for a problem without a residual."""
+    return SUMS[mode] if getattr(problem, "derivative_limit", None) is not None else 0
+
+
+@Program
+def _differentiate_along(problem, names, base, x, directions, order, mode, batch):
+    """Values, first derivatives, second derivatives along directions (d, k), status.
+
+    First derivatives are the Jacobian, but of order 1 in forward mode those along the directions (d, m); second ones
+    (d, m, k) or None.
+    """
+    count = _sums(problem, mode)
+
+    def function(y):
+        if count:
+            return stack_checked(problem, names, base, y, count)
+        return stack_metrics(problem, names, base, y)
+
+    if order == 2:
+        return differentiate_twice(function, x, directions, mode, batch)
+    if mode == "forward":
+        value, first, status = _push(function, x, directions, batch)
+    else:
+        value, first, status = differentiate(function, x, mode, batch)
+    return value, first, None, status
+
+
+def _directions_at_once(problem, k, order, mode, batch) -> int:
+    """Directions per call of the program: about `batch` tangents or cotangents in memory."""
+    if order == 1:
+        return min(batch, k) if mode == "forward" else k
+    inner = k if mode == "forward" else len(problem.metrics) + 2 * _sums(problem, mode)
+    return min(max(1, batch // inner), k)
+
+
+def expand_point(
+    problem: ToleranceProblem,
+    at: ErrorValues | None,
+    names: Sequence[str],
+    order: int,
+    mode: str,
+    batch: int,
+    advance: Callable[[int], object],
+) -> QuadraticModel:
+    """As `expand`, which checks the arguments; `advance(count)` is called when `count` more directions are done."""
+    m, k = len(problem.metrics), len(names)
+    base, x = split_errors(problem, at, names)
+    width = _directions_at_once(problem, k, order, mode, batch)
+    parts = []
+    for start in range(0, k, width):
+        directions = np.eye(k)[start : start + width]
+        used = len(directions)
+        directions = np.concatenate([directions, np.repeat(directions[:1], width - used, axis=0)])
+        part = _differentiate_along(problem, tuple(names), base, x, jnp.asarray(directions), order, mode, batch)
+        parts.append(jax.device_get(part))
+        advance(used)
+    (value, jacobian, _, status), count = parts[0], _sums(problem, mode)
+    hessian = asymmetry = residual_changes = force_changes = None
+    if order == 2:
+        along = np.concatenate([second for _, _, second, _ in parts])[:k]
+        hessian, asymmetry = map(jnp.asarray, _symmetric(np.moveaxis(along, 0, 2)[:m]))
+    elif mode == "forward":
+        jacobian = np.concatenate([first for _, first, _, _ in parts])[:k].T
+    if count:
+        residual_changes, force_changes = jnp.asarray(jacobian[m : m + count]), jnp.asarray(jacobian[m + count :])
+    return QuadraticModel(
+        names=tuple(names),
+        metrics=tuple(metric.name for metric in problem.metrics),
+        mode=mode,
+        point=x,
+        value=jnp.asarray(value[:m]),
+        gradient=jnp.asarray(jacobian[:m]),
+        hessian=hessian,
+        asymmetry=asymmetry,
+        status=jnp.asarray(status),
+        residual_changes=residual_changes,
+        force_changes=force_changes,
+    )
+
+
+def _symmetric(hessian):
+    """Symmetric part of Hessians (m, k, k), and the largest |H - H^T| divided by the largest |H| (m,)."""
+    transposed = np.swapaxes(hessian, 1, 2)
+    largest = np.max(np.abs(hessian), axis=(1, 2))
+    with np.errstate(invalid="ignore"):  # derivatives that do not exist
+        gap = np.max(np.abs(hessian - transposed), axis=(1, 2))
+        return 0.5 * (hessian + transposed), gap / np.where(largest > 0, largest, 1.0)
+
+
+def expand(
+    problem: ToleranceProblem,
+    at: ErrorValues | None = None,
+    names: Sequence[str] | None = None,
+    *,
+    order: int = 2,
+    mode: str = "auto",
+    batch: int = 32,
+    progress: ProgressOption = False,
+) -> QuadraticModel:
+    """Expand every metric of `problem` about a point to first or second order.
+
+    Args: at {error: number in rad or m, or string with a unit}, None for the nominal point, zero; names of the errors
+        to differentiate by (None: all of problem.error_names); order 1 or 2; mode "auto", "forward" or "reverse";
+        batch, directions pushed or pulled at once; progress True for a bar, or a function of (done, total) directions.
+    Returns: QuadraticModel (hessian None for order 1); its `status` tells whether the point failed.
+    Raises: InputError for unknown names, order or mode.
+    """
+    names, mode = check_expansion(problem, names, order, mode)
+    with Progress(progress, len(names), unit="direction") as bar:
+        return expand_point(problem, at, names, order, mode, int(batch), bar.advance)
+
+
+def check_expansion(
+    problem: ToleranceProblem, names: Sequence[str] | None, order: int, mode: str
+) -> tuple[tuple[str, ...], str]:
+    """Names of the errors and mode of an expansion, with the arguments of `expand`. Raises InputError."""
+    require_float64()
+    names = tuple(problem.error_names if names is None else names)
+    check_known(names, problem.error_names, "names")
+    if not names:
+        raise InputError("Argument `names` must name at least one error, but it is empty.")
+    if order not in (1, 2):
+        raise InputError(f"Argument `order` must be 1 or 2, but it is {order!r}.")
+    return names, choose_mode(mode, len(names), len(problem.metrics))
+
+
+@Program
+def _linearise(problem, names, base, points, weights, mode):
+    """Values (w, m), derivatives and status of points (w, k): Jacobians (w, m, k) in forward mode, in reverse mode the
+    gradients (w, k) of weights (w, m) . metrics."""
+
+    def function(x):
+        return stack_metrics(problem, names, base, x)
+
+    def one(x, weight):
+        if mode == "reverse":
+            value, pull, status = jax.vjp(function, x, has_aux=True)
+            derivatives = pull(weight)[0]
+        else:
+            value, derivatives, status = differentiate(function, x, mode, DIRECTIONS)
+        return jnp.where(status == 0, value, jnp.nan), derivatives, status
+
+    return jax.vmap(one)(points, weights)
+
+
+def linearise_points(
+    problem: ToleranceProblem,
+    names: Sequence[str],
+    base: Base,
+    points: Float[np.ndarray, "n k"] | Sequence[Sequence[float]],
+    *,
+    metric: int | Int[np.ndarray, " n"] | None = None,
+    mode: str = "auto",
+    batch: int = 256,
+) -> tuple[Float[np.ndarray, "n m"], Float[np.ndarray, "n m k"] | Float[np.ndarray, "n k"], Int[np.ndarray, " n"]]:
+    """Values of all metrics and their derivatives at many points, chunk by chunk (one program).
+
+    Args: names (k), base as `split_errors` gives them; points (n, k) [rad, m]; metric None for the derivatives of all
+        metrics, or the index of one, or (n,) indices, one for each point; mode as everywhere ("auto" counts the
+        metrics whose derivatives are asked for); batch, the most points at once (fewer where the device gains nothing).
+    Returns: values (n, m), NaN where the sample failed; Jacobians (n, m, k), or with `metric` gradients (n, k);
+        status (n,).
+    """
+    n, m, k = len(points), len(problem.metrics), len(names)
+    mode = choose_mode(mode, k, m if metric is None else 1)
+    points = np.asarray(points, dtype=np.float64).reshape(n, k)
+    width = min(batch, default_lanes())
+    if mode == "forward":
+        width = max(1, min(width, POINTS_WITH_TANGENTS * default_lanes() // k))
+
+    def run(points, weights):
+        return run_in_chunks(lambda x, w: _linearise(problem, names, base, x, w, mode), width, points, weights)
+
+    if mode == "forward":
+        values, jacobians, status = run(points, np.zeros((n, m)))
+        return values, jacobians if metric is None else jacobians[np.arange(n), metric], status
+    if metric is None:  # the program has one gradient per point: each point once per metric
+        values, gradients, status = run(np.repeat(points, m, axis=0), np.tile(np.eye(m), (n, 1)))
+        return values[::m], gradients.reshape(n, m, k), status[::m]
+    values, gradients, status = run(points, np.eye(m)[np.broadcast_to(metric, (n,))])
+    return values, gradients, status
+
+
+def expand_by_differences(
+    problem: ToleranceProblem,
+    at: ErrorValues | None,
+    half_widths: Tolerances | ErrorValues,
+    *,
+    mode: str = "auto",
+    batch: int = 256,
+) -> QuadraticModel:
+    """Expand every metric of `problem` to second order, the Hessian by differences of gradients.
+
+    Args: at {error: value}, None for the nominal point, zero; half_widths, a Tolerances collection or {error: typical
+        tolerance} of every error to differentiate by, the unit of the steps (values in rad or m, or strings with a
+        unit); mode, batch as `linearise_points`.
+    Returns: QuadraticModel with its `hessian_error`.
+    Raises: InputError for unknown names or mode.
+    """
+    require_float64()
+    names, t = select_half_widths(problem, half_widths, "half_widths")
+    base, x = split_errors(problem, at, names)
+    m, k = len(problem.metrics), len(names)
+    mode = choose_mode(mode, k, m)
+    offsets = np.concatenate([np.zeros((1, k)), *(s * np.eye(k) for s in (1, -1, 2, -2))])
+    points = np.asarray(x) + STEP * offsets * t
+    values, jacobians, status = linearise_points(problem, names, base, points, mode=mode, batch=batch)
+    jacobians = jacobians * t  # per tolerance
+    hessian, error = _extrapolate(jacobians, m, k)
+    hessian, asymmetry = _symmetric(hessian)
+    arrays = (values[0], jacobians[0] / t, hessian / np.outer(t, t), asymmetry, status[0], error)
+    metrics = tuple(metric.name for metric in problem.metrics)
+    return QuadraticModel(names, metrics, mode, x, *map(jnp.asarray, arrays))
+
+
+def _extrapolate(jacobians, m, k):
+    """Hessians (m, k, k) from Jacobians (1 + 4k, m, k) at the points of `expand_by_differences`, all per tolerance, and
+    their estimated error relative to the largest |H| (m,)."""
+    up, down, far_up, far_down = jacobians[1:].reshape(4, k, m, k)
+    with np.errstate(invalid="ignore"):  # failed points and kinks: no derivative, no warning
+        near, far = (up - down) / (2 * STEP), (far_up - far_down) / (4 * STEP)
+        hessian = np.moveaxis((4 * near - far) / 3, 0, 2)
+    hessian[~np.all(np.isfinite(jacobians[0]), axis=1)] = np.nan
+    largest = np.max(np.abs(hessian), axis=(1, 2))
+    safe = np.where(largest > 0, largest, 1.0)
+    # Extrapolation removes the error of `near`, an upper bound of the remaining one; rounding is added.
+    rounding = 4 * np.finfo(float).eps / STEP * np.max(np.abs(jacobians), axis=(0, 2))
+    error = (np.max(np.abs(near - far), axis=(0, 2)) / 3 + rounding) / safe
+    return hessian, error

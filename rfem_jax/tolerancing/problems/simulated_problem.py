@@ -1,0 +1,163 @@
+"""The simulator as a problem: named errors in, metrics and a status out.
+
+Place in the pipeline: model, drive, metrics, method -> **Problem** -> all tolerance studies.
+The only place where tolerance studies meet the mechanics.
+"""
+
+from collections.abc import Iterable, Mapping
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+from jaxtyping import Array, Float
+
+from rfem_jax.compilation.program import Program
+from rfem_jax.description.drives import MomentDrive, PrescribedDrive
+from rfem_jax.description.error_catalogue import error_unit
+from rfem_jax.description.errors import InputError, suggestion
+from rfem_jax.description.methods import Method
+from rfem_jax.mechanics.model import Model
+from rfem_jax.mechanics.model_with_errors import AssemblyErrors, assembly_errors
+from rfem_jax.mechanics.status import STATUS
+from rfem_jax.simulation.accuracy import choose_method
+from rfem_jax.simulation.integration import simulate
+from rfem_jax.simulation.run import RESIDUAL_LIMIT
+from rfem_jax.tolerancing.checks import check_distinct, check_known
+from rfem_jax.tolerancing.problems.metrics import joint_of, metric
+from rfem_jax.tolerancing.problems.problem import Metric, Status, Values
+
+Errors = Mapping[str, ArrayLike | str] | AssemblyErrors
+
+
+class Problem(eqx.Module):
+    """A mechanism under a drive as a pure function of its assembly errors.
+
+    `problem(errors)` takes {error name: number in rad or m, or a string with a unit} (or `AssemblyErrors`) and returns
+    ({metric name: scalar}, status); it works under jit, vmap, jacfwd, grad, jacrev and their compositions.
+
+    Memory: forward mode stores nothing along the way. Reverse mode with a fixed-step method keeps the integrated
+    state at every saved time and at every stage of one interval between them, and with an implicit method the
+    solution of every step (accelerations, multipliers); everything else is computed again (`benchmarks/gradients.py`
+    measures both).
+
+    Args:
+        model: from `discretise`.
+        drive: a moment or prescribed drive, or None.
+        duration: [s].
+        metrics: `Metric`s with functions, or names ("A.rms_force", "end_energy"; see `register_metric`).
+        method: a `Method`.
+        save_every: [s], interval of the balances and checkpoints, and of the times that p-norms see.
+    Raises: InputError for unknown and repeated metrics, metrics without a function and of joints that do not exist.
+    """
+
+    model: Model
+    drive: MomentDrive | PrescribedDrive | None
+    duration: float = eqx.field(static=True)
+    metrics: tuple[Metric, ...] = eqx.field(static=True)
+    method: Method = eqx.field(static=True)
+    save_every: float | None = eqx.field(static=True)
+
+    def __init__(
+        self,
+        model: Model,
+        drive: MomentDrive | PrescribedDrive | None,
+        duration: float | int,
+        metrics: str | Metric | Iterable[str | Metric],
+        method: Method,
+        save_every: float | int | None = None,
+    ):
+        self.model, self.drive = model, drive
+        metrics = (metrics,) if isinstance(metrics, (str, Metric)) else metrics
+        self.metrics = tuple(_known_metric(model, m) for m in metrics)
+        check_distinct((m.name for m in self.metrics), "metrics")
+        self.duration, self.save_every = float(duration), None if save_every is None else float(save_every)
+        self.method = choose_method(model, method, drive, self.duration, save_every=self.save_every)
+
+    # `jax.jit(problem)` keys its cache by the function's identity.
+    def __hash__(self) -> int:
+        return id(self)
+
+    def __eq__(self, other: object) -> bool:
+        return self is other
+
+    @property
+    def error_names(self) -> tuple[str, ...]:
+        """Names of all errors that it accepts."""
+        return self.model.topology.error_names
+
+    def error_unit(self, name: str) -> str:
+        """Unit of an error, "rad" or "m". Raises InputError for an unknown name."""
+        check_known((name,), self.error_names, "name")
+        return error_unit(name)
+
+    def describe_status(self, code: int) -> str:
+        """Short name of a status code; "ok" for 0."""
+        return STATUS[int(code)].name
+
+    @property
+    def undamped(self) -> bool:
+        """True if no flexible link has damping: derivatives of mean-square forces then depend on
+        the phase of undamped vibrations (docs/theory/9_symmetry.md)."""
+        flexible = np.array(self.model.topology.elements) > 1
+        return bool(flexible.any() and not np.asarray(self.model.section.damping)[flexible].any())
+
+    def with_method(self, method: Method) -> "Problem":
+        """The same problem by another method, for example with a finer step."""
+        return Problem(self.model, self.drive, self.duration, self.metrics, method, self.save_every)
+
+    @property
+    def derivative_limit(self) -> float | None:
+        """The largest relative residual of the differentiated equations with which a derivative counts as converged
+        (see `derivative_residual`); None for explicit methods, which solve no equations."""
+        return RESIDUAL_LIMIT if self.method.implicit else None
+
+    def __call__(self, errors: Errors) -> tuple[Values, Status]:
+        """Values {metric name: scalar} and status (scalar int32) of one sample."""
+        return _values_and_status(self, self._as_errors(errors))
+
+    def with_residual(
+        self, errors: Errors
+    ) -> tuple[Values, Status, Float[Array, "times n"], Float[Array, "joints times 3"]]:
+        """Values, status, residual of the equations of motion [N] and joint forces [N] at the saved times.
+
+        The derivatives of the residual and of the forces show how accurate derivatives are. With explicit methods
+        n = 0.
+        """
+        run = simulate(
+            self.model,
+            self._as_errors(errors),
+            drive=self.drive,
+            duration=self.duration,
+            method=self.method,
+            save_every=self.save_every,
+        )
+        forces = jnp.stack([load.force for load in run.loads.values()])
+        values = {m.name: jnp.asarray(m(run)) for m in self.metrics}
+        return values, run.status, run.equation_residual, forces
+
+    def _as_errors(self, errors: Errors) -> AssemblyErrors:
+        return errors if isinstance(errors, AssemblyErrors) else assembly_errors(self.model, dict(errors))
+
+
+@Program
+def _values_and_status(problem: Problem, errors: AssemblyErrors) -> tuple[Values, Status]:
+    """A program of its own: that of `simulate` differentiates the histories, too."""
+    return problem.with_residual(errors)[:2]
+
+
+def _known_metric(model: Model, asked: str | Metric) -> Metric:
+    """The metric of a name, or the one given, if the simulator can compute it. Raises InputError."""
+    one = metric(asked) if isinstance(asked, str) else asked
+    joint = joint_of(one)
+    if joint is not None and joint not in model.joint_names:
+        raise InputError(
+            f"Argument `metrics` must be of joints of the model, but {one.name!r} is not; "
+            f"{suggestion(joint, model.joint_names)}"
+        )
+    if one.function is None:
+        raise InputError(
+            f"Argument `metrics` must hold metrics with a function of a run, but {one.name!r} has none; write for "
+            f"example Metric({one.name!r}, function=lambda run: run.angle[-1])."
+        )
+    return one

@@ -1,0 +1,127 @@
+"""Result of a Monte Carlo study: samples, statistics, yields, indices; prints itself.
+
+Place in the pipeline: output of the Monte Carlo study, input of tables, plots and files.
+
+Symbols: N runs, d errors, m metrics, n random samples (the first n of the N runs; the others, if any, belong to the
+design for Sobol' indices and enter no other statistic).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from rfem_jax.tolerancing.layout import align_columns, show_number, wrap_lines
+from rfem_jax.tolerancing.sampling.statistics import ControlledMean, Estimate, SobolIndices
+
+NOT_FINITE = -1  # status of a sample of status 0 with a value that is not finite
+
+
+@dataclass(frozen=True)
+class MetricStatistics:
+    """Statistics of one metric over the good samples, in the metric's unit."""
+
+    mean: Estimate
+    std: Estimate
+    quantiles: dict[float, Estimate]
+    smallest: float
+    largest: float
+
+
+@dataclass(frozen=True)
+class Yield:
+    """Fraction within limits: of the good samples, and of all (a failed sample does not pass)."""
+
+    of_good: Estimate
+    of_all: Estimate
+
+
+@dataclass(frozen=True, eq=False)
+class MonteCarloResult:
+    """Result of a Monte Carlo study.
+
+    names, error_units (d) and metrics, metric_units, labels (m): of the errors that vary and of the metrics;
+    errors [rad or m], values (NaN where the sample failed), status (0 good): of all N runs;
+    samples: n, the first rows, which all statistics use; failures {cause: count} of them;
+    statistics {metric: MetricStatistics};
+    limits {metric: (low, high)}, yields {metric: Yield}, joint_yield (all limits at once; None without limits);
+    sobol_indices {metric: SobolIndices} or None;
+    controlled_means {metric: ControlledMean} or None, control_note: why one is missing;
+    confidence of all intervals; sampling: kind of the random points;
+    chunks_computed: by this process in this call; seconds: its time.
+    """
+
+    names: tuple[str, ...]
+    error_units: tuple[str, ...]
+    metrics: tuple[str, ...]
+    metric_units: tuple[str, ...]
+    labels: tuple[str, ...]
+    errors: Float[np.ndarray, "N d"]
+    values: Float[np.ndarray, "N m"]
+    status: Int[np.ndarray, " N"]
+    samples: int
+    failures: dict[str, int]
+    statistics: dict[str, MetricStatistics]
+    limits: dict[str, tuple[float, float]]
+    yields: dict[str, Yield]
+    joint_yield: Yield | None
+    sobol_indices: dict[str, SobolIndices] | None
+    controlled_means: dict[str, ControlledMean] | None
+    control_note: str | None
+    confidence: float
+    sampling: str
+    chunks_computed: int
+    seconds: float
+
+    @property
+    def good(self) -> int:
+        """Number of random samples that did not fail."""
+        return int(np.sum(self.status[: self.samples] == 0))
+
+    def __str__(self) -> str:
+        failed = self.samples - self.good
+        causes = ", ".join(f"{count} {cause}" for cause, count in self.failures.items())
+        kind = "from independent nets" if self.sampling == "sobol" else "of independent samples"
+        head = f"Monte Carlo: {self.samples} samples ({self.sampling}), {failed} failed"
+        head += f" ({causes})" if causes else ""
+        head += f"; intervals of {100 * self.confidence:g} % confidence, {kind}"
+        lines = [wrap_lines(head), self._statistics_table()]
+        if self.joint_yield is not None:
+            lines += ["", self._yield_table(self.joint_yield)]
+        if self.sobol_indices is not None:
+            lines += ["", self._index_table(self.sobol_indices)]
+        if self.controlled_means:
+            lines += ["", self._control_table(self.controlled_means)]
+        return "\n".join(lines + ([wrap_lines(self.control_note)] if self.control_note else []))
+
+    def _statistics_table(self):
+        fractions = list(next(iter(self.statistics.values())).quantiles)
+        header = ["metric", "mean", "std", *(f"{100 * q:g} %" for q in fractions)]
+        rows = [
+            [f"{name} [{unit or 1}]", str(s.mean), str(s.std), *(str(s.quantiles[q]) for q in fractions)]
+            for (name, s), unit in zip(self.statistics.items(), self.metric_units, strict=True)
+        ]
+        return align_columns(header, rows)
+
+    def _yield_table(self, together):
+        rows = [
+            [name, *map(show_number, self.limits[name]), str(y.of_good), str(y.of_all)]
+            for name, y in self.yields.items()
+        ]
+        rows.append(["all limits", "", "", str(together.of_good), str(together.of_all)])
+        return align_columns(["limit", "low", "high", "yield of good", "yield of all"], rows)
+
+    def _index_table(self, found):
+        rows = [
+            [name, factor, str(indices.first_order[factor]), str(indices.total[factor])]
+            for name, indices in found.items()
+            for factor in indices.total
+        ]
+        return align_columns(["metric", "factor", "first-order index", "total index"], rows)
+
+    def _control_table(self, found):
+        rows = [
+            [name, str(c.mean), show_number(c.variance_reduction), show_number(c.coefficient)]
+            for name, c in found.items()
+        ]
+        return align_columns(["metric", "controlled mean", "variance ratio", "coefficient"], rows)
