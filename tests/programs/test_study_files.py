@@ -120,3 +120,30 @@ def test_tolerance_studies(run_command, name, command):
     written = {path.suffix for path in out.iterdir()}
     assert {".json", ".csv", ".png"} <= written
     assert "D.delta_x" in said
+
+
+@pytest.mark.slow
+def test_check(run_program, tmp_path):
+    """What was understood, what it will cost, and the largest stable step."""
+    file = tmp_path / "study.toml"
+    file.write_text(reduced("four_bar/study.toml"), encoding="utf-8")
+    said = run_program("rfem_jax.report.command_line", "check", file)
+    for word in ("crank", "coupler", "rocker", "P5", "rank", "computed together", "Largest stable step"):
+        assert word in said
+    assert [path.name for path in tmp_path.iterdir()] == ["study.toml"]
+
+
+def test_keys(run_program):
+    """All keys that the study files of this repository use are in the reference."""
+    said = run_program("rfem_jax.report.command_line", "keys")
+    for name in FILES:
+        for table, content in tomllib.loads((STUDIES / name).read_text(encoding="utf-8")).items():
+            keys = content if isinstance(content, dict) and table not in ("tolerances",) else ()
+            assert [key for key in (table, *keys) if key not in said] == []
+
+
+@pytest.mark.slow
+def test_validate(run_program, tmp_path):
+    said = run_program("rfem_jax.report.command_line", "validate", "--only", "elastica", "--out", tmp_path)
+    assert "Elastica" in said and "0 not met for a known reason, 0 fail" in said
+    assert {".json", ".csv", ".png"} <= {path.suffix for path in tmp_path.iterdir()}
