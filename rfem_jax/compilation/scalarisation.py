@@ -38,6 +38,13 @@ ELEMENTWISE = frozenset(
         "convert_element_type name optimization_barrier"
     ).split()
 )
+# Those that are carried out on numbers without rounding: a program for each would wait for those that are being
+# compiled in the background.
+BY_NUMPY: dict[str, Callable] = {
+    "convert_element_type": np.asarray, "lt": np.less, "le": np.less_equal, "gt": np.greater, "ge": np.greater_equal,
+    "eq": np.equal, "ne": np.not_equal, "and": np.bitwise_and, "or": np.bitwise_or, "not": np.invert, "abs": np.abs,
+    "sign": np.sign, "max": np.maximum, "min": np.minimum, "name": np.asarray,
+}  # fmt: skip
 CALLS = frozenset(["jit", "pjit", "closed_call", "checkpoint", "remat", "remat2", "custom_jvp_call", "custom_vjp_call"])
 # Primitives that only move entries, and how many of their operands hold entries; the others are indices.
 MOVING = {"gather": 1, "dynamic_slice": 1, "dynamic_update_slice": 2, "pad": 2, "split": 1, "scatter": 2}
@@ -238,6 +245,10 @@ def _bound(equation, *scalars):
     """A primitive applied to one entry of each operand; a number, if all of these are."""
     dtypes = [variable.aval.dtype for variable in equation.invars]
     if all(map(_known, scalars)):
+        exact = BY_NUMPY.get(equation.primitive.name)
+        if exact is not None:
+            result = exact(*(np.asarray(x, dtype) for x, dtype in zip(scalars, dtypes)))
+            return np.asarray(result, equation.outvars[0].aval.dtype)[()]
         with jax.ensure_compile_time_eval():
             arguments = [jnp.asarray(x, dtype) for x, dtype in zip(scalars, dtypes)]
             return np.asarray(_bind(equation, arguments)[0])[()]
@@ -262,9 +273,29 @@ def _moved(equation, parts, count: int):
     numbers += [np.array(part.tolist(), variable.aval.dtype) for part, variable in operands[count:]]
     if equation.primitive.name == "scatter":
         numbers[1], numbers[2] = numbers[2], numbers[1]
+    if equation.primitive.name == "gather":
+        found = _gathered(*numbers, **equation.params)
+        return _by_arrays(equation, parts) if found is None else [entries[found]]
     with jax.ensure_compile_time_eval():
         results = [np.asarray(x) for x in _bind(equation, [jnp.asarray(x) for x in numbers])]
     return [entries[x] for x in results]
+
+
+def _gathered(operand, indices, *, dimension_numbers, slice_sizes, **_) -> np.ndarray | None:
+    """`lax.gather` in NumPy, which compiles nothing; None for windows that are not within the operand."""
+    numbers, places = dimension_numbers, indices.shape[:-1]
+    taken = np.empty((*places, *slice_sizes), operand.dtype)
+    for place in np.ndindex(*places):
+        start = np.zeros(operand.ndim, int)
+        start[list(numbers.start_index_map)] = indices[place]
+        for axis, batch in zip(numbers.operand_batching_dims, numbers.start_indices_batching_dims):
+            start[axis] = place[batch]
+        if (start < 0).any() or (start + slice_sizes > operand.shape).any():
+            return None
+        taken[place] = operand[tuple(slice(a, a + size) for a, size in zip(start, slice_sizes))]
+    gone = (*numbers.collapsed_slice_dims, *numbers.operand_batching_dims)
+    taken = taken.reshape(*places, *(size for axis, size in enumerate(slice_sizes) if axis not in gone))
+    return np.moveaxis(taken, range(len(places), taken.ndim), numbers.offset_dims)
 
 
 def _reduced(function, nothing, values, axes):

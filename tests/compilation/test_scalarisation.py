@@ -1,6 +1,7 @@
 """Scalarised jaxprs give the results of the operations on arrays, in all transformations: every kind of primitive, and
 the right-hand sides of mechanisms."""
 
+import functools
 from dataclasses import replace
 
 import jax
@@ -19,6 +20,7 @@ from rfem_jax import (
     discretise,
     simulate,
 )  # fmt: skip
+from rfem_jax.compilation import scalarisation
 from rfem_jax.compilation.scalarisation import scalarised
 from rfem_jax.mechanics.inputs import Stabilisation
 from rfem_jax.mechanics.model_with_errors import apply_errors
@@ -120,6 +122,41 @@ def test_results_are_those_of_arrays(function):
 
 def primitives(function, *arguments):
     return [equation.primitive.name for equation in jax.make_jaxpr(function)(*arguments).jaxpr.eqns]
+
+
+GATHERS = {
+    "rows": lambda x: x[PLACES],
+    "columns": lambda x: x[:, PLACES],
+    "entries": lambda x: x[PLACES, 1 + PLACES[::-1]],
+    "a table of places": lambda x: x[np.array([[0, 2], [1, 1]])],
+    "a place of an axis": lambda x: x.reshape(2, 3, 2)[:, PLACES, 1],
+    "a place in every row": lambda x: jax.vmap(lambda row, i: row[i])(x, PLACES),
+    "along an axis": lambda x: jnp.take_along_axis(x, np.array([[1, 0, 3, 3]] * 3), axis=1),
+    "windows": lambda x: jax.vmap(lambda i: lax.dynamic_slice(x, (i, 1), (1, 2)))(PLACES),
+    "windows of the last axis": lambda x: jax.vmap(lambda i: lax.dynamic_slice(x, (0, i), (3, 2)), out_axes=1)(PLACES),
+}
+
+
+@pytest.mark.parametrize("name", GATHERS)
+def test_gathers_are_carried_out_in_numpy(name, monkeypatch):
+    """No program is compiled for them while another one is traced."""
+    found = []
+    gathered = scalarisation._gathered
+
+    def noted(*arguments, **settings):
+        found.append(gathered(*arguments, **settings) is not None)
+        return gathered(*arguments, **settings)
+
+    monkeypatch.setattr(scalarisation, "_gathered", noted)
+    np.testing.assert_array_equal(scalarised(GATHERS[name])(X), GATHERS[name](X))
+    assert found and all(found)
+
+
+def test_a_gather_beyond_the_operand_is_left_to_jax():
+    """Windows are moved inside, entries are filled in."""
+    for mode in ("clip", "fill"):
+        beyond = functools.partial(jnp.take, indices=np.array([0, 7]), axis=0, mode=mode)
+        np.testing.assert_array_equal(scalarised(beyond)(X), beyond(X))
 
 
 def test_operations_with_known_zeros_disappear():
