@@ -64,6 +64,7 @@ class Study(ChecksItself):
         path: the file it was read from.
         note: what a reader of the results must know; shown with every table and picture.
         tasks: tolerances of the errors and the tolerance studies to do.
+        asked_method: the Method that was asked for, where `method` was chosen for it; None = `method`.
     Raises:
         InputError: parts do not fit each other.
     """
@@ -78,6 +79,7 @@ class Study(ChecksItself):
     path: Path | None = None
     note: str = ""
     tasks: Tasks = field(default_factory=Tasks)
+    asked_method: Method | None = None
 
     def _check_fields(self, checks: Checks) -> None:
         drives = (MomentDrive, PrescribedDrive, type(None))

@@ -185,7 +185,7 @@ def _settle_method(study: Study) -> Study:
     _announce("Choosing the method and its step")
     method = choose_method(model, study.method, study.drive, study.duration, save_every=study.save_every)
     show(f"Method auto: {method.name} with a step of {method.step:.3g} s.")
-    return replace(study, method=method)
+    return replace(study, method=method, asked_method=study.method)
 
 
 def _discretise(study: Study) -> Model:
@@ -242,6 +242,7 @@ def _run(arguments: argparse.Namespace) -> int:
     from rfem_jax.simulation import STATUS
 
     require_folder(arguments.out)
+    _require_task_folders(study, study.tasks.declared, arguments.out)
     study = _settle_method(study)
     folder = open_folder(arguments.out)
     runs = _simulate(study)
@@ -273,6 +274,16 @@ def _write_task(study: Study, task: str, folder: Path) -> tuple[bool, list[Path]
         raise _cannot_write(folder, problem) from problem
 
 
+def _require_task_folders(study: Study, tasks: Sequence[str], out: str | Path) -> None:
+    """See that the folder can hold what these tasks keep there, before anything is computed."""
+    if not tasks:
+        return
+    from rfem_jax.report.tasks.task_report import report_on
+
+    for task in tasks:
+        report_on(study, task).require_folder(Path(out))
+
+
 def _do_task(arguments: argparse.Namespace) -> int:
     from rfem_jax.description import load_study
 
@@ -284,6 +295,7 @@ def _do_task(arguments: argparse.Namespace) -> int:
 
     require_task(study, arguments.task)
     require_folder(arguments.out)
+    _require_task_folders(study, (arguments.task,), arguments.out)
     study = _settle_method(study)
     folder = open_folder(arguments.out)
     good, written = _write_task(study, arguments.task, folder)

@@ -5,6 +5,8 @@ Failed samples are counted, and not drawn; a study succeeds as long as any sampl
 mm, metrics in their own units.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +14,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
+from rfem_jax.compilation import keys
 from rfem_jax.compilation.stages import on_stage
 from rfem_jax.description.error_catalogue import as_specified
 from rfem_jax.description.errors import InputError
@@ -35,6 +38,7 @@ from rfem_jax.tolerancing import monte_carlo as sample_problem
 from rfem_jax.tolerancing.monte_carlo_result import MonteCarloResult
 from rfem_jax.tolerancing.results_store import StudyFolderError
 from rfem_jax.tolerancing.statistics import Estimate
+from rfem_jax.tolerancing.study_identity import require_folder
 
 MOST_PANELS = 12
 MOST_EACH = 4  # errors and metrics of a scatter matrix
@@ -42,6 +46,15 @@ MOST_EACH = 4  # errors and metrics of a scatter matrix
 
 class MonteCarloReport(TaskReport[MonteCarloTask, MonteCarloResult]):
     """Scatter of metrics over the tolerances."""
+
+    def require_folder(self, folder: Path) -> None:
+        task = self.task
+        with self._folder_in_words(folder):
+            require_folder(
+                folder / self.name, task.metrics, Tolerances.of(self.study), jax.random.key(task.seed),
+                batch=task.batch, lanes=task.lanes, sampling=task.sampling, sobol_indices=task.sobol_indices,
+                description=describe_study(self.study),
+            )  # fmt: skip
 
     def run(self, folder: Path) -> MonteCarloResult:
         """The scatter of all metrics; chunks are kept in `folder`/monte_carlo, where a run continues.
@@ -60,14 +73,20 @@ class MonteCarloReport(TaskReport[MonteCarloTask, MonteCarloResult]):
             on_stage(stage, done / total)
 
         progress: Any = report
-        try:
+        with self._folder_in_words(folder):
             return sample_problem(
                 study_problem.build_problem(self.study, task.metrics), tolerances, task.n,
                 jax.random.key(task.seed), batch=task.batch, lanes=task.lanes, sampling=task.sampling,
                 limits=task.limits, quantiles=task.quantiles, confidence=task.confidence,
                 sobol_indices=task.sobol_indices, control_variate=task.control_variate or None,
-                resume=folder / self.name, progress=progress,
+                resume=folder / self.name, progress=progress, description=describe_study(self.study),
             )  # fmt: skip
+
+    @contextmanager
+    def _folder_in_words(self, folder: Path) -> Iterator[None]:
+        """In which a folder that cannot be used is refused in the words of the command line."""
+        try:
+            yield
         except StudyFolderError as problem:
             raise InputError(
                 "Argument `--out` must be a folder in which this Monte Carlo study can start or "
@@ -119,6 +138,19 @@ class MonteCarloReport(TaskReport[MonteCarloTask, MonteCarloResult]):
             "histograms": histogram_figure(self.study, result),
             "scatter_matrix": scatter_matrix_figure(self.study, result),
         }
+
+
+def describe_study(study: Study) -> dict[str, str]:
+    """Digests of what the problem of a study is made of, {name: digest}, without those of which none is known (with a
+    function of the user): known before a model is built."""
+    method = study.method if study.asked_method is None else study.asked_method
+    parts = {"mechanism": study.mechanism, "drive": study.drive}
+    parts["simulation"] = (study.duration, method, study.save_every)
+    found = {}
+    for name, part in parts.items():
+        with suppress(keys.NotDigestible):
+            found[name] = keys.digest_value(part)
+    return found
 
 
 def sample_rows(result: MonteCarloResult) -> list[dict[str, Any]]:
