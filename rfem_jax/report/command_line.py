@@ -3,8 +3,8 @@
 Place in the pipeline: the outermost layer; it calls `load_study` (description), `discretise` and `describe`
 (mechanics), `check_step` and `run_cases` (simulation), `tasks` for tolerance studies (one subcommand for every kind of
 task), and the other modules of this package; `progress_line` shows what is being done. Exit codes: 0 done; 2 the input
-is wrong (one sentence on standard error); 3 a case or a task failed (results are written all the same); 130
-interrupted.
+is wrong (one sentence on standard error); 3 a case or a task failed (results are written all the same); 1 nobody reads
+what is printed any more; 130 interrupted.
 
 Imports that take seconds (JAX, matplotlib) are inside the functions: `--help` is instant.
 """
@@ -21,10 +21,10 @@ from typing import NoReturn
 
 from rfem_jax.report.annotations import Model, Run, Study, Summaries
 from rfem_jax.report.process import count_devices, join_processes, require_platform, set_up_jax
-from rfem_jax.report.progress_line import ProgressLine, say, show
+from rfem_jax.report.progress_line import ClosedPipe, ProgressLine, discard, say, show
 from rfem_jax.task_kinds import task_kinds
 
-DONE, WRONG_INPUT, CASE_FAILED, INTERRUPTED = 0, 2, 3, 130
+DONE, UNREAD, WRONG_INPUT, CASE_FAILED, INTERRUPTED = 0, 1, 2, 3, 130
 
 
 class _Parser(argparse.ArgumentParser):
@@ -48,7 +48,8 @@ def build_parser() -> argparse.ArgumentParser:
     parser = _Parser(
         prog="rfem-jax",
         description="Loads in the joints of mechanisms with flexible links and assembly errors.",
-        epilog="Exit codes: 0 done; 2 the input is wrong; 3 a case or a task failed; 130 interrupted.",
+        epilog="Exit codes: 0 done; 1 the output is no longer read (as in a pipe to head); 2 the input is wrong; "
+        "3 a case or a task failed; 130 interrupted.",
     )
     parser.add_argument("--version", action="version", version=f"rfem-jax {_version()}")
     commands = parser.add_subparsers(title="commands", dest="command", required=True)
@@ -387,6 +388,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns the exit code; wrong input, an interruption and files that cannot be written become
     one sentence on standard error, anything else is a fault of this program and raises.
     """
+    try:
+        code = _main(argv)
+        sys.stdout.flush()
+    except (ClosedPipe, BrokenPipeError):
+        discard(sys.stdout)
+        return UNREAD
+    return code
+
+
+def _main(argv: Sequence[str] | None) -> int:
     try:
         arguments = build_parser().parse_args(argv)
     except SystemExit as end:
