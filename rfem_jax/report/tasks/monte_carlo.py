@@ -22,6 +22,7 @@ from rfem_jax.description.study import Study
 from rfem_jax.description.tasks.monte_carlo import MonteCarloTask
 from rfem_jax.report.annotations import Axes, Figure
 from rfem_jax.report.output import write_csv
+from rfem_jax.report.quantities import column_name
 from rfem_jax.report.style import (
     BAR_COLOURS,
     CASE_COLOURS,
@@ -104,7 +105,8 @@ class MonteCarloReport(TaskReport[MonteCarloTask, MonteCarloResult]):
         return f"Process {jax.process_index()} computed {result.chunks_computed} chunks."
 
     def write(self, folder: Path, result: MonteCarloResult) -> list[Path]:
-        """Write monte_carlo.json and monte_carlo.csv (one row per sample: status, errors, metrics)."""
+        """Write monte_carlo.json and monte_carlo.csv (one row per sample: status, errors, metrics, with their units in
+        the names of the columns)."""
         together = result.joint_yield
         content = {
             "samples": result.samples,
@@ -154,13 +156,14 @@ def describe_study(study: Study) -> dict[str, str]:
 
 
 def sample_rows(result: MonteCarloResult) -> list[dict[str, Any]]:
-    """One row per sample: its number, status, errors [rad, m] and metrics."""
-    errors = [f"{n}_{u}" for n, u in zip(result.names, result.error_units, strict=True)]
+    """One row per sample: its number, status, errors [rad, m] and metrics, {column with unit: value}."""
+    errors = [column_name(*named) for named in zip(result.names, result.error_units, strict=True)]
+    metrics = [column_name(*named) for named in zip(result.metrics, result.metric_units, strict=True)]
     rows: list[dict[str, Any]] = []
     for index in range(result.samples):
         row = {"sample": index, "status": int(result.status[index])}
         row |= dict(zip(errors, result.errors[index], strict=True))
-        row |= dict(zip(result.metrics, result.values[index], strict=True))
+        row |= dict(zip(metrics, result.values[index], strict=True))
         rows.append(row)
     return rows
 
