@@ -28,8 +28,8 @@ class Joint(ChecksItself):
         child_position: (x, y, z) [m] in the child's frame; None = the child's origin for a joint of
             the tree, its far end for a cut joint.
         child_orientation: angles (about x, y, z) [rad] in the child's frame.
-        angle: approximate start value [rad] of the joint coordinate; a joint of the tree only,
-            where None means 0 (a cut joint keeps None).
+        angle: approximate start value [rad] of the joint coordinate; None = 0. Not of a cut joint,
+            whose angle follows from closing the loop.
         cut: True if the joint closes a loop and is expressed by constraint equations.
     Raises:
         InputError: a value is out of range or of the wrong kind.

@@ -151,7 +151,7 @@ class Mechanism(ChecksItself):
             other = parents.setdefault(joint.child, joint)
             if other is not joint:
                 problems.found.append(
-                    f"Argument `joints` must reach link `{joint.child}` on one way only, but the "
+                    f"Argument `joints` must reach link `{joint.child}` by one path only, but the "
                     f"joints `{other.name}` and `{joint.name}` both have it as their child: a "
                     "closed loop; declare one joint of the loop cut = true."
                 )
@@ -240,8 +240,8 @@ def _check_reaches_base(name: str, parents: dict[str, Joint]) -> None:
         if name in seen:
             loop = " -> ".join((*seen[seen.index(name) :], name))
             raise InputError(
-                f"Argument `joints` must connect every link to the base, but the links {loop} only "
-                "follow each other: a closed loop; declare one joint of the loop cut = true and "
+                f"Argument `joints` must connect every link to the base, but the links {loop} "
+                "form a closed loop of their own; declare one joint of the loop cut = true and "
                 "join one of its links to the base."
             )
         seen.append(name)

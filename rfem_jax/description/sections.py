@@ -173,7 +173,7 @@ class Tube(_Shape):
     Args:
         outer_diameter: [m], > 0.
         wall: thickness [m], > 0 and less than half of the outer diameter.
-        shear_factor: kappa [1], > 0; None takes Cowper's value for nu = 0,
+        shear_factor: kappa [1], > 0; None = Cowper's value for nu = 0,
             7/6 + (10/3) r^2 / (1 + r^2)^2 with r = inner / outer diameter (2 for a thin wall).
     """
 

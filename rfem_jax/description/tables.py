@@ -55,7 +55,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         ) from None
     except RecursionError:
         raise InputError(
-            f"Study file `{path}` must have brackets a few deep, but has hundreds in each other; close them earlier."
+            f"Study file `{path}` must nest brackets a few levels deep, but nests hundreds; close them earlier."
         ) from None
 
 

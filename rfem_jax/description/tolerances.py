@@ -31,7 +31,7 @@ class SpecifiedTolerance(ChecksItself):
         half_width: t [rad or m], > 0; this or else `interval`.
         distribution: "uniform", "triangular", "normal" or "truncated_normal".
         interval: (low, high) [rad or m].
-        deviations: k, standard deviations in a half-width of the normal ones; None is 3.
+        deviations: k, standard deviations in a half-width of the normal ones; None = 3.
     Raises: InputError for names, numbers or settings that are out of range or do not fit each other.
     """
 

@@ -127,8 +127,8 @@ def _add_processes(command: argparse.ArgumentParser) -> None:
         "Start the same command once per process; they share the folder DIR.",
     )
     group.add_argument("--coordinator", metavar="HOST:PORT", help="address of process 0")
-    group.add_argument("--processes", metavar="N", type=int, help="how many there are")
-    group.add_argument("--process-id", metavar="I", type=int, help="which one this is, from 0")
+    group.add_argument("--processes", metavar="N", type=int, help="number of processes")
+    group.add_argument("--process-id", metavar="I", type=int, help="number of this process, from 0")
 
 
 def require_folder(out: str | Path) -> None:

@@ -72,7 +72,7 @@ BALANCES = (
 ENERGIES = (
     Quantity("kinetic", "J", "Kinetic energy", "of all links"),
     Quantity("elastic", "J", "Elastic energy", "of the flexible links"),
-    Quantity("gravity", "J", "Gravity energy", "potential energy of weight"),
+    Quantity("gravity", "J", "Gravitational energy", "potential energy of the weight"),
     Quantity("total", "J", "Total mechanical energy", "kinetic + elastic + gravity"),
     Quantity("work", "J", "Work of the drive", "done since the start"),
     Quantity("dissipation", "J", "Dissipated energy", "lost in material damping since the start"),

@@ -192,9 +192,9 @@ class Sensitivities:
 
 _REMARKS = {
     "slope": "",
-    "even": "; even here: the gradient vanishes, the Hessian counts",
-    "mixed": "; even in some errors: their gradients vanish, the Hessian counts",
-    "kink": "; zero and even here: its square root has a kink, with a one-sided derivative in every direction",
+    "even": "; even in the errors at this point: the gradient vanishes, use the Hessian",
+    "mixed": "; even in some errors: their derivatives vanish, use the Hessian",
+    "kink": "; zero and even at this point: its square root has a kink, with a one-sided derivative in every direction",
     "flat": "; no error has an effect",
     "none": "; no finite derivative here (a root has a kink at zero: take its mean square)",
 }

@@ -24,7 +24,7 @@ from rfem_jax.validation.lines import (
 GOOD = relative("Beam", "deflection", 1.004, 1.0, 0.01, "closed form", "m")
 BAD = absolute("Beam", "slope", 0.13, 0.1, 0.01, "Euler 1744", "rad")
 KNOWN = relative("Table", "extension", 2.0, 1.0, 0.5, "Author 1990", "m", reason="its data are off")
-WORD = same("Branch", "after the fold", "left", "left", "Author 1990")
+WORD = same("Branch", "after the change point", "left", "left", "Author 1990")
 PICTURE = Picture("beam", "Beam", "x, m", "m", (
     Curve("ours", np.arange(3.0), np.arange(3.0)),
     Curve("reference", np.arange(3.0), np.arange(3.0), reference=True),

@@ -39,7 +39,7 @@ class ErrorCost(ChecksItself):
         model: "reciprocal" fixed + price at/t, "reciprocal_squared" fixed + price (at/t)^2, or
             "exponential" fixed + price exp(-t/at).
         price: in any currency, > 0.
-        at: scale of the half-width t [rad or m]; None the largest bound of the error (in a study file: its
+        at: scale of the half-width t [rad or m]; None = the largest bound of the error (in a study file: its
             tolerance, where it has one).
         fixed: in the same currency.
     """
@@ -76,15 +76,15 @@ class AllocationTask(Task):
         bounds: {error: (smallest, largest half-width)} in rad and m.
         costs: {error: ErrorCost}, one for each of the bounds.
         criterion: "worst_case", "rss" or "yield".
-        target: share of good mechanisms, between 0 and 1; of the criterion "yield" alone.
+        target: fraction of mechanisms that keep all limits, between 0 and 1; of the criterion "yield" alone.
         coverage: standard deviations within the limits; of "rss" alone.
         statistic: "quantile" or "mean"; of "rss" alone.
         distribution: of the errors: "uniform", "triangular", "normal" or "truncated_normal".
         samples: simulations that the statistics come from; None for the default. Not of "worst_case".
-        verify_samples: fresh simulations that verify the answer. Not of "worst_case".
+        verify_samples: independent simulations that verify the answer. Not of "worst_case".
         starts: numbers of searches by the kind of their starting points, {"corners", "random", "sobol"};
             of "worst_case" alone.
-        rounds: the most corrections until the answer settles.
+        rounds: largest number of corrections until the answer converges.
         accuracy: relative, of the limits.
         scales: further allocations, with every limit's distance to the nominal value multiplied by these.
         seed: of random starts and samples.

@@ -29,8 +29,8 @@ class WorstCaseTask(Task):
         sense: "max" or "min".
         seed: of the random starts.
         starts: numbers of searches by the kind of their starting points, {"corners", "random", "sobol"}.
-        corners: True to compute all corners of the box, False for none, None where there are few.
-        evaluations: the most of each search.
+        corners: True to compute all corners of the box, False for none; None = only where there are few.
+        evaluations: largest number of evaluations of each search.
         mode: of differentiation: "auto", "forward" or "reverse".
         batch: simulations at once.
     Raises: InputError for settings that are out of range or do not fit each other.
