@@ -17,7 +17,7 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from rfem_jax.report.annotations import Model, Run, Study, Summaries
 from rfem_jax.report.process import count_devices, join_processes, require_platform, set_up_jax
@@ -94,6 +94,11 @@ def build_parser() -> argparse.ArgumentParser:
         "table", metavar="WORD", nargs="?", help='tables with this word in their header, such as "joints"'
     )
     keys.set_defaults(action=_keys, cache=True)
+    _add_validate(commands)
+    return parser
+
+
+def _add_validate(commands: Any) -> None:
     validate = commands.add_parser(
         "validate",
         help="compute published benchmarks and compare with their reference values",
@@ -105,7 +110,6 @@ def build_parser() -> argparse.ArgumentParser:
     validate.add_argument("--only", metavar="NAME", nargs="+", help="these benchmarks only")
     validate.add_argument("--out", metavar="DIR", help="folder for tables and pictures")
     validate.set_defaults(action=_validate)
-    return parser
 
 
 def _add_common(command: argparse.ArgumentParser) -> None:

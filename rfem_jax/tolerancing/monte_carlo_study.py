@@ -50,7 +50,7 @@ from rfem_jax.tolerancing.statistics import (
     estimate_yield,
     require_confidence,
 )
-from rfem_jax.tolerancing.study_identity import identify_problem, identify_request
+from rfem_jax.tolerancing.study_identity import identify
 
 QUANTILES = (0.01, 0.05, 0.5, 0.95, 0.99)
 
@@ -92,8 +92,7 @@ def monte_carlo(
         progress: True for a bar with rate and remaining time, or a function of (done, total).
         lanes: samples that each device computes at once (None: a constant for the kind of device). A chunk takes
             ceil(batch / (lanes x devices)) launches. The last bit of a result may depend on lanes, on nothing else.
-        description: what the problem is made of, {name: text or digest}; it is kept in the folder, so that
-            `study_identity.require_folder` finds one of another study before the problem is built.
+        description: of what the problem is made, {name: text}, kept in the folder for `study_identity.require_folder`.
     Raises: InputError for unknown names, bad numbers, and a folder of another study; ChunkWriteError (an OSError) when
         the disk is full: finished chunks are kept.
     """
@@ -108,17 +107,14 @@ def monte_carlo(
     design = _design(key, whole_number(_as_int(n), "n", 1), tolerances, sampling, sobol_indices)
     store = None
     if resume is not None:
-        study = identify_request(
-            [metric.name for metric in problem.metrics], tolerances, key, batch=batch, lanes=lanes,
-            sampling=sampling, sobol_indices=sobol_indices,
-        )  # fmt: skip
-        store = ResultsStore(resume, study | identify_problem(problem), {"n": design.n}, description)
+        settings = {"batch": batch, "lanes": lanes, "sampling": sampling, "sobol_indices": sobol_indices}
+        store = ResultsStore(resume, identify(problem, tolerances, key, **settings), {"n": design.n}, description)
     started = time.monotonic()
     samples, computed = run_chunks(
         problem, tolerances, design.points, batch=batch, lanes=lanes, store=store, progress=progress
     )
-    seconds = time.monotonic() - started
-    return _report(problem, tolerances, design, asked, model, samples, (computed, seconds))
+    cost = computed, time.monotonic() - started
+    return _report(problem, tolerances, design, asked, model, samples, cost)
 
 
 @dataclass(frozen=True, eq=False)

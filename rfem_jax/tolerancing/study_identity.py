@@ -50,9 +50,10 @@ def identify_request(
     }
 
 
-def identify_problem(problem: ToleranceProblem) -> dict[str, Any]:
-    """What distinguishes the problem of a study from others."""
-    return {"problem": fingerprint_problem(problem)}
+def identify(problem: ToleranceProblem, tolerances: Tolerances, key: RandomKey, **settings: Any) -> dict[str, Any]:
+    """Everything that distinguishes a study from others; settings as of `identify_request`."""
+    request = identify_request([metric.name for metric in problem.metrics], tolerances, key, **settings)
+    return request | {"problem": fingerprint_problem(problem)}
 
 
 def require_folder(
