@@ -94,7 +94,7 @@ class Checks(Problems):
     Args: owner, the object. A field that is ABSENT counts as one with a mistake, of which nothing is told here.
     """
 
-    def __init__(self, owner: object):
+    def __init__(self, owner: Any):
         super().__init__()
         self.owner = owner
         self.wrong = {name for name, value in vars(owner).items() if value is ABSENT}

@@ -7,6 +7,7 @@ Symbols: duration, save_every [s]; errors of a case in m and rad (`error_catalog
 """
 
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -242,7 +243,7 @@ def _read_cases(entries: object) -> tuple[Case, ...]:
 def _read_case(entry: object, place: str) -> Case:
     problems, case = Problems(), None
     settings = problems.usable(lambda: checked_table(entry, place, *CASE_KEYS))
-    with problems.noted():
+    with problems.noted(), located(place) if settings["name"] is ABSENT else nullcontext():
         case = Case(**settings)
     problems.refuse()
     assert case is not None, "what is missing has been noted"

@@ -183,7 +183,7 @@ def _read_tolerance(error: str, entry: object, place: str) -> SpecifiedTolerance
     keys = keys_of(SpecifiedTolerance, ("error",))
     settings = problems.usable(lambda: checked_table(settings, f"{place} `{error}`", *keys))
     if not known:  # nor the unit of its values
-        settings |= {key: ABSENT for key in ("half_width", "interval") if key in settings}
+        settings = settings | {key: ABSENT for key in ("half_width", "interval") if key in settings}
     return build(SpecifiedTolerance, {"error": error, **settings}, place, problems)
 
 
@@ -230,7 +230,8 @@ def _correlation(correlation: Any, d: int | None, where: str) -> tuple[tuple[flo
     if d is None:
         d = max(len(correlation), 2) if isinstance(correlation, (list, tuple)) else 2
     if isinstance(correlation, (int, float)) and not isinstance(correlation, bool):
-        matrix = np.full((d, d), float(correlation)) + (1.0 - correlation) * np.eye(d)
+        matrix = np.full((d, d), float(correlation))
+        np.fill_diagonal(matrix, 1.0)
     else:
         try:
             matrix = np.array(correlation, dtype=float)

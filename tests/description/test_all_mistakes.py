@@ -100,6 +100,8 @@ CASES = {
         {'name = "P2"\nerrors = { "D.delta_x" = "0.5 deg" }': 'name = "P/2"\nnote = 1\nerrors = { "D.d_x" = "m" }'},
         "name note D.d_x",
     ),
+    "case without a name": (TEXT, {'name = "P4"\n': "", '"0.5 mm"': '"0.5 deg"'}, "name D.d_y"),
+    "metrics that are no words": (MAIN, {'metrics = "D.mean_square_force"': "metrics = [[1], 2]"}, "metrics metrics"),
     "a mistake in one table and others in the rest": (
         TEXT,
         {'"D.delta_x" =': '"E.delta_x" =', "step = 1e-5": "step = 0", 'joint = "A"\nkind': 'joint = "E"\nkind'},
@@ -228,6 +230,7 @@ def test_mistakes_of_one_table_are_told_together(tmp_path, name):
         (lambda: Joint("a", "b.c", "base", position=1, angle="1 m"), "parent child position angle"),
         (lambda: MomentTable("a b", [1.0, 2.0], ["1 N"]), "joint times moments"),
         (lambda: MonteCarloTask(0, ("x",), quantiles=1, seed=0.5), "n metrics quantiles seed"),
+        (lambda: MonteCarloTask(None, ("x",), quantiles=None, seed=None, lanes=None), "n metrics quantiles seed"),
     ],
 )
 def test_an_object_made_in_python_tells_all_mistakes(make, arguments):

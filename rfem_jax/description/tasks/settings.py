@@ -6,6 +6,7 @@ Metrics are named as `metric_catalogue` says, or "*.KIND" for all joints; limits
 """
 
 from collections.abc import Callable, Collection
+from dataclasses import fields
 from typing import Any
 
 from rfem_jax.description.errors import Checks, InputError, Problems, require_choice, suggestion
@@ -31,7 +32,7 @@ def metric_names(names: object) -> tuple[str, ...]:
     problems = []
     for name in names:
         joint, dot, kind = name.rpartition(".") if isinstance(name, str) else ("", "", "")
-        if name in RUN_METRICS or (joint and dot and kind in JOINT_METRICS):
+        if isinstance(name, str) and (name in RUN_METRICS or (joint and dot and kind in JOINT_METRICS)):
             continue
         known = [f"{joint or '*'}.{kind}" for kind in JOINT_METRICS] + list(RUN_METRICS)
         problems.append(
@@ -129,9 +130,10 @@ def fractions(values: object, where: str) -> tuple[float, ...]:
 
 
 def convert_all(checks: Checks, names: Collection[str], convert: Callable[..., object], *arguments: object) -> None:
-    """Convert fields by convert(value, name, *arguments), unless they are None."""
+    """Convert fields of a dataclass by convert(value, name, *arguments); None stays where it is the default."""
+    may_be_none = {one.name for one in fields(checks.owner) if one.default is None}
     for name in names:
-        if getattr(checks.owner, name) is not None:
+        if getattr(checks.owner, name) is not None or name not in may_be_none:
             checks.convert(name, convert, name, *arguments)
 
 
