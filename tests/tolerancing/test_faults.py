@@ -21,8 +21,8 @@ from rfem_jax.tolerancing.problems import execution, results_store
 from rfem_jax.tolerancing.problems.distributions import Tolerances, Uniform
 from rfem_jax.tolerancing.problems.problem import FunctionProblem
 from rfem_jax.tolerancing.problems.results_store import ChunkWriteError, CorruptChunkWarning, ResultsStore
-from rfem_jax.tolerancing.problems.study_identity import require_folder
 from rfem_jax.tolerancing.sampling.monte_carlo_study import monte_carlo
+from rfem_jax.tolerancing.sampling.study_identity import require_folder
 
 jax.config.update("jax_enable_x64", True)
 

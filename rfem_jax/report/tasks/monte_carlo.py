@@ -37,9 +37,9 @@ from rfem_jax.report.tasks.task_report import TaskReport
 from rfem_jax.tolerancing import Tolerances
 from rfem_jax.tolerancing import monte_carlo as sample_problem
 from rfem_jax.tolerancing.problems.results_store import StudyFolderError
-from rfem_jax.tolerancing.problems.study_identity import require_folder
 from rfem_jax.tolerancing.sampling.monte_carlo_result import MonteCarloResult
 from rfem_jax.tolerancing.sampling.statistics import Estimate
+from rfem_jax.tolerancing.sampling.study_identity import require_folder
 
 MOST_PANELS = 12
 MOST_EACH = 4  # errors and metrics of a scatter matrix

@@ -31,7 +31,6 @@ from rfem_jax.tolerancing.problems.execution import Arrays, default_lanes, run_c
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem
 from rfem_jax.tolerancing.problems.quadratic_model import QuadraticModel, expand_by_differences
 from rfem_jax.tolerancing.problems.results_store import ResultsStore
-from rfem_jax.tolerancing.problems.study_identity import identify
 from rfem_jax.tolerancing.progress import ProgressOption
 from rfem_jax.tolerancing.sampling.monte_carlo_result import (
     NOT_FINITE,
@@ -51,6 +50,7 @@ from rfem_jax.tolerancing.sampling.statistics import (
     estimate_yield,
     require_confidence,
 )
+from rfem_jax.tolerancing.sampling.study_identity import identify
 
 QUANTILES = (0.01, 0.05, 0.5, 0.95, 0.99)
 
