@@ -200,6 +200,14 @@ def digest_content(value: Any) -> str:
     return hashlib.sha256(repr(whole).encode()).hexdigest()
 
 
+def digest_value(value: Any) -> str:
+    """SHA-256 (hexadecimal) of a value with all its numbers alone.
+
+    **Raises:** `NotDigestible`, as `canonical`.
+    """
+    return hashlib.sha256(repr(canonical(value, True)).encode()).hexdigest()
+
+
 @functools.cache
 def _versions():
     from importlib.metadata import PackageNotFoundError, version

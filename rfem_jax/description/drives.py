@@ -23,7 +23,7 @@ from jax.core import Tracer
 from jax.tree_util import Partial
 from jaxtyping import Array, Float, Int
 
-from rfem_jax.description.errors import InputError, require_name, subject
+from rfem_jax.description.errors import ABSENT, Checks, InputError, require_name, subject
 from rfem_jax.description.units import (
     Quantities,
     Quantity,
@@ -84,9 +84,10 @@ class MomentRamp(MomentDrive):
     rise_time: float = eqx.field(static=True)
 
     def __init__(self, joint: str, moment: Quantity, rise_time: Quantity):
-        self.joint = _joint_name(joint)
-        self.moment = _leaf(moment, "moment", "moment")
-        self.rise_time = positive_quantity(rise_time, "time", "rise_time")
+        checks = _checks(self, joint)
+        checks.set("moment", moment, _leaf, "moment", "moment")
+        checks.set("rise_time", rise_time, positive_quantity, "time", "rise_time")
+        checks.refuse()
 
     def breakpoints(self) -> tuple[float, ...]:
         return (self.rise_time,)
@@ -109,9 +110,11 @@ class MomentTable(MomentDrive):
     times: tuple[float, ...] = eqx.field(static=True)
 
     def __init__(self, joint: str, times: Quantities, moments: Quantities):
-        self.joint = _joint_name(joint)
-        self.times = _table_times(times, strictly=False)
-        self.values = _column(moments, "moment", "moments", len(self.times))
+        checks = _checks(self, joint)
+        found = checks.value("times", times, _table_times, False)
+        checks.set("values", moments, _column, "moment", "moments", found)
+        checks.refuse()
+        self.times = found
 
     def _jump_rows(self) -> tuple[int, ...]:
         return tuple(i for i in range(1, len(self.times)) if self.times[i] == self.times[i - 1])
@@ -145,9 +148,10 @@ class MomentFunction(MomentDrive):
     times: tuple[float, ...] = eqx.field(static=True)
 
     def __init__(self, joint: str, function: Law, breakpoints: Quantities = ()):
-        self.joint = _joint_name(joint)
-        self.times = _breakpoints(breakpoints)
-        self.function = _as_tree(function)
+        checks = _checks(self, joint)
+        checks.set("times", breakpoints, _breakpoints)
+        checks.set("function", function, _as_tree)
+        checks.refuse()
         _check_scalar(self.function, with_phase=True)
 
     def breakpoints(self) -> tuple[float, ...]:
@@ -171,9 +175,10 @@ class PrescribedRate(PrescribedDrive):
     rise_time: float = eqx.field(static=True)
 
     def __init__(self, joint: str, rate: Quantity, rise_time: Quantity = 0.0):
-        self.joint = _joint_name(joint)
-        self.rate = _leaf(rate, "rate", "rate")
-        self.rise_time = non_negative_quantity(rise_time, "time", "rise_time")
+        checks = _checks(self, joint)
+        checks.set("rate", rate, _leaf, "rate", "rate")
+        checks.set("rise_time", rise_time, non_negative_quantity, "time", "rise_time")
+        checks.refuse()
 
     def breakpoints(self) -> tuple[float, ...]:
         return (self.rise_time,) if self.rise_time > 0.0 else ()
@@ -207,9 +212,10 @@ class PrescribedSpinUp(PrescribedDrive):
     rise_time: float = eqx.field(static=True)
 
     def __init__(self, joint: str, rate: Quantity, rise_time: Quantity):
-        self.joint = _joint_name(joint)
-        self.rate = _leaf(rate, "rate", "rate")
-        self.rise_time = positive_quantity(rise_time, "time", "rise_time")
+        checks = _checks(self, joint)
+        checks.set("rate", rate, _leaf, "rate", "rate")
+        checks.set("rise_time", rise_time, positive_quantity, "time", "rise_time")
+        checks.refuse()
 
     def breakpoints(self) -> tuple[float, ...]:
         return (self.rise_time,)
@@ -242,21 +248,17 @@ class PrescribedTable(PrescribedDrive):
     end: float = eqx.field(static=True)
 
     def __init__(self, joint: str, times: Quantities, angles: Quantities):
-        self.joint = _joint_name(joint)
-        times = _table_times(times, strictly=True)
-        angles = np.asarray(_column(angles, "angle", "angles", len(times)))
-        if angles[0] != 0.0:
-            raise InputError(
-                f"Argument `angles` must start with 0, but starts with {angles[0]}; give the "
-                "changes of the angle since the start."
-            )
+        checks = _checks(self, joint)
+        knots = checks.value("times", times, _table_times, True)
+        changes = checks.value("angles", angles, _table_angles, knots)
+        checks.refuse()
         # A third of a second that no other study needs to wait for.
         from scipy.interpolate import CubicSpline
 
-        spline = CubicSpline(times, angles)
-        self.knots = jnp.asarray(times)
+        spline = CubicSpline(knots, changes)
+        self.knots = jnp.asarray(knots)
         self.coefficients = jnp.asarray(spline.c)
-        self.end = times[-1]
+        self.end = knots[-1]
 
     def breakpoints(self) -> tuple[float, ...]:
         return ()
@@ -285,9 +287,10 @@ class PrescribedFunction(PrescribedDrive):
     times: tuple[float, ...] = eqx.field(static=True)
 
     def __init__(self, joint: str, function: Law, breakpoints: Quantities = ()):
-        self.joint = _joint_name(joint)
-        self.times = _breakpoints(breakpoints)
-        self.function = _as_tree(function)
+        checks = _checks(self, joint)
+        checks.set("times", breakpoints, _breakpoints)
+        checks.set("function", function, _as_tree)
+        checks.refuse()
         _check_scalar(self.function, with_phase=bool(self.times))
         start = self._angle(jnp.zeros((), jnp.float64), 0)
         if not isinstance(start, Tracer) and not abs(float(start)) <= 1e-12:
@@ -317,13 +320,16 @@ def _phase(phase: Phase) -> Int[Array, ""]:
     return jnp.asarray(phase, jnp.int32)
 
 
-def _joint_name(joint: object) -> str:
+def _checks(drive: object, joint: object) -> Checks:
+    """Checks of the arguments of a drive, of which that of its joint is done."""
     if not jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]  # JAX adds it at run time
         raise InputError(
             "A drive must be built in double precision, but JAX is set to single precision; paste "
             'jax.config.update("jax_enable_x64", True) at the start of your program.'
         )
-    return require_name(joint, "`joint` of the drive")
+    checks = Checks(drive)
+    checks.set("joint", joint, require_name, "`joint` of the drive")
+    return checks
 
 
 def _leaf(value: Any, dimension: str, where: str) -> Scalar:
@@ -338,15 +344,26 @@ def _leaf(value: Any, dimension: str, where: str) -> Scalar:
     return jnp.asarray(quantity(value, dimension, where), jnp.float64)
 
 
-def _column(values: Any, dimension: str, where: str, length: int) -> Float[Array, " times"]:
+def _column(values: Any, dimension: str, where: str, times: Any) -> Float[Array, " times"]:
+    """The column of a table with these times (ABSENT where they are wrong)."""
     if not _is_traced_column(values):
         values = jnp.asarray(sequence(values, dimension, where), jnp.float64)
-    if values.shape[0] != length:
+    if times is not ABSENT and values.shape[0] != len(times):
         raise InputError(
-            f"{subject(where)} must have as many entries as `times` ({length}), but has "
+            f"{subject(where)} must have as many entries as `times` ({len(times)}), but has "
             f"{values.shape[0]}; give one for each time."
         )
     return values
+
+
+def _table_angles(values: Any, times: Any) -> Float[np.ndarray, " times"]:
+    angles = np.asarray(_column(values, "angle", "angles", times))
+    if angles.size and angles[0] != 0.0:
+        raise InputError(
+            f"Argument `angles` must start with 0, but starts with {angles[0]}; give the "
+            "changes of the angle since the start."
+        )
+    return angles
 
 
 def _is_traced_column(values: object) -> bool:

@@ -6,9 +6,10 @@ Every refusal is one sentence of the form "Argument `x` must ..., but ...", and 
 a mistake, it collects the sentences (`Problems`).
 """
 
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
 from difflib import get_close_matches
+from typing import Any
 
 # By difflib, "legnth" is like "length" by 0.83, "rk5" like "rk4" by 0.67, but so is "other" like "note".
 LIKENESS, LIKENESS_OF_SAME_LETTER = 0.7, 0.65
@@ -28,6 +29,27 @@ class InputError(ValueError):
         return "\n".join(self.problems)
 
 
+class WrongKeys(InputError):
+    """Keys of a table are unknown or missing.
+
+    Args: problems, a sentence for each; usable, what the table holds under known keys, and ABSENT under those that are
+        missing or misspelt.
+    """
+
+    def __init__(self, problems: Iterable[str], usable: dict[str, Any]):
+        super().__init__(*problems)
+        self.usable = usable
+
+
+class _Absent:
+    def __repr__(self) -> str:
+        return "(missing)"
+
+
+# Value of an argument that cannot be read, which is told elsewhere: the others are checked all the same (`Checks`).
+ABSENT: Any = _Absent()
+
+
 class Problems:
     """Mistakes in several places, which are told together.
 
@@ -40,6 +62,7 @@ class Problems:
 
     def __init__(self) -> None:
         self.found: list[str] = []
+        self.failed = False
 
     @contextmanager
     def noted(self) -> Iterator[None]:
@@ -47,19 +70,83 @@ class Problems:
         try:
             yield
         except InputError as error:
+            self.failed = True
             self.found += error.problems
 
+    def usable(self, read: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+        """Return the table that `read` returns; where its keys are wrong, note that and return what can be used."""
+        try:
+            return read()
+        except WrongKeys as error:
+            self.found += error.problems
+            return error.usable
+
     def refuse(self) -> None:
-        """Raise InputError with all that was noted, if there is anything."""
-        if self.found:
+        """Raise InputError with all that was noted, if there is anything; without a sentence where all that is wrong is
+        told elsewhere."""
+        if self.failed or self.found:
             raise InputError(*dict.fromkeys(self.found)) from None
 
 
+class Checks(Problems):
+    """Checks of the fields of one object, whose mistakes are told together.
+
+    Args: owner, the object. A field that is ABSENT counts as one with a mistake, of which nothing is told here.
+    """
+
+    def __init__(self, owner: Any):
+        super().__init__()
+        self.owner = owner
+        self.wrong = {name for name, value in vars(owner).items() if value is ABSENT}
+        self.failed = bool(self.wrong)
+
+    def value(self, field: str, value: Any, convert: Callable[..., Any], *arguments: Any) -> Any:
+        """Return convert(value, *arguments), or note what is wrong with the value and return ABSENT."""
+        try:
+            if value is ABSENT:
+                raise InputError()
+            return convert(value, *arguments)
+        except InputError as error:
+            self.wrong.add(field)
+            self.failed = True
+            self.found += error.problems
+            return ABSENT
+
+    def set(self, field: str, value: Any, convert: Callable[..., Any], *arguments: Any) -> None:
+        """Set a field of the owner to convert(value, *arguments), unless something is wrong with the value."""
+        found = self.value(field, value, convert, *arguments)
+        if found is not ABSENT:
+            object.__setattr__(self.owner, field, found)
+
+    def convert(self, field: str, convert: Callable[..., Any], *arguments: Any) -> None:
+        """As `set`, of the value that the field has."""
+        self.set(field, getattr(self.owner, field), convert, *arguments)
+
+    def passed(self, *fields: str) -> bool:
+        """True if nothing is wrong with these fields."""
+        return self.wrong.isdisjoint(fields)
+
+    def relation(self, fields: Collection[str], check: Callable[..., Any], *arguments: Any) -> None:
+        """Note what check(*arguments) says about fields together, unless one of them is wrong on its own."""
+        if self.passed(*fields):
+            with self.noted():
+                check(*arguments)
+
+
 class ChecksItself:
-    """Base of the dataclasses that a user makes: `__post_init__` says in a sentence what is wrong with an argument, and
-    converts what is right, so that a checker of types at run time leaves the arguments to it."""
+    """Base of the dataclasses that a user makes: they say in sentences what is wrong with their arguments, and convert
+    what is right, so that a checker of types at run time leaves the arguments to them."""
 
     __no_type_check__ = True
+
+    def __post_init__(self):
+        checks = Checks(self)
+        self._check_fields(checks)
+        checks.refuse()
+
+    def _check_fields(self, checks: Checks) -> None:
+        """Check and convert every field. A subclass may have a `__post_init__` instead, and then tells what that
+        raises."""
 
 
 def subject(where: str) -> str:

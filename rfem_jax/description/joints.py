@@ -9,8 +9,9 @@ Source: theory (2.3) to (2.6).
 """
 
 from dataclasses import dataclass
+from typing import Any
 
-from rfem_jax.description.errors import ChecksItself, InputError, require_flag, require_name
+from rfem_jax.description.errors import Checks, ChecksItself, InputError, require_flag, require_name
 from rfem_jax.description.units import quantity, vector
 
 
@@ -27,8 +28,8 @@ class Joint(ChecksItself):
         child_position: (x, y, z) [m] in the child's frame; None = the child's origin for a joint of
             the tree, its far end for a cut joint.
         child_orientation: angles (about x, y, z) [rad] in the child's frame.
-        angle: approximate start value [rad] of the joint coordinate; a joint of the tree only,
-            where None means 0 (a cut joint keeps None).
+        angle: approximate start value [rad] of the joint coordinate; None = 0. Not of a cut joint,
+            whose angle follows from closing the loop.
         cut: True if the joint closes a loop and is expressed by constraint equations.
     Raises:
         InputError: a value is out of range or of the wrong kind.
@@ -44,40 +45,48 @@ class Joint(ChecksItself):
     angle: float | None = None
     cut: bool = False
 
-    def __post_init__(self):
-        require_name(self.name, "`name` of a joint")
+    def _check_fields(self, checks: Checks) -> None:
+        checks.convert("name", require_name, "`name` of a joint")
         of = f"of joint `{self.name}`"
-        require_name(self.parent, f"`parent` {of}")
-        if self.child == "base":
-            raise InputError(
-                f"Argument `child` {of} must be a link, but was the base; "
-                "make the base the parent and the link the child."
-            )
-        require_name(self.child, f"`child` {of}")
+        checks.convert("parent", require_name, f"`parent` {of}")
+        checks.convert("child", _child, of)
+        checks.relation(("parent", "child"), self._check_child, of)
+        checks.convert("cut", require_flag, f"`cut` {of}")
+        for field, dimension in _VECTORS.items():
+            checks.convert(field, _vector, dimension, f"`{field}` {of}")
+        if self.angle is not None:
+            checks.convert("angle", quantity, "angle", f"`angle` {of}")
+        checks.relation(("cut",), self._check_angle, of)
+        if self.angle is None and self.cut is False:
+            object.__setattr__(self, "angle", 0.0)
+
+    def _check_child(self, of: str) -> None:
         if self.parent == self.child:
             raise InputError(
                 f"Argument `child` {of} must differ from its parent, but both are "
                 f"`{self.child}`; name the two links that it joins."
             )
-        require_flag(self.cut, f"`cut` {of}")
-        for field, dimension in _VECTORS.items():
-            value = getattr(self, field)
-            if value is not None:
-                value = vector(value, dimension, f"`{field}` {of}")
-            elif dimension == "angle":
-                value = (0.0, 0.0, 0.0)
-            object.__setattr__(self, field, value)
-        self._set_angle(of)
 
-    def _set_angle(self, of: str) -> None:
+    def _check_angle(self, of: str) -> None:
         if self.cut and self.angle is not None:
             raise InputError(
                 f"Argument `angle` {of} must be left out because the joint is cut, but was "
                 f"{self.angle!r}; a cut joint's angle follows from closing the loop."
             )
-        if not self.cut:
-            angle = 0.0 if self.angle is None else self.angle
-            object.__setattr__(self, "angle", quantity(angle, "angle", f"`angle` {of}"))
+
+
+def _child(child: object, of: str) -> str:
+    if child == "base":
+        raise InputError(
+            f"Argument `child` {of} must be a link, but was the base; make the base the parent and the link the child."
+        )
+    return require_name(child, f"`child` {of}")
+
+
+def _vector(value: Any, dimension: str, where: str) -> tuple[float, float, float] | None:
+    if value is None:
+        return (0.0, 0.0, 0.0) if dimension == "angle" else None
+    return vector(value, dimension, where)
 
 
 _VECTORS = {

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from rfem_jax.description.errors import ChecksItself, InputError, require_flag, require_name
+from rfem_jax.description.errors import Checks, ChecksItself, InputError, require_flag, require_name
 from rfem_jax.description.materials import Material
 from rfem_jax.description.sections import (
     Circle,
@@ -42,22 +42,24 @@ class PointMass(ChecksItself):
     position: tuple[float, float, float]
     inertia: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
-    def __post_init__(self):
-        mass = positive_quantity(self.mass, "mass", "`mass` of a point mass")
-        where = "`position` of a point mass"
-        place: Any = self.position  # a number on the axis, too
-        if isinstance(place, str) or np.ndim(place) == 0:
-            position = (quantity(place, "length", where), 0.0, 0.0)
-        else:
-            position = vector(place, "length", where)
-        where = "`inertia` of a point mass"
-        inertia = vector(self.inertia, "moment_of_inertia", where)
-        for entry in inertia:
-            non_negative_quantity(entry, "moment_of_inertia", where)
-        require_triangle(inertia, where)
-        object.__setattr__(self, "mass", mass)
-        object.__setattr__(self, "position", position)
-        object.__setattr__(self, "inertia", inertia)
+    def _check_fields(self, checks: Checks) -> None:
+        checks.convert("mass", positive_quantity, "mass", "`mass` of a point mass")
+        checks.convert("position", _position, "`position` of a point mass")
+        checks.convert("inertia", _inertia, "`inertia` of a point mass")
+
+
+def _position(place: Any, where: str) -> tuple[float, float, float]:
+    if isinstance(place, str) or np.ndim(place) == 0:  # a number: on the axis
+        return quantity(place, "length", where), 0.0, 0.0
+    return vector(place, "length", where)
+
+
+def _inertia(inertia: Any, where: str) -> tuple[float, float, float]:
+    principal = vector(inertia, "moment_of_inertia", where)
+    for entry in principal:
+        non_negative_quantity(entry, "moment_of_inertia", where)
+    require_triangle(principal, where)
+    return principal
 
 
 @dataclass(frozen=True)
@@ -84,31 +86,17 @@ class Link(ChecksItself):
     rfes: int = 5
     point_masses: tuple[PointMass, ...] = ()
 
-    def __post_init__(self):
-        require_name(self.name, "`name` of a link", reserved=("base",))
+    def _check_fields(self, checks: Checks) -> None:
+        checks.convert("name", require_name, "`name` of a link", ("base",))
         of = f"of link `{self.name}`"
-        length = positive_quantity(self.length, "length", f"`length` {of}")
-        object.__setattr__(self, "length", length)
-        if not isinstance(self.section, (Rectangle, Circle, Tube, GivenSection)):
-            raise InputError(
-                f"Argument `section` {of} must be a Rectangle, Circle, Tube or GivenSection, "
-                f"but was {self.section!r}; give a rigid link one too, for its mass."
-            )
-        self._check_material(of)
-        require_flag(self.rigid, f"`rigid` {of}")
-        whole = isinstance(self.rfes, (int, np.integer)) and not isinstance(self.rfes, bool)
-        if not whole or self.rfes < 1:
-            raise InputError(
-                f"Argument `rfes` {of} must be a whole number of at least 1, but was "
-                f"{self.rfes!r}; 5 is usual, 1 makes the link rigid."
-            )
-        if self.rfes > MOST_RFES:
-            raise InputError(
-                f"Argument `rfes` {of} must be at most {MOST_RFES}, but was {short(self.rfes)}; 5 is usual, and the "
-                "error falls with its square."
-            )
-        object.__setattr__(self, "rfes", int(self.rfes))
-        object.__setattr__(self, "point_masses", self._checked_point_masses(of))
+        checks.convert("length", positive_quantity, "length", f"`length` {of}")
+        checks.convert("section", _section, of)
+        checks.relation(("section", "material"), self._check_material, of)
+        checks.convert("rigid", require_flag, f"`rigid` {of}")
+        checks.convert("rfes", _number_of_rfes, of)
+        checks.convert("point_masses", _masses, of)
+        for entry in self.point_masses if checks.passed("point_masses") else ():
+            checks.relation(("length", "rigid", "rfes"), self._check_point_mass, entry, of)
 
     def _check_material(self, of: str) -> None:
         if isinstance(self.section, GivenSection):
@@ -123,21 +111,13 @@ class Link(ChecksItself):
                 "a section needs one for its stiffness and its mass."
             )
 
-    def _checked_point_masses(self, of: str) -> tuple[PointMass, ...]:
-        given = self.point_masses
-        if not isinstance(given, (tuple, list)) or any(not isinstance(entry, PointMass) for entry in given):
+    def _check_point_mass(self, mass: PointMass, of: str) -> None:
+        if self.flexible and not 0.0 <= mass.position[0] <= self.length * (1.0 + 1e-12):
             raise InputError(
-                f"Argument `point_masses` {of} must be a list of PointMass, but was {given!r}; "
-                "write for example [PointMass(0.05, 0.12)]."
+                f"Argument `point_masses` {of} must lie on the flexible link "
+                f"(x from 0 to {self.length} m), but one has x = {mass.position[0]} m; "
+                "move it, or make the link rigid."
             )
-        for entry in given:
-            if self.flexible and not 0.0 <= entry.position[0] <= self.length * (1.0 + 1e-12):
-                raise InputError(
-                    f"Argument `point_masses` {of} must lie on the flexible link "
-                    f"(x from 0 to {self.length} m), but one has x = {entry.position[0]} m; "
-                    "move it, or make the link rigid."
-                )
-        return tuple(given)
 
     @property
     def elements(self) -> int:
@@ -153,3 +133,36 @@ class Link(ChecksItself):
     def properties(self) -> SectionProperties:
         """Stiffnesses, inertias and damping per unit length."""
         return self.section.properties(self.material)
+
+
+def _section(section: Any, of: str) -> Section:
+    if not isinstance(section, (Rectangle, Circle, Tube, GivenSection)):
+        raise InputError(
+            f"Argument `section` {of} must be a Rectangle, Circle, Tube or GivenSection, "
+            f"but was {section!r}; give a rigid link one too, for its mass."
+        )
+    return section
+
+
+def _number_of_rfes(rfes: Any, of: str) -> int:
+    whole = isinstance(rfes, (int, np.integer)) and not isinstance(rfes, bool)
+    if not whole or rfes < 1:
+        raise InputError(
+            f"Argument `rfes` {of} must be a whole number of at least 1, but was "
+            f"{rfes!r}; 5 is usual, 1 makes the link rigid."
+        )
+    if rfes > MOST_RFES:
+        raise InputError(
+            f"Argument `rfes` {of} must be at most {MOST_RFES}, but was {short(rfes)}; 5 is usual, and the "
+            "error falls with its square."
+        )
+    return int(rfes)
+
+
+def _masses(given: Any, of: str) -> tuple[PointMass, ...]:
+    if not isinstance(given, (tuple, list)) or any(not isinstance(entry, PointMass) for entry in given):
+        raise InputError(
+            f"Argument `point_masses` {of} must be a list of PointMass, but was {given!r}; "
+            "write for example [PointMass(0.05, 0.12)]."
+        )
+    return tuple(given)

@@ -7,11 +7,10 @@ density rho [kg/m^3]; damping eta [s] (Kelvin-Voigt: damping matrix = eta * stif
 Source: theory (1.1), (1.7).
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
-from rfem_jax.description.errors import ChecksItself, InputError, require_name
-from rfem_jax.description.units import non_negative_quantity, positive_quantity, quantity
+from rfem_jax.description.errors import Checks, ChecksItself, InputError, require_name
+from rfem_jax.description.units import Quantity, non_negative_quantity, positive_quantity, quantity
 
 
 @dataclass(frozen=True)
@@ -36,32 +35,22 @@ class Material(ChecksItself):
     shear_modulus: float | None = None
     damping: float = 0.0
 
-    def __post_init__(self):
-        require_name(self.name, "`name` of a material")
+    def _check_fields(self, checks: Checks) -> None:
+        checks.convert("name", require_name, "`name` of a material")
         where = f"of material `{self.name}`"
         if (self.poisson_ratio is None) == (self.shear_modulus is None):
             given = "both are" if self.shear_modulus is not None else "neither is"
-            raise InputError(
+            checks.found.append(
                 f"Argument `poisson_ratio` {where} must be given or else `shear_modulus`, "
                 f"but {given}; give exactly one of the two."
             )
-        self._set("youngs_modulus", positive_quantity, "pressure", where)
-        self._set("density", positive_quantity, "density", where)
-        self._set("damping", non_negative_quantity, "time", where)
+        checks.convert("youngs_modulus", positive_quantity, "pressure", f"`youngs_modulus` {where}")
+        checks.convert("density", positive_quantity, "density", f"`density` {where}")
+        checks.convert("damping", non_negative_quantity, "time", f"`damping` {where}")
         if self.shear_modulus is not None:
-            self._set("shear_modulus", positive_quantity, "pressure", where)
-        else:
-            ratio = self._set("poisson_ratio", quantity, "none", where)
-            if not -1.0 < ratio <= 0.5:
-                raise InputError(
-                    f"Argument `poisson_ratio` {where} must be above -1 and at most 0.5, but was "
-                    f"{ratio}; metals have about 0.3."
-                )
-
-    def _set(self, field: str, convert: Callable[[float, str, str], float], dimension: str, where: str) -> float:
-        value = convert(getattr(self, field), dimension, f"`{field}` {where}")
-        object.__setattr__(self, field, value)
-        return value
+            checks.convert("shear_modulus", positive_quantity, "pressure", f"`shear_modulus` {where}")
+        if self.poisson_ratio is not None:
+            checks.convert("poisson_ratio", _poisson_ratio, f"`poisson_ratio` {where}")
 
     @property
     def modulus_of_rigidity(self) -> float:
@@ -70,3 +59,10 @@ class Material(ChecksItself):
             return self.shear_modulus
         ratio = 0.0 if self.poisson_ratio is None else self.poisson_ratio
         return self.youngs_modulus / (2.0 * (1.0 + ratio))
+
+
+def _poisson_ratio(value: Quantity, where: str) -> float:
+    ratio = quantity(value, "none", where)
+    if not -1.0 < ratio <= 0.5:
+        raise InputError(f"Argument {where} must be above -1 and at most 0.5, but was {ratio}; metals have about 0.3.")
+    return ratio

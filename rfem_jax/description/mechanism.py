@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from rfem_jax.description.error_catalogue import JOINT_ERRORS, LINK_ERRORS, error_dimension, error_unit
-from rfem_jax.description.errors import ChecksItself, InputError, Problems, require_choice, subject, suggestion
+from rfem_jax.description.errors import Checks, ChecksItself, InputError, Problems, require_choice, subject, suggestion
 from rfem_jax.description.joints import Joint
 from rfem_jax.description.links import Link
 from rfem_jax.description.units import vector
@@ -50,20 +50,23 @@ class Mechanism(ChecksItself):
     driven_joint: str | None = None
     elements: str = "linear"
 
-    def __post_init__(self):
-        object.__setattr__(self, "links", _unique(self.links, Link, "links"))
-        object.__setattr__(self, "joints", _unique(self.joints, Joint, "joints"))
-        object.__setattr__(self, "gravity", vector(self.gravity, "acceleration", "gravity"))
-        require_choice(self.redundant_reactions, ("refuse", "minimum_norm"), "redundant_reactions")
-        require_choice(self.elements, ELEMENTS, "elements")
+    def _check_fields(self, checks: Checks) -> None:
+        checks.convert("links", _unique, Link, "links")
+        checks.convert("joints", _unique, Joint, "joints")
+        checks.convert("gravity", vector, "acceleration", "gravity")
+        checks.convert("redundant_reactions", require_choice, ("refuse", "minimum_norm"), "redundant_reactions")
+        checks.convert("elements", require_choice, ELEMENTS, "elements")
+        checks.relation(("links", "joints"), self._check_structure)
+
+    def _check_structure(self) -> None:
         if not self.links:
             raise InputError("Argument `links` must hold at least one link, but is empty; add one.")
-        self._check_references()
-        self._check_tree()
         problems = Problems()
+        with problems.noted():
+            self._check_references()
+            self._check_tree()
         for joint in self.joints:
-            with problems.noted():
-                self._check_positions(joint)
+            self._check_positions(joint, problems)
         with problems.noted():
             self._check_driven_joint()
         problems.refuse()
@@ -143,17 +146,21 @@ class Mechanism(ChecksItself):
     def _check_tree(self) -> None:
         """Each link is the child of exactly one joint of the tree, which begins at the base."""
         parents: dict[str, Joint] = {}
+        problems = Problems()
         for joint in (joint for joint in self.joints if not joint.cut):
             other = parents.setdefault(joint.child, joint)
             if other is not joint:
-                raise InputError(
-                    f"Argument `joints` must reach link `{joint.child}` on one way only, but the "
+                problems.found.append(
+                    f"Argument `joints` must reach link `{joint.child}` by one path only, but the "
                     f"joints `{other.name}` and `{joint.name}` both have it as their child: a "
                     "closed loop; declare one joint of the loop cut = true."
                 )
+        problems.refuse()
         for link in self.links:
             if link.name not in parents:
-                self._refuse_unconnected(link)
+                with problems.noted():
+                    self._refuse_unconnected(link)
+        problems.refuse()
         for link in self.links:
             _check_reaches_base(link.name, parents)
 
@@ -178,29 +185,27 @@ class Mechanism(ChecksItself):
                 f"`{self.driven_joint}` is cut; cut another joint of the loop."
             )
 
-    def _check_positions(self, joint: Joint) -> None:
-        parent = None if joint.parent == "base" else self.link(joint.parent)
-        child = self.link(joint.child)
-        for link, field in ((parent, "position"), (child, "child_position")):
-            position = getattr(joint, field)
-            if link is None or position is None or not link.flexible:
+    def _check_positions(self, joint: Joint, problems: Problems) -> None:
+        """Note what lies off its flexible link; links that there are not are told elsewhere."""
+        flexible = {link.name: link for link in self.links if link.flexible}
+        for name, field in ((joint.parent, "position"), (joint.child, "child_position")):
+            link, position = flexible.get(name), getattr(joint, field)
+            if link is None or position is None:
                 continue
+            first = link.length / (2 * (link.elements - 1))
             if not 0.0 <= position[0] <= link.length * (1.0 + _ROUNDING):
-                raise InputError(
+                problems.found.append(
                     f"Argument `{field}` of joint `{joint.name}` must lie on the flexible link "
                     f"`{link.name}` (x from 0 to {link.length} m), but has x = {position[0]} m; "
                     "move it, or make the link rigid."
                 )
-        if joint.cut or not child.flexible or joint.child_position is None:
-            return
-        first = child.length / (2 * (child.elements - 1))
-        if joint.child_position[0] > first * (1.0 + _ROUNDING):
-            raise InputError(
-                f"Argument `child_position` of joint `{joint.name}` must lie on the first rigid "
-                f"finite element of the flexible link `{child.name}` (x up to {first:.6g} m), but "
-                f"has x = {joint.child_position[0]} m; let the link start at the joint, or make "
-                "the joint the cut one of its loop."
-            )
+            elif field == "child_position" and not joint.cut and position[0] > first * (1.0 + _ROUNDING):
+                problems.found.append(
+                    f"Argument `child_position` of joint `{joint.name}` must lie on the first rigid "
+                    f"finite element of the flexible link `{link.name}` (x up to {first:.6g} m), but "
+                    f"has x = {position[0]} m; let the link start at the joint, or make "
+                    "the joint the cut one of its loop."
+                )
 
 
 def _unique(entries: Any, kind: type[Part], where: str) -> tuple[Part, ...]:
@@ -209,11 +214,12 @@ def _unique(entries: Any, kind: type[Part], where: str) -> tuple[Part, ...]:
             f"Argument `{where}` must be a list of {kind.__name__} objects, but was {entries!r}; "
             f"write [{kind.__name__}(...), ...]."
         )
-    seen = set()
-    for entry in entries:
-        if entry.name in seen:
-            raise InputError(f"Argument `{where}` must have unique names, but `{entry.name}` occurs twice; rename one.")
-        seen.add(entry.name)
+    names = [entry.name for entry in entries]
+    twice = dict.fromkeys(name for index, name in enumerate(names) if name in names[:index])
+    if twice:
+        raise InputError(
+            *(f"Argument `{where}` must have unique names, but `{name}` occurs twice; rename one." for name in twice)
+        )
     return tuple(entries)
 
 
@@ -234,8 +240,8 @@ def _check_reaches_base(name: str, parents: dict[str, Joint]) -> None:
         if name in seen:
             loop = " -> ".join((*seen[seen.index(name) :], name))
             raise InputError(
-                f"Argument `joints` must connect every link to the base, but the links {loop} only "
-                "follow each other: a closed loop; declare one joint of the loop cut = true and "
+                f"Argument `joints` must connect every link to the base, but the links {loop} "
+                "form a closed loop of their own; declare one joint of the loop cut = true and "
                 "join one of its links to the base."
             )
         seen.append(name)

@@ -10,10 +10,10 @@ Source: theory (1.1), (1.2); G. R. Cowper, J. Appl. Mech. 33 (1966) 335-340 (tub
 
 import abc
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, fields
 
-from rfem_jax.description.errors import ChecksItself, InputError
+from rfem_jax.description.errors import Checks, ChecksItself, InputError
 from rfem_jax.description.materials import Material
 from rfem_jax.description.units import DERIVED, non_negative_quantity, positive_quantity
 
@@ -105,10 +105,9 @@ class Rectangle(_Shape):
     height: float
     shear_factor: float = 1.2
 
-    def __post_init__(self):
-        _set(self, "width", positive_quantity, "length")
-        _set(self, "height", positive_quantity, "length")
-        _set(self, "shear_factor", positive_quantity, "none")
+    def _check_fields(self, checks: Checks) -> None:
+        _convert(checks, ("width", "height"), positive_quantity, "length")
+        _convert(checks, ("shear_factor",), positive_quantity, "none")
 
     @property
     def area(self) -> float:
@@ -146,9 +145,9 @@ class Circle(_Shape):
     diameter: float
     shear_factor: float = 10.0 / 9.0
 
-    def __post_init__(self):
-        _set(self, "diameter", positive_quantity, "length")
-        _set(self, "shear_factor", positive_quantity, "none")
+    def _check_fields(self, checks: Checks) -> None:
+        _convert(checks, ("diameter",), positive_quantity, "length")
+        _convert(checks, ("shear_factor",), positive_quantity, "none")
 
     @property
     def area(self) -> float:
@@ -174,7 +173,7 @@ class Tube(_Shape):
     Args:
         outer_diameter: [m], > 0.
         wall: thickness [m], > 0 and less than half of the outer diameter.
-        shear_factor: kappa [1], > 0; None takes Cowper's value for nu = 0,
+        shear_factor: kappa [1], > 0; None = Cowper's value for nu = 0,
             7/6 + (10/3) r^2 / (1 + r^2)^2 with r = inner / outer diameter (2 for a thin wall).
     """
 
@@ -182,19 +181,22 @@ class Tube(_Shape):
     wall: float
     shear_factor: float = DERIVED
 
-    def __post_init__(self):
-        _set(self, "outer_diameter", positive_quantity, "length")
-        _set(self, "wall", positive_quantity, "length")
+    def _check_fields(self, checks: Checks) -> None:
+        _convert(checks, ("outer_diameter", "wall"), positive_quantity, "length")
+        checks.relation(("outer_diameter", "wall"), self._check_wall)
+        if self.shear_factor is not None:
+            _convert(checks, ("shear_factor",), positive_quantity, "none")
+        elif checks.passed("outer_diameter", "wall"):
+            square = (self.inner_diameter / self.outer_diameter) ** 2
+            factor = 7.0 / 6.0 + (10.0 / 3.0) * square / (1.0 + square) ** 2
+            object.__setattr__(self, "shear_factor", factor)
+
+    def _check_wall(self) -> None:
         if self.wall >= self.outer_diameter / 2.0:
             raise InputError(
                 "Argument `wall` of Tube must be less than half of the outer diameter "
                 f"({self.outer_diameter / 2.0} m), but was {self.wall} m; reduce it, or use Circle."
             )
-        if self.shear_factor is None:
-            square = (self.inner_diameter / self.outer_diameter) ** 2
-            factor = 7.0 / 6.0 + (10.0 / 3.0) * square / (1.0 + square) ** 2
-            object.__setattr__(self, "shear_factor", factor)
-        _set(self, "shear_factor", positive_quantity, "none")
 
     @property
     def inner_diameter(self) -> float:
@@ -246,17 +248,17 @@ class GivenSection(ChecksItself):
     rotary_inertia_z: float
     damping: float = 0.0
 
-    def __post_init__(self):
-        for field in ("axial_stiffness", "shear_stiffness_y", "shear_stiffness_z"):
-            _set(self, field, positive_quantity, "axial_stiffness")
-        for field in ("torsion_stiffness", "bending_stiffness_y", "bending_stiffness_z"):
-            _set(self, field, positive_quantity, "bending_stiffness")
-        _set(self, "line_density", positive_quantity, "line_density")
-        for axis in "xyz":
-            _set(self, f"rotary_inertia_{axis}", positive_quantity, "rotary_inertia")
-        _set(self, "damping", non_negative_quantity, "time")
-        inertias = self.rotary_inertia_x, self.rotary_inertia_y, self.rotary_inertia_z
-        require_triangle(inertias, "`rotary_inertia_x`, `_y` and `_z` of GivenSection")
+    def _check_fields(self, checks: Checks) -> None:
+        stiffnesses = ("axial_stiffness", "shear_stiffness_y", "shear_stiffness_z")
+        _convert(checks, stiffnesses, positive_quantity, "axial_stiffness")
+        stiffnesses = ("torsion_stiffness", "bending_stiffness_y", "bending_stiffness_z")
+        _convert(checks, stiffnesses, positive_quantity, "bending_stiffness")
+        _convert(checks, ("line_density",), positive_quantity, "line_density")
+        inertias = ("rotary_inertia_x", "rotary_inertia_y", "rotary_inertia_z")
+        _convert(checks, inertias, positive_quantity, "rotary_inertia")
+        _convert(checks, ("damping",), non_negative_quantity, "time")
+        where = "`rotary_inertia_x`, `_y` and `_z` of GivenSection"
+        checks.relation(inertias, require_triangle, tuple(getattr(self, one) for one in inertias), where)
 
     def properties(self, material: Material | None = None) -> SectionProperties:
         """Return the given values; `material` must be None."""
@@ -281,6 +283,8 @@ def require_triangle(inertias: tuple[float, float, float], where: str) -> None:
         )
 
 
-def _set(section: object, field: str, convert: Callable[[float, str, str], float], dimension: str) -> None:
-    where = f"`{field}` of {type(section).__name__}"
-    object.__setattr__(section, field, convert(getattr(section, field), dimension, where))
+def _convert(
+    checks: Checks, names: Collection[str], convert: Callable[[float, str, str], float], dimension: str
+) -> None:
+    for name in names:
+        checks.convert(name, convert, dimension, f"`{name}` of {type(checks.owner).__name__}")

@@ -7,13 +7,14 @@ Symbols: duration, save_every [s]; errors of a case in m and rad (`error_catalog
 """
 
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from rfem_jax.description.drives import MomentDrive, PrescribedDrive, PrescribedTable
 from rfem_jax.description.error_catalogue import error_dimension
-from rfem_jax.description.errors import ChecksItself, InputError, Problems, located, suggestion
+from rfem_jax.description.errors import ABSENT, Checks, ChecksItself, InputError, Problems, located, suggestion
 from rfem_jax.description.mechanism import Mechanism
 from rfem_jax.description.methods import Method
 from rfem_jax.description.study_reader import read_drive, read_mechanism, read_simulation
@@ -44,21 +45,9 @@ class Case(ChecksItself):
     name: str
     errors: dict[str, float] = field(default_factory=dict)
 
-    def __post_init__(self):
-        _require_file_name(self.name)
-        if not isinstance(self.errors, dict):
-            raise InputError(
-                f"Argument `errors` of case `{self.name}` must be a table of names and values, but "
-                f'was {self.errors!r}; write for example {{ "D.delta_x" = "0.5 deg" }}.'
-            )
-        values, problems = {}, Problems()
-        for name, value in self.errors.items():
-            with problems.noted():
-                with located(f"Case `{self.name}`"):
-                    dimension = error_dimension(name)
-                values[name] = quantity(value, dimension, f"`{name}` of case `{self.name}`")
-        problems.refuse()
-        object.__setattr__(self, "errors", values)
+    def _check_fields(self, checks: Checks) -> None:
+        checks.convert("name", _file_name)
+        checks.convert("errors", _errors, self.name)
 
 
 @dataclass(frozen=True)
@@ -76,6 +65,7 @@ class Study(ChecksItself):
         path: the file it was read from.
         note: what a reader of the results must know; shown with every table and picture.
         tasks: tolerances of the errors and the tolerance studies to do.
+        asked_method: the Method that was asked for, where `method` was chosen for it; None = `method`.
     Raises:
         InputError: parts do not fit each other.
     """
@@ -90,20 +80,23 @@ class Study(ChecksItself):
     path: Path | None = None
     note: str = ""
     tasks: Tasks = field(default_factory=Tasks)
+    asked_method: Method | None = None
 
-    def __post_init__(self):
-        self._check_kinds()
-        duration = positive_quantity(self.duration, "time", "duration")
-        object.__setattr__(self, "duration", duration)
+    def _check_fields(self, checks: Checks) -> None:
+        drives = (MomentDrive, PrescribedDrive, type(None))
+        kinds = {"title": str, "note": str, "mechanism": Mechanism, "drive": drives}
+        kinds |= {"method": Method, "tasks": Tasks}
+        for name, kind in kinds.items():
+            checks.convert(name, _of_kind, name, kind)
+        checks.convert("cases", _cases)
+        checks.convert("duration", positive_quantity, "time", "duration")
         if self.save_every is not None:
-            saving = positive_quantity(self.save_every, "time", "save_every")
-            object.__setattr__(self, "save_every", saving)
-        object.__setattr__(self, "cases", tuple(self.cases) or (Case("nominal"),))
-        problems = Problems()
-        for check in (self._check_times, self._check_drive, self._check_cases, self._check_tasks):
-            with problems.noted():
-                check()
-        problems.refuse()
+            checks.convert("save_every", positive_quantity, "time", "save_every")
+        checks.relation(("duration", "method", "save_every"), self._check_times)
+        checks.relation(("mechanism", "drive"), self._check_driven_joint)
+        checks.relation(("drive", "duration"), self._check_drive_end)
+        checks.relation(("mechanism", "cases"), self._check_cases)
+        checks.relation(("mechanism", "tasks"), self._check_tasks)
 
     @property
     def tolerances(self) -> SpecifiedTolerances | None:
@@ -120,50 +113,36 @@ class Study(ChecksItself):
             f"Argument `name` must be a case of the study, but `{name}` is none; {suggestion(name, known)}"
         )
 
-    def _check_kinds(self) -> None:
-        drives = (MomentDrive, PrescribedDrive, type(None))
-        kinds = {"title": str, "note": str, "mechanism": Mechanism, "drive": drives}
-        kinds |= {"method": Method, "tasks": Tasks}
-        for name, kind in kinds.items():
-            if not isinstance(getattr(self, name), kind):
-                wanted = {"title": "string", "drive": "drive or None"}.get(name, name.title())
-                raise InputError(
-                    f"Argument `{name}` of a study must be a {wanted}, but was {getattr(self, name)!r}; pass one."
-                )
-        if not isinstance(self.cases, (list, tuple)) or any(not isinstance(case, Case) for case in self.cases):
-            raise InputError(
-                f'Argument `cases` must be a list of Case objects, but was {self.cases!r}; write [Case("P1"), ...].'
-            )
-
     def _check_times(self) -> None:
-        step, saving = self.method.step, self.save_every
+        step, saving, problems = self.method.step, self.save_every, []
         if step is not None and step > self.duration * _ROUNDING:
-            raise InputError(
+            problems.append(
                 f"Argument `step` must not exceed the duration ({self.duration} s), but was {step} s; reduce it."
             )
         if saving is not None and saving > self.duration * _ROUNDING:
-            raise InputError(
+            problems.append(
                 f"Argument `save_every` must not exceed the duration ({self.duration} s), but was "
                 f"{saving} s; reduce it."
             )
-        if saving is not None and step is not None and saving < step / _ROUNDING:
-            raise InputError(
+        if saving is not None and step is not None and saving < step / _ROUNDING and not problems:
+            problems.append(
                 f"Argument `save_every` must not be less than the step ({step} s), but was "
                 f"{saving} s; saved times are ends of steps: increase it or reduce the step."
             )
-
         if step is not None and self.duration / step > MOST_STEPS:
-            raise InputError(
+            problems.append(
                 f"Argument `duration` must be at most {MOST_STEPS:g} steps, but {self.duration:g} s are "
                 f"{self.duration / step:.3g} steps of {step:g} s, which would take days; check both numbers."
             )
-        if saving is not None and self.duration / saving > MOST_SAVED:
-            raise InputError(
+        elif saving is not None and self.duration / saving > MOST_SAVED and not problems:
+            problems.append(
                 f"Argument `save_every` must leave at most {MOST_SAVED:g} saved times, but {self.duration:g} s have "
                 f"{self.duration / saving:.3g} intervals of {saving:g} s; increase it."
             )
+        if problems:
+            raise InputError(*problems)
 
-    def _check_drive(self) -> None:
+    def _check_driven_joint(self) -> None:
         if self.drive is None:
             return
         tree = [joint.name for joint in self.mechanism.tree_joints]
@@ -177,6 +156,8 @@ class Study(ChecksItself):
         # The model holds the driven joint at assembly, so it has to know which one that is.
         driven = replace(self.mechanism, driven_joint=self.drive.joint)
         object.__setattr__(self, "mechanism", driven)
+
+    def _check_drive_end(self) -> None:
         end = self.drive.end if isinstance(self.drive, PrescribedTable) else self.duration
         if end * _ROUNDING < self.duration:
             raise InputError(
@@ -222,42 +203,85 @@ def load_study(path: str | Path) -> Study:
 def _read_study(content: dict[str, Any], path: Path) -> Study:
     """The study of the tables of a file; what is wrong in one table does not hide what is wrong in others."""
     problems = Problems()
-    with problems.noted():
-        required, optional = STUDY_KEYS
-        checked_table(content, "The top level", required, (*optional, *task_kinds()))
-    parts: dict[str, Any] = {"title": content.get("title", path.stem), "note": content.get("note", "")}
+    required, optional = STUDY_KEYS
+    content = problems.usable(lambda: checked_table(content, "The top level", required, (*optional, *task_kinds())))
+    parts: dict[str, Any] = {"title": path.stem, "drive": None, "path": path}
+    parts |= {name: content[name] for name in ("title", "note") if name in content}
     readers: dict[str, Callable[[Any], Any]] = {
         "mechanism": read_mechanism, "drive": read_drive, "simulation": read_simulation, "cases": _read_cases
     }  # fmt: skip
+    there = {name: table for name, table in content.items() if table is not ABSENT}
     for name, read in readers.items():
-        with problems.noted():
-            if name in content:
-                parts[name] = read(content[name])
+        if name in content:
+            parts[name] = ABSENT
+            with problems.noted():
+                parts[name] = read(there[name]) if name in there else ABSENT
+    parts["tasks"] = ABSENT
     with problems.noted():
-        parts["tasks"] = read_tasks(content)
-    if "mechanism" in parts and "simulation" in parts:
-        duration, method, save_every = parts.pop("simulation")
-        parts.setdefault("drive", None)
-        with problems.noted():
-            study = Study(duration=duration, method=method, save_every=save_every, path=path, **parts)
-            if not problems.found:
-                return study
+        tasks = read_tasks(there)
+        parts["tasks"] = ABSENT if content.get("tolerances") is ABSENT else tasks
+    times = ("duration", "method", "save_every")
+    simulation = parts.pop("simulation")
+    parts |= dict.fromkeys(times, ABSENT) if simulation is ABSENT else dict(zip(times, simulation, strict=True))
+    study = None
+    with problems.noted():
+        study = Study(**parts)
     problems.refuse()
-    raise AssertionError("what is missing has been noted")
+    assert study is not None, "what is missing has been noted"
+    return study
 
 
 def _read_cases(entries: object) -> tuple[Case, ...]:
     header, cases, problems = "[[cases]]", [], Problems()
     for number, entry in enumerate(checked_list(entries, header), start=1):
         with problems.noted():
-            place = named_place(header, entry, number)
-            checked_table(entry, place, *CASE_KEYS)
-            cases.append(Case(entry["name"], entry.get("errors", {})))
+            cases.append(_read_case(entry, named_place(header, entry, number)))
     problems.refuse()
     return tuple(cases)
 
 
-def _require_file_name(name: object) -> None:
+def _read_case(entry: object, place: str) -> Case:
+    problems, case = Problems(), None
+    settings = problems.usable(lambda: checked_table(entry, place, *CASE_KEYS))
+    with problems.noted(), located(place) if settings["name"] is ABSENT else nullcontext():
+        case = Case(**settings)
+    problems.refuse()
+    assert case is not None, "what is missing has been noted"
+    return case
+
+
+def _errors(errors: object, case: object) -> dict[str, float]:
+    if not isinstance(errors, dict):
+        raise InputError(
+            f"Argument `errors` of case `{case}` must be a table of names and values, but "
+            f'was {errors!r}; write for example {{ "D.delta_x" = "0.5 deg" }}.'
+        )
+    values, problems = {}, Problems()
+    for name, value in errors.items():
+        with problems.noted():
+            with located(f"Case `{case}`"):
+                dimension = error_dimension(name)
+            values[name] = quantity(value, dimension, f"`{name}` of case `{case}`")
+    problems.refuse()
+    return values
+
+
+def _of_kind(value: Any, name: str, kind: type | tuple[type, ...]) -> Any:
+    if not isinstance(value, kind):
+        wanted = {"title": "string", "drive": "drive or None"}.get(name, name.title())
+        raise InputError(f"Argument `{name}` of a study must be a {wanted}, but was {value!r}; pass one.")
+    return value
+
+
+def _cases(cases: Any) -> tuple[Case, ...]:
+    if not isinstance(cases, (list, tuple)) or any(not isinstance(case, Case) for case in cases):
+        raise InputError(
+            f'Argument `cases` must be a list of Case objects, but was {cases!r}; write [Case("P1"), ...].'
+        )
+    return tuple(cases) or (Case("nominal"),)
+
+
+def _file_name(name: Any) -> str:
     text = name if isinstance(name, str) else ""
     allowed = all(letter.isascii() and (letter.isalnum() or letter in "_-.") for letter in text)
     if not allowed or not text or not text[0].isalnum() or text[-1] == ".":
@@ -270,3 +294,4 @@ def _require_file_name(name: object) -> None:
             f"Argument `name` of a case must have at most {LONGEST_NAME} characters, but has {len(text)}; it is used "
             "as a file name."
         )
+    return name

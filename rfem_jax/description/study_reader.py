@@ -7,6 +7,7 @@ a section, "kind" that of a drive.
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import fields
+from functools import partial
 from typing import Any, TypeVar
 
 from rfem_jax.description.drives import (
@@ -18,14 +19,15 @@ from rfem_jax.description.drives import (
     PrescribedSpinUp,
     PrescribedTable,
 )
-from rfem_jax.description.errors import InputError, Problems, located, require_choice, require_name
+from rfem_jax.description.errors import ABSENT, InputError, Problems, located, require_choice, require_name
 from rfem_jax.description.joints import Joint
 from rfem_jax.description.links import Link, PointMass
 from rfem_jax.description.materials import Material
 from rfem_jax.description.mechanism import Mechanism
 from rfem_jax.description.methods import Method, setting_names
 from rfem_jax.description.sections import Circle, GivenSection, Rectangle, Section, Tube
-from rfem_jax.description.tables import checked_list, checked_table, keys_of, named_place
+from rfem_jax.description.tables import build, build_by_trial, checked_list, checked_table, keys_of, named_place
+from rfem_jax.description.units import positive_quantity
 
 Part = TypeVar("Part")
 
@@ -45,43 +47,67 @@ SIMULATION_KEYS = (("duration",), ("method", "save_every"))  # and the settings 
 def read_mechanism(table: object) -> Mechanism:
     """Return the Mechanism of the table [mechanism]."""
     place = "[mechanism]"
-    content = checked_table(table, place, *MECHANISM_KEYS)
     problems = Problems()
+    content = problems.usable(lambda: checked_table(table, place, *MECHANISM_KEYS))
     materials = _read_named(content.get("materials", {}), "mechanism.materials", _read_material, problems)
     sections = _read_named(content.get("sections", {}), "mechanism.sections", _read_section, problems)
-    links, joints = [], []
-    with problems.noted():
-        links = _read_list(content["links"], "[[mechanism.links]]", _read_link, materials, sections)
-    with problems.noted():
-        joints = _read_list(content["joints"], "[[mechanism.joints]]", _read_joint)
-    problems.refuse()
-    options = {key: content[key] for key in _MECHANISM_OPTIONS if key in content}
-    with located(place):
-        return Mechanism(links=tuple(links), joints=tuple(joints), **options)
+    parts = {key: content[key] for key in _MECHANISM_OPTIONS if key in content} | {"links": ABSENT, "joints": ABSENT}
+    if content["links"] is not ABSENT:
+        with problems.noted():
+            parts["links"] = _read_list(content["links"], "[[mechanism.links]]", _read_link, materials, sections)
+    if content["joints"] is not ABSENT:
+        with problems.noted():
+            parts["joints"] = _read_list(content["joints"], "[[mechanism.joints]]", _read_joint)
+    return build(Mechanism, parts, place, problems)
 
 
 def read_drive(table: object) -> MomentDrive | PrescribedDrive:
     """Return the drive of the table [drive]."""
-    place = "[drive]"
+    place, problems = "[drive]", Problems()
     keys = {key for _, required, optional in DRIVES.values() for key in (*required, *optional)}
-    content = checked_table(table, place, ("kind",), ("joint", *sorted(keys)))
-    kind = _choice(content["kind"], DRIVES, "kind", place)
-    build, required, optional = DRIVES[kind]
-    required = ("joint", "kind", *required)
-    checked_table(content, f'{place} of kind "{kind}"', required, optional)
-    with located(place):
-        return build(**{key: value for key, value in content.items() if key != "kind"})
+    content = problems.usable(lambda: checked_table(table, place, ("kind",), ("joint", *sorted(keys))))
+    kind = _kind_of(content, DRIVES, "kind", place, problems)
+    make, required, optional = DRIVES[kind]
+    settings = _of_kind(content, f'{place} of kind "{kind}"', ("joint", "kind", *required), optional, problems)
+    return build(make, {name: value for name, value in settings.items() if name != "kind"}, place, problems)
 
 
 def read_simulation(table: object) -> tuple[Any, Method, Any]:
     """Return (duration, Method, save_every or None) of the table [simulation]."""
     place = "[simulation]"
+    problems = Problems()
     required, optional = SIMULATION_KEYS
-    content = checked_table(table, place, required, (*optional, *setting_names()))
+    content = problems.usable(lambda: checked_table(table, place, required, (*optional, *setting_names())))
     settings = {key: content[key] for key in setting_names() if key in content}
-    with located(place):
-        method = Method(content.get("method", "rk4" if "step" in content else "auto"), **settings)
+    name = content.get("method", "rk4" if "step" in content else "auto")
+    method = None if name is ABSENT else build_by_trial(partial(Method, name), settings, place, problems)
+    for key in ("duration", "save_every"):
+        if key in content and content[key] is not ABSENT:
+            with problems.noted():
+                positive_quantity(content[key], "time", key)
+    problems.refuse()
+    assert method is not None, "what is missing has been noted"
     return content["duration"], method, content.get("save_every")
+
+
+def _kind_of(content: dict[str, Any], known: Mapping[str, object], key: str, place: str, problems: Problems) -> str:
+    """The kind of a table, without which its other keys cannot be judged."""
+    kind = ABSENT
+    if content[key] is not ABSENT:
+        with problems.noted():
+            kind = _choice(content[key], known, key, place)
+    if kind is ABSENT:
+        problems.refuse()
+    return kind
+
+
+def _of_kind(
+    content: dict[str, Any], place: str, required: Collection[str], optional: Collection[str], problems: Problems
+) -> dict[str, Any]:
+    """The keys that the kind of a table has, of one with the keys of all kinds."""
+    known = (*required, *optional)
+    written = {name: value for name, value in content.items() if value is not ABSENT or name in known}
+    return problems.usable(lambda: checked_table(written, place, required, optional))
 
 
 def _choice(value: object, known: Mapping[str, object], key: str, place: str) -> str:
@@ -96,11 +122,18 @@ def _choice(value: object, known: Mapping[str, object], key: str, place: str) ->
 
 def _read_named(
     tables: object, header: str, read: Callable[[str, object, str], Part], problems: Problems
-) -> dict[str, Part | None]:
-    """Read tables [header.NAME] by read(name, table, place); None stands for those with a mistake, which is noted."""
-    found: dict[str, Part | None] = {}
+) -> dict[str, Part | None] | None:
+    """Read tables [header.NAME] by read(name, table, place).
+
+    Returns: None in place of those with a mistake, which is noted, and where there may be others than those found.
+    """
+    if tables is ABSENT:
+        return None
+    found: dict[str, Part | None] | None = None
     with problems.noted():
-        for name, table in checked_table(tables, f"[{header}]", optional=_own_keys(tables)).items():
+        checked = checked_table(tables, f"[{header}]", optional=_own_keys(tables))
+        found = {}
+        for name, table in checked.items():
             found[name] = None
             with problems.noted():
                 found[name] = read(name, table, f"[{header}.{name}]")
@@ -111,7 +144,7 @@ def _own_keys(table: object) -> Collection[str]:
     return table if isinstance(table, dict) else ()
 
 
-def _read_list(entries: object, header: str, read: Callable[..., Part], *known: Mapping[str, object]) -> list[Part]:
+def _read_list(entries: object, header: str, read: Callable[..., Part], *known: Any) -> list[Part]:
     """Read tables [[header]] by read(table, place, *known)."""
     found, problems = [], Problems()
     for number, entry in enumerate(checked_list(entries, header), start=1):
@@ -122,48 +155,64 @@ def _read_list(entries: object, header: str, read: Callable[..., Part], *known: 
 
 
 def _read_material(name: str, table: object, place: str) -> Material:
-    content = checked_table(table, place, *keys_of(Material, omit=("name",)))
-    with located(place):
-        return Material(name=name, **content)
+    problems = Problems()
+    settings = problems.usable(lambda: checked_table(table, place, *keys_of(Material, omit=("name",))))
+    return build(Material, {"name": name, **settings}, place, problems)
 
 
 def _read_section(name: str, table: object, place: str) -> Section:
-    keys = {field.name for kind in SHAPES.values() for field in fields(kind)}
-    content = checked_table(table, place, ("shape",), sorted(keys))
-    shape = _choice(content["shape"], SHAPES, "shape", place)
-    required, optional = keys_of(SHAPES[shape])
-    checked_table(content, f'{place} of shape "{shape}"', ("shape", *required), optional)
-    with located(place):
+    problems = Problems()
+    with problems.noted(), located(place):
         require_name(name, "`name` of a section")
-        return SHAPES[shape](**{key: value for key, value in content.items() if key != "shape"})
+    keys = {field.name for kind in SHAPES.values() for field in fields(kind)}
+    content = problems.usable(lambda: checked_table(table, place, ("shape",), sorted(keys)))
+    shape = _kind_of(content, SHAPES, "shape", place, problems)
+    required, optional = keys_of(SHAPES[shape])
+    settings = _of_kind(content, f'{place} of shape "{shape}"', ("shape", *required), optional, problems)
+    settings = {name: value for name, value in settings.items() if name != "shape"}
+    return build(SHAPES[shape], settings, place, problems)
 
 
 def _read_link(
-    table: object, place: str, materials: Mapping[str, Material | None], sections: Mapping[str, Section | None]
+    table: object,
+    place: str,
+    materials: Mapping[str, Material | None] | None,
+    sections: Mapping[str, Section | None] | None,
 ) -> Link:
-    settings = dict(checked_table(table, place, *keys_of(Link)))
+    problems = Problems()
+    settings = dict(problems.usable(lambda: checked_table(table, place, *keys_of(Link))))
     for key, known in (("section", sections), ("material", materials)):
-        if key in settings:
-            settings[key] = known[_choice(settings[key], known, key, place)]
-            if settings[key] is None:
-                raise InputError()  # nothing to add: the mistake in that table is noted
+        name = settings.get(key, ABSENT)
+        if name is ABSENT:
+            continue
+        settings[key] = ABSENT
+        if known is None:
+            continue
+        with problems.noted():
+            settings[key] = known[_choice(name, known, key, place)]
+        if settings[key] is None:
+            raise InputError(*problems.found)  # the mistake in that table is noted: the link is not judged
     if settings.get("rigid") is True and settings.get("rfes", 1) != 1:
-        raise InputError(
+        problems.found.append(
             f"{place}: Argument `rfes` must be left out where rigid = true, but was "
             f"{settings['rfes']!r}; remove one of the two."
         )
-    masses = _read_list(settings.get("point_masses", []), f"{place} point_masses", _read_point_mass)
-    with located(place):
-        return Link(**{**settings, "point_masses": tuple(masses)})
+        settings["rfes"] = ABSENT
+    masses = settings.get("point_masses", [])
+    if masses is not ABSENT:
+        settings["point_masses"] = ABSENT
+        with problems.noted():
+            settings["point_masses"] = tuple(_read_list(masses, f"{place} point_masses", _read_point_mass))
+    return build(Link, settings, place, problems)
 
 
 def _read_point_mass(table: object, place: str) -> PointMass:
-    content = checked_table(table, place, *keys_of(PointMass))
-    with located(place):
-        return PointMass(**content)
+    problems = Problems()
+    settings = problems.usable(lambda: checked_table(table, place, *keys_of(PointMass)))
+    return build(PointMass, settings, place, problems)
 
 
 def _read_joint(table: object, place: str) -> Joint:
-    content = checked_table(table, place, *keys_of(Joint))
-    with located(place):
-        return Joint(**content)
+    problems = Problems()
+    settings = problems.usable(lambda: checked_table(table, place, *keys_of(Joint)))
+    return build(Joint, settings, place, problems)

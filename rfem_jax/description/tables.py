@@ -4,13 +4,25 @@ Place in the pipeline: `study_reader` and `study` read every table of the TOML t
 no key is ever ignored.
 """
 
+import re
 import tomllib
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import MISSING, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from rfem_jax.description.errors import InputError, nearest, suggestion
+from rfem_jax.description.errors import (
+    ABSENT,
+    ChecksItself,
+    InputError,
+    Problems,
+    WrongKeys,
+    located,
+    nearest,
+    suggestion,
+)
+
+Part = TypeVar("Part")
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -43,7 +55,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         ) from None
     except RecursionError:
         raise InputError(
-            f"Study file `{path}` must have brackets a few deep, but has hundreds in each other; close them earlier."
+            f"Study file `{path}` must nest brackets a few levels deep, but nests hundreds; close them earlier."
         ) from None
 
 
@@ -63,7 +75,8 @@ def checked_table(
         data: what stands in the file.
         place: the table's header, for the message, such as "[simulation]".
     Raises:
-        InputError: not a table, an unknown key (with the nearest known one), a missing key.
+        InputError: not a table.
+        WrongKeys: an unknown key (with the nearest known one), a missing key.
     """
     if not isinstance(data, dict):
         raise InputError(f"{place} must be a table, but was {data!r}; write it as {place}.")
@@ -77,8 +90,59 @@ def checked_table(
         if key not in data and key not in meant
     ]
     if problems:
-        raise InputError(*problems)
+        absent = [key for key in known if key not in data and (key in required or key in meant)]
+        usable = {key: value for key, value in data.items() if key in known}
+        raise WrongKeys(problems, usable | dict.fromkeys(absent, ABSENT))
     return data
+
+
+def build(kind: Callable[..., Part], settings: dict[str, Any], place: str, problems: Problems) -> Part:
+    """Return kind(**settings), checked even where it cannot be made.
+
+    Args:
+        kind: a class that tells all its mistakes, or one with a `__post_init__` of its own (see `build_by_trial`).
+        settings: its arguments, ABSENT those that cannot be read.
+        place: the table's header.
+        problems: what is known to be wrong with the table.
+    Raises:
+        InputError: with `problems` and everything that is wrong with the arguments.
+    """
+    made = None
+    if getattr(kind, "__post_init__", ChecksItself.__post_init__) is not ChecksItself.__post_init__:
+        made = build_by_trial(kind, settings, place, problems)
+    else:
+        with problems.noted(), located(place):
+            made = kind(**settings)
+    problems.refuse()
+    if made is None:
+        raise InputError()  # nothing to add: what is wrong is told elsewhere
+    return made
+
+
+def build_by_trial(kind: Callable[..., Part], settings: dict[str, Any], place: str, problems: Problems) -> Part | None:
+    """As `build`, of a class that tells its first mistake only: it is asked again without the argument that it names.
+
+    Returns: None where something is wrong, which `problems` then hold.
+    """
+    left = {name: value for name, value in settings.items() if value is not ABSENT}
+    whole = len(left) == len(settings)
+    while True:
+        try:
+            made = kind(**left)
+            return made if whole else None
+        except TypeError:
+            if whole:
+                raise
+            return None  # a required argument is absent, or was left out
+        except InputError as error:
+            named = {match[1] for problem in error.problems if (match := re.match(r"Argument `(\w+)`", problem))}
+            # Where an argument is left out, what is said of one that is not there may be a consequence of that.
+            if whole or not named.isdisjoint(left):
+                problems.found += [f"{place}: {problem}" for problem in error.problems]
+            if named.isdisjoint(left):
+                return None
+        left = {name: value for name, value in left.items() if name not in named}
+        whole = False
 
 
 def checked_list(data: object, place: str) -> list[dict[str, Any]]:

@@ -14,9 +14,9 @@ import numpy as np
 from jaxtyping import Float
 
 from rfem_jax.description.error_catalogue import error_dimension
-from rfem_jax.description.errors import ChecksItself, InputError, Problems, located, require_choice
-from rfem_jax.description.tables import checked_list, checked_table, keys_of
-from rfem_jax.description.units import DERIVED, positive_quantity, quantity
+from rfem_jax.description.errors import ABSENT, Checks, ChecksItself, InputError, Problems, located, require_choice
+from rfem_jax.description.tables import build, checked_list, checked_table, keys_of
+from rfem_jax.description.units import DERIVED, Quantity, positive_quantity, quantity
 
 DISTRIBUTIONS = ("uniform", "triangular", "normal", "truncated_normal")
 NORMAL = ("normal", "truncated_normal")
@@ -31,7 +31,7 @@ class SpecifiedTolerance(ChecksItself):
         half_width: t [rad or m], > 0; this or else `interval`.
         distribution: "uniform", "triangular", "normal" or "truncated_normal".
         interval: (low, high) [rad or m].
-        deviations: k, standard deviations in a half-width of the normal ones; None is 3.
+        deviations: k, standard deviations in a half-width of the normal ones; None = 3.
     Raises: InputError for names, numbers or settings that are out of range or do not fit each other.
     """
 
@@ -41,42 +41,54 @@ class SpecifiedTolerance(ChecksItself):
     interval: tuple[float, float] = DERIVED
     deviations: float | None = None
 
-    def __post_init__(self):
+    def _check_fields(self, checks: Checks) -> None:
         where = f"of the tolerance `{self.error}`"
-        require_choice(self.distribution, DISTRIBUTIONS, f"`distribution` {where}")
+        checks.convert("distribution", require_choice, DISTRIBUTIONS, f"`distribution` {where}")
         if (self.half_width is None) == (self.interval is None):
             found = "neither is" if self.interval is None else "both are"
-            raise InputError(
+            checks.found.append(
                 f"Argument `half_width` {where} must be given or else `interval`, but {found}; keep one of them."
             )
+        if self.half_width is not None:
+            checks.convert("half_width", _half_width, self.error, f"`half_width` {where}")
+        if self.interval is not None:
+            checks.convert("interval", _interval, self.error, where)
+        checks.relation(("distribution",), self._check_deviations, where)
+        if self.deviations is not None:
+            checks.convert("deviations", positive_quantity, "none", f"`deviations` {where}")
+        checks.refuse()
+        if self.deviations is None and self.distribution in NORMAL:
+            object.__setattr__(self, "deviations", 3.0)
+        ends = (-self.half_width, self.half_width) if self.interval is None else self.interval
+        object.__setattr__(self, "interval", ends)
+        object.__setattr__(self, "half_width", 0.5 * (ends[1] - ends[0]))
+
+    def _check_deviations(self, where: str) -> None:
         if self.deviations is not None and self.distribution not in NORMAL:
             raise InputError(
                 f"Argument `deviations` {where} must be left out unless the distribution is "
                 f'normal, but it is "{self.distribution}"; remove it.'
             )
-        interval = self.interval
-        if interval is None:
-            with located("[tolerances]"):
-                dimension = error_dimension(self.error)
-            width = positive_quantity(self.half_width, dimension, f"`half_width` {where}")
-            interval = (-width, width)
-        if not isinstance(interval, (list, tuple)) or len(interval) != 2:
-            raise InputError(
-                f"Argument `interval` {where} must be a pair [low, high], but was {interval!r}; "
-                'write for example ["-0.1 mm", "0.3 mm"].'
-            )
-        ends = [error_quantities({self.error: end}, "interval")[self.error] for end in interval]
-        if not ends[0] < ends[1]:
-            raise InputError(
-                f"Argument `interval` {where} must rise from low to high, but was {interval!r}; "
-                "swap or correct its ends."
-            )
-        if self.distribution in NORMAL:
-            given = 3.0 if self.deviations is None else self.deviations
-            k = positive_quantity(given, "none", f"`deviations` {where}")
-            object.__setattr__(self, "deviations", k)
-        object.__setattr__(self, "interval", tuple(ends))
-        object.__setattr__(self, "half_width", 0.5 * (ends[1] - ends[0]))
+
+
+def _half_width(width: Quantity, error: object, where: str) -> float:
+    with located("[tolerances]"):
+        dimension = error_dimension(error)
+    return positive_quantity(width, dimension, where)
+
+
+def _interval(interval: Any, error: str, where: str) -> tuple[float, float]:
+    if not isinstance(interval, (list, tuple)) or len(interval) != 2:
+        raise InputError(
+            f"Argument `interval` {where} must be a pair [low, high], but was {interval!r}; "
+            'write for example ["-0.1 mm", "0.3 mm"].'
+        )
+    low, high = (error_quantities({error: end}, "interval")[error] for end in interval)
+    if not low < high:
+        raise InputError(
+            f"Argument `interval` {where} must rise from low to high, but was {interval!r}; swap or correct its ends."
+        )
+    return low, high
 
 
 @dataclass(frozen=True)
@@ -94,20 +106,12 @@ class CorrelatedTolerances(ChecksItself):
     correlation: tuple[tuple[float, ...], ...]
     deviations: float = 3.0
 
-    def __post_init__(self):
+    def _check_fields(self, checks: Checks) -> None:
         where = "of correlated tolerances"
-        if not isinstance(self.half_widths, dict) or len(self.half_widths) < 2:
-            raise InputError(
-                f"Argument `half_widths` {where} must be a table of two errors or more, but was "
-                f'{self.half_widths!r}; write {{ "D.d_x" = "0.1 mm", "D.d_z" = "0.1 mm" }}.'
-            )
-        widths = error_quantities(self.half_widths, "half_widths")
-        for name, width in widths.items():
-            positive_quantity(width, "none", f"`{name}` {where}")
-        k = positive_quantity(self.deviations, "none", f"`deviations` {where}")
-        object.__setattr__(self, "half_widths", widths)
-        object.__setattr__(self, "deviations", k)
-        object.__setattr__(self, "correlation", _correlation(self.correlation, len(widths), where))
+        checks.convert("half_widths", _half_widths, where)
+        count = len(self.half_widths) if checks.passed("half_widths") else None
+        checks.convert("correlation", _correlation, count, where)
+        checks.convert("deviations", positive_quantity, "none", f"`deviations` {where}")
 
     def covariance(self) -> Float[np.ndarray, "errors errors"]:
         """Covariance (d, d) of the errors [rad^2, m^2, rad m], in their order."""
@@ -122,12 +126,11 @@ class SpecifiedTolerances(ChecksItself):
     independent: tuple[SpecifiedTolerance, ...] = ()
     correlated: tuple[CorrelatedTolerances, ...] = ()
 
-    def __post_init__(self):
+    def _check_fields(self, checks: Checks) -> None:
         names = self.names
-        twice = [name for index, name in enumerate(names) if name in names[:index]]
-        if twice or not names:
-            found = f"`{twice[0]}` occurs twice" if twice else "there is none"
-            raise InputError(
+        twice = dict.fromkeys(name for index, name in enumerate(names) if name in names[:index])
+        for found in [f"`{name}` occurs twice" for name in twice] if names else ["there is none"]:
+            checks.found.append(
                 f"Argument `tolerances` must name every error once, but {found}; "
                 "give each error one tolerance, alone or in one group."
             )
@@ -160,20 +163,34 @@ def read_tolerances(table: object) -> SpecifiedTolerances:
         if error == "correlated":
             continue
         with problems.noted():
-            settings = entry if isinstance(entry, dict) else {"half_width": entry}
-            with located(place):
-                error_dimension(error)
-            checked_table(settings, f"{place} `{error}`", *keys_of(SpecifiedTolerance, ("error",)))
-            with located(place):
-                alone.append(SpecifiedTolerance(error, **settings))
+            alone.append(_read_tolerance(error, entry, place))
     header = "[[tolerances.correlated]]"
     with problems.noted():
         for entry in checked_list(checked.get("correlated", []), header):
-            with problems.noted(), located(header):
-                groups.append(CorrelatedTolerances(**checked_table(entry, header, *keys_of(CorrelatedTolerances))))
+            with problems.noted():
+                groups.append(_read_group(entry, header))
     problems.refuse()
     with located(place):
         return SpecifiedTolerances(tuple(alone), tuple(groups))
+
+
+def _read_tolerance(error: str, entry: object, place: str) -> SpecifiedTolerance:
+    problems = Problems()
+    with problems.noted(), located(place):
+        error_dimension(error)
+    known = not problems.found
+    settings = entry if isinstance(entry, dict) else {"half_width": entry}
+    keys = keys_of(SpecifiedTolerance, ("error",))
+    settings = problems.usable(lambda: checked_table(settings, f"{place} `{error}`", *keys))
+    if not known:  # nor the unit of its values
+        settings = settings | {key: ABSENT for key in ("half_width", "interval") if key in settings}
+    return build(SpecifiedTolerance, {"error": error, **settings}, place, problems)
+
+
+def _read_group(entry: object, header: str) -> CorrelatedTolerances:
+    problems = Problems()
+    settings = problems.usable(lambda: checked_table(entry, header, *keys_of(CorrelatedTolerances)))
+    return build(CorrelatedTolerances, settings, header, problems)
 
 
 def error_quantities(values: object, where: str) -> dict[str, float]:
@@ -183,14 +200,38 @@ def error_quantities(values: object, where: str) -> dict[str, float]:
             f"Argument `{where}` must be a table of errors and values, but was {values!r}; "
             'write for example { "D.delta_x" = "0.5 deg" }.'
         )
-    with located(f"`{where}`"):
-        dimensions = {name: error_dimension(name) for name in values}
-    return {name: quantity(values[name], dimension, f"`{name}` of `{where}`") for name, dimension in dimensions.items()}
+    found, problems = {}, Problems()
+    for name, value in values.items():
+        with problems.noted():
+            with located(f"`{where}`"):
+                dimension = error_dimension(name)
+            found[name] = quantity(value, dimension, f"`{name}` of `{where}`")
+    problems.refuse()
+    return found
 
 
-def _correlation(correlation: Any, d: int, where: str) -> tuple[tuple[float, ...], ...]:
+def _half_widths(widths: Any, where: str) -> dict[str, float]:
+    if not isinstance(widths, dict) or len(widths) < 2:
+        raise InputError(
+            f"Argument `half_widths` {where} must be a table of two errors or more, but was "
+            f'{widths!r}; write {{ "D.d_x" = "0.1 mm", "D.d_z" = "0.1 mm" }}.'
+        )
+    found = error_quantities(widths, "half_widths")
+    problems = Problems()
+    for name, width in found.items():
+        with problems.noted():
+            positive_quantity(width, "none", f"`{name}` {where}")
+    problems.refuse()
+    return found
+
+
+def _correlation(correlation: Any, d: int | None, where: str) -> tuple[tuple[float, ...], ...]:
+    """Rows of the correlation of d errors (None where these are wrong: of as many as a matrix has rows)."""
+    if d is None:
+        d = max(len(correlation), 2) if isinstance(correlation, (list, tuple)) else 2
     if isinstance(correlation, (int, float)) and not isinstance(correlation, bool):
-        matrix = np.full((d, d), float(correlation)) + (1.0 - correlation) * np.eye(d)
+        matrix = np.full((d, d), float(correlation))
+        np.fill_diagonal(matrix, 1.0)
     else:
         try:
             matrix = np.array(correlation, dtype=float)

@@ -33,9 +33,9 @@ STATUS: tuple[Status, ...] = (
     ),
     Status(
         "diverged",
-        "The motion left the finite numbers. Usually the step is too large for stability "
-        "(`rfem-jax check` prints the largest stable one); a link that folds beyond 90 deg does the "
-        "same.",
+        "A coordinate became infinite or undefined. Usually the step is too large for stability "
+        "(`rfem-jax check` prints the largest stable one); a link that bends by more than 90 deg has the "
+        "same effect.",
     ),
     Status(
         "drifted",

@@ -3,8 +3,8 @@
 Place in the pipeline: the outermost layer; it calls `load_study` (description), `discretise` and `describe`
 (mechanics), `check_step` and `run_cases` (simulation), `tasks` for tolerance studies (one subcommand for every kind of
 task), and the other modules of this package; `progress_line` shows what is being done. Exit codes: 0 done; 2 the input
-is wrong (one sentence on standard error); 3 a case or a task failed (results are written all the same); 130
-interrupted.
+is wrong (one sentence on standard error); 3 a case or a task failed (results are written all the same); 1 nobody reads
+what is printed any more; 130 interrupted.
 
 Imports that take seconds (JAX, matplotlib) are inside the functions: `--help` is instant.
 """
@@ -17,14 +17,14 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from rfem_jax.report.annotations import Model, Run, Study, Summaries
 from rfem_jax.report.process import count_devices, join_processes, require_platform, set_up_jax
-from rfem_jax.report.progress_line import ProgressLine, say, show
+from rfem_jax.report.progress_line import ClosedPipe, ProgressLine, discard, say, show
 from rfem_jax.task_kinds import task_kinds
 
-DONE, WRONG_INPUT, CASE_FAILED, INTERRUPTED = 0, 2, 3, 130
+DONE, UNREAD, WRONG_INPUT, CASE_FAILED, INTERRUPTED = 0, 1, 2, 3, 130
 
 
 class _Parser(argparse.ArgumentParser):
@@ -48,7 +48,8 @@ def build_parser() -> argparse.ArgumentParser:
     parser = _Parser(
         prog="rfem-jax",
         description="Loads in the joints of mechanisms with flexible links and assembly errors.",
-        epilog="Exit codes: 0 done; 2 the input is wrong; 3 a case or a task failed; 130 interrupted.",
+        epilog="Exit codes: 0 done; 1 the output is no longer read (as in a pipe to head); 2 the input is wrong; "
+        "3 a case or a task failed; 130 interrupted.",
     )
     parser.add_argument("--version", action="version", version=f"rfem-jax {_version()}")
     commands = parser.add_subparsers(title="commands", dest="command", required=True)
@@ -93,6 +94,11 @@ def build_parser() -> argparse.ArgumentParser:
         "table", metavar="WORD", nargs="?", help='tables with this word in their header, such as "joints"'
     )
     keys.set_defaults(action=_keys, cache=True)
+    _add_validate(commands)
+    return parser
+
+
+def _add_validate(commands: Any) -> None:
     validate = commands.add_parser(
         "validate",
         help="compute published benchmarks and compare with their reference values",
@@ -104,7 +110,6 @@ def build_parser() -> argparse.ArgumentParser:
     validate.add_argument("--only", metavar="NAME", nargs="+", help="these benchmarks only")
     validate.add_argument("--out", metavar="DIR", help="folder for tables and pictures")
     validate.set_defaults(action=_validate)
-    return parser
 
 
 def _add_common(command: argparse.ArgumentParser) -> None:
@@ -126,8 +131,8 @@ def _add_processes(command: argparse.ArgumentParser) -> None:
         "Start the same command once per process; they share the folder DIR.",
     )
     group.add_argument("--coordinator", metavar="HOST:PORT", help="address of process 0")
-    group.add_argument("--processes", metavar="N", type=int, help="how many there are")
-    group.add_argument("--process-id", metavar="I", type=int, help="which one this is, from 0")
+    group.add_argument("--processes", metavar="N", type=int, help="number of processes")
+    group.add_argument("--process-id", metavar="I", type=int, help="number of this process, from 0")
 
 
 def require_folder(out: str | Path) -> None:
@@ -185,7 +190,7 @@ def _settle_method(study: Study) -> Study:
     _announce("Choosing the method and its step")
     method = choose_method(model, study.method, study.drive, study.duration, save_every=study.save_every)
     show(f"Method auto: {method.name} with a step of {method.step:.3g} s.")
-    return replace(study, method=method)
+    return replace(study, method=method, asked_method=study.method)
 
 
 def _discretise(study: Study) -> Model:
@@ -242,6 +247,7 @@ def _run(arguments: argparse.Namespace) -> int:
     from rfem_jax.simulation import STATUS
 
     require_folder(arguments.out)
+    _require_task_folders(study, study.tasks.declared, arguments.out)
     study = _settle_method(study)
     folder = open_folder(arguments.out)
     runs = _simulate(study)
@@ -273,6 +279,16 @@ def _write_task(study: Study, task: str, folder: Path) -> tuple[bool, list[Path]
         raise _cannot_write(folder, problem) from problem
 
 
+def _require_task_folders(study: Study, tasks: Sequence[str], out: str | Path) -> None:
+    """See that the folder can hold what these tasks keep there, before anything is computed."""
+    if not tasks:
+        return
+    from rfem_jax.report.tasks.task_report import report_on
+
+    for task in tasks:
+        report_on(study, task).require_folder(Path(out))
+
+
 def _do_task(arguments: argparse.Namespace) -> int:
     from rfem_jax.description import load_study
 
@@ -284,6 +300,7 @@ def _do_task(arguments: argparse.Namespace) -> int:
 
     require_task(study, arguments.task)
     require_folder(arguments.out)
+    _require_task_folders(study, (arguments.task,), arguments.out)
     study = _settle_method(study)
     folder = open_folder(arguments.out)
     good, written = _write_task(study, arguments.task, folder)
@@ -375,6 +392,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns the exit code; wrong input, an interruption and files that cannot be written become
     one sentence on standard error, anything else is a fault of this program and raises.
     """
+    try:
+        code = _main(argv)
+        sys.stdout.flush()
+    except (ClosedPipe, BrokenPipeError):
+        discard(sys.stdout)
+        return UNREAD
+    return code
+
+
+def _main(argv: Sequence[str] | None) -> int:
     try:
         arguments = build_parser().parse_args(argv)
     except SystemExit as end:

@@ -18,7 +18,7 @@ from rfem_jax.compilation.keeping import state
 from rfem_jax.description.study import Study
 from rfem_jax.report.annotations import Run, Summaries
 from rfem_jax.report.output import replacing, write_json
-from rfem_jax.report.quantities import ENERGIES, units
+from rfem_jax.report.quantities import ENERGIES, column_name, units
 from rfem_jax.report.summary import joint_names, study_note, total_energy
 
 
@@ -41,20 +41,20 @@ def history_columns(study: Study, run: Run) -> dict[str, Float[np.ndarray, " tim
     """Time histories of one run, {column name with unit: (T,) array}, in the order of the CSV."""
     times = np.asarray(run.times)
     columns = {
-        "time_s": times,
-        "angle_rad": np.asarray(run.angle),
-        "rate_rad_s": np.asarray(run.rate),
+        column_name("time", "s"): times,
+        column_name("angle", "rad"): np.asarray(run.angle),
+        column_name("rate", "rad/s"): np.asarray(run.rate),
     }
     for quantity in ENERGIES:
         is_total = quantity.name == "total"
         values = total_energy(run) if is_total else np.asarray(getattr(run.energy, quantity.name))
-        columns[f"{quantity.name}_{quantity.unit}"] = values
+        columns[column_name(quantity.name, quantity.unit)] = values
     for name in joint_names(study):
-        for load, unit in (("force", "N"), ("moment", "Nm")):
+        for load, unit in (("force", "N"), ("moment", "N m")):
             values = np.asarray(getattr(run.loads[name], load))
             for axis, letter in enumerate("xyz"):
-                columns[f"{name}_{load}_{letter}_{unit}"] = values[:, axis]
-    columns["drive_moment_Nm"] = np.asarray(run.drive_moment)
+                columns[column_name(f"{name}_{load}_{letter}", unit)] = values[:, axis]
+    columns[column_name("drive_moment", "N m")] = np.asarray(run.drive_moment)
     return columns
 
 

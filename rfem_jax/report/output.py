@@ -3,6 +3,10 @@
 Place in the pipeline: used by every module of this package that writes, and by the studies' scripts.
 A file is written beside its final place and then renamed.  JSON has no NaN; a value that does not
 exist is null, in CSV an empty cell.
+
+Columns of CSV files are named with their units (`quantities.column_name`): `time_s`, `D.d_y_m`. Where the unit changes
+from row to row, it stands in a column of its own: `gradient_unit` is that of `gradient`, `unit` that of all others. A
+column of which neither is said has no unit: a count, a name, a ratio, a cost in the currency of the study.
 """
 
 import csv

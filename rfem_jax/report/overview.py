@@ -99,7 +99,7 @@ def count_lines(mechanism: Mechanism, description: Structure) -> list[str]:
     if description.gap > 1e-9:
         lines.append(
             f"With every link rigid a cut joint stays open by {description.gap:.2g} m at the start, which flexible "
-            "links take up: numbers with more decimals close it better."
+            "links take up: lengths and angles with more decimals close it better."
         )
     if not description.redundant:
         return [*lines, "No redundant constraints: all joint reactions are unique."]

@@ -7,10 +7,13 @@ what remains; elsewhere plain lines: a stage that takes longer than a moment, th
 minute.  What is printed by `show` and `say` meanwhile takes the place of the line, which comes back below.
 """
 
+import os
 import shutil
 import sys
 import threading
 import time
+from contextlib import suppress
+from typing import TextIO
 
 PATIENCE = 0.5  # s that a stage takes before it is worth a line of its own in a log
 TICK = 1.0  # s
@@ -108,25 +111,45 @@ class ProgressLine:
         self._write(f"{self.text()}\n")
 
     def _write(self, text):
-        self.stream.write(text)
-        self.stream.flush()
+        try:
+            self.stream.write(text)
+            self.stream.flush()
+        except BrokenPipeError:  # nobody reads it; the work goes on
+            discard(self.stream)
+
+
+class ClosedPipe(Exception):
+    """Nobody reads what is printed any more, as of `rfem-jax keys | head`. No OSError: it is none of a file."""
+
+
+def discard(stream: TextIO) -> None:
+    """Let what is written to a stream whose reader is gone, and what it still holds, go nowhere
+    (https://docs.python.org/3/library/signal.html#note-on-sigpipe)."""
+    with suppress(OSError, ValueError):  # a stream that is no file
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, stream.fileno())
+        os.close(nowhere)
 
 
 def show(text: str = "", end: str = "\n") -> None:
-    """Print a result on standard output, above the progress line."""
+    """Print a result on standard output, above the progress line. Raises: ClosedPipe."""
     _print(text, end, sys.stdout)
 
 
 def say(text: str) -> None:
-    """Print a remark on standard error, above the progress line."""
+    """Print a remark on standard error, above the progress line. Raises: ClosedPipe."""
     _print(text, "\n", sys.stderr)
 
 
 def _print(text, end, stream):
-    if not _lines:
-        print(text, end=end, file=stream, flush=True)
-        return
-    line = _lines[-1]
-    with line.lock:
-        line.clear()
-        print(text, end=end, file=stream, flush=True)
+    try:
+        if not _lines:
+            print(text, end=end, file=stream, flush=True)
+            return
+        line = _lines[-1]
+        with line.lock:
+            line.clear()
+            print(text, end=end, file=stream, flush=True)
+    except BrokenPipeError:
+        discard(stream)
+        raise ClosedPipe from None

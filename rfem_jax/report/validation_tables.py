@@ -100,12 +100,13 @@ def _difference(line: Line, value: float, form: str) -> str:
 
 
 def write_validation(folder: str | Path, lines: list[Line], settings: dict[str, Any]) -> list[Path]:
-    """Write validation.json, validation.csv and validation.md; returns their paths.
+    """Write validation.json, validation.csv and validation.md; returns their paths. In the CSV `unit` is that of value
+    and reference, `difference_unit` that of difference and allowed.
 
     Arguments: settings, what the command was asked for (names of benchmarks, full) and took.
     """
     folder = Path(folder)
-    rows = [{**asdict(line), "verdict": line.verdict} for line in lines]
+    rows = [{**asdict(line), "difference_unit": line.difference_unit, "verdict": line.verdict} for line in lines]
     written = [
         write_json(folder / "validation.json", {**settings, "lines": rows}),
         write_csv(folder / "validation.csv", rows),

@@ -92,8 +92,9 @@ class Run(eqx.Module):
 
     centre_lines, nominal_lines: points (points, 3) [m] along the links as assembled, and of the perfect mechanism;
     ends: positions (times, 3) [m] of the far ends of the links, in global axes.  branch: assembly mode (times,) of
-    every cut joint, +1 or -1; a change of sign is a passage through a fold, after which derivatives, and averages
-    with runs on the other branch, have no meaning.  integrals: of squared loads, for `window`.
+    every cut joint, +1 or -1; a change of sign is a passage through a change point (theory (5.13)), after which
+    derivatives, and averages with runs on the other branch, have no meaning.  integrals: of squared loads, for
+    `window`.
     """
 
     times: Float[Array, " times"]
@@ -152,7 +153,7 @@ class Run(eqx.Module):
             for name in m.rms_force
         ]
         lines.append(
-            f"energy balance {float(self.energy_balance_error):.1e}, joint-load balance "
+            f"energy balance {float(self.energy_balance_error):.1e}, momentum balance "
             f"{float(self.momentum_balance_error):.1e}, closure drift "
             f"{float(self.closure_drift):.1e} m"
         )

@@ -123,16 +123,21 @@ class Sensitivities:
         return float(np.sqrt(max(0.5 * e @ self.hessian[i] @ e, 0.0)))
 
     def rows(self) -> list[dict[str, Any]]:
-        """One flat dict per metric and error, ranked within the metric, for CSV and JSON."""
+        """One flat dict per metric and error, ranked within the metric, for CSV and JSON.
+
+        `unit` is that of all numbers of the row but `gradient` and `curvature`, which have theirs ("1" without one).
+        """
         out = []
         for m, metric in enumerate(self.metrics):
+            unit = self.metric_units[m] or "1"
             for rank, i in enumerate(np.argsort(-self.effects[m], kind="stable"), start=1):
                 row = {"metric": metric, "error": self.names[i], "rank": rank}
-                row |= {"character": self.character[m], "value": float(self.value[m])}
-                row |= {"gradient": float(self.gradient[m, i])}
+                row |= {"character": self.character[m], "unit": unit, "value": float(self.value[m])}
+                row |= {"gradient": float(self.gradient[m, i]), "gradient_unit": f"{unit}/{self.error_units[i]}"}
                 row |= {"gradient_per_tolerance": float(self.gradient_scaled[m, i])}
                 if self.hessian is not None and self.hessian_scaled is not None:
                     row |= {"curvature": float(self.hessian[m, i, i])}
+                    row |= {"curvature_unit": f"{unit}/{self.error_units[i]}^2"}
                     row |= {"curvature_per_tolerance": float(self.hessian_scaled[m, i, i])}
                 row |= {"effect": float(self.effects[m, i])}
                 row |= {"vanishes_by_symmetry": bool(self.vanishing[m, i])}
@@ -187,9 +192,9 @@ class Sensitivities:
 
 _REMARKS = {
     "slope": "",
-    "even": "; even here: the gradient vanishes, the Hessian counts",
-    "mixed": "; even in some errors: their gradients vanish, the Hessian counts",
-    "kink": "; zero and even here: its square root has a kink, with a one-sided derivative in every direction",
+    "even": "; even in the errors at this point: the gradient vanishes, use the Hessian",
+    "mixed": "; even in some errors: their derivatives vanish, use the Hessian",
+    "kink": "; zero and even at this point: its square root has a kink, with a one-sided derivative in every direction",
     "flat": "; no error has an effect",
     "none": "; no finite derivative here (a root has a kink at zero: take its mean square)",
 }

@@ -139,7 +139,7 @@ class WorstCase:
         if np.isfinite(self.hessian_error):
             model += f" (Hessian by differences, error {self.hessian_error:.0e})"
         tail = [
-            f"KKT residual {self.kkt_residual:.1e}; {len(self.maximisers)} point(s) tie; "
+            f"KKT residual {self.kkt_residual:.1e}; attained at {len(self.maximisers)} point(s); "
             f"{spent['search']} evaluations with gradient, {spent['values']} without, "
             f"{self.failed} failed",
             model,

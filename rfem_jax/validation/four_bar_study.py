@@ -132,7 +132,7 @@ def motion_lines(prefix: str, allowed: Tolerances, case: str, run: Run) -> list[
     for time in angles:
         at = int(np.argmin(np.abs(run.times - float(time))))
         lines += [
-            absolute(f"{prefix}: crank turned", f"{case} crank turned at {time} s",
+            absolute(f"{prefix}: crank rotation", f"{case} crank rotation at {time} s",
                      run.angle[at] - run.angle[0], angles[time], allowed.angle, SOURCE, "rad"),
             absolute(f"{prefix}: crank rate", f"{case} crank rate at {time} s", run.rate[at],
                      rates[time], allowed.rate, SOURCE, "rad/s"),

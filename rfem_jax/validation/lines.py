@@ -46,6 +46,11 @@ class Line:
     reason: str = ""
 
     @property
+    def difference_unit(self) -> str:
+        """Unit of the difference and of what is allowed; "1" for shares and words."""
+        return "1" if self.relative or isinstance(self.value, str) else self.unit or "1"
+
+    @property
     def verdict(self) -> str:
         """ "pass", "not met" (for a known reason) or "fail"."""
         if not math.isfinite(self.difference):

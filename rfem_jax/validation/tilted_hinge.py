@@ -4,9 +4,10 @@ Place in the pipeline: a benchmark of `catalogue`, with geometrically exact elem
 
 Three flexible bars A-B-C-D in the X-Z plane, crank prescribed at 0.6 rad/s, the pin of C crooked
 by 5 deg: the mechanism moves only because its bars bend. Window W1 = 0.1 s to 2.4 s, before the
-fold of the parallelogram at 2.62 s. The benchmark's axes (x, y in the plane, z along the hinges)
-are X = x, Z = y, Y = -z here. Its tilt, initial axis (0, -sin 5, cos 5), is `C.pin_tilt_x` = 5
-deg; that of TACS's example, (sin 5, 0, cos 5), is `C.pin_tilt_z` = 5 deg.
+change point of the parallelogram (all bars in line) at 2.62 s. The benchmark's axes (x, y in the
+plane, z along the hinges) are X = x, Z = y, Y = -z here. Its tilt, initial axis
+(0, -sin 5, cos 5), is `C.pin_tilt_x` = 5 deg; that of TACS's example, (sin 5, 0, cos 5), is
+`C.pin_tilt_z` = 5 deg.
 
 Source: O. A. Bauchau et al., "Validation of flexible multibody dynamics beam formulations using benchmark problems",
 Multibody Syst. Dyn. 37 (2016) 29-48; reference values: `references/tilted_hinge.json`.
@@ -55,7 +56,7 @@ FORCE_SHARE, MOMENT_SHARE = {4: 0.025, 16: 0.0025}, {4: 0.04, 16: 0.0025}
 
 TRAJECTORY_ALLOWED = 1e-4  # m
 COARSE = (
-    "discretisation with m = 4, just before the fold; the value extrapolated from m = 2 and 4 is "
+    "discretisation with m = 4, just before the change point; the value extrapolated from m = 2 and 4 is "
     "within the limit (next group)"
 )
 
@@ -103,7 +104,7 @@ def at_time(run: Run, time: float) -> int:
 
 
 def branch_name(run: Run) -> str:
-    """The branch after the fold: on that of the parallelogram the assembly mode changes sign."""
+    """The branch after the change point: on that of the parallelogram the assembly mode changes sign."""
     modes = run.branch["C"]
     if not np.all(np.isfinite(modes)):
         return STATUS[int(run.status)].name
@@ -175,7 +176,7 @@ def _axis_at_start(model: Model, tilt, error: str):
 
 
 def trajectory_lines(coarse: Run, run: Run) -> list[Line]:
-    """Displacement of C away from the folds with m = 4, and extrapolated from m = 2 and 4."""
+    """Displacement of C away from the change points with m = 4, and extrapolated from m = 2 and 4."""
     group = f"{GROUP}, trajectory"
     status = STATUS[int(run.status)].name
     raw, extrapolated = [same(group, "m = 4, status of the run", status, "ok", "-")], []
@@ -245,7 +246,7 @@ def order_lines(runs: dict[int, Run]) -> list[Line]:
 
 
 def branch_lines(runs: dict[str, Run]) -> list[Line]:
-    """Which way the parallelogram went at its fold."""
+    """Which way the parallelogram went at its change point."""
     quantity = REFERENCE.quantities["branch"]
     return [
         same(f"{GROUP}, branch", f"branch at {END} s, tilt {tilt} deg", branch_name(runs[f"x{tilt}"]),
@@ -285,7 +286,7 @@ def _derivatives(model: Model, tilt):
 
 
 def pictures(runs: dict[str, Run]) -> list[Picture]:
-    """Displacements of C and the force in A before the fold."""
+    """Displacements of C and the force in A before the change point."""
     run = runs["x5"]
     shown = run.times <= WINDOW[1] + 0.1
     curves = []

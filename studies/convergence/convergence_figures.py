@@ -160,7 +160,7 @@ def damping_figure(study, rows) -> Figure:
             style = {**every_point(k, len(own)), "linestyle": "none", "markersize": 7.0}
             label = f"{method}, {step:.3g} s"
             panels[column].plot(places, [row["rms"] for row in own], label=label, **style)
-            derivatives = [row["derivative_of_square_per_deg"] for row in own]
+            derivatives = [row["derivative_of_square"] for row in own]
             panels[2 + column].plot(places, derivatives, label=label, **style)
         panels[column].set_title(f"({'ab'[column]}) RMS {load} in A", loc="left")
         panels[column].set_ylabel(f"{load}, {unit}")

@@ -106,7 +106,7 @@ QUICK = Plan(
     dampings=(0.0, 1e-5),
     derivatives=((IMPLICIT, 2.5e-3, 2),),
 )
-METRICS = {"rms_force": "N", "rms_moment": "Nm", "max_axial_force": "N", "max_normal_force": "N"}
+METRICS = {"rms_force": "N", "rms_moment": "N m", "max_axial_force": "N", "max_normal_force": "N"}
 DEGREE = np.pi / 180.0
 
 
@@ -311,7 +311,7 @@ def comparison_table(names: Sequence[str], outcomes: Sequence[Outcome], joints: 
     """Two variants side by side with their relative difference, joint by joint."""
     rows = []
     for case in CASES:
-        for name, unit in {**METRICS, "preload_force": "N", "preload_moment": "Nm"}.items():
+        for name, unit in {**METRICS, "preload_force": "N", "preload_moment": "N m"}.items():
             for joint in joints:
                 one, other = (_any_metric(outcome, name, case, joint) for outcome in outcomes)
                 difference = other / one - 1.0 if one > 1e-3 else None
@@ -342,7 +342,7 @@ def damping_table(outcomes: dict[tuple, Outcome], joints: Sequence[str], plan: P
     for name, step, count in plan.derivatives:
         values, derivatives, _ = outcomes["damping", name, step].values
         for i, damping in enumerate(plan.dampings[:count]):
-            for kind, unit in enumerate(("N", "Nm")):
+            for kind, (unit, square) in enumerate((("N", "N^2"), ("N m", "(N m)^2"))):
                 for joint in joints:
                     rows.append(
                         {
@@ -353,7 +353,8 @@ def damping_table(outcomes: dict[tuple, Outcome], joints: Sequence[str], plan: P
                             "unit": unit,
                             "joint": joint,
                             "rms": float(np.sqrt(values[kind][joint][i])),
-                            "derivative_of_square_per_deg": float(derivatives[kind][joint][i]) * DEGREE,
+                            "derivative_of_square": float(derivatives[kind][joint][i]) * DEGREE,
+                            "derivative_of_square_unit": f"{square}/deg",
                         }
                     )
     return rows
@@ -424,8 +425,8 @@ def print_damping(rows: list[dict]) -> None:
         force, moment = (r for r in rows if (r["damping_s"], r["method"], r["step_s"], r["joint"]) == wanted)
         print(
             f"  eta {damping:<7g}{method:<18}{step:8.3g} s  {force['rms']:.5f} N  "
-            f"{force['derivative_of_square_per_deg']:.2f} N^2/deg  {moment['rms']:.6f} N m  "
-            f"{moment['derivative_of_square_per_deg']:.4f} (N m)^2/deg"
+            f"{force['derivative_of_square']:.2f} N^2/deg  {moment['rms']:.6f} N m  "
+            f"{moment['derivative_of_square']:.4f} (N m)^2/deg"
         )
     pairs = [(damping, method) for damping, method, _ in sorted(runs)]
     halved = [pair for pair in dict.fromkeys(pairs) if pairs.count(pair) == 2]
@@ -434,7 +435,7 @@ def print_damping(rows: list[dict]) -> None:
     for damping, method in halved:
         parts = []
         for load in ("force", "moment"):
-            for quantity in ("rms", "derivative_of_square_per_deg"):
+            for quantity in ("rms", "derivative_of_square"):
                 own = [r for r in rows if (r["damping_s"], r["method"], r["load"]) == (damping, method, load)]
                 half = len(own) // 2
                 change = max(abs(b[quantity] / a[quantity] - 1.0) for a, b in zip(own[:half], own[half:]))

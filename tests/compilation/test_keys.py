@@ -187,3 +187,13 @@ def test_a_problems_fingerprint_has_its_numbers_and_is_not_the_machines(monkeypa
     assert fingerprint_problem(problem()) == whole == digest_content(problem())
     monkeypatch.setattr(keys, "hash_sources", lambda: "edited")
     assert fingerprint_problem(problem()) != whole
+
+
+def test_the_digest_of_a_value_is_of_its_content_alone(monkeypatch):
+    value = {"a": (1.0, np.arange(3.0))}
+    before = keys.digest_value(value)
+    monkeypatch.setattr(keys, "hash_sources", lambda: "other sources")
+    assert keys.digest_value({"a": (1.0, np.arange(3.0))}) == before
+    assert keys.digest_value({"a": (1.0, np.arange(3.0) + 1e-15)}) != before
+    with pytest.raises(NotDigestible):
+        keys.digest_value(object())

@@ -7,6 +7,7 @@ import pytest
 
 from rfem_jax.report.files import history_columns, write_files
 from rfem_jax.report.output import replacing
+from rfem_jax.report.quantities import column_name
 from rfem_jax.report.summary import reference_case, summarise
 
 
@@ -88,6 +89,14 @@ def test_csv_has_units_in_its_header_and_the_right_columns(folder, runs):
     np.testing.assert_allclose(table["total_J"], 1.25 * runs["P2"].times, rtol=1e-11)
     np.testing.assert_allclose(table["D_force_y_N"], 6.0, rtol=1e-11)
     np.testing.assert_allclose(table["D_moment_x_Nm"], 0.4, rtol=1e-11)
+
+
+@pytest.mark.parametrize(
+    ("unit", "name"),
+    [("N m", "x_Nm"), ("rad/s", "x_rad_s"), ("(N m)^2", "x_N2m2"), ("N^2", "x_N2"), ("kg m^2", "x_kgm2"), ("", "x")],
+)
+def test_a_column_is_named_with_its_unit(unit, name):
+    assert column_name("x", unit) == name
 
 
 def test_one_csv_per_case_and_no_part_files(folder):

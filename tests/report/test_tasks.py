@@ -113,6 +113,14 @@ def test_sensitivity(task_file, tmp_path, capsys):
     rows = rows_of(out / "sensitivity.csv")
     ranked = [row["error"] for row in rows if row["metric"] == MOMENT]
     assert ranked == ["D.delta_x", "D.delta_z", "D.d_y"]
+    assert list(rows[0]) == [
+        *("metric", "error", "rank", "character", "unit", "value", "gradient", "gradient_unit"),
+        *("gradient_per_tolerance", "curvature", "curvature_unit", "curvature_per_tolerance", "effect"),
+        "vanishes_by_symmetry",
+    ]
+    units = {(row["metric"], row["error"]): [row[key] for key in rows[0] if key.endswith("unit")] for row in rows}
+    assert units[MOMENT, "D.delta_x"] == ["(N m)^2", "(N m)^2/rad", "(N m)^2/rad^2"]
+    assert units[FORCE, "D.d_y"] == ["N^2", "N^2/m", "N^2/m^2"]
     text = capsys.readouterr().out
     # Tolerances in the units of the study, gradients per such a unit.
     assert "[(N m)^2]" in text and "gradient per deg, mm" in text
@@ -143,8 +151,9 @@ def test_monte_carlo(task_file, tmp_path, capsys):
     assert len(list((out / "monte_carlo").glob("chunk-*.npz"))) == 4
     found, rows = read(out / "monte_carlo.json"), rows_of(out / "monte_carlo.csv")
     assert (found["samples"], found["good"], len(rows)) == (32, 32, 32)
-    moments = np.array([float(row[MOMENT]) for row in rows])
     errors = [f"{n}_{u}" for n, u in zip(closed_form.NAMES, ("rad", "rad", "m"), strict=True)]
+    assert list(rows[0]) == ["sample", "status", *errors, f"{FORCE}_N2", f"{MOMENT}_N2m2"]
+    moments = np.array([float(row[f"{MOMENT}_N2m2"]) for row in rows])
     z = np.array([[float(row[name]) for name in errors] for row in rows]) / closed_form.WIDTHS
     assert np.max(np.abs(z)) < 1.0
     np.testing.assert_allclose(moments, np.sum((z * closed_form.ROOTS) ** 2, axis=1), rtol=1e-9)
@@ -229,8 +238,11 @@ def test_worst_case(task_file, tmp_path, capsys):
     assert found[MOMENT]["corners"]["values"] == pytest.approx([21.0] * 8)
     assert found[FORCE]["value"] == pytest.approx(935.0)
     assert found[FORCE]["errors"]["D.delta_x"] == pytest.approx(closed_form.WIDTHS[0])
-    kinds = [row["kind"] for row in rows_of(out / "worst_case.csv") if row["metric"] == FORCE]
-    assert kinds == ["found", "best_corner", "quadratic_model", "nominal"]
+    rows = [row for row in rows_of(out / "worst_case.csv") if row["metric"] == FORCE]
+    assert [row["kind"] for row in rows] == ["found", "best_corner", "quadratic_model", "nominal"]
+    assert list(rows[0]) == ["metric", "unit", "kind", "value", "D.delta_x_rad", "D.delta_z_rad", "D.d_y_m"]
+    assert rows[0]["unit"] == "N^2"
+    assert float(rows[0]["D.delta_x_rad"]) == pytest.approx(closed_form.WIDTHS[0])
 
 
 def test_allocation(task_file, tmp_path, capsys):
@@ -249,6 +261,10 @@ def test_allocation(task_file, tmp_path, capsys):
     assert found["before"]["cost"] == pytest.approx(3.0)
     front = rows_of(out / "allocation_front.csv")
     assert [row["status"] for row in front] == ["ok"] * 3
+    limits = [f"{MOMENT}_upper_limit_N2m2", f"{MOMENT}_upper_verified_N2m2"]
+    tolerances = ["D.delta_x_rad", "D.delta_z_rad", "D.d_y_m"]
+    assert list(front[0]) == ["scale", "status", "cost", *limits, *tolerances]
+    assert [row["unit"] for row in rows_of(out / "allocation.csv")] == ["rad", "rad", "m"]
     # Moments scale with the square of all tolerances, costs with their inverse.
     costs = [float(row["cost"]) for row in front]
     np.testing.assert_allclose(costs[0] / costs[1], math.sqrt(2.0), rtol=2e-3)
@@ -464,6 +480,6 @@ def test_the_simulator_itself_serves_as_the_problem(tmp_path, monkeypatch):
     expected = (mass * 9.81 * 0.15) ** 2
     rows = rows_of(out / "monte_carlo.csv")
     assert [row["status"] for row in rows] == ["0"] * 3
-    values = [float(row["A.mean_square_moment"]) for row in rows]
+    values = [float(row["A.mean_square_moment_N2m2"]) for row in rows]
     assert values == pytest.approx([expected] * 3, rel=0.03)
     assert len(set(values)) == 3

@@ -236,7 +236,7 @@ def test_an_answer_that_fresh_runs_refuse_is_not_verified(monkeypatch):
         PROBLEM, {"load": 3.0}, Reciprocal(), {"e0": (1e-3, 20.0)}, "rss", key=KEY, samples=64,
         verify_samples=512, rounds=4,
     )  # fmt: skip
-    assert result.status == "not_verified" and "Fresh runs kept violating" in result.message
+    assert result.status == "not_verified" and "Independent samples kept violating" in result.message
     assert len(runs) == ATTEMPTS  # each with its own rounds
     assert result.limits[0].verified_margin < 0 <= result.limits[0].predicted_margin
 

@@ -22,6 +22,7 @@ from rfem_jax.tolerancing.problems.distributions import Tolerances, Uniform
 from rfem_jax.tolerancing.problems.problem import FunctionProblem
 from rfem_jax.tolerancing.problems.results_store import ChunkWriteError, CorruptChunkWarning, ResultsStore
 from rfem_jax.tolerancing.sampling.monte_carlo_study import monte_carlo
+from rfem_jax.tolerancing.sampling.study_identity import require_folder
 
 jax.config.update("jax_enable_x64", True)
 
@@ -406,3 +407,22 @@ def test_a_study_on_devices_without_spare_threads_runs_nothing(monkeypatch, tmp_
     with pytest.raises(InputError, match="NPROC"):
         run(tmp_path)
     assert not marks(tmp_path)
+
+
+def test_a_folder_is_judged_before_there_is_a_problem(tmp_path):
+    folder, other = tmp_path / "study", {"mechanism": "b"}
+    request = {"metrics": ("y", "z"), "tolerances": TOLERANCES, "key": KEY, "batch": BATCH}
+    require_folder(folder, **request, description={"mechanism": "a"})
+    assert not folder.exists()
+    run(folder, description={"mechanism": "a"})
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    for same_study in ({"mechanism": "a"}, None, {}):
+        require_folder(folder, **request, description=same_study)
+    with pytest.raises(InputError, match='differs in mechanism .there "a", here "b"'):
+        require_folder(folder, **request, description=other)
+    with pytest.raises(InputError, match="differs in metrics"):
+        require_folder(folder, **{**request, "metrics": ("y",)})
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+    # What a study is described by is no part of what it is: the same problem goes on.
+    assert run(folder, description=other).chunks_computed == 0
+    require_folder(folder, **request, description=other)

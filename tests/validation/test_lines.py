@@ -24,7 +24,7 @@ from rfem_jax.validation.lines import (
 GOOD = relative("Beam", "deflection", 1.004, 1.0, 0.01, "closed form", "m")
 BAD = absolute("Beam", "slope", 0.13, 0.1, 0.01, "Euler 1744", "rad")
 KNOWN = relative("Table", "extension", 2.0, 1.0, 0.5, "Author 1990", "m", reason="its data are off")
-WORD = same("Branch", "after the fold", "left", "left", "Author 1990")
+WORD = same("Branch", "after the change point", "left", "left", "Author 1990")
 PICTURE = Picture("beam", "Beam", "x, m", "m", (
     Curve("ours", np.arange(3.0), np.arange(3.0)),
     Curve("reference", np.arange(3.0), np.arange(3.0), reference=True),
@@ -34,6 +34,7 @@ PICTURE = Picture("beam", "Beam", "x, m", "m", (
 def test_verdicts():
     verdicts = [line.verdict for line in (GOOD, BAD, KNOWN, WORD)]
     assert verdicts == ["pass", "fail", "not met", "pass"]
+    assert [line.difference_unit for line in (GOOD, BAD, KNOWN, WORD)] == ["1", "rad", "1", "1"]
     assert same("", "", "left", "right", "").verdict == "fail"
     assert GOOD.difference == pytest.approx(0.004) and BAD.difference == pytest.approx(0.03)
     assert relative("", "", -0.99, -1.0, 0.1, "").difference == pytest.approx(0.01)
@@ -60,6 +61,7 @@ def test_files(tmp_path):
     assert [line["verdict"] for line in content["lines"]] == ["pass", "not met", "fail"]
     assert content["lines"][2]["value"] is None and content["full"] is False
     rows = list(csv.DictReader((tmp_path / "validation.csv").read_text().splitlines()))
+    assert [row["difference_unit"] for row in rows] == ["1"] * 3  # relative
     assert float(rows[0]["value"]) == 1.004 and rows[1]["reason"] == "its data are off"
 
 

@@ -8,15 +8,16 @@ metric's own unit.
 """
 
 from collections.abc import Collection
-from dataclasses import MISSING, dataclass, field, fields, replace
+from dataclasses import MISSING, Field, dataclass, field, fields, replace
 from typing import Any, ClassVar
 
 from rfem_jax.description.error_catalogue import error_dimension
-from rfem_jax.description.errors import ChecksItself, InputError, located, require_choice
-from rfem_jax.description.tables import checked_table, keys_of
+from rfem_jax.description.errors import ABSENT, Checks, ChecksItself, InputError, Problems, located, require_choice
+from rfem_jax.description.tables import build, checked_table, keys_of
 from rfem_jax.description.tasks.settings import (
     MODES,
     STARTS,
+    convert_all,
     fraction,
     limits_of,
     set_fields,
@@ -38,7 +39,7 @@ class ErrorCost(ChecksItself):
         model: "reciprocal" fixed + price at/t, "reciprocal_squared" fixed + price (at/t)^2, or
             "exponential" fixed + price exp(-t/at).
         price: in any currency, > 0.
-        at: scale of the half-width t [rad or m]; None the largest bound of the error (in a study file: its
+        at: scale of the half-width t [rad or m]; None = the largest bound of the error (in a study file: its
             tolerance, where it has one).
         fixed: in the same currency.
     """
@@ -48,13 +49,10 @@ class ErrorCost(ChecksItself):
     at: float = DERIVED
     fixed: float = 0.0
 
-    def __post_init__(self):
-        require_choice(self.model, COST_MODELS, "`model` of a cost")
-        set_fields(
-            self,
-            price=positive_quantity(self.price, "none", "`price` of a cost"),
-            fixed=quantity(self.fixed, "none", "`fixed` of a cost"),
-        )
+    def _check_fields(self, checks: Checks) -> None:
+        checks.convert("model", require_choice, COST_MODELS, "`model` of a cost")
+        checks.convert("price", positive_quantity, "none", "`price` of a cost")
+        checks.convert("fixed", quantity, "none", "`fixed` of a cost")
 
 
 # Settings that count for some criteria only.
@@ -78,15 +76,15 @@ class AllocationTask(Task):
         bounds: {error: (smallest, largest half-width)} in rad and m.
         costs: {error: ErrorCost}, one for each of the bounds.
         criterion: "worst_case", "rss" or "yield".
-        target: share of good mechanisms, between 0 and 1; of the criterion "yield" alone.
+        target: fraction of mechanisms that keep all limits, between 0 and 1; of the criterion "yield" alone.
         coverage: standard deviations within the limits; of "rss" alone.
         statistic: "quantile" or "mean"; of "rss" alone.
         distribution: of the errors: "uniform", "triangular", "normal" or "truncated_normal".
         samples: simulations that the statistics come from; None for the default. Not of "worst_case".
-        verify_samples: fresh simulations that verify the answer. Not of "worst_case".
+        verify_samples: independent simulations that verify the answer. Not of "worst_case".
         starts: numbers of searches by the kind of their starting points, {"corners", "random", "sobol"};
             of "worst_case" alone.
-        rounds: the most corrections until the answer settles.
+        rounds: largest number of corrections until the answer converges.
         accuracy: relative, of the limits.
         scales: further allocations, with every limit's distance to the nominal value multiplied by these.
         seed: of random starts and samples.
@@ -115,29 +113,38 @@ class AllocationTask(Task):
     mode: str = "auto"
     batch: int = 64
 
-    def __post_init__(self):
-        require_choice(self.criterion, ("worst_case", "rss", "yield"), "criterion")
-        require_choice(self.statistic, ("quantile", "mean"), "statistic")
+    def _check_fields(self, checks: Checks) -> None:
+        checks.convert("criterion", require_choice, ("worst_case", "rss", "yield"), "criterion")
+        checks.convert("statistic", require_choice, ("quantile", "mean"), "statistic")
         known = ("uniform", "triangular", "normal", "truncated_normal")
-        require_choice(self.distribution, known, "distribution")
-        require_choice(self.mode, MODES, "mode")
-        self._require_own_settings()
-        for name, least in (("verify_samples", 1), ("rounds", 1), ("seed", 0), ("batch", 1)):
-            whole_number(getattr(self, name), name, least)
-        if self.samples is not None:
-            whole_number(self.samples, "samples", 1)
-        if not isinstance(self.scales, (list, tuple)):
-            raise InputError(f"Argument `scales` must be a list of factors, but was {self.scales!r}; write [0.5, 2.0].")
-        set_fields(
-            self,
-            limits=limits_of(self.limits, needed=True),
-            bounds=_bounds(self.bounds),
-            target=fraction(self.target, "target"),
-            coverage=positive_quantity(self.coverage, "none", "coverage"),
-            accuracy=positive_quantity(self.accuracy, "none", "accuracy"),
-            starts=starts_of(self.starts),
-            scales=tuple(positive_quantity(one, "none", "scales") for one in self.scales),
-        )
+        checks.convert("distribution", require_choice, known, "distribution")
+        checks.convert("mode", require_choice, MODES, "mode")
+        convert_all(checks, ("verify_samples", "rounds", "batch", "samples"), whole_number, 1)
+        convert_all(checks, ("seed",), whole_number, 0)
+        checks.convert("scales", _scales)
+        checks.convert("limits", limits_of, True)
+        checks.convert("bounds", _bounds)
+        convert_all(checks, ("target",), fraction)
+        checks.convert("coverage", positive_quantity, "none", "coverage")
+        checks.convert("accuracy", positive_quantity, "none", "accuracy")
+        checks.convert("starts", starts_of)
+        given = {one.name for one in fields(self) if getattr(self, one.name) != _default(one)}
+        for name in sorted(given & {*_CRITERIA_OF}):
+            checks.relation(("criterion", name), self._require_criterion, name)
+        checks.relation(("bounds", "costs"), self._complete_costs)
+
+    def _require_criterion(self, name: str) -> None:
+        """See that a setting counts for the criterion."""
+        criteria = _CRITERIA_OF[name]
+        if self.criterion not in criteria:
+            others = " or ".join(f'"{one}"' for one in criteria)
+            raise InputError(
+                f'Argument `{name}` must be left out with the criterion "{self.criterion}", '
+                f"but is given; remove it, or take the criterion {others}."
+            )
+
+    def _complete_costs(self) -> None:
+        """Every error with bounds has a cost, whose scale is the largest bound where none is given."""
         missing = [name for name in self.bounds if name not in self.costs]
         if missing:
             raise InputError(
@@ -157,26 +164,17 @@ class AllocationTask(Task):
     def read(cls, table: object, place: str, tolerances: SpecifiedTolerances | None) -> "AllocationTask":
         """As `Task.read`; the tolerances serve as scales of the costs."""
         (_, _, required, optional), _ = cls.tables(place)
-        checked = checked_table(table, place, required, optional)
-        settings = {name: value for name, value in checked.items() if name != "cost"}
-        bounds = settings["bounds"] if isinstance(settings["bounds"], dict) else {}
+        problems = Problems()
+        settings = problems.usable(lambda: dict(checked_table(table, place, required, optional)))
+        bounds, cost = settings["bounds"], settings.pop("cost", {})
+        if not isinstance(bounds, dict):  # then any error may have a cost
+            bounds = {name: None for name in cost if "." in name} if isinstance(cost, dict) else {}
         widths = {} if tolerances is None else tolerances.half_widths()
-        costs = _read_costs(checked.get("cost", {}), bounds, widths)
-        with located(place):
-            return cls(costs=costs, **settings)
-
-    def _require_own_settings(self) -> None:
-        for one in fields(self):
-            criteria = _CRITERIA_OF.get(one.name, (self.criterion,))
-            if self.criterion in criteria:
-                continue
-            default = one.default if one.default_factory is MISSING else one.default_factory()
-            if getattr(self, one.name) != default:
-                others = " or ".join(f'"{name}"' for name in criteria)
-                raise InputError(
-                    f'Argument `{one.name}` must be left out with the criterion "{self.criterion}", '
-                    f"but is given; remove it, or take the criterion {others}."
-                )
+        costs: Any = ABSENT
+        if cost is not ABSENT:
+            with problems.noted():
+                costs = _read_costs(cost, bounds, widths)
+        return build(cls, {"costs": costs, **settings}, place, problems)
 
     @property
     def metrics(self) -> tuple[str, ...]:
@@ -190,17 +188,29 @@ def _bounds(bounds: object) -> dict[str, tuple[float, float]]:
             f"Argument `bounds` must be a table of errors and their smallest and largest "
             f'half-width, but was {bounds!r}; write {{ "D.delta_x" = ["0.05 deg", "1 deg"] }}.'
         )
-    complete = {}
+    complete, problems = {}, Problems()
     for name, pair in bounds.items():
-        ends = pair if isinstance(pair, (list, tuple)) and len(pair) == 2 else (0.0, 0.0)
-        low, high = (error_quantities({name: end}, "bounds")[name] for end in ends)
-        if not 0.0 < low < high:
-            raise InputError(
-                f"Argument `bounds` must give [smallest, largest] half-widths above 0, but "
-                f'`{name}` has {pair!r}; write for example ["0.05 deg", "1 deg"].'
-            )
-        complete[name] = (low, high)
+        with problems.noted():
+            ends = pair if isinstance(pair, (list, tuple)) and len(pair) == 2 else (0.0, 0.0)
+            low, high = (error_quantities({name: end}, "bounds")[name] for end in ends)
+            if not 0.0 < low < high:
+                raise InputError(
+                    f"Argument `bounds` must give [smallest, largest] half-widths above 0, but "
+                    f'`{name}` has {pair!r}; write for example ["0.05 deg", "1 deg"].'
+                )
+            complete[name] = (low, high)
+    problems.refuse()
     return complete
+
+
+def _scales(scales: object) -> tuple[float, ...]:
+    if not isinstance(scales, (list, tuple)):
+        raise InputError(f"Argument `scales` must be a list of factors, but was {scales!r}; write [0.5, 2.0].")
+    return tuple(positive_quantity(one, "none", "scales") for one in scales)
+
+
+def _default(one: Field[Any]) -> Any:
+    return one.default if one.default_factory is MISSING else one.default_factory()
 
 
 def _read_costs(table: object, bounds: dict[str, Any], widths: dict[str, float]) -> dict[str, ErrorCost]:
@@ -211,15 +221,27 @@ def _read_costs(table: object, bounds: dict[str, Any], widths: dict[str, float])
     place = "[allocation.cost]"
     required, optional = keys_of(ErrorCost)
     common = tuple(key for key in (*required, *optional) if key != "at")
-    checked = checked_table(table, place, optional=(*common, *bounds))
+    problems = Problems()
+    checked = problems.usable(lambda: checked_table(table, place, optional=(*common, *bounds)))
     shared = {key: value for key, value in checked.items() if key in common}
     costs = {}
-    for name in bounds:
-        own = checked_table(checked.get(name, {}), f"{place} `{name}`", required, optional)
-        with located(place):
-            dimension = error_dimension(name)
-            pair = bounds[name] if isinstance(bounds[name], list) and bounds[name] else [1.0]
-            at = own.get("at", widths.get(name, pair[-1]))
-            at = positive_quantity(at, dimension, f"`at` of the cost of `{name}`")
-            costs[name] = ErrorCost(**{**shared, **own, "at": at})
+    for name, pair in bounds.items():
+        with problems.noted():
+            own = checked.get(name, {})
+            if own is not ABSENT:
+                default = widths.get(name, pair[-1] if isinstance(pair, list) and pair else 1.0)
+                costs[name] = _read_cost(name, own, shared, default)
+    problems.refuse()
     return costs
+
+
+def _read_cost(name: str, table: object, shared: dict[str, Any], default: Any) -> ErrorCost:
+    """The cost of one error; `default` is its scale where its table has none."""
+    place, problems = "[allocation.cost]", Problems()
+    own = problems.usable(lambda: checked_table(table, f"{place} `{name}`", *keys_of(ErrorCost)))
+    at = own.get("at", default)
+    with problems.noted(), located(place):
+        dimension = error_dimension(name)
+        if at is not ABSENT:
+            at = positive_quantity(at, dimension, f"`at` of the cost of `{name}`")
+    return build(ErrorCost, {**shared, **own, "at": at}, place, problems)

@@ -7,11 +7,13 @@ Symbols: limits in the metric's own unit; quantiles and confidence [1].
 
 from dataclasses import dataclass, field
 
-from rfem_jax.description.errors import InputError, require_choice, require_flag
+from rfem_jax.description.errors import Checks, require_choice, require_flag
 from rfem_jax.description.tasks.settings import (
     MOST_AT_ONCE,
     MOST_SAMPLES,
+    convert_all,
     fraction,
+    fractions,
     limits_of,
     metric_names,
     set_fields,
@@ -52,26 +54,16 @@ class MonteCarloTask(Task):
     sobol_indices: bool = False
     control_variate: bool = False
 
-    def __post_init__(self):
-        whole_number(self.n, "n", 2, MOST_SAMPLES)
-        whole_number(self.batch, "batch", 1, MOST_AT_ONCE)
-        whole_number(self.seed, "seed", 0)
-        if self.lanes is not None:
-            whole_number(self.lanes, "lanes", 1, MOST_AT_ONCE)
-        require_choice(self.sampling, ("sobol", "pseudo_random"), "sampling")
-        require_flag(self.sobol_indices, "sobol_indices")
-        require_flag(self.control_variate, "control_variate")
-        if not isinstance(self.quantiles, (list, tuple)):
-            raise InputError(
-                f"Argument `quantiles` must be a list of fractions, but was {self.quantiles!r}; "
-                "write [0.05, 0.5, 0.95]."
-            )
-        limits = limits_of(self.limits)
-        named = metric_names(self.metrics) if self.metrics or not limits else ()
-        set_fields(
-            self,
-            limits=limits,
-            metrics=tuple(dict.fromkeys((*named, *limits))),
-            quantiles=tuple(fraction(one, "quantiles") for one in self.quantiles),
-            confidence=fraction(self.confidence, "confidence"),
-        )
+    def _check_fields(self, checks: Checks) -> None:
+        convert_all(checks, ("n",), whole_number, 2, MOST_SAMPLES)
+        convert_all(checks, ("batch", "lanes"), whole_number, 1, MOST_AT_ONCE)
+        convert_all(checks, ("seed",), whole_number, 0)
+        checks.convert("sampling", require_choice, ("sobol", "pseudo_random"), "sampling")
+        convert_all(checks, ("sobol_indices", "control_variate"), require_flag)
+        convert_all(checks, ("quantiles",), fractions)
+        convert_all(checks, ("confidence",), fraction)
+        checks.convert("limits", limits_of)
+        if self.metrics or not (self.limits or checks.failed):
+            checks.convert("metrics", metric_names)
+        if checks.passed("limits", "metrics"):
+            set_fields(self, metrics=tuple(dict.fromkeys((*self.metrics, *self.limits))))

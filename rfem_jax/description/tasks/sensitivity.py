@@ -7,8 +7,8 @@ Symbols: the point `at` in rad and m (`error_catalogue`), or strings with a unit
 
 from dataclasses import dataclass, field
 
-from rfem_jax.description.errors import InputError, require_choice, require_flag
-from rfem_jax.description.tasks.settings import MODES, MOST_AT_ONCE, metric_names, set_fields, whole_number
+from rfem_jax.description.errors import Checks, InputError, require_choice, require_flag
+from rfem_jax.description.tasks.settings import MODES, MOST_AT_ONCE, convert_all, metric_names, whole_number
 from rfem_jax.description.tasks.task import Task
 from rfem_jax.description.tolerances import error_quantities
 
@@ -35,10 +35,16 @@ class SensitivityTask(Task):
     batch: int = 32
     half_step: bool = False
 
-    def __post_init__(self):
-        set_fields(self, metrics=metric_names(self.metrics), at=error_quantities(self.at, "at"))
-        require_choice(self.mode, MODES, "mode")
-        whole_number(self.batch, "batch", 1, MOST_AT_ONCE)
-        require_flag(self.half_step, "half_step")
-        if self.order not in (1, 2) or isinstance(self.order, bool):
-            raise InputError(f"Argument `order` must be 1 or 2, but was {self.order!r}; 2 gives the Hessian too.")
+    def _check_fields(self, checks: Checks) -> None:
+        checks.convert("metrics", metric_names)
+        checks.convert("at", error_quantities, "at")
+        checks.convert("mode", require_choice, MODES, "mode")
+        convert_all(checks, ("batch",), whole_number, 1, MOST_AT_ONCE)
+        convert_all(checks, ("half_step",), require_flag)
+        checks.convert("order", _order)
+
+
+def _order(order: object) -> int:
+    if isinstance(order, bool) or order not in (1, 2):
+        raise InputError(f"Argument `order` must be 1 or 2, but was {order!r}; 2 gives the Hessian too.")
+    return order

@@ -5,7 +5,11 @@ Place in the pipeline: units, errors -> **settings** -> the tasks.
 Metrics are named as `metric_catalogue` says, or "*.KIND" for all joints; limits are in the metric's own unit.
 """
 
-from rfem_jax.description.errors import InputError, require_choice, suggestion
+from collections.abc import Callable, Collection
+from dataclasses import fields
+from typing import Any
+
+from rfem_jax.description.errors import Checks, InputError, Problems, require_choice, suggestion
 from rfem_jax.description.metric_catalogue import JOINT_METRICS, RUN_METRICS, never_negative
 from rfem_jax.description.units import Quantity, quantity, short
 
@@ -25,14 +29,17 @@ def metric_names(names: object) -> tuple[str, ...]:
             f"Argument `metrics` must be a list of names, but was {names!r}; "
             'write for example ["D.mean_square_moment"].'
         )
+    problems = []
     for name in names:
         joint, dot, kind = name.rpartition(".") if isinstance(name, str) else ("", "", "")
-        if name in RUN_METRICS or (joint and dot and kind in JOINT_METRICS):
+        if isinstance(name, str) and (name in RUN_METRICS or (joint and dot and kind in JOINT_METRICS)):
             continue
         known = [f"{joint or '*'}.{kind}" for kind in JOINT_METRICS] + list(RUN_METRICS)
-        raise InputError(
+        problems.append(
             f"Argument `metrics` must hold names of metrics, but {name!r} is none; {suggestion(name, known)}"
         )
+    if problems:
+        raise InputError(*problems)
     return tuple(dict.fromkeys(names))
 
 
@@ -43,25 +50,32 @@ def limits_of(limits: object, needed: bool = False) -> dict[str, tuple[float, fl
             f"Argument `limits` must be a table of metrics and their limits, but was {limits!r}; "
             'write for example { "D.mean_square_moment" = 20.0 }.'
         )
+    problems, complete = Problems(), {}
     if limits:
-        metric_names(tuple(limits))
-    complete = {}
+        with problems.noted():
+            metric_names(tuple(limits))
     for name, limit in limits.items():
-        pair = tuple(limit) if isinstance(limit, (list, tuple)) else (float("-inf"), limit)
-        plain = all(isinstance(end, (int, float)) and not isinstance(end, bool) for end in pair)
-        plain = plain and all(abs(end) < MOST_LIMIT or end in (float("inf"), float("-inf")) for end in pair)
-        if len(pair) != 2 or not plain or not pair[0] < pair[1]:
-            raise InputError(
-                f"Argument `limits` must give a largest value or [low, high], but `{name}` has "
-                f"{short(repr(limit))}; write a number in the metric's unit (inf and -inf are open ends)."
-            )
-        if never_negative(name) and pair[1] <= 0.0:
-            raise InputError(
-                f"Argument `limits` must allow a load, which is never negative, but `{name}` has "
-                f"{limit!r}; write its largest value as a positive number."
-            )
-        complete[name] = (float(pair[0]), float(pair[1]))
+        with problems.noted():
+            complete[name] = _limit(name, limit)
+    problems.refuse()
     return complete
+
+
+def _limit(name: Any, limit: Any) -> tuple[float, float]:
+    pair = tuple(limit) if isinstance(limit, (list, tuple)) else (float("-inf"), limit)
+    plain = all(isinstance(end, (int, float)) and not isinstance(end, bool) for end in pair)
+    plain = plain and all(abs(end) < MOST_LIMIT or end in (float("inf"), float("-inf")) for end in pair)
+    if len(pair) != 2 or not plain or not pair[0] < pair[1]:
+        raise InputError(
+            f"Argument `limits` must give a largest value or [low, high], but `{name}` has "
+            f"{short(repr(limit))}; write a number in the metric's unit (inf and -inf are open ends)."
+        )
+    if isinstance(name, str) and never_negative(name) and pair[1] <= 0.0:
+        raise InputError(
+            f"Argument `limits` must allow a load, which is never negative, but `{name}` has "
+            f"{limit!r}; write its largest value as a positive number."
+        )
+    return float(pair[0]), float(pair[1])
 
 
 def starts_of(starts: object) -> dict[str, int]:
@@ -71,9 +85,12 @@ def starts_of(starts: object) -> dict[str, int]:
             f"Argument `starts` must be a table of numbers, but was {starts!r}; "
             "write { corners = 4, random = 4, sobol = 8 }."
         )
+    problems = Problems()
     for name, count in starts.items():
-        require_choice(name, tuple(STARTS), "starts")
-        whole_number(count, f"starts.{name}", 0)
+        with problems.noted():
+            require_choice(name, tuple(STARTS), "starts")
+            whole_number(count, f"starts.{name}", 0)
+    problems.refuse()
     if not any(starts.values()):
         raise InputError(
             "Argument `starts` must ask for at least one search, but asks for none; write { corners = 4 }."
@@ -101,6 +118,23 @@ def fraction(value: Quantity, where: str) -> float:
     if not 0.0 < number < 1.0:
         raise InputError(f"Argument `{where}` must lie between 0 and 1, but was {value!r}; 0.95 is usual.")
     return number
+
+
+def fractions(values: object, where: str) -> tuple[float, ...]:
+    """Numbers between 0 and 1. Raises InputError."""
+    if not isinstance(values, (list, tuple)):
+        raise InputError(
+            f"Argument `{where}` must be a list of fractions, but was {values!r}; write [0.05, 0.5, 0.95]."
+        )
+    return tuple(fraction(one, where) for one in values)
+
+
+def convert_all(checks: Checks, names: Collection[str], convert: Callable[..., object], *arguments: object) -> None:
+    """Convert fields of a dataclass by convert(value, name, *arguments); None stays where it is the default."""
+    may_be_none = {one.name for one in fields(checks.owner) if one.default is None}
+    for name in names:
+        if getattr(checks.owner, name) is not None or name not in may_be_none:
+            checks.convert(name, convert, name, *arguments)
 
 
 def set_fields(task: object, **values: object) -> None:

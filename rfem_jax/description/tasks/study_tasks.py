@@ -30,13 +30,16 @@ class Tasks(ChecksItself):
 
     def __init__(self, tolerances: SpecifiedTolerances | None = None, **asked: Task | None):
         kinds = task_kinds()
+        problems = []
         for name, task in asked.items():
             if name not in kinds:
-                raise InputError(f"Argument `{name}` must be a kind of task, but is none; {suggestion(name, kinds)}")
-            if task is not None and not isinstance(task, kinds[name].asked_class()):
-                raise InputError(
+                problems.append(f"Argument `{name}` must be a kind of task, but is none; {suggestion(name, kinds)}")
+            elif task is not None and not isinstance(task, kinds[name].asked_class()):
+                problems.append(
                     f"Argument `{name}` must be a {kinds[name].asked_class().__name__}, but was {task!r}; make one."
                 )
+        if problems:
+            raise InputError(*problems)
         found = {name: asked[name] for name in kinds if asked.get(name) is not None}
         object.__setattr__(self, "tolerances", tolerances)
         object.__setattr__(self, "asked", found)

@@ -8,10 +8,10 @@ from collections.abc import Collection, Iterable
 from dataclasses import dataclass, fields, replace
 from typing import Any, ClassVar
 
-from rfem_jax.description.errors import ChecksItself, InputError, located, suggestion
+from rfem_jax.description.errors import ChecksItself, InputError, Problems, suggestion
 from rfem_jax.description.mechanism import Mechanism
 from rfem_jax.description.metric_catalogue import RUN_METRICS
-from rfem_jax.description.tables import checked_table, keys_of
+from rfem_jax.description.tables import build, checked_table, keys_of
 from rfem_jax.description.tolerances import SpecifiedTolerances
 
 
@@ -37,27 +37,34 @@ class Task(ChecksItself):
 
         Raises: InputError for unknown and missing keys and bad values.
         """
-        settings = checked_table(table, place, *keys_of(cls))
-        with located(place):
-            return cls(**settings)
+        problems = Problems()
+        settings = problems.usable(lambda: checked_table(table, place, *keys_of(cls)))
+        return build(cls, settings, place, problems)
 
     def resolved(self, mechanism: Mechanism, name: str) -> "Task":
         """The same task, called `name`, with "*" replaced by the mechanism's joints.
 
         Raises: InputError for errors and joints that the mechanism has not.
         """
+        problems = Problems()
         for error in (*getattr(self, "at", ()), *getattr(self, "bounds", ())):
-            mechanism.require_error(error, f"`{name}`")
+            with problems.noted():
+                mechanism.require_error(error, f"`{name}`")
         joints = tuple(joint.name for joint in mechanism.joints)
         own = {one.name: getattr(self, one.name) for one in fields(self)}
+        patterns = (*own.get("limits", ()), *own.get("metrics", ()))
+        metrics: dict[str, list[str]] = {}
+        for pattern in patterns:
+            with problems.noted():
+                metrics[pattern] = _resolve(pattern, joints, name)
+        problems.refuse()
         changes: dict[str, Any] = {}
         if "limits" in own:
             changes["limits"] = {
-                metric: limit for pattern, limit in own["limits"].items() for metric in _resolve(pattern, joints, name)
+                metric: limit for pattern, limit in own["limits"].items() for metric in metrics[pattern]
             }
         if "metrics" in own:
-            metrics = (metric for pattern in own["metrics"] for metric in _resolve(pattern, joints, name))
-            changes["metrics"] = tuple(dict.fromkeys(metrics))
+            changes["metrics"] = tuple(dict.fromkeys(one for pattern in own["metrics"] for one in metrics[pattern]))
         return replace(self, **changes)
 
 

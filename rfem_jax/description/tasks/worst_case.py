@@ -5,14 +5,14 @@ Place in the pipeline: task -> **worst_case** -> `rfem_jax.report.tasks.worst_ca
 
 from dataclasses import dataclass, field
 
-from rfem_jax.description.errors import require_choice, require_flag
+from rfem_jax.description.errors import Checks, require_choice, require_flag
 from rfem_jax.description.tasks.settings import (
     MODES,
     MOST_AT_ONCE,
     MOST_SAMPLES,
     STARTS,
+    convert_all,
     metric_names,
-    set_fields,
     starts_of,
     whole_number,
 )
@@ -29,8 +29,8 @@ class WorstCaseTask(Task):
         sense: "max" or "min".
         seed: of the random starts.
         starts: numbers of searches by the kind of their starting points, {"corners", "random", "sobol"}.
-        corners: True to compute all corners of the box, False for none, None where there are few.
-        evaluations: the most of each search.
+        corners: True to compute all corners of the box, False for none; None = only where there are few.
+        evaluations: largest number of evaluations of each search.
         mode: of differentiation: "auto", "forward" or "reverse".
         batch: simulations at once.
     Raises: InputError for settings that are out of range or do not fit each other.
@@ -46,13 +46,13 @@ class WorstCaseTask(Task):
     mode: str = "auto"
     batch: int = 64
 
-    def __post_init__(self):
-        require_choice(self.region, ("box", "ellipsoid"), "region")
-        require_choice(self.sense, ("max", "min"), "sense")
-        require_choice(self.mode, MODES, "mode")
-        whole_number(self.seed, "seed", 0)
-        whole_number(self.evaluations, "evaluations", 1, MOST_SAMPLES)
-        whole_number(self.batch, "batch", 1, MOST_AT_ONCE)
-        if self.corners is not None:
-            require_flag(self.corners, "corners")
-        set_fields(self, metrics=metric_names(self.metrics), starts=starts_of(self.starts))
+    def _check_fields(self, checks: Checks) -> None:
+        checks.convert("region", require_choice, ("box", "ellipsoid"), "region")
+        checks.convert("sense", require_choice, ("max", "min"), "sense")
+        checks.convert("mode", require_choice, MODES, "mode")
+        convert_all(checks, ("seed",), whole_number, 0)
+        convert_all(checks, ("evaluations",), whole_number, 1, MOST_SAMPLES)
+        convert_all(checks, ("batch",), whole_number, 1, MOST_AT_ONCE)
+        convert_all(checks, ("corners",), require_flag)
+        checks.convert("metrics", metric_names)
+        checks.convert("starts", starts_of)

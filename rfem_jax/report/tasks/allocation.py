@@ -22,6 +22,7 @@ from rfem_jax.description.tasks.allocation import AllocationTask, ErrorCost
 from rfem_jax.report.annotations import Axes, Figure
 from rfem_jax.report.output import write_csv
 from rfem_jax.report.overview import format_error
+from rfem_jax.report.quantities import column_name
 from rfem_jax.report.style import CASE_COLOURS, MARKERS, add_titles, new_figure
 from rfem_jax.report.tasks import study_problem
 from rfem_jax.report.tasks.task_files import write_task_json
@@ -89,8 +90,8 @@ class AllocationReport(TaskReport[AllocationTask, AllocationStudy]):
         return allocation_text(result)
 
     def write(self, folder: Path, result: AllocationStudy) -> list[Path]:
-        """Write allocation.json, allocation.csv (tolerances before and after) and, with scaled limits,
-        allocation_front.csv (cost, limits and tolerances of each)."""
+        """Write allocation.json, allocation.csv (tolerances before and after, in `unit`) and, with scaled limits,
+        allocation_front.csv (cost, limits and tolerances of each); costs are in the currency of the study."""
         answer = result.answer
         content = {
             **_allocation(answer),
@@ -119,9 +120,9 @@ class AllocationReport(TaskReport[AllocationTask, AllocationStudy]):
             for scale, one in result.front.items():
                 row = {"scale": scale, "status": one.status, "cost": one.cost}
                 for check in one.limits:
-                    row[f"{check.metric}_{check.side}_limit"] = check.limit
-                    row[f"{check.metric}_{check.side}_verified"] = check.verified
-                rows.append(row | one.tolerances)
+                    row[column_name(f"{check.metric}_{check.side}_limit", check.unit)] = check.limit
+                    row[column_name(f"{check.metric}_{check.side}_verified", check.unit)] = check.verified
+                rows.append(row | {column_name(name, one.units[name]): t for name, t in one.tolerances.items()})
             written.append(write_csv(folder / "allocation_front.csv", rows))
         return written
 

@@ -5,6 +5,8 @@ Failed samples are counted, and not drawn; a study succeeds as long as any sampl
 mm, metrics in their own units.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +14,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
+from rfem_jax.compilation import keys
 from rfem_jax.compilation.stages import on_stage
 from rfem_jax.description.error_catalogue import as_specified
 from rfem_jax.description.errors import InputError
@@ -19,6 +22,7 @@ from rfem_jax.description.study import Study
 from rfem_jax.description.tasks.monte_carlo import MonteCarloTask
 from rfem_jax.report.annotations import Axes, Figure
 from rfem_jax.report.output import write_csv
+from rfem_jax.report.quantities import column_name
 from rfem_jax.report.style import (
     BAR_COLOURS,
     CASE_COLOURS,
@@ -35,6 +39,7 @@ from rfem_jax.tolerancing import monte_carlo as sample_problem
 from rfem_jax.tolerancing.problems.results_store import StudyFolderError
 from rfem_jax.tolerancing.sampling.monte_carlo_result import MonteCarloResult
 from rfem_jax.tolerancing.sampling.statistics import Estimate
+from rfem_jax.tolerancing.sampling.study_identity import require_folder
 
 MOST_PANELS = 12
 MOST_EACH = 4  # errors and metrics of a scatter matrix
@@ -42,6 +47,15 @@ MOST_EACH = 4  # errors and metrics of a scatter matrix
 
 class MonteCarloReport(TaskReport[MonteCarloTask, MonteCarloResult]):
     """Scatter of metrics over the tolerances."""
+
+    def require_folder(self, folder: Path) -> None:
+        task = self.task
+        with self._folder_in_words(folder):
+            require_folder(
+                folder / self.name, task.metrics, Tolerances.of(self.study), jax.random.key(task.seed),
+                batch=task.batch, lanes=task.lanes, sampling=task.sampling, sobol_indices=task.sobol_indices,
+                description=describe_study(self.study),
+            )  # fmt: skip
 
     def run(self, folder: Path) -> MonteCarloResult:
         """The scatter of all metrics; chunks are kept in `folder`/monte_carlo, where a run continues.
@@ -60,14 +74,20 @@ class MonteCarloReport(TaskReport[MonteCarloTask, MonteCarloResult]):
             on_stage(stage, done / total)
 
         progress: Any = report
-        try:
+        with self._folder_in_words(folder):
             return sample_problem(
                 study_problem.build_problem(self.study, task.metrics), tolerances, task.n,
                 jax.random.key(task.seed), batch=task.batch, lanes=task.lanes, sampling=task.sampling,
                 limits=task.limits, quantiles=task.quantiles, confidence=task.confidence,
                 sobol_indices=task.sobol_indices, control_variate=task.control_variate or None,
-                resume=folder / self.name, progress=progress,
+                resume=folder / self.name, progress=progress, description=describe_study(self.study),
             )  # fmt: skip
+
+    @contextmanager
+    def _folder_in_words(self, folder: Path) -> Iterator[None]:
+        """In which a folder that cannot be used is refused in the words of the command line."""
+        try:
+            yield
         except StudyFolderError as problem:
             raise InputError(
                 "Argument `--out` must be a folder in which this Monte Carlo study can start or "
@@ -85,7 +105,8 @@ class MonteCarloReport(TaskReport[MonteCarloTask, MonteCarloResult]):
         return f"Process {jax.process_index()} computed {result.chunks_computed} chunks."
 
     def write(self, folder: Path, result: MonteCarloResult) -> list[Path]:
-        """Write monte_carlo.json and monte_carlo.csv (one row per sample: status, errors, metrics)."""
+        """Write monte_carlo.json and monte_carlo.csv (one row per sample: status, errors, metrics, with their units in
+        the names of the columns)."""
         together = result.joint_yield
         content = {
             "samples": result.samples,
@@ -121,14 +142,28 @@ class MonteCarloReport(TaskReport[MonteCarloTask, MonteCarloResult]):
         }
 
 
+def describe_study(study: Study) -> dict[str, str]:
+    """Digests of what the problem of a study is made of, {name: digest}, without those of which none is known (with a
+    function of the user): known before a model is built."""
+    method = study.method if study.asked_method is None else study.asked_method
+    parts = {"mechanism": study.mechanism, "drive": study.drive}
+    parts["simulation"] = (study.duration, method, study.save_every)
+    found = {}
+    for name, part in parts.items():
+        with suppress(keys.NotDigestible):
+            found[name] = keys.digest_value(part)
+    return found
+
+
 def sample_rows(result: MonteCarloResult) -> list[dict[str, Any]]:
-    """One row per sample: its number, status, errors [rad, m] and metrics."""
-    errors = [f"{n}_{u}" for n, u in zip(result.names, result.error_units, strict=True)]
+    """One row per sample: its number, status, errors [rad, m] and metrics, {column with unit: value}."""
+    errors = [column_name(*named) for named in zip(result.names, result.error_units, strict=True)]
+    metrics = [column_name(*named) for named in zip(result.metrics, result.metric_units, strict=True)]
     rows: list[dict[str, Any]] = []
     for index in range(result.samples):
         row = {"sample": index, "status": int(result.status[index])}
         row |= dict(zip(errors, result.errors[index], strict=True))
-        row |= dict(zip(result.metrics, result.values[index], strict=True))
+        row |= dict(zip(metrics, result.values[index], strict=True))
         rows.append(row)
     return rows
 

@@ -44,6 +44,10 @@ class TaskReport(abc.ABC, Generic[Asked, Result]):
     def __init__(self, study: Study, name: str, task: Asked):
         self.study, self.name, self.task = study, name, task
 
+    def require_folder(self, folder: Path) -> None:
+        """See that `folder`, that of the command, can hold what `run` keeps there; asked before anything is computed,
+        with a study whose method may still have to be chosen. Raises: InputError."""
+
     @abc.abstractmethod
     def run(self, folder: Path) -> Result:
         """Compute the result; `folder` is that of the command, for what a later run continues with.

@@ -15,6 +15,7 @@ from rfem_jax.description.study import Study
 from rfem_jax.description.tasks.worst_case import WorstCaseTask
 from rfem_jax.report.annotations import Figure
 from rfem_jax.report.output import write_csv
+from rfem_jax.report.quantities import column_name
 from rfem_jax.report.style import CASE_COLOURS, MARKERS, add_titles, new_figure
 from rfem_jax.report.tasks import study_problem
 from rfem_jax.report.tasks.task_files import write_task_json
@@ -61,7 +62,9 @@ class WorstCaseReport(TaskReport[WorstCaseTask, dict[str, WorstCase]]):
         return "\n\n".join(str(one) for one in result.values())
 
     def write(self, folder: Path, result: dict[str, WorstCase]) -> list[Path]:
-        """Write worst_case.json and worst_case.csv (per metric: found, corners, quadratic, nominal)."""
+        """Write worst_case.json and worst_case.csv (per metric: found, corners, quadratic, nominal; `unit` is
+        that of `value`)."""
+        unit_of = self.study.mechanism.error_unit
         metrics, rows = {}, []
         for name, one in result.items():
             corners = None
@@ -76,14 +79,15 @@ class WorstCaseReport(TaskReport[WorstCaseTask, dict[str, WorstCase]]):
                     *("quadratic_errors", "quadratic_bound", "hessian_error", "region", "sense"),
                 )
             } | {"corners": corners}
+            columns = {error: column_name(error, unit_of(error)) for error in one.names}
             kinds = [("found", one.value, one.errors)]
             if one.corners is not None:
                 kinds.append(("best_corner", one.corners.value, one.corners.errors))
             kinds.append(("quadratic_model", one.quadratic_value, one.quadratic_errors))
             kinds.append(("nominal", one.nominal, {}))
             for kind, value, errors in kinds:
-                row = {"metric": name, "unit": one.unit, "kind": kind, "value": value}
-                rows.append(row | {error: errors.get(error, float("nan")) for error in one.names})
+                row = {"metric": name, "unit": one.unit or "1", "kind": kind, "value": value}
+                rows.append(row | {columns[error]: errors.get(error, float("nan")) for error in one.names})
         units = {name: one.unit or "1" for name, one in result.items()}
         content = {"metrics": metrics, "units": units}
         return [

@@ -254,7 +254,7 @@ def _explain(study: Criterion, request: Request, status, verified: Verified, key
     """Status and message: tells an infeasible request from one that did not converge."""
     if status == "not_verified":
         return status, (
-            "Fresh runs kept violating a limit beyond their confidence interval; use more samples or rounds."
+            "Independent samples kept violating a limit beyond their confidence interval; use more samples or rounds."
         )
     best = np.minimum(study.best(key), np.where(np.isfinite(verified.h), verified.h, np.inf))
     out = [i for i in range(len(request.limits)) if not best[i] <= tolerance]
@@ -272,16 +272,16 @@ def _explain(study: Criterion, request: Request, status, verified: Verified, key
             f"The yield {study.level} cannot be met by all limits together: with the smallest tolerances it is "
             f"{study.best_yield():.5f}; relax a limit or allow smaller tolerances."
         )
-    return status, "The corrections did not settle; ask for more rounds or a looser tolerance."
+    return status, "The corrections did not converge; allow more rounds or a looser tolerance."
 
 
 def _report(study: Criterion, request: Request, criterion, answer: Answer, history, outcome, verified) -> Allocation:
     """`outcome`: status, message."""
     t = np.exp(answer.x)
     level, predicted, failed = np.nan, np.nan, study.failed
-    by = "worst-case searches from fresh starts"
+    by = "worst-case searches from new starting points"
     if isinstance(study, StatisticalCriterion):
-        by = f"a fresh Monte Carlo run of {study.verify_samples} samples"
+        by = f"an independent Monte Carlo run of {study.verify_samples} samples"
         level, failed = study.level, failed + verified.failed
         predicted = study.predicted_yield(t) if study.joint else np.nan
     return Allocation(

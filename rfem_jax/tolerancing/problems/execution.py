@@ -82,7 +82,7 @@ def require_threads(devices: Sequence[Device]) -> None:
     if threads < 2 * count:
         raise InputError(
             f"Argument `jax_num_cpu_devices` must leave two threads for each device, but {count} "
-            f"CPU devices share {threads}, and samples could wait for each other for ever; put "
+            f"CPU devices share {threads}, and samples could wait for each other without end; put "
             f'os.environ["NPROC"] = "{2 * max(count, cores)}" before the first array, or use one '
             "device."
         )

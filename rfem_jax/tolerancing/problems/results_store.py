@@ -2,7 +2,8 @@
 
 Place in the pipeline: under the Monte Carlo study; knows nothing of problems and tolerances.
 
-    FOLDER/manifest.json     identifies the study: if anything but the number of samples differs, it is another one
+    FOLDER/manifest.json     identifies the study: if anything but the number of samples differs, it is another one;
+                             beside that, a description of its problem, which is no part of the identity
     FOLDER/chunk-000042.npz  samples of one chunk: named arrays and their checksum
 
 A file appears under its name only when it is whole: it is written beside it (".tmp"), synchronised to the disk,
@@ -17,6 +18,7 @@ import json
 import os
 import secrets
 import warnings
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +26,7 @@ import numpy as np
 
 from rfem_jax.description.errors import InputError
 
-MANIFEST = "manifest.json"
+MANIFEST, DESCRIPTION = "manifest.json", "description"
 
 
 class CorruptChunkWarning(UserWarning):
@@ -50,17 +52,24 @@ class ResultsStore:
     """The chunks of one study in `folder`.
 
     Args: folder, path (made if missing); study, a JSON-able dict that identifies the study; counts {name: number},
-        numbers that may grow from one run to the next, such as that of the samples: the manifest keeps the largest.
+        numbers that may grow from one run to the next, such as that of the samples: the manifest keeps the largest;
+        description {name: text}, kept for `require_study`.
     Raises: StudyFolderError when the folder belongs to another study (with the differences) or
         holds other files; ChunkWriteError when the folder cannot be written.
     """
 
-    def __init__(self, folder: str | Path, study: dict[str, Any], counts: dict[str, int] | None = None):
+    def __init__(
+        self,
+        folder: str | Path,
+        study: dict[str, Any],
+        counts: dict[str, int] | None = None,
+        description: Mapping[str, str] | None = None,
+    ):
         self.folder = Path(folder)
         text = json.dumps(study, indent=2, sort_keys=True)
         self.fingerprint = hashlib.sha256(text.encode()).hexdigest()
-        if self.folder.exists() and not self.folder.is_dir():
-            raise StudyFolderError(f"`{self.folder}` is a file", "name a new folder")
+        self._described = {} if description is None else {DESCRIPTION: dict(description)}
+        _require_no_file(self.folder)
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
             self._write_manifest(json.loads(text), counts or {})
@@ -73,42 +82,14 @@ class ResultsStore:
 
     def _write_manifest(self, study: dict[str, Any], counts: dict[str, int]) -> None:
         """Write the manifest unless it is there already. Raises StudyFolderError."""
-        found = self._read_manifest()
+        found = _read_manifest(self.folder)
         if found is not None:
-            self._require_same(found, study, counts)
+            _require_same(self.folder, found, study, {*counts, DESCRIPTION})
             past = {name: found[name] for name in counts if isinstance(found.get(name), int)}
             counts = {name: max(number, past.get(name, 0)) for name, number in counts.items()}
-        manifest = study | counts
+        manifest = study | counts | self._described
         if found != manifest:
             write_whole(self.folder / MANIFEST, json.dumps(manifest, indent=2, sort_keys=True).encode())
-
-    def _read_manifest(self) -> dict[str, Any] | None:
-        """The manifest in the folder, None where there is none. Raises StudyFolderError."""
-        try:
-            found = json.loads((self.folder / MANIFEST).read_text())
-        except FileNotFoundError:
-            others = [p.name for p in self.folder.iterdir() if not p.name.endswith(".tmp")]
-            if others and not (self.folder / MANIFEST).exists():
-                raise StudyFolderError(
-                    f"`{self.folder}` holds `{sorted(others)[0]}` and no manifest",
-                    "name a new folder",
-                ) from None
-            return None
-        except ValueError:
-            raise StudyFolderError(f"`{self.folder / MANIFEST}` cannot be read", "name a new folder") from None
-        return found if isinstance(found, dict) else {}
-
-    def _require_same(self, found: dict[str, Any], study: dict[str, Any], counts: dict[str, int]) -> None:
-        differing = [
-            f"{key} (there {_brief(found.get(key))}, here {_brief(study.get(key))})"
-            for key in sorted({*found, *study} - {*counts})
-            if found.get(key) != study.get(key)
-        ]
-        if differing:
-            raise StudyFolderError(
-                f"`{self.folder}` is of another: it differs in {'; '.join(differing)}",
-                "name a new folder, or specify the same study",
-            )
 
     def path(self, index: int) -> Path:
         """The file of chunk `index`."""
@@ -164,6 +145,64 @@ class ResultsStore:
             digest.update(f" {name} {array.dtype.str} {array.shape} ".encode())
             digest.update(array.tobytes())
         return digest.hexdigest()
+
+
+def require_study(folder: str | Path, study: dict[str, Any], description: Mapping[str, str] | None = None) -> None:
+    """See that a folder can hold a study of which a part of its identity is known, without making or writing anything.
+
+    Args: folder, path; study, some of the entries that identify the study; description {name: text}, compared where
+        the folder has one.
+    Raises: StudyFolderError as `ResultsStore`, and for a folder that cannot be written.
+    """
+    folder = Path(folder)
+    _require_no_file(folder)
+    if not folder.exists():
+        return
+    if not os.access(folder, os.R_OK | os.W_OK | os.X_OK):
+        raise StudyFolderError(f"`{folder}` cannot be read and written", "name a new folder, or change its permissions")
+    found = _read_manifest(folder)
+    if found is None:
+        return
+    described = found.get(DESCRIPTION)
+    if isinstance(described, dict):
+        found, study = found | described, study | dict(description or {})
+    _require_same(folder, found, study, found.keys() - study.keys())
+
+
+def _require_no_file(folder: Path) -> None:
+    if folder.exists() and not folder.is_dir():
+        raise StudyFolderError(f"`{folder}` is a file", "name a new folder")
+
+
+def _read_manifest(folder: Path) -> dict[str, Any] | None:
+    """The manifest in the folder, None where there is none. Raises StudyFolderError."""
+    try:
+        found = json.loads((folder / MANIFEST).read_text())
+    except FileNotFoundError:
+        others = [p.name for p in folder.iterdir() if not p.name.endswith(".tmp")]
+        if others and not (folder / MANIFEST).exists():
+            raise StudyFolderError(
+                f"`{folder}` holds `{sorted(others)[0]}` and no manifest",
+                "name a new folder",
+            ) from None
+        return None
+    except ValueError:
+        raise StudyFolderError(f"`{folder / MANIFEST}` cannot be read", "name a new folder") from None
+    return found if isinstance(found, dict) else {}
+
+
+def _require_same(folder: Path, found: dict[str, Any], study: dict[str, Any], ignored: Collection[str]) -> None:
+    """Raise StudyFolderError where the entries `found` in a folder differ from those of the study."""
+    differing = [
+        f"{key} (there {_brief(found.get(key))}, here {_brief(study.get(key))})"
+        for key in sorted({*found, *study} - {*ignored})
+        if found.get(key) != study.get(key)
+    ]
+    if differing:
+        raise StudyFolderError(
+            f"`{folder}` is of another: it differs in {'; '.join(differing)}",
+            "name a new folder, or specify the same study",
+        )
 
 
 def write_whole(path: Path, payload: bytes) -> None:

@@ -15,11 +15,9 @@ Source: see `statistics` and `sampling`.
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -29,7 +27,7 @@ from rfem_jax.description.tasks.settings import whole_number
 from rfem_jax.tolerancing.checks import check_known, read_limits, require_float64
 from rfem_jax.tolerancing.problems.distributions import Tolerances, distributions_of
 from rfem_jax.tolerancing.problems.evaluation import describe_status
-from rfem_jax.tolerancing.problems.execution import Arrays, default_lanes, fingerprint_problem, run_chunks
+from rfem_jax.tolerancing.problems.execution import Arrays, default_lanes, run_chunks
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem
 from rfem_jax.tolerancing.problems.quadratic_model import QuadraticModel, expand_by_differences
 from rfem_jax.tolerancing.problems.results_store import ResultsStore
@@ -40,7 +38,7 @@ from rfem_jax.tolerancing.sampling.monte_carlo_result import (
     MonteCarloResult,
     Yield,
 )
-from rfem_jax.tolerancing.sampling.sequences import RandomKey, design_points, key_words, net_of_samples, unit_points
+from rfem_jax.tolerancing.sampling.sequences import RandomKey, design_points, net_of_samples, unit_points
 from rfem_jax.tolerancing.sampling.statistics import (
     ControlledMean,
     SobolIndices,
@@ -52,9 +50,9 @@ from rfem_jax.tolerancing.sampling.statistics import (
     estimate_yield,
     require_confidence,
 )
+from rfem_jax.tolerancing.sampling.study_identity import identify
 
 QUANTILES = (0.01, 0.05, 0.5, 0.95, 0.99)
-FORMAT = 3  # of the content of a chunk, and of the order and drawing of points
 
 
 def monte_carlo(
@@ -73,6 +71,7 @@ def monte_carlo(
     resume: str | Path | None = None,
     progress: ProgressOption = False,
     lanes: int | None = None,
+    description: Mapping[str, str] | None = None,
 ) -> MonteCarloResult:
     """Run `problem` at n random errors and describe its metrics.
 
@@ -93,6 +92,7 @@ def monte_carlo(
         progress: True for a bar with rate and remaining time, or a function of (done, total).
         lanes: samples that each device computes at once (None: a constant for the kind of device). A chunk takes
             ceil(batch / (lanes x devices)) launches. The last bit of a result may depend on lanes, on nothing else.
+        description: of what the problem is made, {name: text}, kept in the folder for `study_identity.require_folder`.
     Raises: InputError for unknown names, bad numbers, and a folder of another study; ChunkWriteError (an OSError) when
         the disk is full: finished chunks are kept.
     """
@@ -107,14 +107,14 @@ def monte_carlo(
     design = _design(key, whole_number(_as_int(n), "n", 1), tolerances, sampling, sobol_indices)
     store = None
     if resume is not None:
-        study = {"batch": batch, "lanes": lanes, "sampling": sampling, "sobol_indices": sobol_indices}
-        store = ResultsStore(resume, study | _identify(problem, tolerances, key), {"n": design.n})
+        settings = {"batch": batch, "lanes": lanes, "sampling": sampling, "sobol_indices": sobol_indices}
+        store = ResultsStore(resume, identify(problem, tolerances, key, **settings), {"n": design.n}, description)
     started = time.monotonic()
     samples, computed = run_chunks(
         problem, tolerances, design.points, batch=batch, lanes=lanes, store=store, progress=progress
     )
-    seconds = time.monotonic() - started
-    return _report(problem, tolerances, design, asked, model, samples, (computed, seconds))
+    cost = computed, time.monotonic() - started
+    return _report(problem, tolerances, design, asked, model, samples, cost)
 
 
 @dataclass(frozen=True, eq=False)
@@ -336,41 +336,6 @@ def _complete_status(samples: Arrays) -> Int[np.ndarray, " N"]:
 
 def _cause(problem, code) -> str:
     return "values not finite" if code == NOT_FINITE else describe_status(problem, code)
-
-
-def _identify(problem, tolerances, key) -> dict[str, Any]:
-    """Everything that distinguishes this study from others, apart from the numbers of its call."""
-    return {
-        "study": "monte_carlo",
-        "format": FORMAT,
-        "problem": fingerprint_problem(problem),
-        "metrics": [metric.name for metric in problem.metrics],
-        "tolerances": _tolerance_table(tolerances),
-        "key": key_words(key),
-        "device": jax.default_backend(),
-        "versions": {name: _version(name) for name in ("jax", "jaxlib", "numpy", "scipy", "rfem-jax")},
-    }
-
-
-def _version(package: str) -> str | None:
-    try:
-        return metadata.version(package)
-    except metadata.PackageNotFoundError:
-        return None
-
-
-def _tolerance_table(tolerances) -> dict[str, Any]:
-    """Kind and numbers of every tolerance; JSON keeps every bit of a float."""
-    single = [
-        [name, type(tol).__name__, [float(leaf) for leaf in jax.tree.leaves(tol)]]
-        for name, tol in ((name, tolerances.independent.get(name)) for name in tolerances.names)
-        if tol is not None
-    ]
-    groups = [
-        [list(group.names), np.asarray(group.covariance).tolist(), np.asarray(group.mean).tolist()]
-        for group in tolerances.correlated
-    ]
-    return {"independent": single, "correlated": groups}
 
 
 def _check_tolerances(problem, tolerances) -> None:

@@ -28,8 +28,7 @@ Source: theory (10.5) to (10.8); H. A. David, H. N. Nagaraja, Order Statistics, 
 C. J. Clopper, E. S. Pearson, Biometrika 26 (1934) 404-413; E. L. Korn, B. I. Graubard, Survey Methodology 24 (1998)
 193-201 (n_eff of a fraction); R. S. Woodruff, J. Amer. Stat. Assoc. 47 (1952) 635-646 (quantile from a fraction);
 A. Saltelli et al., Comput. Phys. Commun. 181 (2010) 259-270, table 2 (b) and (f); S. S. Lavenberg, P. D. Welch,
-Management Science 27 (1981) 322-335 (control variates); A. N. Avramidis, J. R. Wilson, Oper. Res. 41 (1993) 833-846
-(splitting).
+Management Science 27 (1981) 322-335 (control variates); B. L. Nelson, Oper. Res. 38 (1990) 974-992 (splitting).
 """
 
 import math
