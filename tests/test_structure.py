@@ -99,6 +99,17 @@ def test_a_file_and_its_functions_have_different_names():
         assert path.stem not in names, path
 
 
+LONGEST_FUNCTION = 60
+
+
+def test_no_function_is_longer_than_a_page():
+    for path in FILES:
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
+                length = node.end_lineno - node.lineno + 1
+                assert length <= LONGEST_FUNCTION, f"{path}: {node.name} has {length} lines"
+
+
 def test_public_names_exist():
     import rfem_jax
 
