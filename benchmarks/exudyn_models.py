@@ -144,7 +144,7 @@ def linkage(model: Model, errors: AssemblyErrors) -> Linkage:
         elements=elements,
         gravity=np.asarray(model.gravity)[TURNED],
         driven=topology.driven,
-        start_angle=0.0 if topology.driven is None else float(model.start_angles[topology.driven]),
+        start_angle=0.0 if topology.driven is None else float(model.start_joints[topology.driven]),
         order=model.joint_names,
     )
 

@@ -143,4 +143,4 @@ def random_state(model, rng, angle=0.5, rate=5.0):
         )
 
     position, velocity = draw(angle, 1.0), draw(rate, 10.0)
-    return State(Coordinates(model.start_angles + position.angles, position.elastic), velocity)
+    return State(Coordinates(model.start_joints + position.joints, position.elastic), velocity)

@@ -90,7 +90,7 @@ def require_double_precision() -> None:
 def describe(model: Model) -> Structure:
     """Rank and mobility at the nominal start, flexible and with every link rigid (theory (5.8))."""
     geometry = geometry_of(model)
-    placed = place(geometry, np.asarray(model.start_angles))
+    placed = place(geometry, np.asarray(model.start_joints))
     jacobian = closure_jacobian(geometry, placed)
     residual = gaps(geometry, placed).residual
     rank, rigid_rank = _rank(jacobian), _rank(jacobian[:, : model.topology.n_links])
@@ -149,7 +149,7 @@ def _close(model: Model) -> Model:
     topology = model.topology
     if topology.n_cuts == 0:
         return model
-    angles, residual, alignment, cut_angles = close_at(model, np.asarray(model.start_angles))
+    angles, residual, alignment, cut_angles = close_at(model, np.asarray(model.start_joints))
     if not np.abs(residual).max() < CLOSING_TOLERANCE:
         gap = np.abs(residual).max() * float(np.max(model.length))
         worst = topology.joints[topology.n_links + int(np.abs(residual).argmax()) // 5]
@@ -164,4 +164,4 @@ def _close(model: Model) -> Model:
             f"Argument `mechanism` must close with both hinge axes of joint {worst!r} alike, but "
             "they point in opposite directions; turn the frame of its child by 180 deg."
         )
-    return eqx.tree_at(lambda m: (m.start_angles, m.cut_angles), model, (jnp.asarray(angles), jnp.asarray(cut_angles)))
+    return eqx.tree_at(lambda m: (m.start_joints, m.cut_angles), model, (jnp.asarray(angles), jnp.asarray(cut_angles)))

@@ -194,7 +194,7 @@ def _interface_tree(
             inertia=inertia,
             load=applied + weight - gyroscopic,
             axis=axis,
-            bias=algebra.motion_cross(parent_velocity, axis * state.velocity.angles[None]),
+            bias=algebra.motion_cross(parent_velocity, axis * state.velocity.joints[None]),
         )
 
 

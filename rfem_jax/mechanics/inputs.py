@@ -38,7 +38,7 @@ def impose(topology: Topology, state: State, drive: DriveInput) -> State:
 
     def replace(values: Coordinates, value: Array) -> Coordinates:
         is_driven = np.arange(topology.n_links) == topology.driven
-        return Coordinates(jnp.where(is_driven, value[None], values.angles), values.elastic)
+        return Coordinates(jnp.where(is_driven, value[None], values.joints), values.elastic)
 
     return State(
         replace(state.position, jnp.asarray(drive.prescribed[0])),

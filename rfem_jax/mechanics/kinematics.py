@@ -181,13 +181,13 @@ def _columns(values: Array, indices: Sequence[int]) -> Array:
 def _place_link(actual: ModelWithErrors, state: State, index: int, parent: Frames) -> tuple[Frames, Frames, Array]:
     """Link frame, hinge frame and spatial axis (6,) of a tree joint's link, from the frame of its parent's node."""
     joint_rotation = product(parent.rotation, actual.seat_rotation[:, :, index])
-    hinge_rotation = product(joint_rotation, algebra.rotation_y(state.position.angles[index]))
+    hinge_rotation = product(joint_rotation, algebra.rotation_y(state.position.joints[index]))
     centre = parent.point + apply(parent.rotation, actual.seat_position[:, index])
     rotation = algebra.product_transposed(hinge_rotation, actual.bore_rotation[:, :, index])
     origin = centre - apply(rotation, actual.bore_position[:, index])
     y = joint_rotation[:, 1]
     axis = algebra.spatial(y, cross(centre, y))
-    velocity = parent.velocity + axis * state.velocity.angles[index][None]
+    velocity = parent.velocity + axis * state.velocity.joints[index][None]
     hinge = Frames(hinge_rotation, centre, parent.velocity)
     return Frames(rotation, origin, velocity), hinge, axis
 

@@ -28,11 +28,11 @@ BASE = -1
 
 
 class Coordinates(eqx.Module):
-    """Joint angles [rad] and the six coordinates (x, y, z, phi_x, phi_y, phi_z) [m, rad] of every
+    """Joint coordinates [rad] and the six coordinates (x, y, z, phi_x, phi_y, phi_z) [m, rad] of every
     free rfe relative to its link frame, with R = R_z R_y R_x (exact elements: R_y R_z R_x); also used
     for their rates and accelerations."""
 
-    angles: Float[Array, " links"]
+    joints: Float[Array, " links"]
     elastic: Float[Array, "6 rfes"]
 
 
@@ -154,8 +154,8 @@ class Model(eqx.Module):
     length: of the links [m]; section: of their cross-sections; parent_*, child_*: frames of the joints on
     their two sides (F and F_c), relative to the node's frame, which is the link frame for rfe 0 and the frame
     at the segment's middle for a free rfe; point_*: mass [kg], place in the node's frame [m] and principal
-    moments of inertia [kg m^2] of the point masses; start_angles, cut_angles: of the tree joints and the cut
-    joints at the closed start [rad]; gravity [m/s^2] in global axes.
+    moments of inertia [kg m^2] of the point masses; start_joints, cut_angles: angles of the tree joints
+    and the cut joints at the closed start [rad]; gravity [m/s^2] in global axes.
 
     `equinox.tree_at` may replace what leaves the geometry as it is, also by traced values to differentiate by:
     section, point masses, gravity.  With another length or joint frame the start angles no longer close the
@@ -173,7 +173,7 @@ class Model(eqx.Module):
     point_mass: Float[Array, " masses"]
     point_position: Float[Array, "3 masses"]
     point_inertia: Float[Array, "3 masses"]
-    start_angles: Float[Array, " links"]
+    start_joints: Float[Array, " links"]
     cut_angles: Float[Array, " cuts"]
     gravity: Float[Array, "3"]
 
@@ -196,7 +196,7 @@ class Model(eqx.Module):
     def start_coordinates(self) -> Coordinates:
         """Nominal start: closed geometry, undeformed links."""
         elastic = jnp.zeros((6, self.topology.n_rfes))
-        return Coordinates(self.start_angles, elastic)
+        return Coordinates(self.start_joints, elastic)
 
 
 def rfe_fractions(elements: int) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:

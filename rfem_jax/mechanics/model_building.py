@@ -60,7 +60,7 @@ def build_model(mechanism: Mechanism, elements: dict[str, int], exact: bool = Fa
         point_mass=jnp.asarray(np.array([mass.mass for _, mass in masses], dtype=float)),
         point_position=_columns([position for _, position in located]),
         point_inertia=_columns([mass.inertia for _, mass in masses]),
-        start_angles=jnp.asarray([float(j.angle or 0.0) for j in joints[: len(links)]]),
+        start_joints=jnp.asarray([float(j.angle or 0.0) for j in joints[: len(links)]]),
         cut_angles=jnp.zeros(len(joints) - len(links)),
         gravity=jnp.asarray(mechanism.gravity, dtype=float),
     )

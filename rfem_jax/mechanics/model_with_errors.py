@@ -166,7 +166,7 @@ def apply_errors(model: Model, errors: AssemblyErrors) -> ModelWithErrors:
             topology,
         )
         pin = algebra.product(algebra.rotation_z(errors.pin[1]), algebra.rotation_x(errors.pin[0]))
-        start = algebra.rotation_y(jnp.concatenate([model.start_angles, model.cut_angles]))
+        start = algebra.rotation_y(jnp.concatenate([model.start_joints, model.cut_angles]))
         pin_in_child = algebra.product(algebra.transpose(start), algebra.product(pin, start))
         mass, centre, inertia = _bodies(model, length, scale)
         n = topology.n_links

@@ -44,7 +44,7 @@ def transforms(actual: ModelWithErrors, position: Coordinates) -> list[Float[Arr
     bore = [_transform(actual.bore_rotation[:, :, j], actual.bore_position[:, j]) for j in range(len(topology.joints))]
     frames = {BASE: jnp.eye(4)}
     for l, (a, b) in enumerate(topology.ranges):
-        about_hinge = _transform(_about(1, position.angles[l]), jnp.zeros(3))
+        about_hinge = _transform(_about(1, position.joints[l]), jnp.zeros(3))
         hinge = frames[topology.parents[l]] @ seat[l] @ about_hinge
         frames[l] = hinge @ jnp.linalg.inv(bore[l])
         for k in range(a, b):

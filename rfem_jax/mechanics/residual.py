@@ -119,8 +119,8 @@ def _spatial_accelerations(
     """Spatial accelerations (6,) at the global origin of the links and of the interfaces, by node."""
     topology = actual.topology
     n = topology.n_links
-    bias = algebra.motion_cross(motion.hinges.velocity, motion.axis * state.velocity.angles[None])
-    over_hinge = motion.axis * accelerations.angles[None] + bias
+    bias = algebra.motion_cross(motion.hinges.velocity, motion.axis * state.velocity.joints[None])
+    over_hinge = motion.axis * accelerations.joints[None] + bias
     links: dict[int, Array] = {}
     interfaces: dict[int, Array] = {}
 

@@ -93,7 +93,7 @@ def held_angles(model: Model, hold: Mapping[str, ArrayLike] | None) -> dict[int,
     topology = model.topology
     if hold is None:
         driven = topology.driven
-        return {} if driven is None else {driven: model.start_angles[driven]}
+        return {} if driven is None else {driven: model.start_joints[driven]}
     _require_tree_joints(model, hold)
     return {topology.joints.index(name): jnp.asarray(angle) for name, angle in hold.items()}
 
@@ -177,7 +177,7 @@ def equilibrium(
     args = actual, angles
     perfect = (
         eqx.tree_at(lambda r: r.gravity, apply_errors(model, assembly_errors(model)), jnp.zeros(3)),
-        model.start_angles[given],
+        model.start_joints[given],
     )
     guess = jnp.where(is_given, angles @ onto, undeformed)
     perfect, undeformed, guess = jax.lax.stop_gradient((perfect, undeformed, guess))
@@ -238,7 +238,7 @@ def _preconditioner(scaled: _Scaled, given: np.ndarray, actual: ModelWithErrors,
 
     def solve(residual):
         forces, closing = scaled.unscaled(residual)
-        by_part = Residual(forces.angles, -forces.elastic[:3], -forces.elastic[3:], -closing)
+        by_part = Residual(forces.joints, -forces.elastic[:3], -forces.elastic[3:], -closing)
         increment = scaled.unknowns(*static_increment(topology, tangent, by_part))
         return increment + jnp.where(np.isin(np.arange(unknowns.size), given), residual, 0.0)
 

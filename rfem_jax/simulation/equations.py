@@ -132,7 +132,7 @@ def squares(
 def drive_power(topology: Topology, state: State, drive: DriveInput, joint: loads.JointLoads) -> Float[Array, ""]:
     """Power [W] of the drive."""
     return drive_moment(topology, drive, joint) * (
-        0.0 if topology.driven is None else state.velocity.angles[topology.driven]
+        0.0 if topology.driven is None else state.velocity.joints[topology.driven]
     )
 
 
@@ -155,7 +155,7 @@ def with_start_angle(model: Model, drive: Drive) -> Drive:
     """The drive with a prescribed motion as the driven joint's angle: its own is counted from the start angle."""
     if not isinstance(drive, PrescribedDrive):
         return drive
-    return _FromStartAngle(drive.joint, drive, model.start_angles[driven_index(model.topology)])
+    return _FromStartAngle(drive.joint, drive, model.start_joints[driven_index(model.topology)])
 
 
 class _FromStartAngle(PrescribedDrive):

@@ -280,7 +280,7 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
             a1 = -(trajectory.velocity.elastic / step + (0.5 - self.beta) * a0) / self.beta
             mixed = (1.0 - self.alpha_m) * a1 + self.alpha_m * a0 - self.alpha_f * old
             elastic = jnp.where(moving, mixed / (1.0 - self.alpha_f), old)
-            accelerations = Coordinates(accelerations.angles, elastic)
+            accelerations = Coordinates(accelerations.joints, elastic)
         return Unknowns(_with_prescribed(topology, drive, accelerations), memory.multipliers)
 
     def evaluate(self, unknowns: Unknowns, constants: StepConstants, start: StepStart) -> tuple[Evaluation, StepEnd]:
@@ -395,5 +395,5 @@ def _with_prescribed(topology: Topology, drive: DriveInput, accelerations: Coord
     if drive.prescribed is None:
         return accelerations
     driven = np.arange(topology.n_links) == topology.driven
-    angles = jnp.where(driven, drive.prescribed[2][None], accelerations.angles)
+    angles = jnp.where(driven, drive.prescribed[2][None], accelerations.joints)
     return Coordinates(angles, accelerations.elastic)

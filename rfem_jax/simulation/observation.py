@@ -145,8 +145,8 @@ def observe(
         if drive.prescribed is not None:
             passive[topology.driven] = 0.0
         return Record(
-            angles=state.position.angles,
-            rates=state.velocity.angles,
+            angles=state.position.joints,
+            rates=state.velocity.joints,
             drive_moment=equations.drive_moment(topology, drive, joint),
             loads=joint,
             energy=Energy(*parts, integrals.work, integrals.dissipation),

@@ -90,12 +90,12 @@ def eigenvalues(model: Model, drive: Drive = None) -> Complex[np.ndarray, " eige
     """
     require_driven(model, drive)
     vibration = Vibration(model, isinstance(drive, PrescribedDrive))
-    return vibration.modes(np.asarray(model.start_angles)).eigenvalues()
+    return vibration.modes(np.asarray(model.start_joints)).eigenvalues()
 
 
 def _poses(model: Model) -> np.ndarray:
     """Angles (positions, links) of closed nominal geometries, start first."""
-    start = np.asarray(model.start_angles)
+    start = np.asarray(model.start_joints)
     driven = model.topology.driven
     if driven is None:
         return start[None]

@@ -90,7 +90,7 @@ def compared(request):
 def test_accelerations_and_multipliers_agree(compared):
     _, _, out = compared
     fast, multipliers, slow, reference, *_ = out
-    for one, other in ((fast.angles, slow.angles), (fast.elastic, slow.elastic)):
+    for one, other in ((fast.joints, slow.joints), (fast.elastic, slow.elastic)):
         scale = np.abs(other).max(axis=tuple(range(1, other.ndim)), keepdims=True)
         np.testing.assert_allclose(one / scale, other / scale, rtol=0, atol=1e-9)
     if reference.shape[1]:

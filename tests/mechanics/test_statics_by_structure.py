@@ -24,7 +24,7 @@ def equilibria(make):
 
     def at(share, rotation):
         actual = apply_errors(model, jax.tree.map(lambda x: share * x, errors))
-        *found, status = statics.equilibrium(model, actual, {0: model.start_angles[0] + rotation})
+        *found, status = statics.equilibrium(model, actual, {0: model.start_joints[0] + rotation})
         return found, status
 
     return at
@@ -107,7 +107,7 @@ def test_where_the_recursion_does_not_converge_the_jacobian_does(monkeypatch):
     def at(gravity):
         loaded = eqx.tree_at(lambda r: r.gravity, actual, gravity)
         position, _, status = statics.equilibrium(model, loaded, {})
-        return position.angles[0], status
+        return position.joints[0], status
 
     @jax.jit
     def both(gravity):
