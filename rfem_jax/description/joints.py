@@ -1,22 +1,24 @@
-"""Joints: hinges about the local y axis between a parent (a link or the base) and a child link.
+"""Joints of several kinds between a parent (a link or the base) and a child link.
 
 Place in the pipeline: joints connect the links of a mechanism; cut joints close its loops.
 
 Frames: `position` and `orientation` place the joint's nominal frame F in the parent's frame (the
 global frame for the base; the link frame, x along the beam, for a link); `child_position` and
-`child_orientation` place the hinge in the child's link frame. R = R_z R_y R_x.
-Source: theory (2.3) to (2.6).
+`child_orientation` place the joint in the child's link frame. R = R_z R_y R_x.
+Source: theory (2.3) to (2.6), (2.14) to (2.16).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from rfem_jax.description.errors import ChecksItself, InputError, require_flag, require_name
+from rfem_jax.description.joint_kinds import DEFAULT, KINDS, JointKind, require_kind
 from rfem_jax.description.units import quantity, vector
 
 
 @dataclass(frozen=True)
 class Joint(ChecksItself):
-    """A hinge about the y axis of its frame.
+    """A joint that lets its child move relative to its parent as its kind says.
 
     Args:
         name: a word.
@@ -27,9 +29,16 @@ class Joint(ChecksItself):
         child_position: (x, y, z) [m] in the child's frame; None = the child's origin for a joint of
             the tree, its far end for a cut joint.
         child_orientation: angles (about x, y, z) [rad] in the child's frame.
-        angle: approximate start value [rad] of the joint coordinate; a joint of the tree only,
-            where None means 0 (a cut joint keeps None).
+        angle: approximate start value [rad] of the angle of a kind that has one; a joint of the tree
+            only, where None means 0 (a cut joint keeps None).
         cut: True if the joint closes a loop and is expressed by constraint equations.
+        kind: "revolute" (about y), "prismatic" (along x), "cylindrical" (about and along y), "universal"
+            (about the parent's y, then the child's z), "spherical", "planar" (along x and z, about y),
+            "fixed" or "free".
+        displacement: approximate start value [m] of the displacement of a kind that has one, as `angle`.
+        start: approximate start values of a kind with several angles or displacements, in the order of
+            its motions (universal: 2 angles; planar: x, z, angle; spherical: angles about x, y, z of
+            R_z R_y R_x; free: x, y, z and these angles); None means zeros.
     Raises:
         InputError: a value is out of range or of the wrong kind.
     """
@@ -43,10 +52,14 @@ class Joint(ChecksItself):
     child_orientation: tuple[float, float, float] = (0.0, 0.0, 0.0)
     angle: float | None = None
     cut: bool = False
+    kind: str = DEFAULT
+    displacement: float | None = None
+    start: tuple[float, ...] | None = None
 
     def __post_init__(self):
         require_name(self.name, "`name` of a joint")
         of = f"of joint `{self.name}`"
+        kind = require_kind(self.kind, f"`kind` {of}")
         require_name(self.parent, f"`parent` {of}")
         if self.child == "base":
             raise InputError(
@@ -67,17 +80,66 @@ class Joint(ChecksItself):
             elif dimension == "angle":
                 value = (0.0, 0.0, 0.0)
             object.__setattr__(self, field, value)
-        self._set_angle(of)
-
-    def _set_angle(self, of: str) -> None:
-        if self.cut and self.angle is not None:
+        if self.cut and kind.constraints == 0:
             raise InputError(
-                f"Argument `angle` {of} must be left out because the joint is cut, but was "
-                f"{self.angle!r}; a cut joint's angle follows from closing the loop."
+                f'Argument `kind` {of} must be another than "free" because the joint is cut, but was '
+                '"free"; it would not join anything: leave the joint out.'
             )
-        if not self.cut:
-            angle = 0.0 if self.angle is None else self.angle
-            object.__setattr__(self, "angle", quantity(angle, "angle", f"`angle` {of}"))
+        self._set_start(of, kind)
+
+    @property
+    def start_values(self) -> tuple[float, ...]:
+        """Approximate start values of all coordinates of a joint of the tree, in the order of its motions."""
+        kind = KINDS[self.kind]
+        if _has_names(kind):
+            return tuple(float((self.angle if one.rotation else self.displacement) or 0.0) for one in kind.freedoms)
+        return self.start or (0.0,) * len(kind.freedoms)
+
+    def _set_start(self, of: str, kind: JointKind) -> None:
+        """Check `angle`, `displacement` and `start`, and set those that the kind has and that were left out."""
+        counts = {"angle": kind.angles, "displacement": kind.displacements}
+        named = _has_names(kind)
+        wanted = {field for field, count in counts.items() if count == 1 and named}
+        if not named:
+            wanted = {"start"}
+        for field in ("angle", "displacement", "start"):
+            value = getattr(self, field)
+            if value is not None and (self.cut or field not in wanted):
+                self._refuse_start(of, kind, field, value, sorted(wanted))
+            if self.cut or field not in wanted:
+                continue
+            if field == "start":
+                zeros = (0.0,) * len(kind.freedoms)
+                object.__setattr__(self, field, zeros if value is None else _start_values(value, kind, of))
+            else:
+                dimension = "angle" if field == "angle" else "length"
+                number = quantity(0.0 if value is None else value, dimension, f"`{field}` {of}")
+                object.__setattr__(self, field, number)
+
+    def _refuse_start(self, of: str, kind: JointKind, field: str, value: object, wanted: Sequence[str]) -> None:
+        if self.cut:
+            reason, fix = "the joint is cut", f"a cut joint's {field} follows from closing the loop."
+        else:
+            reason = f"the joint is {kind.name}"
+            fix = f"give {' and '.join(f'`{name}`' for name in wanted)}." if wanted else "it has no coordinate."
+        raise InputError(f"Argument `{field}` {of} must be left out because {reason}, but was {value!r}; {fix}")
+
+
+def _has_names(kind: JointKind) -> bool:
+    """Whether the start of a kind is an angle, a displacement or both, and not a list."""
+    return kind.angles <= 1 and kind.displacements <= 1
+
+
+def _start_values(values: object, kind: JointKind, of: str) -> tuple[float, ...]:
+    """A list of as many quantities as the kind has coordinates, each of its dimension."""
+    freedoms, where = kind.freedoms, f"`start` {of}"
+    if not isinstance(values, (list, tuple)) or len(values) != len(freedoms):
+        raise InputError(
+            f"Argument {where} must be a list of {len(freedoms)} numbers because the joint is {kind.name}, but was "
+            f"{values!r}; write for example {[0.0] * len(freedoms)}."
+        )
+    entries = zip(values, freedoms, strict=True)
+    return tuple(quantity(value, one.dimension, f"{where} (entry {n})") for n, (value, one) in enumerate(entries, 1))
 
 
 _VECTORS = {

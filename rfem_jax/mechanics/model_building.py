@@ -31,6 +31,7 @@ def build_model(mechanism: Mechanism, elements: dict[str, int], exact: bool = Fa
     parents = [discretised.attach(j.parent, j.position, True) for j in joints]
     children = [discretised.attach(j.child, j.child_position, j.cut) for j in joints]
     _require_first_rfes(joints[: len(links)], children)
+    _require_known_kinds(joints)
     masses = [(i, mass) for i, link in enumerate(links) for mass in link.point_masses]
     located = [discretised.locate(i, mass.position) for i, mass in masses]
     driven = mechanism.driven_joint
@@ -111,6 +112,16 @@ def _require_first_rfes(joints: Sequence[Joint], children: Sequence[_Attachment]
                 f"Argument `child_position` of joint {joint.name!r} must lie on the first rigid "
                 f"finite element of link {joint.child!r}, but is {joint.child_position}: a tree "
                 "joint carries its link there. Swap the link's ends or cut this joint instead."
+            )
+
+
+def _require_known_kinds(joints: Sequence[Joint]) -> None:
+    """Raise InputError for the first joint whose kind is described but not yet computed with."""
+    for joint in joints:
+        if joint.kind != "revolute":
+            raise InputError(
+                f"Argument `kind` of joint {joint.name!r} must be \"revolute\" for now, but is {joint.kind!r}, which is "
+                "described but cannot be simulated yet; use revolute joints."
             )
 
 
