@@ -9,6 +9,7 @@ and the axis of its loads. Source: theory (2.14) to (2.17).
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 from rfem_jax.description.errors import require_choice
 
@@ -40,7 +41,7 @@ class JointKind:
     name: str
     motions: tuple[str, ...]
 
-    @property
+    @cached_property
     def freedoms(self) -> tuple[Freedom, ...]:
         """The coordinates, in the order of the motions; three for any rotation."""
         found: list[Freedom] = []

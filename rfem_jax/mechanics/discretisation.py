@@ -15,7 +15,7 @@ from rfem_jax.description.mechanism import ELEMENTS, Mechanism
 from rfem_jax.mechanics.cut_joints import RANK_TOLERANCE
 from rfem_jax.mechanics.model import Model
 from rfem_jax.mechanics.model_building import build_model
-from rfem_jax.mechanics.nominal_geometry import closure_jacobian, gaps, geometry_of, place
+from rfem_jax.mechanics.nominal_geometry import closure_jacobian, gaps, geometry_of, joint_units, place
 
 # Of the longest link.  Overconstrained loops close only as well as their numbers were typed: with angles of six
 # decimals a Bennett linkage stays open by 2e-7.  Flexible links take up the rest in the static start.
@@ -66,7 +66,7 @@ def discretise(mechanism: Mechanism, rfes: int | None = None, elements: str | No
         raise InputError(
             f"Argument `mechanism` must have unique joint reactions, but its "
             f"{structure.constraints} closure equations have rank {structure.rank}: rigid loops with "
-            "parallel axes are statically indeterminate. Make one link of each loop flexible, or set "
+            "parallel axes or slides are statically indeterminate. Make one link of each loop flexible, or set "
             'redundant_reactions = "minimum_norm" to get the reactions of least norm.'
         )
     if structure.redundant and structure.gap > RIGID_CLOSING_TOLERANCE * float(np.max(model.length)):
@@ -93,16 +93,16 @@ def describe(model: Model) -> Structure:
     placed = place(geometry, np.asarray(model.start_joints))
     jacobian = closure_jacobian(geometry, placed)
     residual = gaps(geometry, placed).residual
-    rank, rigid_rank = _rank(jacobian), _rank(jacobian[:, : model.topology.n_links])
+    rank, rigid_rank = _rank(jacobian), _rank(jacobian[:, : model.topology.n_freedoms])
     constraints, size = jacobian.shape
     return Structure(
         coordinates=size,
         constraints=constraints,
         rank=rank,
         mobility=size - rank,
-        rigid_coordinates=model.topology.n_links,
+        rigid_coordinates=model.topology.n_freedoms,
         rigid_rank=rigid_rank,
-        rigid_mobility=model.topology.n_links - rigid_rank,
+        rigid_mobility=model.topology.n_freedoms - rigid_rank,
         redundant=rank < constraints,
         gap=float(np.abs(residual).max(initial=0.0) * np.max(np.asarray(model.length))),
     )
@@ -116,32 +116,33 @@ def _rank(jacobian: np.ndarray) -> int:
 
 
 def close_at(
-    model: Model, angles: Float[np.ndarray, " links"]
+    model: Model, joints: Float[np.ndarray, " freedoms"]
 ) -> tuple[
-    Float[np.ndarray, " links"],
+    Float[np.ndarray, " freedoms"],
     Float[np.ndarray, " constraints"],
     Float[np.ndarray, " cuts"],
     Float[np.ndarray, " cuts"],
 ]:
-    """Refine all joint angles [rad] but the driven one so that the nominal rigid loops close: Newton's method
-    with steps of least norm (theory (5.10)).
+    """Refine all joint coordinates [rad, m] but the driven one so that the nominal rigid loops close: Newton's
+    method with steps of least norm (theory (5.10)).
 
-    **Returns:** angles (links,), residuals (5 cuts,) over the longest link, y_L . y_P of each cut joint,
-    and the angles of the cut joints.
+    **Returns:** coordinates (freedoms,), residuals (constraints,) over the longest link, alignment and angle of each
+    cut joint as in `cut_joints.Closure`.
     """
     topology, geometry = model.topology, geometry_of(model)
-    free = np.array([l for l in range(topology.n_links) if l != topology.driven], dtype=int)
-    angles = np.array(angles, dtype=float)
+    free = np.array([k for k in range(topology.n_freedoms) if k != topology.driven_coordinate], dtype=int)
+    units = joint_units(geometry)[free]
+    joints = np.array(joints, dtype=float)
     for _ in range(100):
-        placed = place(geometry, angles)
+        placed = place(geometry, joints)
         jacobian = closure_jacobian(geometry, placed)[:, free]
         step = np.linalg.lstsq(jacobian, gaps(geometry, placed).residual, rcond=1e-10)[0]
         largest = np.abs(step).max(initial=0.0)
-        angles[free] -= step * min(1.0, 0.5 / max(largest, 1e-300))
+        joints[free] -= units * step * min(1.0, 0.5 / max(largest, 1e-300))
         if largest < 1e-14:
             break
-    residual, alignment, cut_angles = gaps(geometry, place(geometry, angles))
-    return angles, residual, alignment, cut_angles
+    residual, alignment, cut_angles = gaps(geometry, place(geometry, joints))
+    return joints, residual, alignment, cut_angles
 
 
 def _close(model: Model) -> Model:
@@ -149,19 +150,21 @@ def _close(model: Model) -> Model:
     topology = model.topology
     if topology.n_cuts == 0:
         return model
-    angles, residual, alignment, cut_angles = close_at(model, np.asarray(model.start_joints))
+    joints, residual, alignment, cut_angles = close_at(model, np.asarray(model.start_joints))
     if not np.abs(residual).max() < CLOSING_TOLERANCE:
         gap = np.abs(residual).max() * float(np.max(model.length))
-        worst = topology.joints[topology.n_links + int(np.abs(residual).argmax()) // 5]
+        row = int(np.abs(residual).argmax())
+        worst = next(topology.joints[j] for j, rows in zip(topology.cuts, topology.constraints) if row in rows)
         raise InputError(
             f"Argument `mechanism` must close at its start, but joint {worst!r} stays open by "
             f"{gap:.3g} m with every link rigid; check lengths, positions and start angles (all "
             "but the driven one are refined)."
         )
     if (alignment < 0.0).any():
-        worst = topology.joints[topology.n_links + int(alignment.argmin())]
+        worst = topology.n_links + int(alignment.argmin())
+        axes = "hinge axes" if topology.kinds[worst] == "revolute" else f"frames ({topology.kinds[worst]})"
         raise InputError(
-            f"Argument `mechanism` must close with both hinge axes of joint {worst!r} alike, but "
+            f"Argument `mechanism` must close with both {axes} of joint {topology.joints[worst]!r} alike, but "
             "they point in opposite directions; turn the frame of its child by 180 deg."
         )
-    return eqx.tree_at(lambda m: (m.start_joints, m.cut_angles), model, (jnp.asarray(angles), jnp.asarray(cut_angles)))
+    return eqx.tree_at(lambda m: (m.start_joints, m.cut_angles), model, (jnp.asarray(joints), jnp.asarray(cut_angles)))

@@ -37,7 +37,7 @@ def impose(topology: Topology, state: State, drive: DriveInput) -> State:
         return state
 
     def replace(values: Coordinates, value: Array) -> Coordinates:
-        is_driven = np.arange(topology.n_links) == topology.driven
+        is_driven = np.arange(topology.n_freedoms) == topology.driven_coordinate
         return Coordinates(jnp.where(is_driven, value[None], values.joints), values.elastic)
 
     return State(

@@ -20,7 +20,7 @@ from rfem_jax.mechanics.model import BASE, Model, Sections, Topology, rfe_fracti
 def build_model(mechanism: Mechanism, elements: dict[str, int], exact: bool = False) -> Model:
     """Arrays of a mechanism whose links have the given numbers of rfes (by name).
 
-    The start angles are the description's approximate ones; `discretise` closes the loops.
+    The start coordinates are the description's approximate ones; `discretise` closes the loops.
 
     **Raises:** `InputError` if a tree joint does not lie on the first rfe of its link.
     """
@@ -40,6 +40,7 @@ def build_model(mechanism: Mechanism, elements: dict[str, int], exact: bool = Fa
         joints=tuple(j.name for j in joints),
         joint_order=tuple(j.name for j in mechanism.joints),
         error_names=tuple(mechanism.error_names),
+        kinds=tuple(j.kind for j in joints),
         parents=tuple(p.node for p in parents),
         children=tuple(c.node for c in children),
         parent_at_end=tuple(p.at_end for p in parents),
@@ -61,7 +62,7 @@ def build_model(mechanism: Mechanism, elements: dict[str, int], exact: bool = Fa
         point_mass=jnp.asarray(np.array([mass.mass for _, mass in masses], dtype=float)),
         point_position=_columns([position for _, position in located]),
         point_inertia=_columns([mass.inertia for _, mass in masses]),
-        start_joints=jnp.asarray([float(j.angle or 0.0) for j in joints[: len(links)]]),
+        start_joints=jnp.asarray([value for j in joints[: len(links)] for value in j.start_values], float),
         cut_angles=jnp.zeros(len(joints) - len(links)),
         gravity=jnp.asarray(mechanism.gravity, dtype=float),
     )
@@ -116,11 +117,11 @@ def _require_first_rfes(joints: Sequence[Joint], children: Sequence[_Attachment]
 
 
 def _require_known_kinds(joints: Sequence[Joint]) -> None:
-    """Raise InputError for the first joint whose kind is described but not yet computed with."""
+    """Raise InputError for the first joint whose kind has no coordinates yet."""
     for joint in joints:
         if joint.kind != "revolute":
             raise InputError(
-                f"Argument `kind` of joint {joint.name!r} must be \"revolute\" for now, but is {joint.kind!r}, which is "
+                f'Argument `kind` of joint {joint.name!r} must be "revolute" for now, but is {joint.kind!r}, which is '
                 "described but cannot be simulated yet; use revolute joints."
             )
 

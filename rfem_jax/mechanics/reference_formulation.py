@@ -19,7 +19,7 @@ from jaxtyping import Float
 from rfem_jax.mechanics import elasticity
 from rfem_jax.mechanics.algebra import Scalar
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation
-from rfem_jax.mechanics.joint_forces import hinge_moment
+from rfem_jax.mechanics.joint_forces import joint_force
 from rfem_jax.mechanics.model import BASE, Coordinates, State
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 
@@ -44,8 +44,11 @@ def transforms(actual: ModelWithErrors, position: Coordinates) -> list[Float[Arr
     bore = [_transform(actual.bore_rotation[:, :, j], actual.bore_position[:, j]) for j in range(len(topology.joints))]
     frames = {BASE: jnp.eye(4)}
     for l, (a, b) in enumerate(topology.ranges):
-        about_hinge = _transform(_about(1, position.joints[l]), jnp.zeros(3))
-        hinge = frames[topology.parents[l]] @ seat[l] @ about_hinge
+        hinge = frames[topology.parents[l]] @ seat[l]
+        for freedom, k in zip(topology.kind(l).freedoms, topology.coordinates[l]):
+            q = position.joints[k]
+            along = _transform(jnp.eye(3), jnp.eye(3)[freedom.axis] * q)
+            hinge = hinge @ (_transform(_about(freedom.axis, q), jnp.zeros(3)) if freedom.rotation else along)
         frames[l] = hinge @ jnp.linalg.inv(bore[l])
         for k in range(a, b):
             x, y, z, phi_x, phi_y, phi_z = position.elastic[:, k]
@@ -60,18 +63,16 @@ def transforms(actual: ModelWithErrors, position: Coordinates) -> list[Float[Arr
 
 
 def constraints(actual: ModelWithErrors, position: Coordinates, scale: Scalar) -> Float[Array, " constraints"]:
-    """Theory (5.1) for all cut joints (5 cuts,) [m]; `scale` [m] multiplies the equations of the axes."""
+    """Theory (5.1), (5.14), (5.15) for all cut joints [m]; `scale` [m] multiplies the equations of the axes."""
     topology = actual.topology
     frames = [*transforms(actual, position), jnp.eye(4)]
     rows = []
     for j in topology.cuts:
         left = frames[topology.parents[j]] @ _transform(actual.seat_rotation[:, :, j], actual.seat_position[:, j])
         right = frames[topology.children[j]] @ _transform(actual.bore_rotation[:, :, j], actual.bore_position[:, j])
-        y = left[:3, 1]
-        rows += [
-            right[:3, 3] - left[:3, 3],
-            scale * jnp.stack([y @ right[:3, 0], y @ right[:3, 2]]),
-        ]
+        kind, relative = topology.kind(j), jnp.linalg.inv(left) @ right
+        apart = right[:3, 3] - left[:3, 3] if kind.coincident else relative[jnp.array(kind.across, int), 3]
+        rows += [apart, *(scale * relative[i, k][None] for i, k in kind.perpendicular)]
     return jnp.concatenate(rows) if rows else jnp.zeros(0)
 
 
@@ -121,7 +122,7 @@ def _deflection(left: Array, right: Array) -> Array:
 def reference_accelerations(
     actual: ModelWithErrors, state: State, drive: DriveInput, stabilisation: Stabilisation
 ) -> tuple[Coordinates, Float[Array, " constraints"]]:
-    """Second derivatives of the coordinates and multipliers (5 cuts,) [N] from the dense augmented system."""
+    """Second derivatives of the coordinates and multipliers [N] from the dense augmented system."""
     topology = actual.topology
     q, unravel = ravel_pytree(state.position)
     qd, _ = ravel_pytree(state.velocity)
@@ -157,10 +158,10 @@ def reference_accelerations(
         return 0.5 * elasticity.dissipated_power(actual, State(state.position, unravel(qd)))
 
     force = -inertial - jax.grad(potential)(q) - jax.grad(rayleigh)(qd)
-    for l in range(topology.n_links):
-        moment = hinge_moment(topology, drive, l)
+    for k in range(topology.n_freedoms):
+        moment = joint_force(topology, drive, k)
         if moment is not None:
-            force = force.at[l].add(moment)
+            force = force.at[k].add(moment)
 
     def phi(q):
         return constraints(actual, unravel(q), stabilisation.scale)
@@ -171,13 +172,13 @@ def reference_accelerations(
     jacobian = jax.jacfwd(phi)(q)
     gamma = -jax.jvp(phi_rate, (q,), (qd,))[1]
     gamma = gamma - stabilisation.velocity_gain * phi_rate(q) - stabilisation.position_gain * phi(q)
-    if drive.prescribed is not None and (driven := topology.driven) is not None:
+    if drive.prescribed is not None and (driven := topology.driven_coordinate) is not None:
         jacobian = jnp.concatenate([jacobian, jnp.eye(q.size)[driven : driven + 1]])
         gamma = jnp.concatenate([gamma, jnp.reshape(drive.prescribed[2], (1,))])
     n, c = q.size, gamma.size
     system = jnp.block([[mass, -jacobian.T], [jacobian, jnp.zeros((c, c))]])
     solution = jnp.linalg.solve(system, jnp.concatenate([force, gamma]))
-    return unravel(solution[:n]), solution[n : n + 5 * topology.n_cuts]
+    return unravel(solution[:n]), solution[n : n + topology.n_constraints]
 
 
 def _pseudo_inertia(actual: ModelWithErrors) -> Array:

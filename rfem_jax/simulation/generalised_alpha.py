@@ -55,7 +55,7 @@ from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 from rfem_jax.mechanics.newton import IterationMatrix, iteration_matrix, newton_increment
 from rfem_jax.mechanics.residual import Evaluation, evaluate_residual, residual_of
 from rfem_jax.simulation import equations
-from rfem_jax.simulation.driving import driven_index
+from rfem_jax.simulation.driving import driven_coordinate
 from rfem_jax.simulation.equations import Conditions, Integrals, Scalar, Trajectory, drive_input
 from rfem_jax.simulation.implicit_step import (
     Memory,
@@ -146,7 +146,7 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
 
     def start(self, conditions: Conditions, trajectory: Trajectory) -> Memory:
         """Memory before the first step, all zero: that step must have length zero."""
-        multipliers = jnp.zeros((5, conditions.actual.topology.n_cuts))
+        multipliers = jnp.zeros(conditions.actual.topology.n_constraints)
         zeros = jax.tree.map(jnp.zeros_like, trajectory.velocity)
         rates = jax.tree.map(jnp.zeros_like, trajectory.integrals)
         return Memory(zeros, zeros, multipliers, rates, jnp.zeros(()), jnp.zeros(()))
@@ -260,7 +260,7 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         if actual.topology.exact:
             operators = present_operators(actual, now.relative, *self.factors(h))
         prescribed = isinstance(conditions.drive, PrescribedDrive)
-        held = (driven_index(actual.topology),) if prescribed else ()
+        held = (driven_coordinate(actual.topology),) if prescribed else ()
         return iteration_matrix(actual, operators, now, closure(actual, now, scale), held)
 
     def predict(self, constants: StepConstants, start: StepStart) -> Unknowns:
@@ -309,7 +309,7 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         state, auxiliary = self._newmark(h, trajectory, memory, unknowns.accelerations, actual.topology, drive)
         evaluation = evaluation._replace(
             multipliers=unknowns.multipliers,
-            wrenches=[*wrenches, *loads.cut_wrenches(evaluation.closure, unknowns.multipliers)],
+            wrenches=[*wrenches, *loads.cut_wrenches(actual.topology, evaluation.closure, unknowns.multipliers)],
             dissipated=dissipated_power(actual, state),
         )
         return self._step_end(evaluation, unknowns, state, auxiliary, drive, h, start)
@@ -353,7 +353,7 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         residual = jnp.max(jnp.abs(residual_forces(actual, evaluation, drive, scale)), initial=0.0)
         residual = jax.lax.stop_gradient(residual)
         joint = loads.loads_of_wrenches(actual.topology, evaluation, evaluation.wrenches, drive)
-        axial, normal, moment = equations.squares(joint)
+        axial, normal, moment = equations.squares(actual.topology, joint)
         work = equations.drive_power(actual.topology, state, drive, joint)
         rates = Integrals(axial, normal, moment, work, evaluation.dissipated)
         integrals = jax.tree.map(
@@ -377,15 +377,19 @@ def squared_forces(rates: Integrals) -> Float[Array, "2 joints"]:
 def residual_forces(
     actual: ModelWithErrors, evaluation: Evaluation, drive: DriveInput, scale: algebra.Scalar
 ) -> Float[Array, " n"]:
-    """The residual as forces [N]: on the rfes, about the hinges, and to close the cut joints.
+    """The residual as forces [N]: on the rfes, along the joint coordinates, and to close the cut joints.
 
     **Arguments:** `scale`: a length [m] of the mechanism; the closing of the evaluation is an acceleration.
     """
     hinge = evaluation.hinge
     if drive.prescribed is not None:
         # About the driven hinge this is the moment that enforces the motion, no residual.
-        hinge = jnp.where(np.arange(hinge.shape[0]) == actual.topology.driven, 0.0, hinge)
-    moment, hinge = evaluation.moment / scale, hinge / scale
+        hinge = jnp.where(np.arange(hinge.shape[0]) == actual.topology.driven_coordinate, 0.0, hinge)
+    slides = actual.topology.slides
+    moment, hinge = (
+        evaluation.moment / scale,
+        hinge / (jnp.where(np.array(slides), 1.0, scale) if any(slides) else scale),
+    )
     parts = evaluation.force, moment, hinge, evaluation.closing * jnp.sum(actual.mass)
     return jnp.concatenate([part.reshape(-1) for part in parts])
 
@@ -394,6 +398,6 @@ def _with_prescribed(topology: Topology, drive: DriveInput, accelerations: Coord
     """The accelerations with that of a prescribed joint put in."""
     if drive.prescribed is None:
         return accelerations
-    driven = np.arange(topology.n_links) == topology.driven
-    angles = jnp.where(driven, drive.prescribed[2][None], accelerations.joints)
-    return Coordinates(angles, accelerations.elastic)
+    driven = np.arange(topology.n_freedoms) == topology.driven_coordinate
+    joints = jnp.where(driven, drive.prescribed[2][None], accelerations.joints)
+    return Coordinates(joints, accelerations.elastic)

@@ -50,7 +50,7 @@ class Memory(NamedTuple):
 
     accelerations: Coordinates
     auxiliary: Coordinates
-    multipliers: Float[Array, "5 cuts"]
+    multipliers: Float[Array, " constraints"]
     rates: Integrals
     residual: Float[Array, ""]
     largest_residual: Float[Array, ""]

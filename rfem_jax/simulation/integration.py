@@ -43,7 +43,7 @@ from rfem_jax.mechanics.status import (
     STEPS_EXHAUSTED,
 )
 from rfem_jax.simulation import equations
-from rfem_jax.simulation.driving import Drive, driven_index, require_driven
+from rfem_jax.simulation.driving import Drive, driven_coordinate, require_driven
 from rfem_jax.simulation.equations import Conditions, Scalar, Trajectory
 from rfem_jax.simulation.implicit_step import SOLUTION, Memory
 from rfem_jax.simulation.observation import Record, observe
@@ -139,7 +139,7 @@ def prepare(model: Model, errors: AssemblyErrors, drive: Drive, start: State | N
         held = held_angles(model, None)
         first = equations.drive_input(drive, jnp.zeros(()), jnp.asarray(0, jnp.int32))
         if first.prescribed is not None:
-            held = {driven_index(model.topology): first.prescribed[0]}
+            held = {driven_coordinate(model.topology): first.prescribed[0]}
         position, multipliers, status = equilibrium(model, actual, held)
         state = loads.static_state(position)
         preload = static_loads(model, actual, state, multipliers)
@@ -257,7 +257,7 @@ def conclude(
     carry = carry._replace(peaks=jnp.maximum(carry.peaks, jnp.max(record.squares, axis=0)))
     record = jax.tree.map(lambda x: x[grid.saved], record)
     times = jnp.asarray(grid.starts + grid.lengths)[grid.saved]
-    driven = model.topology.driven
+    driven = model.topology.driven_coordinate
     energy = record.energy
     balance = energy.total - energy.work + energy.dissipation
     error = jnp.max(jnp.abs(balance - balance[0])) / _safe(jnp.max(jnp.abs(energy.total)))
@@ -265,14 +265,15 @@ def conclude(
     residual = carry.residual / _safe(largest_force(carry))
     relative = jnp.max(record.momentum_residual, axis=0) / _safe(jnp.max(record.largest_load, axis=0))
     zeros = jnp.zeros_like(times)
-    angle = zeros if driven is None else record.angles[:, driven]
-    rate = zeros if driven is None else record.rates[:, driven]
+    angle = zeros if driven is None else record.joints[:, driven]
+    rate = zeros if driven is None else record.joint_rates[:, driven]
     return Run(
         times=times,
         angle=angle,
         rate=rate,
         drive_moment=record.drive_moment,
-        angles={name: record.angles[:, l] for l, name in enumerate(_tree_joints(model))},
+        angles=_coordinates(model, record, rotation=True),
+        displacements=_coordinates(model, record, rotation=False),
         loads={name: Load(record.loads.force[:, :, j], record.loads.moment[:, :, j]) for name, j in _joints(model)},
         preload=named(model, prepared.preload),
         energy=energy,
@@ -308,13 +309,17 @@ def metrics_of(model: Model, carry: Carry, duration: Scalar) -> Metrics:
     def by_name(values):
         return {name: values[j] for name, j in _joints(model)}
 
+    def with_axis(values):
+        without = [name for name, j in _joints(model) if model.topology.kind(j).axis is None]
+        return {**by_name(values), **dict.fromkeys(without, jnp.asarray(jnp.nan))}
+
     return Metrics(
         mean_square_force=by_name(force),
         mean_square_moment=by_name(moment),
         rms_force=by_name(equations.safe_sqrt(force)),
         rms_moment=by_name(equations.safe_sqrt(moment)),
-        max_axial_force=by_name(highest[0]),
-        max_normal_force=by_name(highest[1]),
+        max_axial_force=with_axis(highest[0]),
+        max_normal_force=with_axis(highest[1]),
     )
 
 
@@ -339,8 +344,16 @@ def _safe(value):
     return jnp.where(value > 0.0, value, 1.0)
 
 
-def _tree_joints(model):
-    return model.topology.joints[: model.topology.n_links]
+def _coordinates(model: Model, record: Record, rotation: bool) -> dict[str, Array]:
+    """Angles or displacements by tree joint: (times,), or (times, k) of a kind that has several."""
+    found = {}
+    for l, indices in enumerate(model.topology.coordinates):
+        kind = model.topology.kind(l)
+        wanted = [k for k, freedom in zip(indices, kind.freedoms) if freedom.rotation is rotation]
+        if wanted:
+            several = jnp.stack([record.joints[:, k] for k in wanted], axis=1) if len(wanted) > 1 else None
+            found[model.topology.joints[l]] = record.joints[:, wanted[0]] if several is None else several
+    return found
 
 
 def _joints(model):

@@ -250,7 +250,7 @@ class PeakTracking(diffrax.AbstractWrappedSolver):
         state, drive, result, _ = equations.at_instant(t, trajectory, conditions)
         scale = conditions.stabilisation.scale
         instant = solved_instant(conditions.actual, result, drive, scale)
-        axial, normal, _ = equations.squares(instant.loads)
+        axial, normal, _ = equations.squares(conditions.actual.topology, instant.loads)
         return jnp.stack([axial, normal]), state, drive, instant
 
 

@@ -144,7 +144,7 @@ def equations_at(actual, start, scale, drive, factors, prescribed):
     q_factor, v_factor = factors
     driven = np.arange(topology.n_links) == topology.driven
     zero = jax.tree.map(jnp.zeros_like, start)
-    unknowns, unravel = ravel_pytree((zero, jnp.zeros((5, topology.n_cuts))))
+    unknowns, unravel = ravel_pytree((zero, jnp.zeros(topology.n_constraints)))
 
     def evaluate(flat):
         found, multipliers = unravel(flat)
@@ -169,7 +169,7 @@ def random_load(topology, free):
     size = (3, topology.n_rfes)
     load = Residual(
         rng.normal(size=topology.n_links) * free, rng.normal(size=size), 0.01 * rng.normal(size=size),
-        1e3 * rng.normal(size=(5, topology.n_cuts)),
+        1e3 * rng.normal(size=topology.n_constraints),
     )  # fmt: skip
     return jax.tree.map(jnp.asarray, load)
 
