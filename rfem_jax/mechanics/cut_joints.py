@@ -69,11 +69,13 @@ class Constraints(eqx.Module):
         return jnp.concatenate([moments, jnp.concatenate([of_centres, jnp.zeros_like(couples)], axis=1)])
 
     def loads(self, multipliers: Float[Array, "constraints n"]) -> tuple[Float[Array, "3 n"], Float[Array, "3 n"]]:
-        """Forces on P, and moments about the point of L where they act, in global axes."""
+        """Forces on P, and moments about its centre, of revolute joints about that of L, in global axes."""
         r = self.n_centres
         force = multipliers[:r] if self.forces is None else apply(self.forces, multipliers[:r])
         couple = dot(jnp.swapaxes(self.couples, 0, 1), multipliers[r:, None])
-        return force, couple + cross(self.right_point - self.left_point, force)
+        if self.kind == "revolute":
+            couple = couple + cross(self.right_point - self.left_point, force)
+        return force, couple
 
 
 class Closure(NamedTuple):

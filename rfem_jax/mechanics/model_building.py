@@ -11,6 +11,7 @@ import numpy as np
 from jax import Array
 
 from rfem_jax.description.errors import InputError
+from rfem_jax.description.joint_kinds import KINDS
 from rfem_jax.description.joints import Joint
 from rfem_jax.description.links import Link
 from rfem_jax.description.mechanism import Mechanism
@@ -119,10 +120,10 @@ def _require_first_rfes(joints: Sequence[Joint], children: Sequence[_Attachment]
 def _require_known_kinds(joints: Sequence[Joint]) -> None:
     """Raise InputError for the first joint whose kind has no coordinates yet."""
     for joint in joints:
-        if joint.kind != "revolute":
+        if not joint.cut and KINDS[joint.kind].ball:
             raise InputError(
-                f'Argument `kind` of joint {joint.name!r} must be "revolute" for now, but is {joint.kind!r}, which is '
-                "described but cannot be simulated yet; use revolute joints."
+                f"Argument `kind` of joint {joint.name!r} must not be {joint.kind!r} in the tree for now, but is: its "
+                "rotation has no coordinates yet; cut a spherical joint, or take other kinds."
             )
 
 
