@@ -13,13 +13,22 @@ from jaxtyping import Float
 from rfem_jax.description.errors import InputError, require_choice
 from rfem_jax.description.mechanism import ELEMENTS, Mechanism
 from rfem_jax.mechanics.cut_joints import RANK_TOLERANCE
-from rfem_jax.mechanics.model import Model
+from rfem_jax.mechanics.model import BASE, Model
 from rfem_jax.mechanics.model_building import build_model
-from rfem_jax.mechanics.nominal_geometry import closure_jacobian, gaps, geometry_of, joint_units, place
+from rfem_jax.mechanics.nominal_geometry import (
+    NominalGeometry,
+    Placed,
+    closure_jacobian,
+    gaps,
+    geometry_of,
+    joint_units,
+    place,
+)
 
 # Of the longest link.  Overconstrained loops close only as well as their numbers were typed: with angles of six
 # decimals a Bennett linkage stays open by 2e-7.  Flexible links take up the rest in the static start.
 CLOSING_TOLERANCE = 1e-6
+IDLE_TOLERANCE = 1e-3  # of a motion of size one
 RIGID_CLOSING_TOLERANCE = 1e-9  # where reactions are redundant, nothing gives way
 
 
@@ -29,7 +38,8 @@ class Structure(NamedTuple):
     coordinates: number of coordinates; constraints: closure equations; rank: of their Jacobian;
     mobility: coordinates - rank, the degrees of freedom; rigid_*: the same with every link rigid;
     redundant: the multipliers, hence the joint loads, are not unique; gap [m]: how far the cut joint that closes
-    worst stays open at the start with every link rigid.
+    worst stays open at the start with every link rigid; idle: names of links in a loop that could move alone if
+    all were rigid, as a rod between two spherical joints about its own axis.
     """
 
     coordinates: int
@@ -41,6 +51,7 @@ class Structure(NamedTuple):
     rigid_mobility: int
     redundant: bool
     gap: float
+    idle: tuple[str, ...] = ()
 
 
 def discretise(mechanism: Mechanism, rfes: int | None = None, elements: str | None = None) -> Model:
@@ -105,7 +116,47 @@ def describe(model: Model) -> Structure:
         rigid_mobility=model.topology.n_freedoms - rigid_rank,
         redundant=rank < constraints,
         gap=float(np.abs(residual).max(initial=0.0) * np.max(np.asarray(model.length))),
+        idle=_idle_links(geometry, placed, jacobian[:, : model.topology.n_freedoms]),
     )
+
+
+def _idle_links(
+    geometry: NominalGeometry, placed: Placed, jacobian: Float[np.ndarray, "constraints freedoms"]
+) -> tuple[str, ...]:
+    """Links with two joints or more, one of them on a moving link, that can move while no other does, all of them
+    rigid and no joint driven (theory (5.17))."""
+    topology, n = geometry.topology, geometry.topology.n_links
+    free = _null_space(jacobian)
+    if topology.n_cuts == 0 or free.shape[1] == 0:
+        return ()
+    twists = np.zeros((n, 6, topology.n_freedoms))
+    units = joint_units(geometry)
+    for l, parent in enumerate(topology.parents[:n]):
+        if parent != BASE:
+            twists[l] = twists[topology.link_of(parent)]
+        for k in topology.coordinates[l]:
+            twists[l, :, k] += units[k] * placed.twists[k]
+    twists[:, 3:] /= geometry.scale
+    moving = twists @ free
+    ends = zip(topology.parents, topology.children)
+    pairs = [tuple(-1 if node == BASE else topology.link_of(node) for node in pair) for pair in ends]
+    found = []
+    for l in range(n):
+        joined = [a if b == l else b for a, b in pairs if l in (a, b)]
+        if len(joined) < 2 or max(joined) < 0 or l == topology.driven:
+            continue
+        alone = _null_space(np.delete(moving, l, axis=0).reshape(-1, free.shape[1]))
+        if np.abs(moving[l] @ alone).max(initial=0.0) > IDLE_TOLERANCE:
+            found.append(topology.links[l])
+    return tuple(found)
+
+
+def _null_space(matrix: np.ndarray) -> np.ndarray:
+    """Orthonormal columns that a matrix takes to zero."""
+    if 0 in matrix.shape:
+        return np.eye(matrix.shape[1])
+    _, singular, rows = np.linalg.svd(matrix)
+    return rows[int(np.sum(singular > 1e3 * RANK_TOLERANCE * max(singular[0], 1e-300))) :].T
 
 
 def _rank(jacobian: np.ndarray) -> int:

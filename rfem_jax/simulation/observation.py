@@ -179,7 +179,7 @@ def _load_along_free_motions(topology: Topology, instant: Instant, drive: DriveI
     along = jnp.abs(algebra.dot(instant.motion.axis, by_freedom(topology, wrenches)))
     along = along * jnp.where(np.array(topology.slides, dtype=bool), instant.arm, 1.0)
     along = along * passive[np.array(topology.link_of_freedom, dtype=int)]
-    about_cuts = jnp.abs(joint.moment[1, n:]) * revolute[n:]
+    about_cuts = jnp.abs(joint.moment[1, n:]) * revolute[n:].astype(float)
     return jnp.max(jnp.concatenate([along, about_cuts]), initial=0.0)
 
 
