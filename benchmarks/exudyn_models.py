@@ -153,7 +153,7 @@ def linkage(model: Model, errors: AssemblyErrors) -> Linkage:
 def _actual(model: Model, errors: AssemblyErrors):
     """Constants of the equations of motion, and rotations and points of all nodes at the start."""
     actual = apply_errors(model, errors)
-    now = motion_of(actual, static_state(model.start_coordinates()))
+    now = motion_of(actual, static_state(model.topology, model.start_coordinates()))
     return actual, all_frames(model.topology, now)
 
 

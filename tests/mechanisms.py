@@ -154,6 +154,30 @@ def loop_cut_by(kind, rfes=2):
     return Mechanism(links, joints)
 
 
+def chain_with_balls():
+    """A free link, spherical joints on a rigid and on a flexible one, and a driven hinge on another branch."""
+    links = [link("a", 0.1), link("b", 0.2, 2), link("c", 0.15), link("d", 0.1)]
+    joints = [
+        Joint("O", "base", "a", kind="free", orientation=(0.2, 0.0, 0.3), start=(0.1, -0.2, 0.3, 2.0, 1.4, -0.5)),
+        Joint("S", "a", "b", kind="spherical", start=(0.3, -0.6, 0.2)),
+        Joint("T", "b", "c", kind="spherical", position=(0.15, 0.01, 0.0), child_position=(0.01, 0.0, 0.02)),
+        Joint("A", "a", "d", position=(0.05, 0.0, 0.0), angle=0.4),
+    ]
+    return Mechanism(links, joints, driven_joint="A")
+
+
+def loop_with_a_ball():
+    """A spatial four-bar revolute, spherical, universal, revolute with a flexible coupler, cut at the universal."""
+    links = [link("crank", 0.1), link("coupler", 0.3, 2), link("rocker", 0.3)]
+    joints = [
+        Joint("A", "base", "crank", angle=-np.pi / 2),
+        Joint("B", "crank", "coupler", kind="spherical"),
+        Joint("D", "base", "rocker", position=(0.3, 0, -0.2), angle=-np.pi / 2),
+        Joint("C", "coupler", "rocker", kind="universal", cut=True, child_orientation=(0.0, np.pi / 2, 0.0)),
+    ]
+    return Mechanism(links, joints, driven_joint="A")
+
+
 def two_cuts_of_different_kinds():
     """The loop with a cut prismatic joint, and a third link with a cut universal joint in the middle of the first."""
     loop = loop_cut_by("prismatic")
@@ -184,6 +208,7 @@ def random_state(model, rng, angle=0.5, rate=5.0):
     import jax.numpy as jnp
 
     from rfem_jax.mechanics.model import Coordinates, State
+    from rfem_jax.mechanics.orientations import moved
 
     n, k = model.topology.n_freedoms, model.topology.n_rfes
     scale = np.array([0.01, 0.01, 0.01, 0.3, 0.3, 0.3])[:, None]
@@ -195,4 +220,4 @@ def random_state(model, rng, angle=0.5, rate=5.0):
         )
 
     position, velocity = draw(angle, 1.0), draw(rate, 10.0)
-    return State(Coordinates(model.start_joints + position.joints, position.elastic), velocity)
+    return State(moved(model.topology, model.start_coordinates(), position), velocity)

@@ -20,12 +20,13 @@ _AXES = "xyz"
 class Freedom:
     """One coordinate of a joint: a rotation or a translation about or along axis 0, 1 or 2 (x, y, z).
 
-    first: whether its axis belongs to the frame that the motions before it lead to; the second and third rate of
-    any rotation ("R") are about the axes of the same frame as the first.
+    any_axis: whether it is one of the three of any rotation ("R"), which are about the axes of one frame; first:
+    whether it is the first coordinate of its motion.
     """
 
     rotation: bool
     axis: int
+    any_axis: bool = False
     first: bool = True
 
     @property
@@ -48,7 +49,7 @@ class JointKind:
         for motion in self.motions:
             letter, _, axis = motion.partition("_")
             axes = range(3) if not axis else (_AXES.index(axis),)
-            found += [Freedom(letter == "R", i, first=n == 0) for n, i in enumerate(axes)]
+            found += [Freedom(letter == "R", i, any_axis=not axis, first=n == 0) for n, i in enumerate(axes)]
         return tuple(found)
 
     @property

@@ -182,8 +182,8 @@ def closure(actual: ModelWithErrors, motion: Motion, scale: Scalar) -> Closure |
         groups = []
         for kind in dict.fromkeys(kinds):
             members = tuple(i for i in range(c) if kinds[i] == kind)
-            sides = [_Side(*(_members(part, members) for part in side)) for side in (left, right)]
-            groups.append(_constraints(KINDS[kind], members, *sides, scale))
+            on_left, on_right = (_Side(*(_members(part, members) for part in side)) for side in (left, right))
+            groups.append(_constraints(KINDS[kind], members, on_left, on_right, scale))
         x = apply_transposed(left.axes, right.axes[:, 0])
         alignment = [
             _alignment(KINDS[group.kind], *(_members(side.axes, group.members) for side in (left, right)))
@@ -270,7 +270,7 @@ def _alignment(kind: JointKind, left: Float[Array, "3 3 n"], right: Float[Array,
     """Sign by which the solutions of a kind's equations of axes differ, at most 1 (theory (5.11), (5.16))."""
     if kind.angles == 0:
         # Turned by 180 deg about any axis, frames solve the equations, too.
-        return 0.5 * (sum(dot(left[:, i], right[:, i]) for i in range(3)) - 1.0)
+        return 0.5 * (jnp.sum(left * right, axis=(0, 1)) - 1.0)
     if kind.angles == 3:
         return jnp.ones_like(left[0, 0])
     axis = next(freedom.axis for freedom in kind.freedoms if freedom.rotation)

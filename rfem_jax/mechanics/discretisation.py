@@ -22,6 +22,7 @@ from rfem_jax.mechanics.nominal_geometry import (
     gaps,
     geometry_of,
     joint_units,
+    moved,
     place,
 )
 
@@ -167,29 +168,30 @@ def _rank(jacobian: np.ndarray) -> int:
 
 
 def close_at(
-    model: Model, joints: Float[np.ndarray, " freedoms"]
+    model: Model, joints: Float[np.ndarray, " numbers"]
 ) -> tuple[
-    Float[np.ndarray, " freedoms"],
+    Float[np.ndarray, " numbers"],
     Float[np.ndarray, " constraints"],
     Float[np.ndarray, " cuts"],
     Float[np.ndarray, " cuts"],
 ]:
-    """Refine all joint coordinates [rad, m] but the driven one so that the nominal rigid loops close: Newton's
+    """Refine the position of all joints but the driven one so that the nominal rigid loops close: Newton's
     method with steps of least norm (theory (5.10)).
 
-    **Returns:** coordinates (freedoms,), residuals (constraints,) over the longest link, alignment and angle of each
+    **Returns:** position, residuals (constraints,) over the longest link, alignment and angle of each
     cut joint as in `cut_joints.Closure`.
     """
     topology, geometry = model.topology, geometry_of(model)
     free = np.array([k for k in range(topology.n_freedoms) if k != topology.driven_coordinate], dtype=int)
     units = joint_units(geometry)[free]
-    joints = np.array(joints, dtype=float)
+    joints, change = np.array(joints, dtype=float), np.zeros(topology.n_freedoms)
     for _ in range(100):
         placed = place(geometry, joints)
         jacobian = closure_jacobian(geometry, placed)[:, free]
         step = np.linalg.lstsq(jacobian, gaps(geometry, placed).residual, rcond=1e-10)[0]
         largest = np.abs(step).max(initial=0.0)
-        joints[free] -= units * step * min(1.0, 0.5 / max(largest, 1e-300))
+        change[free] = -units * step * min(1.0, 0.5 / max(largest, 1e-300))
+        joints = moved(topology, joints, change)
         if largest < 1e-14:
             break
     residual, alignment, cut_angles = gaps(geometry, place(geometry, joints))

@@ -23,6 +23,7 @@ from rfem_jax.mechanics import algebra
 from rfem_jax.mechanics.algebra import apply, cross, product
 from rfem_jax.mechanics.model import BASE, Coordinates, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
+from rfem_jax.mechanics.orientations import rotation_of
 
 LINEAR_LIMIT = np.radians(60.0)
 EXACT_LIMIT = np.radians(80.0)
@@ -201,17 +202,24 @@ def _place_link(actual: ModelWithErrors, state: State, index: int, parent: Frame
     turned = product(parent.rotation, actual.seat_rotation[:, :, index])
     centre = parent.point + apply(parent.rotation, actual.seat_position[:, index])
     velocity, axes, velocities = parent.velocity, [], []
-    for k, freedom in zip(topology.coordinates[index], topology.kind(index).freedoms):
-        value, rate = state.position.joints[k], state.velocity.joints[k]
-        direction = turned[:, freedom.axis]
-        if freedom.rotation:
-            axis = algebra.spatial(direction, cross(centre, direction))
-            turned = product(turned, algebra.rotation_about(freedom.axis, value))
-        else:
+    before, basis = velocity, turned
+    at = topology.positions[index]
+    for n, (k, freedom) in enumerate(zip(topology.coordinates[index], topology.kind(index).freedoms)):
+        rate = state.velocity.joints[k]
+        if freedom.first:
+            before, basis = velocity, turned
+        direction = basis[:, freedom.axis]
+        if not freedom.rotation:
             axis = algebra.spatial(jnp.zeros_like(direction), direction)
-            centre = centre + direction * value[None]
+            centre = centre + direction * state.position.joints[at[n]][None]
+        else:
+            axis = algebra.spatial(direction, cross(centre, direction))
+            if freedom.any_axis and freedom.first:
+                turned = product(turned, rotation_of(state.position.joints[at[n] : at[n] + 4]))
+            elif not freedom.any_axis:
+                turned = product(turned, algebra.rotation_about(freedom.axis, state.position.joints[at[n]]))
         axes.append(axis)
-        velocities.append(velocity)
+        velocities.append(before)
         velocity = velocity + axis * rate[None]
     rotation = algebra.product_transposed(turned, actual.bore_rotation[:, :, index])
     origin = centre - apply(rotation, actual.bore_position[:, index])

@@ -28,6 +28,7 @@ from rfem_jax.mechanics.joint_forces import hinge_moments
 from rfem_jax.mechanics.kinematics import Motion, all_frames, motion_of, spread, total
 from rfem_jax.mechanics.model import BASE, Coordinates, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
+from rfem_jax.mechanics.orientations import position_rate
 
 
 class JointLoads(NamedTuple):
@@ -259,7 +260,7 @@ def momentum_residual(
     def momentum_at(position, velocity):
         return momentum(actual, State(position, velocity))
 
-    tangents = (state.velocity, accelerations)
+    tangents = (position_rate(actual.topology, state.position, state.velocity), accelerations)
     _, (linear_rate, angular_rate) = jax.jvp(momentum_at, (state.position, state.velocity), tangents)
     _, centre, _, _ = velocities(actual, motion_of(actual, state))
     weight = actual.mass[None] * actual.gravity[:, None]
@@ -269,6 +270,9 @@ def momentum_residual(
     )
 
 
-def static_state(position: Coordinates) -> State:
+def static_state(topology: Topology, position: Coordinates) -> State:
     """A state at rest."""
-    return State(position, jax.tree.map(jnp.zeros_like, position))
+    rates = jax.tree.map(jnp.zeros_like, position)
+    if topology.balls:
+        rates = Coordinates(jnp.zeros(topology.n_freedoms), rates.elastic)
+    return State(position, rates)

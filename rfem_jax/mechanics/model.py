@@ -33,11 +33,11 @@ BASE = -1
 
 class Coordinates(eqx.Module):
     """Coordinates of the tree joints [rad, m], joint by joint in the order of their links and of each kind's
-    freedoms, and the six coordinates (x, y, z, phi_x, phi_y, phi_z) [m, rad] of every free rfe relative to its
-    link frame, with R = R_z R_y R_x (exact elements: R_y R_z R_x); also used for their rates and
-    accelerations."""
+    freedoms (positions of spherical and free joints: quaternions, see `orientations`), and the six coordinates (x, y,
+    z, phi_x, phi_y, phi_z) [m, rad] of every free rfe relative to its link frame, with R = R_z R_y R_x (exact
+    elements: R_y R_z R_x); also used for their rates and accelerations."""
 
-    joints: Float[Array, " freedoms"]
+    joints: Float[Array, " numbers"]
     elastic: Float[Array, "6 rfes"]
 
 
@@ -122,12 +122,33 @@ class Topology(NamedTuple):
 
     @property
     def coordinates(self) -> tuple[range, ...]:
-        """Indices of the coordinates of every tree joint."""
+        """Indices of the rates of every tree joint, one a coordinate."""
         return _ranges([len(self.kind(l).freedoms) for l in range(self.n_links)])
 
     @property
+    def balls(self) -> bool:
+        """Whether any tree joint turns about any axis, and has a quaternion as its position."""
+        return any(self.kind(l).ball for l in range(self.n_links))
+
+    def plain(self, link: int) -> int:
+        """Number of the coordinates of a tree joint that are plain numbers, first of its position."""
+        kind = self.kind(link)
+        return len(kind.freedoms) - 3 * kind.ball
+
+    @property
+    def positions(self) -> tuple[range, ...]:
+        """Indices in the position of the numbers of every tree joint: its plain coordinates, then four of a
+        quaternion if it turns about any axis."""
+        return _ranges([len(self.kind(l).freedoms) + self.kind(l).ball for l in range(self.n_links)])
+
+    @property
+    def driven_position(self) -> int | None:
+        """Index of the driven joint's coordinate in the position."""
+        return None if self.driven is None else self.positions[self.driven][0]
+
+    @property
     def driven_coordinate(self) -> int | None:
-        """Index of the driven joint's coordinate."""
+        """Index of the driven joint's coordinate among the rates."""
         return None if self.driven is None else self.coordinates[self.driven][0]
 
     @property
@@ -237,7 +258,7 @@ class Model(eqx.Module):
     point_mass: Float[Array, " masses"]
     point_position: Float[Array, "3 masses"]
     point_inertia: Float[Array, "3 masses"]
-    start_joints: Float[Array, " freedoms"]
+    start_joints: Float[Array, " numbers"]
     cut_angles: Float[Array, " cuts"]
     gravity: Float[Array, "3"]
 

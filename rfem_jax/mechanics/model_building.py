@@ -16,6 +16,7 @@ from rfem_jax.description.joints import Joint
 from rfem_jax.description.links import Link
 from rfem_jax.description.mechanism import Mechanism
 from rfem_jax.mechanics.model import BASE, Model, Sections, Topology, rfe_fractions
+from rfem_jax.mechanics.orientations import quaternion_of_angles
 
 
 def build_model(mechanism: Mechanism, elements: dict[str, int], exact: bool = False) -> Model:
@@ -32,7 +33,6 @@ def build_model(mechanism: Mechanism, elements: dict[str, int], exact: bool = Fa
     parents = [discretised.attach(j.parent, j.position, True) for j in joints]
     children = [discretised.attach(j.child, j.child_position, j.cut) for j in joints]
     _require_first_rfes(joints[: len(links)], children)
-    _require_known_kinds(joints)
     masses = [(i, mass) for i, link in enumerate(links) for mass in link.point_masses]
     located = [discretised.locate(i, mass.position) for i, mass in masses]
     driven = mechanism.driven_joint
@@ -63,7 +63,7 @@ def build_model(mechanism: Mechanism, elements: dict[str, int], exact: bool = Fa
         point_mass=jnp.asarray(np.array([mass.mass for _, mass in masses], dtype=float)),
         point_position=_columns([position for _, position in located]),
         point_inertia=_columns([mass.inertia for _, mass in masses]),
-        start_joints=jnp.asarray([value for j in joints[: len(links)] for value in j.start_values], float),
+        start_joints=jnp.asarray(np.concatenate([_start(j) for j in joints[: len(links)]])),
         cut_angles=jnp.zeros(len(joints) - len(links)),
         gravity=jnp.asarray(mechanism.gravity, dtype=float),
     )
@@ -117,14 +117,12 @@ def _require_first_rfes(joints: Sequence[Joint], children: Sequence[_Attachment]
             )
 
 
-def _require_known_kinds(joints: Sequence[Joint]) -> None:
-    """Raise InputError for the first joint whose kind has no coordinates yet."""
-    for joint in joints:
-        if not joint.cut and KINDS[joint.kind].ball:
-            raise InputError(
-                f"Argument `kind` of joint {joint.name!r} must not be {joint.kind!r} in the tree for now, but is: its "
-                "rotation has no coordinates yet; cut a spherical joint, or take other kinds."
-            )
+def _start(joint: Joint) -> np.ndarray:
+    """Start of a tree joint as numbers of the position: its three angles as a quaternion if it turns about any axis."""
+    values = np.array(joint.start_values, dtype=float)
+    if not KINDS[joint.kind].ball:
+        return values
+    return np.concatenate([values[:-3], quaternion_of_angles(values[-3:])])
 
 
 def _links_in_tree_order(mechanism: Mechanism) -> list[Link]:

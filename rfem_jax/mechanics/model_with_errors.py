@@ -191,7 +191,7 @@ def _start_angles(model: Model) -> Float[Array, " joints"]:
     if set(topology.kinds[: topology.n_links]) == {"revolute"}:
         return jnp.concatenate([model.start_joints, model.cut_angles])
     revolute = [topology.kinds[l] == "revolute" for l in range(topology.n_links)]
-    angles = [model.start_joints[at[0]] if turns else zero for turns, at in zip(revolute, topology.coordinates)]
+    angles = [model.start_joints[at[0]] if turns else zero for turns, at in zip(revolute, topology.positions)]
     return jnp.concatenate([jnp.stack(angles), model.cut_angles])
 
 

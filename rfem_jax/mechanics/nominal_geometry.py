@@ -69,8 +69,8 @@ def geometry_of(model: Model) -> NominalGeometry:
     )
 
 
-def place(geometry: NominalGeometry, coordinates: Float[np.ndarray, " freedoms"]) -> Placed:
-    """Links and joints at the coordinates [rad, m] of the tree joints, links undeformed."""
+def place(geometry: NominalGeometry, coordinates: Float[np.ndarray, " numbers"]) -> Placed:
+    """Links and joints at the position of the tree joints (as `Coordinates.joints`), links undeformed."""
     topology = geometry.topology
     n, joints = topology.n_links, len(topology.joints)
     rotation, origin = np.empty((n, 3, 3)), np.empty((n, 3))
@@ -92,14 +92,20 @@ def place(geometry: NominalGeometry, coordinates: Float[np.ndarray, " freedoms"]
         if j >= n:
             continue
         child_rotation[j], child_centre[j] = joint_rotation[j], centre[j]
-        for k, freedom in zip(topology.coordinates[j], topology.kind(j).freedoms):
-            direction = child_rotation[j, :, freedom.axis].copy()
-            if freedom.rotation:
-                twists[k] = np.concatenate([direction, np.cross(child_centre[j], direction)])
-                child_rotation[j] = child_rotation[j] @ _rotation_about(freedom.axis, coordinates[k])
-            else:
+        at, basis = topology.positions[j], child_rotation[j].copy()
+        for m, (k, freedom) in enumerate(zip(topology.coordinates[j], topology.kind(j).freedoms)):
+            if freedom.first:
+                basis = child_rotation[j].copy()
+            direction = basis[:, freedom.axis]
+            if not freedom.rotation:
                 twists[k, 3:] = direction
-                child_centre[j] += coordinates[k] * direction
+                child_centre[j] += coordinates[at[m]] * direction
+                continue
+            twists[k] = np.concatenate([direction, np.cross(child_centre[j], direction)])
+            if freedom.any_axis and freedom.first:
+                child_rotation[j] = basis @ _rotation_of(coordinates[at[m] : at[m] + 4])
+            elif not freedom.any_axis:
+                child_rotation[j] = basis @ _rotation_about(freedom.axis, coordinates[at[m]])
         rotation[j] = child_rotation[j] @ geometry.bore_rotation[j].T
         origin[j] = child_centre[j] - rotation[j] @ geometry.bore_position[j]
     for j in topology.cuts:
@@ -116,6 +122,29 @@ def _rotation_about(axis: int, angle: float) -> np.ndarray:
     matrix[i, i] = matrix[j, j] = c
     matrix[i, j], matrix[j, i] = -s, s
     return matrix
+
+
+def _rotation_of(q: np.ndarray) -> np.ndarray:
+    """Rotation of a quaternion."""
+    skew = cross_matrix(q[1:])
+    return np.eye(3) + 2.0 / (q @ q) * (q[0] * skew + skew @ skew)
+
+
+def moved(
+    topology: Topology, position: Float[np.ndarray, " numbers"], change: Float[np.ndarray, " freedoms"]
+) -> Float[np.ndarray, " numbers"]:
+    """`orientations.moved` of the joints."""
+    found = np.array(position, dtype=float)
+    for l, (at, rates) in enumerate(zip(topology.positions, topology.coordinates, strict=True)):
+        n = topology.plain(l)
+        found[at.start : at.start + n] += change[rates.start : rates.start + n]
+        if topology.kind(l).ball:
+            theta, q = change[rates.start + n : rates.stop], found[at.start + n : at.stop]
+            half = 0.5 * np.linalg.norm(theta)
+            w, v = np.cos(half), 0.5 * np.sinc(half / np.pi) * theta
+            turned = np.concatenate([[w * q[0] - v @ q[1:]], w * q[1:] + q[0] * v + np.cross(v, q[1:])])
+            found[at.start + n : at.stop] = turned / np.linalg.norm(turned)
+    return found
 
 
 def gaps(geometry: NominalGeometry, placed: Placed) -> Gaps:

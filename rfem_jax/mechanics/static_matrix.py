@@ -48,7 +48,7 @@ def static_tangent(
     `closure`, stiffness [N/m] of the mechanism."""
     q_factor = STIFFNESS_RATIO * jnp.sum(actual.mass) / stiffness
     operators = link_operators(actual, q_factor, jnp.zeros(()))
-    motion = motion_of(actual, loads.static_state(position))
+    motion = motion_of(actual, loads.static_state(actual.topology, position))
     matrix = iteration_matrix(actual, operators, motion, closure(actual, motion, scale), held)
     return StaticTangent(matrix, q_factor)
 

@@ -30,6 +30,7 @@ from rfem_jax.mechanics.inputs import DriveInput
 from rfem_jax.mechanics.kinematics import by_freedom, motion_of, range_used
 from rfem_jax.mechanics.model import Coordinates, Model, State, Topology
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors, ModelWithErrors, apply_errors, assembly_errors
+from rfem_jax.mechanics.orientations import moved, rates_of
 from rfem_jax.mechanics.residual import Residual
 from rfem_jax.mechanics.static_matrix import static_increment, static_tangent
 from rfem_jax.mechanics.static_search import (
@@ -81,7 +82,7 @@ def assemble(model: Model, errors: AssemblyErrors, hold: Mapping[str, ArrayLike]
 def _assemble(model: Model, errors: AssemblyErrors, hold: dict[str, Array] | None) -> Assembled:
     actual = apply_errors(model, errors)
     position, multipliers, status = equilibrium(model, actual, held_angles(model, hold))
-    state = loads.static_state(position)
+    state = loads.static_state(model.topology, position)
     return Assembled(state, named(model, static_loads(model, actual, state, multipliers)), status)
 
 
@@ -93,7 +94,7 @@ def held_angles(model: Model, hold: Mapping[str, ArrayLike] | None) -> dict[int,
     topology = model.topology
     if hold is None:
         driven = topology.driven_coordinate
-        return {} if driven is None else {driven: model.start_joints[driven]}
+        return {} if driven is None else {driven: model.start_joints[topology.driven_position]}
     _require_tree_joints(model, hold)
     return {topology.coordinates[topology.joints.index(name)][0]: jnp.asarray(value) for name, value in hold.items()}
 
@@ -117,7 +118,8 @@ def _require_tree_joints(model: Model, names: Iterable[str]) -> None:
 class _Scaled(NamedTuple):
     """Unknowns and residuals as flat arrays, scaled by a length [m] and a force [N] of the mechanism.
 
-    units (n,) [m, rad]: of the coordinates; generalised forces times these are works.
+    units (n,) [m, rad]: of the coordinates; generalised forces times these are works; unravel: flat -> coordinates, as
+    many as rates; origin: quaternions of the position that rotation vectors among the unknowns start from.
     """
 
     topology: Topology
@@ -125,13 +127,16 @@ class _Scaled(NamedTuple):
     force: Float[Array, ""]
     units: Float[Array, " n"]
     unravel: Callable[[Array], Coordinates]
+    origin: Coordinates
 
-    def unknowns(self, position: Coordinates, multipliers: Array) -> Array:
-        """Flat, of coordinates and multipliers."""
-        return jnp.concatenate([ravel_pytree(position)[0] / self.units, multipliers / self.force])
+    def unknowns(self, values: Coordinates, multipliers: Array) -> Array:
+        """Flat, of coordinates, as many as rates, and multipliers."""
+        return jnp.concatenate([ravel_pytree(values)[0] / self.units, multipliers / self.force])
 
     def coordinates(self, unknowns: Array) -> Coordinates:
-        return self.unravel(unknowns[: self.units.size] * self.units)
+        """Position of the unknowns."""
+        values = self.unravel(unknowns[: self.units.size] * self.units)
+        return moved(self.topology, self.origin, values) if self.topology.balls else values
 
     def multipliers(self, unknowns: Array) -> Array:
         return unknowns[self.units.size :] * self.force
@@ -152,8 +157,21 @@ def _scaled(model: Model, actual: ModelWithErrors) -> _Scaled:
     length, topology = length_scale(model), model.topology
     displacements = jnp.ones((6, topology.n_rfes)).at[:3].set(length)
     units, _ = ravel_pytree(Coordinates(_joint_units(topology, length), displacements))
-    unravel = ravel_pytree(model.start_coordinates())[1]
-    return _Scaled(topology, length, _force_scale(model, actual), units, unravel)
+    start = start_values(model)
+    origin = moved(topology, model.start_coordinates(), jax.tree.map(jnp.negative, start)) if topology.balls else start
+    return _Scaled(topology, length, _force_scale(model, actual), units, ravel_pytree(start)[1], origin)
+
+
+def start_values(model: Model) -> Coordinates:
+    """The start as coordinates of which there are as many as rates: zero rotation vectors for quaternions."""
+    topology, start = model.topology, model.start_coordinates()
+    if not topology.balls:
+        return start
+    parts = []
+    for l, at in enumerate(topology.positions):
+        parts.append(model.start_joints[at.start : at.start + topology.plain(l)])
+        parts.append(jnp.zeros(3 * topology.kind(l).ball))
+    return Coordinates(jnp.concatenate(parts), start.elastic)
 
 
 def _joint_units(topology: Topology, length: Array) -> Float[Array, " freedoms"]:
@@ -175,7 +193,7 @@ def equilibrium(
     topology = model.topology
     scaled = _scaled(model, actual)
     given = np.array(list(held), int)
-    undeformed = scaled.unknowns(model.start_coordinates(), jnp.zeros(topology.n_constraints))
+    undeformed = scaled.unknowns(start_values(model), jnp.zeros(topology.n_constraints))
 
     def residual(unknowns, args):
         actual, angles = args
@@ -185,7 +203,7 @@ def equilibrium(
         return jnp.where(is_given, unknowns - angles @ onto, value)
 
     angles = jnp.array([*held.values()], float)
-    start = model.start_joints[given]
+    start = start_values(model).joints[given]
     if any(topology.slides[k] for k in held):
         angles, start = angles / scaled.units[given], start / scaled.units[given]
     onto = (given[:, None] == np.arange(undeformed.size)).astype(float)
@@ -218,7 +236,7 @@ def equilibrium(
     position = scaled.coordinates(unknowns)
     found = found & jnp.all(jnp.isfinite(unknowns))
     in_range = range_used(topology, position) < 1.0
-    cuts = closure(actual, motion_of(actual, loads.static_state(position)), scaled.length)
+    cuts = closure(actual, motion_of(actual, loads.static_state(topology, position)), scaled.length)
     right_side = True if cuts is None else jnp.all(cuts.alignment > 0.0)
     status = jnp.where(right_side, jnp.where(in_range, OK, OUT_OF_RANGE), WRONG_SIDE)
     status = jnp.where(found, status, NOT_ASSEMBLED)
@@ -280,7 +298,7 @@ def _static_residual(
     [m] of a mechanism at rest."""
     topology = actual.topology
     n = topology.n_links
-    state = loads.static_state(position)
+    state = loads.static_state(topology, position)
     motion = motion_of(actual, state)
     cuts = closure(actual, motion, scale)
     at_rest = jnp.zeros((3, n + topology.n_rfes))
@@ -340,7 +358,8 @@ def quasi_static_rates(
         return equilibrium(model, actual, {**held, driven: angle})[0]
 
     angle = jnp.asarray(held[driven])
-    return jax.jvp(at_angle, (angle,), (jnp.asarray(driven_rate),))[1]
+    position, derivative = jax.jvp(at_angle, (angle,), (jnp.asarray(driven_rate),))
+    return rates_of(model.topology, position, derivative)
 
 
 def length_scale(model: Model) -> Float[Array, ""]:

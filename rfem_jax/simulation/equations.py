@@ -23,7 +23,8 @@ from rfem_jax.mechanics.dynamics import Accelerations, accelerations
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation, impose
 from rfem_jax.mechanics.model import Coordinates, Model, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
-from rfem_jax.simulation.driving import Drive, driven_coordinate
+from rfem_jax.mechanics.orientations import position_rate
+from rfem_jax.simulation.driving import Drive, driven_position
 
 Scalar = int | float | Float[Array | np.ndarray, ""]
 Tree = TypeVar("Tree")
@@ -109,7 +110,7 @@ def right_hand_side(t: Scalar, trajectory: Trajectory, conditions: Conditions) -
     state, drive, result, joint = at_instant(t, trajectory, conditions)
     axial, normal, moment = squares(conditions.actual.topology, joint)
     return Trajectory(
-        position=state.velocity,
+        position=position_rate(conditions.actual.topology, state.position, state.velocity),
         velocity=result.coordinates,
         integrals=Integrals(
             axial_square=axial,
@@ -163,7 +164,7 @@ def with_start_angle(model: Model, drive: Drive) -> Drive:
     """The drive with a prescribed motion as the driven joint's angle: its own is counted from the start angle."""
     if not isinstance(drive, PrescribedDrive):
         return drive
-    return _FromStartAngle(drive.joint, drive, model.start_joints[driven_coordinate(model.topology)])
+    return _FromStartAngle(drive.joint, drive, model.start_joints[driven_position(model.topology)])
 
 
 class _FromStartAngle(PrescribedDrive):

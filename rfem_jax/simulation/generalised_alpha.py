@@ -9,8 +9,9 @@ O. Bruels, Multibody Syst. Dyn. 18 (2007) 185-202; theory (7.1) to (7.7):
     (1 - alpha_m) a1 + alpha_m a0 = (1 - alpha_f) v1' + alpha_f v0'
     equations of motion at (q1, v1, v1', lambda1, t1),    Phi(q1) = 0
 
-with coefficients from the spectral radius at infinite frequency.  v' are the accelerations of the motion, a the
-auxiliary ones of the method, lambda the multipliers.
+with coefficients from the spectral radius at infinite frequency; quaternions turn by the change of q as a rotation
+vector (O. Bruels, A. Cardona, M. Arnold, Mech. Mach. Theory 48 (2012) 121-137).  v' are the accelerations of the
+motion, a the auxiliary ones of the method, lambda the multipliers.
 
     t0 ------------------------------- h ------------------------------> t1
     StepStart                                                            StepEnd
@@ -53,6 +54,7 @@ from rfem_jax.mechanics.kinematics import motion_of
 from rfem_jax.mechanics.model import Coordinates, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 from rfem_jax.mechanics.newton import IterationMatrix, iteration_matrix, newton_increment
+from rfem_jax.mechanics.orientations import moved
 from rfem_jax.mechanics.residual import Evaluation, evaluate_residual, residual_of
 from rfem_jax.simulation import equations
 from rfem_jax.simulation.driving import driven_coordinate
@@ -330,13 +332,10 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
 
         a0 = memory.auxiliary
         a1 = jax.tree.map(auxiliary, accelerations, memory.accelerations, a0)
-        position = jax.tree.map(
-            lambda q, v, a, b: q + h * (v + h * ((0.5 - self.beta) * a + self.beta * b)),
-            trajectory.position,
-            trajectory.velocity,
-            a0,
-            a1,
+        change = jax.tree.map(
+            lambda v, a, b: h * (v + h * ((0.5 - self.beta) * a + self.beta * b)), trajectory.velocity, a0, a1
         )
+        position = moved(topology, trajectory.position, change)
         velocity = jax.tree.map(
             lambda v, a, b: v + h * ((1.0 - self.gamma) * a + self.gamma * b),
             trajectory.velocity,

@@ -25,6 +25,7 @@ from rfem_jax.mechanics.centre_lines import link_lines
 from rfem_jax.mechanics.discretisation import require_double_precision
 from rfem_jax.mechanics.model import Model, State
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors, ModelWithErrors, apply_errors, assembly_errors
+from rfem_jax.mechanics.orientations import angles_of
 from rfem_jax.mechanics.statics import (
     Load,
     equilibrium,
@@ -141,7 +142,7 @@ def prepare(model: Model, errors: AssemblyErrors, drive: Drive, start: State | N
         if first.prescribed is not None:
             held = {driven_coordinate(model.topology): first.prescribed[0]}
         position, multipliers, status = equilibrium(model, actual, held)
-        state = loads.static_state(position)
+        state = loads.static_state(model.topology, position)
         preload = static_loads(model, actual, state, multipliers)
         if first.prescribed is not None:
             rates = quasi_static_rates(model, actual, held, first.prescribed[1])
@@ -257,7 +258,7 @@ def conclude(
     carry = carry._replace(peaks=jnp.maximum(carry.peaks, jnp.max(record.squares, axis=0)))
     record = jax.tree.map(lambda x: x[grid.saved], record)
     times = jnp.asarray(grid.starts + grid.lengths)[grid.saved]
-    driven = model.topology.driven_coordinate
+    driven, driven_rate = model.topology.driven_position, model.topology.driven_coordinate
     energy = record.energy
     balance = energy.total - energy.work + energy.dissipation
     error = jnp.max(jnp.abs(balance - balance[0])) / _safe(jnp.max(jnp.abs(energy.total)))
@@ -266,7 +267,7 @@ def conclude(
     relative = jnp.max(record.momentum_residual, axis=0) / _safe(jnp.max(record.largest_load, axis=0))
     zeros = jnp.zeros_like(times)
     angle = zeros if driven is None else record.joints[:, driven]
-    rate = zeros if driven is None else record.joint_rates[:, driven]
+    rate = zeros if driven_rate is None else record.joint_rates[:, driven_rate]
     return Run(
         times=times,
         angle=angle,
@@ -346,13 +347,14 @@ def _safe(value):
 
 def _coordinates(model: Model, record: Record, rotation: bool) -> dict[str, Array]:
     """Angles or displacements by tree joint: (times,), or (times, k) of a kind that has several."""
-    found = {}
-    for l, indices in enumerate(model.topology.coordinates):
-        kind = model.topology.kind(l)
-        wanted = [k for k, freedom in zip(indices, kind.freedoms) if freedom.rotation is rotation]
+    found, topology = {}, model.topology
+    for l, at in enumerate(topology.positions):
+        plain = zip(at, topology.kind(l).freedoms[: topology.plain(l)])
+        wanted = [record.joints[:, k] for k, freedom in plain if freedom.rotation is rotation]
+        if rotation and topology.kind(l).ball:
+            wanted = list(angles_of(record.joints[:, at.stop - 4 : at.stop]).T)
         if wanted:
-            several = jnp.stack([record.joints[:, k] for k in wanted], axis=1) if len(wanted) > 1 else None
-            found[model.topology.joints[l]] = record.joints[:, wanted[0]] if several is None else several
+            found[topology.joints[l]] = jnp.stack(wanted, axis=1) if len(wanted) > 1 else wanted[0]
     return found
 
 

@@ -50,14 +50,14 @@ class Instant(NamedTuple):
 class Record(NamedTuple):
     """What is recorded at the end of every interval; fields with the names of `Run`'s are what that says.
 
-    joints, joint_rates: coordinates of the tree joints [rad, m] and their rates; momentum_residual: largest
-    components of the residual force [N] and moment [N m] of the momentum balance; largest_load [N, N m]: what they
-    are divided by; hinge_residual [N m]: largest load along a free motion of a joint, which should be zero (forces
-    times `Instant.arm`); range_used: as `kinematics.range_used`; square_integrals: of the resultant force and moment
-    [N^2 s, (N m)^2 s]; squares: of the axial and the normal force [N^2].
+    joints, joint_rates: positions of the tree joints (as `Coordinates.joints`) and their rates; momentum_residual:
+    largest components of the residual force [N] and moment [N m] of the momentum balance; largest_load [N, N m]: what
+    they are divided by; hinge_residual [N m]: largest load along a free motion of a joint, which should be zero
+    (forces times `Instant.arm`); range_used: as `kinematics.range_used`; square_integrals: of the resultant force and
+    moment [N^2 s, (N m)^2 s]; squares: of the axial and the normal force [N^2].
     """
 
-    joints: Float[Array, " freedoms"]
+    joints: Float[Array, " numbers"]
     joint_rates: Float[Array, " freedoms"]
     drive_moment: Float[Array, ""]
     loads: loads.JointLoads

@@ -94,9 +94,9 @@ def eigenvalues(model: Model, drive: Drive = None) -> Complex[np.ndarray, " eige
 
 
 def _poses(model: Model) -> np.ndarray:
-    """Joint coordinates (positions, freedoms) of closed nominal geometries, start first."""
+    """Positions of the joints (poses, numbers) of closed nominal geometries, start first."""
     start = np.asarray(model.start_joints)
-    driven = model.topology.driven_coordinate
+    driven = model.topology.driven_position
     if driven is None:
         return start[None]
     poses, joints = [start], start

@@ -34,6 +34,7 @@ from rfem_jax.mechanics.nominal_geometry import (
     Placed,
     cross_matrix,
     geometry_of,
+    moved,
     place,
 )
 
@@ -90,8 +91,8 @@ class Vibration:
         ]
         self.before: list[np.ndarray | None] = [None] * len(self.rates)
 
-    def modes(self, joints: Float[np.ndarray, " freedoms"]) -> Modes:
-        """The modes at joint coordinates [rad, m], links undeformed."""
+    def modes(self, joints: Float[np.ndarray, " numbers"]) -> Modes:
+        """The modes at a position of the joints, links undeformed."""
         placed = place(self.geometry, joints)
         if self.topology.n_rfes == 0:
             return self._rigid(np.asarray(joints))
@@ -135,8 +136,8 @@ class Vibration:
 
     def _rigid(self, joints: np.ndarray) -> Modes:
         columns = []
-        for shift in DIFFERENCE * np.eye(len(joints)):
-            ahead, behind = self._joint_accelerations(joints + shift), self._joint_accelerations(joints - shift)
+        for shift in DIFFERENCE * np.eye(self.topology.n_freedoms):
+            ahead, behind = (self._joint_accelerations(moved(self.topology, joints, s)) for s in (shift, -shift))
             columns.append((ahead - behind) / (2.0 * DIFFERENCE))
         squares = -np.linalg.eigvals(np.array(columns).T)
         return Modes(squares, np.zeros(len(squares)))

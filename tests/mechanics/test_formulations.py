@@ -18,8 +18,10 @@ from rfem_jax.mechanics.reference_formulation import constraints, reference_acce
 from tests.mechanisms import (
     ALL,
     chain_of_kinds,
+    chain_with_balls,
     four_bar,
     loop_cut_by,
+    loop_with_a_ball,
     open_chain,
     random_state,
     some_errors,
@@ -31,7 +33,7 @@ GAINS = Stabilisation(3.0, 7.0, 0.3)
 STATES = 5
 CUT_KINDS = ("prismatic", "cylindrical", "universal", "spherical", "planar", "fixed")
 # Components of the load in H (tree) or L (cut) along the free motions: force x, y, z, moment x, y, z.
-FREE = {"revolute": (4,), "prismatic": (0,), "cylindrical": (1, 4), "planar": (0, 2, 4), "fixed": ()}
+FREE = {"revolute": (4,), "prismatic": (0,), "cylindrical": (1, 4), "planar": (0, 2, 4), "fixed": (), "free": range(6)}
 
 
 def close(actual, state):
@@ -41,8 +43,8 @@ def close(actual, state):
         return state
     # The driven angle is imposed again in the formulations, so it must not move here.
     moves = jnp.ones_like(flat)
-    if actual.topology.driven_coordinate is not None:
-        moves = moves.at[actual.topology.driven_coordinate].set(0.0)
+    if actual.topology.driven_position is not None:
+        moves = moves.at[actual.topology.driven_position].set(0.0)
 
     def newton(flat, _):
         def residual(q):
@@ -74,6 +76,8 @@ CASES = [
     (chain_of_kinds, "prescribed", "linear"),
     (named(loop_cut_by, "cylindrical"), "moment", "geometrically_exact"),
     (two_cuts_of_different_kinds, "moment", "linear"),
+    (chain_with_balls, "prescribed", "linear"),
+    (loop_with_a_ball, "moment", "linear"),
     *[(named(loop_cut_by, kind), "moment", "linear") for kind in CUT_KINDS],
 ]
 
@@ -136,7 +140,7 @@ def test_no_load_along_free_motions(compared):
         along = np.abs(loads[:, FREE.get(kind, ()), j])
         if kind == "universal" and j < topology.n_links:
             # y of the parent in H, behind the rotation about z.
-            angle = np.asarray(state.position.joints)[:, topology.coordinates[j][1]]
+            angle = np.asarray(state.position.joints)[:, topology.positions[j][1]]
             about_y = np.sin(angle) * loads[:, 3, j] + np.cos(angle) * loads[:, 4, j]
             along = np.abs([about_y, loads[:, 5, j]])
         if kind == "universal" and j >= topology.n_links:

@@ -26,7 +26,7 @@ def _traced(model, angles):
 
     def residual(position):
         actual = apply_errors(model, assembly_errors(model))
-        cuts = closure(actual, motion_of(actual, loads.static_state(position)), scale)
+        cuts = closure(actual, motion_of(actual, loads.static_state(model.topology, position)), scale)
         out = cuts.residual.T.reshape(-1) / scale
         return out, (out, cuts.alignment, cuts.angle)
 

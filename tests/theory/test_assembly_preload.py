@@ -209,7 +209,7 @@ def test_crooked_pins_follow_from_seat_and_bore(study_script):
         actual = apply_errors(model, assembly_errors(model, {"C.pin_tilt_x": tilt}))
         guess = dataclasses.replace(model, start_joints=poses[0][2], cut_angles=poses[1][2])
         position, multipliers, _ = equilibrium(guess, actual, {0: poses[0][2][0]})
-        loads = named(guess, static_loads(guess, actual, static_state(position), multipliers))
+        loads = named(guess, static_loads(guess, actual, static_state(model.topology, position), multipliers))
         return jnp.stack([jnp.stack(loads[name]) for name in sorted(model.joint_names)])
 
     found = np.asarray(jax.jit(jax.jacfwd(preload))(0.0))
