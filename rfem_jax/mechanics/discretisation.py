@@ -3,12 +3,14 @@
 Place in the pipeline: model_building, nominal_geometry -> **discretisation** -> everything else.
 """
 
+import dataclasses
 from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
+from scipy.linalg import qr
 
 from rfem_jax.description.errors import InputError, require_choice
 from rfem_jax.description.mechanism import ELEMENTS, Mechanism
@@ -16,8 +18,6 @@ from rfem_jax.mechanics.cut_joints import RANK_TOLERANCE
 from rfem_jax.mechanics.model import BASE, Model
 from rfem_jax.mechanics.model_building import build_model
 from rfem_jax.mechanics.nominal_geometry import (
-    NominalGeometry,
-    Placed,
     closure_jacobian,
     gaps,
     geometry_of,
@@ -74,6 +74,9 @@ def discretise(mechanism: Mechanism, rfes: int | None = None, elements: str | No
     counts = {link.name: link.elements if rfes is None or link.elements == 1 else int(rfes) for link in mechanism.links}
     model = _close(build_model(mechanism, counts, elements == "geometrically_exact"))
     structure = describe(model)
+    if structure.idle:
+        idle = tuple(sorted(_idle_coordinates(model)))
+        model = dataclasses.replace(model, topology=model.topology._replace(idle=idle))
     if structure.redundant and not model.topology.minimum_norm:
         raise InputError(
             f"Argument `mechanism` must have unique joint reactions, but its "
@@ -117,21 +120,22 @@ def describe(model: Model) -> Structure:
         rigid_mobility=model.topology.n_freedoms - rigid_rank,
         redundant=rank < constraints,
         gap=float(np.abs(residual).max(initial=0.0) * np.max(np.asarray(model.length))),
-        idle=_idle_links(geometry, placed, jacobian[:, : model.topology.n_freedoms]),
+        idle=tuple(dict.fromkeys(_idle_coordinates(model).values())),
     )
 
 
-def _idle_links(
-    geometry: NominalGeometry, placed: Placed, jacobian: Float[np.ndarray, "constraints freedoms"]
-) -> tuple[str, ...]:
-    """Links with two joints or more, one of them on a moving link, that can move while no other does, all of them
-    rigid and no joint driven (theory (5.17))."""
-    topology, n = geometry.topology, geometry.topology.n_links
-    free = _null_space(jacobian)
-    if topology.n_cuts == 0 or free.shape[1] == 0:
-        return ()
-    twists = np.zeros((n, 6, topology.n_freedoms))
-    units = joint_units(geometry)
+def _idle_coordinates(model: Model) -> dict[int, str]:
+    """{joint coordinate that stands for an idle freedom: its link}: links with two joints or more, one of them on a
+    moving link, that can move while no other does, all of them rigid and their joint not driven (theory (5.17))."""
+    topology, geometry = model.topology, geometry_of(model)
+    if topology.n_cuts == 0:
+        return {}
+    n = topology.n_links
+    placed = place(geometry, np.asarray(model.start_joints))
+    free = _null_space(closure_jacobian(geometry, placed)[:, : topology.n_freedoms])
+    if free.shape[1] == 0:
+        return {}
+    twists, units = np.zeros((n, 6, topology.n_freedoms)), joint_units(geometry)
     for l, parent in enumerate(topology.parents[:n]):
         if parent != BASE:
             twists[l] = twists[topology.link_of(parent)]
@@ -141,15 +145,20 @@ def _idle_links(
     moving = twists @ free
     ends = zip(topology.parents, topology.children)
     pairs = [tuple(-1 if node == BASE else topology.link_of(node) for node in pair) for pair in ends]
-    found = []
+    found = {}
     for l in range(n):
         joined = [a if b == l else b for a, b in pairs if l in (a, b)]
         if len(joined) < 2 or max(joined) < 0 or l == topology.driven:
             continue
         alone = _null_space(np.delete(moving, l, axis=0).reshape(-1, free.shape[1]))
-        if np.abs(moving[l] @ alone).max(initial=0.0) > IDLE_TOLERANCE:
-            found.append(topology.links[l])
-    return tuple(found)
+        if alone.shape[1] == 0:
+            continue
+        size, directions = np.linalg.svd(moving[l] @ alone)[1:]
+        motions = free @ alone @ directions[: int(np.sum(size > IDLE_TOLERANCE))].T
+        # As many coordinates of the link's own joint as it has idle freedoms, those that move most.
+        order = qr(motions[list(topology.coordinates[l])].T, mode="r", pivoting=True)[1]
+        found |= {topology.coordinates[l][k]: topology.links[l] for k in order[: motions.shape[1]]}
+    return found
 
 
 def _null_space(matrix: np.ndarray) -> np.ndarray:

@@ -64,6 +64,7 @@ class Topology(NamedTuple):
     masses: the node that holds each point mass.
     minimum_norm: whether redundant reactions are resolved by the solution of least norm.
     exact: whether the spring-damping elements are geometrically exact.
+    idle: joint coordinates that stand for idle freedoms, which statics holds at their start.
     """
 
     links: tuple[str, ...]
@@ -80,6 +81,7 @@ class Topology(NamedTuple):
     masses: tuple[int, ...]
     minimum_norm: bool
     exact: bool = False
+    idle: tuple[int, ...] = ()
 
     @property
     def n_links(self) -> int:

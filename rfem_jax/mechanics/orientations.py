@@ -28,13 +28,13 @@ def rotation_of(q: Float[Array, " 4 *k"]) -> Float[Array, "3 3 *k"]:
     scalar, vector = q[0], q[1:]
     skew = algebra.cross_matrix(vector)
     identity = jnp.asarray(algebra.IDENTITY).reshape((3, 3) + (1,) * scalar.ndim)
-    return identity + (2.0 / dot(q, q)) * (scalar * skew + algebra.product(skew, skew))
+    return identity + (2.0 / dot(q, q))[None, None] * (scalar[None, None] * skew + algebra.product(skew, skew))
 
 
 def product(p: Float[Array, " 4 *k"], q: Float[Array, " 4 *k"]) -> Float[Array, " 4 *k"]:
     """Product of quaternions: first the rotation q, then p."""
     scalar = p[0] * q[0] - dot(p[1:], q[1:])
-    vector = p[0] * q[1:] + q[0] * p[1:] + cross(p[1:], q[1:])
+    vector = p[:1] * q[1:] + q[:1] * p[1:] + cross(p[1:], q[1:])
     return jnp.concatenate([scalar[None], vector])
 
 
@@ -48,7 +48,7 @@ def exponential(theta: Float[Array, " 3 *k"]) -> Float[Array, " 4 *k"]:
     factor = 0.5 + x * (-1.0 / 48.0 + x * (1.0 / 3840.0 + x * (-1.0 / 645120.0 + x / 185794560.0)))
     cosine = jnp.where(small, cosine, jnp.cos(0.5 * angle))
     factor = jnp.where(small, factor, jnp.sin(0.5 * angle) / angle)
-    return jnp.concatenate([cosine[None], factor * theta])
+    return jnp.concatenate([cosine[None], factor[None] * theta])
 
 
 def moved(topology: Topology, position: Coordinates, change: Coordinates) -> Coordinates:

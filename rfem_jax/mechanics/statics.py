@@ -188,10 +188,13 @@ def equilibrium(
 
     From the undeformed start by the chord method with the tangent of the perfect mechanism, which is the same
     for all samples of a batch, and only where that does not converge by Newton's method.  Geometrically exact
-    elements, whose deflections may be large, follow the equilibrium under growing loads.
+    elements, whose deflections may be large, follow the equilibrium under growing loads.  Idle freedoms, in which
+    the equilibrium would not be unique, are held at their start.
     """
     topology = model.topology
     scaled = _scaled(model, actual)
+    if topology.idle:
+        held = {**{k: start_values(model).joints[k] for k in topology.idle}, **held}
     given = np.array(list(held), int)
     undeformed = scaled.unknowns(start_values(model), jnp.zeros(topology.n_constraints))
 

@@ -49,7 +49,7 @@ from rfem_jax.simulation.equations import Conditions, Scalar, Trajectory
 from rfem_jax.simulation.implicit_step import SOLUTION, Memory
 from rfem_jax.simulation.observation import Record, observe
 from rfem_jax.simulation.packing import pack, unpack
-from rfem_jax.simulation.run import RESIDUAL_LIMIT, DrivenJoint, LoadIntegrals, Metrics, Run
+from rfem_jax.simulation.run import RESIDUAL_LIMIT, DrivenJoint, Energy, LoadIntegrals, Metrics, Run
 from rfem_jax.simulation.solvers import observed_solver
 from rfem_jax.simulation.stabilisation import stabilisation_of
 from rfem_jax.simulation.stepping import Carry, step_intervals
@@ -263,7 +263,7 @@ def conclude(
     balance = energy.total - energy.work + energy.dissipation
     error = jnp.max(jnp.abs(balance - balance[0])) / _safe(jnp.max(jnp.abs(energy.total)))
     drift = jnp.max(record.drift)
-    residual = carry.residual / _safe(largest_force(carry))
+    residual = carry.residual / _safe(_force_scale(model, carry, energy))
     relative = jnp.max(record.momentum_residual, axis=0) / _safe(jnp.max(record.largest_load, axis=0))
     zeros = jnp.zeros_like(times)
     angle = zeros if driven is None else record.joints[:, driven]
@@ -339,6 +339,15 @@ def _status(model, prepared: Prepared, carry: Carry, error, drift, used, residua
 def largest_force(carry: Carry) -> Float[Array, ""]:
     """The largest axial or normal force [N] that any joint has carried."""
     return equations.safe_sqrt(jnp.max(carry.peaks))
+
+
+def _force_scale(model: Model, carry: Carry, energy: Energy) -> Float[Array, ""]:
+    """What a residual force is compared with [N]: the largest joint force, and for free links, whose joints carry
+    none, their kinetic energy over the longest link."""
+    largest = largest_force(carry)
+    if "free" not in model.topology.kinds:
+        return largest
+    return jnp.maximum(largest, jnp.max(energy.kinetic) / length_scale(model))
 
 
 def _safe(value):
