@@ -144,7 +144,7 @@ def linkage(model: Model, errors: AssemblyErrors) -> Linkage:
         elements=elements,
         gravity=np.asarray(model.gravity)[TURNED],
         driven=topology.driven,
-        start_angle=0.0 if topology.driven is None else float(model.start_angles[topology.driven]),
+        start_angle=0.0 if topology.driven is None else float(model.start_joints[topology.driven]),
         order=model.joint_names,
     )
 
@@ -153,7 +153,7 @@ def linkage(model: Model, errors: AssemblyErrors) -> Linkage:
 def _actual(model: Model, errors: AssemblyErrors):
     """Constants of the equations of motion, and rotations and points of all nodes at the start."""
     actual = apply_errors(model, errors)
-    now = motion_of(actual, static_state(model.start_coordinates()))
+    now = motion_of(actual, static_state(model.topology, model.start_coordinates()))
     return actual, all_frames(model.topology, now)
 
 

@@ -72,7 +72,7 @@ def compare_open_chain(report, trial: bool = False) -> None:
         duration=duration,
         method=Method("rk4", step=5e-6),
         save_every=SAVE_EVERY,
-        start=static_state(model.start_coordinates()),
+        start=static_state(model.topology, model.start_coordinates()),
     )
     link = linkage(model, errors)
     start = ((link.rotation, link.centre), {})

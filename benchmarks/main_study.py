@@ -79,7 +79,7 @@ def measure(study, model, samples: int, duration: float) -> None:
 def compare_formulations(model, repeats: int) -> None:
     """One right-hand side, recursive against dense, alone."""
     actual = jax.jit(apply_errors)(model, assembly_errors(model))
-    state = static_state(model.start_coordinates())
+    state = static_state(model.topology, model.start_coordinates())
     gains = Stabilisation(1.0, 1.0, 0.3)
 
     def fast(state):

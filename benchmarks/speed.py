@@ -217,7 +217,7 @@ def compare_with_dense(model, case: str, best: dict[float, Found], size: Size) -
     mechanisms = jax.vmap(lambda values: apply_errors(model, assembly_errors(model, values)))(
         sample_errors(case, batch)
     )
-    state = static_state(model.start_coordinates())
+    state = static_state(model.topology, model.start_coordinates())
     states = jax.tree.map(lambda x: jnp.stack([x + 1e-9 * i for i in range(batch)]), state)
     gains = Stabilisation(jnp.asarray(1.0), jnp.asarray(1.0), jnp.asarray(0.3))
 

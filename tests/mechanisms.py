@@ -114,6 +114,82 @@ def open_chain():
     return Mechanism(links, joints, driven_joint="A")
 
 
+def chain_of_kinds():
+    """A driven crank, and behind it a joint of every kind with plain coordinates, on rigid links and on flexible ones,
+    in the middle of one of them, none along a global axis."""
+    links = [
+        link("a", 0.1),
+        link("b", 0.2, 2),
+        link("c", 0.15, point_masses=[PointMass(0.1, (0.06, 0.01, -0.02), (1e-5, 2e-5, 3e-5))]),
+        link("d", 0.25, 3),
+        link("e", 0.12),
+        link("f", 0.1, 2),
+        link("g", 0.1),
+    ]
+    joints = [
+        Joint("A", "base", "a", orientation=(0.2, 0.0, 0.3), angle=0.4),
+        Joint("P", "a", "b", kind="prismatic", orientation=(0.3, -0.2, 0.1), displacement=0.05),
+        Joint("U", "b", "c", kind="universal", child_position=(0.01, 0.0, 0.02), start=(0.3, -0.5)),
+        Joint("C", "b", "d", kind="cylindrical", position=(0.12, 0.01, 0.0), angle=0.6, displacement=-0.03),
+        Joint("L", "d", "e", kind="planar", child_orientation=(0.1, 0.2, -0.3), start=(0.02, -0.04, 0.7)),
+        Joint("F", "e", "f", kind="fixed", orientation=(0.5, 0.1, 0.2)),
+        Joint("R", "d", "g", position=(0.125, 0.0, 0.01), angle=-0.8),
+    ]
+    return Mechanism(links, joints, driven_joint="A")
+
+
+OFFSETS = {"prismatic": (0.04, 0.0, 0.0), "cylindrical": (0.0, 0.05, 0.0), "planar": (0.03, 0.0, -0.02)}
+
+
+def loop_cut_by(kind, rfes=2):
+    """A structure of two links at right angles, whose ends the cut joint joins with all its axes alike, apart where
+    its kind lets them be."""
+    x, y, z = OFFSETS.get(kind, (0.0, 0.0, 0.0))
+    links = [link("left", 0.3, rfes), link("right", 0.25, rfes)]
+    joints = [
+        Joint("A", "base", "left"),
+        Joint("D", "base", "right", position=(0.3 + x, y, 0.25 + z), angle=np.pi / 2),
+        Joint("C", "left", "right", cut=True, kind=kind, child_orientation=(0.0, -np.pi / 2, 0.0)),
+    ]
+    return Mechanism(links, joints)
+
+
+def chain_with_balls():
+    """A free link, spherical joints on a rigid and on a flexible one, and a driven hinge on another branch."""
+    links = [link("a", 0.1), link("b", 0.2, 2), link("c", 0.15), link("d", 0.1)]
+    joints = [
+        Joint("O", "base", "a", kind="free", orientation=(0.2, 0.0, 0.3), start=(0.1, -0.2, 0.3, 2.0, 1.4, -0.5)),
+        Joint("S", "a", "b", kind="spherical", start=(0.3, -0.6, 0.2)),
+        Joint("T", "b", "c", kind="spherical", position=(0.15, 0.01, 0.0), child_position=(0.01, 0.0, 0.02)),
+        Joint("A", "a", "d", position=(0.05, 0.0, 0.0), angle=0.4),
+    ]
+    return Mechanism(links, joints, driven_joint="A")
+
+
+def loop_with_a_ball():
+    """A spatial four-bar revolute, spherical, universal, revolute with a flexible coupler, cut at the universal."""
+    links = [link("crank", 0.1), link("coupler", 0.3, 2), link("rocker", 0.3)]
+    joints = [
+        Joint("A", "base", "crank", angle=-np.pi / 2),
+        Joint("B", "crank", "coupler", kind="spherical"),
+        Joint("D", "base", "rocker", position=(0.3, 0, -0.2), angle=-np.pi / 2),
+        Joint("C", "coupler", "rocker", kind="universal", cut=True, child_orientation=(0.0, np.pi / 2, 0.0)),
+    ]
+    return Mechanism(links, joints, driven_joint="A")
+
+
+def two_cuts_of_different_kinds():
+    """The loop with a cut prismatic joint, and a third link with a cut universal joint in the middle of the first."""
+    loop = loop_cut_by("prismatic")
+    joints = [
+        *loop.joints,
+        Joint("E", "base", "prop", position=(0.2, 0.0, 0.2), kind="cylindrical", angle=np.pi / 2),
+        Joint("U", "left", "prop", cut=True, kind="universal", position=(0.2, 0.0, 0.0),
+              child_orientation=(0.0, -np.pi / 2, 0.0)),
+    ]  # fmt: skip
+    return Mechanism([*loop.links, link("prop", 0.2)], joints)
+
+
 ALL = (four_bar, three_link_loop, six_link_loop, twisted_spatial_loop, two_loop_six_bar, open_chain)
 
 
@@ -132,8 +208,9 @@ def random_state(model, rng, angle=0.5, rate=5.0):
     import jax.numpy as jnp
 
     from rfem_jax.mechanics.model import Coordinates, State
+    from rfem_jax.mechanics.orientations import moved
 
-    n, k = model.topology.n_links, model.topology.n_rfes
+    n, k = model.topology.n_freedoms, model.topology.n_rfes
     scale = np.array([0.01, 0.01, 0.01, 0.3, 0.3, 0.3])[:, None]
 
     def draw(size, elastic):
@@ -143,4 +220,4 @@ def random_state(model, rng, angle=0.5, rate=5.0):
         )
 
     position, velocity = draw(angle, 1.0), draw(rate, 10.0)
-    return State(Coordinates(model.start_angles + position.angles, position.elastic), velocity)
+    return State(moved(model.topology, model.start_coordinates(), position), velocity)

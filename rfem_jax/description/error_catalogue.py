@@ -3,29 +3,18 @@
 Place in the pipeline: `mechanism` lists the names of its errors, `study` checks those of its cases,
 `mechanics` turns them into transforms.
 
-Names: JOINT.delta_x, .delta_z [rad], .d_x, .d_y, .d_z [m] displace the joint's seat in its parent;
+Names: JOINT.delta_x, .delta_y, .delta_z [rad], .d_x, .d_y, .d_z [m] displace the joint's seat in its parent;
 JOINT.child.delta_x ... the bore in the child; JOINT.pin_tilt_x, .pin_tilt_z [rad] tilt one pin in
-both links (nothing stressed at the start angle); LINK.length [m]; LINK.twist [rad].
-Source: theory (2.3) to (2.5).
+both links (nothing stressed at the start angle); LINK.length [m]; LINK.twist [rad]. Which of them a joint has
+depends on its kind (`joint_kinds`). Source: theory (2.3) to (2.5), (2.17).
 """
 
 import math
 
 from rfem_jax.description.errors import InputError, suggestion
+from rfem_jax.description.joint_kinds import KINDS, joint_errors
 
-_SEAT = {
-    "delta_x": "angle",
-    "delta_z": "angle",
-    "d_x": "length",
-    "d_y": "length",
-    "d_z": "length",
-}
-JOINT_ERRORS = {
-    **_SEAT,
-    **{f"child.{component}": dimension for component, dimension in _SEAT.items()},
-    "pin_tilt_x": "angle",
-    "pin_tilt_z": "angle",
-}
+JOINT_ERRORS = {name: dimension for kind in KINDS.values() for name, dimension in joint_errors(kind).items()}
 LINK_ERRORS = {"length": "length", "twist": "angle"}
 _KNOWN = {**JOINT_ERRORS, **LINK_ERRORS}
 

@@ -1,23 +1,25 @@
-"""Joints: hinges about the local y axis between a parent (a link or the base) and a child link.
+"""Joints of several kinds between a parent (a link or the base) and a child link.
 
 Place in the pipeline: joints connect the links of a mechanism; cut joints close its loops.
 
 Frames: `position` and `orientation` place the joint's nominal frame F in the parent's frame (the
 global frame for the base; the link frame, x along the beam, for a link); `child_position` and
-`child_orientation` place the hinge in the child's link frame. R = R_z R_y R_x.
-Source: theory (2.3) to (2.6).
+`child_orientation` place the joint in the child's link frame. R = R_z R_y R_x.
+Source: theory (2.3) to (2.6), (2.14) to (2.16).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from rfem_jax.description.errors import Checks, ChecksItself, InputError, require_flag, require_name
+from rfem_jax.description.joint_kinds import DEFAULT, KINDS, JointKind, require_kind
 from rfem_jax.description.units import quantity, vector
 
 
 @dataclass(frozen=True)
 class Joint(ChecksItself):
-    """A hinge about the y axis of its frame.
+    """A joint that lets its child move relative to its parent as its kind says.
 
     Args:
         name: a word.
@@ -28,9 +30,16 @@ class Joint(ChecksItself):
         child_position: (x, y, z) [m] in the child's frame; None = the child's origin for a joint of
             the tree, its far end for a cut joint.
         child_orientation: angles (about x, y, z) [rad] in the child's frame.
-        angle: approximate start value [rad] of the joint coordinate; None = 0. Not of a cut joint,
-            whose angle follows from closing the loop.
+        angle: approximate start value [rad] of the angle of a kind that has one; a joint of the tree
+            only, where None means 0 (a cut joint keeps None).
         cut: True if the joint closes a loop and is expressed by constraint equations.
+        kind: "revolute" (about y), "prismatic" (along x), "cylindrical" (about and along y), "universal"
+            (about the parent's y, then the child's z), "spherical", "planar" (along x and z, about y),
+            "fixed" or "free".
+        displacement: approximate start value [m] of the displacement of a kind that has one, as `angle`.
+        start: approximate start values of a kind with several angles or displacements, in the order of
+            its motions (universal: 2 angles; planar: x, z, angle; spherical: angles about x, y, z of
+            R_z R_y R_x; free: x, y, z and these angles); None means zeros.
     Raises:
         InputError: a value is out of range or of the wrong kind.
     """
@@ -44,21 +53,23 @@ class Joint(ChecksItself):
     child_orientation: tuple[float, float, float] = (0.0, 0.0, 0.0)
     angle: float | None = None
     cut: bool = False
+    kind: str = DEFAULT
+    displacement: float | None = None
+    start: tuple[float, ...] | None = None
 
     def _check_fields(self, checks: Checks) -> None:
         checks.convert("name", require_name, "`name` of a joint")
         of = f"of joint `{self.name}`"
+        checks.convert("kind", _kind_name, f"`kind` {of}")
         checks.convert("parent", require_name, f"`parent` {of}")
         checks.convert("child", _child, of)
         checks.relation(("parent", "child"), self._check_child, of)
         checks.convert("cut", require_flag, f"`cut` {of}")
         for field, dimension in _VECTORS.items():
             checks.convert(field, _vector, dimension, f"`{field}` {of}")
-        if self.angle is not None:
-            checks.convert("angle", quantity, "angle", f"`angle` {of}")
-        checks.relation(("cut",), self._check_angle, of)
-        if self.angle is None and self.cut is False:
-            object.__setattr__(self, "angle", 0.0)
+        checks.relation(("kind", "cut"), self._check_cut, of)
+        if checks.passed("kind", "cut"):
+            self._set_start(checks, of)
 
     def _check_child(self, of: str) -> None:
         if self.parent == self.child:
@@ -67,12 +78,67 @@ class Joint(ChecksItself):
                 f"`{self.child}`; name the two links that it joins."
             )
 
-    def _check_angle(self, of: str) -> None:
-        if self.cut and self.angle is not None:
+    def _check_cut(self, of: str) -> None:
+        if self.cut and KINDS[self.kind].constraints == 0:
             raise InputError(
-                f"Argument `angle` {of} must be left out because the joint is cut, but was "
-                f"{self.angle!r}; a cut joint's angle follows from closing the loop."
+                f'Argument `kind` {of} must be another than "free" because the joint is cut, but was '
+                '"free"; it would not join anything: leave the joint out.'
             )
+
+    @property
+    def start_values(self) -> tuple[float, ...]:
+        """Approximate start values of all coordinates of a joint of the tree, in the order of its motions."""
+        kind = KINDS[self.kind]
+        if _has_names(kind):
+            return tuple(float((self.angle if one.rotation else self.displacement) or 0.0) for one in kind.freedoms)
+        return self.start or (0.0,) * len(kind.freedoms)
+
+    def _set_start(self, checks: Checks, of: str) -> None:
+        """Check `angle`, `displacement` and `start`, and set those that the kind has and that were left out."""
+        kind = KINDS[self.kind]
+        counts = {"angle": kind.angles, "displacement": kind.displacements}
+        named = _has_names(kind)
+        wanted = {field for field, count in counts.items() if count == 1} if named else {"start"}
+        for field in ("angle", "displacement", "start"):
+            value = getattr(self, field)
+            if self.cut or field not in wanted:
+                if value is not None:
+                    checks.relation((field,), self._refuse_start, of, kind, field, value, sorted(wanted))
+            elif field == "start":
+                zeros = (0.0,) * len(kind.freedoms)
+                checks.set(field, zeros if value is None else value, _start_values, kind, of)
+            else:
+                dimension = "angle" if field == "angle" else "length"
+                checks.set(field, 0.0 if value is None else value, quantity, dimension, f"`{field}` {of}")
+
+    def _refuse_start(self, of: str, kind: JointKind, field: str, value: object, wanted: Sequence[str]) -> None:
+        if self.cut:
+            reason, fix = "the joint is cut", f"a cut joint's {field} follows from closing the loop."
+        else:
+            reason = f"the joint is {kind.name}"
+            fix = f"give {' and '.join(f'`{name}`' for name in wanted)}." if wanted else "it has no coordinate."
+        raise InputError(f"Argument `{field}` {of} must be left out because {reason}, but was {value!r}; {fix}")
+
+
+def _has_names(kind: JointKind) -> bool:
+    """Whether the start of a kind is an angle, a displacement or both, and not a list."""
+    return kind.angles <= 1 and kind.displacements <= 1
+
+
+def _start_values(values: object, kind: JointKind, of: str) -> tuple[float, ...]:
+    """A list of as many quantities as the kind has coordinates, each of its dimension."""
+    freedoms, where = kind.freedoms, f"`start` {of}"
+    if not isinstance(values, (list, tuple)) or len(values) != len(freedoms):
+        raise InputError(
+            f"Argument {where} must be a list of {len(freedoms)} numbers because the joint is {kind.name}, but was "
+            f"{values!r}; write for example {[0.0] * len(freedoms)}."
+        )
+    entries = zip(values, freedoms, strict=True)
+    return tuple(quantity(value, one.dimension, f"{where} (entry {n})") for n, (value, one) in enumerate(entries, 1))
+
+
+def _kind_name(kind: object, where: str) -> str:
+    return require_kind(kind, where).name
 
 
 def _child(child: object, of: str) -> str:

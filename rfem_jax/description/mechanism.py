@@ -1,4 +1,4 @@
-"""Mechanism: links joined by hinges to a tree that starts at the base, closed by cut joints.
+"""Mechanism: links joined by joints to a tree that starts at the base, closed by cut joints.
 
 Place in the pipeline: the whole of what is built, without errors and drive; `mechanics` discretises
 it. Everything is checked at construction.
@@ -12,8 +12,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-from rfem_jax.description.error_catalogue import JOINT_ERRORS, LINK_ERRORS, error_dimension, error_unit
+from rfem_jax.description.error_catalogue import LINK_ERRORS, error_dimension, error_unit
 from rfem_jax.description.errors import Checks, ChecksItself, InputError, Problems, require_choice, subject, suggestion
+from rfem_jax.description.joint_kinds import KINDS, joint_errors
 from rfem_jax.description.joints import Joint
 from rfem_jax.description.links import Link
 from rfem_jax.description.units import vector
@@ -34,8 +35,8 @@ class Mechanism(ChecksItself):
         gravity: (x, y, z) [m/s^2] in the global frame.
         redundant_reactions: what to do where joint loads are not unique (rigid loops with parallel
             axes): "refuse", or "minimum_norm" for the solution of least norm.
-        driven_joint: the joint of the tree that a drive acts on and that assembly holds at its
-            start angle; None = none (a study sets it from its drive).
+        driven_joint: the revolute joint of the tree that a drive acts on and that assembly holds at
+            its start angle; None = none (a study sets it from its drive).
         elements: spring-damping elements: "linear" (small deflections relative to the link frame),
             or "geometrically_exact" (of any size).
     Raises:
@@ -92,7 +93,7 @@ class Mechanism(ChecksItself):
     @property
     def error_names(self) -> tuple[str, ...]:
         """All names of errors of this mechanism: those of the joints, then those of the links."""
-        joints = (f"{joint.name}.{error}" for joint in self.joints for error in JOINT_ERRORS)
+        joints = (f"{joint.name}.{error}" for joint in self.joints for error in joint_errors(KINDS[joint.kind]))
         links = (f"{link.name}.{error}" for link in self.links for error in LINK_ERRORS)
         return (*joints, *links)
 
@@ -179,7 +180,15 @@ class Mechanism(ChecksItself):
         )
 
     def _check_driven_joint(self) -> None:
-        if self.driven_joint is not None and self.joint(self.driven_joint).cut:
+        if self.driven_joint is None:
+            return
+        driven = self.joint(self.driven_joint)
+        if driven.kind != "revolute":
+            raise InputError(
+                "Argument `driven_joint` must be a revolute joint, because drives are moments and angles, but "
+                f"`{driven.name}` is {driven.kind}; drive a revolute joint."
+            )
+        if driven.cut:
             raise InputError(
                 "Argument `driven_joint` must be a joint of the tree, but "
                 f"`{self.driven_joint}` is cut; cut another joint of the loop."

@@ -106,6 +106,11 @@ def rotation_z(angle: Float[Array, "*k"]) -> Float[Array, "3 3 *k"]:
     return _matrix([[c, -s, zero], [s, c, zero], [zero, zero, one]])
 
 
+def rotation_about(axis: int, angle: Float[Array, "*k"]) -> Float[Array, "3 3 *k"]:
+    """Right-handed rotation about axis 0, 1 or 2 (x, y, z) by an angle [rad]."""
+    return (rotation_x, rotation_y, rotation_z)[axis](angle)
+
+
 def _rotation_entries(angle: Array) -> tuple[Array, Array, Array, Array]:
     """Cosine, sine, one and zero."""
     one = jnp.ones_like(angle)

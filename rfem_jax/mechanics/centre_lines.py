@@ -18,7 +18,7 @@ def link_lines(model: Model, actual: ModelWithErrors, position: Coordinates) -> 
     """Points (P, 3) [m] in global axes along every link: its origin, the middles of its rfes, its
     end."""
     topology = actual.topology
-    rotation, point = all_frames(topology, motion_of(actual, loads.static_state(position)))
+    rotation, point = all_frames(topology, motion_of(actual, loads.static_state(topology, position)))
     lines = {}
     for l, (name, (a, b)) in enumerate(zip(topology.links, topology.ranges)):
         first, last = topology.n_links + a, topology.n_links + b

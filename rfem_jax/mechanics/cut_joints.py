@@ -1,21 +1,27 @@
-"""Cut joints: the five constraint equations of each, with their first and second derivatives by time.
+"""Cut joints: their constraint equations, with first and second derivatives by time.
 
 Place in the pipeline: kinematics -> **cut_joints** -> dynamics, residual, newton, statics.
 
-Theory (5.1): the joint centres of the left side L and the right side P coincide (three equations,
-global axes), and the hinge axis y_L is perpendicular to x_P and z_P (two equations, times a length
-so that all five are in metres and the multipliers in newtons).  Theory (5.3) is complete:
-gamma = -(Phi_q)_dot q_dot.  All C cut joints are one array axis.
+What a cut joint holds together is the complement of its kind's free motions (theory (5.1), (5.14), (5.15)): the
+joint centres of the left side L and the right side P coincide (global axes), or are apart only along free
+directions of L; and axes of L stay perpendicular to axes of P (times a length, so that all equations are in
+metres and the multipliers in newtons).  Theory (5.3) is complete: gamma = -(Phi_q)_dot q_dot.  All cut joints of
+one kind are one array axis.
+
+Symbols: a axes of L, b axes of P that stay perpendicular; r equations of centres, s of axes, n joints of a kind.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jaxtyping import Float
 
+from rfem_jax.description.joint_kinds import KINDS, JointKind
 from rfem_jax.mechanics import algebra
 from rfem_jax.mechanics.algebra import Scalar, apply, apply_transposed, cross, dot, product
 from rfem_jax.mechanics.kinematics import Motion, node_frames
@@ -25,44 +31,141 @@ from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 RANK_TOLERANCE = 1e-9  # of singular values, relative to the largest
 
 
-class Closure(NamedTuple):
-    """The constraints of all cut joints at one instant.
+class Constraints(eqx.Module):
+    """The constraints of all cut joints of one kind at one instant.
 
-    residual, rate, bias (5, C): Phi [m], its rate and (Phi_q)_dot q_dot; couples (3, 2, C) [m]: moments on
-    P of the last two unit multipliers (the first three are forces at the centre of P; on L all act in the
-    opposite sense, at the centre of L); rotation, centre: the hinge frames L; right_centre: the joint's
-    centre on P; alignment (C,): y_L . y_P (must be near +1, not -1); angle (C,) [rad]: from L to P about
-    the hinge.
+    members: these joints, counted among the cut joints.  residual, rate, bias (r + s, n): Phi [m], its rate and
+    (Phi_q)_dot q_dot.  forces (3, r, n): unit multipliers of the equations of centres as forces on P, None where
+    these are the global axes; couples (3, s, n) [m]: moments on P of the other unit multipliers.  On L all act in
+    the opposite sense.  left_point, right_point (3, n): where the forces act on L and on P.
     """
 
-    residual: Float[Array, "5 cuts"]
-    rate: Float[Array, "5 cuts"]
-    bias: Float[Array, "5 cuts"]
-    couples: Float[Array, "3 2 cuts"]
+    kind: str = eqx.field(static=True)
+    members: tuple[int, ...] = eqx.field(static=True)
+    residual: Float[Array, "constraints n"]
+    rate: Float[Array, "constraints n"]
+    bias: Float[Array, "constraints n"]
+    forces: Float[Array, "3 r n"] | None
+    couples: Float[Array, "3 s n"]
+    left_point: Float[Array, "3 n"]
+    right_point: Float[Array, "3 n"]
+
+    @property
+    def n_centres(self) -> int:
+        """Number r of equations of the centres of one joint."""
+        return 3 if self.forces is None else self.forces.shape[1]
+
+    def wrenches(self, place: int, side: str, point: Float[Array, "3"]) -> Float[Array, "6 constraints"]:
+        """Wrenches at `point` of unit multipliers of one of the joints as they act on P (`side` "child"), or on L
+        ("parent") with the opposite sign."""
+        arm = (self.right_point if side == "child" else self.left_point)[:, place] - point
+        couples = self.couples[:, :, place]
+        if self.forces is None:
+            forces = jnp.asarray(np.hstack([algebra.IDENTITY, np.zeros(couples.shape)]))
+            moments = jnp.concatenate([algebra.cross_matrix(arm), couples], axis=1)
+            return jnp.concatenate([moments, forces])
+        of_centres = self.forces[:, :, place]
+        moments = jnp.concatenate([cross(arm[:, None], of_centres), couples], axis=1)
+        return jnp.concatenate([moments, jnp.concatenate([of_centres, jnp.zeros_like(couples)], axis=1)])
+
+    def loads(self, multipliers: Float[Array, "constraints n"]) -> tuple[Float[Array, "3 n"], Float[Array, "3 n"]]:
+        """Forces on P, and moments about its centre, of revolute joints about that of L, in global axes."""
+        r = self.n_centres
+        force = multipliers[:r] if self.forces is None else apply(self.forces, multipliers[:r])
+        couple = dot(jnp.swapaxes(self.couples, 0, 1), multipliers[r:, None])
+        if self.kind == "revolute":
+            couple = couple + cross(self.right_point - self.left_point, force)
+        return force, couple
+
+
+class Closure(NamedTuple):
+    """All cut joints at one instant.
+
+    groups: their constraints, a group a kind; rotation (3, 3, C), centre (3, C): the frames L; right_centre: the
+    joints' centres on P; alignment (C,): above 0 where a joint is closed as it is built, below 0 where its axes
+    point in opposite directions (theory (5.11), (5.16)); angle (C,) [rad]: from L to P about y of L.
+    """
+
+    groups: tuple[Constraints, ...]
     rotation: Float[Array, "3 3 cuts"]
     centre: Float[Array, "3 cuts"]
     right_centre: Float[Array, "3 cuts"]
     alignment: Float[Array, " cuts"]
     angle: Float[Array, " cuts"]
 
-    def wrenches(self, cut: int, side: str, point: Float[Array, "3"]) -> Float[Array, "6 5"]:
-        """Wrenches at `point` of unit multipliers of one cut joint as they act on P (`side` "child"), or on L
-        ("parent") with the opposite sign."""
-        centre = self.right_centre if side == "child" else self.centre
-        arm = centre[:, cut] - point
-        forces = jnp.asarray(np.hstack([algebra.IDENTITY, np.zeros((3, 2))]))
-        moments = jnp.concatenate([algebra.cross_matrix(arm), self.couples[:, :, cut]], axis=1)
-        return jnp.concatenate([moments, forces])
+    @property
+    def residual(self) -> Float[Array, " constraints"]:
+        """Phi [m], cut by cut."""
+        return self._cut_by_cut([group.residual for group in self.groups])
+
+    @property
+    def rate(self) -> Float[Array, " constraints"]:
+        """The rate of Phi [m/s]."""
+        return self._cut_by_cut([group.rate for group in self.groups])
+
+    @property
+    def bias(self) -> Float[Array, " constraints"]:
+        """(Phi_q)_dot q_dot [m/s^2]."""
+        return self._cut_by_cut([group.bias for group in self.groups])
+
+    def by_group(self, multipliers: Float[Array, " constraints"]) -> list[Float[Array, "rows n"]]:
+        """Rows of all closure equations, joints of a kind side by side."""
+        if len(self.groups) == 1:
+            (group,) = self.groups
+            return [jnp.swapaxes(multipliers.reshape(len(group.members), -1), 0, 1)]
+        order = sorted((i, group.residual.shape[0]) for group in self.groups for i in group.members)
+        stops = np.cumsum([size for _, size in order])
+        return [
+            jnp.stack([multipliers[stops[i] - group.residual.shape[0] : stops[i]] for i in group.members], axis=1)
+            for group in self.groups
+        ]
+
+    def place_of(self, cut: int) -> tuple[Constraints, int]:
+        """The group of a cut joint, and its place there."""
+        return next((group, group.members.index(cut)) for group in self.groups if cut in group.members)
+
+    def wrenches(self, cut: int, side: str, point: Float[Array, "3"]) -> Float[Array, "6 rows"]:
+        """`Constraints.wrenches` of one cut joint."""
+        group, place = self.place_of(cut)
+        return group.wrenches(place, side, point)
+
+    def _cut_by_cut(self, parts: list[Array]) -> Array:
+        """Rows (r, n) of all groups as one vector, all of the first cut joint first."""
+        if len(parts) == 1:
+            return jnp.swapaxes(parts[0], 0, 1).reshape(-1)
+        return jnp.concatenate(_in_order(self.groups, parts))
+
+
+def _in_order(groups: Sequence[Constraints], parts: Sequence[Array]) -> list[Array]:
+    """Columns of the last axis of all groups, in the order of the cut joints."""
+    by_cut = {i: part[..., k] for group, part in zip(groups, parts) for k, i in enumerate(group.members)}
+    return [by_cut[i] for i in sorted(by_cut)]
+
+
+def columns(groups: Sequence[Constraints], parts: Sequence[Float[Array, "*k n"]]) -> Float[Array, "*k cuts"]:
+    """Columns of all groups in the order of the cut joints."""
+    return parts[0] if len(parts) == 1 else jnp.stack(_in_order(groups, parts), axis=-1)
+
+
+class _Side(NamedTuple):
+    """One side of n cut joints: axes (3, 3, n) and centre (3, n), their rates, and their second derivatives for
+    q_ddot = 0."""
+
+    axes: Float[Array, "3 3 n"]
+    axes_rate: Float[Array, "3 3 n"]
+    axes_bias: Float[Array, "3 3 n"]
+    centre: Float[Array, "3 n"]
+    velocity: Float[Array, "3 n"]
+    centre_bias: Float[Array, "3 n"]
 
 
 def closure(actual: ModelWithErrors, motion: Motion, scale: Scalar) -> Closure | None:
-    """Constraints of all cut joints (None without any); `scale` [m] multiplies the two axis
-    equations."""
+    """Constraints of all cut joints (None without any); `scale` [m] multiplies the equations of axes."""
     topology = actual.topology
     if topology.n_cuts == 0:
         return None
     with jax.named_scope("closure"):
-        n = topology.n_links
+        n, c = topology.n_links, topology.n_cuts
         nodes = topology.parents[n:] + topology.children[n:]
         frames = node_frames(topology, motion, nodes)
         in_node = jnp.concatenate([actual.seat_rotation[:, :, n:], actual.bore_rotation[:, :, n:]], axis=2)
@@ -71,49 +174,137 @@ def closure(actual: ModelWithErrors, motion: Motion, scale: Scalar) -> Closure |
         centre = frames.point + apply(frames.rotation, offset)
         spin = frames.velocity[:3]
         velocity = frames.velocity[3:] + cross(spin, centre)
-        # Second derivatives of the centres and of the axes for q_ddot = 0.
         axis_rate = cross(spin[:, None], rotation)
         centre_bias, axis_bias = cross(spin, velocity), cross(spin[:, None], axis_rate)
-        c = topology.n_cuts
-        y, y_rate, y_bias = rotation[:, 1, :c], axis_rate[:, 1, :c], axis_bias[:, 1, :c]
-        # Columns x and z of P, of their rates and of their biases.
-        ends, end_rates, end_biases = (
-            jnp.stack([part[:, 0, c:], part[:, 2, c:]], axis=1) for part in (rotation, axis_rate, axis_bias)
-        )
-        bend = dot(y[:, None], ends)
-        bend_rate = dot(y_rate[:, None], ends) + dot(y[:, None], end_rates)
-        bend_bias = dot(y_bias[:, None], ends) + 2.0 * dot(y_rate[:, None], end_rates) + dot(y[:, None], end_biases)
-        x = apply_transposed(rotation[:, :, :c], rotation[:, 0, c:])
+        both = _Side(rotation, axis_rate, axis_bias, centre, velocity, centre_bias)
+        left, right = _Side(*(part[..., :c] for part in both)), _Side(*(part[..., c:] for part in both))
+        kinds = topology.kinds[n:]
+        groups = []
+        for kind in dict.fromkeys(kinds):
+            members = tuple(i for i in range(c) if kinds[i] == kind)
+            on_left, on_right = (_Side(*(_members(part, members) for part in side)) for side in (left, right))
+            groups.append(_constraints(KINDS[kind], members, on_left, on_right, scale))
+        x = apply_transposed(left.axes, right.axes[:, 0])
+        alignment = [
+            _alignment(KINDS[group.kind], *(_members(side.axes, group.members) for side in (left, right)))
+            for group in groups
+        ]
         return Closure(
-            residual=jnp.concatenate([centre[:, c:] - centre[:, :c], scale * bend]),
-            rate=jnp.concatenate([velocity[:, c:] - velocity[:, :c], scale * bend_rate]),
-            bias=jnp.concatenate([centre_bias[:, c:] - centre_bias[:, :c], scale * bend_bias]),
-            couples=scale * cross(ends, y[:, None]),
-            rotation=rotation[:, :, :c],
-            centre=centre[:, :c],
-            right_centre=centre[:, c:],
-            alignment=dot(y, rotation[:, 1, c:]),
+            groups=tuple(groups),
+            rotation=left.axes,
+            centre=left.centre,
+            right_centre=right.centre,
+            alignment=columns(groups, alignment),
             angle=jnp.arctan2(-x[2], x[0]),
         )
+
+
+def _members(values: Array, members: tuple[int, ...]) -> Array:
+    """Columns of the last axis, the array itself where these are all."""
+    if members == tuple(range(values.shape[-1])):
+        return values
+    return jnp.stack([values[..., i] for i in members], axis=-1)
+
+
+def _constraints(kind: JointKind, members: tuple[int, ...], left: _Side, right: _Side, scale: Scalar) -> Constraints:
+    centres = _coincidence(left, right) if kind.coincident else _guidance(kind.across, left, right)
+    forces, left_point, *of_centres = centres
+    couples, *of_axes = _perpendicularity(kind.perpendicular, left, right, scale)
+    residual, rate, bias = (jnp.concatenate(parts) for parts in zip(of_centres, of_axes))
+    return Constraints(kind.name, members, residual, rate, bias, forces, couples, left_point, right.centre)
+
+
+def _coincidence(left: _Side, right: _Side) -> tuple[None, Array, Array, Array, Array]:
+    """The centres coincide (theory (5.1)): forces, where they act on L, residual, rate, bias."""
+    return (
+        None,
+        left.centre,
+        right.centre - left.centre,
+        right.velocity - left.velocity,
+        right.centre_bias - left.centre_bias,
+    )
+
+
+def _guidance(across: tuple[int, ...], left: _Side, right: _Side) -> tuple[Array, Array, Array, Array, Array]:
+    """The centre of P stays on lines or planes of L (theory (5.14)); as `_coincidence`."""
+    a, a_rate, a_bias = (
+        jnp.stack([part[:, i] for i in across], axis=1) for part in (left.axes, left.axes_rate, left.axes_bias)
+    )
+    d, d_rate = (right.centre - left.centre)[:, None], (right.velocity - left.velocity)[:, None]
+    d_bias = (right.centre_bias - left.centre_bias)[:, None]
+    # On L the force acts at the centre of P, too.
+    return (
+        a,
+        right.centre,
+        dot(a, d),
+        dot(a_rate, d) + dot(a, d_rate),
+        dot(a_bias, d) + 2.0 * dot(a_rate, d_rate) + dot(a, d_bias),
+    )
+
+
+def _perpendicularity(
+    pairs: tuple[tuple[int, int], ...], left: _Side, right: _Side, scale: Scalar
+) -> tuple[Array, Array, Array, Array]:
+    """Axes of L are perpendicular to axes of P (theory (5.1), (5.15)): couples, residual, rate, bias."""
+    if not pairs:
+        none = left.centre[:0]
+        return left.centre[:, None][:, :0], none, none, none
+    on_left = {i for i, _ in pairs}
+
+    def of_left(part: Array) -> Array:
+        if len(on_left) == 1:
+            return part[:, pairs[0][0]][:, None]
+        return jnp.stack([part[:, i] for i, _ in pairs], axis=1)
+
+    a, a_rate, a_bias = (of_left(part) for part in (left.axes, left.axes_rate, left.axes_bias))
+    b, b_rate, b_bias = (
+        jnp.stack([part[:, j] for _, j in pairs], axis=1) for part in (right.axes, right.axes_rate, right.axes_bias)
+    )
+    bend = dot(a, b)
+    bend_rate = dot(a_rate, b) + dot(a, b_rate)
+    bend_bias = dot(a_bias, b) + 2.0 * dot(a_rate, b_rate) + dot(a, b_bias)
+    return scale * cross(b, a), scale * bend, scale * bend_rate, scale * bend_bias
+
+
+def _alignment(kind: JointKind, left: Float[Array, "3 3 n"], right: Float[Array, "3 3 n"]) -> Float[Array, " n"]:
+    """Sign by which the solutions of a kind's equations of axes differ, at most 1 (theory (5.11), (5.16))."""
+    if kind.angles == 0:
+        # Turned by 180 deg about any axis, frames solve the equations, too.
+        return 0.5 * (jnp.sum(left * right, axis=(0, 1)) - 1.0)
+    if kind.angles == 3:
+        return jnp.ones_like(left[0, 0])
+    axis = next(freedom.axis for freedom in kind.freedoms if freedom.rotation)
+    return dot(left[:, axis], right[:, axis])
 
 
 def assembly_modes(actual: ModelWithErrors, motion: Motion, cuts: Closure) -> Float[Array, " cuts"]:
     """On which side every cut joint closes its loop: +1, -1, or 0 at the change point itself (theory (5.13)).
 
     The sign of y_L . (left arm x right arm); an arm reaches from the tree joint of the link on that side
-    (the datum for the base) to the cut joint.  A planar four-bar has two assembly modes for one crank
-    angle; at a change point, where the arms are parallel, it may pass from one to the other.
+    (the datum for the base) to the cut joint, or across the slide of a prismatic one.  A planar four-bar has two
+    assembly modes for one crank angle; at a change point, where the arms are parallel, it may pass from one to the
+    other.  It is 0 where a joint has another number of coordinates than one, and for other cut joints than revolute
+    ones.
     """
-    topology = actual.topology
+    topology, n = actual.topology, actual.topology.n_links
 
-    def hinge_of(node: int) -> Array:
-        return actual.datum if node == BASE else motion.hinges.point[:, topology.link_of(node)]
+    def arm(node: int, cut: int, centre: Array) -> Array:
+        if node == BASE:
+            return centre[:, cut] - actual.datum
+        link = topology.link_of(node)
+        freedoms = topology.kind(link).freedoms
+        if len(freedoms) != 1:
+            return jnp.zeros_like(actual.datum)
+        if freedoms[0].rotation:
+            return centre[:, cut] - motion.hinges.point[:, link]
+        # A slide moves as about a hinge far away across it.
+        return cross(motion.axis[3:, topology.coordinates[link][0]], cuts.rotation[:, 1, cut])
 
-    n = topology.n_links
-    left = jnp.stack([hinge_of(node) for node in topology.parents[n:]], axis=1)
-    right = jnp.stack([hinge_of(node) for node in topology.children[n:]], axis=1)
-    normal = cross(cuts.centre - left, cuts.centre - right)
-    return jnp.sign(dot(cuts.rotation[:, 1], normal))
+    left = jnp.stack([arm(topology.parents[n + i], i, cuts.centre) for i in range(topology.n_cuts)], axis=1)
+    right = jnp.stack([arm(topology.children[n + i], i, cuts.right_centre) for i in range(topology.n_cuts)], axis=1)
+    modes = jnp.sign(dot(cuts.rotation[:, 1], cross(left, right)))
+    told = np.array([topology.kind(j).motions == ("R_y",) for j in topology.cuts])
+    return modes if told.all() else jnp.where(told, modes, 0.0)
 
 
 def unit_columns(
@@ -122,7 +313,7 @@ def unit_columns(
     """Wrenches at `point` on one node of unit multipliers of all cut joints: columns of Phi_q^T."""
     columns = []
     for i, j in enumerate(topology.cuts):
-        unit = jnp.zeros((6, 5) + point.shape[1:])
+        unit = jnp.zeros((6, len(topology.constraints[i])) + point.shape[1:])
         if node == topology.children[j]:
             unit = unit + cuts.wrenches(i, "child", point)
         if node == topology.parents[j]:

@@ -3,6 +3,7 @@
 Place in the pipeline: model_building, nominal_geometry -> **discretisation** -> everything else.
 """
 
+import dataclasses
 from typing import NamedTuple
 
 import equinox as eqx
@@ -13,13 +14,21 @@ from jaxtyping import Float
 from rfem_jax.description.errors import InputError, require_choice
 from rfem_jax.description.mechanism import ELEMENTS, Mechanism
 from rfem_jax.mechanics.cut_joints import RANK_TOLERANCE
-from rfem_jax.mechanics.model import Model
+from rfem_jax.mechanics.model import BASE, Model
 from rfem_jax.mechanics.model_building import build_model
-from rfem_jax.mechanics.nominal_geometry import closure_jacobian, gaps, geometry_of, place
+from rfem_jax.mechanics.nominal_geometry import (
+    closure_jacobian,
+    gaps,
+    geometry_of,
+    joint_units,
+    moved,
+    place,
+)
 
 # Of the longest link.  Overconstrained loops close only as well as their numbers were typed: with angles of six
 # decimals a Bennett linkage stays open by 2e-7.  Flexible links take up the rest in the static start.
 CLOSING_TOLERANCE = 1e-6
+IDLE_TOLERANCE = 1e-3  # of a motion of size one
 RIGID_CLOSING_TOLERANCE = 1e-9  # where reactions are redundant, nothing gives way
 
 
@@ -29,7 +38,8 @@ class Structure(NamedTuple):
     coordinates: number of coordinates; constraints: closure equations; rank: of their Jacobian;
     mobility: coordinates - rank, the degrees of freedom; rigid_*: the same with every link rigid;
     redundant: the multipliers, hence the joint loads, are not unique; gap [m]: how far the cut joint that closes
-    worst stays open at the start with every link rigid.
+    worst stays open at the start with every link rigid; idle: names of links in a loop that could move alone if
+    all were rigid, as a rod between two spherical joints about its own axis.
     """
 
     coordinates: int
@@ -41,6 +51,7 @@ class Structure(NamedTuple):
     rigid_mobility: int
     redundant: bool
     gap: float
+    idle: tuple[str, ...] = ()
 
 
 def discretise(mechanism: Mechanism, rfes: int | None = None, elements: str | None = None) -> Model:
@@ -62,11 +73,14 @@ def discretise(mechanism: Mechanism, rfes: int | None = None, elements: str | No
     counts = {link.name: link.elements if rfes is None or link.elements == 1 else int(rfes) for link in mechanism.links}
     model = _close(build_model(mechanism, counts, elements == "geometrically_exact"))
     structure = describe(model)
+    if structure.idle:
+        idle = tuple(sorted(_idle_coordinates(model)))
+        model = dataclasses.replace(model, topology=model.topology._replace(idle=idle))
     if structure.redundant and not model.topology.minimum_norm:
         raise InputError(
             f"Argument `mechanism` must have unique joint reactions, but its "
             f"{structure.constraints} closure equations have rank {structure.rank}: rigid loops with "
-            "parallel axes are statically indeterminate. Make one link of each loop flexible, or set "
+            "parallel axes or slides are statically indeterminate. Make one link of each loop flexible, or set "
             'redundant_reactions = "minimum_norm" to get the reactions of least norm.'
         )
     if structure.redundant and structure.gap > RIGID_CLOSING_TOLERANCE * float(np.max(model.length)):
@@ -90,22 +104,70 @@ def require_double_precision() -> None:
 def describe(model: Model) -> Structure:
     """Rank and mobility at the nominal start, flexible and with every link rigid (theory (5.8))."""
     geometry = geometry_of(model)
-    placed = place(geometry, np.asarray(model.start_angles))
+    placed = place(geometry, np.asarray(model.start_joints))
     jacobian = closure_jacobian(geometry, placed)
     residual = gaps(geometry, placed).residual
-    rank, rigid_rank = _rank(jacobian), _rank(jacobian[:, : model.topology.n_links])
+    rank, rigid_rank = _rank(jacobian), _rank(jacobian[:, : model.topology.n_freedoms])
     constraints, size = jacobian.shape
     return Structure(
         coordinates=size,
         constraints=constraints,
         rank=rank,
         mobility=size - rank,
-        rigid_coordinates=model.topology.n_links,
+        rigid_coordinates=model.topology.n_freedoms,
         rigid_rank=rigid_rank,
-        rigid_mobility=model.topology.n_links - rigid_rank,
+        rigid_mobility=model.topology.n_freedoms - rigid_rank,
         redundant=rank < constraints,
         gap=float(np.abs(residual).max(initial=0.0) * np.max(np.asarray(model.length))),
+        idle=tuple(dict.fromkeys(_idle_coordinates(model).values())),
     )
+
+
+def _idle_coordinates(model: Model) -> dict[int, str]:
+    """{joint coordinate that stands for an idle freedom: its link}: links with two joints or more, one of them on a
+    moving link, that can move while no other does, all of them rigid and their joint not driven (theory (5.17))."""
+    topology, geometry = model.topology, geometry_of(model)
+    if topology.n_cuts == 0:
+        return {}
+    n = topology.n_links
+    placed = place(geometry, np.asarray(model.start_joints))
+    free = _null_space(closure_jacobian(geometry, placed)[:, : topology.n_freedoms])
+    if free.shape[1] == 0:
+        return {}
+    twists, units = np.zeros((n, 6, topology.n_freedoms)), joint_units(geometry)
+    for l, parent in enumerate(topology.parents[:n]):
+        if parent != BASE:
+            twists[l] = twists[topology.link_of(parent)]
+        for k in topology.coordinates[l]:
+            twists[l, :, k] += units[k] * placed.twists[k]
+    twists[:, 3:] /= geometry.scale
+    moving = twists @ free
+    ends = zip(topology.parents, topology.children)
+    pairs = [tuple(-1 if node == BASE else topology.link_of(node) for node in pair) for pair in ends]
+    found = {}
+    for l in range(n):
+        joined = [a if b == l else b for a, b in pairs if l in (a, b)]
+        if len(joined) < 2 or max(joined) < 0 or l == topology.driven:
+            continue
+        alone = _null_space(np.delete(moving, l, axis=0).reshape(-1, free.shape[1]))
+        if alone.shape[1] == 0:
+            continue
+        size, directions = np.linalg.svd(moving[l] @ alone)[1:]
+        motions = free @ alone @ directions[: int(np.sum(size > IDLE_TOLERANCE))].T
+        # As many coordinates of the link's own joint as it has idle freedoms, those that move most.
+        from scipy.linalg import qr  # few mechanisms need it, and it takes a tenth of a second
+
+        *_, order = qr(motions[list(topology.coordinates[l])].T, mode="r", pivoting=True)
+        found |= {topology.coordinates[l][k]: topology.links[l] for k in order[: motions.shape[1]]}
+    return found
+
+
+def _null_space(matrix: np.ndarray) -> np.ndarray:
+    """Orthonormal columns that a matrix takes to zero."""
+    if 0 in matrix.shape:
+        return np.eye(matrix.shape[1])
+    _, singular, rows = np.linalg.svd(matrix)
+    return rows[int(np.sum(singular > 1e3 * RANK_TOLERANCE * max(singular[0], 1e-300))) :].T
 
 
 def _rank(jacobian: np.ndarray) -> int:
@@ -116,32 +178,34 @@ def _rank(jacobian: np.ndarray) -> int:
 
 
 def close_at(
-    model: Model, angles: Float[np.ndarray, " links"]
+    model: Model, joints: Float[np.ndarray, " numbers"]
 ) -> tuple[
-    Float[np.ndarray, " links"],
+    Float[np.ndarray, " numbers"],
     Float[np.ndarray, " constraints"],
     Float[np.ndarray, " cuts"],
     Float[np.ndarray, " cuts"],
 ]:
-    """Refine all joint angles [rad] but the driven one so that the nominal rigid loops close: Newton's method
-    with steps of least norm (theory (5.10)).
+    """Refine the position of all joints but the driven one so that the nominal rigid loops close: Newton's
+    method with steps of least norm (theory (5.10)).
 
-    **Returns:** angles (links,), residuals (5 cuts,) over the longest link, y_L . y_P of each cut joint,
-    and the angles of the cut joints.
+    **Returns:** position, residuals (constraints,) over the longest link, alignment and angle of each
+    cut joint as in `cut_joints.Closure`.
     """
     topology, geometry = model.topology, geometry_of(model)
-    free = np.array([l for l in range(topology.n_links) if l != topology.driven], dtype=int)
-    angles = np.array(angles, dtype=float)
+    free = np.array([k for k in range(topology.n_freedoms) if k != topology.driven_coordinate], dtype=int)
+    units = joint_units(geometry)[free]
+    joints, change = np.array(joints, dtype=float), np.zeros(topology.n_freedoms)
     for _ in range(100):
-        placed = place(geometry, angles)
+        placed = place(geometry, joints)
         jacobian = closure_jacobian(geometry, placed)[:, free]
         step = np.linalg.lstsq(jacobian, gaps(geometry, placed).residual, rcond=1e-10)[0]
         largest = np.abs(step).max(initial=0.0)
-        angles[free] -= step * min(1.0, 0.5 / max(largest, 1e-300))
+        change[free] = -units * step * min(1.0, 0.5 / max(largest, 1e-300))
+        joints = moved(topology, joints, change)
         if largest < 1e-14:
             break
-    residual, alignment, cut_angles = gaps(geometry, place(geometry, angles))
-    return angles, residual, alignment, cut_angles
+    residual, alignment, cut_angles = gaps(geometry, place(geometry, joints))
+    return joints, residual, alignment, cut_angles
 
 
 def _close(model: Model) -> Model:
@@ -149,19 +213,21 @@ def _close(model: Model) -> Model:
     topology = model.topology
     if topology.n_cuts == 0:
         return model
-    angles, residual, alignment, cut_angles = close_at(model, np.asarray(model.start_angles))
+    joints, residual, alignment, cut_angles = close_at(model, np.asarray(model.start_joints))
     if not np.abs(residual).max() < CLOSING_TOLERANCE:
         gap = np.abs(residual).max() * float(np.max(model.length))
-        worst = topology.joints[topology.n_links + int(np.abs(residual).argmax()) // 5]
+        row = int(np.abs(residual).argmax())
+        worst = next(topology.joints[j] for j, rows in zip(topology.cuts, topology.constraints) if row in rows)
         raise InputError(
             f"Argument `mechanism` must close at its start, but joint {worst!r} stays open by "
             f"{gap:.3g} m with every link rigid; check lengths, positions and start angles (all "
             "but the driven one are refined)."
         )
     if (alignment < 0.0).any():
-        worst = topology.joints[topology.n_links + int(alignment.argmin())]
+        worst = topology.n_links + int(alignment.argmin())
+        axes = "hinge axes" if topology.kinds[worst] == "revolute" else f"frames ({topology.kinds[worst]})"
         raise InputError(
-            f"Argument `mechanism` must close with both hinge axes of joint {worst!r} alike, but "
+            f"Argument `mechanism` must close with both {axes} of joint {topology.joints[worst]!r} alike, but "
             "they point in opposite directions; turn the frame of its child by 180 deg."
         )
-    return eqx.tree_at(lambda m: (m.start_angles, m.cut_angles), model, (jnp.asarray(angles), jnp.asarray(cut_angles)))
+    return eqx.tree_at(lambda m: (m.start_joints, m.cut_angles), model, (jnp.asarray(joints), jnp.asarray(cut_angles)))

@@ -28,8 +28,8 @@ from rfem_jax.mechanics.algebra import apply, apply_transposed, cross, dot, prod
 from rfem_jax.mechanics.cut_joints import Closure, closure, invert_closure, unit_columns
 from rfem_jax.mechanics.elements.elasticity import elastic_loads
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation
-from rfem_jax.mechanics.joint_forces import hinge_moment
-from rfem_jax.mechanics.kinematics import Motion, motion_of, node_frames, spread, total
+from rfem_jax.mechanics.joint_forces import joint_force
+from rfem_jax.mechanics.kinematics import Motion, by_freedom, motion_of, node_frames, spread, total
 from rfem_jax.mechanics.model import BASE, Coordinates, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 
@@ -38,22 +38,22 @@ class InterfaceTree(NamedTuple):
     """The reduced tree: links (rfes 0) first, then the free rfes with links outboard; n bodies.
 
     point (3, n): of their islands; velocity (6, n), inertia (6, 6, n) and load (6, n) (applied minus
-    gyroscopic wrench) at that point; axis, bias (6, L): hinge axes, and accelerations due to the hinge
-    rates (Featherstone's c).
+    gyroscopic wrench) at that point; axis, bias (6, F): axes of the joint coordinates, and accelerations due to
+    their rates (Featherstone's c).
     """
 
     point: Float[Array, "3 n"]
     velocity: Float[Array, "6 n"]
     inertia: Float[Array, "6 6 n"]
     load: Float[Array, "6 n"]
-    axis: Float[Array, "6 links"]
-    bias: Float[Array, "6 links"]
+    axis: Float[Array, "6 freedoms"]
+    bias: Float[Array, "6 freedoms"]
 
 
 class Accelerations(NamedTuple):
     """The solution of one instant.
 
-    coordinates: second derivatives of the coordinates; multipliers (5, C) [N]; stabilising (5, C) [N]:
+    coordinates: second derivatives of the coordinates; multipliers [N] of the closure equations; stabilising [N]:
     their part due to Baumgarte's terms; angular, linear (3, nodes): absolute accelerations of all nodes'
     reference points in link axes; spatial (6, L): accelerations of the links at their islands' points;
     motion, closure, interface_tree: what they were computed from; dissipated [W]: power that the dampers
@@ -61,8 +61,8 @@ class Accelerations(NamedTuple):
     """
 
     coordinates: Coordinates
-    multipliers: Float[Array, "5 cuts"]
-    stabilising: Float[Array, "5 cuts"]
+    multipliers: Float[Array, " constraints"]
+    stabilising: Float[Array, " constraints"]
     angular: Float[Array, "3 nodes"]
     linear: Float[Array, "3 nodes"]
     spatial: Float[Array, "6 links"]
@@ -87,7 +87,7 @@ def accelerations(
     spin, gravity = link_axes(actual, motion)
     angular, linear = _free_accelerations(actual, motion, spin, gravity, force, moment)
     tree = _interface_tree(actual, state, motion, force, moment)
-    responses, hinges = _articulated_bodies(topology, tree, _load_columns(topology, cuts, tree), drive)
+    responses, rates = _articulated_bodies(topology, tree, _load_columns(topology, cuts, tree), drive)
     responses |= _cut_rfe_responses(actual, motion, cuts, angular, linear)
     multipliers, stabilising = _multipliers(topology, cuts, motion, tree, responses, stabilisation)
     weights = jnp.concatenate([jnp.ones((1,)), multipliers])
@@ -96,11 +96,11 @@ def accelerations(
     spatial = jnp.stack([solved[l] for l in range(topology.n_links)], axis=1)
     root_angular, root_linear = _link_accelerations(topology, motion, tree, spatial)
     elastic = _elastic_accelerations(topology, motion, inverse_rate, spin, root_angular, root_linear, angular, linear)
-    by_cut = topology.n_cuts, 5
+    joints = jnp.stack([_combine(rate[None], weights)[0] for rate in rates]) if rates else jnp.zeros((0,))
     return Accelerations(
-        coordinates=Coordinates(jnp.stack([_combine(h[None], weights)[0] for h in hinges]), elastic),
-        multipliers=jnp.swapaxes(multipliers.reshape(by_cut), 0, 1),
-        stabilising=jnp.swapaxes(stabilising.reshape(by_cut), 0, 1),
+        coordinates=Coordinates(joints, elastic),
+        multipliers=multipliers,
+        stabilising=stabilising,
         angular=jnp.concatenate([root_angular, angular], axis=1),
         linear=jnp.concatenate([root_linear, linear], axis=1),
         spatial=spatial,
@@ -186,15 +186,15 @@ def _interface_tree(
         gravity = mass[None] * actual.gravity[:, None]
         weight = algebra.wrench_at_origin(jnp.zeros_like(gravity), gravity, centre)
         gyroscopic = algebra.force_cross(velocity, apply(inertia, velocity))
-        axis = _shifted(motion.axis, point[:, :n])
-        parent_velocity = _shifted(motion.hinges.velocity, point[:, :n])
+        at_joints = by_freedom(topology, point[:, :n])
+        axis, axis_velocity = _shifted(motion.axis, at_joints), _shifted(motion.axis_velocity, at_joints)
         return InterfaceTree(
             point=point,
             velocity=velocity,
             inertia=inertia,
             load=applied + weight - gyroscopic,
             axis=axis,
-            bias=algebra.motion_cross(parent_velocity, axis * state.velocity.angles[None]),
+            bias=algebra.motion_cross(axis_velocity, axis * state.velocity.joints[None]),
         )
 
 
@@ -221,51 +221,58 @@ def _articulated_bodies(
     topology: Topology, tree: InterfaceTree, loads: dict[int, Array], drive: DriveInput
 ) -> tuple[dict[int, Array], list[Array]]:
     """Featherstone's articulated-body algorithm for K columns of loads at once: accelerations (6, K) of the
-    bodies and (K,) of the hinges."""
+    bodies and (K,) of the joint coordinates.
+
+    The coordinates of a joint are eliminated one after another, as if bodies without mass were between them, which
+    is the Cholesky factorisation of the joint's own matrix (theory (4.10)).
+    """
     with jax.named_scope("articulated_bodies"):
         inertias = {node: tree.inertia[:, :, i] for i, node in enumerate(loads)}
-        loads, steps, accelerations, hinges = dict(loads), {}, {}, []
+        loads, steps, accelerations = dict(loads), {}, {}
         for l in reversed(range(topology.n_links)):
             node, inertia, load = topology.parents[l], inertias[l], loads[l]
-            axis, bias = tree.axis[:, l], tree.bias[:, l]
             # Bias accelerations and drives belong to the applied loads, not to the unit multipliers.
             first = jnp.asarray(np.eye(1, load.shape[1])[0])
-            if l == topology.driven and drive.prescribed is not None:
-                given = axis * drive.prescribed[2][None] + bias
-                steps[l] = (axis, given[:, None] * first[None], drive.prescribed[2][None] * first, None)
-                passed = load - apply(inertia, given)[:, None] * first[None]
-            else:
+            for k in reversed(topology.coordinates[l]):
+                axis, bias = tree.axis[:, k], tree.bias[:, k]
+                if k == topology.driven_coordinate and drive.prescribed is not None:
+                    given = axis * drive.prescribed[2][None] + bias
+                    steps[k] = (axis, given[:, None] * first[None], drive.prescribed[2][None] * first, None)
+                    load = load - apply(inertia, given)[:, None] * first[None]
+                    continue
                 u = apply(inertia, axis)
                 scaled = u / dot(axis, u)[None]
                 torque = dot(axis[:, None], load)
-                moment = hinge_moment(topology, drive, l)
-                if moment is not None:
-                    torque = torque + moment[None] * first
-                steps[l] = (axis, bias[:, None] * first[None], torque / dot(axis, u)[None], scaled)
+                force = joint_force(topology, drive, k)
+                if force is not None:
+                    torque = torque + force[None] * first
+                steps[k] = (axis, bias[:, None] * first[None], torque / dot(axis, u)[None], scaled)
                 inertia = inertia - u[:, None] * scaled[None]
-                passed = load - apply(inertia, bias)[:, None] * first[None] - scaled[:, None] * torque[None]
+                load = load - apply(inertia, bias)[:, None] * first[None] - scaled[:, None] * torque[None]
             if node != BASE:
                 inertias[node] = inertias[node] + inertia
-                loads[node] = loads[node] + passed
+                loads[node] = loads[node] + load
         for node in _branching(topology):
             inverse = algebra.invert_positive(inertias[node])
             accelerations[node] = product(inverse, loads[node])
+        rates = []
         for l in range(topology.n_links):
-            node = topology.parents[l]
-            axis, acceleration, rate, scaled = steps[l]
-            acceleration = acceleration if node == BASE else acceleration + accelerations[node]
-            if scaled is not None:
-                rate = rate - dot(scaled[:, None], acceleration)
-                acceleration = acceleration + axis[:, None] * rate[None]
-            accelerations[l] = acceleration
-            hinges.append(rate)
-        return accelerations, hinges
+            acceleration = accelerations.get(topology.parents[l])
+            for k in topology.coordinates[l]:
+                axis, given, rate, scaled = steps[k]
+                acceleration = given if acceleration is None else given + acceleration
+                if scaled is not None:
+                    rate = rate - dot(scaled[:, None], acceleration)
+                    acceleration = acceleration + axis[:, None] * rate[None]
+                rates.append(rate)
+            accelerations[l] = jnp.zeros_like(loads[l]) if acceleration is None else acceleration
+        return accelerations, rates
 
 
 def _cut_rfe_responses(
     actual: ModelWithErrors, motion: Motion, cuts: Closure | None, angular: Array, linear: Array
 ) -> dict[int, Array]:
-    """Accelerations (6, 1 + 5 C) at their middles of the free rfes that carry cut joints only: under the
+    """Accelerations (6, 1 + constraints) at their middles of the free rfes that carry cut joints only: under the
     applied loads, and for unit multipliers."""
     topology = actual.topology
     nodes = _cut_rfes(topology)
@@ -300,7 +307,7 @@ def _multipliers(
     responses: dict[int, Array],
     stabilisation: Stabilisation,
 ) -> tuple[Array, Array]:
-    """Multipliers (5 C,) of theory (5.6), cut by cut, and their part due to stabilisation."""
+    """Multipliers of theory (5.6), cut by cut, and their part due to stabilisation."""
     if cuts is None:
         zeros = jnp.zeros((0,))
         return zeros, zeros
@@ -311,13 +318,10 @@ def _multipliers(
         rows = sum((product(algebra.transpose(unit), responses[node]) for node, unit in units), start=0.0)
         rows = jnp.asarray(rows)
 
-        def by_cut(values):
-            return jnp.swapaxes(values, 0, 1).reshape(-1)
-
         baumgarte = -stabilisation.velocity_gain * cuts.rate - stabilisation.position_gain * cuts.residual
         inverse = invert_closure(topology, rows[:, 1:])
-        stabilising = apply(inverse, by_cut(baumgarte))
-        return stabilising - apply(inverse, by_cut(cuts.bias) + rows[:, 0]), stabilising
+        stabilising = apply(inverse, baumgarte)
+        return stabilising - apply(inverse, cuts.bias + rows[:, 0]), stabilising
 
 
 def _points_of(topology: Topology, motion: Motion, tree: InterfaceTree) -> dict[int, Array]:

@@ -36,11 +36,11 @@ def impose(topology: Topology, state: State, drive: DriveInput) -> State:
     if drive.prescribed is None:
         return state
 
-    def replace(values: Coordinates, value: Array) -> Coordinates:
-        is_driven = np.arange(topology.n_links) == topology.driven
-        return Coordinates(jnp.where(is_driven, value[None], values.angles), values.elastic)
+    def replace(values: Coordinates, index: int | None, value: Array) -> Coordinates:
+        is_driven = np.arange(values.joints.shape[0]) == index
+        return Coordinates(jnp.where(is_driven, value[None], values.joints), values.elastic)
 
     return State(
-        replace(state.position, jnp.asarray(drive.prescribed[0])),
-        replace(state.velocity, jnp.asarray(drive.prescribed[1])),
+        replace(state.position, topology.driven_position, jnp.asarray(drive.prescribed[0])),
+        replace(state.velocity, topology.driven_coordinate, jnp.asarray(drive.prescribed[1])),
     )

@@ -4,7 +4,8 @@ Place in the pipeline: model with errors + state -> **kinematics** -> elasticity
 
 The relative motion of the free rfes (theory (2.7) to (2.10)) is taken for all of them at once in
 their link frames; then the links are placed one after another from the base (theory (2.6) with both
-errors).  Frames: link frame {p,0} = H (F_c E_c)^-1 with the hinge frame H = F E R_y(phi).
+errors, (2.14) to (2.16)).  Frames: link frame {p,0} = H (F_c E_c)^-1 with the hinge frame H = F E X_J(q), where X_J
+is the product of the motions of the joint's kind.
 
 Symbols: R rotation, w angular velocity; spatial velocities (6,) at the global origin.
 """
@@ -22,6 +23,7 @@ from rfem_jax.mechanics import algebra
 from rfem_jax.mechanics.algebra import apply, cross, product
 from rfem_jax.mechanics.model import BASE, Coordinates, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
+from rfem_jax.mechanics.orientations import rotation_of
 
 LINEAR_LIMIT = np.radians(60.0)
 EXACT_LIMIT = np.radians(80.0)
@@ -52,19 +54,28 @@ class Frames(NamedTuple):
     velocity: Float[Array, " 6 *n"]
 
 
+class HingeFrames(NamedTuple):
+    """Rotation (3, 3, n) and centre (3, n) of the frames H of n joints in global axes; of one joint without the
+    last axis."""
+
+    rotation: Float[Array, " 3 3 *n"]
+    point: Float[Array, " 3 *n"]
+
+
 class Motion(NamedTuple):
     """Positions and velocities of all bodies at one instant.
 
     relative: of the free rfes in their link frames; links: frames of the L links (rfes 0); interfaces: of the
-    free rfes that carry a joint; hinges: hinge frames H of the tree joints, with the velocity of the parent's
-    node; axis (6, L): the hinges' spatial axes.
+    free rfes that carry a joint; hinges: frames H of the tree joints, where the child is; axis (6, F): spatial
+    axes of the joint coordinates; axis_velocity (6, F): of the frames that these axes are fixed in.
     """
 
     relative: RelativeMotion
     links: Frames
     interfaces: Frames
-    hinges: Frames
-    axis: Float[Array, "6 links"]
+    hinges: HingeFrames
+    axis: Float[Array, "6 freedoms"]
+    axis_velocity: Float[Array, "6 freedoms"]
 
 
 def motion_of(actual: ModelWithErrors, state: State) -> Motion:
@@ -73,21 +84,20 @@ def motion_of(actual: ModelWithErrors, state: State) -> Motion:
     with jax.named_scope("kinematics"):
         relative = relative_motion(actual, state.position, state.velocity)
         links: list[Frames] = []
-        hinges: list[Frames] = []
-        axes: list[Array] = []
+        joints: list[_PlacedJoint] = []
         for index, node in enumerate(topology.parents[: topology.n_links]):
             parent = _parent_frame(topology, relative, links, node)
-            link, hinge, axis = _place_link(actual, state, index, parent)
+            link, joint = _place_link(actual, state, index, parent)
             links.append(link)
-            hinges.append(hinge)
-            axes.append(axis)
+            joints.append(joint)
         stacked = _stack(links)
         return Motion(
             relative=relative,
             links=stacked,
             interfaces=_interface_frames(topology, relative, stacked),
-            hinges=_stack(hinges),
-            axis=jnp.stack(axes, axis=1),
+            hinges=HingeFrames(*(jnp.stack(part, axis=-1) for part in zip(*(joint.hinge for joint in joints)))),
+            axis=_spatial_columns([axis for joint in joints for axis in joint.axes]),
+            axis_velocity=_spatial_columns([velocity for joint in joints for velocity in joint.velocities]),
         )
 
 
@@ -178,18 +188,46 @@ def _columns(values: Array, indices: Sequence[int]) -> Array:
     return jnp.stack([values[..., i] for i in indices], axis=-1)
 
 
-def _place_link(actual: ModelWithErrors, state: State, index: int, parent: Frames) -> tuple[Frames, Frames, Array]:
-    """Link frame, hinge frame and spatial axis (6,) of a tree joint's link, from the frame of its parent's node."""
-    joint_rotation = product(parent.rotation, actual.seat_rotation[:, :, index])
-    hinge_rotation = product(joint_rotation, algebra.rotation_y(state.position.angles[index]))
+class _PlacedJoint(NamedTuple):
+    """Frame H of a tree joint; spatial axes of its coordinates, and velocities of the frames they are fixed in."""
+
+    hinge: HingeFrames
+    axes: list[Float[Array, "6"]]
+    velocities: list[Float[Array, "6"]]
+
+
+def _place_link(actual: ModelWithErrors, state: State, index: int, parent: Frames) -> tuple[Frames, _PlacedJoint]:
+    """Link frame and joint of a link, from the frame of its parent's node."""
+    topology = actual.topology
+    turned = product(parent.rotation, actual.seat_rotation[:, :, index])
     centre = parent.point + apply(parent.rotation, actual.seat_position[:, index])
-    rotation = algebra.product_transposed(hinge_rotation, actual.bore_rotation[:, :, index])
+    velocity, axes, velocities = parent.velocity, [], []
+    before, basis = velocity, turned
+    at = topology.positions[index]
+    for n, (k, freedom) in enumerate(zip(topology.coordinates[index], topology.kind(index).freedoms)):
+        rate = state.velocity.joints[k]
+        if freedom.first:
+            before, basis = velocity, turned
+        direction = basis[:, freedom.axis]
+        if not freedom.rotation:
+            axis = algebra.spatial(jnp.zeros_like(direction), direction)
+            centre = centre + direction * state.position.joints[at[n]][None]
+        else:
+            axis = algebra.spatial(direction, cross(centre, direction))
+            if freedom.any_axis and freedom.first:
+                turned = product(turned, rotation_of(state.position.joints[at[n] : at[n] + 4]))
+            elif not freedom.any_axis:
+                turned = product(turned, algebra.rotation_about(freedom.axis, state.position.joints[at[n]]))
+        axes.append(axis)
+        velocities.append(before)
+        velocity = velocity + axis * rate[None]
+    rotation = algebra.product_transposed(turned, actual.bore_rotation[:, :, index])
     origin = centre - apply(rotation, actual.bore_position[:, index])
-    y = joint_rotation[:, 1]
-    axis = algebra.spatial(y, cross(centre, y))
-    velocity = parent.velocity + axis * state.velocity.angles[index][None]
-    hinge = Frames(hinge_rotation, centre, parent.velocity)
-    return Frames(rotation, origin, velocity), hinge, axis
+    return Frames(rotation, origin, velocity), _PlacedJoint(HingeFrames(turned, centre), axes, velocities)
+
+
+def _spatial_columns(vectors: list[Float[Array, "6"]]) -> Float[Array, "6 n"]:
+    return jnp.stack(vectors, axis=1) if vectors else jnp.zeros((6, 0))
 
 
 def _stack(frames: list[Frames]) -> Frames:
@@ -218,6 +256,12 @@ def spread(topology: Topology, values: Float[Array, "*k links"]) -> Float[Array,
         jnp.broadcast_to(values[..., l : l + 1], values.shape[:-1] + (n - 1,)) for l, n in enumerate(topology.elements)
     ]
     return jnp.concatenate(columns, axis=-1)
+
+
+def by_freedom(topology: Topology, values: Float[Array, "*k links"]) -> Float[Array, "*k freedoms"]:
+    """Values by link repeated for every coordinate of the link's joint."""
+    owners = topology.link_of_freedom
+    return values if owners == tuple(range(topology.n_links)) else _columns(values, owners)
 
 
 def total(topology: Topology, values: Float[Array, "*k rfes"]) -> Float[Array, "*k links"]:

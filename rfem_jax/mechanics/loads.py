@@ -3,9 +3,8 @@
 Place in the pipeline: dynamics -> **loads** -> simulation (metrics, Run).
 
 A joint's load is the force and the moment that the parent side exerts on the child link, about the
-hinge's centre, in the hinge frame (y along the hinge; in L at a cut joint), in N and N m (theory
-(8.1) to (8.3)).  A drive that is a given moment is an external load and not part of it; the moment that
-enforces a prescribed angle is.
+joint's centre on the child, in the hinge frame H (in L at a cut joint), in N and N m (theory (8.1) to (8.3)).  A
+drive that is a given moment is an external load and not part of it; the moment that enforces a prescribed angle is.
 
 They are computed in two ways, and every run checks them by the balance of momentum: `chain_loads` is the
 recursive Newton-Euler algorithm over all rfes from the tips to the base; `joint_loads` uses the equations
@@ -22,7 +21,7 @@ from jaxtyping import Float
 
 from rfem_jax.mechanics import algebra
 from rfem_jax.mechanics.algebra import apply, apply_transposed, cross, dot
-from rfem_jax.mechanics.cut_joints import Closure
+from rfem_jax.mechanics.cut_joints import Closure, columns
 from rfem_jax.mechanics.dynamics import Accelerations, link_axes
 from rfem_jax.mechanics.elements import elasticity
 from rfem_jax.mechanics.inputs import DriveInput
@@ -30,6 +29,7 @@ from rfem_jax.mechanics.joint_forces import hinge_moments
 from rfem_jax.mechanics.kinematics import Motion, all_frames, motion_of, spread, total
 from rfem_jax.mechanics.model import BASE, Coordinates, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
+from rfem_jax.mechanics.orientations import position_rate
 
 
 class JointLoads(NamedTuple):
@@ -49,14 +49,14 @@ class Energies(NamedTuple):
 
 @runtime_checkable
 class Solved(Protocol):
-    """Of the solution of one instant, or of a mechanism at rest: motion, closure, multipliers (5, C) [N]."""
+    """Of the solution of one instant, or of a mechanism at rest: motion, closure, multipliers [N]."""
 
     @property
     def motion(self) -> Motion: ...
     @property
     def closure(self) -> Closure | None: ...
     @property
-    def multipliers(self) -> Float[Array, "5 cuts"]: ...
+    def multipliers(self) -> Float[Array, " constraints"]: ...
 
 
 class Resting(NamedTuple):
@@ -64,14 +64,14 @@ class Resting(NamedTuple):
 
     motion: Motion
     closure: Closure | None
-    multipliers: Float[Array, "5 cuts"]
+    multipliers: Float[Array, " constraints"]
 
 
 def joint_loads(actual: ModelWithErrors, result: Accelerations, drive: DriveInput) -> JointLoads:
     """Loads of all joints by the equations of motion of the rfes 0 (theory (8.4))."""
     with jax.named_scope("joint_loads"):
         topology, tree, cuts = actual.topology, result.interface_tree, result.closure
-        n = topology.n_links
+        n, rows = topology.n_links, _rows(topology)
         net = apply(tree.inertia[:, :, :n], result.spatial) - tree.load[:, :n]
         wrenches: dict[int, Array] = {}
         for l in reversed(range(n)):
@@ -82,10 +82,10 @@ def joint_loads(actual: ModelWithErrors, result: Accelerations, drive: DriveInpu
             for i, j in enumerate(topology.cuts):
                 if cuts is not None and topology.parents[j] == l:
                     unit = cuts.wrenches(i, "parent", point)
-                    wrench = wrench + apply(unit, result.multipliers[:, i])
+                    wrench = wrench + apply(unit, result.multipliers[rows[i]])
                 if cuts is not None and topology.children[j] == l:
                     unit = cuts.wrenches(i, "child", point)
-                    wrench = wrench - apply(unit, result.multipliers[:, i])
+                    wrench = wrench - apply(unit, result.multipliers[rows[i]])
             wrenches[l] = wrench
         links = jnp.stack([wrenches[l] for l in range(n)], axis=1)
         hinges = result.motion.hinges
@@ -128,10 +128,9 @@ def _in_hinge_frames(topology: Topology, result: Solved, force: Array, moment: A
         moment = jnp.stack([moment[0], moment[1] - external, moment[2]])
     cuts = result.closure
     if cuts is not None:
-        arm = cuts.right_centre - cuts.centre
-        couple = dot(jnp.swapaxes(cuts.couples, 0, 1), result.multipliers[3:, None])
-        couple = couple + cross(arm, result.multipliers[:3])
-        force = jnp.concatenate([force, apply_transposed(cuts.rotation, result.multipliers[:3])], axis=1)
+        of_groups = [group.loads(rows) for group, rows in zip(cuts.groups, cuts.by_group(result.multipliers))]
+        on_right, couple = (columns(cuts.groups, part) for part in zip(*of_groups))
+        force = jnp.concatenate([force, apply_transposed(cuts.rotation, on_right)], axis=1)
         moment = jnp.concatenate([moment, apply_transposed(cuts.rotation, couple)], axis=1)
     return JointLoads(force, moment)
 
@@ -140,7 +139,7 @@ def chain_wrenches(
     actual: ModelWithErrors,
     motion: Motion,
     cuts: Closure | None,
-    multipliers: Float[Array, "5 cuts"],
+    multipliers: Float[Array, " constraints"],
     inertial: tuple[Float[Array, "3 nodes"], Float[Array, "3 nodes"]],
 ) -> list[Float[Array, "6"]]:
     """Wrenches at the global origin that the parent side of every joint exerts on the child, the moment of a
@@ -156,7 +155,7 @@ def chain_wrenches(
         apply(motion.links.rotation, link_force),
         motion.links.point,
     )
-    wrenches = dict(zip(topology.cuts, cut_wrenches(cuts, multipliers)))
+    wrenches = dict(zip(topology.cuts, cut_wrenches(topology, cuts, multipliers)))
     for l in reversed(range(n)):
         wrench = of_links[:, l]
         for j in [*range(l + 1, n), *topology.cuts]:
@@ -169,12 +168,20 @@ def chain_wrenches(
     return [wrenches[j] for j in range(len(topology.joints))]
 
 
-def cut_wrenches(cuts: Closure | None, multipliers: Float[Array, "5 cuts"]) -> list[Float[Array, "6"]]:
+def cut_wrenches(
+    topology: Topology, cuts: Closure | None, multipliers: Float[Array, " constraints"]
+) -> list[Float[Array, "6"]]:
     """Wrenches at the global origin that the parent sides of the cut joints exert on the children."""
     if cuts is None:
         return []
     origin = jnp.zeros_like(cuts.centre[:, 0])
-    return [apply(cuts.wrenches(i, "child", origin), multipliers[:, i]) for i in range(multipliers.shape[1])]
+    units = [cuts.wrenches(i, "child", origin) for i in range(topology.n_cuts)]
+    return [apply(unit, multipliers[rows]) for unit, rows in zip(units, _rows(topology))]
+
+
+def _rows(topology: Topology) -> list[slice]:
+    """Where the multipliers of every cut joint are."""
+    return [slice(rows.start, rows.stop) for rows in topology.constraints]
 
 
 def inertial_loads(
@@ -254,7 +261,7 @@ def momentum_residual(
     def momentum_at(position, velocity):
         return momentum(actual, State(position, velocity))
 
-    tangents = (state.velocity, accelerations)
+    tangents = (position_rate(actual.topology, state.position, state.velocity), accelerations)
     _, (linear_rate, angular_rate) = jax.jvp(momentum_at, (state.position, state.velocity), tangents)
     _, centre, _, _ = velocities(actual, motion_of(actual, state))
     weight = actual.mass[None] * actual.gravity[:, None]
@@ -264,6 +271,9 @@ def momentum_residual(
     )
 
 
-def static_state(position: Coordinates) -> State:
+def static_state(topology: Topology, position: Coordinates) -> State:
     """A state at rest."""
-    return State(position, jax.tree.map(jnp.zeros_like, position))
+    rates = jax.tree.map(jnp.zeros_like, position)
+    if topology.balls:
+        rates = Coordinates(jnp.zeros(topology.n_freedoms), rates.elastic)
+    return State(position, rates)

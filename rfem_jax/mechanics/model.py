@@ -11,9 +11,12 @@ of a flexible link, the rfes 0 and the interfaces form *islands*: trees of bodie
 root is an interface or a link that is joined to the base.
 
 Symbols: n_links L, n_rfes N (free rfes), joints J = L tree joints (joint l carries link l), then C cut
-joints.  Arrays are components first (see `algebra`).
+joints; freedoms F: coordinates of the tree joints; constraints: closure equations of the cut joints.  Arrays are
+components first (see `algebra`).
 """
 
+from collections.abc import Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import equinox as eqx
@@ -23,16 +26,18 @@ from jax import Array
 from jaxtyping import Float, Int
 
 from rfem_jax.description.errors import InputError
+from rfem_jax.description.joint_kinds import COMPONENTS, KINDS, Freedom, JointKind
 
 BASE = -1
 
 
 class Coordinates(eqx.Module):
-    """Joint angles [rad] and the six coordinates (x, y, z, phi_x, phi_y, phi_z) [m, rad] of every
-    free rfe relative to its link frame, with R = R_z R_y R_x (exact elements: R_y R_z R_x); also used
-    for their rates and accelerations."""
+    """Coordinates of the tree joints [rad, m], joint by joint in the order of their links and of each kind's
+    freedoms (positions of spherical and free joints: quaternions, see `orientations`), and the six coordinates (x, y,
+    z, phi_x, phi_y, phi_z) [m, rad] of every free rfe relative to its link frame, with R = R_z R_y R_x (exact
+    elements: R_y R_z R_x); also used for their rates and accelerations."""
 
-    angles: Float[Array, " links"]
+    joints: Float[Array, " numbers"]
     elastic: Float[Array, "6 rfes"]
 
 
@@ -50,6 +55,7 @@ class Topology(NamedTuple):
     joints: names of the joints, the tree joints in the order of their links, then the cut joints.
     joint_order: names of the joints in the order of the description.
     error_names: names of all assembly errors, such as "D.delta_x", "C.child.d_y" or "coupler.length".
+    kinds: the kind of each joint, a name in `joint_kinds.KINDS`.
     parents, children: the node on each joint's parent and child side.
     parent_at_end, child_at_end: whether a joint sits at the far end of the link on that side, whose twist
         error then rotates it.
@@ -58,12 +64,14 @@ class Topology(NamedTuple):
     masses: the node that holds each point mass.
     minimum_norm: whether redundant reactions are resolved by the solution of least norm.
     exact: whether the spring-damping elements are geometrically exact.
+    idle: joint coordinates that stand for idle freedoms, which statics holds at their start.
     """
 
     links: tuple[str, ...]
     joints: tuple[str, ...]
     joint_order: tuple[str, ...]
     error_names: tuple[str, ...]
+    kinds: tuple[str, ...]
     parents: tuple[int, ...]
     children: tuple[int, ...]
     parent_at_end: tuple[bool, ...]
@@ -73,6 +81,7 @@ class Topology(NamedTuple):
     masses: tuple[int, ...]
     minimum_norm: bool
     exact: bool = False
+    idle: tuple[int, ...] = ()
 
     @property
     def n_links(self) -> int:
@@ -88,6 +97,78 @@ class Topology(NamedTuple):
     def n_rfes(self) -> int:
         """Number of free rfes N."""
         return sum(n - 1 for n in self.elements)
+
+    def kind(self, joint: int) -> JointKind:
+        """The kind of a joint, by its index."""
+        return KINDS[self.kinds[joint]]
+
+    @property
+    def freedoms(self) -> tuple[Freedom, ...]:
+        """The coordinates of the tree joints."""
+        return tuple(freedom for l in range(self.n_links) for freedom in self.kind(l).freedoms)
+
+    @property
+    def n_freedoms(self) -> int:
+        """Number of coordinates of the tree joints, F."""
+        return len(self.freedoms)
+
+    @property
+    def slides(self) -> tuple[bool, ...]:
+        """Which coordinates of the tree joints are displacements."""
+        return tuple(not freedom.rotation for freedom in self.freedoms)
+
+    @property
+    def link_of_freedom(self) -> tuple[int, ...]:
+        """Link whose joint has each coordinate."""
+        return tuple(l for l in range(self.n_links) for _ in self.kind(l).freedoms)
+
+    @property
+    def coordinates(self) -> tuple[range, ...]:
+        """Indices of the rates of every tree joint, one a coordinate."""
+        return _ranges([len(self.kind(l).freedoms) for l in range(self.n_links)])
+
+    @property
+    def balls(self) -> bool:
+        """Whether any tree joint turns about any axis, and has a quaternion as its position."""
+        return any(self.kind(l).ball for l in range(self.n_links))
+
+    def plain(self, link: int) -> int:
+        """Number of the coordinates of a tree joint that are plain numbers, first of its position."""
+        kind = self.kind(link)
+        return len(kind.freedoms) - 3 * kind.ball
+
+    @property
+    def positions(self) -> tuple[range, ...]:
+        """Indices in the position of the numbers of every tree joint: its plain coordinates, then four of a
+        quaternion if it turns about any axis."""
+        return _ranges([len(self.kind(l).freedoms) + self.kind(l).ball for l in range(self.n_links)])
+
+    @property
+    def driven_position(self) -> int | None:
+        """Index of the driven joint's coordinate in the position."""
+        return None if self.driven is None else self.positions[self.driven][0]
+
+    @property
+    def driven_coordinate(self) -> int | None:
+        """Index of the driven joint's coordinate among the rates."""
+        return None if self.driven is None else self.coordinates[self.driven][0]
+
+    @property
+    def constraints(self) -> tuple[range, ...]:
+        """Indices of the closure equations of every cut joint."""
+        return _ranges([self.kind(j).constraints for j in self.cuts])
+
+    @property
+    def n_constraints(self) -> int:
+        """Number of closure equations."""
+        return sum(len(rows) for rows in self.constraints)
+
+    @property
+    def error_components(self) -> tuple[str, ...]:
+        """Errors of one side of a joint that any joint may have, on either side."""
+        sides = [self.kind(j).errors(child) for j in range(len(self.joints)) for child in (False, True)]
+        known = {name for side in sides for name in side} | {"delta_x", "delta_z", "d_x", "d_y", "d_z"}
+        return tuple(name for name in (*COMPONENTS[:1], *COMPONENTS[2:], COMPONENTS[1]) if name in known)
 
     @property
     def cuts(self) -> range:
@@ -128,6 +209,12 @@ class Topology(NamedTuple):
         return self.joints.index(name)
 
 
+def _ranges(counts: Sequence[int]) -> tuple[range, ...]:
+    """Consecutive ranges of given lengths."""
+    stops = np.cumsum([0, *counts]).tolist()
+    return tuple(range(a, b) for a, b in pairwise(stops))
+
+
 class Sections(eqx.Module):
     """Properties of the links' cross-sections, per unit length.
 
@@ -154,8 +241,8 @@ class Model(eqx.Module):
     length: of the links [m]; section: of their cross-sections; parent_*, child_*: frames of the joints on
     their two sides (F and F_c), relative to the node's frame, which is the link frame for rfe 0 and the frame
     at the segment's middle for a free rfe; point_*: mass [kg], place in the node's frame [m] and principal
-    moments of inertia [kg m^2] of the point masses; start_angles, cut_angles: of the tree joints and the cut
-    joints at the closed start [rad]; gravity [m/s^2] in global axes.
+    moments of inertia [kg m^2] of the point masses; start_joints: coordinates of the tree joints at
+    the closed start [rad, m]; cut_angles: angles of the cut joints there [rad]; gravity [m/s^2] in global axes.
 
     `equinox.tree_at` may replace what leaves the geometry as it is, also by traced values to differentiate by:
     section, point masses, gravity.  With another length or joint frame the start angles no longer close the
@@ -173,7 +260,7 @@ class Model(eqx.Module):
     point_mass: Float[Array, " masses"]
     point_position: Float[Array, "3 masses"]
     point_inertia: Float[Array, "3 masses"]
-    start_angles: Float[Array, " links"]
+    start_joints: Float[Array, " numbers"]
     cut_angles: Float[Array, " cuts"]
     gravity: Float[Array, "3"]
 
@@ -196,7 +283,7 @@ class Model(eqx.Module):
     def start_coordinates(self) -> Coordinates:
         """Nominal start: closed geometry, undeformed links."""
         elastic = jnp.zeros((6, self.topology.n_rfes))
-        return Coordinates(self.start_angles, elastic)
+        return Coordinates(self.start_joints, elastic)
 
 
 def rfe_fractions(elements: int) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:

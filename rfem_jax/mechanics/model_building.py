@@ -11,16 +11,18 @@ import numpy as np
 from jax import Array
 
 from rfem_jax.description.errors import InputError
+from rfem_jax.description.joint_kinds import KINDS
 from rfem_jax.description.joints import Joint
 from rfem_jax.description.links import Link
 from rfem_jax.description.mechanism import Mechanism
 from rfem_jax.mechanics.model import BASE, Model, Sections, Topology, rfe_fractions
+from rfem_jax.mechanics.orientations import quaternion_of_angles
 
 
 def build_model(mechanism: Mechanism, elements: dict[str, int], exact: bool = False) -> Model:
     """Arrays of a mechanism whose links have the given numbers of rfes (by name).
 
-    The start angles are the description's approximate ones; `discretise` closes the loops.
+    The start coordinates are the description's approximate ones; `discretise` closes the loops.
 
     **Raises:** `InputError` if a tree joint does not lie on the first rfe of its link.
     """
@@ -39,6 +41,7 @@ def build_model(mechanism: Mechanism, elements: dict[str, int], exact: bool = Fa
         joints=tuple(j.name for j in joints),
         joint_order=tuple(j.name for j in mechanism.joints),
         error_names=tuple(mechanism.error_names),
+        kinds=tuple(j.kind for j in joints),
         parents=tuple(p.node for p in parents),
         children=tuple(c.node for c in children),
         parent_at_end=tuple(p.at_end for p in parents),
@@ -60,7 +63,7 @@ def build_model(mechanism: Mechanism, elements: dict[str, int], exact: bool = Fa
         point_mass=jnp.asarray(np.array([mass.mass for _, mass in masses], dtype=float)),
         point_position=_columns([position for _, position in located]),
         point_inertia=_columns([mass.inertia for _, mass in masses]),
-        start_angles=jnp.asarray([float(j.angle or 0.0) for j in joints[: len(links)]]),
+        start_joints=jnp.asarray(np.concatenate([_start(j) for j in joints[: len(links)]])),
         cut_angles=jnp.zeros(len(joints) - len(links)),
         gravity=jnp.asarray(mechanism.gravity, dtype=float),
     )
@@ -112,6 +115,14 @@ def _require_first_rfes(joints: Sequence[Joint], children: Sequence[_Attachment]
                 f"finite element of link {joint.child!r}, but is {joint.child_position}: a tree "
                 "joint carries its link there. Swap the link's ends or cut this joint instead."
             )
+
+
+def _start(joint: Joint) -> np.ndarray:
+    """Start of a tree joint as numbers of the position: its three angles as a quaternion if it turns about any axis."""
+    values = np.array(joint.start_values, dtype=float)
+    if not KINDS[joint.kind].ball:
+        return values
+    return np.concatenate([values[:-3], quaternion_of_angles(values[-3:])])
 
 
 def _links_in_tree_order(mechanism: Mechanism) -> list[Link]:

@@ -26,19 +26,17 @@ from rfem_jax.description.units import quantity
 from rfem_jax.mechanics import algebra
 from rfem_jax.mechanics.model import BASE, Model, Topology, rfe_fractions
 
-COMPONENTS = ("delta_x", "delta_z", "d_x", "d_y", "d_z")
-
 
 class AssemblyErrors(eqx.Module):
     """Deviations from the nominal mechanism, all zero by default.
 
-    seat, bore: (delta_x, delta_z [rad], d_x, d_y, d_z [m]) of every joint in its parent and child;
-    pin: tilts [rad] about x and z of a crooked pin, on both sides at once;
-    length [m] and twist [rad] of every link.
+    seat, bore: (delta_x, delta_z [rad], d_x, d_y, d_z [m]) of every joint in its parent and child, and delta_y
+    [rad] last where any joint may have it (`Topology.error_components`); pin: tilts [rad] about x and z of a crooked
+    pin, on both sides at once; length [m] and twist [rad] of every link.
     """
 
-    seat: Float[Array, "5 joints"]
-    bore: Float[Array, "5 joints"]
+    seat: Float[Array, "components joints"]
+    bore: Float[Array, "components joints"]
     pin: Float[Array, "2 joints"]
     length: Float[Array, " links"]
     twist: Float[Array, " links"]
@@ -55,8 +53,8 @@ def assembly_errors(model: Model, values: Mapping[str, ArrayLike | str] | None =
     topology = model.topology
     n_joints, n_links = len(topology.joints), topology.n_links
     parts = {
-        "seat": np.zeros((5, n_joints)),
-        "bore": np.zeros((5, n_joints)),
+        "seat": np.zeros((len(topology.error_components), n_joints)),
+        "bore": np.zeros((len(topology.error_components), n_joints)),
         "pin": np.zeros((2, n_joints)),
         "length": np.zeros(n_links),
         "twist": np.zeros(n_links),
@@ -101,7 +99,7 @@ def _locate(topology: Topology, name: str) -> tuple[str, int | tuple[int, int]]:
     joint = topology.joints.index(owner)
     if kind.startswith("pin_tilt"):
         return "pin", (("pin_tilt_x", "pin_tilt_z").index(kind), joint)
-    return ("bore" if middle else "seat"), (COMPONENTS.index(kind), joint)
+    return ("bore" if middle else "seat"), (topology.error_components.index(kind), joint)
 
 
 class ModelWithErrors(eqx.Module):
@@ -166,7 +164,7 @@ def apply_errors(model: Model, errors: AssemblyErrors) -> ModelWithErrors:
             topology,
         )
         pin = algebra.product(algebra.rotation_z(errors.pin[1]), algebra.rotation_x(errors.pin[0]))
-        start = algebra.rotation_y(jnp.concatenate([model.start_angles, model.cut_angles]))
+        start = algebra.rotation_y(_start_angles(model))
         pin_in_child = algebra.product(algebra.transpose(start), algebra.product(pin, start))
         mass, centre, inertia = _bodies(model, length, scale)
         n = topology.n_links
@@ -185,6 +183,16 @@ def apply_errors(model: Model, errors: AssemblyErrors) -> ModelWithErrors:
             datum=model.parent_position[:, topology.parents.index(BASE)],
             **_spring_damping_elements(model, length),
         )
+
+
+def _start_angles(model: Model) -> Float[Array, " joints"]:
+    """Angles [rad] of all joints about y at the start, 0 of tree joints that are not revolute and have no pins."""
+    topology, zero = model.topology, jnp.zeros(())
+    if set(topology.kinds[: topology.n_links]) == {"revolute"}:
+        return jnp.concatenate([model.start_joints, model.cut_angles])
+    revolute = [topology.kinds[l] == "revolute" for l in range(topology.n_links)]
+    angles = [model.start_joints[at[0]] if turns else zero for turns, at in zip(revolute, topology.positions)]
+    return jnp.concatenate([jnp.stack(angles), model.cut_angles])
 
 
 def structural_zeros(actual: ModelWithErrors) -> PyTree:
@@ -220,8 +228,11 @@ def _side(
     position = jnp.concatenate([position[:1] * stretch[None], position[1:]])
     twisted = algebra.rotation_x(jnp.where(on_link & np.array(at_end), twist[link], 0.0))
     rotation = algebra.product(twisted, rotation)
-    tilt = algebra.product(algebra.rotation_z(error[1]), algebra.rotation_x(error[0]))
-    return algebra.product(rotation, tilt), position + algebra.apply(rotation, error[2:])
+    tilt = algebra.rotation_x(error[0])
+    if "delta_y" in topology.error_components:
+        tilt = algebra.product(algebra.rotation_y(error[5]), tilt)
+    tilt = algebra.product(algebra.rotation_z(error[1]), tilt)
+    return algebra.product(rotation, tilt), position + algebra.apply(rotation, error[2:5])
 
 
 def _bodies(

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from rfem_jax.description.joint_kinds import JointKind
 from rfem_jax.mechanics.model import BASE, Model, Topology, rfe_fractions
 
 
@@ -30,21 +31,22 @@ class NominalGeometry(NamedTuple):
 
 
 class Placed(NamedTuple):
-    """The mechanism at given joint angles: rotation (L, 3, 3) and origin (L, 3) of the links; of all joints the
-    joint frame G on the parent (J, 3, 3), without the joint's angle, and its centre (J, 3); of the cut joints
-    the frame on the child (C, 3, 3) and its centre (C, 3)."""
+    """The mechanism at given joint coordinates: rotation (L, 3, 3) and origin (L, 3) of the links; of all joints the
+    joint frame G on the parent (J, 3, 3), without the joint's motion, and its centre (J, 3), and the frame on the
+    child and its centre, likewise; twists (F, 6) of unit rates of the tree joints' coordinates."""
 
     rotation: Float[np.ndarray, "links 3 3"]
     origin: Float[np.ndarray, "links 3"]
     joint_rotation: Float[np.ndarray, "joints 3 3"]
     centre: Float[np.ndarray, "joints 3"]
-    right_rotation: Float[np.ndarray, "cuts 3 3"]
-    right_centre: Float[np.ndarray, "cuts 3"]
+    child_rotation: Float[np.ndarray, "joints 3 3"]
+    child_centre: Float[np.ndarray, "joints 3"]
+    twists: Float[np.ndarray, "freedoms 6"]
 
 
 class Gaps(NamedTuple):
-    """How far the loops are open: residual (5 C,), lengths over the longest link, as in `cut_joints`; alignment
-    (C,): y_L . y_P; angle (C,) [rad] from L to P about the hinge."""
+    """How far the loops are open: residual, lengths over the longest link, alignment (C,) and angle (C,) [rad] as in
+    `cut_joints.Closure`."""
 
     residual: Float[np.ndarray, " constraints"]
     alignment: Float[np.ndarray, " cuts"]
@@ -67,12 +69,14 @@ def geometry_of(model: Model) -> NominalGeometry:
     )
 
 
-def place(geometry: NominalGeometry, angles: Float[np.ndarray, " links"]) -> Placed:
-    """Links and joints at the angles [rad] of the tree joints, links undeformed."""
+def place(geometry: NominalGeometry, coordinates: Float[np.ndarray, " numbers"]) -> Placed:
+    """Links and joints at the position of the tree joints (as `Coordinates.joints`), links undeformed."""
     topology = geometry.topology
     n, joints = topology.n_links, len(topology.joints)
     rotation, origin = np.empty((n, 3, 3)), np.empty((n, 3))
     joint_rotation, centre = np.empty((joints, 3, 3)), np.empty((joints, 3))
+    child_rotation, child_centre = np.empty((joints, 3, 3)), np.empty((joints, 3))
+    twists = np.zeros((topology.n_freedoms, 6))
 
     def frame(node: int) -> tuple[np.ndarray, np.ndarray]:
         if node == BASE:
@@ -85,54 +89,103 @@ def place(geometry: NominalGeometry, angles: Float[np.ndarray, " links"]) -> Pla
         parent_rotation, parent_point = frame(topology.parents[j])
         joint_rotation[j] = parent_rotation @ geometry.seat_rotation[j]
         centre[j] = parent_point + parent_rotation @ geometry.seat_position[j]
-        if j < n:
-            hinge_rotation = joint_rotation[j] @ _rotation_y(angles[j])
-            rotation[j] = hinge_rotation @ geometry.bore_rotation[j].T
-            origin[j] = centre[j] - rotation[j] @ geometry.bore_position[j]
-    right = [frame(node) for node in topology.children[n:]]
-    bores = zip(right, geometry.bore_rotation[n:], geometry.bore_position[n:])
-    right = [(node @ r, point + node @ p) for (node, point), r, p in bores]
-    return Placed(
-        rotation, origin, joint_rotation, centre,
-        np.array([r for r, _ in right]).reshape(-1, 3, 3), np.array([p for _, p in right]).reshape(-1, 3),
-    )  # fmt: skip
+        if j >= n:
+            continue
+        child_rotation[j], child_centre[j] = joint_rotation[j], centre[j]
+        at, basis = topology.positions[j], child_rotation[j].copy()
+        for m, (k, freedom) in enumerate(zip(topology.coordinates[j], topology.kind(j).freedoms)):
+            if freedom.first:
+                basis = child_rotation[j].copy()
+            direction = basis[:, freedom.axis]
+            if not freedom.rotation:
+                twists[k, 3:] = direction
+                child_centre[j] += coordinates[at[m]] * direction
+                continue
+            twists[k] = np.concatenate([direction, np.cross(child_centre[j], direction)])
+            if freedom.any_axis and freedom.first:
+                child_rotation[j] = basis @ _rotation_of(coordinates[at[m] : at[m] + 4])
+            elif not freedom.any_axis:
+                child_rotation[j] = basis @ _rotation_about(freedom.axis, coordinates[at[m]])
+        rotation[j] = child_rotation[j] @ geometry.bore_rotation[j].T
+        origin[j] = child_centre[j] - rotation[j] @ geometry.bore_position[j]
+    for j in topology.cuts:
+        node_rotation, point = frame(topology.children[j])
+        child_rotation[j] = node_rotation @ geometry.bore_rotation[j]
+        child_centre[j] = point + node_rotation @ geometry.bore_position[j]
+    return Placed(rotation, origin, joint_rotation, centre, child_rotation, child_centre, twists)
 
 
-def _rotation_y(angle: float) -> np.ndarray:
+def _rotation_about(axis: int, angle: float) -> np.ndarray:
     c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    matrix = np.eye(3)
+    matrix[i, i] = matrix[j, j] = c
+    matrix[i, j], matrix[j, i] = -s, s
+    return matrix
+
+
+def _rotation_of(q: np.ndarray) -> np.ndarray:
+    """Rotation of a quaternion."""
+    skew = cross_matrix(q[1:])
+    return np.eye(3) + 2.0 / (q @ q) * (q[0] * skew + skew @ skew)
+
+
+def moved(
+    topology: Topology, position: Float[np.ndarray, " numbers"], change: Float[np.ndarray, " freedoms"]
+) -> Float[np.ndarray, " numbers"]:
+    """`orientations.moved` of the joints."""
+    found = np.array(position, dtype=float)
+    for l, (at, rates) in enumerate(zip(topology.positions, topology.coordinates, strict=True)):
+        n = topology.plain(l)
+        found[at.start : at.start + n] += change[rates.start : rates.start + n]
+        if topology.kind(l).ball:
+            theta, q = change[rates.start + n : rates.stop], found[at.start + n : at.stop]
+            half = 0.5 * np.linalg.norm(theta)
+            w, v = np.cos(half), 0.5 * np.sinc(half / np.pi) * theta
+            turned = np.concatenate([[w * q[0] - v @ q[1:]], w * q[1:] + q[0] * v + np.cross(v, q[1:])])
+            found[at.start + n : at.stop] = turned / np.linalg.norm(turned)
+    return found
 
 
 def gaps(geometry: NominalGeometry, placed: Placed) -> Gaps:
-    """The five equations of every cut joint (`cut_joints`, theory (5.1))."""
-    n = geometry.topology.n_links
-    left, right = placed.joint_rotation[n:], placed.right_rotation
-    y = left[:, :, 1]
-    apart = (placed.right_centre - placed.centre[n:]) / geometry.scale
-    bend = np.einsum("ci,cij->cj", y, right[:, :, ::2])
-    x = np.einsum("cij,ci->cj", left, right[:, :, 0])
-    return Gaps(
-        residual=np.concatenate([apart, bend], axis=1).reshape(-1),
-        alignment=np.sum(y * right[:, :, 1], axis=1),
-        angle=np.arctan2(-x[:, 2], x[:, 0]),
-    )
+    """The equations of all cut joints (`cut_joints`, theory (5.1), (5.14), (5.15))."""
+    topology, n = geometry.topology, geometry.topology.n_links
+    residual, alignment = [np.zeros(0)], []
+    for joint in topology.cuts:
+        kind, left, right = topology.kind(joint), placed.joint_rotation[joint], placed.child_rotation[joint]
+        apart = (placed.child_centre[joint] - placed.centre[joint]) / geometry.scale
+        products = np.einsum("ki,kj->ij", left, right)
+        residual.append(apart if kind.coincident else left[:, kind.across].T @ apart)
+        residual.append(np.array([products[pair] for pair in kind.perpendicular]))
+        alignment.append(_alignment(kind, products))
+    x = np.einsum("cij,ci->cj", placed.joint_rotation[n:], placed.child_rotation[n:, :, 0])
+    return Gaps(np.concatenate(residual), np.array(alignment), np.arctan2(-x[:, 2], x[:, 0]))
 
 
-def closure_rows(
-    geometry: NominalGeometry, placed: Placed
-) -> tuple[Float[np.ndarray, "cuts 5 6"], Float[np.ndarray, "cuts 5 6"]]:
-    """Derivatives of the cut joints' residuals by the twists of L and of P."""
-    n = geometry.topology.n_links
-    y = placed.joint_rotation[n:, :, 1]
-    ends = np.swapaxes(placed.right_rotation[:, :, ::2], 1, 2)
-    couples = np.cross(ends, y[:, None])
+def _alignment(kind: JointKind, products: Float[np.ndarray, "3 3"]) -> float:
+    """`cut_joints.Closure.alignment` from the products of the axes of L and P."""
+    if kind.angles == 0:
+        return 0.5 * (np.trace(products) - 1.0)
+    axis = next(freedom.axis for freedom in kind.freedoms if freedom.rotation)
+    return 1.0 if kind.angles == 3 else products[axis, axis]
 
-    def rows(centre: np.ndarray) -> np.ndarray:
-        of_centre = np.concatenate([-cross_matrix(centre), np.broadcast_to(np.eye(3), (len(y), 3, 3))], axis=2)
-        of_axes = np.concatenate([couples, np.zeros_like(couples)], axis=2)
-        return np.concatenate([of_centre / geometry.scale, of_axes], axis=1)
 
-    return -rows(placed.centre[n:]), rows(placed.right_centre)
+def closure_rows(geometry: NominalGeometry, placed: Placed) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Derivatives (k, 6) of the k residuals of every cut joint by the twists of L and of P."""
+    topology, pairs = geometry.topology, []
+    for joint in topology.cuts:
+        kind, left, right = topology.kind(joint), placed.joint_rotation[joint], placed.child_rotation[joint]
+        forces = np.eye(3) if kind.coincident else left[:, kind.across].T
+        couples = np.array([np.cross(right[:, j], left[:, i]) for i, j in kind.perpendicular]).reshape(-1, 3)
+        centre = placed.child_centre[joint]
+
+        def rows(point, forces=forces, couples=couples):
+            of_centre = np.concatenate([np.cross(point, forces), forces], axis=1)
+            of_axes = np.concatenate([couples, np.zeros_like(couples)], axis=1)
+            return np.concatenate([of_centre / geometry.scale, of_axes])
+
+        pairs.append((-rows(placed.centre[joint] if kind.coincident else centre), rows(centre)))
+    return pairs
 
 
 def cross_matrix(vectors: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3 3"]:
@@ -144,26 +197,30 @@ def cross_matrix(vectors: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3 
 
 
 def closure_jacobian(geometry: NominalGeometry, placed: Placed) -> Float[np.ndarray, "constraints coordinates"]:
-    """Jacobian of the residuals (5 C, L + 6 N), by the joint angles, then the free rfes' (x, y, z over the
-    longest link, phi_x, phi_y, phi_z), rfe by rfe."""
+    """Jacobian of the residuals (constraints, F + 6 N), by the joint coordinates (displacements over the longest
+    link), then the free rfes' (x, y, z over the longest link, phi_x, phi_y, phi_z), rfe by rfe."""
     topology = geometry.topology
-    n = topology.n_links
-    left, right = closure_rows(geometry, placed)
-    jacobian = np.zeros((topology.n_cuts, 5, n + 6 * topology.n_rfes))
-    for cut, joint in enumerate(topology.cuts):
-        ends = ((topology.parents[joint], left[cut]), (topology.children[joint], right[cut]))
-        for node, rows in ends:
+    n, freedoms = topology.n_links, topology.n_freedoms
+    jacobian = np.zeros((topology.n_constraints, freedoms + 6 * topology.n_rfes))
+    units = joint_units(geometry)
+    sides = closure_rows(geometry, placed)
+    for joint, equations, (left, right) in zip(topology.cuts, topology.constraints, sides, strict=True):
+        block = jacobian[equations.start : equations.stop]
+        for node, rows in ((topology.parents[joint], left), (topology.children[joint], right)):
             while node != BASE:
                 link = topology.link_of(node)
                 if node >= n:
-                    k = node - n
-                    columns = slice(n + 6 * k, n + 6 * k + 6)
-                    jacobian[cut, :, columns] += rows @ _elastic_twists(geometry, placed, link, k)
-                y, centre = placed.joint_rotation[link, :, 1], placed.centre[link]
-                axis = np.concatenate([y, np.cross(centre, y)])
-                jacobian[cut, :, link] += rows @ axis
+                    k = freedoms + 6 * (node - n)
+                    block[:, k : k + 6] += rows @ _elastic_twists(geometry, placed, link, node - n)
+                for k in topology.coordinates[link]:
+                    block[:, k] += units[k] * (rows @ placed.twists[k])
                 node = topology.parents[link]
-    return jacobian.reshape(5 * topology.n_cuts, n + 6 * topology.n_rfes)
+    return jacobian
+
+
+def joint_units(geometry: NominalGeometry) -> Float[np.ndarray, " freedoms"]:
+    """1 rad, or the longest link [m], of every joint coordinate."""
+    return np.where(np.array(geometry.topology.slides, dtype=bool), geometry.scale, 1.0)
 
 
 def _elastic_twists(geometry: NominalGeometry, placed: Placed, link: int, rfe: int) -> np.ndarray:

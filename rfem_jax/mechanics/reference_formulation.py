@@ -19,8 +19,8 @@ from jaxtyping import Float
 from rfem_jax.mechanics.algebra import Scalar
 from rfem_jax.mechanics.elements import elasticity
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation
-from rfem_jax.mechanics.joint_forces import hinge_moment
-from rfem_jax.mechanics.model import BASE, Coordinates, State
+from rfem_jax.mechanics.joint_forces import joint_force
+from rfem_jax.mechanics.model import BASE, Coordinates, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 
 
@@ -37,15 +37,49 @@ def _about(axis: int, angle: Array) -> Array:
     return matrix.at[i, i].set(c).at[j, j].set(c).at[i, j].set(-s).at[j, i].set(s)
 
 
-def transforms(actual: ModelWithErrors, position: Coordinates) -> list[Float[Array, "4 4"]]:
-    """Transforms of all nodes to the global frame, in the order of the nodes."""
+def _changed(topology: Topology, position: Coordinates, change: Coordinates) -> Coordinates:
+    """The position with its plain numbers changed."""
+    joints = position.joints
+    for l in range(topology.n_links):
+        for k, rate in list(zip(topology.positions[l], topology.coordinates[l]))[: topology.plain(l)]:
+            joints = joints.at[k].add(change.joints[rate])
+    return Coordinates(joints, position.elastic + change.elastic)
+
+
+def _turned(q: Array) -> Array:
+    """Rotation of a quaternion: the products (0, e_i) with it on the left and its conjugate on the right."""
+    w, x, y, z = q / jnp.sqrt(q @ q)
+    left = jnp.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
+    right = jnp.array([[w, -x, -y, -z], [x, w, z, -y], [y, -z, w, x], [z, y, -x, w]])
+    return (left @ right.T)[1:, 1:]
+
+
+def transforms(
+    actual: ModelWithErrors, position: Coordinates, change: Coordinates | None = None
+) -> list[Float[Array, "4 4"]]:
+    """Transforms of all nodes to the global frame, in the order of the nodes; `change`: of the coordinates from the
+    position, of quaternions as a rotation vector, correct to second order."""
     topology = actual.topology
+    if change is not None:
+        position = _changed(topology, position, change)
     seat = [_transform(actual.seat_rotation[:, :, j], actual.seat_position[:, j]) for j in range(len(topology.joints))]
     bore = [_transform(actual.bore_rotation[:, :, j], actual.bore_position[:, j]) for j in range(len(topology.joints))]
     frames = {BASE: jnp.eye(4)}
     for l, (a, b) in enumerate(topology.ranges):
-        about_hinge = _transform(_about(1, position.angles[l]), jnp.zeros(3))
-        hinge = frames[topology.parents[l]] @ seat[l] @ about_hinge
+        hinge = frames[topology.parents[l]] @ seat[l]
+        at = topology.positions[l]
+        for freedom, k in zip(topology.kind(l).freedoms[: topology.plain(l)], at):
+            q = position.joints[k]
+            along = _transform(jnp.eye(3), jnp.eye(3)[freedom.axis] * q)
+            hinge = hinge @ (_transform(_about(freedom.axis, q), jnp.zeros(3)) if freedom.rotation else along)
+        if topology.kind(l).ball:
+            rotation = _turned(position.joints[at.stop - 4 : at.stop])
+            if change is not None:
+                stop = topology.coordinates[l].stop
+                x, y, z = change.joints[stop - 3 : stop]
+                skew = jnp.array([[0.0 * x, -z, y], [z, 0.0 * x, -x], [-y, x, 0.0 * x]])
+                rotation = (jnp.eye(3) + skew + 0.5 * skew @ skew) @ rotation
+            hinge = hinge @ _transform(rotation, jnp.zeros(3))
         frames[l] = hinge @ jnp.linalg.inv(bore[l])
         for k in range(a, b):
             x, y, z, phi_x, phi_y, phi_z = position.elastic[:, k]
@@ -59,19 +93,19 @@ def transforms(actual: ModelWithErrors, position: Coordinates) -> list[Float[Arr
     return [frames[node] for node in range(topology.n_links + topology.n_rfes)]
 
 
-def constraints(actual: ModelWithErrors, position: Coordinates, scale: Scalar) -> Float[Array, " constraints"]:
-    """Theory (5.1) for all cut joints (5 cuts,) [m]; `scale` [m] multiplies the equations of the axes."""
+def constraints(
+    actual: ModelWithErrors, position: Coordinates, scale: Scalar, change: Coordinates | None = None
+) -> Float[Array, " constraints"]:
+    """Theory (5.1), (5.14), (5.15) for all cut joints [m]; `scale` [m] multiplies the equations of the axes."""
     topology = actual.topology
-    frames = [*transforms(actual, position), jnp.eye(4)]
+    frames = [*transforms(actual, position, change), jnp.eye(4)]
     rows = []
     for j in topology.cuts:
         left = frames[topology.parents[j]] @ _transform(actual.seat_rotation[:, :, j], actual.seat_position[:, j])
         right = frames[topology.children[j]] @ _transform(actual.bore_rotation[:, :, j], actual.bore_position[:, j])
-        y = left[:3, 1]
-        rows += [
-            right[:3, 3] - left[:3, 3],
-            scale * jnp.stack([y @ right[:3, 0], y @ right[:3, 2]]),
-        ]
+        kind, relative = topology.kind(j), jnp.linalg.inv(left) @ right
+        apart = right[:3, 3] - left[:3, 3] if kind.coincident else relative[jnp.array(kind.across, int), 3]
+        rows += [apart, *(scale * relative[i, k][None] for i, k in kind.perpendicular)]
     return jnp.concatenate(rows) if rows else jnp.zeros(0)
 
 
@@ -121,14 +155,15 @@ def _deflection(left: Array, right: Array) -> Array:
 def reference_accelerations(
     actual: ModelWithErrors, state: State, drive: DriveInput, stabilisation: Stabilisation
 ) -> tuple[Coordinates, Float[Array, " constraints"]]:
-    """Second derivatives of the coordinates and multipliers (5 cuts,) [N] from the dense augmented system."""
+    """Second derivatives of the coordinates and multipliers [N] from the dense augmented system."""
     topology = actual.topology
-    q, unravel = ravel_pytree(state.position)
-    qd, _ = ravel_pytree(state.velocity)
+    qd, unravel = ravel_pytree(state.velocity)
+    # Changes from the present position are coordinates of which there are as many as rates.
+    q = jnp.zeros_like(qd)
     pseudo_inertia = _pseudo_inertia(actual)
 
     def matrices(q):
-        return jnp.stack(transforms(actual, unravel(q)))
+        return jnp.stack(transforms(actual, state.position, unravel(q)))
 
     def rate(q):
         return jax.jvp(matrices, (q,), (qd,))[1]
@@ -145,7 +180,7 @@ def reference_accelerations(
         if topology.exact:
             stretch = exact_deflections(actual, frames)
             return of_gravity + 0.5 * jnp.sum(actual.stiffness * stretch**2)
-        return of_gravity + elasticity.elastic_energy(actual, unravel(q))
+        return of_gravity + elasticity.elastic_energy(actual, _changed(topology, state.position, unravel(q)))
 
     def rayleigh(qd):
         """Rayleigh's dissipation function: half the power that the dampers dissipate."""
@@ -157,13 +192,13 @@ def reference_accelerations(
         return 0.5 * elasticity.dissipated_power(actual, State(state.position, unravel(qd)))
 
     force = -inertial - jax.grad(potential)(q) - jax.grad(rayleigh)(qd)
-    for l in range(topology.n_links):
-        moment = hinge_moment(topology, drive, l)
+    for k in range(topology.n_freedoms):
+        moment = joint_force(topology, drive, k)
         if moment is not None:
-            force = force.at[l].add(moment)
+            force = force.at[k].add(moment)
 
     def phi(q):
-        return constraints(actual, unravel(q), stabilisation.scale)
+        return constraints(actual, state.position, stabilisation.scale, unravel(q))
 
     def phi_rate(q):
         return jax.jvp(phi, (q,), (qd,))[1]
@@ -171,13 +206,13 @@ def reference_accelerations(
     jacobian = jax.jacfwd(phi)(q)
     gamma = -jax.jvp(phi_rate, (q,), (qd,))[1]
     gamma = gamma - stabilisation.velocity_gain * phi_rate(q) - stabilisation.position_gain * phi(q)
-    if drive.prescribed is not None and (driven := topology.driven) is not None:
+    if drive.prescribed is not None and (driven := topology.driven_coordinate) is not None:
         jacobian = jnp.concatenate([jacobian, jnp.eye(q.size)[driven : driven + 1]])
         gamma = jnp.concatenate([gamma, jnp.reshape(drive.prescribed[2], (1,))])
     n, c = q.size, gamma.size
     system = jnp.block([[mass, -jacobian.T], [jacobian, jnp.zeros((c, c))]])
     solution = jnp.linalg.solve(system, jnp.concatenate([force, gamma]))
-    return unravel(solution[:n]), solution[n : n + 5 * topology.n_cuts]
+    return unravel(solution[:n]), solution[n : n + topology.n_constraints]
 
 
 def _pseudo_inertia(actual: ModelWithErrors) -> Array:

@@ -2,7 +2,7 @@
 
 Place in the pipeline: after `summary`; needs matplotlib (the extra `plots`), which draws without
 a screen and whose global settings stay as they are. Times s, angles rad, forces N, moments N m,
-energies J, lengths m; force components in the hinge frame (y along the hinge).
+energies J, lengths m; force components in the joint's frame H (y along a hinge).
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib import rc_context
 
+from rfem_jax.description.joint_kinds import KINDS
 from rfem_jax.description.study import Study
 from rfem_jax.report.annotations import Figure, Run, Summaries
 from rfem_jax.report.output import write_pictures
@@ -84,10 +85,6 @@ def component_figure(
     figure = new_figure(7.2, 7.2)
     axes = figure.subplots(3, 1, sharex=True)
     order = [case.name for case in study.cases]
-    names = {
-        "force": ("(a) x, across the hinge", "(b) y, along the hinge", "(c) z, across the hinge"),
-        "moment": ("(a) about x, across the hinge", "(b) about y, the hinge", "(c) about z, across the hinge"),
-    }
     loads = {case: np.asarray(getattr(runs[case].loads[joint], load)) for case in shown}
     largest = max(np.max(np.abs(values), initial=0.0, where=np.isfinite(values)) for values in loads.values())
     for case, values in loads.items():
@@ -97,13 +94,24 @@ def component_figure(
         for axis in range(3):
             style = line_style(order.index(case), len(times))
             axes[axis].plot(times, values[:, axis], label=label, **{**style, "linewidth": 0.9})
-    for axis, name in zip(axes, names[load], strict=True):
+    for axis, name in zip(axes, _component_titles(study.mechanism.joint(joint).kind, load), strict=True):
         axis.set_title(name, loc="left")
         axis.set_ylabel(f"{load}, {quantity.unit}")
     add_legend(axes[0])
     axes[-1].set_xlabel("time, s")
     add_titles(figure, f"{load.capitalize()} in joint {joint}, hinge frame, on the child link", study)
     return figure
+
+
+def _component_titles(kind: str, load: str) -> list[str]:
+    """Titles of the x, y and z component of the force or the moment in a joint."""
+    axis, name = KINDS[kind].axis, "hinge" if kind == "revolute" else "axis"
+    titles = []
+    for i, (number, letter) in enumerate(zip("abc", "xyz", strict=True)):
+        words = f"({number}) about {letter}" if load == "moment" else f"({number}) {letter}"
+        along = f", the {name}" if load == "moment" else f", along the {name}"
+        titles.append(words if axis is None else words + (along if i == axis else f", across the {name}"))
+    return titles
 
 
 def shown_joints(study: Study, summaries: Summaries) -> list[str]:

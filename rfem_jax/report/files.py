@@ -3,8 +3,8 @@
 Place in the pipeline: after `summary`; written by `output`.
 
 CSV columns: `time_s`; `angle_rad`, `rate_rad_s` of the driven joint; energies `_J`; then for each
-joint `A_force_x_N` ... `A_moment_z_Nm` in its hinge frame (y along the hinge); and last
-`drive_moment_Nm`.
+joint `A_force_x_N` ... `A_moment_z_Nm` in its frame H (y along a hinge); `drive_moment_Nm`; and last
+the coordinates of the joints of the tree that are not revolute, `G_displacement_m`, `U_angle_1_rad`.
 """
 
 from collections.abc import Mapping
@@ -55,6 +55,23 @@ def history_columns(study: Study, run: Run) -> dict[str, Float[np.ndarray, " tim
             for axis, letter in enumerate("xyz"):
                 columns[column_name(f"{name}_{load}_{letter}", unit)] = values[:, axis]
     columns[column_name("drive_moment", "N m")] = np.asarray(run.drive_moment)
+    return columns | _coordinate_columns(study, run)
+
+
+def _coordinate_columns(study: Study, run: Run) -> dict[str, Float[np.ndarray, " times"]]:
+    """Coordinates of the tree joints that are not revolute, numbered where a joint has several of one dimension."""
+    columns = {}
+    for joint in study.mechanism.joints:
+        if joint.cut or joint.kind == "revolute":
+            continue
+        for what, unit, values in (("angle", "rad", run.angles), ("displacement", "m", run.displacements)):
+            several = np.asarray(values[joint.name]) if joint.name in values else np.zeros((0, 0))
+            if several.ndim == 1:
+                columns[column_name(f"{joint.name}_{what}", unit)] = several
+            else:
+                columns |= {
+                    column_name(f"{joint.name}_{what}_{n}", unit): one for n, one in enumerate(several.T, start=1)
+                }
     return columns
 
 

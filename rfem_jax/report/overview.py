@@ -9,6 +9,8 @@ import re
 from dataclasses import fields
 
 from rfem_jax.description.drives import MomentDrive, PrescribedDrive
+from rfem_jax.description.joint_kinds import KINDS
+from rfem_jax.description.joints import Joint
 from rfem_jax.description.mechanism import Mechanism
 from rfem_jax.description.sections import Section
 from rfem_jax.description.study import Case, Study
@@ -55,14 +57,21 @@ def link_rows(mechanism: Mechanism) -> list[list[str]]:
 
 
 def joint_rows(study: Study) -> list[list[str]]:
-    """One row per joint: name, parent, child, start angle, what is special about it."""
+    """One row per joint: name, kind, parent, child, start, what is special about it."""
     driven = None if study.drive is None else study.drive.joint
     rows = []
     for joint in study.mechanism.joints:
-        angle = "-" if joint.cut else f"{math.degrees(joint.angle or 0.0):.6g}"
         marks = [word for word, holds in (("cut", joint.cut), ("driven", joint.name == driven)) if holds]
-        rows.append([joint.name, joint.parent, joint.child, angle, ", ".join(marks) or "-"])
+        start = "-" if joint.cut else _start_text(joint)
+        rows.append([joint.name, joint.kind, joint.parent, joint.child, start, ", ".join(marks) or "-"])
     return rows
+
+
+def _start_text(joint: Joint) -> str:
+    """Start of all coordinates of a joint of the tree, angles in degrees."""
+    freedoms = KINDS[joint.kind].freedoms
+    values = zip(joint.start_values, freedoms, strict=True)
+    return ", ".join(f"{math.degrees(x):.6g} deg" if one.rotation else f"{x:.6g} m" for x, one in values) or "-"
 
 
 def _drive_text(drive: MomentDrive | PrescribedDrive | None) -> str:
@@ -96,6 +105,13 @@ def count_lines(mechanism: Mechanism, description: Structure) -> list[str]:
         f"{description.constraints}, of rank {description.rank}.",
         f"Mobility: {description.mobility} with flexible links, {description.rigid_mobility} if all links were rigid.",
     ]
+    if description.rigid_mobility == 0:
+        kinds = ", ".join(f"{joint.name} ({joint.kind})" for joint in mechanism.joints)
+        lines.append(f"With every link rigid the joints {kinds} lock: nothing moves but by deflection.")
+    for link in description.idle:
+        joints = [joint for joint in mechanism.joints if link in (joint.parent, joint.child)]
+        kinds = " and ".join(f"{joint.name} ({joint.kind})" for joint in joints)
+        lines.append(f"Idle freedom: link {link} can move alone between {kinds}, and nothing else follows.")
     if description.gap > 1e-9:
         lines.append(
             f"With every link rigid a cut joint stays open by {description.gap:.2g} m at the start, which flexible "
@@ -116,7 +132,7 @@ def study_text(study: Study, description: Structure) -> str:
     """
     mechanism = study.mechanism
     link_header = ["link", "length, m", "mass, kg", "rfes", "point masses", "section"]
-    joint_header = ["joint", "parent", "child", "start angle, deg", "remarks"]
+    joint_header = ["joint", "kind", "parent", "child", "start", "remarks"]
     cases = [[case.name, _errors_text(mechanism, case)] for case in study.cases]
     gravity = ", ".join(f"{value:g}" for value in mechanism.gravity)
     save = "by default" if study.save_every is None else f"every {study.save_every:g} s"
@@ -124,7 +140,7 @@ def study_text(study: Study, description: Structure) -> str:
         [
             title_text(study),
             format_table(link_header, link_rows(mechanism), words=(0, 5)),
-            format_table(joint_header, joint_rows(study), words=(0, 1, 2, 4)),
+            format_table(joint_header, joint_rows(study), words=(0, 1, 2, 3, 5)),
             "\n".join([*count_lines(mechanism, description), f"Gravity: {gravity} m/s^2."]),
             f"Drive: {_drive_text(study.drive)}.\n"
             f"Simulation: {study.duration:g} s with {_method_text(study)}; saved {save}.",

@@ -26,14 +26,16 @@ class Quantity:
 
 RMS_FORCE = Quantity("rms_force", "N", "RMS resultant force", "root of the mean square over the whole run")
 RMS_MOMENT = Quantity("rms_moment", "N m", "RMS resultant moment", "root of the mean square over the whole run")
-MAX_AXIAL_FORCE = Quantity("max_axial_force", "N", "Maximum axial force", "largest |force along the hinge| of the run")
+MAX_AXIAL_FORCE = Quantity(
+    "max_axial_force", "N", "Maximum axial force", "largest |force along the joint's axis| of the run"
+)
 MAX_NORMAL_FORCE = Quantity(
-    "max_normal_force", "N", "Maximum normal force", "largest resultant across the hinge of the run"
+    "max_normal_force", "N", "Maximum normal force", "largest resultant across the axis of the run"
 )
 JOINT_METRICS = (RMS_FORCE, RMS_MOMENT, MAX_AXIAL_FORCE, MAX_NORMAL_FORCE)
 
-PRELOAD_FORCE = Quantity("preload_force", "N", "Preload force", "force at the start, x y z of the hinge frame")
-PRELOAD_MOMENT = Quantity("preload_moment", "N m", "Preload moment", "moment at the start, x y z of the hinge frame")
+PRELOAD_FORCE = Quantity("preload_force", "N", "Preload force", "force at the start, x y z of the frame H")
+PRELOAD_MOMENT = Quantity("preload_moment", "N m", "Preload moment", "moment at the start, x y z of the frame H")
 PRELOADS = (PRELOAD_FORCE, PRELOAD_MOMENT)
 
 ANGLE_END = Quantity("angle_end", "rad", "Angle at end", "the driven joint's own coordinate")

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 import numpy as np
 from jaxtyping import Float
 
+from rfem_jax.description.joint_kinds import KINDS
 from rfem_jax.description.joints import Joint
 from rfem_jax.description.mechanism import Mechanism
 from rfem_jax.description.study import Study
@@ -131,6 +132,8 @@ def _draw_mechanism(axes: Axes3D, mechanism: Mechanism, run: Run, factor: float)
                 foot = point_on_line(lines[link], nominal[link], float(seat[0]))
                 axes.plot(*np.stack([foot, point], axis=1), color=colours[link], linewidth=1.2)
         marker, size = ("^", 7) if joint.parent == "base" else ("o", 5)
+        if KINDS[joint.kind].displacements:
+            marker, size = "s", 6
         axes.plot(*point[:, None], marker=marker, markersize=size, color="black", mfc="white")
         if np.isfinite(point).all():
             axes.text(point[0], point[1], point[2], f"  {joint.name}", fontsize=9, weight="bold")

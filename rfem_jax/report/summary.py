@@ -34,10 +34,12 @@ def total_energy(run: Run) -> Float[np.ndarray, " times"]:
 
 
 def summarise_run(study: Study, run: Run) -> dict[str, Any]:
-    """Metrics, preload, end of the driven joint, balances and branch of one run (numbers, SI)."""
+    """Metrics, preload, end of the driven joint, balances and branch of one run (numbers, SI; NaN for an axial or
+    normal force of a joint without an axis)."""
     joints: dict[str, dict[str, Any]] = {}
     for name in joint_names(study):
-        row: dict[str, Any] = {q.name: float(getattr(run.metrics, q.name)[name]) for q in JOINT_METRICS}
+        row: dict[str, Any] = {"kind": study.mechanism.joint(name).kind}
+        row |= {q.name: float(getattr(run.metrics, q.name)[name]) for q in JOINT_METRICS}
         row["preload_force"] = [float(v) for v in np.asarray(run.preload[name].force)]
         row["preload_moment"] = [float(v) for v in np.asarray(run.preload[name].moment)]
         joints[name] = row

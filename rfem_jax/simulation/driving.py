@@ -30,8 +30,15 @@ def require_driven(model: Model, drive: Drive) -> None:
     )
 
 
-def driven_index(topology: Topology) -> int:
-    """Index of the driven joint among the tree joints, of a model whose drive was checked by `require_driven`."""
-    if topology.driven is None:
+def driven_coordinate(topology: Topology) -> int:
+    """Index of the driven joint's rate, of a model whose drive was checked by `require_driven`."""
+    if topology.driven_coordinate is None:
         raise ValueError("The model has no driven joint; call `require_driven` before.")
-    return topology.driven
+    return topology.driven_coordinate
+
+
+def driven_position(topology: Topology) -> int:
+    """Index of the driven joint's coordinate in the position, as `driven_coordinate`."""
+    if topology.driven_position is None:
+        raise ValueError("The model has no driven joint; call `require_driven` before.")
+    return topology.driven_position

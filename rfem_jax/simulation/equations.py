@@ -23,14 +23,15 @@ from rfem_jax.mechanics.implicit.condensation import LinkOperator
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation, impose
 from rfem_jax.mechanics.model import Coordinates, Model, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
-from rfem_jax.simulation.driving import Drive, driven_index
+from rfem_jax.mechanics.orientations import position_rate
+from rfem_jax.simulation.driving import Drive, driven_position
 
 Scalar = int | float | Float[Array | np.ndarray, ""]
 Tree = TypeVar("Tree")
 
 
 class Integrals(eqx.Module):
-    """Integrals over time of squared loads (joints,) [N^2 s, (N m)^2 s]: axial (along the hinge) and
+    """Integrals over time of squared loads (joints,) [N^2 s, (N m)^2 s]: axial (along the joint's axis) and
     normal force, resultant moment; work of the drive and dissipated energy [J]."""
 
     axial_square: Float[Array, " joints"]
@@ -107,9 +108,9 @@ def at_instant(
 def right_hand_side(t: Scalar, trajectory: Trajectory, conditions: Conditions) -> Trajectory:
     """Time derivative of the integrated state at the time t [s]."""
     state, drive, result, joint = at_instant(t, trajectory, conditions)
-    axial, normal, moment = squares(joint)
+    axial, normal, moment = squares(conditions.actual.topology, joint)
     return Trajectory(
-        position=state.velocity,
+        position=position_rate(conditions.actual.topology, state.position, state.velocity),
         velocity=result.coordinates,
         integrals=Integrals(
             axial_square=axial,
@@ -122,17 +123,25 @@ def right_hand_side(t: Scalar, trajectory: Trajectory, conditions: Conditions) -
 
 
 def squares(
-    joint: loads.JointLoads,
+    topology: Topology, joint: loads.JointLoads
 ) -> tuple[Float[Array, " joints"], Float[Array, " joints"], Float[Array, " joints"]]:
-    """Squared axial force, normal force [N^2] and resultant moment [(N m)^2]."""
-    x, y, z = joint.force
-    return y**2, x**2 + z**2, jnp.sum(joint.moment**2, axis=0)
+    """Squared axial force, normal force [N^2] and resultant moment [(N m)^2].
+
+    Axial is along the axis of the joint's kind; the force of a kind without an axis counts as normal.
+    """
+    axes = [topology.kind(j).axis for j in range(len(topology.joints))]
+    moment = jnp.sum(joint.moment**2, axis=0)
+    if set(axes) == {1}:
+        x, y, z = joint.force
+        return y**2, x**2 + z**2, moment
+    square, along = joint.force**2, np.array([[axis == i for axis in axes] for i in range(3)])
+    return jnp.sum(jnp.where(along, square, 0.0), axis=0), jnp.sum(jnp.where(along, 0.0, square), axis=0), moment
 
 
 def drive_power(topology: Topology, state: State, drive: DriveInput, joint: loads.JointLoads) -> Float[Array, ""]:
     """Power [W] of the drive."""
     return drive_moment(topology, drive, joint) * (
-        0.0 if topology.driven is None else state.velocity.angles[topology.driven]
+        0.0 if topology.driven_coordinate is None else state.velocity.joints[topology.driven_coordinate]
     )
 
 
@@ -155,7 +164,7 @@ def with_start_angle(model: Model, drive: Drive) -> Drive:
     """The drive with a prescribed motion as the driven joint's angle: its own is counted from the start angle."""
     if not isinstance(drive, PrescribedDrive):
         return drive
-    return _FromStartAngle(drive.joint, drive, model.start_angles[driven_index(model.topology)])
+    return _FromStartAngle(drive.joint, drive, model.start_joints[driven_position(model.topology)])
 
 
 class _FromStartAngle(PrescribedDrive):

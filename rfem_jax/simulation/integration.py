@@ -25,6 +25,7 @@ from rfem_jax.mechanics.centre_lines import link_lines
 from rfem_jax.mechanics.discretisation import require_double_precision
 from rfem_jax.mechanics.model import Model, State
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors, ModelWithErrors, apply_errors, assembly_errors
+from rfem_jax.mechanics.orientations import angles_of
 from rfem_jax.mechanics.statics.assembly import (
     Load,
     equilibrium,
@@ -43,11 +44,11 @@ from rfem_jax.mechanics.status import (
     STEPS_EXHAUSTED,
 )
 from rfem_jax.simulation import equations
-from rfem_jax.simulation.driving import Drive, driven_index, require_driven
+from rfem_jax.simulation.driving import Drive, driven_coordinate, require_driven
 from rfem_jax.simulation.equations import Conditions, Scalar, Trajectory
 from rfem_jax.simulation.observation import Record, observe
 from rfem_jax.simulation.packing import pack, unpack
-from rfem_jax.simulation.run import RESIDUAL_LIMIT, DrivenJoint, LoadIntegrals, Metrics, Run
+from rfem_jax.simulation.run import RESIDUAL_LIMIT, DrivenJoint, Energy, LoadIntegrals, Metrics, Run
 from rfem_jax.simulation.solvers.catalogue import observed_solver
 from rfem_jax.simulation.solvers.implicit_step import SOLUTION, Memory
 from rfem_jax.simulation.stabilisation import stabilisation_of
@@ -139,9 +140,9 @@ def prepare(model: Model, errors: AssemblyErrors, drive: Drive, start: State | N
         held = held_angles(model, None)
         first = equations.drive_input(drive, jnp.zeros(()), jnp.asarray(0, jnp.int32))
         if first.prescribed is not None:
-            held = {driven_index(model.topology): first.prescribed[0]}
+            held = {driven_coordinate(model.topology): first.prescribed[0]}
         position, multipliers, status = equilibrium(model, actual, held)
-        state = loads.static_state(position)
+        state = loads.static_state(model.topology, position)
         preload = static_loads(model, actual, state, multipliers)
         if first.prescribed is not None:
             rates = quasi_static_rates(model, actual, held, first.prescribed[1])
@@ -257,22 +258,23 @@ def conclude(
     carry = carry._replace(peaks=jnp.maximum(carry.peaks, jnp.max(record.squares, axis=0)))
     record = jax.tree.map(lambda x: x[grid.saved], record)
     times = jnp.asarray(grid.starts + grid.lengths)[grid.saved]
-    driven = model.topology.driven
+    driven, driven_rate = model.topology.driven_position, model.topology.driven_coordinate
     energy = record.energy
     balance = energy.total - energy.work + energy.dissipation
     error = jnp.max(jnp.abs(balance - balance[0])) / _safe(jnp.max(jnp.abs(energy.total)))
     drift = jnp.max(record.drift)
-    residual = carry.residual / _safe(largest_force(carry))
+    residual = carry.residual / _safe(_force_scale(model, carry, energy))
     relative = jnp.max(record.momentum_residual, axis=0) / _safe(jnp.max(record.largest_load, axis=0))
     zeros = jnp.zeros_like(times)
-    angle = zeros if driven is None else record.angles[:, driven]
-    rate = zeros if driven is None else record.rates[:, driven]
+    angle = zeros if driven is None else record.joints[:, driven]
+    rate = zeros if driven_rate is None else record.joint_rates[:, driven_rate]
     return Run(
         times=times,
         angle=angle,
         rate=rate,
         drive_moment=record.drive_moment,
-        angles={name: record.angles[:, l] for l, name in enumerate(_tree_joints(model))},
+        angles=_coordinates(model, record, rotation=True),
+        displacements=_coordinates(model, record, rotation=False),
         loads={name: Load(record.loads.force[:, :, j], record.loads.moment[:, :, j]) for name, j in _joints(model)},
         preload=named(model, prepared.preload),
         energy=energy,
@@ -308,13 +310,17 @@ def metrics_of(model: Model, carry: Carry, duration: Scalar) -> Metrics:
     def by_name(values):
         return {name: values[j] for name, j in _joints(model)}
 
+    def with_axis(values):
+        without = [name for name, j in _joints(model) if model.topology.kind(j).axis is None]
+        return {**by_name(values), **dict.fromkeys(without, jnp.asarray(jnp.nan))}
+
     return Metrics(
         mean_square_force=by_name(force),
         mean_square_moment=by_name(moment),
         rms_force=by_name(equations.safe_sqrt(force)),
         rms_moment=by_name(equations.safe_sqrt(moment)),
-        max_axial_force=by_name(highest[0]),
-        max_normal_force=by_name(highest[1]),
+        max_axial_force=with_axis(highest[0]),
+        max_normal_force=with_axis(highest[1]),
     )
 
 
@@ -335,12 +341,30 @@ def largest_force(carry: Carry) -> Float[Array, ""]:
     return equations.safe_sqrt(jnp.max(carry.peaks))
 
 
+def _force_scale(model: Model, carry: Carry, energy: Energy) -> Float[Array, ""]:
+    """What a residual force is compared with [N]: the largest joint force, and for free links, whose joints carry
+    none, their kinetic energy over the longest link."""
+    largest = largest_force(carry)
+    if "free" not in model.topology.kinds:
+        return largest
+    return jnp.maximum(largest, jnp.max(energy.kinetic) / length_scale(model))
+
+
 def _safe(value):
     return jnp.where(value > 0.0, value, 1.0)
 
 
-def _tree_joints(model):
-    return model.topology.joints[: model.topology.n_links]
+def _coordinates(model: Model, record: Record, rotation: bool) -> dict[str, Array]:
+    """Angles or displacements by tree joint: (times,), or (times, k) of a kind that has several."""
+    found, topology = {}, model.topology
+    for l, at in enumerate(topology.positions):
+        plain = zip(at, topology.kind(l).freedoms[: topology.plain(l)])
+        wanted = [record.joints[:, k] for k, freedom in plain if freedom.rotation is rotation]
+        if rotation and topology.kind(l).ball:
+            wanted = list(angles_of(record.joints[:, at.stop - 4 : at.stop]).T)
+        if wanted:
+            found[topology.joints[l]] = jnp.stack(wanted, axis=1) if len(wanted) > 1 else wanted[0]
+    return found
 
 
 def _joints(model):

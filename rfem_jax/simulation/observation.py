@@ -16,7 +16,7 @@ from rfem_jax.mechanics.cut_joints import Closure, assembly_modes
 from rfem_jax.mechanics.dynamics import Accelerations
 from rfem_jax.mechanics.implicit.residual import Evaluation
 from rfem_jax.mechanics.inputs import DriveInput
-from rfem_jax.mechanics.kinematics import Motion, range_used
+from rfem_jax.mechanics.kinematics import Motion, by_freedom, range_used
 from rfem_jax.mechanics.model import Coordinates, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 from rfem_jax.simulation import equations
@@ -28,10 +28,10 @@ class Instant(NamedTuple):
     """The equations of motion at one instant: joint loads, and what their checks need.
 
     loads of all joints; base: wrench (6,) of the base at the global origin; accelerations of the coordinates; drift
-    [m], drift_angle [rad]: closure errors of the cut joints; arm [m]: largest coordinate of a hinge; stabilising,
-    multiplier [N]: largest part of a multiplier due to Baumgarte's terms, and largest multiplier; residual [N]: of the
-    equations of motion as forces, none (n = 0) where these were solved for the accelerations; motion, closure:
-    kinematics of the instant.
+    [m], drift_angle [rad]: closure errors of the cut joints; arm [m]: largest coordinate of a joint's centre;
+    stabilising, multiplier [N]: largest part of a multiplier due to Baumgarte's terms, and largest multiplier;
+    residual [N]: of the equations of motion as forces, none (n = 0) where these were solved for the accelerations;
+    motion, closure: kinematics of the instant.
     """
 
     loads: loads.JointLoads
@@ -50,14 +50,15 @@ class Instant(NamedTuple):
 class Record(NamedTuple):
     """What is recorded at the end of every interval; fields with the names of `Run`'s are what that says.
 
-    momentum_residual: largest components of the residual force [N] and moment [N m] of the momentum balance;
-    largest_load [N, N m]: what they are divided by; hinge_residual [N m]: largest moment about a hinge that should be
-    zero; range_used: as `kinematics.range_used`; square_integrals: of the resultant force and moment [N^2 s,
-    (N m)^2 s]; squares: of the axial and the normal force [N^2].
+    joints, joint_rates: positions of the tree joints (as `Coordinates.joints`) and their rates; momentum_residual:
+    largest components of the residual force [N] and moment [N m] of the momentum balance; largest_load [N, N m]: what
+    they are divided by; hinge_residual [N m]: largest load along a free motion of a joint, which should be zero
+    (forces times `Instant.arm`); range_used: as `kinematics.range_used`; square_integrals: of the resultant force and
+    moment [N^2 s, (N m)^2 s]; squares: of the axial and the normal force [N^2].
     """
 
-    angles: Float[Array, " links"]
-    rates: Float[Array, " links"]
+    joints: Float[Array, " numbers"]
+    joint_rates: Float[Array, " freedoms"]
     drive_moment: Float[Array, ""]
     loads: loads.JointLoads
     energy: Energy
@@ -141,12 +142,9 @@ def observe(
         largest_force = equations.safe_sqrt(jnp.max(jnp.sum(joint.force**2, axis=0)))
         largest_moment = equations.safe_sqrt(jnp.max(jnp.sum(joint.moment**2, axis=0)))
         largest_moment = largest_moment + largest_force * instant.arm
-        passive = np.ones(len(topology.joints))
-        if drive.prescribed is not None:
-            passive[topology.driven] = 0.0
         return Record(
-            angles=state.position.angles,
-            rates=state.velocity.angles,
+            joints=state.position.joints,
+            joint_rates=state.velocity.joints,
             drive_moment=equations.drive_moment(topology, drive, joint),
             loads=joint,
             energy=Energy(*parts, integrals.work, integrals.dissipation),
@@ -154,7 +152,7 @@ def observe(
             drift_angle=instant.drift_angle,
             momentum_residual=jnp.stack([jnp.max(jnp.abs(force)), jnp.max(jnp.abs(moment))]),
             largest_load=jnp.stack([largest_force, largest_moment]),
-            hinge_residual=jnp.max(jnp.abs(joint.moment[1]) * jnp.asarray(passive)),
+            hinge_residual=_load_along_free_motions(topology, instant, drive),
             stabilising=instant.stabilising,
             multiplier=instant.multiplier,
             range_used=range_used(topology, state.position),
@@ -164,6 +162,25 @@ def observe(
             residual=instant.residual,
             squares=squares,
         )
+
+
+def _load_along_free_motions(topology: Topology, instant: Instant, drive: DriveInput) -> Float[Array, ""]:
+    """Largest load along a free motion of a joint, but the driven one's: moment [N m], or force times the arm."""
+    joint, hinges = instant.loads, instant.motion.hinges
+    passive = np.ones(len(topology.joints))
+    if drive.prescribed is not None:
+        passive[topology.driven] = 0.0
+    revolute = np.array([kind == "revolute" for kind in topology.kinds])
+    if revolute.all():
+        return jnp.max(jnp.abs(joint.moment[1]) * jnp.asarray(passive))
+    n = topology.n_links
+    force, moment = (algebra.apply(hinges.rotation, part[:, :n]) for part in joint)
+    wrenches = algebra.wrench_at_origin(moment, force, hinges.point)
+    along = jnp.abs(algebra.dot(instant.motion.axis, by_freedom(topology, wrenches)))
+    along = along * jnp.where(np.array(topology.slides, dtype=bool), instant.arm, 1.0)
+    along = along * passive[np.array(topology.link_of_freedom, dtype=int)]
+    about_cuts = jnp.abs(joint.moment[1, n:]) * revolute[n:].astype(float)
+    return jnp.max(jnp.concatenate([along, about_cuts]), initial=0.0)
 
 
 def _branch(actual: ModelWithErrors, instant: Instant) -> Float[Array, " cuts"]:
@@ -177,5 +194,16 @@ def cut_drift(cuts: Closure | None, scale: algebra.Scalar) -> tuple[Float[Array,
     """Closure errors of the cut joints: largest distance [m] of two joint centres, largest axis equation [rad]."""
     if cuts is None:
         return jnp.zeros(()), jnp.zeros(())
-    distance = equations.safe_sqrt(jnp.max(jnp.sum(cuts.residual[:3] ** 2, axis=0)))
-    return distance, jnp.max(jnp.abs(cuts.residual[3:])) / scale
+    distances, turns = [], []
+    for group in cuts.groups:
+        of_centres, of_axes = group.residual[: group.n_centres], group.residual[group.n_centres :]
+        distances.append(equations.safe_sqrt(jnp.max(jnp.sum(of_centres**2, axis=0))))
+        if of_axes.shape[0]:
+            turns.append(jnp.max(jnp.abs(of_axes)) / scale)
+    return _largest(distances), _largest(turns)
+
+
+def _largest(values: list[Float[Array, ""]]) -> Float[Array, ""]:
+    if not values:
+        return jnp.zeros(())
+    return values[0] if len(values) == 1 else jnp.max(jnp.stack(values))

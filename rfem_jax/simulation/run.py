@@ -79,8 +79,9 @@ class DrivenJoint(eqx.Module):
 class Run(eqx.Module):
     """One simulated case, or a batch of them with a leading axis.
 
-    times [s], the saved times; angle, rate of the driven joint [rad, rad/s]; drive_moment [N m]; angles: coordinate
-    [rad] of every tree joint; loads, preload: `Load`s by joint, in hinge frames; energy; metrics; driven_joint.
+    times [s], the saved times; angle, rate of the driven joint [rad, rad/s]; drive_moment [N m]; angles [rad],
+    displacements [m]: coordinates of the tree joints that have any, (times, k) where a joint has k > 1; loads,
+    preload: `Load`s by joint, in hinge frames; energy; metrics; driven_joint.
 
     Checks, each of which can fail: energy_balance_error, relative to the largest energy; closure_drift [m],
     closure_drift_angle [rad]; momentum_balance_error and hinge_moment_error, relative to the largest load;
@@ -101,7 +102,8 @@ class Run(eqx.Module):
     angle: Float[Array, " times"]
     rate: Float[Array, " times"]
     drive_moment: Float[Array, " times"]
-    angles: dict[str, Float[Array, " times"]]
+    angles: dict[str, Float[Array, " times *k"]]
+    displacements: dict[str, Float[Array, " times *k"]]
     loads: dict[str, Load]
     preload: dict[str, Load]
     energy: Energy

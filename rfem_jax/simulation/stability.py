@@ -64,7 +64,7 @@ def largest_stable_step(model: Model, method: Method, drive: Drive = None) -> fl
     """
     require_driven(model, drive)
     vibration = Vibration(model, isinstance(drive, PrescribedDrive))
-    found = [vibration.modes(angles) for angles in _poses(model)]
+    found = [vibration.modes(joints) for joints in _poses(model)]
     values = [modes.eigenvalues() for modes in found]
     frequency = [np.abs(of_one).max() for of_one in values]
     limit = 20.0 / max(*frequency, 1e-300)
@@ -94,24 +94,24 @@ def eigenvalues(model: Model, drive: Drive = None) -> Complex[np.ndarray, " eige
     """
     require_driven(model, drive)
     vibration = Vibration(model, isinstance(drive, PrescribedDrive))
-    return vibration.modes(np.asarray(model.start_angles)).eigenvalues()
+    return vibration.modes(np.asarray(model.start_joints)).eigenvalues()
 
 
 def _poses(model: Model) -> np.ndarray:
-    """Angles (positions, links) of closed nominal geometries, start first."""
-    start = np.asarray(model.start_angles)
-    driven = model.topology.driven
+    """Positions of the joints (poses, numbers) of closed nominal geometries, start first."""
+    start = np.asarray(model.start_joints)
+    driven = model.topology.driven_position
     if driven is None:
         return start[None]
-    poses, angles = [start], start
+    poses, joints = [start], start
     for rotation in np.arange(1, POSITIONS) * 2.0 * np.pi / POSITIONS:
-        guess = np.array(angles)
+        guess = np.array(joints)
         guess[driven] = start[driven] + rotation
-        angles, residual, alignment, _ = close_at(model, guess)
+        joints, residual, alignment, _ = close_at(model, guess)
         # A crank that cannot make a full revolution: the positions up to its limit count.
         if np.abs(residual).max(initial=0.0) > CLOSING_TOLERANCE or (alignment < 0.0).any():
             break
-        poses.append(angles)
+        poses.append(joints)
     return np.stack(poses)
 
 

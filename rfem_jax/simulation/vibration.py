@@ -8,7 +8,7 @@ All bodies (rfes) have six velocities each, in the axes of their link; joints ar
     M w'' + C w' + K w + G^T lambda = 0,     G w = 0.
 
 M is block diagonal, K and C are those of the springs between neighbouring rfes, the same in every position; only G
-depends on the joint angles.  With M = L L^T and the orthogonal projection P onto the null space of G L^-T the
+depends on the joint coordinates.  With M = L L^T and the orthogonal projection P onto the null space of G L^-T the
 modes are those of P L^-1 K L^-T P.  All of them are found for small mechanisms; for large ones the stiffest, by
 Lanczos' method with sparse matrices (ARPACK), in memory proportional to the number of rfes.
 
@@ -25,6 +25,7 @@ from scipy import sparse
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
 from rfem_jax.compilation.program import Program
+from rfem_jax.description.joint_kinds import JointKind
 from rfem_jax.mechanics.cut_joints import RANK_TOLERANCE
 from rfem_jax.mechanics.model import BASE, Model, Topology
 from rfem_jax.mechanics.model_with_errors import apply_errors, assembly_errors
@@ -33,6 +34,7 @@ from rfem_jax.mechanics.nominal_geometry import (
     Placed,
     cross_matrix,
     geometry_of,
+    moved,
     place,
 )
 
@@ -65,7 +67,7 @@ class Modes(NamedTuple):
 
 
 class Vibration:
-    """The vibration of a model about positions given by joint angles.
+    """The vibration of a model about positions given by joint coordinates.
 
     **Arguments:** `held`: whether the driven joint's motion is prescribed.
     """
@@ -89,11 +91,11 @@ class Vibration:
         ]
         self.before: list[np.ndarray | None] = [None] * len(self.rates)
 
-    def modes(self, angles: Float[np.ndarray, " links"]) -> Modes:
-        """The modes at joint angles [rad], links undeformed."""
-        placed = place(self.geometry, angles)
+    def modes(self, joints: Float[np.ndarray, " numbers"]) -> Modes:
+        """The modes at a position of the joints, links undeformed."""
+        placed = place(self.geometry, joints)
         if self.topology.n_rfes == 0:
-            return self._rigid(np.asarray(angles))
+            return self._rigid(np.asarray(joints))
         constraints = sparse.csr_matrix(self._constraints(placed) @ self.inverse_root)
         if self.size <= 6 * MOST_BODIES:
             return self._all(constraints.toarray())
@@ -132,26 +134,32 @@ class Vibration:
             damping.append(rate * squares[-1])
         return Modes(np.concatenate(squares), np.concatenate(damping))
 
-    def _rigid(self, angles: np.ndarray) -> Modes:
+    def _rigid(self, joints: np.ndarray) -> Modes:
         columns = []
-        for shift in DIFFERENCE * np.eye(len(angles)):
-            ahead, behind = self._hinge_accelerations(angles + shift), self._hinge_accelerations(angles - shift)
+        for shift in DIFFERENCE * np.eye(self.topology.n_freedoms):
+            ahead, behind = (self._joint_accelerations(moved(self.topology, joints, s)) for s in (shift, -shift))
             columns.append((ahead - behind) / (2.0 * DIFFERENCE))
         squares = -np.linalg.eigvals(np.array(columns).T)
         return Modes(squares, np.zeros(len(squares)))
 
-    def _hinge_accelerations(self, angles: np.ndarray) -> np.ndarray:
-        """Second derivatives of the joint angles of rigid links under gravity, at rest."""
-        placed = place(self.geometry, angles)
-        n = self.topology.n_links
+    def _joint_accelerations(self, joints: np.ndarray) -> np.ndarray:
+        """Second derivatives of the joint coordinates of rigid links under gravity, at rest."""
+        placed, topology = place(self.geometry, joints), self.topology
+        n = topology.n_links
         falling = np.concatenate([np.zeros((n, 3)), placed.rotation.transpose(0, 2, 1) @ self.gravity], axis=1)
         load = self.inverse_root.T @ (self.mass @ falling.reshape(-1))
         free = _projection(sparse.csc_matrix(self._constraints(placed) @ self.inverse_root))(load)
-        angular = np.einsum("lij,lj->li", placed.rotation, (self.inverse_root @ free).reshape(n, 6)[:, :3])
-        parents = [np.zeros(3) if p == BASE else angular[p] for p in self.topology.parents[:n]]
-        about_hinges = np.sum(placed.joint_rotation[:n, :, 1] * (angular - parents), axis=1)
-        about_hinges[[l for l in range(n) if self.held and l == self.topology.driven]] = 0.0
-        return about_hinges
+        in_link = (self.inverse_root @ free).reshape(n, 2, 3)
+        angular, linear = np.moveaxis(np.einsum("lij,lkj->lki", placed.rotation, in_link), 1, 0)
+        twists = np.concatenate([angular, linear + np.cross(placed.origin, angular)], axis=1)
+        found = np.zeros(topology.n_freedoms)
+        for l, coordinates in enumerate(topology.coordinates):
+            over_joint = twists[l] - (0.0 if topology.parents[l] == BASE else twists[topology.parents[l]])
+            axes = placed.twists[list(coordinates)]
+            found[list(coordinates)] = np.linalg.lstsq(axes.T, over_joint, rcond=None)[0]
+        if self.held:
+            found[topology.driven_coordinate] = 0.0
+        return found
 
     def _constraints(self, placed: Placed) -> sparse.csr_matrix:
         """Sparse matrix G of all joints; rows: velocities over the longest link, and angular velocities."""
@@ -159,26 +167,38 @@ class Vibration:
         rows, columns, blocks = [], [], []
         count = 0
         for joint, ends in enumerate(zip(topology.parents, topology.children, strict=True)):
-            joint_axes = placed.joint_rotation[joint]
-            fixed = [0, 1, 2] if self.held and joint == topology.driven else [0, 2]
+            kind, joint_axes = topology.kind(joint), placed.joint_rotation[joint]
+            fixed = _fixed_directions(kind, joint_axes, placed.child_rotation[joint])
+            if self.held and joint == topology.driven:
+                fixed = joint_axes.T
+            centre = placed.centre[joint] if kind.coincident else placed.child_centre[joint]
+            across = np.eye(3) if kind.coincident else joint_axes[:, kind.across].T
             for node, sign in zip(ends, (-1.0, 1.0), strict=True):
                 if node == BASE:
                     continue
                 link = topology.link_of(node)
                 along = self.geometry.rest[node - n] if node >= n else 0.0
                 rotation = placed.rotation[link]
-                arm = rotation.T @ (placed.centre[joint] - placed.origin[link]) - [along, 0.0, 0.0]
-                block = np.zeros((3 + len(fixed), 6))
-                block[:3, :3] = -rotation @ cross_matrix(arm) / self.geometry.scale
-                block[:3, 3:] = rotation / self.geometry.scale
-                block[3:, :3] = joint_axes[:, fixed].T @ rotation
+                arm = rotation.T @ (centre - placed.origin[link]) - [along, 0.0, 0.0]
+                block = np.zeros((len(across) + len(fixed), 6))
+                block[: len(across), :3] = -across @ rotation @ cross_matrix(arm) / self.geometry.scale
+                block[: len(across), 3:] = across @ rotation / self.geometry.scale
+                block[len(across) :, :3] = fixed @ rotation
                 i, j = np.indices(block.shape)
                 rows.append(count + i.reshape(-1))
                 columns.append(6 * node + j.reshape(-1))
                 blocks.append(sign * block.reshape(-1))
-            count += 3 + len(fixed)
+            count += len(across) + len(fixed)
         entries = np.concatenate(blocks), (np.concatenate(rows), np.concatenate(columns))
         return sparse.csr_matrix(entries, shape=(count, self.size))
+
+
+def _fixed_directions(kind: JointKind, left: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Directions (k, 3) about which a joint lets nothing turn, from its axes on the parent and on the child."""
+    turns = [freedom.axis for freedom in kind.freedoms if freedom.rotation]
+    if len(turns) == 2:
+        return np.cross(left[:, turns[0]], right[:, turns[1]])[None]
+    return left[:, [axis for axis in range(3) if axis not in turns]].T
 
 
 @Program

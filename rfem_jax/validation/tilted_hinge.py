@@ -168,7 +168,7 @@ def axis_lines() -> list[Line]:
 @Program
 def _axis_at_start(model: Model, tilt, error: str):
     actual = apply_errors(model, assembly_errors(model, {error: tilt}))
-    now = motion_of(actual, static_state(model.start_coordinates()))
+    now = motion_of(actual, static_state(model.topology, model.start_coordinates()))
     cuts = closure(actual, now, length_scale(model))
     if cuts is None:
         raise ValueError("The mechanism has no cut joint.")

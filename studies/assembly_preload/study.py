@@ -89,7 +89,7 @@ def poses_over_revolution(model: Model, angles: np.ndarray) -> tuple[np.ndarray,
 
     Raises: SystemExit where it cannot close (a crank that cannot make a full revolution).
     """
-    driven, pose, poses = model.topology.driven, np.asarray(model.start_angles), []
+    driven, pose, poses = model.topology.driven, np.asarray(model.start_joints), []
     for angle in angles:
         guess = np.array(pose)
         guess[driven] = angle
@@ -100,14 +100,14 @@ def poses_over_revolution(model: Model, angles: np.ndarray) -> tuple[np.ndarray,
     return tuple(np.stack(part) for part in zip(*poses))
 
 
-def held(model: Model, start_angles: Array, cut_angles: Array, errors: AssemblyErrors) -> tuple[Array, Array, Array]:
+def held(model: Model, start_joints: Array, cut_angles: Array, errors: AssemblyErrors) -> tuple[Array, Array, Array]:
     """Preload (joints by name, force and moment, 3) [N, N m], potential energy [J], status.
 
-    The crank is held at `start_angles`, those of the closed perfect mechanism, from which Newton's method starts.
+    The crank is held at `start_joints`, those of the closed perfect mechanism, from which Newton's method starts.
     """
-    placed = eqx.tree_at(lambda m: (m.start_angles, m.cut_angles), model, (start_angles, cut_angles))
+    placed = eqx.tree_at(lambda m: (m.start_joints, m.cut_angles), model, (start_joints, cut_angles))
     driven = model.topology.driven
-    hold = {model.topology.joints[driven]: start_angles[driven]}
+    hold = {model.topology.joints[driven]: start_joints[driven]}
     assembled = assemble(placed, errors, hold=hold)
     energy = energies(apply_errors(placed, errors), assembled.state)
     preload = [jnp.stack(assembled.preload[name]) for name in sorted(model.joint_names)]
@@ -118,9 +118,9 @@ def held(model: Model, start_angles: Array, cut_angles: Array, errors: AssemblyE
 def equilibria(model, poses, values):
     """`held` at all poses (axis 0) for every row of error values of the names SHOWN (axis 1)."""
 
-    def one(start_angles, cut_angles, row):
+    def one(start_joints, cut_angles, row):
         errors = assembly_errors(model, dict(zip(SHOWN, row)))
-        return held(model, start_angles, cut_angles, errors)
+        return held(model, start_joints, cut_angles, errors)
 
     along_errors = jax.vmap(one, in_axes=(None, None, 0))
     return jax.lax.map(lambda pose: along_errors(*pose, values), poses)
@@ -146,7 +146,7 @@ def with_crooked_pins(model: Model, names: Sequence[str], values: np.ndarray) ->
     The tilt of the bore is that of the seat, rotated back by the joint's angle at the start (theory (2.4)).
     """
     all_names, parts = list(names), [values]
-    angles = np.concatenate([model.start_angles, model.cut_angles])
+    angles = np.concatenate([model.start_joints, model.cut_angles])
     for joint, angle in zip(model.topology.joints, angles):
         cosine, sine = np.cos(angle), np.sin(angle)
         for axis, (by_x, by_z) in (("x", (cosine, sine)), ("z", (-sine, cosine))):
@@ -245,7 +245,7 @@ def discretisation_rows(study, joints, names, usual, size: Size) -> list[dict]:
             values = usual[0]
         else:
             model = discretise(study.mechanism, rfes=rfes)
-            pose = (model.start_angles[None], model.cut_angles[None])
+            pose = (model.start_joints[None], model.cut_angles[None])
             values = np.asarray(derivatives(model, names, pose))[0] * units
         sizes = resultants(values, 2)
         for name in SHOWN[:3]:
@@ -297,7 +297,7 @@ def compute(study: Study, size: Size, progress: Callable[[str], None]):
     model = discretise(study.mechanism, rfes=size.rfes)
     joints = sorted(model.joint_names)
     rotation = 2.0 * np.pi * np.arange(size.angles) / size.angles
-    angles = float(model.start_angles[model.topology.driven]) + rotation
+    angles = float(model.start_joints[model.topology.driven]) + rotation
     degrees = np.round(np.rad2deg(angles), 9)
     poses = tuple(jnp.asarray(part) for part in poses_over_revolution(model, angles))
 

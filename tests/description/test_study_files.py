@@ -287,7 +287,7 @@ def changed(old, new):
         (changed('joint = "A"', 'joint = "E"'), ("`joint` of the drive", "`E`")),
         (changed('joint = "A"', 'joint = "C"'), ("`joint` of the drive", "cut joint")),
         # cases
-        (changed('"D.delta_x" =', '"D.delta_y" ='), ("`P2`", "`delta_y`", "`delta_")),
+        (changed('"D.delta_x" =', '"D.delta_y" ='), ("`P2`", "`D.delta_y`", "`D.delta_")),
         (changed('"D.delta_x" =', '"E.delta_x" ='), ("case `P2`", "did you mean `")),
         (changed('"D.delta_x" =', '"croupler.twist" ='), ("`P2`", "did you mean `coupler.twist`?")),
         (changed('"D.delta_x" =', "D.delta_x ="), ("`P2`", "dot")),

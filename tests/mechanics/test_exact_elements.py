@@ -34,7 +34,7 @@ def generalised(actual, state):
 
 
 def with_elastic(position, elastic):
-    return Coordinates(position.angles, elastic)
+    return Coordinates(position.joints, elastic)
 
 
 def at_rest(position):
@@ -69,7 +69,7 @@ def test_dampers_do_the_work_of_the_dissipated_power(exact):
         damping = generalised(actual, state) - generalised(actual, at_rest(state.position))
 
         def power(rates):
-            velocity = Coordinates(state.velocity.angles, rates)
+            velocity = Coordinates(state.velocity.joints, rates)
             return elasticity.dissipated_power(actual, State(state.position, velocity))
 
         value, derivative = jax.value_and_grad(power)(state.velocity.elastic)

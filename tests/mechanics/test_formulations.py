@@ -1,5 +1,7 @@
 """The recursive formulation against the reference (trace formula, dense augmented system)."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -15,15 +17,23 @@ from rfem_jax.mechanics.model_with_errors import apply_errors
 from rfem_jax.mechanics.reference_formulation import constraints, reference_accelerations
 from tests.mechanisms import (
     ALL,
+    chain_of_kinds,
+    chain_with_balls,
     four_bar,
+    loop_cut_by,
+    loop_with_a_ball,
     open_chain,
     random_state,
     some_errors,
     three_link_loop,
+    two_cuts_of_different_kinds,
 )
 
 GAINS = Stabilisation(3.0, 7.0, 0.3)
 STATES = 5
+CUT_KINDS = ("prismatic", "cylindrical", "universal", "spherical", "planar", "fixed")
+# Components of the load in H (tree) or L (cut) along the free motions: force x, y, z, moment x, y, z.
+FREE = {"revolute": (4,), "prismatic": (0,), "cylindrical": (1, 4), "planar": (0, 2, 4), "fixed": (), "free": range(6)}
 
 
 def close(actual, state):
@@ -33,8 +43,8 @@ def close(actual, state):
         return state
     # The driven angle is imposed again in the formulations, so it must not move here.
     moves = jnp.ones_like(flat)
-    if actual.topology.driven is not None:
-        moves = moves.at[actual.topology.driven].set(0.0)
+    if actual.topology.driven_position is not None:
+        moves = moves.at[actual.topology.driven_position].set(0.0)
 
     def newton(flat, _):
         def residual(q):
@@ -48,6 +58,13 @@ def close(actual, state):
     return State(unravel(flat), state.velocity)
 
 
+def named(make, *arguments):
+    """`make` with arguments, and a name that says them."""
+    made = partial(make, *arguments)
+    made.__name__ = "-".join([make.__name__, *arguments])
+    return made
+
+
 CASES = [
     *[(make, "moment", "linear") for make in ALL],
     (four_bar, "prescribed", "linear"),
@@ -55,6 +72,13 @@ CASES = [
     (four_bar, "moment", "geometrically_exact"),
     (three_link_loop, "moment", "geometrically_exact"),
     (open_chain, "prescribed", "geometrically_exact"),
+    (chain_of_kinds, "moment", "linear"),
+    (chain_of_kinds, "prescribed", "linear"),
+    (named(loop_cut_by, "cylindrical"), "moment", "geometrically_exact"),
+    (two_cuts_of_different_kinds, "moment", "linear"),
+    (chain_with_balls, "prescribed", "linear"),
+    (loop_with_a_ball, "moment", "linear"),
+    *[(named(loop_cut_by, kind), "moment", "linear") for kind in CUT_KINDS],
 ]
 
 
@@ -79,8 +103,7 @@ def compared(request):
         joint = loads.joint_loads(actual, fast, drive)
         chain, base = loads.chain_loads(actual, fast, fast.angular, fast.linear, drive)
         residual = loads.momentum_residual(actual, state, fast.coordinates, base)
-        multipliers_by_cut = fast.multipliers.T.reshape(-1)
-        return fast.coordinates, multipliers_by_cut, slow, multipliers, residual, joint, chain
+        return fast.coordinates, fast.multipliers, slow, multipliers, residual, joint, chain, state
 
     samples = [(some_errors(model, rng), random_state(model, rng)) for _ in range(STATES)]
     samples = jax.tree.map(lambda *x: jnp.stack(x), *samples)
@@ -90,7 +113,7 @@ def compared(request):
 def test_accelerations_and_multipliers_agree(compared):
     _, _, out = compared
     fast, multipliers, slow, reference, *_ = out
-    for one, other in ((fast.angles, slow.angles), (fast.elastic, slow.elastic)):
+    for one, other in ((fast.joints, slow.joints), (fast.elastic, slow.elastic)):
         scale = np.abs(other).max(axis=tuple(range(1, other.ndim)), keepdims=True)
         np.testing.assert_allclose(one / scale, other / scale, rtol=0, atol=1e-9)
     if reference.shape[1]:
@@ -101,27 +124,38 @@ def test_accelerations_and_multipliers_agree(compared):
 
 def test_joint_loads_balance_the_rate_of_momentum(compared):
     _, _, out = compared
-    *_, (force, moment), joint, _ = out
+    *_, (force, moment), joint, _, _ = out
     largest = np.abs(joint.force).max(axis=(1, 2))
     np.testing.assert_allclose(np.abs(force).max(axis=1) / largest, 0.0, atol=1e-9)
     np.testing.assert_allclose(np.abs(moment).max(axis=1) / largest, 0.0, atol=1e-9)
 
 
-def test_no_moment_about_a_free_hinge(compared):
+def test_no_load_along_free_motions(compared):
     model, prescribed, out = compared
-    joint = out[-1]  # by Newton-Euler over all rfes, where no equation makes the moment vanish
+    joint, state = out[-2], out[-1]  # by Newton-Euler over all rfes, where no equation makes the load vanish
     largest = np.abs(joint.moment).max(axis=(1, 2)) + np.abs(joint.force).max(axis=(1, 2))
-    about_hinge = np.abs(joint.moment[:, 1]) / largest[:, None]
-    for j in range(about_hinge.shape[1]):
-        if prescribed and j == model.topology.driven:
-            assert about_hinge[:, j].min() > 1e-6
+    loads = np.concatenate([joint.force, joint.moment], axis=1) / largest[:, None, None]
+    topology = model.topology
+    for j, kind in enumerate(topology.kinds):
+        along = np.abs(loads[:, FREE.get(kind, ()), j])
+        if kind == "universal" and j < topology.n_links:
+            # y of the parent in H, behind the rotation about z.
+            angle = np.asarray(state.position.joints)[:, topology.positions[j][1]]
+            about_y = np.sin(angle) * loads[:, 3, j] + np.cos(angle) * loads[:, 4, j]
+            along = np.abs([about_y, loads[:, 5, j]])
+        if kind == "universal" and j >= topology.n_links:
+            along = np.abs(loads[:, 4:5, j])
+        if kind == "spherical":
+            along = np.abs(loads[:, 3:, j])
+        if prescribed and j == topology.driven:
+            assert along.min() > 1e-6
         else:
-            np.testing.assert_allclose(about_hinge[:, j], 0.0, atol=1e-9)
+            np.testing.assert_allclose(along, 0.0, atol=1e-9)
 
 
 def test_both_ways_to_the_joint_loads_agree(compared):
     _, _, out = compared
-    *_, joint, chain = out
+    *_, joint, chain, _ = out
     scale = np.abs(chain.force).max(axis=(1, 2), keepdims=True)
     np.testing.assert_allclose(joint.force / scale, chain.force / scale, rtol=0, atol=1e-9)
     np.testing.assert_allclose(joint.moment / scale, chain.moment / scale, rtol=0, atol=1e-9)

@@ -48,7 +48,7 @@ def mechanism(request):
     size = (6, model.topology.n_rfes)
     drive = DriveInput()
     if model.topology.driven is not None:
-        given = (model.start_angles[model.topology.driven], jnp.asarray(-2.0), jnp.asarray(11.0))
+        given = (model.start_joints[model.topology.driven], jnp.asarray(-2.0), jnp.asarray(11.0))
         drive = DriveInput(prescribed=given) if prescribed else DriveInput(moment=jnp.asarray(1.7))
     rates = Coordinates(
         jnp.asarray(rng.normal(size=model.topology.n_links) * 3.0),
@@ -127,7 +127,7 @@ def test_increments_at_a_given_state_find_the_accelerations(mechanism):
 
     result, (found, multipliers) = solve(state)
     pairs = (
-        (found.angles, result.coordinates.angles),
+        (found.joints, result.coordinates.joints),
         (found.elastic, result.coordinates.elastic),
         (multipliers, result.multipliers),
     )
@@ -144,7 +144,7 @@ def equations_at(actual, start, scale, drive, factors, prescribed):
     q_factor, v_factor = factors
     driven = np.arange(topology.n_links) == topology.driven
     zero = jax.tree.map(jnp.zeros_like, start)
-    unknowns, unravel = ravel_pytree((zero, jnp.zeros((5, topology.n_cuts))))
+    unknowns, unravel = ravel_pytree((zero, jnp.zeros(topology.n_constraints)))
 
     def evaluate(flat):
         found, multipliers = unravel(flat)
@@ -169,7 +169,7 @@ def random_load(topology, free):
     size = (3, topology.n_rfes)
     load = Residual(
         rng.normal(size=topology.n_links) * free, rng.normal(size=size), 0.01 * rng.normal(size=size),
-        1e3 * rng.normal(size=(5, topology.n_cuts)),
+        1e3 * rng.normal(size=topology.n_constraints),
     )  # fmt: skip
     return jax.tree.map(jnp.asarray, load)
 
@@ -178,7 +178,7 @@ def largest_gap(increment, exact):
     """Largest deviation of the angles, elastic coordinates and multipliers, each relative to its largest."""
     (accelerations, multipliers) = exact
     pairs = (
-        (increment.accelerations.angles, accelerations.angles),
+        (increment.accelerations.joints, accelerations.joints),
         (increment.accelerations.elastic, accelerations.elastic),
         (increment.multipliers, multipliers),
     )
@@ -195,7 +195,7 @@ def test_matrix_is_the_tangent_at_rest(mechanism):
     drive = DriveInput()
     if prescribed:
         zero = jnp.zeros(())
-        drive = DriveInput(prescribed=(model.start_angles[topology.driven], zero, zero))
+        drive = DriveInput(prescribed=(model.start_joints[topology.driven], zero, zero))
 
     @jax.jit
     def both(load):
@@ -229,7 +229,7 @@ def test_matrix_holds_for_links_that_are_bent_to_fit(elements):
 
     @jax.jit
     def iterations():
-        start = equilibrium(model, actual, {0: model.start_angles[0]})[0]
+        start = equilibrium(model, actual, {0: model.start_joints[0]})[0]
         equations, _, evaluation, unknowns, _ = equations_at(actual, start, scale, DriveInput(), factors, False)
         tangent = jax.jacfwd(equations)(unknowns)
         _parts, unravel = ravel_pytree(residual_of(evaluation))
@@ -294,7 +294,7 @@ def test_stiffness_of_undeformed_links_holds_their_elastic_energy():
     actual = apply_errors(model, assembly_errors(model, {f"{model.link_names[0]}.length": 3e-3}))
     elastic = jnp.asarray(np.random.default_rng(12).normal(size=(6, model.topology.n_rfes)))
     form = quadratic_form(elasticity.stiffness_blocks(actual), jnp.roll(elastic, 3, axis=0))
-    energy = elasticity.elastic_energy(actual, Coordinates(model.start_angles, elastic))
+    energy = elasticity.elastic_energy(actual, Coordinates(model.start_joints, elastic))
     np.testing.assert_allclose(form, 2.0 * energy, rtol=1e-12)
 
 
@@ -304,7 +304,7 @@ def test_stiffness_of_exact_elements_holds_the_power_of_the_springs(exact_chain)
     n = model.topology.n_rfes
     rng = np.random.default_rng(11)
     elastic = rng.normal(size=(6, n)) * np.array([0.01] * 3 + [0.5] * 3)[:, None]
-    position = Coordinates(model.start_angles, jnp.asarray(elastic))
+    position = Coordinates(model.start_joints, jnp.asarray(elastic))
     relative = relative_motion(actual, position, jax.tree.map(jnp.zeros_like, position))
     twists = jnp.asarray(rng.normal(size=(6, n)))
 

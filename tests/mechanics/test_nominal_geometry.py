@@ -26,7 +26,7 @@ def _traced(model, angles):
 
     def residual(position):
         actual = apply_errors(model, assembly_errors(model))
-        cuts = closure(actual, motion_of(actual, loads.static_state(position)), scale)
+        cuts = closure(actual, motion_of(actual, loads.static_state(model.topology, position)), scale)
         out = cuts.residual.T.reshape(-1) / scale
         return out, (out, cuts.alignment, cuts.angle)
 
@@ -34,14 +34,14 @@ def _traced(model, angles):
     jacobian, values = jax.jacfwd(residual, has_aux=True)(position)
     lengths = jnp.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]) * (scale - 1.0) + 1.0
     elastic = jnp.moveaxis(jacobian.elastic * lengths[None, :, None], 1, 2)
-    return jnp.concatenate([jacobian.angles, elastic.reshape(len(elastic), -1)], axis=1), values
+    return jnp.concatenate([jacobian.joints, elastic.reshape(len(elastic), -1)], axis=1), values
 
 
 @pytest.mark.parametrize("mechanism", [two_loop_six_bar, twisted_spatial_loop])
 def test_geometry_and_jacobian_are_those_of_the_equations_of_motion(mechanism):
     """Two loops with a joint in the middle of a link, and skew axes; loops open and out of line."""
     model = discretise(mechanism())
-    angles = np.asarray(model.start_angles) + np.linspace(-0.3, 0.4, model.topology.n_links)
+    angles = np.asarray(model.start_joints) + np.linspace(-0.3, 0.4, model.topology.n_links)
     geometry = geometry_of(model)
     placed = place(geometry, angles)
     jacobian, values = _traced(model, jnp.asarray(angles))

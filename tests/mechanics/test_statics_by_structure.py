@@ -24,7 +24,7 @@ def equilibria(make):
 
     def at(share, rotation):
         actual = apply_errors(model, jax.tree.map(lambda x: share * x, errors))
-        *found, status = assembly.equilibrium(model, actual, {0: model.start_angles[0] + rotation})
+        *found, status = assembly.equilibrium(model, actual, {0: model.start_joints[0] + rotation})
         return found, status
 
     return at
@@ -82,7 +82,7 @@ def test_the_preconditioner_is_nearly_exact(make, most):
     model = discretise(make())
     actual = eqx.tree_at(lambda r: r.gravity, apply_errors(model, assembly_errors(model)), jnp.zeros(3))
     scaled = assembly._scaled(model, actual)
-    start = scaled.unknowns(model.start_coordinates(), jnp.zeros((5, model.topology.n_cuts)))
+    start = scaled.unknowns(model.start_coordinates(), jnp.zeros(model.topology.n_constraints))
     given = np.array([0])
 
     def residual(unknowns):
@@ -107,7 +107,7 @@ def test_where_the_recursion_does_not_converge_the_jacobian_does(monkeypatch):
     def at(gravity):
         loaded = eqx.tree_at(lambda r: r.gravity, actual, gravity)
         position, _, status = assembly.equilibrium(model, loaded, {})
-        return position.angles[0], status
+        return position.joints[0], status
 
     @jax.jit
     def both(gravity):

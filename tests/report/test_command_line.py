@@ -30,7 +30,7 @@ def packages(monkeypatch, runs):
     mechanics, simulation = ModuleType("mechanics"), ModuleType("simulation")
     counts = {"coordinates": 51, "constraints": 5, "rank": 5, "mobility": 46, "rigid_mobility": 1, "gap": 0.0}
     mechanics.discretise = lambda mechanism: SimpleNamespace(mechanism=mechanism)
-    mechanics.describe = lambda model: SimpleNamespace(**counts, redundant=False)
+    mechanics.describe = lambda model: SimpleNamespace(**counts, redundant=False, idle=())
     simulation.STATUS = STATUS
     simulation.check_step = lambda model, method, drive: 1.94e-5
 

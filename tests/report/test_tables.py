@@ -86,13 +86,13 @@ def test_the_note_of_a_study_is_shown(study, runs, statuses):
 
 
 def test_the_overview_says_what_was_understood(study):
-    text = study_text(study, SimpleNamespace(**COUNTS, redundant=False))
+    text = study_text(study, SimpleNamespace(**COUNTS, redundant=False, idle=()))
     words = {line.split()[0]: line.split() for line in text.splitlines() if line}
     assert words["crank"][1:4] == ["0.12", "0.1884", "rigid"]
     # 0.3 m of steel, 10 mm x 20 mm, and a point mass of 0.1 kg.
     assert words["coupler"][1:5] == ["0.3", "0.571", "5", "1"]
-    assert words["A"] == ["A", "base", "crank", "-90", "driven"]
-    assert words["C"] == ["C", "coupler", "rocker", "-", "cut"]
+    assert words["A"] == ["A", "revolute", "base", "crank", "-90", "deg", "driven"]
+    assert words["C"] == ["C", "revolute", "coupler", "rocker", "-", "cut"]
     assert "Coordinates: 51; constraint equations at the cut joints: 5, of rank 5." in text
     assert "No redundant constraints" in text
     assert "moment ramp on joint A (SI: moment 1.5, rise time 0.1)" in text
@@ -103,17 +103,17 @@ def test_the_overview_says_what_was_understood(study):
 
 
 def test_redundant_reactions_are_reported(study):
-    text = study_text(study, SimpleNamespace(**COUNTS, redundant=True))
+    text = study_text(study, SimpleNamespace(**COUNTS, redundant=True, idle=()))
     assert "not unique" in text
     assert 'redundant_reactions = "minimum_norm"' in text
     object.__setattr__(study.mechanism, "redundant_reactions", "minimum_norm")
-    text = study_text(study, SimpleNamespace(**COUNTS, redundant=True))
+    text = study_text(study, SimpleNamespace(**COUNTS, redundant=True, idle=()))
     assert "minimum norm" in text
 
 
 def test_a_study_without_a_drive(study, runs, statuses):
     object.__setattr__(study, "drive", None)
-    assert "Drive: none." in study_text(study, SimpleNamespace(**COUNTS, redundant=False))
+    assert "Drive: none." in study_text(study, SimpleNamespace(**COUNTS, redundant=False, idle=()))
     assert "Angle at end" not in results_text(study, summarise(study, runs, statuses))
 
 

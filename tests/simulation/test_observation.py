@@ -76,7 +76,7 @@ def four_bar_on_the_side(sign):
 @eqx.filter_jit
 def mode_of(model):
     actual = apply_errors(model, assembly_errors(model))
-    now = motion_of(actual, static_state(model.start_coordinates()))
+    now = motion_of(actual, static_state(model.topology, model.start_coordinates()))
     return assembly_modes(actual, now, closure(actual, now, length_scale(model)))
 
 

@@ -153,7 +153,7 @@ def test_leapfrog_needs_a_velocity_of_second_order():
         integrals: jax.Array
 
     def field(t, y, args):
-        a = Coordinates(-9.0 * y.position.angles - 1.2 * y.velocity.angles, jnp.zeros((6, 0)))
+        a = Coordinates(-9.0 * y.position.joints - 1.2 * y.velocity.joints, jnp.zeros((6, 0)))
         return Y(y.velocity, a, jnp.zeros(()))
 
     start = Coordinates(jnp.ones(1), jnp.zeros((6, 0)))
@@ -170,7 +170,7 @@ def test_leapfrog_needs_a_velocity_of_second_order():
             1.0 / steps,
             y0,
         )
-        errors.append(abs(float(sol.ys.position.angles[-1, 0]) - exact))
+        errors.append(abs(float(sol.ys.position.joints[-1, 0]) - exact))
     orders = np.log2(np.array(errors[:-1]) / errors[1:])
     np.testing.assert_allclose(orders, 2.0, atol=0.1)
 

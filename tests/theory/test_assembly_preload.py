@@ -194,7 +194,7 @@ def test_crooked_pins_follow_from_seat_and_bore(study_script):
     """The derivatives added for crooked pins are those of the library's own pins, kept in place while
     the crank turns; at the start they stress nothing."""
     model = discretise(study_mechanism(), rfes=3)
-    start = float(model.start_angles[0])
+    start = float(model.start_joints[0])
     turned, cut = study_script.poses_over_revolution(model, [start, start + 0.7, start + 1.4])
     names = tuple(name for name in model.topology.error_names if "pin_tilt" not in name)
     poses = (jnp.asarray(turned), jnp.asarray(cut))
@@ -207,9 +207,9 @@ def test_crooked_pins_follow_from_seat_and_bore(study_script):
 
     def preload(tilt):
         actual = apply_errors(model, assembly_errors(model, {"C.pin_tilt_x": tilt}))
-        guess = dataclasses.replace(model, start_angles=poses[0][2], cut_angles=poses[1][2])
+        guess = dataclasses.replace(model, start_joints=poses[0][2], cut_angles=poses[1][2])
         position, multipliers, _ = equilibrium(guess, actual, {0: poses[0][2][0]})
-        loads = named(guess, static_loads(guess, actual, static_state(position), multipliers))
+        loads = named(guess, static_loads(guess, actual, static_state(model.topology, position), multipliers))
         return jnp.stack([jnp.stack(loads[name]) for name in sorted(model.joint_names)])
 
     found = np.asarray(jax.jit(jax.jacfwd(preload))(0.0))

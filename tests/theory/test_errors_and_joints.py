@@ -32,7 +32,7 @@ def preloads(four_bar):
     """Function: index of the case -> preloads without gravity, at the start angle and turned."""
     model = four_bar("C", rigid="crank", rfes=2, gravity=(0.0, 0.0, 0.0))
     cases = [{}, STRESSING, *PINS, *PINS]
-    start = model.start_angles[model.topology.driven]
+    start = model.start_joints[model.topology.driven]
     turn = np.array([0.0] * (2 + len(PINS)) + [TURNED] * len(PINS))
 
     @eqx.filter_jit
@@ -100,7 +100,7 @@ def test_hinge_between_the_ends_loads_its_own_rfe():
     elastic = np.asarray(result.state.position.elastic)
     drop = elastic[2, -1] - elastic[4, -1] * LENGTH / (4.0 * SEGMENTS)
     np.testing.assert_allclose(drop, -LOAD * flexibility(LENGTH, WHERE), rtol=1e-6)
-    hanging = result.state.position.angles[1]
+    hanging = result.state.position.joints[1]
     np.testing.assert_allclose(hanging, np.pi / 2.0 - elastic[4, 1], atol=1e-9)
     # The hanger's x points down: the beam pulls it up.
     np.testing.assert_allclose(result.preload["B"].force, [-LOAD, 0.0, 0.0], atol=1e-8 * LOAD)

@@ -230,7 +230,7 @@ def test_a_run_out_of_range_says_so(elements, name):
         duration=0.4,
         method=Method("rk4", step=2e-4),
         save_every=0.02,
-        start=static_state(model.start_coordinates()),
+        start=static_state(model.topology, model.start_coordinates()),
     )
     assert STATUS[int(run.status)].name == name
     if elements == "geometrically_exact":

@@ -44,7 +44,7 @@ def test_planar_state_has_planar_accelerations(flexible_four_bar_runs):
     planar = jnp.array([1.0, 0.0, 1.0, 0.0, 1.0, 0.0])[:, None]
     rfes, links = model.topology.n_rfes, model.topology.n_links
     position = Coordinates(
-        model.start_angles + 0.3 * jax.random.normal(next(key), (links,)),
+        model.start_joints + 0.3 * jax.random.normal(next(key), (links,)),
         planar * 1e-3 * jax.random.normal(next(key), (6, rfes)),
     )
     velocity = Coordinates(

@@ -67,7 +67,7 @@ class InterfaceOperator(NamedTuple):
 
 
 class Hinge(NamedTuple):
-    """A joint that is not held: scaled (6,) = inertia . axis / pivot, pivot = axis . inertia . axis."""
+    """A joint coordinate that is not held: scaled (6,) = inertia . axis / pivot, pivot = axis . inertia . axis."""
 
     scaled: Float[Array, "6"]
     pivot: Float[Array, ""]
@@ -76,39 +76,39 @@ class Hinge(NamedTuple):
 class ArticulatedLink(NamedTuple):
     """One link after the elimination of its subtree, at one position.
 
-    point (3,): of its spatial vectors; inertia (6, 6): articulated, before its hinge is eliminated; frame
+    point (3,): of its spatial vectors; inertia (6, 6): articulated, before its joint is eliminated; frame
     (6, 6): from wrenches in link axes at the link's origin to global ones at `point`; rotations: 2 c of (3, 3),
-    from the second derivatives of an interface's angles and displacements to its accelerations; axis (6,): of
-    its joint; hinge: None where the joint is held; interfaces: None where there are none.
+    from the second derivatives of an interface's angles and displacements to its accelerations; axes (6,): of
+    its joint's coordinates; hinges: these, None for one that is held; interfaces: None where there are none.
     """
 
     point: Float[Array, "3"]
     inertia: Float[Array, "6 6"]
     frame: Float[Array, "6 6"]
     rotations: tuple[Float[Array, "3 3"], ...]
-    axis: Float[Array, "6"]
-    hinge: Hinge | None
+    axes: tuple[Float[Array, "6"], ...]
+    hinges: tuple[Hinge | None, ...]
     interfaces: InterfaceOperator | None
 
 
 class Response(NamedTuple):
     """Accelerations under K columns of loads, K last (or without this axis for one).
 
-    loads (6, K) by link: of its subtree, condensed to it; hinges (L, K); links (6, K) by link; interfaces
+    loads (6, K) by link: of its subtree, condensed to it; joints (F, K); links (6, K) by link; interfaces
     (6 c, K) of the links that have any, and interface_wrenches (6 c, K): wrenches that the joints exert on
     them.
     """
 
     loads: tuple[Float[Array, " 6 *k"], ...]
-    hinges: Float[Array, " links *k"]
+    joints: Float[Array, " freedoms *k"]
     links: tuple[Float[Array, " 6 *k"], ...]
     interfaces: dict[int, Float[Array, " interfaces *k"]]
     interface_wrenches: dict[int, Float[Array, " interfaces *k"]]
 
 
 class ClosureMatrix(NamedTuple):
-    """Of the cut joints: units, wrenches (6, 5 C) of unit multipliers by node; responses to them; inverse
-    (5 C, 5 C) of the multipliers' matrix."""
+    """Of the cut joints: units, wrenches (6, constraints) of unit multipliers by node; responses to them; inverse
+    of the multipliers' matrix."""
 
     units: dict[int, Float[Array, "6 multipliers"]]
     responses: Response
@@ -127,7 +127,7 @@ class NewtonIncrement(NamedTuple):
     """Increments of the accelerations of the coordinates and of the multipliers [N]."""
 
     accelerations: Coordinates
-    multipliers: Float[Array, "5 cuts"]
+    multipliers: Float[Array, " constraints"]
 
 
 def iteration_matrix(
@@ -137,7 +137,7 @@ def iteration_matrix(
     cuts: Closure | None,
     held: tuple[int, ...] = (),
 ) -> IterationMatrix:
-    """Factor the iteration matrix at one position; `held`: links whose joint's angle is given."""
+    """Factor the iteration matrix at one position; `held`: joint coordinates that are given."""
     with jax.named_scope("iteration_matrix"):
         topology = actual.topology
         links = _eliminate(actual, operators, motion, held)
@@ -146,9 +146,9 @@ def iteration_matrix(
         points = _points(topology, motion)
         sides = topology.parents[topology.n_links :] + topology.children[topology.n_links :]
         units = {node: unit_columns(topology, cuts, node, points[node]) for node in sorted(set(sides)) if node != BASE}
-        columns = 5 * topology.n_cuts
-        hinge_loads = jnp.zeros((topology.n_links, columns))
-        responses = _respond(topology, links, hinge_loads, {}, {}, units, columns)
+        columns = topology.n_constraints
+        joint_loads = jnp.zeros((topology.n_freedoms, columns))
+        responses = _respond(topology, links, joint_loads, {}, {}, units, columns)
         rows = sum(product(transpose(unit), _of_node(topology, responses, node)) for node, unit in units.items())
         inverse = invert_closure(topology, jnp.asarray(rows))
         return IterationMatrix(operators, links, ClosureMatrix(units, responses, inverse))
@@ -176,12 +176,10 @@ def increment_and_wrenches(
         if matrix.closure is not None:
             units, by_multipliers, inverse = matrix.closure
             rows = sum(apply_transposed(unit, _of_node(topology, response, node)) for node, unit in units.items())
-            by_cut = jnp.swapaxes(residual.closing, 0, 1).reshape(-1)
-            flat = -apply(inverse, by_cut + rows)
-            response = jax.tree.map(lambda a, b: a + apply(b, flat), response, by_multipliers)
-            multipliers = jnp.swapaxes(flat.reshape((topology.n_cuts, 5)), 0, 1)
+            multipliers = -apply(inverse, residual.closing + rows)
+            response = jax.tree.map(lambda a, b: a + apply(b, multipliers), response, by_multipliers)
         elastic = _elastic_accelerations(topology, matrix, loads, response)
-        increment = NewtonIncrement(Coordinates(response.hinges, elastic), multipliers)
+        increment = NewtonIncrement(Coordinates(response.joints, elastic), multipliers)
         return increment, _wrenches(matrix.links, response)
 
 
@@ -269,17 +267,22 @@ def _eliminate(
             if interfaces.outboard is not None:
                 transfer, reduced = interfaces.transfer, product(*interfaces.outboard)
                 inertia = inertia + product(product(transfer, reduced), transpose(transfer))
-        axis = algebra.spatial(motion.axis[:3, l], motion.axis[3:, l] + cross(motion.axis[:3, l], points[l]))
-        at_hinge, hinge = inertia, None
-        if l not in held:
-            force_rows = apply(inertia, axis)
-            pivot = dot(axis, force_rows)
-            hinge = Hinge(force_rows / pivot[None], pivot)
-            inertia = inertia - force_rows[:, None] * hinge.scaled[None]
+        before, axes, hinges = inertia, [], []
+        for k in reversed(topology.coordinates[l]):
+            axis = algebra.spatial(motion.axis[:3, k], motion.axis[3:, k] + cross(motion.axis[:3, k], points[l]))
+            hinge = None
+            if k not in held:
+                force_rows = apply(inertia, axis)
+                pivot = dot(axis, force_rows)
+                hinge = Hinge(force_rows / pivot[None], pivot)
+                inertia = inertia - force_rows[:, None] * hinge.scaled[None]
+            axes.append(axis)
+            hinges.append(hinge)
         node = topology.parents[l]
         if node != BASE:
             outboard[node] = outboard.get(node, 0.0) + inertia
-        links[l] = ArticulatedLink(points[l], at_hinge, frame, rotations, axis, hinge, interfaces)
+        axes, hinges = tuple(reversed(axes)), tuple(reversed(hinges))
+        links[l] = ArticulatedLink(points[l], before, frame, rotations, axes, hinges, interfaces)
     return tuple(links[l] for l in range(n))
 
 
@@ -320,15 +323,15 @@ def _block_diagonal(blocks: Sequence[Array | None]) -> Array:
 def _respond(
     topology: Topology,
     links: tuple[ArticulatedLink, ...],
-    hinge_loads: Array,
+    joint_loads: Array,
     on_links: dict[int, Array],
     of_interfaces: dict[int, Array],
     units: dict[int, Array],
     columns: int,
 ) -> Response:
-    """Response to K columns of loads: moments (L, K) about the hinges; by link wrenches (6,) on the links in
-    their axes, and second derivatives (6 c,) of the interfaces' coordinates due to the residual; and by node
-    wrenches `units` (6, K)."""
+    """Response to K columns of loads: generalised forces (F, K) of the joint coordinates; by link wrenches (6,) on
+    the links in their axes, and second derivatives (6 c,) of the interfaces' coordinates due to the residual; and by
+    node wrenches `units` (6, K)."""
     n = topology.n_links
     zeros = jnp.zeros((6, columns))
     loads: dict[int, Array] = dict(units)
@@ -354,14 +357,14 @@ def _respond(
             load = load + product(interfaces.transfer, wrench)
             interface_wrenches[l] = wrench
         subtree_loads[l] = load
-        torque = hinge_loads[l] + dot(link.axis[:, None], load)
-        joint_torques[l] = torque
+        for k, axis, hinge in zip(reversed(topology.coordinates[l]), reversed(link.axes), reversed(link.hinges)):
+            torque = joint_loads[k] + dot(axis[:, None], load)
+            joint_torques[k] = torque
+            if hinge is not None:
+                load = load - hinge.scaled[:, None] * torque[None]
         node = topology.parents[l]
-        if node == BASE:
-            continue
-        if link.hinge is not None:
-            load = load - link.hinge.scaled[:, None] * torque[None]
-        loads[node] = loads.get(node, 0.0) + load
+        if node != BASE:
+            loads[node] = loads.get(node, 0.0) + load
     return _accelerate(topology, links, subtree_loads, joint_torques, free_accelerations, interface_wrenches, zeros)
 
 
@@ -376,18 +379,19 @@ def _accelerate(
 ) -> Response:
     """Accelerations, from the base to the tips."""
     n = topology.n_links
-    hinges, of_links = [], []
+    rates, of_links = [], []
     of_interfaces: dict[int, Array] = {}
     interface_wrenches: dict[int, Array] = {}
     at: dict[int, Array] = {}
     for l in range(n):
         link, interfaces, node = links[l], links[l].interfaces, topology.parents[l]
         acceleration = zeros if node == BASE else at[node]
-        rate = jnp.zeros_like(zeros[0])
-        if link.hinge is not None:
-            rate = joint_torques[l] / link.hinge.pivot[None] - dot(link.hinge.scaled[:, None], acceleration)
-            acceleration = acceleration + link.axis[:, None] * rate[None]
-        hinges.append(rate)
+        for k, axis, hinge in zip(topology.coordinates[l], link.axes, link.hinges):
+            rate = jnp.zeros_like(zeros[0])
+            if hinge is not None:
+                rate = joint_torques[k] / hinge.pivot[None] - dot(hinge.scaled[:, None], acceleration)
+                acceleration = acceleration + axis[:, None] * rate[None]
+            rates.append(rate)
         of_links.append(acceleration)
         at[l] = acceleration
         if interfaces is None:
@@ -402,7 +406,8 @@ def _accelerate(
         for i, interface in enumerate(_interfaces_of(topology, l)):
             at[interface] = of_interfaces[l][6 * i : 6 * i + 6]
     loads = tuple(subtree_loads[l] for l in range(n))
-    return Response(loads, jnp.stack(hinges), tuple(of_links), of_interfaces, interface_wrenches)
+    joints = jnp.stack(rates) if rates else zeros[:0]
+    return Response(loads, joints, tuple(of_links), of_interfaces, interface_wrenches)
 
 
 def _of_node(topology: Topology, response: Response, node: int) -> Array:

@@ -21,43 +21,43 @@ from rfem_jax.mechanics.algebra import Scalar, apply, apply_transposed, cross, d
 from rfem_jax.mechanics.cut_joints import Closure, closure
 from rfem_jax.mechanics.elements.elasticity import generalised_forces
 from rfem_jax.mechanics.inputs import DriveInput
-from rfem_jax.mechanics.joint_forces import hinge_moments
-from rfem_jax.mechanics.kinematics import Motion, motion_of, spread
+from rfem_jax.mechanics.joint_forces import joint_forces_of
+from rfem_jax.mechanics.kinematics import Motion, by_freedom, motion_of, spread
 from rfem_jax.mechanics.model import BASE, Coordinates, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 
 
 class Residual(NamedTuple):
-    """Residual of the equations of motion: hinge (L,) [N m]; force [N], moment [N m] (3, N) on the free rfes;
-    closing (5, C) [m/s^2]: second derivative of Phi, zero in a solution."""
+    """Residual of the equations of motion: hinge (F,) [N m, N]; force [N], moment [N m] (3, N) on the free rfes;
+    closing [m/s^2]: second derivative of Phi, zero in a solution."""
 
-    hinge: Float[Array, " links"]
+    hinge: Float[Array, " freedoms"]
     force: Float[Array, "3 rfes"]
     moment: Float[Array, "3 rfes"]
-    closing: Float[Array, "5 cuts"]
+    closing: Float[Array, " constraints"]
 
 
 class Evaluation(NamedTuple):
     """The residual at one instant, and what was computed with it.
 
-    hinge (L,): drive minus moment about every tree joint's hinge [N m]; force, moment (3, N): on the
+    hinge (F,): drive minus load along every coordinate of the tree joints [N m, N]; force, moment (3, N): on the
     free rfes at their middles, in link axes and about the axes of the angles' rates [N, N m]; closing,
-    closing_rate, closing_acceleration (5, C): Phi [m] and its derivatives; angular, linear (3, nodes):
+    closing_rate, closing_acceleration: Phi [m] and its derivatives; angular, linear (3, nodes):
     accelerations of the nodes in link axes; motion, closure, multipliers: what it was computed from;
     wrenches (6,): of all joints at the global origin; dissipated [W]: power of the dampers.
     """
 
-    hinge: Float[Array, " links"]
+    hinge: Float[Array, " freedoms"]
     force: Float[Array, "3 rfes"]
     moment: Float[Array, "3 rfes"]
-    closing: Float[Array, "5 cuts"]
-    closing_rate: Float[Array, "5 cuts"]
-    closing_acceleration: Float[Array, "5 cuts"]
+    closing: Float[Array, " constraints"]
+    closing_rate: Float[Array, " constraints"]
+    closing_acceleration: Float[Array, " constraints"]
     angular: Float[Array, "3 nodes"]
     linear: Float[Array, "3 nodes"]
     motion: Motion
     closure: Closure | None
-    multipliers: Float[Array, "5 cuts"]
+    multipliers: Float[Array, " constraints"]
     wrenches: list[Float[Array, "6"]]
     dissipated: Float[Array, ""]
 
@@ -71,7 +71,7 @@ def evaluate_residual(
     actual: ModelWithErrors,
     state: State,
     accelerations: Coordinates,
-    multipliers: Float[Array, "5 cuts"],
+    multipliers: Float[Array, " constraints"],
     drive: DriveInput,
     scale: Scalar,
 ) -> Evaluation:
@@ -88,14 +88,14 @@ def evaluate_residual(
         angular, linear = _node_accelerations(topology, motion, spatial, accelerations)
         inertial = loads.inertial_loads(actual, motion, angular, linear)
         wrenches = loads.chain_wrenches(actual, motion, cuts, multipliers, inertial)
-        hinge = -dot(motion.axis, jnp.stack(wrenches[:n], axis=1))
-        applied = hinge_moments(topology, drive)
+        hinge = -dot(motion.axis, by_freedom(topology, jnp.stack(wrenches[:n], axis=1)))
+        applied = joint_forces_of(topology, drive)
         if applied is not None:
             hinge = hinge + applied
         elastic, dissipated = generalised_forces(actual, state, motion.relative)
         on_force, on_moment = _interface_loads(topology, motion, wrenches)
         moment = apply_transposed(motion.relative.rate_matrix, on_moment - inertial[1][:, n:])
-        zeros = jnp.zeros((5, 0))
+        zeros = jnp.zeros((0,))
         return Evaluation(
             hinge=hinge,
             force=elastic[:3] + on_force - inertial[0][:, n:],
@@ -119,14 +119,14 @@ def _spatial_accelerations(
     """Spatial accelerations (6,) at the global origin of the links and of the interfaces, by node."""
     topology = actual.topology
     n = topology.n_links
-    bias = algebra.motion_cross(motion.hinges.velocity, motion.axis * state.velocity.angles[None])
-    over_hinge = motion.axis * accelerations.angles[None] + bias
+    bias = algebra.motion_cross(motion.axis_velocity, motion.axis * state.velocity.joints[None])
+    over_joint = motion.axis * accelerations.joints[None] + bias
     links: dict[int, Array] = {}
     interfaces: dict[int, Array] = {}
 
-    def of(node: int) -> Array | float:
+    def of(node: int) -> Array:
         if node == BASE:
-            return 0.0
+            return jnp.zeros((6,))
         if node < n:
             return links[node]
         if node not in interfaces:
@@ -134,7 +134,10 @@ def _spatial_accelerations(
         return interfaces[node]
 
     for l in range(n):
-        links[l] = of(topology.parents[l]) + over_hinge[:, l]
+        acceleration = of(topology.parents[l])
+        for k in topology.coordinates[l]:
+            acceleration = acceleration + over_joint[:, k]
+        links[l] = acceleration
     for k in topology.interfaces:
         of(n + k)
     return {**links, **interfaces}
@@ -213,19 +216,20 @@ def _interface_loads(
 
 
 def _closing_acceleration(topology: Topology, cuts: Closure, spatial: dict[int, Array]) -> Array:
-    """Phi_q q_ddot (5, C): accelerations of the joint centres, and powers of the unit couples on the
-    angular accelerations, right side minus left."""
-    columns = []
+    """Phi_q q_ddot: powers of the unit multipliers on the spatial accelerations, right side minus left."""
+    parts = []
     for i, j in enumerate(topology.cuts):
-        total = jnp.zeros_like(cuts.residual[:, i])
-        for node, centre, sign in (
-            (topology.children[j], cuts.right_centre[:, i], 1.0),
-            (topology.parents[j], cuts.centre[:, i], -1.0),
+        group, place = cuts.place_of(i)
+        total = jnp.zeros_like(group.residual[:, place])
+        for node, point, sign in (
+            (topology.children[j], group.right_point[:, place], 1.0),
+            (topology.parents[j], group.left_point[:, place], -1.0),
         ):
             if node != BASE:
                 angular = spatial[node][:3]
-                linear = spatial[node][3:] + cross(angular, centre)
-                about_axes = dot(cuts.couples[:, :, i], angular[:, None])
-                total = total + sign * jnp.concatenate([linear, about_axes])
-        columns.append(total)
-    return jnp.stack(columns, axis=1)
+                linear = spatial[node][3:] + cross(angular, point)
+                along = linear if group.forces is None else dot(group.forces[:, :, place], linear[:, None])
+                about_axes = dot(group.couples[:, :, place], angular[:, None])
+                total = total + sign * jnp.concatenate([along, about_axes])
+        parts.append(total)
+    return jnp.concatenate(parts)

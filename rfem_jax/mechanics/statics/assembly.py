@@ -29,9 +29,10 @@ from rfem_jax.mechanics.cut_joints import closure
 from rfem_jax.mechanics.elements import elasticity
 from rfem_jax.mechanics.implicit.residual import Residual
 from rfem_jax.mechanics.inputs import DriveInput
-from rfem_jax.mechanics.kinematics import motion_of, range_used
+from rfem_jax.mechanics.kinematics import by_freedom, motion_of, range_used
 from rfem_jax.mechanics.model import Coordinates, Model, State, Topology
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors, ModelWithErrors, apply_errors, assembly_errors
+from rfem_jax.mechanics.orientations import moved, rates_of
 from rfem_jax.mechanics.statics.search import (
     Equations,
     Linear,
@@ -64,13 +65,13 @@ class Assembled(NamedTuple):
 def assemble(model: Model, errors: AssemblyErrors, hold: Mapping[str, ArrayLike] | None = None) -> Assembled:
     """Assemble the mechanism: static equilibrium with some joints held.
 
-    **Arguments:** `hold`: joint name -> angle [rad]; None holds the driven joint at its start angle,
-    {} holds nothing.
+    **Arguments:** `hold`: name of a joint with one coordinate -> its angle [rad] or displacement [m]; None holds
+    the driven joint at its start angle, {} holds nothing.
 
     **Returns:** state (velocities zero), preload (gravity and holding moment included) and status
     (0 = ok; see `STATUS`). Differentiable with respect to errors and held angles.
 
-    **Raises:** `InputError` if `hold` names a joint that is not a joint of the tree.
+    **Raises:** `InputError` if `hold` names a joint that is not a joint of the tree or has not one coordinate.
     """
     if hold is not None:
         _require_tree_joints(model, hold)
@@ -82,21 +83,21 @@ def assemble(model: Model, errors: AssemblyErrors, hold: Mapping[str, ArrayLike]
 def _assemble(model: Model, errors: AssemblyErrors, hold: dict[str, Array] | None) -> Assembled:
     actual = apply_errors(model, errors)
     position, multipliers, status = equilibrium(model, actual, held_angles(model, hold))
-    state = loads.static_state(position)
+    state = loads.static_state(model.topology, position)
     return Assembled(state, named(model, static_loads(model, actual, state, multipliers)), status)
 
 
 def held_angles(model: Model, hold: Mapping[str, ArrayLike] | None) -> dict[int, Float[Array, ""]]:
-    """Link index -> held angle [rad], by the names of their joints; None: the driven joint's start angle.
+    """Index of a joint coordinate -> held value [rad, m], by the names of joints; None: the driven joint's start angle.
 
-    **Raises:** `InputError` for a name that is not a joint of the tree.
+    **Raises:** `InputError` for a name that is not a joint of the tree with one coordinate.
     """
     topology = model.topology
     if hold is None:
-        driven = topology.driven
-        return {} if driven is None else {driven: model.start_angles[driven]}
+        driven = topology.driven_coordinate
+        return {} if driven is None else {driven: model.start_joints[topology.driven_position]}
     _require_tree_joints(model, hold)
-    return {topology.joints.index(name): jnp.asarray(angle) for name, angle in hold.items()}
+    return {topology.coordinates[topology.joints.index(name)][0]: jnp.asarray(value) for name, value in hold.items()}
 
 
 def _require_tree_joints(model: Model, names: Iterable[str]) -> None:
@@ -107,12 +108,19 @@ def _require_tree_joints(model: Model, names: Iterable[str]) -> None:
             raise InputError(
                 f"Argument `hold` must name joints of the tree, but has {name!r}; {suggestion(name, tree)}"
             )
+        kind = model.topology.kind(tree.index(name))
+        if len(kind.freedoms) != 1:
+            raise InputError(
+                f"Argument `hold` must name joints with one coordinate, but {name!r} is {kind.name} and has "
+                f"{len(kind.freedoms)}; hold a revolute or prismatic joint."
+            )
 
 
 class _Scaled(NamedTuple):
     """Unknowns and residuals as flat arrays, scaled by a length [m] and a force [N] of the mechanism.
 
-    units (n,) [m, rad]: of the coordinates; generalised forces times these are works.
+    units (n,) [m, rad]: of the coordinates; generalised forces times these are works; unravel: flat -> coordinates, as
+    many as rates; origin: quaternions of the position that rotation vectors among the unknowns start from.
     """
 
     topology: Topology
@@ -120,50 +128,76 @@ class _Scaled(NamedTuple):
     force: Float[Array, ""]
     units: Float[Array, " n"]
     unravel: Callable[[Array], Coordinates]
+    origin: Coordinates
 
-    def unknowns(self, position: Coordinates, multipliers: Array) -> Array:
-        """Flat, of coordinates and multipliers (5, C)."""
-        return jnp.concatenate([ravel_pytree(position)[0] / self.units, multipliers.T.reshape(-1) / self.force])
+    def unknowns(self, values: Coordinates, multipliers: Array) -> Array:
+        """Flat, of coordinates, as many as rates, and multipliers."""
+        return jnp.concatenate([ravel_pytree(values)[0] / self.units, multipliers / self.force])
 
     def coordinates(self, unknowns: Array) -> Coordinates:
-        return self.unravel(unknowns[: self.units.size] * self.units)
+        """Position of the unknowns."""
+        values = self.unravel(unknowns[: self.units.size] * self.units)
+        return moved(self.topology, self.origin, values) if self.topology.balls else values
 
     def multipliers(self, unknowns: Array) -> Array:
-        return unknowns[self.units.size :].reshape(self.topology.n_cuts, 5).T * self.force
+        return unknowns[self.units.size :] * self.force
 
     def residual(self, forces: Coordinates, closing: Array) -> Array:
-        """Flat, of generalised forces and closing (5, C) [m]."""
+        """Flat, of generalised forces and closing [m]."""
         works = ravel_pytree(forces)[0] * self.units / (self.force * self.length)
-        return jnp.concatenate([works, closing.T.reshape(-1) / self.length])
+        return jnp.concatenate([works, closing / self.length])
 
     def unscaled(self, residual: Array) -> tuple[Coordinates, Array]:
-        """Generalised forces and closing (5, C) [m] of a flat residual."""
+        """Generalised forces and closing [m] of a flat residual."""
         works, closing = residual[: self.units.size], residual[self.units.size :]
         forces = self.unravel(works * (self.force * self.length) / self.units)
-        return forces, closing.reshape(self.topology.n_cuts, 5).T * self.length
+        return forces, closing * self.length
 
 
 def _scaled(model: Model, actual: ModelWithErrors) -> _Scaled:
     length, topology = length_scale(model), model.topology
     displacements = jnp.ones((6, topology.n_rfes)).at[:3].set(length)
-    units, _ = ravel_pytree(Coordinates(jnp.ones(topology.n_links), displacements))
-    unravel = ravel_pytree(model.start_coordinates())[1]
-    return _Scaled(topology, length, _force_scale(model, actual), units, unravel)
+    units, _ = ravel_pytree(Coordinates(_joint_units(topology, length), displacements))
+    start = start_values(model)
+    origin = moved(topology, model.start_coordinates(), jax.tree.map(jnp.negative, start)) if topology.balls else start
+    return _Scaled(topology, length, _force_scale(model, actual), units, ravel_pytree(start)[1], origin)
+
+
+def start_values(model: Model) -> Coordinates:
+    """The start as coordinates of which there are as many as rates: zero rotation vectors for quaternions."""
+    topology, start = model.topology, model.start_coordinates()
+    if not topology.balls:
+        return start
+    parts = []
+    for l, at in enumerate(topology.positions):
+        parts.append(model.start_joints[at.start : at.start + topology.plain(l)])
+        parts.append(jnp.zeros(3 * topology.kind(l).ball))
+    return Coordinates(jnp.concatenate(parts), start.elastic)
+
+
+def _joint_units(topology: Topology, length: Array) -> Float[Array, " freedoms"]:
+    """1 rad, or a length [m], of every joint coordinate."""
+    slides, ones = np.array(topology.slides, dtype=bool), jnp.ones(topology.n_freedoms)
+    return jnp.where(slides, length, ones) if slides.any() else ones
 
 
 def equilibrium(
     model: Model, actual: ModelWithErrors, held: dict[int, Float[Array, ""]]
-) -> tuple[Coordinates, Float[Array, "5 cuts"], Int[Array, ""]]:
-    """Coordinates, multipliers [N] and status of the static equilibrium; `held`: link index -> angle [rad].
+) -> tuple[Coordinates, Float[Array, " constraints"], Int[Array, ""]]:
+    """Coordinates, multipliers [N] and status of the static equilibrium; `held`: index of a joint coordinate -> its
+    value [rad, m].
 
     From the undeformed start by the chord method with the tangent of the perfect mechanism, which is the same
     for all samples of a batch, and only where that does not converge by Newton's method.  Geometrically exact
-    elements, whose deflections may be large, follow the equilibrium under growing loads.
+    elements, whose deflections may be large, follow the equilibrium under growing loads.  Idle freedoms, in which
+    the equilibrium would not be unique, are held at their start.
     """
     topology = model.topology
     scaled = _scaled(model, actual)
+    if topology.idle:
+        held = {**{k: start_values(model).joints[k] for k in topology.idle}, **held}
     given = np.array(list(held), int)
-    undeformed = scaled.unknowns(model.start_coordinates(), jnp.zeros((5, topology.n_cuts)))
+    undeformed = scaled.unknowns(start_values(model), jnp.zeros(topology.n_constraints))
 
     def residual(unknowns, args):
         actual, angles = args
@@ -173,12 +207,15 @@ def equilibrium(
         return jnp.where(is_given, unknowns - angles @ onto, value)
 
     angles = jnp.array([*held.values()], float)
+    start = start_values(model).joints[given]
+    if any(topology.slides[k] for k in held):
+        angles, start = angles / scaled.units[given], start / scaled.units[given]
     onto = (given[:, None] == np.arange(undeformed.size)).astype(float)
     is_given = onto.any(axis=0)
     args = actual, angles
     perfect = (
         eqx.tree_at(lambda r: r.gravity, apply_errors(model, assembly_errors(model)), jnp.zeros(3)),
-        model.start_angles[given],
+        start,
     )
     guess = jnp.where(is_given, angles @ onto, undeformed)
     perfect, undeformed, guess = jax.lax.stop_gradient((perfect, undeformed, guess))
@@ -203,7 +240,7 @@ def equilibrium(
     position = scaled.coordinates(unknowns)
     found = found & jnp.all(jnp.isfinite(unknowns))
     in_range = range_used(topology, position) < 1.0
-    cuts = closure(actual, motion_of(actual, loads.static_state(position)), scaled.length)
+    cuts = closure(actual, motion_of(actual, loads.static_state(topology, position)), scaled.length)
     right_side = True if cuts is None else jnp.all(cuts.alignment > 0.0)
     status = jnp.where(right_side, jnp.where(in_range, OK, OUT_OF_RANGE), WRONG_SIDE)
     status = jnp.where(found, status, NOT_ASSEMBLED)
@@ -230,7 +267,7 @@ def _search(
 
 
 def _preconditioner(scaled: _Scaled, given: np.ndarray, actual: ModelWithErrors, unknowns: Array) -> Linear:
-    """Preconditioner of the equations' Jacobian, residual -> unknowns, at given unknowns; the angles of the links
+    """Preconditioner of the equations' Jacobian, residual -> unknowns, at given unknowns; the joint coordinates
     `given` are held."""
     topology = scaled.topology
     held, stiffness = tuple(given.tolist()), scaled.force / scaled.length
@@ -239,7 +276,7 @@ def _preconditioner(scaled: _Scaled, given: np.ndarray, actual: ModelWithErrors,
 
     def solve(residual):
         forces, closing = scaled.unscaled(residual)
-        by_part = Residual(forces.angles, -forces.elastic[:3], -forces.elastic[3:], -closing)
+        by_part = Residual(forces.joints, -forces.elastic[:3], -forces.elastic[3:], -closing)
         increment = scaled.unknowns(*static_increment(topology, tangent, by_part))
         return increment + jnp.where(np.isin(np.arange(unknowns.size), given), residual, 0.0)
 
@@ -251,25 +288,27 @@ def _rows(scaled: _Scaled, actual: ModelWithErrors) -> Array:
     topology = scaled.topology
     springs = jnp.roll(jnp.abs(elasticity.stiffness_blocks(actual).diagonal), (3, 3), axis=(1, 2))
     one = scaled.coordinates(jnp.ones(len(scaled.units))).elastic
-    hinges = jnp.full(topology.n_links, scaled.force * scaled.length)
-    forces = Coordinates(hinges, jnp.einsum("kij,jk->ik", springs, one))
-    return scaled.residual(forces, jnp.full((5, topology.n_cuts), scaled.length))
+    of_joints = jnp.full(topology.n_freedoms, scaled.force * scaled.length)
+    if any(topology.slides):
+        of_joints = of_joints / scaled.units[: topology.n_freedoms]
+    forces = Coordinates(of_joints, jnp.einsum("kij,jk->ik", springs, one))
+    return scaled.residual(forces, jnp.full(topology.n_constraints, scaled.length))
 
 
 def _static_residual(
     actual: ModelWithErrors, position: Coordinates, multipliers: Array, scale: Array
-) -> tuple[Float[Array, " links"], Float[Array, "6 rfes"], Float[Array, "5 cuts"]]:
-    """Moments about the hinges [N m], generalised forces on the free rfes [N, N m] and closure residuals [m] of
-    a mechanism at rest."""
+) -> tuple[Float[Array, " freedoms"], Float[Array, "6 rfes"], Float[Array, " constraints"]]:
+    """Loads along the joint coordinates [N m, N], generalised forces on the free rfes [N, N m] and closure residuals
+    [m] of a mechanism at rest."""
     topology = actual.topology
     n = topology.n_links
-    state = loads.static_state(position)
+    state = loads.static_state(topology, position)
     motion = motion_of(actual, state)
     cuts = closure(actual, motion, scale)
     at_rest = jnp.zeros((3, n + topology.n_rfes))
     force, moment = loads.inertial_loads(actual, motion, at_rest, at_rest)
     wrenches = loads.chain_wrenches(actual, motion, cuts, multipliers, (force, moment))
-    hinge = dot(motion.axis, jnp.stack(wrenches[:n], axis=1))
+    hinge = dot(motion.axis, by_freedom(topology, jnp.stack(wrenches[:n], axis=1)))
     force, moment = -force[:, n:], -moment[:, n:]
     for j, (left, right) in enumerate(zip(topology.parents, topology.children)):
         for node, sign in ((left, -1.0), (right, 1.0)):
@@ -285,11 +324,11 @@ def _static_residual(
                 moment = moment + apply_transposed(rotation, on_moment)[:, None] * there
     external = jnp.concatenate([force, apply_transposed(motion.relative.rate_matrix, moment)])
     elastic, _ = elasticity.generalised_forces(actual, state, motion.relative)
-    return hinge, external + elastic, jnp.zeros((5, 0)) if cuts is None else cuts.residual
+    return hinge, external + elastic, jnp.zeros((0,)) if cuts is None else cuts.residual
 
 
 def static_loads(
-    model: Model, actual: ModelWithErrors, state: State, multipliers: Float[Array, "5 cuts"]
+    model: Model, actual: ModelWithErrors, state: State, multipliers: Float[Array, " constraints"]
 ) -> loads.JointLoads:
     """Joint loads at rest, the moment that holds a joint included."""
     motion = motion_of(actual, state)
@@ -312,7 +351,7 @@ def quasi_static_rates(
 
     **Raises:** `InputError` if no joint of the model is driven.
     """
-    driven = model.topology.driven
+    driven = model.topology.driven_coordinate
     if driven is None:
         raise InputError(
             "Argument `model` must have a driven joint to move through equilibria, but has none; "
@@ -323,7 +362,8 @@ def quasi_static_rates(
         return equilibrium(model, actual, {**held, driven: angle})[0]
 
     angle = jnp.asarray(held[driven])
-    return jax.jvp(at_angle, (angle,), (jnp.asarray(driven_rate),))[1]
+    position, derivative = jax.jvp(at_angle, (angle,), (jnp.asarray(driven_rate),))
+    return rates_of(model.topology, position, derivative)
 
 
 def length_scale(model: Model) -> Float[Array, ""]:

@@ -44,20 +44,20 @@ def static_tangent(
     scale: Scalar,
     stiffness: Scalar,
 ) -> StaticTangent:
-    """Tangent at one position with undeformed links, the joints of the links `held` held; scale [m] as in
+    """Tangent at one position with undeformed links, the joint coordinates `held` held; scale [m] as in
     `closure`, stiffness [N/m] of the mechanism."""
     q_factor = STIFFNESS_RATIO * jnp.sum(actual.mass) / stiffness
     operators = link_operators(actual, q_factor, jnp.zeros(()))
-    motion = motion_of(actual, loads.static_state(position))
+    motion = motion_of(actual, loads.static_state(actual.topology, position))
     matrix = iteration_matrix(actual, operators, motion, closure(actual, motion, scale), held)
     return StaticTangent(matrix, q_factor)
 
 
 def static_increment(
     topology: Topology, tangent: StaticTangent, residual: Residual
-) -> tuple[Coordinates, Float[Array, "5 cuts"]]:
+) -> tuple[Coordinates, Float[Array, " constraints"]]:
     """Increments of coordinates and multipliers for which the linearised residual (`closing` in m) vanishes;
-    angles held do not change."""
+    coordinates held do not change."""
     residual = residual._replace(closing=residual.closing / tangent.q_factor)
     increment = newton_increment(topology, tangent.matrix, residual)
     coordinates = jax.tree.map(lambda part: tangent.q_factor * part, increment.accelerations)

@@ -18,6 +18,7 @@ from jaxtyping import Array, Float, PyTree
 from rfem_jax.mechanics.inputs import DriveInput
 from rfem_jax.mechanics.model import Coordinates, State
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
+from rfem_jax.mechanics.orientations import moved
 from rfem_jax.simulation import equations
 from rfem_jax.simulation.equations import Conditions, Scalar, Trajectory
 from rfem_jax.simulation.observation import Instant, solved_instant
@@ -110,18 +111,26 @@ class Leapfrog(diffrax.AbstractSolver):
     ) -> tuple[PyTree, None, dict[str, PyTree], Coordinates, diffrax.RESULTS]:
         del made_jump
         h = t1 - t0
-        half = _advance(y0.position, y0.velocity, 0.5 * h)
+        half = _drifted(y0.position, y0.velocity, 0.5 * h, args)
         predicted = _advance(y0.velocity, solver_state, 0.5 * h)
         middle = type(y0)(half, predicted, y0.integrals)
         rate = terms.vf(t0 + 0.5 * h, middle, args)
         velocity = _advance(y0.velocity, rate.velocity, h)
         integrals = jax.tree.map(lambda a, b: a + h * b, y0.integrals, rate.integrals)
-        y1 = type(y0)(_advance(half, velocity, 0.5 * h), velocity, integrals)
+        y1 = type(y0)(_drifted(half, velocity, 0.5 * h, args), velocity, integrals)
         k = jax.tree.map(lambda a: (h * a)[None], rate)
         return y1, None, {"y0": y0, "y1": y1, "k": k}, rate.velocity, diffrax.RESULTS.successful
 
     def func(self, terms: diffrax.AbstractTerm, t0: Scalar, y0: PyTree, args: PyTree) -> PyTree:
         return terms.vf(t0, y0, args)
+
+
+def _drifted(position: Coordinates, velocity: Coordinates, h, args: PyTree) -> Coordinates:
+    """Position after a time h at a constant velocity; quaternions turn with it (`args`: `Conditions`)."""
+    change = jax.tree.map(lambda v: h * v, velocity)
+    if position.joints.shape == velocity.joints.shape:
+        return jax.tree.map(jnp.add, position, change)
+    return moved(args.actual.topology, position, change)
 
 
 def _advance(value: Coordinates, rate: Coordinates, h) -> Coordinates:
@@ -205,7 +214,7 @@ class PeakTracking(diffrax.AbstractWrappedSolver):
         state, drive, result, _ = equations.at_instant(t, trajectory, conditions)
         scale = conditions.stabilisation.scale
         instant = solved_instant(conditions.actual, result, drive, scale)
-        axial, normal, _ = equations.squares(instant.loads)
+        axial, normal, _ = equations.squares(conditions.actual.topology, instant.loads)
         return jnp.stack([axial, normal]), state, drive, instant
 
 

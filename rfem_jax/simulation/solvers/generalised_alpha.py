@@ -9,8 +9,9 @@ O. Bruels, Multibody Syst. Dyn. 18 (2007) 185-202; theory (7.1) to (7.7):
     (1 - alpha_m) a1 + alpha_m a0 = (1 - alpha_f) v1' + alpha_f v0'
     equations of motion at (q1, v1, v1', lambda1, t1),    Phi(q1) = 0
 
-with coefficients from the spectral radius at infinite frequency.  v' are the accelerations of the motion, a the
-auxiliary ones of the method, lambda the multipliers.
+with coefficients from the spectral radius at infinite frequency; quaternions turn by the change of q as a rotation
+vector (O. Bruels, A. Cardona, M. Arnold, Mech. Mach. Theory 48 (2012) 121-137).  v' are the accelerations of the
+motion, a the auxiliary ones of the method, lambda the multipliers.
 
     t0 ------------------------------- h ------------------------------> t1
     StepStart                                                            StepEnd
@@ -54,8 +55,9 @@ from rfem_jax.mechanics.inputs import DriveInput, impose
 from rfem_jax.mechanics.kinematics import motion_of
 from rfem_jax.mechanics.model import Coordinates, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
+from rfem_jax.mechanics.orientations import moved
 from rfem_jax.simulation import equations
-from rfem_jax.simulation.driving import driven_index
+from rfem_jax.simulation.driving import driven_coordinate
 from rfem_jax.simulation.equations import Conditions, Integrals, Scalar, Trajectory, drive_input
 from rfem_jax.simulation.observation import Instant, cut_drift, evaluated_instant
 from rfem_jax.simulation.run import RESIDUAL_LIMIT
@@ -146,7 +148,7 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
 
     def start(self, conditions: Conditions, trajectory: Trajectory) -> Memory:
         """Memory before the first step, all zero: that step must have length zero."""
-        multipliers = jnp.zeros((5, conditions.actual.topology.n_cuts))
+        multipliers = jnp.zeros(conditions.actual.topology.n_constraints)
         zeros = jax.tree.map(jnp.zeros_like, trajectory.velocity)
         rates = jax.tree.map(jnp.zeros_like, trajectory.integrals)
         return Memory(zeros, zeros, multipliers, rates, jnp.zeros(()), jnp.zeros(()))
@@ -260,7 +262,7 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         if actual.topology.exact:
             operators = present_operators(actual, now.relative, *self.factors(h))
         prescribed = isinstance(conditions.drive, PrescribedDrive)
-        held = (driven_index(actual.topology),) if prescribed else ()
+        held = (driven_coordinate(actual.topology),) if prescribed else ()
         return iteration_matrix(actual, operators, now, closure(actual, now, scale), held)
 
     def predict(self, constants: StepConstants, start: StepStart) -> Unknowns:
@@ -280,7 +282,7 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
             a1 = -(trajectory.velocity.elastic / step + (0.5 - self.beta) * a0) / self.beta
             mixed = (1.0 - self.alpha_m) * a1 + self.alpha_m * a0 - self.alpha_f * old
             elastic = jnp.where(moving, mixed / (1.0 - self.alpha_f), old)
-            accelerations = Coordinates(accelerations.angles, elastic)
+            accelerations = Coordinates(accelerations.joints, elastic)
         return Unknowns(_with_prescribed(topology, drive, accelerations), memory.multipliers)
 
     def evaluate(self, unknowns: Unknowns, constants: StepConstants, start: StepStart) -> tuple[Evaluation, StepEnd]:
@@ -309,7 +311,7 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         state, auxiliary = self._newmark(h, trajectory, memory, unknowns.accelerations, actual.topology, drive)
         evaluation = evaluation._replace(
             multipliers=unknowns.multipliers,
-            wrenches=[*wrenches, *loads.cut_wrenches(evaluation.closure, unknowns.multipliers)],
+            wrenches=[*wrenches, *loads.cut_wrenches(actual.topology, evaluation.closure, unknowns.multipliers)],
             dissipated=dissipated_power(actual, state),
         )
         return self._step_end(evaluation, unknowns, state, auxiliary, drive, h, start)
@@ -330,13 +332,10 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
 
         a0 = memory.auxiliary
         a1 = jax.tree.map(auxiliary, accelerations, memory.accelerations, a0)
-        position = jax.tree.map(
-            lambda q, v, a, b: q + h * (v + h * ((0.5 - self.beta) * a + self.beta * b)),
-            trajectory.position,
-            trajectory.velocity,
-            a0,
-            a1,
+        change = jax.tree.map(
+            lambda v, a, b: h * (v + h * ((0.5 - self.beta) * a + self.beta * b)), trajectory.velocity, a0, a1
         )
+        position = moved(topology, trajectory.position, change)
         velocity = jax.tree.map(
             lambda v, a, b: v + h * ((1.0 - self.gamma) * a + self.gamma * b),
             trajectory.velocity,
@@ -353,7 +352,7 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         residual = jnp.max(jnp.abs(residual_forces(actual, evaluation, drive, scale)), initial=0.0)
         residual = jax.lax.stop_gradient(residual)
         joint = loads.loads_of_wrenches(actual.topology, evaluation, evaluation.wrenches, drive)
-        axial, normal, moment = equations.squares(joint)
+        axial, normal, moment = equations.squares(actual.topology, joint)
         work = equations.drive_power(actual.topology, state, drive, joint)
         rates = Integrals(axial, normal, moment, work, evaluation.dissipated)
         integrals = jax.tree.map(
@@ -377,15 +376,19 @@ def squared_forces(rates: Integrals) -> Float[Array, "2 joints"]:
 def residual_forces(
     actual: ModelWithErrors, evaluation: Evaluation, drive: DriveInput, scale: algebra.Scalar
 ) -> Float[Array, " n"]:
-    """The residual as forces [N]: on the rfes, about the hinges, and to close the cut joints.
+    """The residual as forces [N]: on the rfes, along the joint coordinates, and to close the cut joints.
 
     **Arguments:** `scale`: a length [m] of the mechanism; the closing of the evaluation is an acceleration.
     """
     hinge = evaluation.hinge
     if drive.prescribed is not None:
         # About the driven hinge this is the moment that enforces the motion, no residual.
-        hinge = jnp.where(np.arange(hinge.shape[0]) == actual.topology.driven, 0.0, hinge)
-    moment, hinge = evaluation.moment / scale, hinge / scale
+        hinge = jnp.where(np.arange(hinge.shape[0]) == actual.topology.driven_coordinate, 0.0, hinge)
+    slides = actual.topology.slides
+    moment, hinge = (
+        evaluation.moment / scale,
+        hinge / (jnp.where(np.array(slides), 1.0, scale) if any(slides) else scale),
+    )
     parts = evaluation.force, moment, hinge, evaluation.closing * jnp.sum(actual.mass)
     return jnp.concatenate([part.reshape(-1) for part in parts])
 
@@ -394,6 +397,6 @@ def _with_prescribed(topology: Topology, drive: DriveInput, accelerations: Coord
     """The accelerations with that of a prescribed joint put in."""
     if drive.prescribed is None:
         return accelerations
-    driven = np.arange(topology.n_links) == topology.driven
-    angles = jnp.where(driven, drive.prescribed[2][None], accelerations.angles)
-    return Coordinates(angles, accelerations.elastic)
+    driven = np.arange(topology.n_freedoms) == topology.driven_coordinate
+    joints = jnp.where(driven, drive.prescribed[2][None], accelerations.joints)
+    return Coordinates(joints, accelerations.elastic)

@@ -50,7 +50,7 @@ class Memory(NamedTuple):
 
     accelerations: Coordinates
     auxiliary: Coordinates
-    multipliers: Float[Array, "5 cuts"]
+    multipliers: Float[Array, " constraints"]
     rates: Integrals
     residual: Float[Array, ""]
     largest_residual: Float[Array, ""]
@@ -132,7 +132,7 @@ def form_matrix(
 def solved_step(method: ImplicitMethod, matrix: IterationMatrix, constants: StepConstants, start: StepStart) -> StepEnd:
     """The end of a step, differentiable with respect to its start."""
     end = _solve(method, matrix, constants, start)
-    return like_batched(end, end.memory.accelerations.angles)
+    return like_batched(end, end.memory.accelerations.joints)
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
@@ -158,7 +158,7 @@ def _differentiate(method, primals, tangents):
     # Kept by name, so that reverse mode does not repeat Newton's method.
     solution = jax.tree.map(lambda x: checkpoint_name(x, SOLUTION), _solution(method, matrix, constants, start))
     end, tangent = _end_and_tangent(method, matrix, constants, solution, inputs, fixed, along)
-    return like_batched(end, solution.accelerations.angles), tangent
+    return like_batched(end, solution.accelerations.joints), tangent
 
 
 def _differentiate_solution(method, primals, tangents):

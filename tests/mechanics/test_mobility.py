@@ -1,0 +1,97 @@
+"""Rank, mobility, idle freedoms and wrong branches of loops with joints of all kinds."""
+
+import numpy as np
+import pytest
+
+from rfem_jax import Joint, Mechanism, describe, discretise
+from rfem_jax.description.errors import InputError
+from rfem_jax.report.overview import count_lines
+from tests.mechanisms import link, loop_cut_by
+
+
+def slider_crank(wrist="revolute", **settings):
+    """A planar slider-crank of rigid links, cut at the wrist pin."""
+    joints = [
+        Joint("A", "base", "crank", angle=0.3),
+        Joint("B", "crank", "rod", angle=-0.4),
+        Joint("G", "base", "piston", kind="prismatic", displacement=0.26),
+        Joint("C", "rod", "piston", cut=True, kind=wrist, child_position=(0, 0, 0)),
+    ]
+    links = [link("crank", 0.06), link("rod", 0.2, settings.pop("rfes", None)), link("piston", 0.05)]
+    return Mechanism(links, joints, driven_joint="A", **settings)
+
+
+def test_a_planar_slider_crank_has_three_redundant_rows():
+    structure = describe(discretise(slider_crank(redundant_reactions="minimum_norm")))
+    assert (structure.constraints, structure.rank, structure.mobility) == (5, 2, 1)
+    with pytest.raises(InputError, match=r"slides are statically indeterminate. Make one link of each loop flexible"):
+        discretise(slider_crank())
+    flexible = describe(discretise(slider_crank(rfes=2)))
+    assert (flexible.rank, flexible.redundant, flexible.rigid_mobility) == (5, False, 1)
+
+
+def test_the_slide_closes_where_geometry_says():
+    model = discretise(slider_crank(rfes=2))
+    slide = model.start_joints[model.topology.coordinates[model.link_names.index("piston")][0]]
+    expected = 0.06 * np.cos(0.3) + np.sqrt(0.2**2 - (0.06 * np.sin(0.3)) ** 2)
+    np.testing.assert_allclose(slide, expected, rtol=0, atol=1e-14)
+
+
+# Free motions of the cut joint in the plane of the loop: its two hinges alone are one too few to follow.
+@pytest.mark.parametrize(
+    ("kind", "rank", "mobility"),
+    [
+        ("revolute", 2, 0), ("prismatic", 2, 0), ("cylindrical", 2, 0), ("universal", 2, 0), ("spherical", 2, 0),
+        ("planar", 0, 2), ("fixed", 2, 0),
+    ],
+)  # fmt: skip
+def test_rank_and_mobility_with_rigid_links(kind, rank, mobility):
+    structure = describe(discretise(loop_cut_by(kind)))
+    assert (structure.rigid_rank, structure.rigid_mobility) == (rank, mobility)
+    assert structure.constraints == 6 - {"revolute": 1, "prismatic": 1, "cylindrical": 2, "universal": 2,
+                                         "spherical": 3, "planar": 3, "fixed": 0}[kind]  # fmt: skip
+    assert structure.rank == structure.constraints
+
+
+def test_joints_that_lock_are_named():
+    mechanism = loop_cut_by("universal")
+    text = " ".join(count_lines(mechanism, describe(discretise(mechanism))))
+    assert "A (revolute), D (revolute), C (universal) lock" in text
+    mechanism = loop_cut_by("planar")
+    assert "lock" not in " ".join(count_lines(mechanism, describe(discretise(mechanism))))
+
+
+def test_a_link_that_can_move_alone_is_named():
+    """The slider-crank with a second pair of coaxial bearings on the crank's end: the sleeve between them may turn."""
+    base = slider_crank(wrist="spherical")
+    joints = [
+        *base.joints,
+        Joint("S", "crank", "sleeve", position=(0.03, 0, 0)),
+        Joint("T", "crank", "sleeve", cut=True, kind="cylindrical", position=(0.03, 0.02, 0), child_position=(0, 0, 0)),
+    ]
+    mechanism = Mechanism([*base.links, link("sleeve", 0.02)], joints, driven_joint="A",
+                          redundant_reactions="minimum_norm")  # fmt: skip
+    structure = describe(discretise(mechanism))
+    assert structure.idle == ("sleeve",) and structure.mobility == 2
+    text = " ".join(count_lines(mechanism, structure))
+    assert "link sleeve can move alone between S (revolute) and T (cylindrical)" in text
+    assert describe(discretise(slider_crank(rfes=2))).idle == ()
+
+
+@pytest.mark.parametrize("kind", ["revolute", "prismatic", "cylindrical", "universal", "planar", "fixed"])
+@pytest.mark.parametrize("turned", [(0.0, -np.pi / 2, np.pi), (np.pi, -np.pi / 2, 0.0)])
+def test_a_child_that_is_turned_round_is_refused(kind, turned):
+    """Turned by 180 deg about x or z, the frame of the child solves the equations of axes, too."""
+    loop = loop_cut_by(kind)
+    joints = [*loop.joints[:2], Joint("C", "left", "right", cut=True, kind=kind, child_orientation=turned)]
+    with pytest.raises(InputError, match=r"(hinge axes|frames).* of joint 'C' alike, but they point in opposite"):
+        discretise(Mechanism(loop.links, joints))
+
+
+def test_a_joint_with_several_coordinates_cannot_be_held():
+    from rfem_jax import assemble, assembly_errors
+
+    mechanism = Mechanism([link("a", 0.1)], [Joint("C", "base", "a", kind="cylindrical")])
+    model = discretise(mechanism)
+    with pytest.raises(InputError, match=r"joints with one coordinate, but 'C' is cylindrical and has 2"):
+        assemble(model, assembly_errors(model), hold={"C": 0.1})
