@@ -67,6 +67,9 @@ class Joint(ChecksItself):
         checks.convert("cut", require_flag, f"`cut` {of}")
         for field, dimension in _VECTORS.items():
             checks.convert(field, _vector, dimension, f"`{field}` {of}")
+        for field, dimension in _STARTS.items():
+            if getattr(self, field) is not None:
+                checks.convert(field, quantity, dimension, f"`{field}` {of}")
         checks.relation(("kind", "cut"), self._check_cut, of)
         if checks.passed("kind", "cut"):
             self._set_start(checks, of)
@@ -107,9 +110,8 @@ class Joint(ChecksItself):
             elif field == "start":
                 zeros = (0.0,) * len(kind.freedoms)
                 checks.set(field, zeros if value is None else value, _start_values, kind, of)
-            else:
-                dimension = "angle" if field == "angle" else "length"
-                checks.set(field, 0.0 if value is None else value, quantity, dimension, f"`{field}` {of}")
+            elif value is None:
+                object.__setattr__(self, field, 0.0)
 
     def _refuse_start(self, of: str, kind: JointKind, field: str, value: object, wanted: Sequence[str]) -> None:
         if self.cut:
@@ -155,6 +157,7 @@ def _vector(value: Any, dimension: str, where: str) -> tuple[float, float, float
     return vector(value, dimension, where)
 
 
+_STARTS = {"angle": "angle", "displacement": "length"}
 _VECTORS = {
     "position": "length",
     "orientation": "angle",

@@ -209,10 +209,16 @@ def reference_accelerations(
     if drive.prescribed is not None and (driven := topology.driven_coordinate) is not None:
         jacobian = jnp.concatenate([jacobian, jnp.eye(q.size)[driven : driven + 1]])
         gamma = jnp.concatenate([gamma, jnp.reshape(drive.prescribed[2], (1,))])
-    n, c = q.size, gamma.size
+    found, multipliers = _solve_augmented(mass, jacobian, force, gamma)
+    return unravel(found), multipliers[: topology.n_constraints]
+
+
+def _solve_augmented(mass: Array, jacobian: Array, force: Array, gamma: Array) -> tuple[Array, Array]:
+    """Accelerations and multipliers [N]."""
+    n, c = force.size, gamma.size
     system = jnp.block([[mass, -jacobian.T], [jacobian, jnp.zeros((c, c))]])
     solution = jnp.linalg.solve(system, jnp.concatenate([force, gamma]))
-    return unravel(solution[:n]), solution[n : n + topology.n_constraints]
+    return solution[:n], solution[n:]
 
 
 def _pseudo_inertia(actual: ModelWithErrors) -> Array:
