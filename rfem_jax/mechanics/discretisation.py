@@ -156,7 +156,7 @@ def _idle_coordinates(model: Model) -> dict[int, str]:
         size, directions = np.linalg.svd(moving[l] @ alone)[1:]
         motions = free @ alone @ directions[: int(np.sum(size > IDLE_TOLERANCE))].T
         # As many coordinates of the link's own joint as it has idle freedoms, those that move most.
-        order = qr(motions[list(topology.coordinates[l])].T, mode="r", pivoting=True)[1]
+        order = qr(motions[list(topology.coordinates[l])].T, mode="r", pivoting=True)[-1]
         found |= {topology.coordinates[l][k]: topology.links[l] for k in order[: motions.shape[1]]}
     return found
 
