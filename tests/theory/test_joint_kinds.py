@@ -229,6 +229,32 @@ class TestUniversal:
         model = discretise(Mechanism(bar.links(coupler), joints, driven_joint="A", elements="geometrically_exact"))
         assert_preload(model, {"A": (None, 0.10854576376), "D": (None, 0.158389244223), "B": (None, 0.0)})
 
+    def test_derivatives_of_an_implicit_run_with_a_quaternion(self):
+        bar = SpatialFourBar()
+        steel = Material("steel", youngs_modulus=210e9, density=7850.0, poisson_ratio=0.3, damping=1e-5)
+        coupler = Link("coupler", bar.COUPLER, Rectangle(0.006, 0.009), steel, rfes=2)
+        quarter = (np.pi / 2, 0, 0)
+        universal = Joint("C", "coupler", "rocker", kind="universal", cut=True, orientation=quarter,
+                          child_orientation=quarter)  # fmt: skip
+        model = discretise(Mechanism(bar.links(coupler), bar.joints(bar.ball_at_b(), universal), driven_joint="A"))
+        names = ("B.d_y", "C.child.delta_y", "coupler.length")
+
+        def load(values):
+            errors = assembly_errors(model, {name: values[i] for i, name in enumerate(names)})
+            method = Method("generalised_alpha", step=1e-3, tolerance=1e-8)
+            run = simulate(
+                model, errors, drive=PrescribedRate("A", 25.0), duration=5e-3, method=method, save_every=5e-3
+            )
+            return run.metrics.mean_square_force["D"]
+
+        at = jnp.asarray([2e-4, 3e-3, -1e-4])
+        forward, backward = jax.jacfwd(load)(at), jax.grad(load)(at)
+        largest = np.abs(forward).max()
+        np.testing.assert_allclose(forward, backward, rtol=1e-8, atol=1e-9 * largest)
+        step = 1e-6
+        moved = jax.vmap(load)(at[None] + step * jnp.concatenate([jnp.eye(3), -jnp.eye(3)]))
+        np.testing.assert_allclose(forward, (moved[:3] - moved[3:]) / (2.0 * step), rtol=1e-4, atol=1e-6 * largest)
+
 
 class TestTwoSphericalJoints:
     """Revolute, spherical, spherical, revolute at a constant rate: the coupler's spin about its axis is idle."""
@@ -242,8 +268,8 @@ class TestTwoSphericalJoints:
         structure = describe(model)
         assert structure.idle == ("coupler",) and structure.mobility == 2
         period, rate = 2.0 * np.pi / 25.0, 25.0
-        run = simulate(model, drive=PrescribedRate("A", rate), duration=period, method=Method("rk4", step=period / 1000),
-                       start=without_spin(model, "coupler", rate))  # fmt: skip
+        method, start = Method("rk4", step=period / 1000), without_spin(model, "coupler", rate)
+        run = simulate(model, drive=PrescribedRate("A", rate), duration=period, method=method, start=start)
         for joint, moment in self.RMS.items():
             np.testing.assert_allclose(run.metrics.rms_moment[joint], moment, rtol=1e-7)
         assert float(run.metrics.rms_moment["C"]) == 0.0
