@@ -10,7 +10,7 @@ jaxtyping.install_import_hook(
 import jax
 jax.config.update("jax_enable_x64", True)
 import rfem_jax
-from tests.mechanisms import four_bar
+from tests.mechanisms import chain_with_balls, four_bar, loop_with_a_ball, two_cuts_of_different_kinds
 
 drive = rfem_jax.MomentRamp("A", 1.5, 0.01)
 for elements in ("linear", "geometrically_exact"):
@@ -23,6 +23,20 @@ for elements in ("linear", "geometrically_exact"):
             return run.metrics.mean_square_moment["D"]
 
         print(jax.eval_shape(jax.jacfwd(simulate), 0.01).shape)
+for make, method in (
+    (chain_with_balls, rfem_jax.Method("rk4", step=1e-5)),
+    (loop_with_a_ball, rfem_jax.Method("generalised_alpha", step=1e-3)),
+    (two_cuts_of_different_kinds, rfem_jax.Method("leapfrog", step=1e-5)),
+):
+    model = rfem_jax.discretise(make())
+    driven = drive if model.driven_joint else None
+
+    def largest(length):
+        errors = rfem_jax.assembly_errors(model, {f"{model.link_names[0]}.length": length})
+        run = rfem_jax.simulate(model, errors, drive=driven, duration=0.02, method=method, save_every=1e-2)
+        return run.metrics.mean_square_force[model.joint_names[-1]]
+
+    print(jax.eval_shape(largest, 1e-5).shape)
 try:
     from rfem_jax.mechanics import algebra
     algebra.rotation_y("no array")
@@ -33,4 +47,4 @@ except jaxtyping.TypeCheckError:
 
 def test_a_simulation_has_the_shapes_of_its_annotations():
     """Tracing alone: nothing is compiled."""
-    assert in_a_new_process(CHECKED).splitlines() == ["()"] * 4 + ["checked"]
+    assert in_a_new_process(CHECKED).splitlines() == ["()"] * 7 + ["checked"]

@@ -51,11 +51,12 @@ def numbers_saved(study: Study) -> int:
     """Numbers that a run holds for each saved time."""
     mechanism = study.mechanism
     joints, links = len(mechanism.joints), len(mechanism.links)
-    # Time, angle, rate and moment of the drive, energies; loads and integrals of their squares; angles of the tree;
-    # ends of the links; assembly modes.
-    explicit = 4 + 5 + 8 * joints + links + 3 * links + len(mechanism.cut_joints)
+    coordinates = sum(len(joint.start_values) for joint in mechanism.tree_joints)
+    # Time, angle, rate and moment of the drive, energies; loads and integrals of their squares; coordinates of the
+    # tree; ends of the links; assembly modes.
+    explicit = 4 + 5 + 8 * joints + coordinates + 3 * links + len(mechanism.cut_joints)
     if study.method.implicit or study.method.name == "auto":  # which may choose an implicit one
-        return explicit + links + 6 * sum(link.elements - 1 for link in mechanism.links)  # residuals
+        return explicit + coordinates + 6 * sum(link.elements - 1 for link in mechanism.links)  # residuals
     return explicit
 
 

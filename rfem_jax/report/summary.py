@@ -50,7 +50,7 @@ def summarise_run(study: Study, run: Run) -> dict[str, Any]:
 
 
 def branches(run: Run) -> dict[str, dict[str, int]]:
-    """{cut joint: {"start", "end": assembly mode +1 or -1, "changes": passages through a change point}}.
+    """{cut joint: {"start", "end": assembly mode +1 or -1 (0: none is told), "changes": changes of it}}.
 
     Runs whose branches differ are not to be averaged, nor differentiated across.
     """

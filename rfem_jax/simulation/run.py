@@ -93,9 +93,9 @@ class Run(eqx.Module):
 
     centre_lines, nominal_lines: points (points, 3) [m] along the links as assembled, and of the perfect mechanism;
     ends: positions (times, 3) [m] of the far ends of the links, in global axes.  branch: assembly mode (times,) of
-    every cut joint, +1 or -1; a change of sign is a passage through a change point (theory (5.13)), after which
-    derivatives, and averages with runs on the other branch, have no meaning.  integrals: of squared loads, for
-    `window`.
+    every cut joint, +1 or -1 (0 where the joints' kinds tell none); a change of sign is a passage through a change
+    point (theory (5.13)), after which derivatives, and averages with runs on the other branch, have no meaning.
+    integrals: of squared loads, for `window`.
     """
 
     times: Float[Array, " times"]

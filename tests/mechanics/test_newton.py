@@ -18,9 +18,9 @@ from rfem_jax.mechanics.kinematics import relative_motion
 from rfem_jax.mechanics.model import Coordinates, State
 from rfem_jax.mechanics.model_with_errors import apply_errors
 from rfem_jax.mechanics.statics.assembly import equilibrium, length_scale
-from tests.mechanisms import four_bar, twisted_spatial_loop, two_loop_six_bar
+from tests.mechanisms import chain_of_kinds, four_bar, twisted_spatial_loop, two_loop_six_bar
 
-PAIRS = [(four_bar, True), (twisted_spatial_loop, False), (two_loop_six_bar, False)]
+PAIRS = [(four_bar, True), (twisted_spatial_loop, False), (two_loop_six_bar, False), (chain_of_kinds, True)]
 
 
 def loaded_chain():
@@ -51,7 +51,7 @@ def mechanism(request):
         given = (model.start_joints[model.topology.driven], jnp.asarray(-2.0), jnp.asarray(11.0))
         drive = DriveInput(prescribed=given) if prescribed else DriveInput(moment=jnp.asarray(1.7))
     rates = Coordinates(
-        jnp.asarray(rng.normal(size=model.topology.n_links) * 3.0),
+        jnp.asarray(rng.normal(size=model.topology.n_freedoms) * 3.0),
         jnp.asarray(rng.normal(size=size) * np.array([0.02] * 3 + [1.0] * 3)[:, None]),
     )
     state = impose(model.topology, State(model.start_coordinates(), rates), drive)
@@ -90,7 +90,7 @@ def test_solved_accelerations_have_no_residual(mechanism):
     result, evaluation, unsolved = both(state)
     if prescribed:
         # The residual of the prescribed joint is the moment that enforces its angle.
-        evaluation = evaluation._replace(hinge=evaluation.hinge.at[model.topology.driven].set(0.0))
+        evaluation = evaluation._replace(hinge=evaluation.hinge.at[model.topology.driven_coordinate].set(0.0))
     assert worst(unsolved) > 1.0
     assert worst(evaluation) < 1e-9 * worst(unsolved)
     np.testing.assert_allclose(evaluation.angular, result.angular, atol=1e-9 * np.abs(result.angular).max())
@@ -108,15 +108,15 @@ def test_increments_at_a_given_state_find_the_accelerations(mechanism):
         operators = link_operators(actual, jnp.zeros(()), jnp.zeros(()))
         found = jax.tree.map(jnp.zeros_like, result.coordinates)
         if prescribed:
-            angles = jnp.where(np.arange(topology.n_links) == topology.driven, drive.prescribed[2], 0.0)
-            found = Coordinates(angles, found.elastic)
+            driven = np.arange(topology.n_freedoms) == topology.driven_coordinate
+            found = Coordinates(jnp.where(driven, drive.prescribed[2], 0.0), found.elastic)
         multipliers = jnp.zeros_like(result.multipliers)
 
         def improve(carry, _):
             found, multipliers = carry
             evaluation = evaluate_residual(actual, state, found, multipliers, drive, scale)
             matrix = iteration_matrix(
-                actual, operators, evaluation.motion, evaluation.closure, (topology.driven,) * prescribed
+                actual, operators, evaluation.motion, evaluation.closure, (topology.driven_coordinate,) * prescribed
             )
             evaluation = evaluation._replace(closing=evaluation.closing_acceleration)
             increment = newton_increment(topology, matrix, residual_of(evaluation))
@@ -142,7 +142,7 @@ def equations_at(actual, start, scale, drive, factors, prescribed):
     likewise, evaluation at zero, unravel."""
     topology = actual.topology
     q_factor, v_factor = factors
-    driven = np.arange(topology.n_links) == topology.driven
+    driven = np.arange(topology.n_freedoms) == topology.driven_coordinate
     zero = jax.tree.map(jnp.zeros_like, start)
     unknowns, unravel = ravel_pytree((zero, jnp.zeros(topology.n_constraints)))
 
@@ -154,7 +154,7 @@ def equations_at(actual, start, scale, drive, factors, prescribed):
 
     def equations(flat):
         evaluation = evaluate(flat)
-        hinge = jnp.where(driven, -flat[: topology.n_links], evaluation.hinge) if prescribed else evaluation.hinge
+        hinge = jnp.where(driven, -flat[: topology.n_freedoms], evaluation.hinge) if prescribed else evaluation.hinge
         return ravel_pytree((hinge, evaluation.force, evaluation.moment, evaluation.closing / q_factor))[0]
 
     def wrenches(flat):
@@ -168,7 +168,7 @@ def random_load(topology, free):
     rng = np.random.default_rng(5)
     size = (3, topology.n_rfes)
     load = Residual(
-        rng.normal(size=topology.n_links) * free, rng.normal(size=size), 0.01 * rng.normal(size=size),
+        rng.normal(size=topology.n_freedoms) * free, rng.normal(size=size), 0.01 * rng.normal(size=size),
         1e3 * rng.normal(size=topology.n_constraints),
     )  # fmt: skip
     return jax.tree.map(jnp.asarray, load)
@@ -206,13 +206,13 @@ def test_matrix_is_the_tangent_at_rest(mechanism):
         tangent = jax.jacfwd(equations)(unknowns)
         operators = link_operators(actual, *factors)
         matrix = iteration_matrix(
-            actual, operators, evaluation.motion, evaluation.closure, (topology.driven,) * prescribed
+            actual, operators, evaluation.motion, evaluation.closure, (topology.driven_coordinate,) * prescribed
         )
         exact = jnp.linalg.solve(tangent, -ravel_pytree(load)[0])
         by_exact = jax.jvp(wrenches, (unknowns,), (exact,))[1]
         return unravel(exact), by_exact, increment_and_wrenches(topology, matrix, load)
 
-    free = np.arange(topology.n_links) != topology.driven if prescribed else 1.0
+    free = np.arange(topology.n_freedoms) != topology.driven_coordinate if prescribed else 1.0
     exact, by_exact, (increment, by_increment) = both(random_load(topology, free))
     assert largest_gap(increment, exact) < 1e-7
     np.testing.assert_allclose(by_increment, by_exact, atol=1e-7 * np.abs(by_exact).max())

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.flatten_util import ravel_pytree
-from jaxtyping import ArrayLike, Float, Int
+from jaxtyping import ArrayLike, Bool, Float, Int
 
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.errors import InputError, suggestion
@@ -239,12 +239,16 @@ def equilibrium(
     unknowns = jax.lax.custom_root(lambda unknowns: residual(unknowns, args), end, lambda _, x: x, tangent_solve)
     position = scaled.coordinates(unknowns)
     found = found & jnp.all(jnp.isfinite(unknowns))
-    in_range = range_used(topology, position) < 1.0
-    cuts = closure(actual, motion_of(actual, loads.static_state(topology, position)), scaled.length)
+    return position, scaled.multipliers(unknowns), _status_of(actual, position, found, scaled.length)
+
+
+def _status_of(actual: ModelWithErrors, position: Coordinates, found: Bool[Array, ""], scale: Scalar) -> Int[Array, ""]:
+    """What is to be said of a position, and of whether the search has found it."""
+    in_range = range_used(actual.topology, position) < 1.0
+    cuts = closure(actual, motion_of(actual, loads.static_state(actual.topology, position)), scale)
     right_side = True if cuts is None else jnp.all(cuts.alignment > 0.0)
     status = jnp.where(right_side, jnp.where(in_range, OK, OUT_OF_RANGE), WRONG_SIDE)
-    status = jnp.where(found, status, NOT_ASSEMBLED)
-    return position, scaled.multipliers(unknowns), status.astype(jnp.int32)
+    return jnp.where(found, status, NOT_ASSEMBLED).astype(jnp.int32)
 
 
 def _search(
