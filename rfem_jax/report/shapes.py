@@ -19,6 +19,7 @@ from rfem_jax.report.annotations import Axes3D, Figure, Run
 from rfem_jax.report.style import CASE_COLOURS, LINE_STYLES, add_titles, new_figure
 
 _MOST_PANELS = 6
+SAME_PLACE = 0.02  # of the longest line
 _SHARE = 0.2
 
 Line = Float[np.ndarray, "points 3"]
@@ -125,6 +126,7 @@ def _draw_mechanism(axes: Axes3D, mechanism: Mechanism, run: Run, factor: float)
         for start, end in zip(nominal[::2], lines[link][::2], strict=True):
             axes.plot(*np.stack([start, end], axis=1), color=colours[link], linewidth=0.5)
     nominal = {link: np.asarray(line) for link, line in run.nominal_lines.items()}
+    points: dict[str, Point] = {}
     for joint in mechanism.joints:
         point = joint_point(mechanism, joint, lines, nominal)
         for link, seat in seats(mechanism, joint):
@@ -135,8 +137,24 @@ def _draw_mechanism(axes: Axes3D, mechanism: Mechanism, run: Run, factor: float)
         if KINDS[joint.kind].displacements:
             marker, size = "s", 6
         axes.plot(*point[:, None], marker=marker, markersize=size, color="black", mfc="white")
-        if np.isfinite(point).all():
-            axes.text(point[0], point[1], point[2], f"  {joint.name}", fontsize=9, weight="bold")
+        points[joint.name] = point
+    for names, point in labelled_points(points, lines):
+        axes.text(point[0], point[1], point[2], f"  {', '.join(names)}", fontsize=9, weight="bold")
+
+
+def labelled_points(points: Mapping[str, Point], lines: Mapping[str, Line]) -> list[tuple[list[str], Point]]:
+    """Names of joints and their points; joints that are drawn on one another have one label."""
+    size = max(np.ptp(line, axis=0).max() for line in lines.values())
+    found: list[tuple[list[str], Point]] = []
+    for name, point in points.items():
+        if not np.isfinite(point).all():
+            continue
+        near = [names for names, other in found if np.linalg.norm(other - point) < SAME_PLACE * size]
+        if near:
+            near[0].append(name)
+        else:
+            found.append(([name], point))
+    return found
 
 
 def _format_axes(axes: Axes3D, low: Point, high: Point) -> None:
@@ -178,7 +196,7 @@ def assembly_figure(study: Study, runs: Mapping[str, Run]) -> Figure:
         _format_axes(axes, low, high)
         axes.set_title(f"{case}: {_deflection_text(run)}", y=1.0)
     # Layout by hand: the automatic one knows neither labels nor legends of 3D axes.
-    figure.subplots_adjust(left=0.02, right=0.96, bottom=1.3 / height, top=1.0 - 0.9 / height, wspace=0.08, hspace=0.15)
+    figure.subplots_adjust(left=0.02, right=0.93, bottom=1.3 / height, top=1.0 - 0.9 / height, wspace=0.08, hspace=0.15)
     handles, labels = figure.axes[-1].get_legend_handles_labels()
     figure.legend(
         handles,

@@ -84,7 +84,7 @@ def choose_method(
 
 
 def _longest_step(model, method: Method, drive, duration, accuracy, errors) -> float | None:
-    errors = _trial_errors(model) if errors is None else errors
+    errors = trial_errors(model) if errors is None else errors
     length = float(np.max(np.asarray(model.length)))
     interval = duration / TRIAL_INTERVALS
     method = replace(method, step=interval)
@@ -126,12 +126,18 @@ def estimate_change(
     return float(change.max()) if np.isfinite(change).all() else np.inf
 
 
-def _trial_errors(model: Model) -> AssemblyErrors:
-    perfect = assembly_errors(model)
-    length = float(np.max(np.asarray(model.length)))
-    size = np.array([TRIAL_TILT, TRIAL_TILT, *[TRIAL_SHIFT * length] * 3])
+def trial_errors(model: Model) -> AssemblyErrors:
+    """Two assemblies that a step is chosen with: without errors, and with tilts and shifts of all seats, those that a
+    joint's free motions do not make good."""
+    perfect, topology = assembly_errors(model), model.topology
+    shift = TRIAL_SHIFT * float(np.max(np.asarray(model.length)))
+    names = topology.error_components
+    size = np.array([shift if name.startswith("d_") else TRIAL_TILT for name in names])
     signs = 1.0 - 2.0 * (np.indices(perfect.seat.shape).sum(axis=0) % 2)
-    flawed = eqx.tree_at(lambda e: e.seat, perfect, jnp.asarray(size[:, None] * signs))
+    has = np.array(
+        [[name in topology.kind(j).errors(child=False) for j in range(perfect.seat.shape[1])] for name in names]
+    )
+    flawed = eqx.tree_at(lambda e: e.seat, perfect, jnp.asarray(np.where(has, size[:, None] * signs, 0.0)))
     return jax.tree.map(lambda a, b: jnp.stack([a, b]), perfect, flawed)
 
 

@@ -10,7 +10,9 @@ from rfem_jax.description import load_study
 from rfem_jax.report.figures import _component_titles
 from rfem_jax.report.files import history_columns, write_files
 from rfem_jax.report.overview import study_text
+from rfem_jax.report.shapes import labelled_points
 from rfem_jax.report.summary import summarise
+from rfem_jax.simulation.accuracy import trial_errors
 
 pytestmark = pytest.mark.usefixtures("quick_compilation")
 
@@ -133,3 +135,26 @@ def test_titles_of_components_say_which_is_along_the_axis():
     assert _component_titles("prismatic", "force")[0] == "(a) x, along the axis"
     assert _component_titles("revolute", "moment")[1] == "(b) about y, the hinge"
     assert _component_titles("spherical", "moment") == ["(a) about x", "(b) about y", "(c) about z"]
+
+
+def test_joints_that_are_drawn_on_one_another_have_one_label():
+    line = {"rod": np.array([[0.0, 0.0, 0.0], [0.3, 0.0, 0.0]])}
+    points = {
+        "A": np.zeros(3),
+        "G": np.array([0.3, 0.0, 0.0]),
+        "P": np.array([0.301, 0.0, 0.0]),
+        "Q": np.full(3, np.nan),
+    }
+    assert [names for names, _ in labelled_points(points, line)] == [["A"], ["G", "P"]]
+
+
+def test_auto_knows_the_errors_of_every_kind(study):
+    """Trial errors of the choice of a step: of each joint those that its free motions do not make good."""
+    model = discretise(study.mechanism)
+    trial = np.asarray(trial_errors(model).seat)
+    names = model.topology.error_components
+    found = {j: {n for n, value in zip(names, column) if value} for j, column in zip(model.topology.joints, trial[1].T)}
+    assert not trial[0].any()
+    assert found["G"] == {"delta_x", "delta_y", "delta_z", "d_y", "d_z"}
+    assert found["B"] == {"d_x", "d_y", "d_z"}
+    assert all(f"{joint}.{name}" in model.topology.error_names for joint, column in found.items() for name in column)
