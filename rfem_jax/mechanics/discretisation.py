@@ -163,11 +163,11 @@ def _idle_coordinates(model: Model) -> dict[int, str]:
 
 
 def _null_space(matrix: np.ndarray) -> np.ndarray:
-    """Orthonormal columns that a matrix takes to zero."""
+    """Orthonormal columns that a matrix of entries of size one takes to zero."""
     if 0 in matrix.shape:
         return np.eye(matrix.shape[1])
     _, singular, rows = np.linalg.svd(matrix, full_matrices=matrix.shape[0] < matrix.shape[1])
-    return rows[int(np.sum(singular > 1e3 * RANK_TOLERANCE * max(singular[0], 1e-300))) :].T
+    return rows[int(np.sum(singular > 1e3 * RANK_TOLERANCE * max(singular[0], 1.0))) :].T
 
 
 def _rank(jacobian: np.ndarray) -> int:

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from rfem_jax import Joint, Mechanism, describe, discretise
 from rfem_jax.description.errors import InputError
@@ -76,6 +77,21 @@ def test_a_link_that_can_move_alone_is_named():
     text = " ".join(count_lines(mechanism, structure))
     assert "link sleeve can move alone between S (revolute) and T (cylindrical)" in text
     assert describe(discretise(slider_crank(rfes=2))).idle == ()
+
+
+def test_a_freedom_that_is_the_only_motion_is_idle_too():
+    """A rod between two spherical joints, on the base and on a link that two hinges hold."""
+    links = [link("bracket", 0.1), link("rod", 0.2)]
+    bracket, rod = Rotation.from_euler("xyz", (0.3, -0.5, 0.8)), Rotation.from_euler("xyz", (0.0, 0.3, -0.7))
+    end = bracket.apply([0.1, 0, 0] + rod.apply([0.2, 0, 0]))
+    joints = [
+        Joint("F", "base", "bracket", orientation=(0.3, -0.5, 0.8)),
+        Joint("G", "base", "bracket", cut=True, orientation=(0.3, -0.5, 0.8), position=bracket.apply([0.1, 0, 0])),
+        Joint("S", "bracket", "rod", kind="spherical", start=(0.0, 0.3, -0.7)),
+        Joint("T", "base", "rod", cut=True, kind="spherical", position=end),
+    ]
+    structure = describe(discretise(Mechanism(links, joints, redundant_reactions="minimum_norm")))
+    assert (structure.mobility, structure.idle) == (1, ("rod",))
 
 
 @pytest.mark.parametrize("kind", ["revolute", "prismatic", "cylindrical", "universal", "planar", "fixed"])
