@@ -19,6 +19,7 @@ from rfem_jax.description.drives import (
     PrescribedTable,
 )
 from rfem_jax.description.errors import InputError, Problems, located, require_choice, require_name
+from rfem_jax.description.forces import JointForce, JointForceTable, JointSpring
 from rfem_jax.description.joints import Joint
 from rfem_jax.description.links import Link, PointMass
 from rfem_jax.description.materials import Material
@@ -37,8 +38,9 @@ DRIVES = {
     "prescribed_spin_up": (PrescribedSpinUp, ("rate", "rise_time"), ()),
     "prescribed_table": (PrescribedTable, ("times", "angles"), ()),
 }
+FORCES = {"joint_spring": JointSpring, "joint_table": JointForceTable}
 _MECHANISM_OPTIONS = ("gravity", "redundant_reactions", "elements")
-MECHANISM_KEYS = (("links", "joints"), ("materials", "sections", *_MECHANISM_OPTIONS))
+MECHANISM_KEYS = (("links", "joints"), ("materials", "sections", "forces", *_MECHANISM_OPTIONS))
 _METHOD_KEYS = (
     "step", "rtol", "atol", "stabilisation", "accuracy", "spectral_radius", "corrections",
     "tolerance",
@@ -53,15 +55,17 @@ def read_mechanism(table: object) -> Mechanism:
     problems = Problems()
     materials = _read_named(content.get("materials", {}), "mechanism.materials", _read_material, problems)
     sections = _read_named(content.get("sections", {}), "mechanism.sections", _read_section, problems)
-    links, joints = [], []
+    links, joints, forces = [], [], []
     with problems.noted():
         links = _read_list(content["links"], "[[mechanism.links]]", _read_link, materials, sections)
     with problems.noted():
         joints = _read_list(content["joints"], "[[mechanism.joints]]", _read_joint)
+    with problems.noted():
+        forces = _read_list(content.get("forces", []), "[[mechanism.forces]]", _read_force)
     problems.refuse()
     options = {key: content[key] for key in _MECHANISM_OPTIONS if key in content}
     with located(place):
-        return Mechanism(links=tuple(links), joints=tuple(joints), **options)
+        return Mechanism(links=tuple(links), joints=tuple(joints), forces=tuple(forces), **options)
 
 
 def read_drive(table: object) -> MomentDrive | PrescribedDrive:
@@ -170,3 +174,13 @@ def _read_joint(table: object, place: str) -> Joint:
     content = checked_table(table, place, *keys_of(Joint))
     with located(place):
         return Joint(**content)
+
+
+def _read_force(table: object, place: str) -> JointForce:
+    keys = {field.name for kind in FORCES.values() for field in fields(kind)}
+    content = checked_table(table, place, ("kind",), sorted(keys))
+    kind = _choice(content["kind"], FORCES, "kind", place)
+    required, optional = keys_of(FORCES[kind])
+    checked_table(content, f'{place} of kind "{kind}"', ("kind", *required), optional)
+    with located(place):
+        return FORCES[kind](**{key: value for key, value in content.items() if key != "kind"})

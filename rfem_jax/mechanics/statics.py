@@ -4,10 +4,10 @@ Place in the pipeline: model, errors -> **statics** -> start state of a simulati
 
 With errors the links are deformed when the loops are closed (theory (6.1)): the assembled state is a
 stationary point of the potential energy of springs and gravity subject to the closure equations, some joints
-held.  It is found from its equilibrium equations: zero moment about every free hinge, zero generalised force
-of springs, gravity and joints on every free rfe, closed loops.  They are solved by Newton's method and
-differentiated by the implicit function theorem; unknowns and residuals are scaled by a length and a force of
-the mechanism.
+held.  It is found from its equilibrium equations: no moment about a free hinge but that of its springs and laws,
+zero generalised force of springs, gravity and joints on every free rfe, closed loops.  They are solved by Newton's
+method and differentiated by the implicit function theorem; unknowns and residuals are scaled by a length and a force
+of the mechanism.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -27,6 +27,7 @@ from rfem_jax.mechanics import elasticity, loads
 from rfem_jax.mechanics.algebra import Scalar, apply_transposed, cross, dot
 from rfem_jax.mechanics.cut_joints import closure
 from rfem_jax.mechanics.inputs import DriveInput
+from rfem_jax.mechanics.joint_forces import applied_forces, by_coordinate, law_forces, law_tangent
 from rfem_jax.mechanics.kinematics import by_freedom, motion_of, range_used
 from rfem_jax.mechanics.model import Coordinates, Model, State, Topology
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors, ModelWithErrors, apply_errors, assembly_errors
@@ -217,6 +218,9 @@ def equilibrium(
         start,
     )
     guess = jnp.where(is_given, angles @ onto, undeformed)
+    if topology.exact and model.forces is not None:
+        # Forces grow with the load: without them, the undeformed start is an equilibrium.
+        perfect = eqx.tree_at(lambda args: args[0].forces.share, perfect, jnp.zeros(()))
     perfect, undeformed, guess = jax.lax.stop_gradient((perfect, undeformed, guess))
     equations = Equations(
         residual,
@@ -290,6 +294,10 @@ def _rows(scaled: _Scaled, actual: ModelWithErrors) -> Array:
     of_joints = jnp.full(topology.n_freedoms, scaled.force * scaled.length)
     if any(topology.slides):
         of_joints = of_joints / scaled.units[: topology.n_freedoms]
+    if actual.forces is not None:
+        at_rest = loads.static_state(topology, scaled.coordinates(jnp.zeros(len(scaled.units))))
+        of_laws = by_coordinate(topology, law_tangent(actual, at_rest, 1.0, 0.0))
+        of_joints = of_joints + of_laws * scaled.units[: topology.n_freedoms]
     forces = Coordinates(of_joints, jnp.einsum("kij,jk->ik", springs, one))
     return scaled.residual(forces, jnp.full(topology.n_constraints, scaled.length))
 
@@ -308,6 +316,9 @@ def _static_residual(
     force, moment = loads.inertial_loads(actual, motion, at_rest, at_rest)
     wrenches = loads.chain_wrenches(actual, motion, cuts, multipliers, (force, moment))
     hinge = dot(motion.axis, by_freedom(topology, jnp.stack(wrenches[:n], axis=1)))
+    applied = applied_forces(topology, DriveInput(), law_forces(actual, state))
+    if applied:
+        hinge = hinge - by_coordinate(topology, applied)
     force, moment = -force[:, n:], -moment[:, n:]
     for j, (left, right) in enumerate(zip(topology.parents, topology.children)):
         for node, sign in ((left, -1.0), (right, 1.0)):
@@ -332,7 +343,8 @@ def static_loads(
     """Joint loads at rest, the moment that holds a joint included."""
     motion = motion_of(actual, state)
     at_rest = jnp.zeros((3, actual.mass.shape[0]))
-    resting = loads.Resting(motion, closure(actual, motion, length_scale(model)), multipliers)
+    cuts = closure(actual, motion, length_scale(model))
+    resting = loads.Resting(motion, cuts, multipliers, law_forces(actual, state))
     return loads.chain_loads(actual, resting, at_rest, at_rest, DriveInput())[0]
 
 
