@@ -8,6 +8,7 @@ augmented system.  Nothing of the recursion is used: transforms, constraints, th
 derivatives of both are formed independently, by 4 x 4 matrices and automatic differentiation.
 """
 
+from collections.abc import Callable
 from functools import partial
 
 import jax
@@ -166,6 +167,23 @@ def _spring_work(actual: ModelWithErrors, state: State, q: Coordinates, qd: Coor
     return potential, rayleigh
 
 
+def _along_joints(
+    actual: ModelWithErrors, state: State, drive: DriveInput, unravel: Callable[[Array], Coordinates]
+) -> Array:
+    """Generalised forces of drive, springs, dampers and laws of joints, flat."""
+    qd, _ = ravel_pytree(state.velocity)
+    force = still = jnp.zeros_like(qd)
+    if actual.forces is not None:
+        force = force - jax.grad(lambda q: _spring_work(actual, state, unravel(q), unravel(still))[0])(still)
+        force = force - jax.grad(lambda qd: _spring_work(actual, state, unravel(still), unravel(qd))[1])(qd)
+    laws = law_forces(actual, state)
+    # Those of springs and dampers are in the two functions already.
+    outside = None if laws is None else laws._replace(inside={})
+    for k, applied in applied_forces(actual.topology, drive, outside).items():
+        force = force.at[k].add(applied)
+    return force
+
+
 def reference_accelerations(
     actual: ModelWithErrors, state: State, drive: DriveInput, stabilisation: Stabilisation
 ) -> tuple[Coordinates, Float[Array, " constraints"]]:
@@ -206,15 +224,7 @@ def reference_accelerations(
         return 0.5 * elasticity.dissipated_power(actual, State(state.position, unravel(qd)))
 
     force = -inertial - jax.grad(potential)(q) - jax.grad(rayleigh)(qd)
-    if actual.forces is not None:
-        still = unravel(jnp.zeros_like(q))
-        force = force - jax.grad(lambda q: _spring_work(actual, state, unravel(q), still)[0])(q)
-        force = force - jax.grad(lambda qd: _spring_work(actual, state, still, unravel(qd))[1])(qd)
-    laws = law_forces(actual, state)
-    # Those of springs and dampers are in the two functions already.
-    outside = None if laws is None else laws._replace(inside={})
-    for k, applied in applied_forces(topology, drive, outside).items():
-        force = force.at[k].add(applied)
+    force = force + _along_joints(actual, state, drive, unravel)
 
     def phi(q):
         return constraints(actual, state.position, stabilisation.scale, unravel(q))

@@ -213,14 +213,8 @@ def equilibrium(
     onto = (given[:, None] == np.arange(undeformed.size)).astype(float)
     is_given = onto.any(axis=0)
     args = actual, angles
-    perfect = (
-        eqx.tree_at(lambda r: r.gravity, apply_errors(model, assembly_errors(model)), jnp.zeros(3)),
-        start,
-    )
+    perfect = _unloaded(model), start
     guess = jnp.where(is_given, angles @ onto, undeformed)
-    if topology.exact and model.forces is not None:
-        # Forces grow with the load: without them, the undeformed start is an equilibrium.
-        perfect = eqx.tree_at(lambda args: args[0].forces.share, perfect, jnp.zeros(()))
     perfect, undeformed, guess = jax.lax.stop_gradient((perfect, undeformed, guess))
     equations = Equations(
         residual,
@@ -248,6 +242,15 @@ def equilibrium(
     status = jnp.where(right_side, jnp.where(in_range, OK, OUT_OF_RANGE), WRONG_SIDE)
     status = jnp.where(found, status, NOT_ASSEMBLED)
     return position, scaled.multipliers(unknowns), status.astype(jnp.int32)
+
+
+def _unloaded(model: Model) -> ModelWithErrors:
+    """The perfect mechanism without gravity; where loads are applied in steps also without forces of joints, so that
+    the undeformed start is an equilibrium."""
+    perfect = eqx.tree_at(lambda r: r.gravity, apply_errors(model, assembly_errors(model)), jnp.zeros(3))
+    if model.topology.exact and model.forces is not None:
+        perfect = eqx.tree_at(lambda r: r.forces.share, perfect, jnp.zeros(()))
+    return perfect
 
 
 def _search(
