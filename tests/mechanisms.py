@@ -1,8 +1,20 @@
 """Mechanisms that several tests share."""
 
+import dataclasses
+
 import numpy as np
 
-from rfem_jax import Joint, Link, Material, Mechanism, PointMass, Rectangle
+from rfem_jax import (
+    Joint,
+    JointForceFunction,
+    JointForceTable,
+    JointSpring,
+    Link,
+    Material,
+    Mechanism,
+    PointMass,
+    Rectangle,
+)
 
 STEEL = Material("steel", youngs_modulus=210e9, density=7850.0, poisson_ratio=0.3, damping=1e-5)
 BAR = Rectangle(0.01, 0.01)
@@ -136,6 +148,38 @@ def chain_of_kinds():
         Joint("R", "d", "g", position=(0.125, 0.0, 0.01), angle=-0.8),
     ]
     return Mechanism(links, joints, driven_joint="A")
+
+
+def chain_with_forces():
+    """`chain_of_kinds` with springs, dampers and laws on motions of every kind, two on one of them and one on that of
+    the driven joint."""
+
+    def law(position, rate):
+        return 0.4 - 2.0 * position**3 - 0.03 * rate * position
+
+    forces = [
+        JointSpring("at_drive", "A", stiffness=2.0, damping=0.1, rest=0.2, preload=0.3),
+        JointSpring("slide", "P", stiffness=300.0, damping=4.0, rest=0.03),
+        JointForceTable("gas", "P", [-1.0, 0.0, 0.1, 1.0], [3.0, -2.0, 5.0, 8.0]),
+        JointForceFunction("first", "U", law, motion="R_y"),
+        JointSpring("second", "U", stiffness=1.5, motion="R_z"),
+        JointForceFunction("along", "C", law, motion="T_y"),
+        JointSpring("about", "C", damping=0.2, motion="R_y"),
+        JointForceTable("across", "L", [-1.0, 1.0], [-7.0, 4.0], motion="T_z"),
+        JointSpring("planar", "L", stiffness=40.0, preload=-2.0, motion="T_x"),
+        JointForceFunction("turn", "R", law),
+    ]
+    return dataclasses.replace(chain_of_kinds(), forces=forces)
+
+
+def loop_with_springs():
+    """A triangle of the base and two flexible links, with a spring and a damper at its feet."""
+    forces = [
+        JointSpring("left", "A", stiffness=30.0, rest=-1.0, preload=2.0),
+        JointSpring("right", "D", damping=0.4),
+        JointForceTable("table", "D", [-3.0, -2.0, 0.0], [5.0, -1.0, 2.0]),
+    ]
+    return dataclasses.replace(three_link_loop(), forces=forces)
 
 
 OFFSETS = {"prismatic": (0.04, 0.0, 0.0), "cylindrical": (0.0, 0.05, 0.0), "planar": (0.03, 0.0, -0.02)}

@@ -16,6 +16,7 @@ from rfem_jax.description.drives import (
     PrescribedTable,
 )
 from rfem_jax.description.errors import InputError, nearest
+from rfem_jax.description.forces import JointForceFunction, JointForceTable, JointSpring
 from rfem_jax.description.joints import Joint
 from rfem_jax.description.links import Link, PointMass
 from rfem_jax.description.materials import Material
@@ -48,6 +49,9 @@ __all__ = [
     "GivenSection",
     "InputError",
     "Joint",
+    "JointForceFunction",
+    "JointForceTable",
+    "JointSpring",
     "Link",
     "Material",
     "Mechanism",

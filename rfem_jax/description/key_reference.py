@@ -16,7 +16,7 @@ from rfem_jax.description.materials import Material
 from rfem_jax.description.mechanism import Mechanism
 from rfem_jax.description.methods import METHOD_CLASSES, settings_of
 from rfem_jax.description.study import CASE_KEYS, STUDY_KEYS, Case, Study
-from rfem_jax.description.study_reader import DRIVES, MECHANISM_KEYS, SHAPES, SIMULATION_KEYS
+from rfem_jax.description.study_reader import DRIVES, FORCES, MECHANISM_KEYS, SHAPES, SIMULATION_KEYS
 from rfem_jax.description.tables import keys_of
 from rfem_jax.description.tolerances import CorrelatedTolerances, SpecifiedTolerance
 from rfem_jax.task_kinds import task_kinds
@@ -27,6 +27,7 @@ _IN_A_FILE = {  # where a file has something else than the class
     "sections": "tables [mechanism.sections.NAME]",
     "links": "tables [[mechanism.links]], at least one",
     "joints": "tables [[mechanism.joints]]; each link is the child of exactly one that is not cut",
+    "forces": "tables [[mechanism.forces]]",
     "section": "name of a table [mechanism.sections.NAME] (a rigid link needs it for its mass)",
     "material": 'name of a table [mechanism.materials.NAME]; none with a section of shape "given"',
     "point_masses": "list of tables, [{mass = ..., position = ...}, ...]",
@@ -74,6 +75,10 @@ def key_tables() -> list[KeyTable]:
         ("[[mechanism.joints]]", Joint),
     ):
         tables.append(_table(header, kind, *keys_of(kind), _IN_A_FILE))
+    for name, kind in FORCES.items():
+        required, optional = keys_of(kind)
+        header, own = f'[[mechanism.forces]] of kind "{name}"', {"kind": f'"{name}"'}
+        tables.append(_table(header, kind, ("kind", *required), optional, own))
     for name, (kind, required, optional) in DRIVES.items():
         header, own = f'[drive] of kind "{name}"', {"kind": f'"{name}"'}
         tables.append(_table(header, kind, ("joint", "kind", *required), optional, own))

@@ -14,12 +14,13 @@ from typing import Any, TypeVar
 
 from rfem_jax.description.error_catalogue import LINK_ERRORS, error_dimension, error_unit
 from rfem_jax.description.errors import Checks, ChecksItself, InputError, Problems, require_choice, subject, suggestion
+from rfem_jax.description.forces import JointForce
 from rfem_jax.description.joint_kinds import KINDS, joint_errors
 from rfem_jax.description.joints import Joint
 from rfem_jax.description.links import Link
 from rfem_jax.description.units import vector
 
-Part = TypeVar("Part", Link, Joint)
+Part = TypeVar("Part", Link, Joint, JointForce)
 
 ELEMENTS = ("linear", "geometrically_exact")
 _ROUNDING = 1e-12  # a position at the end of a link may exceed its length by rounding
@@ -39,9 +40,10 @@ class Mechanism(ChecksItself):
             its start angle; None = none (a study sets it from its drive).
         elements: spring-damping elements: "linear" (small deflections relative to the link frame),
             or "geometrically_exact" (of any size).
+        forces: JointSpring, JointForceTable and JointForceFunction objects.
     Raises:
-        InputError: names clash or are unknown, a link is not connected, a loop is not cut, or a
-            joint lies off a flexible link.
+        InputError: names clash or are unknown, a link is not connected, a loop is not cut, a
+            joint lies off a flexible link, or a force does not fit its joint.
     """
 
     links: tuple[Link, ...]
@@ -50,6 +52,7 @@ class Mechanism(ChecksItself):
     redundant_reactions: str = "refuse"
     driven_joint: str | None = None
     elements: str = "linear"
+    forces: tuple[JointForce, ...] = ()
 
     def _check_fields(self, checks: Checks) -> None:
         checks.convert("links", _unique, Link, "links")
@@ -70,11 +73,17 @@ class Mechanism(ChecksItself):
             self._check_positions(joint, problems)
         with problems.noted():
             self._check_driven_joint()
+        with problems.noted():
+            object.__setattr__(self, "forces", self._resolved_forces())
         problems.refuse()
 
     def link(self, name: str) -> Link:
         """Return the link `name`; raises InputError with the nearest name if there is none."""
         return _find(self.links, name, "link")
+
+    def force(self, name: str) -> JointForce:
+        """Return the force `name`; raises InputError with the nearest name if there is none."""
+        return _find(self.forces, name, "force")
 
     def joint(self, name: str) -> Joint:
         """Return the joint `name`; raises InputError with the nearest name if there is none."""
@@ -193,6 +202,24 @@ class Mechanism(ChecksItself):
                 "Argument `driven_joint` must be a joint of the tree, but "
                 f"`{self.driven_joint}` is cut; cut another joint of the loop."
             )
+
+    def _resolved_forces(self) -> tuple[JointForce, ...]:
+        """The forces, each on its joint."""
+        found, problems = [], Problems()
+        tree = [joint.name for joint in self.joints if not joint.cut]
+        for force in _unique(self.forces, JointForce, "forces"):
+            with problems.noted():
+                if force.joint not in tree:
+                    cut = force.joint in [joint.name for joint in self.joints]
+                    reason = "is cut" if cut else "is none"
+                    fix = "cut another joint of the loop." if cut else suggestion(force.joint, tree)
+                    raise InputError(
+                        f"Argument `joint` of force `{force.name}` must be a joint of the tree, but `{force.joint}` "
+                        f"{reason}; {fix}"
+                    )
+                found.append(force.resolved(self.joint(force.joint)))
+        problems.refuse()
+        return tuple(found)
 
     def _check_positions(self, joint: Joint, problems: Problems) -> None:
         """Note what lies off its flexible link; links that there are not are told elsewhere."""

@@ -20,6 +20,7 @@ from rfem_jax.description.drives import (
     PrescribedTable,
 )
 from rfem_jax.description.errors import ABSENT, InputError, Problems, located, require_choice, require_name
+from rfem_jax.description.forces import JointForce, JointForceTable, JointSpring
 from rfem_jax.description.joints import Joint
 from rfem_jax.description.links import Link, PointMass
 from rfem_jax.description.materials import Material
@@ -39,8 +40,9 @@ DRIVES = {
     "prescribed_spin_up": (PrescribedSpinUp, ("rate", "rise_time"), ()),
     "prescribed_table": (PrescribedTable, ("times", "angles"), ()),
 }
+FORCES = {"joint_spring": JointSpring, "joint_table": JointForceTable}
 _MECHANISM_OPTIONS = ("gravity", "redundant_reactions", "elements")
-MECHANISM_KEYS = (("links", "joints"), ("materials", "sections", *_MECHANISM_OPTIONS))
+MECHANISM_KEYS = (("links", "joints"), ("materials", "sections", "forces", *_MECHANISM_OPTIONS))
 SIMULATION_KEYS = (("duration",), ("method", "save_every"))  # and the settings of the method
 
 
@@ -58,6 +60,9 @@ def read_mechanism(table: object) -> Mechanism:
     if content["joints"] is not ABSENT:
         with problems.noted():
             parts["joints"] = _read_list(content["joints"], "[[mechanism.joints]]", _read_joint)
+    parts["forces"] = ABSENT
+    with problems.noted():
+        parts["forces"] = _read_list(content.get("forces", []), "[[mechanism.forces]]", _read_force)
     return build(Mechanism, parts, place, problems)
 
 
@@ -216,3 +221,13 @@ def _read_joint(table: object, place: str) -> Joint:
     problems = Problems()
     settings = problems.usable(lambda: checked_table(table, place, *keys_of(Joint)))
     return build(Joint, settings, place, problems)
+
+
+def _read_force(table: object, place: str) -> JointForce:
+    problems = Problems()
+    keys = {field.name for kind in FORCES.values() for field in fields(kind)}
+    content = problems.usable(lambda: checked_table(table, place, ("kind",), sorted(keys)))
+    kind = _kind_of(content, FORCES, "kind", place, problems)
+    required, optional = keys_of(FORCES[kind])
+    settings = _of_kind(content, f'{place} of kind "{kind}"', ("kind", *required), optional, problems)
+    return build(FORCES[kind], {name: value for name, value in settings.items() if name != "kind"}, place, problems)

@@ -64,6 +64,10 @@ DIMENSIONS = {
     "line_density": ((1, -1, 0, 0), "kg/m", "0.785 kg/m"),
     "rotary_inertia": ((1, 1, 0, 0), "kg m", "6.5e-6 kg m"),
     "moment_of_inertia": ((1, 2, 0, 0), "kg m^2", "2 kg mm^2"),
+    "stiffness": ((1, 0, -2, 0), "N/m", "12 N/mm"),
+    "rotational_stiffness": ((1, 2, -2, -1), "N m/rad", "3 N m/deg"),
+    "damping": ((1, 0, -1, 0), "N s/m", "5 N s/m"),
+    "rotational_damping": ((1, 2, -1, -1), "N m s/rad", "0.1 N m s/rad"),
 }
 
 _KG, _M, _S, _RAD = (1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1)

@@ -8,7 +8,8 @@ kinematics                  + State -> positions and velocities
 centre_lines                where the links are in space
 elements                    forces of the sdes, linear and geometrically exact
 cut_joints                  constraints of the cut joints
-inputs, joint_forces        the drive at one instant, moments about the hinges
+joint_laws                  springs, dampers, tables and functions along joint coordinates
+inputs, joint_forces        the drive at one instant, forces along the joint coordinates
 dynamics                    accelerations by the articulated-body algorithm
 reference_formulation       the same, dense, to test against
 loads                       joint loads, energies, balance of momentum

@@ -14,6 +14,7 @@ from jaxtyping import Float
 from rfem_jax.description.errors import InputError, require_choice
 from rfem_jax.description.mechanism import ELEMENTS, Mechanism
 from rfem_jax.mechanics.cut_joints import RANK_TOLERANCE
+from rfem_jax.mechanics.joint_laws import holds
 from rfem_jax.mechanics.model import BASE, Model
 from rfem_jax.mechanics.model_building import build_model
 from rfem_jax.mechanics.nominal_geometry import (
@@ -131,7 +132,10 @@ def _idle_coordinates(model: Model) -> dict[int, str]:
         return {}
     n = topology.n_links
     placed = place(geometry, np.asarray(model.start_joints))
-    free = _null_space(closure_jacobian(geometry, placed)[:, : topology.n_freedoms])
+    laws = [] if model.forces is None else model.forces.values()
+    # A freedom that a spring holds is not idle.
+    sprung = np.eye(topology.n_freedoms)[[law.coordinate for law in laws if holds(law)]]
+    free = _null_space(np.vstack([closure_jacobian(geometry, placed)[:, : topology.n_freedoms], sprung]))
     if free.shape[1] == 0:
         return {}
     twists, units = np.zeros((n, 6, topology.n_freedoms)), joint_units(geometry)

@@ -28,7 +28,7 @@ from rfem_jax.mechanics.algebra import apply, apply_transposed, cross, dot, prod
 from rfem_jax.mechanics.cut_joints import Closure, closure, invert_closure, unit_columns
 from rfem_jax.mechanics.elements.elasticity import elastic_loads
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation
-from rfem_jax.mechanics.joint_forces import joint_force
+from rfem_jax.mechanics.joint_forces import LawForces, applied_forces, law_forces
 from rfem_jax.mechanics.kinematics import Motion, by_freedom, motion_of, node_frames, spread, total
 from rfem_jax.mechanics.model import BASE, Coordinates, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
@@ -57,7 +57,7 @@ class Accelerations(NamedTuple):
     their part due to Baumgarte's terms; angular, linear (3, nodes): absolute accelerations of all nodes'
     reference points in link axes; spatial (6, L): accelerations of the links at their islands' points;
     motion, closure, interface_tree: what they were computed from; dissipated [W]: power that the dampers
-    dissipate.
+    dissipate; laws: forces of springs and laws along joint coordinates, None without any.
     """
 
     coordinates: Coordinates
@@ -70,6 +70,7 @@ class Accelerations(NamedTuple):
     closure: Closure | None
     interface_tree: InterfaceTree
     dissipated: Float[Array, ""]
+    laws: LawForces | None
 
 
 def accelerations(
@@ -87,7 +88,9 @@ def accelerations(
     spin, gravity = link_axes(actual, motion)
     angular, linear = _free_accelerations(actual, motion, spin, gravity, force, moment)
     tree = _interface_tree(actual, state, motion, force, moment)
-    responses, rates = _articulated_bodies(topology, tree, _load_columns(topology, cuts, tree), drive)
+    laws = law_forces(actual, state)
+    forces = applied_forces(topology, drive, laws)
+    responses, rates = _articulated_bodies(topology, tree, _load_columns(topology, cuts, tree), drive, forces)
     responses |= _cut_rfe_responses(actual, motion, cuts, angular, linear)
     multipliers, stabilising = _multipliers(topology, cuts, motion, tree, responses, stabilisation)
     weights = jnp.concatenate([jnp.ones((1,)), multipliers])
@@ -107,7 +110,8 @@ def accelerations(
         motion=motion,
         closure=cuts,
         interface_tree=tree,
-        dissipated=dissipated,
+        dissipated=dissipated if laws is None else dissipated + laws.dissipated,
+        laws=laws,
     )
 
 
@@ -218,10 +222,10 @@ def _load_columns(topology: Topology, cuts: Closure | None, tree: InterfaceTree)
 
 
 def _articulated_bodies(
-    topology: Topology, tree: InterfaceTree, loads: dict[int, Array], drive: DriveInput
+    topology: Topology, tree: InterfaceTree, loads: dict[int, Array], drive: DriveInput, forces: dict[int, Array]
 ) -> tuple[dict[int, Array], list[Array]]:
     """Featherstone's articulated-body algorithm for K columns of loads at once: accelerations (6, K) of the
-    bodies and (K,) of the joint coordinates.
+    bodies and (K,) of the joint coordinates; `forces`: along joint coordinates.
 
     The coordinates of a joint are eliminated one after another, as if bodies without mass were between them, which
     is the Cholesky factorisation of the joint's own matrix (theory (4.10)).
@@ -243,7 +247,7 @@ def _articulated_bodies(
                 u = apply(inertia, axis)
                 scaled = u / dot(axis, u)[None]
                 torque = dot(axis[:, None], load)
-                force = joint_force(topology, drive, k)
+                force = forces.get(k)
                 if force is not None:
                     torque = torque + force[None] * first
                 steps[k] = (axis, bias[:, None] * first[None], torque / dot(axis, u)[None], scaled)

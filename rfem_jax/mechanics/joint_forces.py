@@ -1,34 +1,103 @@
-"""Moments that act about the axes of the tree joints, besides what holds their links together.
+"""Forces and moments along the coordinates of the tree joints, besides what holds their links together.
 
-Place in the pipeline: inputs -> **joint_forces** -> dynamics, residual, loads, reference_formulation.
+Place in the pipeline: inputs, joint_laws -> **joint_forces** -> dynamics, residual, loads, statics,
+reference_formulation.
 
-The drive's moment is the only one so far.  A spring or friction in a hinge belongs here, and would need the
-state as a further argument.
+They are the moment of the drive, and springs, dampers and laws of a joint's own position and rate.  Springs and
+dampers are inside a joint: parts of its load.  Drives and laws act from outside it and are not (theory (3.17)).
 """
 
+from functools import reduce
+from typing import NamedTuple
+
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jaxtyping import Float
 
+from rfem_jax.mechanics.algebra import Scalar
 from rfem_jax.mechanics.inputs import DriveInput
-from rfem_jax.mechanics.model import Topology
+from rfem_jax.mechanics.joint_laws import SpringLaw
+from rfem_jax.mechanics.model import Coordinates, State, Topology
+from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 
 
-def joint_force(topology: Topology, drive: DriveInput, coordinate: int) -> Float[Array, ""] | None:
-    """Generalised force [N m] of one joint coordinate, None where nothing acts."""
-    return drive.moment if coordinate == topology.driven_coordinate else None
+class LawForces(NamedTuple):
+    """What springs, dampers and laws exert at one instant.
+
+    inside, outside: forces [N, N m] by joint coordinate, of springs with dampers and of laws; dissipated, power [W]: of
+    the dampers, and of the laws.
+    """
+
+    inside: dict[int, Float[Array, ""]]
+    outside: dict[int, Float[Array, ""]]
+    dissipated: Float[Array, ""]
+    power: Float[Array, ""]
 
 
-def joint_forces_of(topology: Topology, drive: DriveInput) -> Float[Array, " freedoms"] | None:
-    """`joint_force` of all joint coordinates, zero where nothing acts; None where that is everywhere."""
-    if drive.moment is None:
+def law_forces(actual: ModelWithErrors, state: State) -> LawForces | None:
+    """Forces of springs, dampers and laws at one instant; None for a mechanism without them."""
+    if actual.forces is None:
         return None
-    return jnp.where(np.arange(topology.n_freedoms) == topology.driven_coordinate, drive.moment[None], 0.0)
+    inside: dict[int, Array] = {}
+    outside: dict[int, Array] = {}
+    dissipated = power = jnp.zeros(())
+    with jax.named_scope("joint_laws"):
+        for law in actual.forces.laws.values():
+            position, rate = state.position.joints[law.place], state.velocity.joints[law.coordinate]
+            force = actual.forces.share * law.force(position, rate)
+            side = outside
+            if isinstance(law, SpringLaw):
+                side = inside
+                dissipated = dissipated + actual.forces.share * law.damping * rate**2
+            else:
+                power = power + force * rate
+            side[law.coordinate] = side[law.coordinate] + force if law.coordinate in side else force
+    return LawForces(inside, outside, dissipated, power)
+
+
+def applied_forces(topology: Topology, drive: DriveInput, laws: LawForces | None) -> dict[int, Float[Array, ""]]:
+    """Generalised forces [N m, N] by joint coordinate, where any acts."""
+    found: dict[int, Array] = {}
+    if drive.moment is not None and topology.driven_coordinate is not None:
+        found[topology.driven_coordinate] = drive.moment
+    for side in () if laws is None else (laws.inside, laws.outside):
+        for k, force in side.items():
+            found[k] = found[k] + force if k in found else force
+    return found
+
+
+def by_coordinate(topology: Topology, forces: dict[int, Float[Array, ""]]) -> Float[Array, " freedoms"]:
+    """Forces, of which there is at least one, of all joint coordinates, zero where none acts."""
+    rows = np.arange(topology.n_freedoms)
+    return reduce(jnp.add, [jnp.where(rows == k, force[None], 0.0) for k, force in forces.items()])
 
 
 def hinge_moments(topology: Topology, drive: DriveInput) -> Float[Array, " links"] | None:
-    """Given moments [N m] about y of the tree joints, zero where none acts; None where that is everywhere."""
+    """Moments [N m] of a drive about y of the tree joints, zero where none acts; None where that is everywhere."""
     if drive.moment is None:
         return None
     return jnp.where(np.arange(topology.n_links) == topology.driven, drive.moment[None], 0.0)
+
+
+def law_energy(actual: ModelWithErrors, position: Coordinates) -> Float[Array, ""]:
+    """Potential energy [J] of the springs of joints."""
+    springs = [] if actual.forces is None else actual.forces.laws.values()
+    energies = [law.energy(position.joints[law.place]) for law in springs if isinstance(law, SpringLaw)]
+    return jnp.asarray(sum(energies)) * (1.0 if actual.forces is None else actual.forces.share)
+
+
+def law_tangent(
+    actual: ModelWithErrors, state: State, q_factor: Scalar, v_factor: Scalar
+) -> dict[int, Float[Array, ""]]:
+    """Minus the derivatives of the forces of springs, dampers and laws with respect to the accelerations of their
+    coordinates, for the given derivatives of position [s^2] and rate [s]; at least zero, so that what they are added to
+    stays positive."""
+    found: dict[int, Array] = {}
+    for law in [] if actual.forces is None else actual.forces.laws.values():
+        position, rate = state.position.joints[law.place], state.velocity.joints[law.coordinate]
+        along = [jnp.asarray(factor, float) for factor in (q_factor, v_factor)]
+        value = jnp.maximum(-jax.jvp(law.force, (position, rate), tuple(along))[1], 0.0)
+        found[law.coordinate] = found[law.coordinate] + value if law.coordinate in found else value
+    return found

@@ -4,7 +4,8 @@ Place in the pipeline: dynamics -> **loads** -> simulation (metrics, Run).
 
 A joint's load is the force and the moment that the parent side exerts on the child link, about the
 joint's centre on the child, in the hinge frame H (in L at a cut joint), in N and N m (theory (8.1) to (8.3)).  A
-drive that is a given moment is an external load and not part of it; the moment that enforces a prescribed angle is.
+drive that is a given moment, or a law of the joint's position and rate, is an external load and not part of it; a
+spring in the joint and the moment that enforces a prescribed angle are.
 
 They are computed in two ways, and every run checks them by the balance of momentum: `chain_loads` is the
 recursive Newton-Euler algorithm over all rfes from the tips to the base; `joint_loads` uses the equations
@@ -16,6 +17,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jaxtyping import Float
 
@@ -25,7 +27,7 @@ from rfem_jax.mechanics.cut_joints import Closure, columns
 from rfem_jax.mechanics.dynamics import Accelerations, link_axes
 from rfem_jax.mechanics.elements import elasticity
 from rfem_jax.mechanics.inputs import DriveInput
-from rfem_jax.mechanics.joint_forces import hinge_moments
+from rfem_jax.mechanics.joint_forces import LawForces, hinge_moments, law_energy
 from rfem_jax.mechanics.kinematics import Motion, all_frames, motion_of, spread, total
 from rfem_jax.mechanics.model import BASE, Coordinates, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
@@ -49,7 +51,7 @@ class Energies(NamedTuple):
 
 @runtime_checkable
 class Solved(Protocol):
-    """Of the solution of one instant, or of a mechanism at rest: motion, closure, multipliers [N]."""
+    """Of the solution of one instant, or of a mechanism at rest: motion, closure, multipliers [N], forces of laws."""
 
     @property
     def motion(self) -> Motion: ...
@@ -57,6 +59,8 @@ class Solved(Protocol):
     def closure(self) -> Closure | None: ...
     @property
     def multipliers(self) -> Float[Array, " constraints"]: ...
+    @property
+    def laws(self) -> LawForces | None: ...
 
 
 class Resting(NamedTuple):
@@ -65,6 +69,7 @@ class Resting(NamedTuple):
     motion: Motion
     closure: Closure | None
     multipliers: Float[Array, " constraints"]
+    laws: LawForces | None
 
 
 def joint_loads(actual: ModelWithErrors, result: Accelerations, drive: DriveInput) -> JointLoads:
@@ -122,6 +127,8 @@ def _in_hinge_frames(topology: Topology, result: Solved, force: Array, moment: A
     """Loads of all joints in hinge frames from the forces and moments (3, L) of the tree joints about their
     centres, in global axes; those of cut joints from the multipliers."""
     rotation = result.motion.hinges.rotation
+    if result.laws is not None:
+        force, moment = _without_laws(topology, result, force, moment)
     force, moment = apply_transposed(rotation, force), apply_transposed(rotation, moment)
     external = hinge_moments(topology, drive)
     if external is not None:
@@ -135,6 +142,16 @@ def _in_hinge_frames(topology: Topology, result: Solved, force: Array, moment: A
     return JointLoads(force, moment)
 
 
+def _without_laws(topology: Topology, result: Solved, force: Array, moment: Array) -> tuple[Array, Array]:
+    """Forces and moments (3, L) of the tree joints less those of the laws, which act from outside."""
+    axis = result.motion.axis
+    for k, law in ({} if result.laws is None else result.laws.outside).items():
+        here = np.arange(topology.n_links) == topology.link_of_freedom[k]
+        along = jnp.where(here[None], (axis[3:, k] if topology.slides[k] else axis[:3, k])[:, None] * law, 0.0)
+        force, moment = (force - along, moment) if topology.slides[k] else (force, moment - along)
+    return force, moment
+
+
 def chain_wrenches(
     actual: ModelWithErrors,
     motion: Motion,
@@ -142,8 +159,8 @@ def chain_wrenches(
     multipliers: Float[Array, " constraints"],
     inertial: tuple[Float[Array, "3 nodes"], Float[Array, "3 nodes"]],
 ) -> list[Float[Array, "6"]]:
-    """Wrenches at the global origin that the parent side of every joint exerts on the child, the moment of a
-    drive included; `inertial` from `inertial_loads`."""
+    """Wrenches at the global origin that the parent side of every joint exerts on the child, drives and laws
+    included; `inertial` from `inertial_loads`."""
     topology = actual.topology
     n = topology.n_links
     force, moment = inertial
@@ -239,9 +256,15 @@ def energies(actual: ModelWithErrors, state: State) -> Energies:
     from_datum = centre - actual.datum[:, None]
     return Energies(
         kinetic=0.5 * jnp.sum(translation + rotational),
-        elastic=elasticity.elastic_energy(actual, state.position),
+        elastic=_elastic_energy(actual, state.position),
         gravity=-jnp.sum(actual.mass * dot(actual.gravity[:, None], from_datum)),
     )
+
+
+def _elastic_energy(actual: ModelWithErrors, position: Coordinates) -> Float[Array, ""]:
+    """Energy [J] of the springs of links and joints."""
+    of_links = elasticity.elastic_energy(actual, position)
+    return of_links if actual.forces is None else of_links + law_energy(actual, position)
 
 
 def base_wrench(topology: Topology, wrenches: Sequence[Float[Array, "6"]]) -> Float[Array, "6"]:

@@ -27,6 +27,7 @@ from jaxtyping import Float, Int
 
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.joint_kinds import COMPONENTS, KINDS, Freedom, JointKind
+from rfem_jax.mechanics.joint_laws import JointLaw
 
 BASE = -1
 
@@ -242,12 +243,14 @@ class Model(eqx.Module):
     their two sides (F and F_c), relative to the node's frame, which is the link frame for rfe 0 and the frame
     at the segment's middle for a free rfe; point_*: mass [kg], place in the node's frame [m] and principal
     moments of inertia [kg m^2] of the point masses; start_joints: coordinates of the tree joints at
-    the closed start [rad, m]; cut_angles: angles of the cut joints there [rad]; gravity [m/s^2] in global axes.
+    the closed start [rad, m]; cut_angles: angles of the cut joints there [rad]; gravity [m/s^2] in global axes;
+    forces: along joint coordinates, by their names, None without any.
 
     `equinox.tree_at` may replace what leaves the geometry as it is, also by traced values to differentiate by:
-    section, point masses, gravity.  With another length or joint frame the start angles no longer close the
-    loops, and another length does not move the joints on the link either, so that results and derivatives are
-    wrong without a sign of it: use the length errors of `assembly_errors`, or describe and discretise anew.
+    section, point masses, gravity, the numbers of forces.  With another length or joint frame the start angles no
+    longer close the loops, and another length does not move the joints on the link either, so that results and
+    derivatives are wrong without a sign of it: use the length errors of `assembly_errors`, or describe and discretise
+    anew.
     """
 
     topology: Topology = eqx.field(static=True)
@@ -263,6 +266,7 @@ class Model(eqx.Module):
     start_joints: Float[Array, " numbers"]
     cut_angles: Float[Array, " cuts"]
     gravity: Float[Array, "3"]
+    forces: dict[str, JointLaw] | None = None
 
     @property
     def joint_names(self) -> tuple[str, ...]:

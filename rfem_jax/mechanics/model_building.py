@@ -15,6 +15,7 @@ from rfem_jax.description.joint_kinds import KINDS
 from rfem_jax.description.joints import Joint
 from rfem_jax.description.links import Link
 from rfem_jax.description.mechanism import Mechanism
+from rfem_jax.mechanics.joint_laws import JointLaw, joint_law
 from rfem_jax.mechanics.model import BASE, Model, Sections, Topology, rfe_fractions
 from rfem_jax.mechanics.orientations import quaternion_of_angles
 
@@ -66,7 +67,18 @@ def build_model(mechanism: Mechanism, elements: dict[str, int], exact: bool = Fa
         start_joints=jnp.asarray(np.concatenate([_start(j) for j in joints[: len(links)]])),
         cut_angles=jnp.zeros(len(joints) - len(links)),
         gravity=jnp.asarray(mechanism.gravity, dtype=float),
+        forces=_joint_laws(mechanism, topology) if mechanism.forces else None,
     )
+
+
+def _joint_laws(mechanism: Mechanism, topology: Topology) -> dict[str, JointLaw]:
+    """The forces along joint coordinates, by their names."""
+    found = {}
+    for force in mechanism.forces:
+        joint = topology.joints.index(force.joint)
+        n = force.coordinate(mechanism.joint(force.joint))
+        found[force.name] = joint_law(force, topology.coordinates[joint][n], topology.positions[joint][n])
+    return found
 
 
 class _Attachment(NamedTuple):

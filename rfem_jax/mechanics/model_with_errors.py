@@ -24,6 +24,7 @@ from rfem_jax.description.error_catalogue import error_dimension
 from rfem_jax.description.errors import InputError, suggestion
 from rfem_jax.description.units import quantity
 from rfem_jax.mechanics import algebra
+from rfem_jax.mechanics.joint_laws import JointLaws
 from rfem_jax.mechanics.model import BASE, Model, Topology, rfe_fractions
 
 
@@ -116,6 +117,7 @@ class ModelWithErrors(eqx.Module):
     beam_middle: x of the middle of every rfe 0 [m].
     gravity: acceleration [m/s^2] in global axes.
     datum: the first base joint's nominal place, the zero level of gravity's energy [m].
+    forces: along joint coordinates, None without any.
     """
 
     topology: Topology = eqx.field(static=True)
@@ -135,6 +137,7 @@ class ModelWithErrors(eqx.Module):
     beam_middle: Float[Array, " links"]
     gravity: Float[Array, "3"]
     datum: Float[Array, "3"]
+    forces: JointLaws | None = None
 
 
 def apply_errors(model: Model, errors: AssemblyErrors) -> ModelWithErrors:
@@ -181,6 +184,7 @@ def apply_errors(model: Model, errors: AssemblyErrors) -> ModelWithErrors:
             beam_middle=length * np.array([rfe_fractions(n)[1][0] for n in topology.elements]),
             gravity=model.gravity,
             datum=model.parent_position[:, topology.parents.index(BASE)],
+            forces=None if model.forces is None else JointLaws(model.forces, jnp.ones(())),
             **_spring_damping_elements(model, length),
         )
 

@@ -8,6 +8,7 @@ augmented system.  Nothing of the recursion is used: transforms, constraints, th
 derivatives of both are formed independently, by 4 x 4 matrices and automatic differentiation.
 """
 
+from collections.abc import Callable
 from functools import partial
 
 import jax
@@ -19,7 +20,8 @@ from jaxtyping import Float
 from rfem_jax.mechanics.algebra import Scalar
 from rfem_jax.mechanics.elements import elasticity
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation
-from rfem_jax.mechanics.joint_forces import joint_force
+from rfem_jax.mechanics.joint_forces import applied_forces, law_forces
+from rfem_jax.mechanics.joint_laws import SpringLaw
 from rfem_jax.mechanics.model import BASE, Coordinates, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 
@@ -152,6 +154,36 @@ def _deflection(left: Array, right: Array) -> Array:
     return jnp.concatenate([gap + back @ gap, theta])
 
 
+def _spring_work(actual: ModelWithErrors, state: State, q: Coordinates, qd: Coordinates) -> tuple[Array, Array]:
+    """Potential of the springs of joints, and Rayleigh's function of their dampers, at changes of the position and at
+    rates of the coordinates."""
+    potential = rayleigh = jnp.zeros(())
+    joints = _changed(actual.topology, state.position, q).joints
+    for law in {} if actual.forces is None else actual.forces.laws.values():
+        if isinstance(law, SpringLaw):
+            stretch = joints[law.place] - law.rest
+            potential = potential + 0.5 * law.stiffness * stretch**2 - law.preload * stretch
+            rayleigh = rayleigh + 0.5 * law.damping * qd.joints[law.coordinate] ** 2
+    return potential, rayleigh
+
+
+def _along_joints(
+    actual: ModelWithErrors, state: State, drive: DriveInput, unravel: Callable[[Array], Coordinates]
+) -> Array:
+    """Generalised forces of drive, springs, dampers and laws of joints, flat."""
+    qd, _ = ravel_pytree(state.velocity)
+    force = still = jnp.zeros_like(qd)
+    if actual.forces is not None:
+        force = force - jax.grad(lambda q: _spring_work(actual, state, unravel(q), unravel(still))[0])(still)
+        force = force - jax.grad(lambda qd: _spring_work(actual, state, unravel(still), unravel(qd))[1])(qd)
+    laws = law_forces(actual, state)
+    # Those of springs and dampers are in the two functions already.
+    outside = None if laws is None else laws._replace(inside={})
+    for k, applied in applied_forces(actual.topology, drive, outside).items():
+        force = force.at[k].add(applied)
+    return force
+
+
 def reference_accelerations(
     actual: ModelWithErrors, state: State, drive: DriveInput, stabilisation: Stabilisation
 ) -> tuple[Coordinates, Float[Array, " constraints"]]:
@@ -192,10 +224,7 @@ def reference_accelerations(
         return 0.5 * elasticity.dissipated_power(actual, State(state.position, unravel(qd)))
 
     force = -inertial - jax.grad(potential)(q) - jax.grad(rayleigh)(qd)
-    for k in range(topology.n_freedoms):
-        moment = joint_force(topology, drive, k)
-        if moment is not None:
-            force = force.at[k].add(moment)
+    force = force + _along_joints(actual, state, drive, unravel)
 
     def phi(q):
         return constraints(actual, state.position, stabilisation.scale, unravel(q))

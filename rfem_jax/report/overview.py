@@ -74,18 +74,32 @@ def _start_text(joint: Joint) -> str:
     return ", ".join(f"{math.degrees(x):.6g} deg" if one.rotation else f"{x:.6g} m" for x, one in values) or "-"
 
 
+def _forces_text(mechanism: Mechanism) -> str:
+    """A line for every force along a free motion of a joint: its kind in words, joint, motion, scalar numbers."""
+    lines = []
+    for force in mechanism.forces:
+        numbers = [f"{name} {value:g}" for name, value in vars(force).items() if isinstance(value, float)]
+        size = f" (SI: {', '.join(numbers)})" if numbers else ""
+        lines.append(f"Force {force.name}: {_words(force)} on joint {force.joint}, {force.motion}{size}.\n")
+    return "".join(lines)
+
+
+def _words(value: object) -> str:
+    """Name of a class in words: "MomentRamp" is "moment ramp"."""
+    return re.sub(r"(?<!^)(?=[A-Z])", " ", type(value).__name__).lower()
+
+
 def _drive_text(drive: MomentDrive | PrescribedDrive | None) -> str:
-    """Kind of a drive in words ("MomentRamp" is "moment ramp"), its joint, its scalar numbers."""
+    """Kind of a drive in words, its joint, its scalar numbers."""
     if drive is None:
         return "none"
-    words = re.sub(r"(?<!^)(?=[A-Z])", " ", type(drive).__name__).lower()
     values = {field.name: getattr(drive, field.name) for field in fields(drive)}
     numbers = [
         f"{name.replace('_', ' ')} {float(value):g}"
         for name, value in values.items()
         if isinstance(value, float) or getattr(value, "shape", None) == ()
     ]
-    return f"{words} on joint {drive.joint}" + (f" (SI: {', '.join(numbers)})" if numbers else "")
+    return f"{_words(drive)} on joint {drive.joint}" + (f" (SI: {', '.join(numbers)})" if numbers else "")
 
 
 def _method_text(study: Study) -> str:
@@ -142,7 +156,7 @@ def study_text(study: Study, description: Structure) -> str:
             format_table(link_header, link_rows(mechanism), words=(0, 5)),
             format_table(joint_header, joint_rows(study), words=(0, 1, 2, 3, 5)),
             "\n".join([*count_lines(mechanism, description), f"Gravity: {gravity} m/s^2."]),
-            f"Drive: {_drive_text(study.drive)}.\n"
+            f"{_forces_text(mechanism)}Drive: {_drive_text(study.drive)}.\n"
             f"Simulation: {study.duration:g} s with {_method_text(study)}; saved {save}.",
             format_table(["case", "assembly errors"], cases, words=(0, 1)),
         ]

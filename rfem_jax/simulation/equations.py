@@ -21,6 +21,7 @@ from rfem_jax.mechanics import loads, model_with_errors
 from rfem_jax.mechanics.dynamics import Accelerations, accelerations
 from rfem_jax.mechanics.implicit.condensation import LinkOperator
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation, impose
+from rfem_jax.mechanics.joint_forces import LawForces
 from rfem_jax.mechanics.model import Coordinates, Model, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 from rfem_jax.mechanics.orientations import position_rate
@@ -32,7 +33,7 @@ Tree = TypeVar("Tree")
 
 class Integrals(eqx.Module):
     """Integrals over time of squared loads (joints,) [N^2 s, (N m)^2 s]: axial (along the joint's axis) and
-    normal force, resultant moment; work of the drive and dissipated energy [J]."""
+    normal force, resultant moment; work of drive and laws, and dissipated energy [J]."""
 
     axial_square: Float[Array, " joints"]
     normal_square: Float[Array, " joints"]
@@ -116,7 +117,7 @@ def right_hand_side(t: Scalar, trajectory: Trajectory, conditions: Conditions) -
             axial_square=axial,
             normal_square=normal,
             moment_square=moment,
-            work=drive_power(conditions.actual.topology, state, drive, joint),
+            work=applied_power(conditions.actual.topology, state, drive, joint, result.laws),
             dissipation=result.dissipated,
         ),
     )
@@ -138,19 +139,27 @@ def squares(
     return jnp.sum(jnp.where(along, square, 0.0), axis=0), jnp.sum(jnp.where(along, 0.0, square), axis=0), moment
 
 
-def drive_power(topology: Topology, state: State, drive: DriveInput, joint: loads.JointLoads) -> Float[Array, ""]:
-    """Power [W] of the drive."""
-    return drive_moment(topology, drive, joint) * (
+def applied_power(
+    topology: Topology, state: State, drive: DriveInput, joint: loads.JointLoads, laws: LawForces | None
+) -> Float[Array, ""]:
+    """Power [W] of the drive and of the laws that act on joints from outside."""
+    power = drive_moment(topology, drive, joint, laws) * (
         0.0 if topology.driven_coordinate is None else state.velocity.joints[topology.driven_coordinate]
     )
+    return power if laws is None else power + laws.power
 
 
-def drive_moment(topology: Topology, drive: DriveInput, joint: loads.JointLoads) -> Float[Array, ""]:
-    """Moment [N m] of the drive about the driven joint's hinge: given, or the one that enforces the motion."""
+def drive_moment(
+    topology: Topology, drive: DriveInput, joint: loads.JointLoads, laws: LawForces | None
+) -> Float[Array, ""]:
+    """Moment [N m] of the drive about the driven joint's hinge: given, or the one that enforces the motion, which is
+    what springs leave of the joint's moment."""
     if drive.moment is not None:
         return drive.moment
     if drive.prescribed is not None:
-        return joint.moment[1, topology.driven]
+        moment = joint.moment[1, topology.driven]
+        inside = {} if laws is None else laws.inside
+        return moment - inside[topology.driven_coordinate] if topology.driven_coordinate in inside else moment
     return jnp.zeros(())
 
 

@@ -16,6 +16,7 @@ from rfem_jax.mechanics.cut_joints import Closure, assembly_modes
 from rfem_jax.mechanics.dynamics import Accelerations
 from rfem_jax.mechanics.implicit.residual import Evaluation
 from rfem_jax.mechanics.inputs import DriveInput
+from rfem_jax.mechanics.joint_forces import LawForces, by_coordinate
 from rfem_jax.mechanics.kinematics import Motion, by_freedom, range_used
 from rfem_jax.mechanics.model import Coordinates, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
@@ -31,7 +32,7 @@ class Instant(NamedTuple):
     [m], drift_angle [rad]: closure errors of the cut joints; arm [m]: largest coordinate of a joint's centre;
     stabilising, multiplier [N]: largest part of a multiplier due to Baumgarte's terms, and largest multiplier;
     residual [N]: of the equations of motion as forces, none (n = 0) where these were solved for the accelerations;
-    motion, closure: kinematics of the instant.
+    motion, closure: kinematics of the instant; laws: forces of springs and laws along joint coordinates.
     """
 
     loads: loads.JointLoads
@@ -45,6 +46,7 @@ class Instant(NamedTuple):
     residual: Float[Array, " n"]
     motion: Motion
     closure: Closure | None
+    laws: LawForces | None
 
 
 class Record(NamedTuple):
@@ -52,9 +54,9 @@ class Record(NamedTuple):
 
     joints, joint_rates: positions of the tree joints (as `Coordinates.joints`) and their rates; momentum_residual:
     largest components of the residual force [N] and moment [N m] of the momentum balance; largest_load [N, N m]: what
-    they are divided by; hinge_residual [N m]: largest load along a free motion of a joint, which should be zero
-    (forces times `Instant.arm`); range_used: as `kinematics.range_used`; square_integrals: of the resultant force and
-    moment [N^2 s, (N m)^2 s]; squares: of the axial and the normal force [N^2].
+    they are divided by; hinge_residual [N m]: largest load along a free motion of a joint beyond that of its springs,
+    which should be zero (forces times `Instant.arm`); range_used: as `kinematics.range_used`; square_integrals: of the
+    resultant force and moment [N^2 s, (N m)^2 s]; squares: of the axial and the normal force [N^2].
     """
 
     joints: Float[Array, " numbers"]
@@ -93,6 +95,7 @@ def solved_instant(actual: ModelWithErrors, result: Accelerations, drive: DriveI
         residual=jnp.zeros((0,)),
         motion=result.motion,
         closure=result.closure,
+        laws=result.laws,
     )
 
 
@@ -122,6 +125,7 @@ def evaluated_instant(
         residual=residual,
         motion=evaluation.motion,
         closure=evaluation.closure,
+        laws=evaluation.laws,
     )
 
 
@@ -145,7 +149,7 @@ def observe(
         return Record(
             joints=state.position.joints,
             joint_rates=state.velocity.joints,
-            drive_moment=equations.drive_moment(topology, drive, joint),
+            drive_moment=equations.drive_moment(topology, drive, joint, instant.laws),
             loads=joint,
             energy=Energy(*parts, integrals.work, integrals.dissipation),
             drift=instant.drift,
@@ -165,18 +169,22 @@ def observe(
 
 
 def _load_along_free_motions(topology: Topology, instant: Instant, drive: DriveInput) -> Float[Array, ""]:
-    """Largest load along a free motion of a joint, but the driven one's: moment [N m], or force times the arm."""
+    """Largest load along a free motion of a joint, but the driven one's and beyond its springs: moment [N m], or force
+    times the arm."""
     joint, hinges = instant.loads, instant.motion.hinges
     passive = np.ones(len(topology.joints))
     if drive.prescribed is not None:
         passive[topology.driven] = 0.0
     revolute = np.array([kind == "revolute" for kind in topology.kinds])
-    if revolute.all():
+    if revolute.all() and instant.laws is None:
         return jnp.max(jnp.abs(joint.moment[1]) * jnp.asarray(passive))
     n = topology.n_links
     force, moment = (algebra.apply(hinges.rotation, part[:, :n]) for part in joint)
     wrenches = algebra.wrench_at_origin(moment, force, hinges.point)
-    along = jnp.abs(algebra.dot(instant.motion.axis, by_freedom(topology, wrenches)))
+    along = algebra.dot(instant.motion.axis, by_freedom(topology, wrenches))
+    if instant.laws is not None and instant.laws.inside:
+        along = along - by_coordinate(topology, instant.laws.inside)
+    along = jnp.abs(along)
     along = along * jnp.where(np.array(topology.slides, dtype=bool), instant.arm, 1.0)
     along = along * passive[np.array(topology.link_of_freedom, dtype=int)]
     about_cuts = jnp.abs(joint.moment[1, n:]) * revolute[n:].astype(float)

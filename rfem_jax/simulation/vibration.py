@@ -13,12 +13,14 @@ modes are those of P L^-1 K L^-T P.  All of them are found for small mechanisms;
 Lanczos' method with sparse matrices (ARPACK), in memory proportional to the number of rfes.
 
 The stiffness due to gravity and to the forces at rest is neglected beside that of the springs.  For a mechanism of
-rigid links, which has no other, the accelerations are differentiated by central differences.
+rigid links, which has no other, the accelerations are differentiated by central differences.  Springs, dampers and laws
+of joints enter with their derivatives at the position, as far as these do not drive the motion.
 """
 
 from collections.abc import Callable
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Complex, Float, Inexact
 from scipy import sparse
@@ -27,6 +29,7 @@ from scipy.sparse.linalg import LinearOperator, eigsh, splu
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.joint_kinds import JointKind
 from rfem_jax.mechanics.cut_joints import RANK_TOLERANCE
+from rfem_jax.mechanics.joint_laws import law_slopes
 from rfem_jax.mechanics.model import BASE, Model, Topology
 from rfem_jax.mechanics.model_with_errors import apply_errors, assembly_errors
 from rfem_jax.mechanics.nominal_geometry import (
@@ -90,6 +93,7 @@ class Vibration:
             (stretch.T @ sparse.diags(np.where(damping == rate, springs, 0.0)) @ stretch).tocsr() for rate in self.rates
         ]
         self.before: list[np.ndarray | None] = [None] * len(self.rates)
+        self.forces = model.forces
 
     def modes(self, joints: Float[np.ndarray, " numbers"]) -> Modes:
         """The modes at a position of the joints, links undeformed."""
@@ -97,22 +101,60 @@ class Vibration:
         if self.topology.n_rfes == 0:
             return self._rigid(np.asarray(joints))
         constraints = sparse.csr_matrix(self._constraints(placed) @ self.inverse_root)
+        joint_rows, stiffness, damping = self._at_joints(np.asarray(joints), placed)
+        by_springs, by_dampers = (np.sqrt(x)[:, None] * joint_rows for x in (stiffness, damping))
         if self.size <= 6 * MOST_BODIES:
-            return self._all(constraints.toarray())
-        return self._stiffest(sparse.csc_matrix(constraints))
+            return self._all(constraints.toarray(), by_springs, by_dampers)
+        modes = self._stiffest(sparse.csc_matrix(constraints))
+        if self.forces is None:
+            return modes
+        # Springs and dampers of joints as a mode of their own, as those of the links of each damping.
+        project = _projection(sparse.csc_matrix(constraints))
+        largest = [np.linalg.norm([project(row) for row in rows], 2) ** 2 for rows in (by_springs, by_dampers)]
+        return Modes(np.append(modes.squares, largest[0]), np.append(modes.damping, largest[1]))
 
-    def _all(self, constraints: np.ndarray) -> Modes:
+    def _at_joints(self, joints: np.ndarray, placed: Placed) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Of the springs, dampers and laws of joints: rows (laws, 6 n) that give the rates of their coordinates from
+        the velocities L^T w of all nodes, stiffness and damping at a position, zero where they are negative."""
+        laws = [] if self.forces is None else list(self.forces.values())
+        rows = np.zeros((len(laws), self.size))
+        for row, law in zip(rows, laws, strict=True):
+            link = self.topology.link_of_freedom[law.coordinate]
+            own = list(self.topology.coordinates[link])
+            # The coordinate's rate of a twist over the joint that keeps its constraints.
+            reader = np.linalg.pinv(placed.twists[own].T)[own.index(law.coordinate)]
+            for node, sign in ((self.topology.parents[link], -1.0), (link, 1.0)):
+                if node == BASE:
+                    continue
+                owner = self.topology.link_of(node)
+                along = self.geometry.rest[node - self.topology.n_links] if node >= self.topology.n_links else 0.0
+                rotation = placed.rotation[owner]
+                point = placed.origin[owner] + rotation @ [along, 0.0, 0.0]
+                # Twist at the global origin of velocities in link axes at the node's point.
+                row[6 * node : 6 * node + 3] += sign * (reader[:3] + np.cross(reader[3:], point)) @ rotation
+                row[6 * node + 3 : 6 * node + 6] += sign * reader[3:] @ rotation
+        slopes = [law_slopes(law, joints[law.place], 0.0) for law in laws]
+        stiffness, damping = np.maximum(-np.array(slopes, float).reshape(-1, 2).T, 0.0)
+        return rows @ self.inverse_root, stiffness, damping
+
+    def _all(self, constraints: np.ndarray, by_springs: np.ndarray, by_dampers: np.ndarray) -> Modes:
         _, singular, rows = np.linalg.svd(_unit_rows(constraints))
         free = rows[np.sum(singular > RANK_TOLERANCE * singular[0]) :]
         # Singular values of the root of the stiffness matrix: the low frequencies of stiff links keep their digits.
         stretch = self.root @ free.T
+        if self.forces is not None:
+            stretch = np.concatenate([stretch, by_springs @ free.T])
         missing = np.zeros((max(0, free.shape[0] - stretch.shape[0]), free.shape[0]))
         _, frequencies, vectors = np.linalg.svd(np.concatenate([stretch, missing]), full_matrices=False)
         squares = frequencies**2
-        if len(self.rates) == 1:
+        if len(self.rates) == 1 and self.forces is None:
             return Modes(squares, self.rates[0] * squares)
-        stretch = stretch @ vectors.T
-        return Modes(squares, stretch.T @ (self.damping[:, None] * stretch))
+        stretch = stretch[: len(self.damping)] @ vectors.T
+        damping = stretch.T @ (self.damping[:, None] * stretch)
+        if self.forces is not None:
+            across = by_dampers @ free.T @ vectors.T
+            damping = damping + across.T @ across
+        return Modes(squares, damping)
 
     def _stiffest(self, constraints: sparse.csc_matrix) -> Modes:
         """For the links of each damping, which are nearly decoupled from the others at high frequencies: the stiffest
@@ -139,15 +181,30 @@ class Vibration:
         for shift in DIFFERENCE * np.eye(self.topology.n_freedoms):
             ahead, behind = (self._joint_accelerations(moved(self.topology, joints, s)) for s in (shift, -shift))
             columns.append((ahead - behind) / (2.0 * DIFFERENCE))
-        squares = -np.linalg.eigvals(np.array(columns).T)
-        return Modes(squares, np.zeros(len(squares)))
+        if self.forces is None:
+            squares = -np.linalg.eigvals(np.array(columns).T)
+            return Modes(squares, np.zeros(len(squares)))
+        squares, vectors = np.linalg.eig(-np.array(columns).T)
+        by_rate = np.zeros((self.topology.n_freedoms, self.topology.n_freedoms))
+        units = np.eye(len(self.forces))
+        unloaded = self._joint_accelerations(joints, 0.0 * units[0])
+        for law, unit in zip(self.forces.values(), units, strict=True):
+            damping = max(-float(law_slopes(law, joints[law.place], 0.0)[1]), 0.0)
+            by_rate[:, law.coordinate] += damping * (self._joint_accelerations(joints, unit) - unloaded)
+        return Modes(squares, np.linalg.solve(vectors, by_rate @ vectors))
 
-    def _joint_accelerations(self, joints: np.ndarray) -> np.ndarray:
-        """Second derivatives of the joint coordinates of rigid links under gravity, at rest."""
+    def _joint_accelerations(self, joints: np.ndarray, forces: np.ndarray | None = None) -> np.ndarray:
+        """Second derivatives of the joint coordinates of rigid links under gravity, at rest; `forces` of springs
+        and laws in their order, None for those at the position."""
         placed, topology = place(self.geometry, joints), self.topology
         n = topology.n_links
         falling = np.concatenate([np.zeros((n, 3)), placed.rotation.transpose(0, 2, 1) @ self.gravity], axis=1)
         load = self.inverse_root.T @ (self.mass @ falling.reshape(-1))
+        if self.forces is not None:
+            if forces is None:
+                zero = jnp.zeros(())
+                forces = np.array([law.force(jnp.asarray(joints[law.place]), zero) for law in self.forces.values()])
+            load = load + forces @ self._at_joints(joints, placed)[0]
         free = _projection(sparse.csc_matrix(self._constraints(placed) @ self.inverse_root))(load)
         in_link = (self.inverse_root @ free).reshape(n, 2, 3)
         angular, linear = np.moveaxis(np.einsum("lij,lkj->lki", placed.rotation, in_link), 1, 0)

@@ -8,6 +8,7 @@ from rfem_jax.description import load_study, study, study_reader, tolerances
 from rfem_jax.description.key_reference import NEEDED, argument_meanings, key_tables
 from rfem_jax.description.tasks import allocation, task
 
+from .test_forces import FORCES
 from .test_study_files import FULL
 from .test_tasks import TASKS
 
@@ -41,7 +42,7 @@ def header_of(place):
     place = re.sub(r"^The top level$", "top level", place)
     place = re.sub(r"^\[\[mechanism\.links\]\] .* point_masses.*", "point_masses of [[mechanism.links]]", place)
     place = re.sub(r"\[mechanism\.(materials|sections)\.\w+\]", r"[mechanism.\1.NAME]", place)
-    place = re.sub(r"^(\[\[[\w.]+\]\]) (`|number).*", r"\1", place)
+    place = re.sub(r"^(\[\[[\w.]+\]\]) (`[^`]+`|number \d+)", r"\1", place)
     place = re.sub(r"^\[tolerances\] `.*", "[tolerances] ERROR", place)
     return re.sub(r"^\[allocation\.cost\] `.*", "[allocation.cost]", place)
 
@@ -64,7 +65,7 @@ def asked(tmp_path, monkeypatch):
     start, end = full.index("[drive]"), full.index("[simulation]")
     for drive in [full[start:end], *(f"[drive]{part}" for part in DRIVES.split("[drive]")[1:])]:
         path = tmp_path / "study.toml"
-        path.write_text(full[:start] + drive + full[end:] + TASKS, encoding="utf-8")
+        path.write_text(full[:start] + FORCES + drive + full[end:] + TASKS, encoding="utf-8")
         load_study(path)
     return found
 
@@ -80,6 +81,7 @@ def test_the_reference_holds_what_the_reader_asks_for(asked):
     for place in (
         "[mechanism.sections.NAME]",
         "[drive]",
+        "[[mechanism.forces]]",
         "[mechanism.materials]",
         "[mechanism.sections]",
         "[tolerances]",

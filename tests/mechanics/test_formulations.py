@@ -19,9 +19,11 @@ from tests.mechanisms import (
     ALL,
     chain_of_kinds,
     chain_with_balls,
+    chain_with_forces,
     four_bar,
     loop_cut_by,
     loop_with_a_ball,
+    loop_with_springs,
     open_chain,
     random_state,
     some_errors,
@@ -32,8 +34,8 @@ from tests.mechanisms import (
 GAINS = Stabilisation(3.0, 7.0, 0.3)
 STATES = 5
 CUT_KINDS = ("prismatic", "cylindrical", "universal", "spherical", "planar", "fixed")
-# Components of the load in H (tree) or L (cut) along the free motions: force x, y, z, moment x, y, z.
-FREE = {"revolute": (4,), "prismatic": (0,), "cylindrical": (1, 4), "planar": (0, 2, 4), "fixed": (), "free": range(6)}
+# Components of the load in H (tree) or L (cut) along the free motions in their order: force x, y, z, moment x, y, z.
+FREE = {"revolute": (4,), "prismatic": (0,), "cylindrical": (4, 1), "planar": (0, 2, 4), "fixed": (), "free": range(6)}
 
 
 def close(actual, state):
@@ -77,6 +79,9 @@ CASES = [
     (named(loop_cut_by, "cylindrical"), "moment", "geometrically_exact"),
     (two_cuts_of_different_kinds, "moment", "linear"),
     (chain_with_balls, "prescribed", "linear"),
+    (chain_with_forces, "moment", "linear"),
+    (loop_with_springs, "moment", "geometrically_exact"),
+    (chain_with_forces, "prescribed", "linear"),
     (loop_with_a_ball, "moment", "linear"),
     *[(named(loop_cut_by, kind), "moment", "linear") for kind in CUT_KINDS],
 ]
@@ -103,7 +108,8 @@ def compared(request):
         joint = loads.joint_loads(actual, fast, drive)
         chain, base = loads.chain_loads(actual, fast, fast.angular, fast.linear, drive)
         residual = loads.momentum_residual(actual, state, fast.coordinates, base)
-        return fast.coordinates, fast.multipliers, slow, multipliers, residual, joint, chain, state
+        inside = {} if fast.laws is None else fast.laws.inside
+        return fast.coordinates, fast.multipliers, slow, multipliers, residual, joint, chain, inside, state
 
     samples = [(some_errors(model, rng), random_state(model, rng)) for _ in range(STATES)]
     samples = jax.tree.map(lambda *x: jnp.stack(x), *samples)
@@ -124,38 +130,45 @@ def test_accelerations_and_multipliers_agree(compared):
 
 def test_joint_loads_balance_the_rate_of_momentum(compared):
     _, _, out = compared
-    *_, (force, moment), joint, _, _ = out
+    *_, (force, moment), joint, _, _, _ = out
     largest = np.abs(joint.force).max(axis=(1, 2))
     np.testing.assert_allclose(np.abs(force).max(axis=1) / largest, 0.0, atol=1e-9)
     np.testing.assert_allclose(np.abs(moment).max(axis=1) / largest, 0.0, atol=1e-9)
 
 
-def test_no_load_along_free_motions(compared):
+def test_no_load_along_free_motions_but_that_of_springs(compared):
     model, prescribed, out = compared
-    joint, state = out[-2], out[-1]  # by Newton-Euler over all rfes, where no equation makes the load vanish
+    joint, inside, state = out[-3:]  # by Newton-Euler over all rfes, where no equation makes the load vanish
     largest = np.abs(joint.moment).max(axis=(1, 2)) + np.abs(joint.force).max(axis=(1, 2))
     loads = np.concatenate([joint.force, joint.moment], axis=1) / largest[:, None, None]
+    positions = np.asarray(state.position.joints)
     topology = model.topology
     for j, kind in enumerate(topology.kinds):
-        along = np.abs(loads[:, FREE.get(kind, ()), j])
+        along = loads[:, FREE.get(kind, ()), j].T
         if kind == "universal" and j < topology.n_links:
             # y of the parent in H, behind the rotation about z.
-            angle = np.asarray(state.position.joints)[:, topology.positions[j][1]]
+            angle = positions[:, topology.positions[j][1]]
             about_y = np.sin(angle) * loads[:, 3, j] + np.cos(angle) * loads[:, 4, j]
-            along = np.abs([about_y, loads[:, 5, j]])
+            along = np.array([about_y, loads[:, 5, j]])
+        if kind == "planar" and j < topology.n_links:
+            # x and z of the parent in H, behind the rotation about y.
+            angle, (x, z, about) = positions[:, topology.positions[j][2]], along
+            along = np.array([np.cos(angle) * x + np.sin(angle) * z, np.cos(angle) * z - np.sin(angle) * x, about])
         if kind == "universal" and j >= topology.n_links:
-            along = np.abs(loads[:, 4:5, j])
+            along = loads[:, 4:5, j].T
         if kind == "spherical":
-            along = np.abs(loads[:, 3:, j])
+            along = loads[:, 3:, j].T
+        for n, k in enumerate(topology.coordinates[j] if j < topology.n_links else ()):
+            along[n] = along[n] - inside.get(k, 0.0) / largest
         if prescribed and j == topology.driven:
-            assert along.min() > 1e-6
+            assert np.abs(along).min() > 1e-6
         else:
             np.testing.assert_allclose(along, 0.0, atol=1e-9)
 
 
 def test_both_ways_to_the_joint_loads_agree(compared):
     _, _, out = compared
-    *_, joint, chain, _ = out
+    *_, joint, chain, _, _ = out
     scale = np.abs(chain.force).max(axis=(1, 2), keepdims=True)
     np.testing.assert_allclose(joint.force / scale, chain.force / scale, rtol=0, atol=1e-9)
     np.testing.assert_allclose(joint.moment / scale, chain.moment / scale, rtol=0, atol=1e-9)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from rfem_jax import Joint, Mechanism, describe, discretise
+from rfem_jax import Joint, JointSpring, Mechanism, describe, discretise
 from rfem_jax.description.errors import InputError
 from rfem_jax.report.overview import count_lines
 from tests.mechanisms import link, loop_cut_by
@@ -111,3 +111,23 @@ def test_a_joint_with_several_coordinates_cannot_be_held():
     model = discretise(mechanism)
     with pytest.raises(InputError, match=r"joints with one coordinate, but 'C' is cylindrical and has 2"):
         assemble(model, assembly_errors(model), hold={"C": 0.1})
+
+
+def test_a_freedom_that_a_spring_holds_is_not_idle():
+    """A rod that may turn about its own axis: between a hinge along it and a ball."""
+    links = [link("crank", 0.1), link("rod", 0.2), link("rocker", 0.25), link("coupler", 0.2, 2)]
+    joints = [
+        Joint("A", "base", "crank", angle=-1.2),
+        Joint("B", "crank", "rod", orientation=(0, 0, -np.pi / 2), child_orientation=(0, 0, -np.pi / 2)),
+        Joint("D", "base", "rocker", position=(0.4, 0, 0), angle=-1.3),
+        Joint("E", "rocker", "coupler", angle=-1.7),
+        Joint("C", "rod", "coupler", kind="spherical", cut=True),
+    ]
+
+    def idle(*forces):
+        structure = describe(discretise(Mechanism(links, joints, driven_joint="A", forces=list(forces))))
+        return structure.idle
+
+    assert idle() == ("rod",)
+    assert idle(JointSpring("drag", "B", damping=1.0)) == ("rod",)
+    assert idle(JointSpring("spring", "B", stiffness=1.0)) == ()

@@ -1,9 +1,11 @@
 """Tables of the terminal: alignment, numbers, names and units, what is said about failures."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 
+from rfem_jax import JointForceTable, JointSpring
 from rfem_jax.report.overview import format_error, section_text, study_text
 from rfem_jax.report.summary import summarise
 from rfem_jax.report.tables import format_numbers, format_table, results_text
@@ -100,6 +102,16 @@ def test_the_overview_says_what_was_understood(study):
     assert "P2    D.delta_x = 0.5 deg" in text
     assert "P3    D.d_y = 0.5 mm; coupler.length = -0.1 mm" in text
     assert "P1    none" in text
+    assert "\nForce" not in text
+
+
+def test_the_overview_shows_forces(study):
+    forces = [JointSpring("return", "A", "2 N m/deg", preload=-1), JointForceTable("cam", "B", [0, 1], [0, 3])]
+    object.__setattr__(study, "mechanism", replace(study.mechanism, forces=forces))
+    text = study_text(study, SimpleNamespace(**COUNTS, redundant=False, idle=()))
+    numbers = "stiffness 114.592, damping 0, rest 0, preload -1"
+    assert f"Force return: joint spring on joint A, R_y (SI: {numbers}).\n" in text
+    assert "Force cam: joint force table on joint B, R_y.\n" in text
 
 
 def test_redundant_reactions_are_reported(study):

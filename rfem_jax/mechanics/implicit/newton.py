@@ -67,7 +67,8 @@ class InterfaceOperator(NamedTuple):
 
 
 class Hinge(NamedTuple):
-    """A joint coordinate that is not held: scaled (6,) = inertia . axis / pivot, pivot = axis . inertia . axis."""
+    """A joint coordinate that is not held: scaled (6,) = inertia . axis / pivot, pivot = axis . inertia . axis, plus
+    the tangent of forces along it (theory (7.21))."""
 
     scaled: Float[Array, "6"]
     pivot: Float[Array, ""]
@@ -136,11 +137,13 @@ def iteration_matrix(
     motion: Motion,
     cuts: Closure | None,
     held: tuple[int, ...] = (),
+    joint_tangent: dict[int, Float[Array, ""]] | None = None,
 ) -> IterationMatrix:
-    """Factor the iteration matrix at one position; `held`: joint coordinates that are given."""
+    """Factor the iteration matrix at one position; `held`: joint coordinates that are given; `joint_tangent`: minus the
+    derivatives of forces along joint coordinates with respect to their accelerations."""
     with jax.named_scope("iteration_matrix"):
         topology = actual.topology
-        links = _eliminate(actual, operators, motion, held)
+        links = _eliminate(actual, operators, motion, held, joint_tangent or {})
         if cuts is None:
             return IterationMatrix(operators, links, None)
         points = _points(topology, motion)
@@ -247,7 +250,11 @@ def _interfaces_of(topology: Topology, link: int) -> tuple[int, ...]:
 
 
 def _eliminate(
-    actual: ModelWithErrors, operators: tuple[LinkOperator | None, ...], motion: Motion, held: tuple[int, ...]
+    actual: ModelWithErrors,
+    operators: tuple[LinkOperator | None, ...],
+    motion: Motion,
+    held: tuple[int, ...],
+    joint_tangent: dict[int, Array],
 ) -> tuple[ArticulatedLink, ...]:
     """Articulated inertias, from the tips to the base."""
     topology = actual.topology
@@ -274,6 +281,8 @@ def _eliminate(
             if k not in held:
                 force_rows = apply(inertia, axis)
                 pivot = dot(axis, force_rows)
+                if k in joint_tangent:
+                    pivot = pivot + joint_tangent[k]
                 hinge = Hinge(force_rows / pivot[None], pivot)
                 inertia = inertia - force_rows[:, None] * hinge.scaled[None]
             axes.append(axis)

@@ -21,7 +21,7 @@ from rfem_jax.mechanics.algebra import Scalar, apply, apply_transposed, cross, d
 from rfem_jax.mechanics.cut_joints import Closure, closure
 from rfem_jax.mechanics.elements.elasticity import generalised_forces
 from rfem_jax.mechanics.inputs import DriveInput
-from rfem_jax.mechanics.joint_forces import joint_forces_of
+from rfem_jax.mechanics.joint_forces import LawForces, applied_forces, by_coordinate, law_forces
 from rfem_jax.mechanics.kinematics import Motion, by_freedom, motion_of, spread
 from rfem_jax.mechanics.model import BASE, Coordinates, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
@@ -44,7 +44,8 @@ class Evaluation(NamedTuple):
     free rfes at their middles, in link axes and about the axes of the angles' rates [N, N m]; closing,
     closing_rate, closing_acceleration: Phi [m] and its derivatives; angular, linear (3, nodes):
     accelerations of the nodes in link axes; motion, closure, multipliers: what it was computed from;
-    wrenches (6,): of all joints at the global origin; dissipated [W]: power of the dampers.
+    wrenches (6,): of all joints at the global origin; dissipated [W]: power of the dampers; laws: forces of springs
+    and laws along joint coordinates, None without any.
     """
 
     hinge: Float[Array, " freedoms"]
@@ -60,6 +61,7 @@ class Evaluation(NamedTuple):
     multipliers: Float[Array, " constraints"]
     wrenches: list[Float[Array, "6"]]
     dissipated: Float[Array, ""]
+    laws: LawForces | None
 
 
 def residual_of(evaluation: Evaluation) -> Residual:
@@ -89,9 +91,10 @@ def evaluate_residual(
         inertial = loads.inertial_loads(actual, motion, angular, linear)
         wrenches = loads.chain_wrenches(actual, motion, cuts, multipliers, inertial)
         hinge = -dot(motion.axis, by_freedom(topology, jnp.stack(wrenches[:n], axis=1)))
-        applied = joint_forces_of(topology, drive)
-        if applied is not None:
-            hinge = hinge + applied
+        laws = law_forces(actual, state)
+        applied = applied_forces(topology, drive, laws)
+        if applied:
+            hinge = hinge + by_coordinate(topology, applied)
         elastic, dissipated = generalised_forces(actual, state, motion.relative)
         on_force, on_moment = _interface_loads(topology, motion, wrenches)
         moment = apply_transposed(motion.relative.rate_matrix, on_moment - inertial[1][:, n:])
@@ -109,7 +112,8 @@ def evaluate_residual(
             closure=cuts,
             multipliers=multipliers,
             wrenches=wrenches,
-            dissipated=dissipated,
+            dissipated=dissipated if laws is None else dissipated + laws.dissipated,
+            laws=laws,
         )
 
 

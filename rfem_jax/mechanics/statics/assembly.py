@@ -4,10 +4,10 @@ Place in the pipeline: model, errors -> **statics** -> start state of a simulati
 
 With errors the links are deformed when the loops are closed (theory (6.1)): the assembled state is a
 stationary point of the potential energy of springs and gravity subject to the closure equations, some joints
-held.  It is found from its equilibrium equations: zero moment about every free hinge, zero generalised force
-of springs, gravity and joints on every free rfe, closed loops.  They are solved by Newton's method and
-differentiated by the implicit function theorem; unknowns and residuals are scaled by a length and a force of
-the mechanism.
+held.  It is found from its equilibrium equations: no moment about a free hinge but that of its springs and laws,
+zero generalised force of springs, gravity and joints on every free rfe, closed loops.  They are solved by Newton's
+method and differentiated by the implicit function theorem; unknowns and residuals are scaled by a length and a force
+of the mechanism.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -29,6 +29,7 @@ from rfem_jax.mechanics.cut_joints import closure
 from rfem_jax.mechanics.elements import elasticity
 from rfem_jax.mechanics.implicit.residual import Residual
 from rfem_jax.mechanics.inputs import DriveInput
+from rfem_jax.mechanics.joint_forces import applied_forces, by_coordinate, law_forces, law_tangent
 from rfem_jax.mechanics.kinematics import by_freedom, motion_of, range_used
 from rfem_jax.mechanics.model import Coordinates, Model, State, Topology
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors, ModelWithErrors, apply_errors, assembly_errors
@@ -213,10 +214,7 @@ def equilibrium(
     onto = (given[:, None] == np.arange(undeformed.size)).astype(float)
     is_given = onto.any(axis=0)
     args = actual, angles
-    perfect = (
-        eqx.tree_at(lambda r: r.gravity, apply_errors(model, assembly_errors(model)), jnp.zeros(3)),
-        start,
-    )
+    perfect = _unloaded(model), start
     guess = jnp.where(is_given, angles @ onto, undeformed)
     perfect, undeformed, guess = jax.lax.stop_gradient((perfect, undeformed, guess))
     equations = Equations(
@@ -249,6 +247,15 @@ def _status_of(actual: ModelWithErrors, position: Coordinates, found: Bool[Array
     right_side = True if cuts is None else jnp.all(cuts.alignment > 0.0)
     status = jnp.where(right_side, jnp.where(in_range, OK, OUT_OF_RANGE), WRONG_SIDE)
     return jnp.where(found, status, NOT_ASSEMBLED).astype(jnp.int32)
+
+
+def _unloaded(model: Model) -> ModelWithErrors:
+    """The perfect mechanism without gravity; where loads are applied in steps also without forces of joints, so that
+    the undeformed start is an equilibrium."""
+    perfect = eqx.tree_at(lambda r: r.gravity, apply_errors(model, assembly_errors(model)), jnp.zeros(3))
+    if model.topology.exact and model.forces is not None:
+        perfect = eqx.tree_at(lambda r: r.forces.share, perfect, jnp.zeros(()))
+    return perfect
 
 
 def _search(
@@ -295,6 +302,10 @@ def _rows(scaled: _Scaled, actual: ModelWithErrors) -> Array:
     of_joints = jnp.full(topology.n_freedoms, scaled.force * scaled.length)
     if any(topology.slides):
         of_joints = of_joints / scaled.units[: topology.n_freedoms]
+    if actual.forces is not None:
+        at_rest = loads.static_state(topology, scaled.coordinates(jnp.zeros(len(scaled.units))))
+        of_laws = by_coordinate(topology, law_tangent(actual, at_rest, 1.0, 0.0))
+        of_joints = of_joints + of_laws * scaled.units[: topology.n_freedoms]
     forces = Coordinates(of_joints, jnp.einsum("kij,jk->ik", springs, one))
     return scaled.residual(forces, jnp.full(topology.n_constraints, scaled.length))
 
@@ -313,6 +324,9 @@ def _static_residual(
     force, moment = loads.inertial_loads(actual, motion, at_rest, at_rest)
     wrenches = loads.chain_wrenches(actual, motion, cuts, multipliers, (force, moment))
     hinge = dot(motion.axis, by_freedom(topology, jnp.stack(wrenches[:n], axis=1)))
+    applied = applied_forces(topology, DriveInput(), law_forces(actual, state))
+    if applied:
+        hinge = hinge - by_coordinate(topology, applied)
     force, moment = -force[:, n:], -moment[:, n:]
     for j, (left, right) in enumerate(zip(topology.parents, topology.children)):
         for node, sign in ((left, -1.0), (right, 1.0)):
@@ -337,7 +351,8 @@ def static_loads(
     """Joint loads at rest, the moment that holds a joint included."""
     motion = motion_of(actual, state)
     at_rest = jnp.zeros((3, actual.mass.shape[0]))
-    resting = loads.Resting(motion, closure(actual, motion, length_scale(model)), multipliers)
+    cuts = closure(actual, motion, length_scale(model))
+    resting = loads.Resting(motion, cuts, multipliers, law_forces(actual, state))
     return loads.chain_loads(actual, resting, at_rest, at_rest, DriveInput())[0]
 
 

@@ -21,6 +21,7 @@ from rfem_jax.mechanics.cut_joints import closure
 from rfem_jax.mechanics.implicit.condensation import link_operators
 from rfem_jax.mechanics.implicit.newton import IterationMatrix, iteration_matrix, newton_increment
 from rfem_jax.mechanics.implicit.residual import Residual
+from rfem_jax.mechanics.joint_forces import law_tangent
 from rfem_jax.mechanics.kinematics import motion_of
 from rfem_jax.mechanics.model import Coordinates, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
@@ -48,8 +49,10 @@ def static_tangent(
     `closure`, stiffness [N/m] of the mechanism."""
     q_factor = STIFFNESS_RATIO * jnp.sum(actual.mass) / stiffness
     operators = link_operators(actual, q_factor, jnp.zeros(()))
-    motion = motion_of(actual, loads.static_state(actual.topology, position))
-    matrix = iteration_matrix(actual, operators, motion, closure(actual, motion, scale), held)
+    state = loads.static_state(actual.topology, position)
+    motion = motion_of(actual, state)
+    of_laws = law_tangent(actual, state, q_factor, 0.0)
+    matrix = iteration_matrix(actual, operators, motion, closure(actual, motion, scale), held, of_laws)
     return StaticTangent(matrix, q_factor)
 
 

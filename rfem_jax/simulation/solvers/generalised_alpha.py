@@ -52,6 +52,7 @@ from rfem_jax.mechanics.implicit.condensation import LinkOperator, link_operator
 from rfem_jax.mechanics.implicit.newton import IterationMatrix, iteration_matrix, newton_increment
 from rfem_jax.mechanics.implicit.residual import Evaluation, evaluate_residual, residual_of
 from rfem_jax.mechanics.inputs import DriveInput, impose
+from rfem_jax.mechanics.joint_forces import law_forces, law_tangent
 from rfem_jax.mechanics.kinematics import motion_of
 from rfem_jax.mechanics.model import Coordinates, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
@@ -263,7 +264,8 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
             operators = present_operators(actual, now.relative, *self.factors(h))
         prescribed = isinstance(conditions.drive, PrescribedDrive)
         held = (driven_coordinate(actual.topology),) if prescribed else ()
-        return iteration_matrix(actual, operators, now, closure(actual, now, scale), held)
+        of_laws = None if actual.forces is None else law_tangent(actual, state, *self.factors(h))
+        return iteration_matrix(actual, operators, now, closure(actual, now, scale), held, of_laws)
 
     def predict(self, constants: StepConstants, start: StepStart) -> Unknowns:
         """Accelerations and multipliers of the last step as a first guess.
@@ -309,10 +311,13 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         actual = conditions.actual
         drive = drive_input(conditions.drive, constants.end, conditions.phase)
         state, auxiliary = self._newmark(h, trajectory, memory, unknowns.accelerations, actual.topology, drive)
+        laws = law_forces(actual, state)
+        dissipated = dissipated_power(actual, state)
         evaluation = evaluation._replace(
             multipliers=unknowns.multipliers,
             wrenches=[*wrenches, *loads.cut_wrenches(actual.topology, evaluation.closure, unknowns.multipliers)],
-            dissipated=dissipated_power(actual, state),
+            dissipated=dissipated if laws is None else dissipated + laws.dissipated,
+            laws=laws,
         )
         return self._step_end(evaluation, unknowns, state, auxiliary, drive, h, start)
 
@@ -353,7 +358,7 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         residual = jax.lax.stop_gradient(residual)
         joint = loads.loads_of_wrenches(actual.topology, evaluation, evaluation.wrenches, drive)
         axial, normal, moment = equations.squares(actual.topology, joint)
-        work = equations.drive_power(actual.topology, state, drive, joint)
+        work = equations.applied_power(actual.topology, state, drive, joint, evaluation.laws)
         rates = Integrals(axial, normal, moment, work, evaluation.dissipated)
         integrals = jax.tree.map(
             lambda sum, old, new: sum + 0.5 * h * (old + new),

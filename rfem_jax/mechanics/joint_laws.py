@@ -1,0 +1,111 @@
+"""Forces along the free motions of the tree joints as arrays: springs, dampers, tables and functions.
+
+Place in the pipeline: description.forces -> **joint_laws** -> model, model_with_errors, joint_forces.
+
+Each acts on one joint coordinate and depends on its position and rate alone (theory (3.14) to (3.16)).
+"""
+
+import abc
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import Array
+from jaxtyping import ArrayLike, Float
+
+from rfem_jax.description.forces import JointForce, JointForceFunction, JointForceTable, JointSpring
+
+
+class JointLaw(eqx.Module):
+    """A force along one joint coordinate, positive as the coordinate.
+
+    coordinate, place: indices of the coordinate among the rates and in the position of the tree joints.
+    """
+
+    coordinate: eqx.AbstractVar[int]
+    place: eqx.AbstractVar[int]
+
+    @abc.abstractmethod
+    def force(self, position: Float[Array, ""], rate: Float[Array, ""]) -> Float[Array, ""]:
+        """Force [N] or moment [N m] at a position [m, rad] and rate."""
+
+
+class SpringLaw(JointLaw):
+    """preload - stiffness (position - rest) - damping rate, in SI units."""
+
+    coordinate: int = eqx.field(static=True)
+    place: int = eqx.field(static=True)
+    stiffness: Float[Array, ""]
+    damping: Float[Array, ""]
+    rest: Float[Array, ""]
+    preload: Float[Array, ""]
+
+    def force(self, position, rate):
+        return self.preload - self.stiffness * (position - self.rest) - self.damping * rate
+
+    def energy(self, position: Float[Array, ""]) -> Float[Array, ""]:
+        """Potential energy [J], zero at rest."""
+        stretch = position - self.rest
+        return (0.5 * self.stiffness * stretch - self.preload) * stretch
+
+
+class TableLaw(JointLaw):
+    """Linear between given positions, constant outside."""
+
+    coordinate: int = eqx.field(static=True)
+    place: int = eqx.field(static=True)
+    positions: Float[Array, " rows"]
+    forces: Float[Array, " rows"]
+
+    def force(self, position, rate):
+        del rate
+        last = self.positions.shape[0] - 2
+        at = jnp.clip(position, self.positions[0], self.positions[-1])
+        # Comparisons and sums, no search: it is a loop, and gathers are slow in compiled loops.
+        row = jnp.clip(jnp.sum(at >= self.positions) - 1, 0, last) == jnp.arange(last + 1)
+        share = (at - self.positions[:-1]) / (self.positions[1:] - self.positions[:-1])
+        values = self.forces[:-1] + share * (self.forces[1:] - self.forces[:-1])
+        return jnp.sum(jnp.where(row, values, 0.0))
+
+
+class FunctionLaw(JointLaw):
+    """A user's function of position and rate."""
+
+    coordinate: int = eqx.field(static=True)
+    place: int = eqx.field(static=True)
+    function: Callable[..., Float[Array, ""]]
+
+    def force(self, position, rate):
+        return self.function(position, rate)
+
+
+class JointLaws(eqx.Module):
+    """All forces along joint coordinates, by their names; share: of their full size, for load steps."""
+
+    laws: dict[str, JointLaw]
+    share: Float[Array, ""]
+
+
+def joint_law(force: JointForce, coordinate: int, place: int) -> JointLaw:
+    """The arrays of a described force on a joint coordinate."""
+    if isinstance(force, JointSpring):
+        numbers = {name: getattr(force, name) for name in ("stiffness", "damping", "rest", "preload")}
+        return SpringLaw(coordinate, place, **{name: jnp.asarray(x, jnp.float64) for name, x in numbers.items()})
+    if isinstance(force, JointForceTable):
+        columns = (jnp.asarray(x, jnp.float64) for x in (force.positions, force.forces))
+        return TableLaw(coordinate, place, *columns)
+    if isinstance(force, JointForceFunction):
+        return FunctionLaw(coordinate, place, force.function)
+    raise TypeError(f"{type(force).__name__} is no force that this model knows.")
+
+
+def law_slopes(law: JointLaw, position: ArrayLike, rate: ArrayLike) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    """Derivatives of a force with respect to position and rate."""
+    at = jnp.asarray(position, jnp.float64), jnp.asarray(rate, jnp.float64)
+    return jax.grad(law.force, (0, 1))(*at)
+
+
+def holds(law: JointLaw) -> bool:
+    """Whether a force may depend on the position: all but a damper without a spring; of numbers that are known."""
+    return not isinstance(law, SpringLaw) or float(law.stiffness) > 0.0
