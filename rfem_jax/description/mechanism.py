@@ -60,7 +60,9 @@ class Mechanism(ChecksItself):
         checks.convert("gravity", vector, "acceleration", "gravity")
         checks.convert("redundant_reactions", require_choice, ("refuse", "minimum_norm"), "redundant_reactions")
         checks.convert("elements", require_choice, ELEMENTS, "elements")
+        checks.convert("forces", _unique, JointForce, "forces")
         checks.relation(("links", "joints"), self._check_structure)
+        checks.relation(("joints", "forces"), self._resolve_forces)
 
     def _check_structure(self) -> None:
         if not self.links:
@@ -73,8 +75,6 @@ class Mechanism(ChecksItself):
             self._check_positions(joint, problems)
         with problems.noted():
             self._check_driven_joint()
-        with problems.noted():
-            object.__setattr__(self, "forces", self._resolved_forces())
         problems.refuse()
 
     def link(self, name: str) -> Link:
@@ -203,11 +203,11 @@ class Mechanism(ChecksItself):
                 f"`{self.driven_joint}` is cut; cut another joint of the loop."
             )
 
-    def _resolved_forces(self) -> tuple[JointForce, ...]:
-        """The forces, each on its joint."""
+    def _resolve_forces(self) -> None:
+        """Each force knows its joint's motions."""
         found, problems = [], Problems()
         tree = [joint.name for joint in self.joints if not joint.cut]
-        for force in _unique(self.forces, JointForce, "forces"):
+        for force in self.forces:
             with problems.noted():
                 if force.joint not in tree:
                     cut = force.joint in [joint.name for joint in self.joints]
@@ -219,7 +219,7 @@ class Mechanism(ChecksItself):
                     )
                 found.append(force.resolved(self.joint(force.joint)))
         problems.refuse()
-        return tuple(found)
+        object.__setattr__(self, "forces", tuple(found))
 
     def _check_positions(self, joint: Joint, problems: Problems) -> None:
         """Note what lies off its flexible link; links that there are not are told elsewhere."""
