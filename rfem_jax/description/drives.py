@@ -38,8 +38,9 @@ Time = int | float | Float[Array | np.ndarray, ""]
 Phase = Int[Array, ""] | int | np.integer
 if TYPE_CHECKING:
     Law = Callable[..., Scalar]
+    Name = str
 else:
-    Law = Any  # what is no function is refused in a sentence
+    Law = Name = Any  # what is no function, or no name, is refused in a sentence
 
 
 class MomentDrive(eqx.Module):
@@ -83,7 +84,7 @@ class MomentRamp(MomentDrive):
     moment: Scalar
     rise_time: float = eqx.field(static=True)
 
-    def __init__(self, joint: str, moment: Quantity, rise_time: Quantity):
+    def __init__(self, joint: Name, moment: Quantity, rise_time: Quantity):
         checks = _checks(self, joint)
         checks.set("moment", moment, _leaf, "moment", "moment")
         checks.set("rise_time", rise_time, positive_quantity, "time", "rise_time")
@@ -109,7 +110,7 @@ class MomentTable(MomentDrive):
     values: Float[Array, " times"]
     times: tuple[float, ...] = eqx.field(static=True)
 
-    def __init__(self, joint: str, times: Quantities, moments: Quantities):
+    def __init__(self, joint: Name, times: Quantities, moments: Quantities):
         checks = _checks(self, joint)
         found = checks.value("times", times, _table_times, False)
         checks.set("values", moments, _column, "moment", "moments", found)
@@ -147,7 +148,7 @@ class MomentFunction(MomentDrive):
     function: Callable[..., Scalar]
     times: tuple[float, ...] = eqx.field(static=True)
 
-    def __init__(self, joint: str, function: Law, breakpoints: Quantities = ()):
+    def __init__(self, joint: Name, function: Law, breakpoints: Quantities = ()):
         checks = _checks(self, joint)
         checks.set("times", breakpoints, _breakpoints)
         checks.set("function", function, _as_tree)
@@ -174,7 +175,7 @@ class PrescribedRate(PrescribedDrive):
     rate: Scalar
     rise_time: float = eqx.field(static=True)
 
-    def __init__(self, joint: str, rate: Quantity, rise_time: Quantity = 0.0):
+    def __init__(self, joint: Name, rate: Quantity, rise_time: Quantity = 0.0):
         checks = _checks(self, joint)
         checks.set("rate", rate, _leaf, "rate", "rate")
         checks.set("rise_time", rise_time, non_negative_quantity, "time", "rise_time")
@@ -211,7 +212,7 @@ class PrescribedSpinUp(PrescribedDrive):
     rate: Scalar
     rise_time: float = eqx.field(static=True)
 
-    def __init__(self, joint: str, rate: Quantity, rise_time: Quantity):
+    def __init__(self, joint: Name, rate: Quantity, rise_time: Quantity):
         checks = _checks(self, joint)
         checks.set("rate", rate, _leaf, "rate", "rate")
         checks.set("rise_time", rise_time, positive_quantity, "time", "rise_time")
@@ -247,7 +248,7 @@ class PrescribedTable(PrescribedDrive):
     coefficients: Float[Array, "4 times-1"]
     end: float = eqx.field(static=True)
 
-    def __init__(self, joint: str, times: Quantities, angles: Quantities):
+    def __init__(self, joint: Name, times: Quantities, angles: Quantities):
         checks = _checks(self, joint)
         knots = checks.value("times", times, _table_times, True)
         changes = checks.value("angles", angles, _table_angles, knots)
@@ -286,7 +287,7 @@ class PrescribedFunction(PrescribedDrive):
     function: Callable[..., Scalar]
     times: tuple[float, ...] = eqx.field(static=True)
 
-    def __init__(self, joint: str, function: Law, breakpoints: Quantities = ()):
+    def __init__(self, joint: Name, function: Law, breakpoints: Quantities = ()):
         checks = _checks(self, joint)
         checks.set("times", breakpoints, _breakpoints)
         checks.set("function", function, _as_tree)
