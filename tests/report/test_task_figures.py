@@ -14,6 +14,7 @@ from matplotlib.image import imread
 from rfem_jax.description import load_study
 from rfem_jax.report.output import write_pictures
 from rfem_jax.report.tasks import study_problem
+from rfem_jax.report.tasks.monte_carlo import _most_felt
 from rfem_jax.report.tasks.sensitivity import Derivatives
 from rfem_jax.report.tasks.task_report import report_on
 from rfem_jax.tolerancing import Tolerances, Uniform, monte_carlo
@@ -131,3 +132,11 @@ def test_worst_cases_and_allocations_show_their_answers(study, tmp_path):
     words = words_of(figures["allocation_tolerances"])
     after = math.degrees(found.answer.tolerances["D.delta_x"])
     assert f"{after:.3g} deg" in words and "0.25 deg" in words and "before 3" in words
+
+
+def test_the_scatter_matrix_shows_the_errors_that_matter_most():
+    """Of six errors the two that act by their squares, the one that acts by its sign, and the next by its square."""
+    errors = np.random.default_rng(2).uniform(-1.0, 1.0, size=(400, 6))
+    values = np.stack([errors[:, 4] ** 2 + 0.7 * errors[:, 1] ** 2 + 0.4 * errors[:, 5] ** 2, errors[:, 2]], axis=1)
+    assert _most_felt(errors, values) == [1, 2, 4, 5]
+    assert _most_felt(errors[:, :3], values) == [0, 1, 2]
