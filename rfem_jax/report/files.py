@@ -3,8 +3,8 @@
 Place in the pipeline: after `summary`; written by `output`.
 
 CSV columns: `time_s`; `angle_rad`, `rate_rad_s` of the driven joint; energies `_J`; then for each
-joint `A_force_x_N` ... `A_moment_z_Nm` in its frame H (y along a hinge); `drive_moment_Nm`; and last
-the coordinates of the joints of the tree that are not revolute, `G_displacement_m`, `U_angle_1_rad`.
+joint `A_force_x_N` ... `A_moment_z_Nm` in its frame H (y along a hinge, x along a guide); `drive_moment_Nm`; and last
+the coordinates of the other joints of the tree, `D_angle_rad`, `G_displacement_m`, `U_angle_1_rad`.
 """
 
 from collections.abc import Mapping
@@ -59,10 +59,11 @@ def history_columns(study: Study, run: Run) -> dict[str, Float[np.ndarray, " tim
 
 
 def _coordinate_columns(study: Study, run: Run) -> dict[str, Float[np.ndarray, " times"]]:
-    """Coordinates of the tree joints that are not revolute, numbered where a joint has several of one dimension."""
+    """Coordinates of the tree joints but the driven one, numbered where a joint has several of one dimension."""
     columns = {}
+    driven = None if study.drive is None else study.drive.joint
     for joint in study.mechanism.joints:
-        if joint.cut or joint.kind == "revolute":
+        if joint.cut or joint.name == driven:
             continue
         for what, unit, values in (("angle", "rad", run.angles), ("displacement", "m", run.displacements)):
             several = np.asarray(values[joint.name]) if joint.name in values else np.zeros((0, 0))
