@@ -165,8 +165,9 @@ def _sign(force: JointForce, position: float) -> float:
     """Which way a law pushes at the start: that of its table; along the axis where it is a function."""
     if not isinstance(force, JointForceTable):
         return 1.0
+    positions: Any = force.positions  # numbers, as the mechanism has resolved them
     values: Any = force.forces
-    now = np.interp(position, force.positions, values)
+    now = np.interp(position, positions, values)
     return -1.0 if (now or np.mean(values)) < 0.0 else 1.0
 
 

@@ -7,6 +7,7 @@ and errors in degrees and millimetres, as users write them.
 import math
 import re
 from dataclasses import fields
+from typing import Any
 
 from rfem_jax.description.drives import MomentDrive, PrescribedDrive
 from rfem_jax.description.forces import JointForceTable
@@ -81,7 +82,7 @@ def _forces_text(mechanism: Mechanism) -> str:
     for force in mechanism.forces:
         numbers = [f"{name} {value:g}" for name, value in vars(force).items() if isinstance(value, float)]
         if isinstance(force, JointForceTable):
-            columns = {"positions": force.positions, "forces": force.forces}
+            columns: dict[str, Any] = {"positions": force.positions, "forces": force.forces}
             numbers = [f"{len(force.positions)} rows"]
             numbers += [f"{name} {values[0]:g} to {values[-1]:g}" for name, values in columns.items()]
         size = f" (SI: {', '.join(numbers)})" if numbers else ""

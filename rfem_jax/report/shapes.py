@@ -217,7 +217,8 @@ def assembly_figure(study: Study, runs: Mapping[str, Run], places: Mapping[str, 
     kept = sorted(deflections, key=lambda name: deflections[name], reverse=True)[:_MOST_PANELS]
     shown = {name: runs[name] for name in runs if name in kept}
     factor = exaggeration(shown)
-    size = mechanism_size(next(iter(shown.values())).nominal_lines)
+    first = next(iter(shown.values()))
+    size = mechanism_size({link: np.asarray(line) for link, line in first.nominal_lines.items()})
     joints = [joint for joint in study.mechanism.joints if joint.name in places]
     guides = {joint.name: guide_ends(joint, places[joint.name], shown, size) for joint in joints}
     low, high = _limits(shown, factor, guides)

@@ -1,6 +1,8 @@
 """Pictures of tasks: all are there, none is blank, and they show the numbers of the results."""
 
 import math
+from dataclasses import replace
+from itertools import pairwise
 
 import jax
 import numpy as np
@@ -9,6 +11,7 @@ import pytest
 pytest.importorskip("matplotlib", reason="pictures need the extra `plots`")
 
 import matplotlib
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.image import imread
 
 from rfem_jax.description import load_study
@@ -140,3 +143,24 @@ def test_the_scatter_matrix_shows_the_errors_that_matter_most():
     values = np.stack([errors[:, 4] ** 2 + 0.7 * errors[:, 1] ** 2 + 0.4 * errors[:, 5] ** 2, errors[:, 2]], axis=1)
     assert _most_felt(errors, values) == [1, 2, 4, 5]
     assert _most_felt(errors[:, :3], values) == [0, 1, 2]
+
+
+def test_numbers_below_a_histogram_do_not_overlap(study):
+    """Of a metric that scatters little about a number that is not zero."""
+    result = scatter(closed_form.build([MOMENT, FORCE]))
+    values = 0.58 + 1e-4 * result.values
+    object.__setattr__(result, "values", values)
+    found = {
+        metric: replace(one, mean=replace(one.mean, value=float("nan")), quantiles={})
+        for metric, one in result.statistics.items()
+    }
+    object.__setattr__(result, "statistics", found)
+    object.__setattr__(result, "limits", {})
+    figure = draw(study, "monte_carlo", result)["monte_carlo_histograms"]
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    for axes in figure.axes[:2]:
+        low, high = axes.get_xlim()
+        shown = [text for text in axes.get_xticklabels() if low <= text.get_position()[0] <= high]
+        boxes = [text.get_window_extent() for text in shown]
+        assert len(boxes) > 2 and all(one.x1 < other.x0 for one, other in pairwise(boxes))

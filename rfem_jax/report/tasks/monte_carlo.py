@@ -234,6 +234,7 @@ def histogram_figure(study: Study, result: MonteCarloResult) -> Figure:
         if metric in result.yields:
             title += f": {100 * result.yields[metric].of_all.value:.3g} % within"
         axes.set_title(title, loc="left")
+        axes.locator_params(axis="x", nbins=5)  # room for the digits of a metric that scatters little
         axes.set_xlabel(result.metric_units[index] or "1")
         axes.set_ylabel("samples")
     add_shared_legend(list(styles.values()), list(styles))
