@@ -158,11 +158,14 @@ def _split(equation, x):
 
 def _padded(equation, x, value):
     low, high, inner = np.array(equation.params["padding_config"]).T
-    assert (low >= 0).all() and (high >= 0).all()
-    padded = np.full(equation.outvars[0].aval.shape, value)
-    places = zip(low, x.shape, inner, strict=True)
-    padded[tuple(slice(a, a + (n - 1) * (i + 1) + 1 if n else a, i + 1) for a, n, i in places)] = x
-    return [padded]
+    length = np.array(x.shape) + np.maximum(np.array(x.shape) - 1, 0) * inner
+    before, after = np.maximum(low, 0), np.maximum(high, 0)
+    padded = np.full(before + length + after, value)
+    places = zip(before, length, inner, strict=True)
+    padded[tuple(slice(a, a + n, i + 1) for a, n, i in places)] = x
+    # Negative padding cuts off.
+    kept = zip(before - low, before + length + np.minimum(high, 0) + after, strict=True)
+    return [padded[tuple(slice(a, b) for a, b in kept)]]
 
 
 def _starts(x, size, starts):
