@@ -172,6 +172,22 @@ def chain_with_forces():
     return dataclasses.replace(chain_of_kinds(), forces=forces)
 
 
+def chain_with_drives():
+    """Drives on motions of all kinds, two of them on one joint, one beside a spring and one beside a law."""
+    links = [link("a", 0.1), link("b", 0.2, 2), link("c", 0.15), link("d", 0.12)]
+    joints = [
+        Joint("P", "base", "a", kind="prismatic", orientation=(0.3, -0.2, 0.1), displacement=0.05),
+        Joint("U", "a", "b", kind="universal", child_position=(0.01, 0.0, 0.02), start=(0.3, -0.5)),
+        Joint("C", "b", "c", kind="cylindrical", position=(0.12, 0.01, 0.0), angle=0.6, displacement=-0.03),
+        Joint("L", "c", "d", kind="planar", child_orientation=(0.1, 0.2, -0.3), start=(0.02, -0.04, 0.7)),
+    ]
+    forces = [
+        JointSpring("slide", "P", stiffness=300.0, damping=4.0, rest=0.03),
+        JointForceTable("along", "C", [-1.0, 1.0], [-7.0, 4.0], motion="T_y"),
+    ]
+    return Mechanism(links, joints, driven_joint=["P", "U.R_z", "U.R_y", "C.T_y", "L.T_z", "L.R_y"], forces=forces)
+
+
 def loop_with_springs():
     """A triangle of the base and two flexible links, with a spring and a damper at its feet."""
     forces = [

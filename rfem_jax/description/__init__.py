@@ -5,6 +5,7 @@ enters and converted to SI floats.
 """
 
 from rfem_jax.description.drives import (
+    GivenDrive,
     MomentDrive,
     MomentFunction,
     MomentRamp,
@@ -37,6 +38,15 @@ from rfem_jax.description.sections import (
     Tube,
 )
 from rfem_jax.description.study import Case, Study, load_study
+from rfem_jax.description.translation_drives import (
+    ForceDrive,
+    ForceFunction,
+    ForceRamp,
+    ForceTable,
+    PrescribedDisplacements,
+    PrescribedRunUp,
+    PrescribedSpeed,
+)
 from rfem_jax.description.units import quantity
 
 __all__ = [
@@ -45,7 +55,12 @@ __all__ = [
     "Circle",
     "DiffraxMethod",
     "FixedStepMethod",
+    "ForceDrive",
+    "ForceFunction",
+    "ForceRamp",
+    "ForceTable",
     "GeneralisedAlphaMethod",
+    "GivenDrive",
     "GivenSection",
     "InputError",
     "Joint",
@@ -61,9 +76,12 @@ __all__ = [
     "MomentRamp",
     "MomentTable",
     "PointMass",
+    "PrescribedDisplacements",
     "PrescribedDrive",
     "PrescribedFunction",
     "PrescribedRate",
+    "PrescribedRunUp",
+    "PrescribedSpeed",
     "PrescribedSpinUp",
     "PrescribedTable",
     "Rectangle",

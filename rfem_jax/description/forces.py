@@ -19,7 +19,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.tree_util import Partial
 
-from rfem_jax.description.errors import ChecksItself, InputError, require_choice, require_name
+from rfem_jax.description.driven_motions import plain_motion
+from rfem_jax.description.errors import ChecksItself, InputError, require_name
 from rfem_jax.description.joint_kinds import KINDS, Freedom
 from rfem_jax.description.joints import Joint
 from rfem_jax.description.units import Quantities, Quantity, non_negative_quantity, quantity, sequence
@@ -189,27 +190,7 @@ def _check_names(force: JointForce) -> None:
 
 def _motion_of(force: JointForce, joint: Joint) -> str:
     """Name of the motion that a force acts on."""
-    where, motions = f"`motion` of force `{force.name}`", KINDS[joint.kind].motions
-    if not motions:
-        raise InputError(
-            f"Argument `joint` of force `{force.name}` must have a free motion, but `{joint.name}` is {joint.kind}; "
-            "take another joint."
-        )
-    motion = motions[0]
-    if force.motion is None and len(motions) > 1:
-        listed = ", ".join(f'"{motion}"' for motion in motions if "_" in motion)
-        raise InputError(
-            f"Argument {where} must say which motion of joint `{joint.name}` is meant, because it is {joint.kind}, but "
-            f"was left out; give one of {listed}."
-        )
-    if force.motion is not None:
-        motion = require_choice(force.motion, motions, where)
-    if "_" not in motion:
-        raise InputError(
-            f"Argument {where} must be about or along one axis, but `{joint.name}` is {joint.kind} and turns about any "
-            "axis; a spring about three axes at once is not offered."
-        )
-    return motion
+    return plain_motion(force.motion, joint.kind, joint.name, f"force `{force.name}`")
 
 
 def _freedom_of(force: JointForce, joint: Joint) -> Freedom:

@@ -35,6 +35,7 @@ _IN_A_FILE = {  # where a file has something else than the class
     "mechanism": "the table [mechanism]",
     "simulation": "the table [simulation]",
     "drive": "the table [drive]; none means no drive",
+    "drives": "tables [[drives]] in the place of [drive], for several drives at once",
     "tolerances": "the table [tolerances]",
     "bounds": "the table [allocation.bounds]: ERROR = [smallest, largest half-width]",
     "cost": "the table [allocation.cost]: its keys for all errors, ERROR = { ... } for one",
@@ -80,8 +81,8 @@ def key_tables() -> list[KeyTable]:
         header, own = f'[[mechanism.forces]] of kind "{name}"', {"kind": f'"{name}"'}
         tables.append(_table(header, kind, ("kind", *required), optional, own))
     for name, (kind, required, optional) in DRIVES.items():
-        header, own = f'[drive] of kind "{name}"', {"kind": f'"{name}"'}
-        tables.append(_table(header, kind, ("joint", "kind", *required), optional, own))
+        header, own = f'[drive] or [[drives]] of kind "{name}"', {"kind": f'"{name}"'}
+        tables.append(_table(header, kind, ("joint", "kind", *required), (*optional, "motion"), own))
     tables += _simulation_tables()
     tables.append(_table("[[cases]]", Case, *CASE_KEYS))
     tolerance = _table("[tolerances] ERROR", SpecifiedTolerance, *keys_of(SpecifiedTolerance, omit=("error",)))

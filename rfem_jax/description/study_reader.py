@@ -10,11 +10,10 @@ from dataclasses import fields
 from functools import partial
 from typing import Any, TypeVar
 
+from rfem_jax.description.driven_motions import AnyDrive
 from rfem_jax.description.drives import (
-    MomentDrive,
     MomentRamp,
     MomentTable,
-    PrescribedDrive,
     PrescribedRate,
     PrescribedSpinUp,
     PrescribedTable,
@@ -28,6 +27,13 @@ from rfem_jax.description.mechanism import Mechanism
 from rfem_jax.description.methods import Method, setting_names
 from rfem_jax.description.sections import Circle, GivenSection, Rectangle, Section, Tube
 from rfem_jax.description.tables import build, build_by_trial, checked_list, checked_table, keys_of, named_place
+from rfem_jax.description.translation_drives import (
+    ForceRamp,
+    ForceTable,
+    PrescribedDisplacements,
+    PrescribedRunUp,
+    PrescribedSpeed,
+)
 from rfem_jax.description.units import positive_quantity
 
 Part = TypeVar("Part")
@@ -36,9 +42,14 @@ SHAPES = {"rectangle": Rectangle, "circle": Circle, "tube": Tube, "given": Given
 DRIVES = {
     "moment_ramp": (MomentRamp, ("moment", "rise_time"), ()),
     "moment_table": (MomentTable, ("times", "moments"), ()),
+    "force_ramp": (ForceRamp, ("force", "rise_time"), ()),
+    "force_table": (ForceTable, ("times", "forces"), ()),
     "prescribed_rate": (PrescribedRate, ("rate",), ("rise_time",)),
     "prescribed_spin_up": (PrescribedSpinUp, ("rate", "rise_time"), ()),
     "prescribed_table": (PrescribedTable, ("times", "angles"), ()),
+    "prescribed_speed": (PrescribedSpeed, ("speed",), ("rise_time",)),
+    "prescribed_run_up": (PrescribedRunUp, ("speed", "rise_time"), ()),
+    "prescribed_displacements": (PrescribedDisplacements, ("times", "displacements"), ()),
 }
 FORCES = {"joint_spring": JointSpring, "joint_table": JointForceTable}
 _MECHANISM_OPTIONS = ("gravity", "redundant_reactions", "elements")
@@ -66,15 +77,21 @@ def read_mechanism(table: object) -> Mechanism:
     return build(Mechanism, parts, place, problems)
 
 
-def read_drive(table: object) -> MomentDrive | PrescribedDrive:
-    """Return the drive of the table [drive]."""
-    place, problems = "[drive]", Problems()
+def read_drive(table: object, place: str = "[drive]") -> AnyDrive:
+    """Return the drive of the table [drive], or of one of [[drives]]."""
+    problems = Problems()
     keys = {key for _, required, optional in DRIVES.values() for key in (*required, *optional)}
-    content = problems.usable(lambda: checked_table(table, place, ("kind",), ("joint", *sorted(keys))))
+    content = problems.usable(lambda: checked_table(table, place, ("kind",), ("joint", "motion", *sorted(keys))))
     kind = _kind_of(content, DRIVES, "kind", place, problems)
     make, required, optional = DRIVES[kind]
+    optional = (*optional, "motion")
     settings = _of_kind(content, f'{place} of kind "{kind}"', ("joint", "kind", *required), optional, problems)
     return build(make, {name: value for name, value in settings.items() if name != "kind"}, place, problems)
+
+
+def read_drives(entries: object) -> tuple[AnyDrive, ...]:
+    """Return the drives of the tables [[drives]]."""
+    return tuple(_read_list(entries, "[[drives]]", read_drive))
 
 
 def read_simulation(table: object) -> tuple[Any, Method, Any]:

@@ -15,7 +15,7 @@ from rfem_jax.description.errors import InputError, require_choice
 from rfem_jax.description.mechanism import ELEMENTS, Mechanism
 from rfem_jax.mechanics.cut_joints import RANK_TOLERANCE
 from rfem_jax.mechanics.joint_laws import holds
-from rfem_jax.mechanics.model import BASE, Model
+from rfem_jax.mechanics.model import BASE, Model, Topology
 from rfem_jax.mechanics.model_building import build_model
 from rfem_jax.mechanics.nominal_geometry import (
     closure_jacobian,
@@ -146,12 +146,13 @@ def _idle_coordinates(model: Model) -> dict[int, str]:
             twists[l, :, k] += units[k] * placed.twists[k]
     twists[:, 3:] /= geometry.scale
     moving = twists @ free
+    driven = [topology.link_of_freedom[k] for k in topology.drives]
     ends = zip(topology.parents, topology.children)
     pairs = [tuple(-1 if node == BASE else topology.link_of(node) for node in pair) for pair in ends]
     found = {}
     for l in range(n):
         joined = [a if b == l else b for a, b in pairs if l in (a, b)]
-        if len(joined) < 2 or max(joined) < 0 or l == topology.driven:
+        if len(joined) < 2 or max(joined) < 0 or l in driven:
             continue
         alone = _null_space(np.delete(moving, l, axis=0).reshape(-1, free.shape[1]))
         if alone.shape[1] == 0:
@@ -164,6 +165,20 @@ def _idle_coordinates(model: Model) -> dict[int, str]:
         *_, order = qr(motions[list(topology.coordinates[l])].T, mode="r", pivoting=True)
         found |= {topology.coordinates[l][k]: topology.links[l] for k in order[: motions.shape[1]]}
     return found
+
+
+def _with_dependent_drives(model: Model, joints: Float[np.ndarray, " numbers"]) -> Topology:
+    """The topology with the coordinates of drives that follow from those of the drives before (theory (5.18))."""
+    geometry = geometry_of(model)
+    jacobian = closure_jacobian(geometry, place(geometry, joints))
+    found = []
+    for matrix in (jacobian[:, : model.topology.n_freedoms], jacobian):
+        unit, kept, following = np.eye(matrix.shape[1]), [], []
+        for k in model.topology.drives:
+            adds = _rank(np.vstack([matrix, unit[[*kept, k]]])) > _rank(np.vstack([matrix, unit[kept]]))
+            (kept if adds or not kept else following).append(k)
+        found.append(tuple(following))
+    return model.topology._replace(dependent=found[0], blocked=found[1])
 
 
 def _null_space(matrix: np.ndarray) -> np.ndarray:
@@ -182,21 +197,24 @@ def _rank(jacobian: np.ndarray) -> int:
 
 
 def close_at(
-    model: Model, joints: Float[np.ndarray, " numbers"]
+    model: Model, joints: Float[np.ndarray, " numbers"], held: tuple[int, ...] | None = None
 ) -> tuple[
     Float[np.ndarray, " numbers"],
     Float[np.ndarray, " constraints"],
     Float[np.ndarray, " cuts"],
     Float[np.ndarray, " cuts"],
 ]:
-    """Refine the position of all joints but the driven one so that the nominal rigid loops close: Newton's
-    method with steps of least norm (theory (5.10)).
+    """Refine the position of all joints so that the nominal rigid loops close: Newton's method with steps of least
+    norm (theory (5.10)).
+
+    **Arguments:** `held`: the joint coordinates that stay (None: those of drives that assembly holds).
 
     **Returns:** position, residuals (constraints,) over the longest link, alignment and angle of each
     cut joint as in `cut_joints.Closure`.
     """
     topology, geometry = model.topology, geometry_of(model)
-    free = np.array([k for k in range(topology.n_freedoms) if k != topology.driven_coordinate], dtype=int)
+    held = topology.held if held is None else held
+    free = np.array([k for k in range(topology.n_freedoms) if k not in held], dtype=int)
     units = joint_units(geometry)[free]
     joints, change = np.array(joints, dtype=float), np.zeros(topology.n_freedoms)
     for _ in range(100):
@@ -217,6 +235,10 @@ def _close(model: Model) -> Model:
     topology = model.topology
     if topology.n_cuts == 0:
         return model
+    if len(topology.drives) > 1:
+        closed = close_at(model, np.asarray(model.start_joints), topology.drives[:1])[0]
+        topology = _with_dependent_drives(model, closed)
+        model = dataclasses.replace(model, topology=topology)
     joints, residual, alignment, cut_angles = close_at(model, np.asarray(model.start_joints))
     if not np.abs(residual).max() < CLOSING_TOLERANCE:
         gap = np.abs(residual).max() * float(np.max(model.length))

@@ -89,7 +89,7 @@ def accelerations(
     angular, linear = _free_accelerations(actual, motion, spin, gravity, force, moment)
     tree = _interface_tree(actual, state, motion, force, moment)
     laws = law_forces(actual, state)
-    forces = applied_forces(topology, drive, laws)
+    forces = applied_forces(drive, laws)
     responses, rates = _articulated_bodies(topology, tree, _load_columns(topology, cuts, tree), drive, forces)
     responses |= _cut_rfe_responses(actual, motion, cuts, angular, linear)
     multipliers, stabilising = _multipliers(topology, cuts, motion, tree, responses, stabilisation)
@@ -239,9 +239,10 @@ def _articulated_bodies(
             first = jnp.asarray(np.eye(1, load.shape[1])[0])
             for k in reversed(topology.coordinates[l]):
                 axis, bias = tree.axis[:, k], tree.bias[:, k]
-                if k == topology.driven_coordinate and drive.prescribed is not None:
-                    given = axis * drive.prescribed[2][None] + bias
-                    steps[k] = (axis, given[:, None] * first[None], drive.prescribed[2][None] * first, None)
+                if k in drive.motions:
+                    acceleration = drive.motions[k][2]
+                    given = axis * acceleration[None] + bias
+                    steps[k] = (axis, given[:, None] * first[None], acceleration[None] * first, None)
                     load = load - apply(inertia, given)[:, None] * first[None]
                     continue
                 u = apply(inertia, axis)

@@ -4,8 +4,8 @@ Place in the pipeline: dynamics -> **loads** -> simulation (metrics, Run).
 
 A joint's load is the force and the moment that the parent side exerts on the child link, about the
 joint's centre on the child, in the hinge frame H (in L at a cut joint), in N and N m (theory (8.1) to (8.3)).  A
-drive that is a given moment, or a law of the joint's position and rate, is an external load and not part of it; a
-spring in the joint and the moment that enforces a prescribed angle are.
+drive that is a given moment or force, or a law of the joint's position and rate, is an external load and not part of
+it; a spring in the joint and the moment or force that enforces a prescribed motion are.
 
 They are computed in two ways, and every run checks them by the balance of momentum: `chain_loads` is the
 recursive Newton-Euler algorithm over all rfes from the tips to the base; `joint_loads` uses the equations
@@ -27,7 +27,7 @@ from rfem_jax.mechanics.cut_joints import Closure, columns
 from rfem_jax.mechanics.dynamics import Accelerations, link_axes
 from rfem_jax.mechanics.elements import elasticity
 from rfem_jax.mechanics.inputs import DriveInput
-from rfem_jax.mechanics.joint_forces import LawForces, hinge_moments, law_energy
+from rfem_jax.mechanics.joint_forces import LawForces, hinge_moments, law_energy, outside_forces
 from rfem_jax.mechanics.kinematics import Motion, all_frames, motion_of, spread, total
 from rfem_jax.mechanics.model import BASE, Coordinates, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
@@ -127,8 +127,8 @@ def _in_hinge_frames(topology: Topology, result: Solved, force: Array, moment: A
     """Loads of all joints in hinge frames from the forces and moments (3, L) of the tree joints about their
     centres, in global axes; those of cut joints from the multipliers."""
     rotation = result.motion.hinges.rotation
-    if result.laws is not None:
-        force, moment = _without_laws(topology, result, force, moment)
+    for k, outside in outside_forces(topology, drive, result.laws):
+        force, moment = _without(topology, result.motion, k, outside, force, moment)
     force, moment = apply_transposed(rotation, force), apply_transposed(rotation, moment)
     external = hinge_moments(topology, drive)
     if external is not None:
@@ -142,14 +142,23 @@ def _in_hinge_frames(topology: Topology, result: Solved, force: Array, moment: A
     return JointLoads(force, moment)
 
 
-def _without_laws(topology: Topology, result: Solved, force: Array, moment: Array) -> tuple[Array, Array]:
-    """Forces and moments (3, L) of the tree joints less those of the laws, which act from outside."""
-    axis = result.motion.axis
-    for k, law in ({} if result.laws is None else result.laws.outside).items():
-        here = np.arange(topology.n_links) == topology.link_of_freedom[k]
-        along = jnp.where(here[None], (axis[3:, k] if topology.slides[k] else axis[:3, k])[:, None] * law, 0.0)
-        force, moment = (force - along, moment) if topology.slides[k] else (force, moment - along)
-    return force, moment
+def _without(
+    topology: Topology, motion: Motion, k: int, outside: Array, force: Array, moment: Array
+) -> tuple[Array, Array]:
+    """Forces and moments (3, L) of the tree joints less what acts from outside along a joint coordinate."""
+    axis = motion.axis
+    here = np.arange(topology.n_links) == topology.link_of_freedom[k]
+    along = jnp.where(here[None], (axis[3:, k] if topology.slides[k] else axis[:3, k])[:, None] * outside, 0.0)
+    return (force - along, moment) if topology.slides[k] else (force, moment - along)
+
+
+def load_along(topology: Topology, motion: Motion, joint: JointLoads, k: int) -> Float[Array, ""]:
+    """The component of a joint's load along one of its coordinates: moment [N m] or force [N]."""
+    l = topology.link_of_freedom[k]
+    if topology.about_hinge(k):
+        return joint.moment[1, l]
+    axis, part = (motion.axis[3:, k], joint.force) if topology.slides[k] else (motion.axis[:3, k], joint.moment)
+    return dot(axis, apply(motion.hinges.rotation[:, :, l], part[:, l]))
 
 
 def chain_wrenches(

@@ -25,6 +25,7 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float, Int
 
+from rfem_jax.description.driven_motions import motion_label
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.joint_kinds import COMPONENTS, KINDS, Freedom, JointKind
 from rfem_jax.mechanics.joint_laws import JointLaw
@@ -61,11 +62,13 @@ class Topology(NamedTuple):
     parent_at_end, child_at_end: whether a joint sits at the far end of the link on that side, whose twist
         error then rotates it.
     elements: number of rfes of each link (1: rigid).
-    driven: index of the driven tree joint, or None.
+    drives: joint coordinates that drives act on, in the order of the description.
     masses: the node that holds each point mass.
     minimum_norm: whether redundant reactions are resolved by the solution of least norm.
     exact: whether the spring-damping elements are geometrically exact.
     idle: joint coordinates that stand for idle freedoms, which statics holds at their start.
+    dependent: those of `drives` that follow from the ones before if all links are rigid, which statics holds only
+        where their motion is prescribed; blocked: those that follow from them even so.
     """
 
     links: tuple[str, ...]
@@ -78,11 +81,13 @@ class Topology(NamedTuple):
     parent_at_end: tuple[bool, ...]
     child_at_end: tuple[bool, ...]
     elements: tuple[int, ...]
-    driven: int | None
+    drives: tuple[int, ...]
     masses: tuple[int, ...]
     minimum_norm: bool
     exact: bool = False
     idle: tuple[int, ...] = ()
+    dependent: tuple[int, ...] = ()
+    blocked: tuple[int, ...] = ()
 
     @property
     def n_links(self) -> int:
@@ -144,15 +149,46 @@ class Topology(NamedTuple):
         quaternion if it turns about any axis."""
         return _ranges([len(self.kind(l).freedoms) + self.kind(l).ball for l in range(self.n_links)])
 
+    def place_of(self, coordinate: int) -> int:
+        """Index in the position of a coordinate that is a plain number."""
+        link = self.link_of_freedom[coordinate]
+        return self.positions[link][coordinate - self.coordinates[link][0]]
+
+    def motion_of(self, coordinate: int) -> str:
+        """Name of the free motion of a coordinate that is a plain number, such as "R_y"."""
+        link = self.link_of_freedom[coordinate]
+        return self.kind(link).motions[coordinate - self.coordinates[link][0]]
+
+    def about_hinge(self, coordinate: int) -> bool:
+        """Whether a coordinate is the angle of a revolute joint."""
+        return self.kinds[self.link_of_freedom[coordinate]] == "revolute"
+
+    @property
+    def drive_labels(self) -> tuple[str, ...]:
+        """Names of the free motions that drives act on: "A", or "C.T_y" where the joint has several."""
+        joints = [self.link_of_freedom[k] for k in self.drives]
+        named = zip(joints, self.drives, strict=True)
+        return tuple(motion_label(self.joints[j], self.kinds[j], self.motion_of(k)) for j, k in named)
+
+    @property
+    def held(self) -> tuple[int, ...]:
+        """Joint coordinates that assembly holds: those of drives, each as far as those before leave it free."""
+        return tuple(k for k in self.drives if k not in self.dependent)
+
+    @property
+    def driven(self) -> int | None:
+        """Index of the tree joint of the first drive, or None."""
+        return self.link_of_freedom[self.drives[0]] if self.drives else None
+
     @property
     def driven_position(self) -> int | None:
-        """Index of the driven joint's coordinate in the position."""
-        return None if self.driven is None else self.positions[self.driven][0]
+        """Index in the position of the coordinate of the first drive."""
+        return self.place_of(self.drives[0]) if self.drives else None
 
     @property
     def driven_coordinate(self) -> int | None:
-        """Index of the driven joint's coordinate among the rates."""
-        return None if self.driven is None else self.coordinates[self.driven][0]
+        """Index among the rates of the coordinate of the first drive."""
+        return self.drives[0] if self.drives else None
 
     @property
     def constraints(self) -> tuple[range, ...]:
@@ -280,7 +316,7 @@ class Model(eqx.Module):
 
     @property
     def driven_joint(self) -> str | None:
-        """Name of the joint that the drive acts on."""
+        """Name of the joint that the first drive acts on."""
         driven = self.topology.driven
         return None if driven is None else self.topology.joints[driven]
 

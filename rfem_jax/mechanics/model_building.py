@@ -36,7 +36,6 @@ def build_model(mechanism: Mechanism, elements: dict[str, int], exact: bool = Fa
     _require_first_rfes(joints[: len(links)], children)
     masses = [(i, mass) for i, link in enumerate(links) for mass in link.point_masses]
     located = [discretised.locate(i, mass.position) for i, mass in masses]
-    driven = mechanism.driven_joint
     topology = Topology(
         links=tuple(link.name for link in links),
         joints=tuple(j.name for j in joints),
@@ -48,7 +47,7 @@ def build_model(mechanism: Mechanism, elements: dict[str, int], exact: bool = Fa
         parent_at_end=tuple(p.at_end for p in parents),
         child_at_end=tuple(c.at_end for c in children),
         elements=discretised.elements,
-        driven=None if driven is None else [j.name for j in joints].index(driven),
+        drives=tuple(_coordinate(joints, *motion) for motion in mechanism.driven_motions),
         masses=tuple(node for node, _ in located),
         minimum_norm=mechanism.redundant_reactions == "minimum_norm",
         exact=exact,
@@ -69,6 +68,14 @@ def build_model(mechanism: Mechanism, elements: dict[str, int], exact: bool = Fa
         gravity=jnp.asarray(mechanism.gravity, dtype=float),
         forces=_joint_laws(mechanism, topology) if mechanism.forces else None,
     )
+
+
+def _coordinate(joints: Sequence[Joint], joint: str, motion: str) -> int:
+    """Index among the rates of a free motion about or along one axis; joints of the tree come first."""
+    index = [one.name for one in joints].index(joint)
+    # Motions about any axis come last, so that those before have one coordinate each.
+    before = sum(len(KINDS[one.kind].freedoms) for one in joints[:index])
+    return before + KINDS[joints[index].kind].motions.index(motion)
 
 
 def _joint_laws(mechanism: Mechanism, topology: Topology) -> dict[str, JointLaw]:

@@ -170,7 +170,7 @@ def _spring_work(actual: ModelWithErrors, state: State, q: Coordinates, qd: Coor
 def _along_joints(
     actual: ModelWithErrors, state: State, drive: DriveInput, unravel: Callable[[Array], Coordinates]
 ) -> Array:
-    """Generalised forces of drive, springs, dampers and laws of joints, flat."""
+    """Generalised forces of drives, springs, dampers and laws of joints, flat."""
     qd, _ = ravel_pytree(state.velocity)
     force = still = jnp.zeros_like(qd)
     if actual.forces is not None:
@@ -179,7 +179,7 @@ def _along_joints(
     laws = law_forces(actual, state)
     # Those of springs and dampers are in the two functions already.
     outside = None if laws is None else laws._replace(inside={})
-    for k, applied in applied_forces(actual.topology, drive, outside).items():
+    for k, applied in applied_forces(drive, outside).items():
         force = force.at[k].add(applied)
     return force
 
@@ -235,9 +235,9 @@ def reference_accelerations(
     jacobian = jax.jacfwd(phi)(q)
     gamma = -jax.jvp(phi_rate, (q,), (qd,))[1]
     gamma = gamma - stabilisation.velocity_gain * phi_rate(q) - stabilisation.position_gain * phi(q)
-    if drive.prescribed is not None and (driven := topology.driven_coordinate) is not None:
-        jacobian = jnp.concatenate([jacobian, jnp.eye(q.size)[driven : driven + 1]])
-        gamma = jnp.concatenate([gamma, jnp.reshape(drive.prescribed[2], (1,))])
+    for k, (_, _, acceleration) in drive.motions.items():
+        jacobian = jnp.concatenate([jacobian, jnp.eye(q.size)[k : k + 1]])
+        gamma = jnp.concatenate([gamma, jnp.reshape(acceleration, (1,))])
     found, multipliers = _solve_augmented(mass, jacobian, force, gamma)
     return unravel(found), multipliers[: topology.n_constraints]
 

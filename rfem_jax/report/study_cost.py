@@ -39,7 +39,7 @@ def saved_times(study: Study) -> int:
     save_every = study.duration / SAVED_BY_DEFAULT if study.save_every is None else study.save_every
     if study.method.step is not None:
         save_every = max(save_every, study.method.step)
-    jumps = () if study.drive is None else study.drive.breakpoints()
+    jumps = study.drive_jumps
     regular = math.ceil(study.duration / save_every * (1.0 - 1e-9))
     extra = [
         one for one in jumps if 0.0 < one < study.duration and abs(one / save_every - round(one / save_every)) > 1e-6

@@ -52,7 +52,8 @@ class Instant(NamedTuple):
 class Record(NamedTuple):
     """What is recorded at the end of every interval; fields with the names of `Run`'s are what that says.
 
-    joints, joint_rates: positions of the tree joints (as `Coordinates.joints`) and their rates; momentum_residual:
+    joints, joint_rates: positions of the tree joints (as `Coordinates.joints`) and their rates; drive_forces [N m, N]:
+    as of `equations`; momentum_residual:
     largest components of the residual force [N] and moment [N m] of the momentum balance; largest_load [N, N m]: what
     they are divided by; hinge_residual [N m]: largest load along a free motion of a joint beyond that of its springs,
     which should be zero (forces times `Instant.arm`); range_used: as `kinematics.range_used`; square_integrals: of the
@@ -61,7 +62,7 @@ class Record(NamedTuple):
 
     joints: Float[Array, " numbers"]
     joint_rates: Float[Array, " freedoms"]
-    drive_moment: Float[Array, ""]
+    drive_forces: tuple[Float[Array, ""], ...]
     loads: loads.JointLoads
     energy: Energy
     drift: Float[Array, ""]
@@ -149,7 +150,7 @@ def observe(
         return Record(
             joints=state.position.joints,
             joint_rates=state.velocity.joints,
-            drive_moment=equations.drive_moment(topology, drive, joint, instant.laws),
+            drive_forces=equations.drive_forces(topology, drive, joint, instant),
             loads=joint,
             energy=Energy(*parts, integrals.work, integrals.dissipation),
             drift=instant.drift,
@@ -169,15 +170,14 @@ def observe(
 
 
 def _load_along_free_motions(topology: Topology, instant: Instant, drive: DriveInput) -> Float[Array, ""]:
-    """Largest load along a free motion of a joint, but the driven one's and beyond its springs: moment [N m], or force
+    """Largest load along a free motion of a joint, but prescribed ones and beyond its springs: moment [N m], or force
     times the arm."""
     joint, hinges = instant.loads, instant.motion.hinges
-    passive = np.ones(len(topology.joints))
-    if drive.prescribed is not None:
-        passive[topology.driven] = 0.0
+    passive = np.ones(topology.n_freedoms)
+    passive[list(drive.motions)] = 0.0
     revolute = np.array([kind == "revolute" for kind in topology.kinds])
     if revolute.all() and instant.laws is None:
-        return jnp.max(jnp.abs(joint.moment[1]) * jnp.asarray(passive))
+        return jnp.max(jnp.abs(joint.moment[1]) * jnp.asarray(np.append(passive, np.ones(topology.n_cuts))))
     n = topology.n_links
     force, moment = (algebra.apply(hinges.rotation, part[:, :n]) for part in joint)
     wrenches = algebra.wrench_at_origin(moment, force, hinges.point)
@@ -186,7 +186,7 @@ def _load_along_free_motions(topology: Topology, instant: Instant, drive: DriveI
         along = along - by_coordinate(topology, instant.laws.inside)
     along = jnp.abs(along)
     along = along * jnp.where(np.array(topology.slides, dtype=bool), instant.arm, 1.0)
-    along = along * passive[np.array(topology.link_of_freedom, dtype=int)]
+    along = along * passive
     about_cuts = jnp.abs(joint.moment[1, n:]) * revolute[n:].astype(float)
     return jnp.max(jnp.concatenate([along, about_cuts]), initial=0.0)
 

@@ -18,7 +18,7 @@ RESIDUAL_LIMIT = 0.05  # of the largest joint force: with a larger residual the 
 
 class Energy(eqx.Module):
     """Energies [J] at the saved times: kinetic, elastic, gravity (zero level: the first base joint's nominal
-    position); work of the drive and dissipated energy since the start."""
+    position); work of the drives and dissipated energy since the start."""
 
     kinetic: Float[Array, "*times"]
     elastic: Float[Array, "*times"]
@@ -69,8 +69,17 @@ class WindowLoads(eqx.Module):
         return {name: safe_sqrt(value) for name, value in self.mean_square_moment.items()}
 
 
+class DriveHistory(eqx.Module):
+    """A driven coordinate at the saved times: position [rad, m], rate [rad/s, m/s], and the moment [N m] or force [N]
+    of its drive, given or that which enforces the motion (zero without a drive)."""
+
+    position: Float[Array, "*times"]
+    rate: Float[Array, "*times"]
+    force: Float[Array, "*times"]
+
+
 class DrivenJoint(eqx.Module):
-    """The driven joint's own coordinate at the end: angle [rad] and rate [rad/s]."""
+    """The first driven coordinate at the end: angle [rad] and rate [rad/s], or displacement [m] and speed [m/s]."""
 
     angle_end: Float[Array, ""]
     rate_end: Float[Array, ""]
@@ -79,7 +88,8 @@ class DrivenJoint(eqx.Module):
 class Run(eqx.Module):
     """One simulated case, or a batch of them with a leading axis.
 
-    times [s], the saved times; angle, rate of the driven joint [rad, rad/s]; drive_moment [N m]; angles [rad],
+    times [s], the saved times; drives: `DriveHistory` of every driven coordinate, by joint ("A") or joint and motion
+    ("C.T_y"); angle, rate, drive_moment: those of the first one [rad, rad/s, N m; m, m/s, N]; angles [rad],
     displacements [m]: coordinates of the tree joints that have any, (times, k) where a joint has k > 1; loads,
     preload: `Load`s by joint, in hinge frames; energy; metrics; driven_joint.
 
@@ -102,6 +112,7 @@ class Run(eqx.Module):
     angle: Float[Array, " times"]
     rate: Float[Array, " times"]
     drive_moment: Float[Array, " times"]
+    drives: dict[str, DriveHistory]
     angles: dict[str, Float[Array, " times *k"]]
     displacements: dict[str, Float[Array, " times *k"]]
     loads: dict[str, Load]

@@ -17,7 +17,7 @@ rigid links, which has no other, the accelerations are differentiated by central
 of joints enter with their derivatives at the position, as far as these do not drive the motion.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -72,14 +72,14 @@ class Modes(NamedTuple):
 class Vibration:
     """The vibration of a model about positions given by joint coordinates.
 
-    **Arguments:** `held`: whether the driven joint's motion is prescribed.
+    **Arguments:** `held`: joint coordinates whose motion is prescribed.
     """
 
-    def __init__(self, model: Model, held: bool = False):
+    def __init__(self, model: Model, held: tuple[int, ...] = ()):
         constants = _nominal_constants(model)
         self.geometry: NominalGeometry = geometry_of(model)
         self.topology = model.topology
-        self.held = held and self.topology.driven is not None
+        self.held = held
         self.gravity = np.asarray(model.gravity)
         self.mass, self.inverse_root = _masses(constants, self.geometry.scale)
         self.size = 6 * len(constants.mass)
@@ -117,12 +117,19 @@ class Vibration:
         """Of the springs, dampers and laws of joints: rows (laws, 6 n) that give the rates of their coordinates from
         the velocities L^T w of all nodes, stiffness and damping at a position, zero where they are negative."""
         laws = [] if self.forces is None else list(self.forces.values())
-        rows = np.zeros((len(laws), self.size))
-        for row, law in zip(rows, laws, strict=True):
-            link = self.topology.link_of_freedom[law.coordinate]
+        rows = self._coordinate_rates(placed, [law.coordinate for law in laws])
+        slopes = [law_slopes(law, joints[law.place], 0.0) for law in laws]
+        stiffness, damping = np.maximum(-np.array(slopes, float).reshape(-1, 2).T, 0.0)
+        return rows @ self.inverse_root, stiffness, damping
+
+    def _coordinate_rates(self, placed: Placed, coordinates: Sequence[int]) -> np.ndarray:
+        """Rows (k, 6 n) that give the rates of joint coordinates from the velocities of all nodes."""
+        rows = np.zeros((len(coordinates), self.size))
+        for row, k in zip(rows, coordinates, strict=True):
+            link = self.topology.link_of_freedom[k]
             own = list(self.topology.coordinates[link])
             # The coordinate's rate of a twist over the joint that keeps its constraints.
-            reader = np.linalg.pinv(placed.twists[own].T)[own.index(law.coordinate)]
+            reader = np.linalg.pinv(placed.twists[own].T)[own.index(k)]
             for node, sign in ((self.topology.parents[link], -1.0), (link, 1.0)):
                 if node == BASE:
                     continue
@@ -133,9 +140,7 @@ class Vibration:
                 # Twist at the global origin of velocities in link axes at the node's point.
                 row[6 * node : 6 * node + 3] += sign * (reader[:3] + np.cross(reader[3:], point)) @ rotation
                 row[6 * node + 3 : 6 * node + 6] += sign * reader[3:] @ rotation
-        slopes = [law_slopes(law, joints[law.place], 0.0) for law in laws]
-        stiffness, damping = np.maximum(-np.array(slopes, float).reshape(-1, 2).T, 0.0)
-        return rows @ self.inverse_root, stiffness, damping
+        return rows
 
     def _all(self, constraints: np.ndarray, by_springs: np.ndarray, by_dampers: np.ndarray) -> Modes:
         _, singular, rows = np.linalg.svd(_unit_rows(constraints))
@@ -214,19 +219,19 @@ class Vibration:
             over_joint = twists[l] - (0.0 if topology.parents[l] == BASE else twists[topology.parents[l]])
             axes = placed.twists[list(coordinates)]
             found[list(coordinates)] = np.linalg.lstsq(axes.T, over_joint, rcond=None)[0]
-        if self.held:
-            found[topology.driven_coordinate] = 0.0
+        found[list(self.held)] = 0.0
         return found
 
     def _constraints(self, placed: Placed) -> sparse.csr_matrix:
         """Sparse matrix G of all joints; rows: velocities over the longest link, and angular velocities."""
         topology, n = self.topology, self.topology.n_links
+        hinges = [topology.link_of_freedom[k] for k in self.held if topology.about_hinge(k)]
         rows, columns, blocks = [], [], []
         count = 0
         for joint, ends in enumerate(zip(topology.parents, topology.children, strict=True)):
             kind, joint_axes = topology.kind(joint), placed.joint_rotation[joint]
             fixed = _fixed_directions(kind, joint_axes, placed.child_rotation[joint])
-            if self.held and joint == topology.driven:
+            if joint in hinges:
                 fixed = joint_axes.T
             centre = placed.centre[joint] if kind.coincident else placed.child_centre[joint]
             across = np.eye(3) if kind.coincident else joint_axes[:, kind.across].T
@@ -247,7 +252,11 @@ class Vibration:
                 blocks.append(sign * block.reshape(-1))
             count += len(across) + len(fixed)
         entries = np.concatenate(blocks), (np.concatenate(rows), np.concatenate(columns))
-        return sparse.csr_matrix(entries, shape=(count, self.size))
+        matrix = sparse.csr_matrix(entries, shape=(count, self.size))
+        others = [k for k in self.held if not topology.about_hinge(k)]
+        if not others:
+            return matrix
+        return sparse.csr_matrix(sparse.vstack([matrix, sparse.csr_matrix(self._coordinate_rates(placed, others))]))
 
 
 def _fixed_directions(kind: JointKind, left: np.ndarray, right: np.ndarray) -> np.ndarray:

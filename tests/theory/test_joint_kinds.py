@@ -303,7 +303,7 @@ def without_spin(model, name, driven_rate):
     topology, actual = model.topology, apply_errors(model, assembly_errors(model))
     held = held_angles(model, None)
     position, _, _ = equilibrium(model, actual, held)
-    rates = quasi_static_rates(model, actual, held, driven_rate)
+    rates = quasi_static_rates(model, actual, held, {topology.driven_coordinate: driven_rate})
     now = motion_of(actual, State(position, rates))
     l = topology.links.index(name)
     axis = now.links.rotation[:, 0, l]

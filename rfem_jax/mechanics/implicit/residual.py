@@ -92,7 +92,7 @@ def evaluate_residual(
         wrenches = loads.chain_wrenches(actual, motion, cuts, multipliers, inertial)
         hinge = -dot(motion.axis, by_freedom(topology, jnp.stack(wrenches[:n], axis=1)))
         laws = law_forces(actual, state)
-        applied = applied_forces(topology, drive, laws)
+        applied = applied_forces(drive, laws)
         if applied:
             hinge = hinge + by_coordinate(topology, applied)
         elastic, dissipated = generalised_forces(actual, state, motion.relative)

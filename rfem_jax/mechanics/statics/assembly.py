@@ -67,7 +67,7 @@ def assemble(model: Model, errors: AssemblyErrors, hold: Mapping[str, ArrayLike]
     """Assemble the mechanism: static equilibrium with some joints held.
 
     **Arguments:** `hold`: name of a joint with one coordinate -> its angle [rad] or displacement [m]; None holds
-    the driven joint at its start angle, {} holds nothing.
+    the coordinates that drives act on at their start, {} holds nothing.
 
     **Returns:** state (velocities zero), preload (gravity and holding moment included) and status
     (0 = ok; see `STATUS`). Differentiable with respect to errors and held angles.
@@ -89,14 +89,14 @@ def _assemble(model: Model, errors: AssemblyErrors, hold: dict[str, Array] | Non
 
 
 def held_angles(model: Model, hold: Mapping[str, ArrayLike] | None) -> dict[int, Float[Array, ""]]:
-    """Index of a joint coordinate -> held value [rad, m], by the names of joints; None: the driven joint's start angle.
+    """Index of a joint coordinate -> held value [rad, m], by the names of joints; None: those that drives act
+    on, at their start.
 
     **Raises:** `InputError` for a name that is not a joint of the tree with one coordinate.
     """
     topology = model.topology
     if hold is None:
-        driven = topology.driven_coordinate
-        return {} if driven is None else {driven: model.start_joints[topology.driven_position]}
+        return {k: model.start_joints[topology.place_of(k)] for k in topology.held}
     _require_tree_joints(model, hold)
     return {topology.coordinates[topology.joints.index(name)][0]: jnp.asarray(value) for name, value in hold.items()}
 
@@ -324,7 +324,7 @@ def _static_residual(
     force, moment = loads.inertial_loads(actual, motion, at_rest, at_rest)
     wrenches = loads.chain_wrenches(actual, motion, cuts, multipliers, (force, moment))
     hinge = dot(motion.axis, by_freedom(topology, jnp.stack(wrenches[:n], axis=1)))
-    applied = applied_forces(topology, DriveInput(), law_forces(actual, state))
+    applied = applied_forces(DriveInput(), law_forces(actual, state))
     if applied:
         hinge = hinge - by_coordinate(topology, applied)
     force, moment = -force[:, n:], -moment[:, n:]
@@ -363,25 +363,16 @@ def named(model: Model, joint_loads: loads.JointLoads) -> dict[str, Load]:
 
 
 def quasi_static_rates(
-    model: Model, actual: ModelWithErrors, held: dict[int, Float[Array, ""]], driven_rate: Scalar
+    model: Model, actual: ModelWithErrors, held: dict[int, Float[Array, ""]], rates: Mapping[int, Scalar]
 ) -> Coordinates:
-    """Rates of the coordinates when the driven joint moves at a rate [rad/s] through equilibria: the
-    derivative of the static equilibrium by the driven angle, times the rate.
+    """Rates of all coordinates when held ones move at rates [rad/s, m/s] through equilibria: the derivative of the
+    static equilibrium along these."""
 
-    **Raises:** `InputError` if no joint of the model is driven.
-    """
-    driven = model.topology.driven_coordinate
-    if driven is None:
-        raise InputError(
-            "Argument `model` must have a driven joint to move through equilibria, but has none; "
-            "give the mechanism a `driven_joint`."
-        )
+    def at_values(values):
+        return equilibrium(model, actual, {**held, **values})[0]
 
-    def at_angle(angle):
-        return equilibrium(model, actual, {**held, driven: angle})[0]
-
-    angle = jnp.asarray(held[driven])
-    position, derivative = jax.jvp(at_angle, (angle,), (jnp.asarray(driven_rate),))
+    values = {k: jnp.asarray(held[k]) for k in rates}
+    position, derivative = jax.jvp(at_values, (values,), ({k: jnp.asarray(rate) for k, rate in rates.items()},))
     return rates_of(model.topology, position, derivative)
 
 

@@ -13,7 +13,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from rfem_jax.compilation.program import Program
-from rfem_jax.description.drives import MomentDrive, PrescribedDrive
+from rfem_jax.description.driven_motions import Drive
 from rfem_jax.description.error_catalogue import error_unit
 from rfem_jax.description.errors import InputError, suggestion
 from rfem_jax.description.methods import Method
@@ -43,7 +43,7 @@ class Problem(eqx.Module):
 
     Args:
         model: from `discretise`.
-        drive: a moment or prescribed drive, or None.
+        drive: a given or prescribed drive, a list of them, or None.
         duration: [s].
         metrics: `Metric`s with functions, or names ("A.rms_force", "end_energy"; see `register_metric`).
         method: a `Method`.
@@ -52,7 +52,7 @@ class Problem(eqx.Module):
     """
 
     model: Model
-    drive: MomentDrive | PrescribedDrive | None
+    drive: Drive
     duration: float = eqx.field(static=True)
     metrics: tuple[Metric, ...] = eqx.field(static=True)
     method: Method = eqx.field(static=True)
@@ -61,7 +61,7 @@ class Problem(eqx.Module):
     def __init__(
         self,
         model: Model,
-        drive: MomentDrive | PrescribedDrive | None,
+        drive: Drive,
         duration: float | int,
         metrics: str | Metric | Iterable[str | Metric],
         method: Method,
