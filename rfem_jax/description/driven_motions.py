@@ -24,14 +24,15 @@ def each_drive(drive: Drive) -> tuple[AnyDrive, ...]:
     """
     if drive is None:
         return ()
-    found = tuple(drive) if isinstance(drive, (list, tuple)) else (drive,)
-    for one in found:
+    found = []
+    for one in drive if isinstance(drive, (list, tuple)) else (drive,):
         if not isinstance(one, (GivenDrive, PrescribedDrive)):
             raise InputError(
                 f"Argument `drive` must be a drive, a list of drives or None, but was {one!r}; pass for example "
                 '[PrescribedRate("A", 2.0), ForceRamp("G", 5.0, 0.1)].'
             )
-    return found
+        found.append(one)
+    return tuple(found)
 
 
 def all_breakpoints(drive: Drive) -> tuple[float, ...]:

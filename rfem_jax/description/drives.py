@@ -9,7 +9,7 @@ Pieces are chosen by `phase`, the number of breakpoints passed, never by compari
 Values are float64 JAX arrays: new values do not compile anew.
 
 Symbols: t [s]; moment [N m] about the axis of the motion; change of the angle since the start [rad], rate
-[rad/s], acceleration [rad/s^2]. Source: theory (3.5), (3.6), (3.18).
+[rad/s], acceleration [rad/s^2]. Source: theory (3.5), (3.6), (3.15).
 """
 
 import abc

@@ -159,9 +159,13 @@ class Study(ChecksItself):
     @property
     def drive_labels(self) -> tuple[str, ...]:
         """Names of the free motions that the drives act on, "A" or "C.T_y", in the order of the drives."""
-        kinds = [self.mechanism.joint(one.joint).kind for one in self.drives]
-        named = zip(self.drives, kinds, strict=True)
-        return tuple(motion_label(one.joint, kind, driven_motion(one, kind)) for one, kind in named)
+        named = zip(self.drives, self.drive_motions, strict=True)
+        return tuple(motion_label(one.joint, self.mechanism.joint(one.joint).kind, motion) for one, motion in named)
+
+    @property
+    def drive_motions(self) -> tuple[str, ...]:
+        """Names of the free motions that the drives act on, as "R_y", in the order of the drives."""
+        return tuple(driven_motion(one, self.mechanism.joint(one.joint).kind) for one in self.drives)
 
     @property
     def drive_jumps(self) -> tuple[float, ...]:

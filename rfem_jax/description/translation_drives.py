@@ -3,7 +3,7 @@
 Place in the pipeline: as `drives`, which has those of rotations.
 
 Symbols: t [s]; force [N] along the axis of the motion; displacement since the start [m], speed [m/s], acceleration
-[m/s^2]. Source: theory (3.5), (3.6), (3.18).
+[m/s^2]. Source: theory (3.5), (3.6), (3.15).
 """
 
 import abc

@@ -168,7 +168,7 @@ def _idle_coordinates(model: Model) -> dict[int, str]:
 
 
 def _with_dependent_drives(model: Model, joints: Float[np.ndarray, " numbers"]) -> Topology:
-    """The topology with the coordinates of drives that follow from those of the drives before (theory (5.18))."""
+    """The topology with the coordinates of drives that follow from those of the drives before (theory (5.8))."""
     geometry = geometry_of(model)
     jacobian = closure_jacobian(geometry, place(geometry, joints))
     found = []

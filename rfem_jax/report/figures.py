@@ -16,6 +16,7 @@ from matplotlib import rc_context
 from rfem_jax.description.joint_kinds import KINDS
 from rfem_jax.description.study import Study
 from rfem_jax.report.annotations import Figure, Run, Summaries
+from rfem_jax.report.driven_motions_report import drive_quantities, has_driven_joint
 from rfem_jax.report.output import write_pictures
 from rfem_jax.report.quantities import (
     MAX_AXIAL_FORCE,
@@ -175,10 +176,19 @@ def _histories(study: Study, runs: Mapping[str, Run], values: Callable[[Run], An
 
 
 def _motion_figures(study: Study, runs: Mapping[str, Run]) -> dict[str, Figure]:
-    """Angle and rate of the driven joint (none without a drive)."""
-    if study.drive is None:
-        return {}
-    joint = study.drive.joint
+    """Angle and rate of the driven joint (none without a drive); of several drives, or one on a translation, position,
+    rate and force of each."""
+    if not has_driven_joint(study):
+        return {
+            one.name: history_figure(
+                study,
+                _histories(study, runs, one.values),
+                f"{one.quantity.label.capitalize()} of {one.label}",
+                one.quantity.title,
+            )
+            for one in drive_quantities(study)
+        }
+    joint = study.drives[0].joint
     of_joint = f"of joint {joint} ({study.mechanism.joint(joint).child})"
     angles = _histories(study, runs, lambda run: run.angle)
     rates = _histories(study, runs, lambda run: run.rate)

@@ -8,7 +8,7 @@ import math
 import re
 from dataclasses import fields
 
-from rfem_jax.description.drives import MomentDrive, PrescribedDrive
+from rfem_jax.description.driven_motions import AnyDrive
 from rfem_jax.description.joint_kinds import KINDS
 from rfem_jax.description.joints import Joint
 from rfem_jax.description.mechanism import Mechanism
@@ -58,10 +58,10 @@ def link_rows(mechanism: Mechanism) -> list[list[str]]:
 
 def joint_rows(study: Study) -> list[list[str]]:
     """One row per joint: name, kind, parent, child, start, what is special about it."""
-    driven = None if study.drive is None else study.drive.joint
+    driven = [drive.joint for drive in study.drives]
     rows = []
     for joint in study.mechanism.joints:
-        marks = [word for word, holds in (("cut", joint.cut), ("driven", joint.name == driven)) if holds]
+        marks = [word for word, holds in (("cut", joint.cut), ("driven", joint.name in driven)) if holds]
         start = "-" if joint.cut else _start_text(joint)
         rows.append([joint.name, joint.kind, joint.parent, joint.child, start, ", ".join(marks) or "-"])
     return rows
@@ -89,17 +89,23 @@ def _words(value: object) -> str:
     return re.sub(r"(?<!^)(?=[A-Z])", " ", type(value).__name__).lower()
 
 
-def _drive_text(drive: MomentDrive | PrescribedDrive | None) -> str:
-    """Kind of a drive in words, its joint, its scalar numbers."""
-    if drive is None:
-        return "none"
+def _drives_text(study: Study) -> str:
+    """A line for every drive."""
+    if not study.drives:
+        return "Drive: none.\n"
+    named = zip(study.drives, study.drive_labels, strict=True)
+    return "".join(f"Drive: {_drive_text(drive, label)}.\n" for drive, label in named)
+
+
+def _drive_text(drive: AnyDrive, label: str) -> str:
+    """Kind of a drive in words, its joint and motion, its scalar numbers."""
     values = {field.name: getattr(drive, field.name) for field in fields(drive)}
     numbers = [
         f"{name.replace('_', ' ')} {float(value):g}"
         for name, value in values.items()
         if isinstance(value, float) or getattr(value, "shape", None) == ()
     ]
-    return f"{_words(drive)} on joint {drive.joint}" + (f" (SI: {', '.join(numbers)})" if numbers else "")
+    return f"{_words(drive)} on joint {label.replace('.', ', ')}" + (f" (SI: {', '.join(numbers)})" if numbers else "")
 
 
 def _method_text(study: Study) -> str:
@@ -156,7 +162,7 @@ def study_text(study: Study, description: Structure) -> str:
             format_table(link_header, link_rows(mechanism), words=(0, 5)),
             format_table(joint_header, joint_rows(study), words=(0, 1, 2, 3, 5)),
             "\n".join([*count_lines(mechanism, description), f"Gravity: {gravity} m/s^2."]),
-            f"{_forces_text(mechanism)}Drive: {_drive_text(study.drive)}.\n"
+            f"{_forces_text(mechanism)}{_drives_text(study)}"
             f"Simulation: {study.duration:g} s with {_method_text(study)}; saved {save}.",
             format_table(["case", "assembly errors"], cases, words=(0, 1)),
         ]

@@ -52,9 +52,9 @@ def numbers_saved(study: Study) -> int:
     mechanism = study.mechanism
     joints, links = len(mechanism.joints), len(mechanism.links)
     coordinates = sum(len(joint.start_values) for joint in mechanism.tree_joints)
-    # Time, angle, rate and moment of the drive, energies; loads and integrals of their squares; coordinates of the
-    # tree; ends of the links; assembly modes.
-    explicit = 4 + 5 + 8 * joints + coordinates + 3 * links + len(mechanism.cut_joints)
+    # Time, angle, rate and moment of the drive, those of all drives, energies; loads and integrals of their squares;
+    # coordinates of the tree; ends of the links; assembly modes.
+    explicit = 4 + 3 * len(study.drives) + 5 + 8 * joints + coordinates + 3 * links + len(mechanism.cut_joints)
     if study.method.implicit or study.method.name == "auto":  # which may choose an implicit one
         return explicit + coordinates + 6 * sum(link.elements - 1 for link in mechanism.links)  # residuals
     return explicit

@@ -50,7 +50,7 @@ class ActiveDrives(eqx.Module):
             passed = phase if own is None else sum((phase > i).astype(jnp.int32) for i in own) + 0 * phase
             if isinstance(drive, GivenDrive):
                 forces[k] = drive.force_at(t, passed)
-            else:
+            elif start is not None:
                 change, rate, acceleration = drive.motion_at(t, passed)
                 motions[k] = start + change, rate, acceleration
         return DriveInput(forces, motions)

@@ -71,6 +71,7 @@ class Problem(eqx.Module):
         metrics = (metrics,) if isinstance(metrics, (str, Metric)) else metrics
         self.metrics = tuple(_known_metric(model, m) for m in metrics)
         check_distinct((m.name for m in self.metrics), "metrics")
+        _check_angle(model, self.metrics)
         self.duration, self.save_every = float(duration), None if save_every is None else float(save_every)
         self.method = choose_method(model, method, drive, self.duration, save_every=self.save_every)
 
@@ -144,6 +145,15 @@ class Problem(eqx.Module):
 def _values_and_status(problem: Problem, errors: AssemblyErrors) -> tuple[Values, Status]:
     """A program of its own: that of `simulate` differentiates the histories, too."""
     return problem.with_residual(errors)[:2]
+
+
+def _check_angle(model: Model, metrics: Iterable[Metric]) -> None:
+    driven = model.topology.driven_coordinate
+    if driven is not None and model.topology.slides[driven] and "angle_error" in [m.name for m in metrics]:
+        raise InputError(
+            "Argument `metrics` must fit the drive, but `angle_error` is of an angle and the first drive moves "
+            f"`{model.topology.drive_labels[0]}` along an axis; leave it out, or give a Metric of the displacement."
+        )
 
 
 def _known_metric(model: Model, asked: str | Metric) -> Metric:
