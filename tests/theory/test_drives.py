@@ -96,7 +96,7 @@ def slider_crank(driven, angle):
     joints = [
         Joint("A", "base", "crank", angle=angle),
         Joint("G", "base", "piston", kind="prismatic", position=(0, 0, 0.01), displacement=float(slide(angle))),
-        Joint("C", "piston", "rod", kind="cylindrical", child_position=(ROD, 0, 0), angle=0.2),
+        Joint("C", "piston", "rod", kind="cylindrical", position=(0, 0, 0), child_position=(ROD, 0, 0), angle=0.2),
         Joint("B", "crank", "rod", kind="spherical", cut=True, child_position=(0, 0, 0)),
     ]
     return discretise(Mechanism(links, joints, driven_joint=driven))
@@ -254,6 +254,7 @@ class TestArm:
         assert float(run.energy_balance_error) < (1e-7 if method is EXPLICIT else 1e-4)
         assert float(run.momentum_balance_error) < 1e-9
 
+    @pytest.mark.usefixtures("quick_compilation")
     def test_derivatives_by_numbers_of_both_drives(self):
         """The rate of one drive and the force of the other, whose rise ends within the run."""
 
@@ -269,6 +270,7 @@ class TestArm:
         differences = [(end(at + d) - end(at - d)) / (2.0 * d.sum()) for d in jnp.diag(1e-4 * at)]
         np.testing.assert_allclose(forward, np.array(differences).T, rtol=1e-6)
 
+    @pytest.mark.usefixtures("quick_compilation")
     def test_auto_and_the_largest_step(self):
         drives = [TURN, PUSH]
         assert check_step(Arm.model(), EXPLICIT, drives) > EXPLICIT.step
