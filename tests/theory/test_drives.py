@@ -34,6 +34,8 @@ from rfem_jax.simulation.driving import require_driven
 from rfem_jax.simulation.stability import eigenvalues
 from tests.mechanisms import link
 
+pytestmark = pytest.mark.usefixtures("quick_compilation")
+
 NO_MASS = GivenSection(1e6, 1e6, 1e6, 1e2, 1e2, 1e2, 1e-9, 1e-15, 1e-15, 1e-15)
 EXPLICIT, IMPLICIT = Method("rk4", step=1e-4), Method("generalised_alpha", step=1e-4, tolerance=1e-10)
 
@@ -254,7 +256,6 @@ class TestArm:
         assert float(run.energy_balance_error) < (1e-7 if method is EXPLICIT else 1e-4)
         assert float(run.momentum_balance_error) < 1e-9
 
-    @pytest.mark.usefixtures("quick_compilation")
     def test_derivatives_by_numbers_of_both_drives(self):
         """The rate of one drive and the force of the other, whose rise ends within the run."""
 
@@ -270,7 +271,6 @@ class TestArm:
         differences = [(end(at + d) - end(at - d)) / (2.0 * d.sum()) for d in jnp.diag(1e-4 * at)]
         np.testing.assert_allclose(forward, np.array(differences).T, rtol=1e-6)
 
-    @pytest.mark.usefixtures("quick_compilation")
     def test_auto_and_the_largest_step(self):
         drives = [TURN, PUSH]
         assert check_step(Arm.model(), EXPLICIT, drives) > EXPLICIT.step
