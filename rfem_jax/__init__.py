@@ -28,7 +28,7 @@ _PACKAGES = {
         "Case Circle ForceFunction ForceRamp ForceTable GivenSection InputError Joint JointForceFunction "
         "JointForceTable JointSpring Link Material Mechanism Method MomentFunction MomentRamp MomentTable PointMass "
         "PrescribedDisplacements PrescribedFunction PrescribedRate PrescribedRunUp PrescribedSpeed PrescribedSpinUp "
-        "PrescribedTable Rectangle Study Tube load_study"
+        "PrescribedTable Rectangle RigidBody Study Tube load_study"
     ),
     "mechanics": ("AssemblyErrors Coordinates Model State STATUS assemble assembly_errors describe discretise"),
     "tolerancing": (

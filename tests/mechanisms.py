@@ -14,6 +14,7 @@ from rfem_jax import (
     Mechanism,
     PointMass,
     Rectangle,
+    RigidBody,
 )
 
 STEEL = Material("steel", youngs_modulus=210e9, density=7850.0, poisson_ratio=0.3, damping=1e-5)
@@ -173,8 +174,10 @@ def chain_with_forces():
 
 
 def chain_with_drives():
-    """Drives on motions of all kinds, two of them on one joint, one beside a spring and one beside a law."""
-    links = [link("a", 0.1), link("b", 0.2, 2), link("c", 0.15), link("d", 0.12)]
+    """Drives on motions of all kinds, two of them on one joint, one beside a spring and one beside a law; one link is
+    a body with products of inertia."""
+    body = RigidBody(0.3, (0.04, 0.01, -0.02), [[3e-4, 5e-5, -2e-5], [5e-5, 4e-4, 8e-5], [-2e-5, 8e-5, 5e-4]])
+    links = [link("a", 0.1), link("b", 0.2, 2), Link("c", 0.15, body=body), link("d", 0.12)]
     joints = [
         Joint("P", "base", "a", kind="prismatic", orientation=(0.3, -0.2, 0.1), displacement=0.05),
         Joint("U", "a", "b", kind="universal", child_position=(0.01, 0.0, 0.02), start=(0.3, -0.5)),

@@ -29,6 +29,7 @@ from rfem_jax.description.methods import (
     GeneralisedAlphaMethod,
     Method,
 )
+from rfem_jax.description.rigid_bodies import RigidBody
 from rfem_jax.description.sections import (
     Circle,
     GivenSection,
@@ -85,6 +86,7 @@ __all__ = [
     "PrescribedSpinUp",
     "PrescribedTable",
     "Rectangle",
+    "RigidBody",
     "Section",
     "SectionProperties",
     "Study",

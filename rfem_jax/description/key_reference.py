@@ -15,6 +15,7 @@ from rfem_jax.description.links import Link, PointMass
 from rfem_jax.description.materials import Material
 from rfem_jax.description.mechanism import Mechanism
 from rfem_jax.description.methods import METHOD_CLASSES, settings_of
+from rfem_jax.description.rigid_bodies import RigidBody
 from rfem_jax.description.study import CASE_KEYS, STUDY_KEYS, Case, Study
 from rfem_jax.description.study_reader import DRIVES, FORCES, MECHANISM_KEYS, SHAPES, SIMULATION_KEYS
 from rfem_jax.description.tables import keys_of
@@ -28,8 +29,9 @@ _IN_A_FILE = {  # where a file has something else than the class
     "links": "tables [[mechanism.links]], at least one",
     "joints": "tables [[mechanism.joints]]; each link is the child of exactly one that is not cut",
     "forces": "tables [[mechanism.forces]]",
-    "section": "name of a table [mechanism.sections.NAME] (a rigid link needs it for its mass)",
+    "section": "name of a table [mechanism.sections.NAME] (a rigid link needs it for its mass, unless it has a body)",
     "material": 'name of a table [mechanism.materials.NAME]; none with a section of shape "given"',
+    "body": "table {mass = ..., centre = ..., inertia = ...} in the place of section and material; the link is rigid",
     "point_masses": "list of tables, [{mass = ..., position = ...}, ...]",
     "cases": "tables [[cases]]; none means one case without errors",
     "mechanism": "the table [mechanism]",
@@ -73,6 +75,7 @@ def key_tables() -> list[KeyTable]:
     for header, kind in (
         ("[[mechanism.links]]", Link),
         ("point_masses of [[mechanism.links]]", PointMass),
+        ("body of [[mechanism.links]]", RigidBody),
         ("[[mechanism.joints]]", Joint),
     ):
         tables.append(_table(header, kind, *keys_of(kind), _IN_A_FILE))

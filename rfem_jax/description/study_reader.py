@@ -25,6 +25,7 @@ from rfem_jax.description.links import Link, PointMass
 from rfem_jax.description.materials import Material
 from rfem_jax.description.mechanism import Mechanism
 from rfem_jax.description.methods import Method, setting_names
+from rfem_jax.description.rigid_bodies import RigidBody
 from rfem_jax.description.sections import Circle, GivenSection, Rectangle, Section, Tube
 from rfem_jax.description.tables import build, build_by_trial, checked_list, checked_table, keys_of, named_place
 from rfem_jax.description.translation_drives import (
@@ -225,7 +226,17 @@ def _read_link(
         settings["point_masses"] = ABSENT
         with problems.noted():
             settings["point_masses"] = tuple(_read_list(masses, f"{place} point_masses", _read_point_mass))
+    if "body" in settings and settings["body"] is not ABSENT:
+        body, settings["body"] = settings["body"], ABSENT
+        with problems.noted():
+            settings["body"] = _read_body(body, f"{place} body")
     return build(Link, settings, place, problems)
+
+
+def _read_body(table: object, place: str) -> RigidBody:
+    problems = Problems()
+    settings = problems.usable(lambda: checked_table(table, place, *keys_of(RigidBody)))
+    return build(RigidBody, settings, place, problems)
 
 
 def _read_point_mass(table: object, place: str) -> PointMass:

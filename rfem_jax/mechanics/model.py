@@ -278,8 +278,9 @@ class Model(eqx.Module):
     length: of the links [m]; section: of their cross-sections; parent_*, child_*: frames of the joints on
     their two sides (F and F_c), relative to the node's frame, which is the link frame for rfe 0 and the frame
     at the segment's middle for a free rfe; point_*: mass [kg], place in the node's frame [m] and principal
-    moments of inertia [kg m^2] of the point masses; start_joints: coordinates of the tree joints at
-    the closed start [rad, m]; cut_angles: angles of the cut joints there [rad]; gravity [m/s^2] in global axes;
+    moments of inertia [kg m^2] of the point masses and of the links that are bodies; point_products: their J_xy, J_xz,
+    J_yz [kg m^2], None where all are zero; start_joints: coordinates of the tree joints at the closed start [rad, m];
+    cut_angles: angles of the cut joints there [rad]; gravity [m/s^2] in global axes;
     forces: along joint coordinates, by their names, None without any.
 
     `equinox.tree_at` may replace what leaves the geometry as it is, also by traced values to differentiate by:
@@ -303,6 +304,7 @@ class Model(eqx.Module):
     cut_angles: Float[Array, " cuts"]
     gravity: Float[Array, "3"]
     forces: dict[str, JointLaw] | None = None
+    point_products: Float[Array, "3 masses"] | None = None
 
     @property
     def joint_names(self) -> tuple[str, ...]:

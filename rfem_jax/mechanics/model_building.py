@@ -34,7 +34,7 @@ def build_model(mechanism: Mechanism, elements: dict[str, int], exact: bool = Fa
     parents = [discretised.attach(j.parent, j.position, True) for j in joints]
     children = [discretised.attach(j.child, j.child_position, j.cut) for j in joints]
     _require_first_rfes(joints[: len(links)], children)
-    masses = [(i, mass) for i, link in enumerate(links) for mass in link.point_masses]
+    masses = [(i, mass) for i, link in enumerate(links) for mass in _masses_of(link)]
     located = [discretised.locate(i, mass.position) for i, mass in masses]
     topology = Topology(
         links=tuple(link.name for link in links),
@@ -67,7 +67,33 @@ def build_model(mechanism: Mechanism, elements: dict[str, int], exact: bool = Fa
         cut_angles=jnp.zeros(len(joints) - len(links)),
         gravity=jnp.asarray(mechanism.gravity, dtype=float),
         forces=_joint_laws(mechanism, topology) if mechanism.forces else None,
+        point_products=_products([mass for _, mass in masses]),
     )
+
+
+class _Mass(NamedTuple):
+    """A point mass, or a body: mass [kg], its centre [m] in the link frame, principal moments and products of inertia
+    (J_xy, J_xz, J_yz) [kg m^2]."""
+
+    mass: float
+    position: Sequence[float]
+    inertia: Sequence[float]
+    products: Sequence[float] = (0.0, 0.0, 0.0)
+
+
+def _masses_of(link: Link) -> list[_Mass]:
+    """The body of a link, if it has one, and its point masses."""
+    found = [_Mass(point.mass, point.position, point.inertia) for point in link.point_masses]
+    if link.body is None:
+        return found
+    tensor = link.body.tensor
+    products = (tensor[0, 1], tensor[0, 2], tensor[1, 2])
+    return [_Mass(link.body.mass, link.body.centre, np.diag(tensor).tolist(), products), *found]
+
+
+def _products(masses: Sequence[_Mass]) -> Array | None:
+    """Products of inertia (3, masses), None where all are zero."""
+    return _columns([mass.products for mass in masses]) if any(any(mass.products) for mass in masses) else None
 
 
 def _coordinate(joints: Sequence[Joint], joint: str, motion: str) -> int:

@@ -273,7 +273,17 @@ def _bodies(
 
     inertia = diagonal(principal) + steiner(mass, beam_centre - centre)
     added = diagonal(model.point_inertia) + steiner(model.point_mass, point - centre[:, holder])
+    if model.point_products is not None:
+        added = added + _off_diagonal(model.point_products)
     return total, centre, inertia + added @ onto
+
+
+def _off_diagonal(products: Float[Array, "3 masses"]) -> Float[Array, "3 3 masses"]:
+    """Symmetric matrices of J_xy, J_xz, J_yz, with zeros on the diagonal."""
+    xy, xz, yz = products
+    zero = jnp.zeros_like(xy)
+    rows = (zero, xy, xz), (xy, zero, yz), (xz, yz, zero)
+    return jnp.stack([jnp.stack(row) for row in rows])
 
 
 def _node_fractions(topology: Topology) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -47,12 +47,10 @@ def link_rows(mechanism: Mechanism) -> list[list[str]]:
     """One row per link: name, length, mass with point masses, rfes, section."""
     rows = []
     for link in mechanism.links:
-        mass = link.properties.line_density * link.length
-        mass += sum(point.mass for point in link.point_masses)
         rfes = "rigid" if link.elements == 1 else str(link.elements)
         points = str(len(link.point_masses) or "-")
-        shape = section_text(link.section)
-        rows.append([link.name, f"{link.length:.6g}", f"{mass:.6g}", rfes, points, shape])
+        shape = "rigid body" if link.section is None else section_text(link.section)
+        rows.append([link.name, f"{link.length:.6g}", f"{link.mass:.6g}", rfes, points, shape])
     return rows
 
 

@@ -68,6 +68,7 @@ def header_of(place):
     """The header in the reference of a place that the reader names."""
     place = re.sub(r"^The top level$", "top level", place)
     place = re.sub(r"^\[\[mechanism\.links\]\] .* point_masses.*", "point_masses of [[mechanism.links]]", place)
+    place = re.sub(r"^\[\[mechanism\.links\]\] .* body$", "body of [[mechanism.links]]", place)
     place = re.sub(r"\[mechanism\.(materials|sections)\.\w+\]", r"[mechanism.\1.NAME]", place)
     place = re.sub(r"^(\[\[[\w.]+\]\]) (`[^`]+`|number \d+)", r"\1", place)
     place = re.sub(r"^(\[drive\]|\[\[drives\]\])", "[drive] or [[drives]]", place)
@@ -95,6 +96,8 @@ def asked(tmp_path, monkeypatch):
         path = tmp_path / "study.toml"
         path.write_text(full[:start] + FORCES + drive + full[end:] + TASKS, encoding="utf-8")
         load_study(path)
+        full = full.replace('section = "own"\n', "body = {mass = 1, centre = [0, 0, 0], inertia = [1, 1, 1]}\n")
+        start, end = full.index("[drive]"), full.index("[simulation]")
     study_reader.read_drives(tomllib.loads(SLIDES)["drives"])
     return found
 

@@ -16,16 +16,15 @@ from scipy.spatial.transform import Rotation
 
 from rfem_jax import (
     Coordinates,
-    GivenSection,
     Joint,
     Link,
     Material,
     Mechanism,
     Method,
     MomentRamp,
-    PointMass,
     PrescribedRate,
     Rectangle,
+    RigidBody,
     State,
     assemble,
     assembly_errors,
@@ -37,12 +36,10 @@ from rfem_jax.mechanics.kinematics import motion_of
 from rfem_jax.mechanics.model_with_errors import apply_errors
 from rfem_jax.mechanics.statics.assembly import equilibrium, held_angles, quasi_static_rates
 
-NO_MASS = GivenSection(1e6, 1e6, 1e6, 1e2, 1e2, 1e2, 1e-9, 1e-15, 1e-15, 1e-15)
-
 
 def body(name, length, mass, centre, inertia):
     """A rigid link with given mass, mass centre and principal inertia in its axes."""
-    return Link(name, length, NO_MASS, rigid=True, point_masses=[PointMass(mass, centre, inertia)])
+    return Link(name, length, body=RigidBody(mass, centre, inertia))
 
 
 def rotation_y(angle):
