@@ -26,8 +26,9 @@ _options.offer()
 _PACKAGES = {
     "description": (
         "Case Circle GivenSection InputError Joint JointForceFunction JointForceTable JointSpring Link Material "
-        "Mechanism Method MomentFunction MomentRamp MomentTable PointMass PrescribedFunction PrescribedRate "
-        "PrescribedSpinUp PrescribedTable Rectangle Study Tube load_study"
+        "Mechanism Method MomentFunction MomentRamp MomentTable PointForce PointMass PointMoment PointSpring "
+        "PointSpringFunction PointSpringTable PrescribedFunction PrescribedRate PrescribedSpinUp PrescribedTable "
+        "Rectangle Study Tube load_study"
     ),
     "mechanics": ("AssemblyErrors Coordinates Model State STATUS assemble assembly_errors describe discretise"),
     "tolerancing": (

@@ -28,6 +28,13 @@ from rfem_jax.description.methods import (
     GeneralisedAlphaMethod,
     Method,
 )
+from rfem_jax.description.point_forces import (
+    PointForce,
+    PointMoment,
+    PointSpring,
+    PointSpringFunction,
+    PointSpringTable,
+)
 from rfem_jax.description.sections import (
     Circle,
     GivenSection,
@@ -60,7 +67,12 @@ __all__ = [
     "MomentFunction",
     "MomentRamp",
     "MomentTable",
+    "PointForce",
     "PointMass",
+    "PointMoment",
+    "PointSpring",
+    "PointSpringFunction",
+    "PointSpringTable",
     "PrescribedDrive",
     "PrescribedFunction",
     "PrescribedRate",

@@ -112,7 +112,7 @@ class MomentTable(MomentDrive):
 
     def __init__(self, joint: Name, times: Quantities, moments: Quantities):
         checks = _checks(self, joint)
-        found = checks.value("times", times, _table_times, False)
+        found = checks.value("times", times, table_times, False)
         checks.set("values", moments, _column, "moment", "moments", found)
         checks.refuse()
         self.times = found
@@ -150,8 +150,8 @@ class MomentFunction(MomentDrive):
 
     def __init__(self, joint: Name, function: Law, breakpoints: Quantities = ()):
         checks = _checks(self, joint)
-        checks.set("times", breakpoints, _breakpoints)
-        checks.set("function", function, _as_tree)
+        checks.set("times", breakpoints, require_breakpoints)
+        checks.set("function", function, as_tree)
         checks.refuse()
         _check_scalar(self.function, with_phase=True)
 
@@ -250,7 +250,7 @@ class PrescribedTable(PrescribedDrive):
 
     def __init__(self, joint: Name, times: Quantities, angles: Quantities):
         checks = _checks(self, joint)
-        knots = checks.value("times", times, _table_times, True)
+        knots = checks.value("times", times, table_times, True)
         changes = checks.value("angles", angles, _table_angles, knots)
         checks.refuse()
         # A third of a second that no other study needs to wait for.
@@ -289,8 +289,8 @@ class PrescribedFunction(PrescribedDrive):
 
     def __init__(self, joint: Name, function: Law, breakpoints: Quantities = ()):
         checks = _checks(self, joint)
-        checks.set("times", breakpoints, _breakpoints)
-        checks.set("function", function, _as_tree)
+        checks.set("times", breakpoints, require_breakpoints)
+        checks.set("function", function, as_tree)
         checks.refuse()
         _check_scalar(self.function, with_phase=bool(self.times))
         start = self._angle(jnp.zeros((), jnp.float64), 0)
@@ -371,7 +371,9 @@ def _is_traced_column(values: object) -> bool:
     return isinstance(values, Tracer) and values.dtype == jnp.float64 and values.ndim == 1
 
 
-def _table_times(times: Quantities, strictly: bool) -> tuple[float, ...]:
+def table_times(times: Quantities, strictly: bool) -> tuple[float, ...]:
+    """Return the times [s] of a table as floats, from 0 and not decreasing (`strictly`: increasing), a jump being a time
+    given twice; else raise InputError."""
     times = sequence(times, "time", "times")
     if len(times) < 2 or times[0] != 0.0:
         raise InputError(
@@ -393,7 +395,8 @@ def _table_times(times: Quantities, strictly: bool) -> tuple[float, ...]:
     return times
 
 
-def _breakpoints(times: Quantities) -> tuple[float, ...]:
+def require_breakpoints(times: Quantities) -> tuple[float, ...]:
+    """Return times [s] above 0, increasing, as floats; else raise InputError."""
     times = sequence(times, "time", "breakpoints")
     if any(later <= earlier for earlier, later in zip((0.0, *times), times)):
         raise InputError(
@@ -403,7 +406,7 @@ def _breakpoints(times: Quantities) -> tuple[float, ...]:
     return times
 
 
-def _as_tree(function: object) -> Any:
+def as_tree(function: object) -> Any:
     """A function as a pytree: an equinox Module keeps its leaves, a plain function is static."""
     if not callable(function):
         raise InputError(

@@ -30,10 +30,15 @@ else:
     Law = Any  # what is no function is refused in a sentence
 
 
-class JointForce(abc.ABC):
-    """A force along one free motion of a joint of the tree."""
+class Force(abc.ABC):
+    """A force that a mechanism holds: along joints, or at points of links (`point_forces`)."""
 
     name: str
+
+
+class JointForce(Force):
+    """A force along one free motion of a joint of the tree."""
+
     joint: str
     motion: str | None
 

@@ -11,15 +11,18 @@ from jax import Array
 from jaxtyping import Float
 
 from rfem_jax.mechanics.algebra import Scalar
+from rfem_jax.mechanics.frame_forces import Time
 from rfem_jax.mechanics.model import Coordinates, State, Topology
 
 
 class DriveInput(NamedTuple):
     """The drive at one instant: a moment [N m] on the driven joint, or the joint's prescribed angle [rad],
-    rate [rad/s] and acceleration [rad/s^2]; at most one of the two is given."""
+    rate [rad/s] and acceleration [rad/s^2]; at most one of the two is given.  time: the instant, for forces that are
+    functions of it (None: the start)."""
 
     moment: Float[Array, ""] | None = None
     prescribed: tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]] | None = None
+    time: Time | None = None
 
 
 class Stabilisation(NamedTuple):

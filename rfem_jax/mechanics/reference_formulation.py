@@ -19,6 +19,7 @@ from jaxtyping import Float
 
 from rfem_jax.mechanics.algebra import Scalar
 from rfem_jax.mechanics.elements import elasticity
+from rfem_jax.mechanics.frame_forces import START, NodeFrame, Pose
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation
 from rfem_jax.mechanics.joint_forces import applied_forces, law_forces
 from rfem_jax.mechanics.joint_laws import SpringLaw
@@ -184,6 +185,46 @@ def _along_joints(
     return force
 
 
+def _of_elements(
+    actual: ModelWithErrors,
+    drive: DriveInput,
+    rates: Array,
+    matrices: Callable[[Array], Array],
+) -> Array:
+    """Generalised forces of force elements, flat, by the principle of virtual work: the relative transform of their two
+    frames and its derivatives by the changes of the coordinates."""
+    still = jnp.zeros_like(rates)
+    total = still
+    if actual.frame_forces is None:
+        return total
+    for element in actual.frame_forces.elements.values():
+
+        def relative(q, element=element):
+            frames = jnp.concatenate([matrices(q), jnp.eye(4)[None]])
+            parent, child = (_framed(frames, end) for end in (element.parent, element.child))
+            return jnp.linalg.inv(parent) @ child
+
+        now, rate = jax.jvp(relative, (still,), (rates,))
+        by_coordinates = jax.jacfwd(relative)(still)
+        turning = rate[:3, :3] @ now[:3, :3].T
+        pose = Pose(now[:3, 3], now[:3, :3], rate[:3, 3], _axial(turning))
+        wrench = element.wrench(pose, START if drive.time is None else drive.time)
+        force, moment = (actual.frame_forces.share * part for part in wrench)
+        turns = jnp.einsum("abi,cb->aci", by_coordinates[:3, :3], now[:3, :3])
+        total = total + force @ by_coordinates[:3, 3] + moment @ _axial(turns)
+    return total
+
+
+def _framed(frames: Array, end: NodeFrame) -> Array:
+    """Transform of a frame on a node, of which the last of `frames` is the base."""
+    return frames[end.node] @ _transform(end.rotation, end.position)
+
+
+def _axial(skew: Array) -> Array:
+    """Vector of a skew-symmetric matrix (3, 3, ...)."""
+    return jnp.stack([skew[2, 1], skew[0, 2], skew[1, 0]])
+
+
 def reference_accelerations(
     actual: ModelWithErrors, state: State, drive: DriveInput, stabilisation: Stabilisation
 ) -> tuple[Coordinates, Float[Array, " constraints"]]:
@@ -224,7 +265,7 @@ def reference_accelerations(
         return 0.5 * elasticity.dissipated_power(actual, State(state.position, unravel(qd)))
 
     force = -inertial - jax.grad(potential)(q) - jax.grad(rayleigh)(qd)
-    force = force + _along_joints(actual, state, drive, unravel)
+    force = force + _along_joints(actual, state, drive, unravel) + _of_elements(actual, drive, qd, matrices)
 
     def phi(q):
         return constraints(actual, state.position, stabilisation.scale, unravel(q))

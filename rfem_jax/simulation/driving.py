@@ -1,13 +1,47 @@
-"""Which joint a drive acts on: the model's driven joint, and no other.
+"""Which joint a drive acts on: the model's driven joint, and no other; and the jumps of drive and forces.
 
 Place in the pipeline: model, drive -> **driving** -> integration, stability.
 """
 
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Int
+
 from rfem_jax.description.drives import MomentDrive, PrescribedDrive
 from rfem_jax.description.errors import InputError, suggestion
+from rfem_jax.mechanics.frame_forces import Time
 from rfem_jax.mechanics.model import Model, Topology
+from rfem_jax.mechanics.point_laws import breakpoints_of, changing
 
 Drive = MomentDrive | PrescribedDrive | None
+
+
+class Clocked(eqx.Module):
+    """A drive beside forces that are functions of time; a phase counts the jumps of all of them that were passed."""
+
+    drive: Drive
+    jumps: tuple[float, ...] = eqx.field(static=True)
+
+    def time(self, t, phase: Int[Array, ""]) -> Time:
+        """The instant t [s] in a phase."""
+        return Time(t, jnp.asarray((-1.0, *self.jumps))[phase])
+
+    def own_phase(self, time: Time) -> Int[Array, ""]:
+        """Number of the drive's own jumps that were passed."""
+        own = () if self.drive is None else self.drive.breakpoints()
+        return time.phase(own).astype(jnp.int32)
+
+
+def jumps_of(drive: Drive, model: Model | None) -> tuple[float, ...]:
+    """Times [s] > 0 at which the drive or a force of the model jumps, increasing."""
+    own = () if drive is None else drive.breakpoints()
+    of_forces = () if model is None else breakpoints_of(model.frame_forces)
+    return tuple(sorted({*own, *of_forces})) if of_forces else own
+
+
+def clocked(model: Model, drive: Drive) -> Drive | Clocked:
+    """The drive with the jumps of all functions of time, where there are others than its own."""
+    return Clocked(drive, jumps_of(drive, model)) if changing(model.frame_forces) else drive
 
 
 def require_driven(model: Model, drive: Drive) -> None:

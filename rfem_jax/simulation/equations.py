@@ -19,13 +19,14 @@ from rfem_jax.compilation.scalarisation import nothing_known
 from rfem_jax.description.drives import MomentDrive, Phase, PrescribedDrive, Time
 from rfem_jax.mechanics import loads, model_with_errors
 from rfem_jax.mechanics.dynamics import Accelerations, accelerations
+from rfem_jax.mechanics.frame_loads import FrameLoads
 from rfem_jax.mechanics.implicit.condensation import LinkOperator
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation, impose
 from rfem_jax.mechanics.joint_forces import LawForces
 from rfem_jax.mechanics.model import Coordinates, Model, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 from rfem_jax.mechanics.orientations import position_rate
-from rfem_jax.simulation.driving import Drive, driven_position
+from rfem_jax.simulation.driving import Clocked, Drive, clocked, driven_position
 
 Scalar = int | float | Float[Array | np.ndarray, ""]
 Tree = TypeVar("Tree")
@@ -53,13 +54,14 @@ class Trajectory(eqx.Module):
 class Conditions(eqx.Module):
     """Arguments of the equations of motion besides time and state.
 
-    actual: constants of the mechanism with its errors; drive, and its phase (number of jumps passed); stabilisation:
+    actual: constants of the mechanism with its errors; drive (as `prepared_drive` returns it), and its phase (number of
+    jumps passed); stabilisation:
     Baumgarte's gains; operators: of an implicit method, the condensed links for its step length (None: they are
     formed in every step).
     """
 
     actual: ModelWithErrors
-    drive: Drive
+    drive: Drive | Clocked
     phase: Int[Array, ""]
     stabilisation: Stabilisation
     operators: tuple[LinkOperator | None, ...] | None = None
@@ -86,8 +88,11 @@ def active_inputs(primals: Tree, tangents: Tree) -> tuple[Tree, Tree, Tree]:
     return inputs, fixed, eqx.filter(tangents, moves)
 
 
-def drive_input(drive: Drive, t: Scalar, phase: Int[Array, ""]) -> DriveInput:
+def drive_input(drive: Drive | Clocked, t: Scalar, phase: Int[Array, ""]) -> DriveInput:
     """The drive's moment or prescribed motion at the time t [s] in one of its phases."""
+    if isinstance(drive, Clocked):
+        time = drive.time(t, phase)
+        return drive_input(drive.drive, t, drive.own_phase(time))._replace(time=time)
     if isinstance(drive, MomentDrive):
         return DriveInput(moment=drive.moment_at(t, phase))
     if isinstance(drive, PrescribedDrive):
@@ -117,7 +122,7 @@ def right_hand_side(t: Scalar, trajectory: Trajectory, conditions: Conditions) -
             axial_square=axial,
             normal_square=normal,
             moment_square=moment,
-            work=applied_power(conditions.actual.topology, state, drive, joint, result.laws),
+            work=applied_power(conditions.actual.topology, state, drive, joint, result.laws, result.frame_loads),
             dissipation=result.dissipated,
         ),
     )
@@ -140,13 +145,19 @@ def squares(
 
 
 def applied_power(
-    topology: Topology, state: State, drive: DriveInput, joint: loads.JointLoads, laws: LawForces | None
+    topology: Topology,
+    state: State,
+    drive: DriveInput,
+    joint: loads.JointLoads,
+    laws: LawForces | None,
+    at_nodes: FrameLoads | None,
 ) -> Float[Array, ""]:
-    """Power [W] of the drive and of the laws that act on joints from outside."""
+    """Power [W] of the drive, and of the laws of joints and the force elements that act from outside."""
     power = drive_moment(topology, drive, joint, laws) * (
         0.0 if topology.driven_coordinate is None else state.velocity.joints[topology.driven_coordinate]
     )
-    return power if laws is None else power + laws.power
+    power = power if laws is None else power + laws.power
+    return power if at_nodes is None else power + at_nodes.power
 
 
 def drive_moment(
@@ -169,8 +180,13 @@ def start_trajectory(state: State, joints: int) -> Trajectory:
     return Trajectory(state.position, state.velocity, Integrals(by_joint, by_joint, by_joint, total, total))
 
 
-def with_start_angle(model: Model, drive: Drive) -> Drive:
-    """The drive with a prescribed motion as the driven joint's angle: its own is counted from the start angle."""
+def prepared_drive(model: Model, drive: Drive) -> Drive | Clocked:
+    """The drive with a prescribed motion as the driven joint's angle: its own is counted from the start angle; and with
+    the jumps of forces that are functions of time."""
+    return clocked(model, _with_start_angle(model, drive))
+
+
+def _with_start_angle(model: Model, drive: Drive) -> Drive:
     if not isinstance(drive, PrescribedDrive):
         return drive
     return _FromStartAngle(drive.joint, drive, model.start_joints[driven_position(model.topology)])

@@ -44,7 +44,7 @@ from rfem_jax.mechanics.status import (
     STEPS_EXHAUSTED,
 )
 from rfem_jax.simulation import equations
-from rfem_jax.simulation.driving import Drive, driven_coordinate, require_driven
+from rfem_jax.simulation.driving import Drive, driven_coordinate, jumps_of, require_driven
 from rfem_jax.simulation.equations import Conditions, Scalar, Trajectory
 from rfem_jax.simulation.observation import Record, observe
 from rfem_jax.simulation.packing import pack, unpack
@@ -100,13 +100,16 @@ def simulate(
     """
     require_double_precision()
     require_driven(model, drive)
-    grid, steps = grid_for(drive, duration, method, save_every)
+    grid, steps = grid_for(drive, duration, method, save_every, model)
     errors = assembly_errors(model) if errors is None else errors
     return _simulate(model, errors, drive, grid, start, method, steps, adjoint)
 
 
-def grid_for(drive: Drive, duration: float, method: Method, save_every: float | None) -> tuple[TimeGrid, int]:
-    """Time grid of a duration [s], with an interval of saved times [s], and the number of steps in an interval.
+def grid_for(
+    drive: Drive, duration: float, method: Method, save_every: float | None, model: Model | None = None
+) -> tuple[TimeGrid, int]:
+    """Time grid of a duration [s], with an interval of saved times [s], and the number of steps in an interval; `model`
+    where its forces may jump.
 
     **Raises:** `InputError` for a method without a step or tolerances, and for times that cannot be used.
     """
@@ -115,8 +118,7 @@ def grid_for(drive: Drive, duration: float, method: Method, save_every: float | 
             f"Argument `method` must have a step or tolerances here, but {method.name!r} has none; "
             "replace it by `choose_method(model, method, drive, duration)`, which chooses the step."
         )
-    jumps = () if drive is None else drive.breakpoints()
-    return divide_time(duration, method.step, save_every, jumps, method.implicit)
+    return divide_time(duration, method.step, save_every, jumps_of(drive, model), method.implicit)
 
 
 @Program
@@ -136,7 +138,7 @@ def prepare(model: Model, errors: AssemblyErrors, drive: Drive, start: State | N
             unknown = jnp.full((3, joints), jnp.nan)
             preload = loads.JointLoads(unknown, unknown)
             return Prepared(actual, start, preload, jnp.asarray(OK, jnp.int32))
-        drive = equations.with_start_angle(model, drive)
+        drive = equations.prepared_drive(model, drive)
         held = held_angles(model, None)
         first = equations.drive_input(drive, jnp.zeros(()), jnp.asarray(0, jnp.int32))
         if first.prescribed is not None:
@@ -154,7 +156,7 @@ def start_carry(model: Model, prepared: Prepared, drive: Drive, method: Method) 
     """The state of the integration before the first interval."""
     joints = prepared.preload.force.shape[1]
     trajectory = equations.start_trajectory(prepared.state, joints)
-    drive = equations.with_start_angle(model, drive)
+    drive = equations.prepared_drive(model, drive)
     phase, stabilisation = jnp.asarray(0, jnp.int32), stabilisation_of(model, method)
     conditions = Conditions(prepared.actual, drive, phase, stabilisation)
     return Carry(
@@ -226,7 +228,7 @@ def observe_ends(
     They have a loop of their own: XLA compiles two loops faster than one with the operations of both.
     """
     solver = observed_solver(method)
-    drive = equations.with_start_angle(model, drive)
+    drive = equations.prepared_drive(model, drive)
     stabilisation = stabilisation_of(model, method)
 
     @jax.checkpoint
@@ -290,6 +292,7 @@ def conclude(
         equation_residual=record.residual,
         status=_status(model, prepared, carry, error, drift, jnp.max(record.range_used), residual),
         ends={name: record.ends[:, :, l] for l, name in enumerate(model.link_names)},
+        forces=record.forces,
         branch={model.topology.joints[j]: record.branch[:, i] for i, j in enumerate(model.topology.cuts)},
         integrals=LoadIntegrals(
             force_square={name: record.square_integrals[:, 0, j] for name, j in _joints(model)},

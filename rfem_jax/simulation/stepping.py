@@ -70,7 +70,7 @@ def step_intervals(
     adjoint: diffrax.AbstractAdjoint | None,
 ) -> Callable[[Carry, Entry], Carry]:
     """The function that integrates over one interval of the grid: from the carry at its start to that at its end."""
-    drive = equations.with_start_angle(model, drive)
+    drive = equations.prepared_drive(model, drive)
     stabilisation = stabilisation_of(model, method)
     solver = observed_solver(method)
     operators = solver.operators(actual, jnp.asarray(grid.distinct) / steps)

@@ -42,12 +42,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, PyTree
 
-from rfem_jax.description.drives import PrescribedDrive
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.methods import GeneralisedAlphaMethod, Method
 from rfem_jax.mechanics import algebra, loads
 from rfem_jax.mechanics.cut_joints import closure
+from rfem_jax.mechanics.dynamics import total_dissipated
 from rfem_jax.mechanics.elements.elasticity import dissipated_power
+from rfem_jax.mechanics.frame_loads import element_tangents, frame_loads
 from rfem_jax.mechanics.implicit.condensation import LinkOperator, link_operators, present_operators
 from rfem_jax.mechanics.implicit.newton import IterationMatrix, iteration_matrix, newton_increment
 from rfem_jax.mechanics.implicit.residual import Evaluation, evaluate_residual, residual_of
@@ -262,10 +263,10 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         now = motion_of(actual, state)
         if actual.topology.exact:
             operators = present_operators(actual, now.relative, *self.factors(h))
-        prescribed = isinstance(conditions.drive, PrescribedDrive)
-        held = (driven_coordinate(actual.topology),) if prescribed else ()
+        held = () if drive.prescribed is None else (driven_coordinate(actual.topology),)
         of_laws = None if actual.forces is None else law_tangent(actual, state, *self.factors(h))
-        return iteration_matrix(actual, operators, now, closure(actual, now, scale), held, of_laws)
+        of_elements = element_tangents(actual, now, drive.time, *self.factors(h))
+        return iteration_matrix(actual, operators, now, closure(actual, now, scale), held, of_laws, of_elements)
 
     def predict(self, constants: StepConstants, start: StepStart) -> Unknowns:
         """Accelerations and multipliers of the last step as a first guess.
@@ -312,12 +313,13 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         drive = drive_input(conditions.drive, constants.end, conditions.phase)
         state, auxiliary = self._newmark(h, trajectory, memory, unknowns.accelerations, actual.topology, drive)
         laws = law_forces(actual, state)
-        dissipated = dissipated_power(actual, state)
+        at_nodes = None if actual.frame_forces is None else frame_loads(actual, motion_of(actual, state), drive.time)
         evaluation = evaluation._replace(
             multipliers=unknowns.multipliers,
             wrenches=[*wrenches, *loads.cut_wrenches(actual.topology, evaluation.closure, unknowns.multipliers)],
-            dissipated=dissipated if laws is None else dissipated + laws.dissipated,
+            dissipated=total_dissipated(dissipated_power(actual, state), laws, at_nodes),
             laws=laws,
+            frame_loads=at_nodes,
         )
         return self._step_end(evaluation, unknowns, state, auxiliary, drive, h, start)
 
@@ -358,7 +360,9 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         residual = jax.lax.stop_gradient(residual)
         joint = loads.loads_of_wrenches(actual.topology, evaluation, evaluation.wrenches, drive)
         axial, normal, moment = equations.squares(actual.topology, joint)
-        work = equations.applied_power(actual.topology, state, drive, joint, evaluation.laws)
+        work = equations.applied_power(
+            actual.topology, state, drive, joint, evaluation.laws, evaluation.frame_loads
+        )
         rates = Integrals(axial, normal, moment, work, evaluation.dissipated)
         integrals = jax.tree.map(
             lambda sum, old, new: sum + 0.5 * h * (old + new),
