@@ -372,8 +372,8 @@ def _is_traced_column(values: object) -> bool:
 
 
 def table_times(times: Quantities, strictly: bool) -> tuple[float, ...]:
-    """Return the times [s] of a table as floats, from 0 and not decreasing (`strictly`: increasing), a jump being a time
-    given twice; else raise InputError."""
+    """Return the times [s] of a table as floats, from 0 and not decreasing (`strictly`: increasing), a time given twice
+    being a jump; else raise InputError."""
     times = sequence(times, "time", "times")
     if len(times) < 2 or times[0] != 0.0:
         raise InputError(

@@ -10,6 +10,7 @@ their two points together with their tension, along the line through both.  Sour
 import abc
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
@@ -18,7 +19,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from rfem_jax.description.drives import as_tree, require_breakpoints, table_times
-from rfem_jax.description.errors import ABSENT, Checks, ChecksItself, InputError, require_choice, require_name, suggestion
+from rfem_jax.description.errors import (
+    ABSENT,
+    Checks,
+    ChecksItself,
+    InputError,
+    require_choice,
+    require_name,
+    suggestion,
+)
 from rfem_jax.description.forces import Force
 from rfem_jax.description.links import Link, place_on_link
 from rfem_jax.description.units import Quantities, Quantity, non_negative_quantity, quantity, sequence, vector
@@ -40,6 +49,10 @@ class PointLoad(Force, ChecksItself):
     @abc.abstractmethod
     def ends(self) -> tuple[tuple[str, tuple[float, float, float]], ...]:
         """Return the (link or "base", place in its frame [m]) that it acts on."""
+
+    def jumps(self) -> tuple[float, ...]:
+        """Times [s] > 0 at which it jumps."""
+        return ()
 
     def require_points(self, links: Mapping[str, Link]) -> None:
         """Raise InputError unless its points are points of `links` (by name) and not rigidly joined."""
@@ -194,9 +207,28 @@ class AtPoint(PointLoad):
     times: Any
     breakpoints: Any
     axes: str
+
+    unit = "N"
     dimension = "force"
 
-    def _check_point(self, checks: Checks, value: str) -> None:
+    @property
+    def value(self) -> Any:
+        """The force [N] or moment [N m]."""
+        return getattr(self, self.dimension)
+
+    @property
+    def changes(self) -> bool:
+        """Whether it changes over time."""
+        return self.times is not None or callable(self.value)
+
+    def jumps(self) -> tuple[float, ...]:
+        """Where a table has two rows or ends, and the breakpoints of a function [s]."""
+        if self.times is None:
+            return tuple(self.breakpoints)
+        return (*(later for one, later in pairwise(self.times) if one == later), self.times[-1])
+
+    def _check_fields(self, checks: Checks) -> None:
+        value = self.dimension
         checks.convert("name", require_name, "`name` of a force")
         of = f"of force `{self.name}`"
         checks.convert("link", require_name, f"`link` {of}", ("base",))
@@ -210,7 +242,7 @@ class AtPoint(PointLoad):
         checks.convert(value, _values, self.dimension, value, of, times)
 
     def _check_times(self, value: str, of: str) -> None:
-        changes = callable(getattr(self, value))
+        changes = callable(self.value)
         if self.times is not None and changes:
             raise InputError(
                 f"Argument `times` {of} must be left out where `{value}` is a function, but was {list(self.times)}; "
@@ -251,9 +283,6 @@ class PointForce(AtPoint):
     breakpoints: Quantities = ()
     axes: str = "global"
 
-    def _check_fields(self, checks: Checks) -> None:
-        self._check_point(checks, "force")
-
 
 @dataclass(frozen=True)
 class PointMoment(AtPoint):
@@ -280,10 +309,9 @@ class PointMoment(AtPoint):
     times: Quantities | None = None
     breakpoints: Quantities = ()
     axes: str = "global"
-    dimension = "moment"
 
-    def _check_fields(self, checks: Checks) -> None:
-        self._check_point(checks, "moment")
+    unit = "N m"
+    dimension = "moment"
 
 
 def _two(entries: Any, where: str, what: str) -> tuple[Any, Any]:

@@ -153,4 +153,3 @@ def _at_node(
     interfaces = motion.interfaces.point
     point = motion.links.point[:, node] if node < n else interfaces[:, topology.interfaces.index(node - n)]
     return apply_transposed(link, force), apply_transposed(link, moment + cross(place - point, force))
-

@@ -6,9 +6,9 @@ A *node* is a rigid body: -1 is the base, 0 .. links-1 are the rfes 0 (one a lin
 link frame {p,0}), and links + k is the free rfe k.  All free rfes of all links stand in one array
 axis, link by link, so that one operation treats them together.
 
-An *interface* of a link is a free rfe that carries a joint, or that a force element acts on.  Since springs, not constraints, join the rfes
-of a flexible link, the rfes 0 and the interfaces form *islands*: trees of bodies joined by hinges alone, whose
-root is an interface or a link that is joined to the base.
+An *interface* of a link is a free rfe that carries a joint, or that a force element acts on.  Since springs, not
+constraints, join the rfes of a flexible link, the rfes 0 and the interfaces form *islands*: trees of bodies joined by
+hinges alone, whose root is an interface or a link that is joined to the base.
 
 Symbols: n_links L, n_rfes N (free rfes), joints J = L tree joints (joint l carries link l), then C cut
 joints; freedoms F: coordinates of the tree joints; constraints: closure equations of the cut joints.  Arrays are

@@ -224,11 +224,12 @@ def spring_between(force: BetweenPoints, parent: NodeFrame, child: NodeFrame) ->
 def load_at(force: AtPoint, base: NodeFrame, child: NodeFrame) -> GivenLoad:
     """The element of a described force or moment at a point."""
     moment = isinstance(force, PointMoment)
-    given = getattr(force, "moment" if moment else "force")
-    if callable(given):
-        value = FunctionVector(given, tuple(force.breakpoints))
+    given = force.value
+    value: TimeVector
+    if callable(force.value):
+        value = FunctionVector(function=given, times=tuple(force.breakpoints))
     elif force.times is not None:
-        value = TableVector(jnp.asarray(given, jnp.float64).T, tuple(force.times))
+        value = TableVector(values=jnp.asarray(given, jnp.float64).T, times=tuple(force.times))
     else:
-        value = ConstantVector(jnp.asarray(given, jnp.float64))
+        value = ConstantVector(values=jnp.asarray(given, jnp.float64))
     return GivenLoad(base, child, value, force.axes == "link", moment)

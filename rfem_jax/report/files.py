@@ -3,8 +3,9 @@
 Place in the pipeline: after `summary`; written by `output`.
 
 CSV columns: `time_s`; `angle_rad`, `rate_rad_s` of the driven joint; energies `_J`; then for each
-joint `A_force_x_N` ... `A_moment_z_Nm` in its frame H (y along a hinge); `drive_moment_Nm`; and last
-the coordinates of the joints of the tree that are not revolute, `G_displacement_m`, `U_angle_1_rad`.
+joint `A_force_x_N` ... `A_moment_z_Nm` in its frame H (y along a hinge); `drive_moment_Nm`; the coordinates of the
+joints of the tree that are not revolute, `G_displacement_m`, `U_angle_1_rad`; and last the forces at points in global
+axes: `coil_length_m`, `coil_tension_N` of a spring, `push_force_x_N` ..., `twist_moment_x_Nm` ... of others.
 """
 
 from collections.abc import Mapping
@@ -15,6 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from rfem_jax.compilation.keeping import state
+from rfem_jax.description.point_forces import AtPoint
 from rfem_jax.description.study import Study
 from rfem_jax.report.annotations import Run, Summaries
 from rfem_jax.report.output import replacing, write_json
@@ -55,7 +57,22 @@ def history_columns(study: Study, run: Run) -> dict[str, Float[np.ndarray, " tim
             for axis, letter in enumerate("xyz"):
                 columns[column_name(f"{name}_{load}_{letter}", unit)] = values[:, axis]
     columns[column_name("drive_moment", "N m")] = np.asarray(run.drive_moment)
-    return columns | _coordinate_columns(study, run)
+    return columns | _coordinate_columns(study, run) | _point_columns(study, run)
+
+
+def _point_columns(study: Study, run: Run) -> dict[str, Float[np.ndarray, " times"]]:
+    """Length and tension of springs between points; components of the forces and moments at points."""
+    columns = {}
+    for force in study.mechanism.point_forces:
+        history = run.forces[force.name]
+        if isinstance(force, AtPoint):
+            values = np.asarray(getattr(history, force.dimension))
+            for letter, one in zip("xyz", values.T, strict=True):
+                columns[column_name(f"{force.name}_{force.dimension}_{letter}", force.unit)] = one
+        else:
+            columns[column_name(f"{force.name}_length", "m")] = np.asarray(history.length)
+            columns[column_name(f"{force.name}_tension", "N")] = np.asarray(history.tension)
+    return columns
 
 
 def _coordinate_columns(study: Study, run: Run) -> dict[str, Float[np.ndarray, " times"]]:

@@ -138,9 +138,9 @@ def prepare(model: Model, errors: AssemblyErrors, drive: Drive, start: State | N
             unknown = jnp.full((3, joints), jnp.nan)
             preload = loads.JointLoads(unknown, unknown)
             return Prepared(actual, start, preload, jnp.asarray(OK, jnp.int32))
-        drive = equations.prepared_drive(model, drive)
+        timed = equations.prepared_drive(model, drive)
         held = held_angles(model, None)
-        first = equations.drive_input(drive, jnp.zeros(()), jnp.asarray(0, jnp.int32))
+        first = equations.drive_input(timed, jnp.zeros(()), jnp.asarray(0, jnp.int32))
         if first.prescribed is not None:
             held = {driven_coordinate(model.topology): first.prescribed[0]}
         position, multipliers, status = equilibrium(model, actual, held)
@@ -156,9 +156,9 @@ def start_carry(model: Model, prepared: Prepared, drive: Drive, method: Method) 
     """The state of the integration before the first interval."""
     joints = prepared.preload.force.shape[1]
     trajectory = equations.start_trajectory(prepared.state, joints)
-    drive = equations.prepared_drive(model, drive)
+    timed = equations.prepared_drive(model, drive)
     phase, stabilisation = jnp.asarray(0, jnp.int32), stabilisation_of(model, method)
-    conditions = Conditions(prepared.actual, drive, phase, stabilisation)
+    conditions = Conditions(prepared.actual, timed, phase, stabilisation)
     return Carry(
         trajectory=trajectory,
         peaks=jnp.zeros((2, joints)),
@@ -228,13 +228,13 @@ def observe_ends(
     They have a loop of their own: XLA compiles two loops faster than one with the operations of both.
     """
     solver = observed_solver(method)
-    drive = equations.prepared_drive(model, drive)
+    timed = equations.prepared_drive(model, drive)
     stabilisation = stabilisation_of(model, method)
 
     @jax.checkpoint
     def record(entry_and_end):
         (start, length, phase, _), end = entry_and_end
-        conditions = Conditions(actual, drive, phase, stabilisation)
+        conditions = Conditions(actual, timed, phase, stabilisation)
         t, h = start + length, length / steps
         squares, state, now, instant = solver.instant(t, h, end.trajectory, end.memory, conditions)
         return observe(actual, state, now, end.trajectory.integrals, instant, squares)

@@ -148,9 +148,7 @@ def observe(
         topology = actual.topology
         joint, now = instant.loads, instant.motion
         parts = loads.energies(actual, state)
-        force, moment = loads.momentum_residual(
-            actual, state, instant.accelerations, instant.base, instant.frame_loads
-        )
+        force, moment = loads.momentum_residual(actual, state, instant.accelerations, instant.base, instant.frame_loads)
         largest_force = equations.safe_sqrt(jnp.max(jnp.sum(joint.force**2, axis=0)))
         largest_moment = equations.safe_sqrt(jnp.max(jnp.sum(joint.moment**2, axis=0)))
         largest_moment = largest_moment + largest_force * instant.arm

@@ -70,7 +70,7 @@ def step_intervals(
     adjoint: diffrax.AbstractAdjoint | None,
 ) -> Callable[[Carry, Entry], Carry]:
     """The function that integrates over one interval of the grid: from the carry at its start to that at its end."""
-    drive = equations.prepared_drive(model, drive)
+    timed = equations.prepared_drive(model, drive)
     stabilisation = stabilisation_of(model, method)
     solver = observed_solver(method)
     operators = solver.operators(actual, jnp.asarray(grid.distinct) / steps)
@@ -78,7 +78,7 @@ def step_intervals(
     def step_over(carry, entry):
         start, length, phase, kind = entry
         chosen = jax.tree.map(lambda x: x[kind], operators)
-        conditions = Conditions(actual, drive, phase, stabilisation, chosen)
+        conditions = Conditions(actual, timed, phase, stabilisation, chosen)
         if method.adaptive:
             return _adaptive(solver, carry, start, length, conditions, method, adjoint)
         return _fixed(solver, carry, start, length, steps, conditions)

@@ -251,8 +251,8 @@ def _status_of(actual: ModelWithErrors, position: Coordinates, found: Bool[Array
 
 
 def _unloaded(model: Model) -> ModelWithErrors:
-    """The perfect mechanism without gravity; where loads are applied in steps also without those of joints and elements, so that
-    the undeformed start is an equilibrium."""
+    """The perfect mechanism without gravity; where loads are applied in steps also without forces of joints and
+    elements, so that the undeformed start is an equilibrium."""
     perfect = eqx.tree_at(lambda r: r.gravity, apply_errors(model, assembly_errors(model)), jnp.zeros(3))
     if model.topology.exact and model.forces is not None:
         perfect = eqx.tree_at(lambda r: r.forces.share, perfect, jnp.zeros(()))

@@ -360,9 +360,7 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         residual = jax.lax.stop_gradient(residual)
         joint = loads.loads_of_wrenches(actual.topology, evaluation, evaluation.wrenches, drive)
         axial, normal, moment = equations.squares(actual.topology, joint)
-        work = equations.applied_power(
-            actual.topology, state, drive, joint, evaluation.laws, evaluation.frame_loads
-        )
+        work = equations.applied_power(actual.topology, state, drive, joint, evaluation.laws, evaluation.frame_loads)
         rates = Integrals(axial, normal, moment, work, evaluation.dissipated)
         integrals = jax.tree.map(
             lambda sum, old, new: sum + 0.5 * h * (old + new),
