@@ -26,8 +26,8 @@ from jaxtyping import Float
 from rfem_jax.mechanics import algebra
 from rfem_jax.mechanics.algebra import apply, apply_transposed, cross, dot, product
 from rfem_jax.mechanics.cut_joints import Closure, closure, invert_closure, unit_columns
+from rfem_jax.mechanics.element_loads import FrameLoads, frame_loads
 from rfem_jax.mechanics.elements.elasticity import elastic_loads
-from rfem_jax.mechanics.frame_loads import FrameLoads, frame_loads
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation
 from rfem_jax.mechanics.joint_forces import LawForces, applied_forces, law_forces
 from rfem_jax.mechanics.kinematics import Motion, by_freedom, motion_of, node_frames, spread, total

@@ -1,6 +1,6 @@
 """Force elements: a wrench between two frames as a function of their relative motion.
 
-Place in the pipeline: algebra -> **frame_forces** -> model, point_laws, frame_loads.
+Place in the pipeline: algebra -> **frame_forces** -> model, point_laws, element_loads.
 
 A `FrameForce` joins a frame on its parent's node (a link, a free rfe, the base) and one on its child's.  It exerts a
 wrench on the child at the child's point, and the opposite at the same point on the parent, so that the pair has no

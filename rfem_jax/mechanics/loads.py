@@ -25,8 +25,8 @@ from rfem_jax.mechanics import algebra
 from rfem_jax.mechanics.algebra import apply, apply_transposed, cross, dot
 from rfem_jax.mechanics.cut_joints import Closure, columns
 from rfem_jax.mechanics.dynamics import Accelerations, link_axes
+from rfem_jax.mechanics.element_loads import FrameLoads, frame_energy
 from rfem_jax.mechanics.elements import elasticity
-from rfem_jax.mechanics.frame_loads import FrameLoads, frame_energy
 from rfem_jax.mechanics.inputs import DriveInput
 from rfem_jax.mechanics.joint_forces import LawForces, hinge_moments, law_energy
 from rfem_jax.mechanics.kinematics import Motion, all_frames, motion_of, spread, total

@@ -19,7 +19,7 @@ from rfem_jax.compilation.scalarisation import nothing_known
 from rfem_jax.description.drives import MomentDrive, Phase, PrescribedDrive, Time
 from rfem_jax.mechanics import loads, model_with_errors
 from rfem_jax.mechanics.dynamics import Accelerations, accelerations
-from rfem_jax.mechanics.frame_loads import FrameLoads
+from rfem_jax.mechanics.element_loads import FrameLoads
 from rfem_jax.mechanics.implicit.condensation import LinkOperator
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation, impose
 from rfem_jax.mechanics.joint_forces import LawForces

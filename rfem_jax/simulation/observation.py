@@ -14,7 +14,7 @@ from rfem_jax.mechanics import algebra, loads
 from rfem_jax.mechanics.centre_lines import link_ends
 from rfem_jax.mechanics.cut_joints import Closure, assembly_modes
 from rfem_jax.mechanics.dynamics import Accelerations
-from rfem_jax.mechanics.frame_loads import FrameLoads
+from rfem_jax.mechanics.element_loads import FrameLoads
 from rfem_jax.mechanics.implicit.residual import Evaluation
 from rfem_jax.mechanics.inputs import DriveInput
 from rfem_jax.mechanics.joint_forces import LawForces, by_coordinate

@@ -11,6 +11,7 @@ from jax.flatten_util import ravel_pytree
 from rfem_jax import discretise
 from rfem_jax.mechanics import loads
 from rfem_jax.mechanics.dynamics import accelerations
+from rfem_jax.mechanics.frame_forces import Time
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation, impose
 from rfem_jax.mechanics.model import State
 from rfem_jax.mechanics.model_with_errors import apply_errors
@@ -23,6 +24,7 @@ from tests.mechanisms import (
     four_bar,
     loop_cut_by,
     loop_with_a_ball,
+    loop_with_point_forces,
     loop_with_springs,
     open_chain,
     random_state,
@@ -82,6 +84,8 @@ CASES = [
     (chain_with_forces, "moment", "linear"),
     (loop_with_springs, "moment", "geometrically_exact"),
     (chain_with_forces, "prescribed", "linear"),
+    (loop_with_point_forces, "moment", "geometrically_exact"),
+    (loop_with_point_forces, "prescribed", "linear"),
     (loop_with_a_ball, "moment", "linear"),
     *[(named(loop_cut_by, kind), "moment", "linear") for kind in CUT_KINDS],
 ]
@@ -102,12 +106,14 @@ def compared(request):
             angle, rate = jnp.asarray(0.3), jnp.asarray(-2.0)
             moment = DriveInput(moment=jnp.asarray(1.7))
             drive = DriveInput(prescribed=(angle, rate, jnp.asarray(11.0))) if prescribed else moment
+        if model.frame_forces is not None:
+            drive = drive._replace(time=Time(0.2, 0.1))
         state = close(actual, impose(model.topology, state, drive))
         fast = accelerations(actual, state, drive, GAINS)
         slow, multipliers = reference_accelerations(actual, state, drive, GAINS)
         joint = loads.joint_loads(actual, fast, drive)
         chain, base = loads.chain_loads(actual, fast, fast.angular, fast.linear, drive)
-        residual = loads.momentum_residual(actual, state, fast.coordinates, base)
+        residual = loads.momentum_residual(actual, state, fast.coordinates, base, fast.frame_loads)
         inside = {} if fast.laws is None else fast.laws.inside
         return fast.coordinates, fast.multipliers, slow, multipliers, residual, joint, chain, inside, state
 

@@ -38,7 +38,7 @@ from rfem_jax.mechanics.algebra import (
     transpose,
 )
 from rfem_jax.mechanics.cut_joints import Closure, invert_closure, unit_columns
-from rfem_jax.mechanics.frame_loads import ElementTangents
+from rfem_jax.mechanics.element_loads import ElementTangents
 from rfem_jax.mechanics.implicit.block_tridiagonal import solve
 from rfem_jax.mechanics.implicit.condensation import LinkOperator, root_inertia
 from rfem_jax.mechanics.implicit.residual import Residual

@@ -20,8 +20,8 @@ from rfem_jax.mechanics import algebra, loads
 from rfem_jax.mechanics.algebra import Scalar, apply, apply_transposed, cross, dot
 from rfem_jax.mechanics.cut_joints import Closure, closure
 from rfem_jax.mechanics.dynamics import total_dissipated
+from rfem_jax.mechanics.element_loads import FrameLoads, frame_loads
 from rfem_jax.mechanics.elements.elasticity import generalised_forces
-from rfem_jax.mechanics.frame_loads import FrameLoads, frame_loads
 from rfem_jax.mechanics.inputs import DriveInput
 from rfem_jax.mechanics.joint_forces import LawForces, applied_forces, by_coordinate, law_forces
 from rfem_jax.mechanics.kinematics import Motion, by_freedom, motion_of, spread

@@ -26,8 +26,8 @@ from rfem_jax.description.errors import InputError, suggestion
 from rfem_jax.mechanics import loads
 from rfem_jax.mechanics.algebra import Scalar, apply_transposed, cross, dot
 from rfem_jax.mechanics.cut_joints import closure
+from rfem_jax.mechanics.element_loads import element_tangents, frame_loads
 from rfem_jax.mechanics.elements import elasticity
-from rfem_jax.mechanics.frame_loads import element_tangents, frame_loads
 from rfem_jax.mechanics.implicit.residual import Residual
 from rfem_jax.mechanics.inputs import DriveInput
 from rfem_jax.mechanics.joint_forces import applied_forces, by_coordinate, law_forces, law_tangent

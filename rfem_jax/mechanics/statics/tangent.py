@@ -18,7 +18,7 @@ from jaxtyping import Float
 from rfem_jax.mechanics import loads
 from rfem_jax.mechanics.algebra import Scalar
 from rfem_jax.mechanics.cut_joints import closure
-from rfem_jax.mechanics.frame_loads import element_tangents
+from rfem_jax.mechanics.element_loads import element_tangents
 from rfem_jax.mechanics.implicit.condensation import link_operators
 from rfem_jax.mechanics.implicit.newton import IterationMatrix, iteration_matrix, newton_increment
 from rfem_jax.mechanics.implicit.residual import Residual

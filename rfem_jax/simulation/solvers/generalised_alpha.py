@@ -47,8 +47,8 @@ from rfem_jax.description.methods import GeneralisedAlphaMethod, Method
 from rfem_jax.mechanics import algebra, loads
 from rfem_jax.mechanics.cut_joints import closure
 from rfem_jax.mechanics.dynamics import total_dissipated
+from rfem_jax.mechanics.element_loads import element_tangents, frame_loads
 from rfem_jax.mechanics.elements.elasticity import dissipated_power
-from rfem_jax.mechanics.frame_loads import element_tangents, frame_loads
 from rfem_jax.mechanics.implicit.condensation import LinkOperator, link_operators, present_operators
 from rfem_jax.mechanics.implicit.newton import IterationMatrix, iteration_matrix, newton_increment
 from rfem_jax.mechanics.implicit.residual import Evaluation, evaluate_residual, residual_of

@@ -1,6 +1,6 @@
 """What the force elements of a mechanism exert at one instant.
 
-Place in the pipeline: kinematics, frame_forces -> **frame_loads** -> dynamics, residual, loads, statics, newton.
+Place in the pipeline: kinematics, frame_forces -> **element_loads** -> dynamics, residual, loads, statics, newton.
 
 Source: theory (3.18), (3.23), (7.22).
 """
