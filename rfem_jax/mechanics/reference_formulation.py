@@ -185,33 +185,25 @@ def _along_joints(
     return force
 
 
-def _of_elements(
-    actual: ModelWithErrors,
-    drive: DriveInput,
-    rates: Array,
-    matrices: Callable[[Array], Array],
-) -> Array:
+def _of_elements(actual: ModelWithErrors, drive: DriveInput, frames: Array, derivatives: Array, rates: Array) -> Array:
     """Generalised forces of force elements, flat, by the principle of virtual work: the relative transform of their two
-    frames and its derivatives by the changes of the coordinates."""
-    still = jnp.zeros_like(rates)
-    total = still
-    if actual.frame_forces is None:
-        return total
-    for element in actual.frame_forces.elements.values():
+    frames and its derivatives by the coordinates, from those (nodes, 4, 4, n) of the transforms of all nodes."""
+    total = jnp.zeros_like(rates)
+    for element in [] if actual.frame_forces is None else actual.frame_forces.elements.values():
 
-        def relative(q, element=element):
-            frames = jnp.concatenate([matrices(q), jnp.eye(4)[None]])
+        def relative(frames, element=element):
+            frames = jnp.concatenate([frames, jnp.eye(4)[None]])
             parent, child = (_framed(frames, end) for end in (element.parent, element.child))
             return jnp.linalg.inv(parent) @ child
 
-        now, rate = jax.jvp(relative, (still,), (rates,))
-        by_coordinates = jax.jacfwd(relative)(still)
-        turning = rate[:3, :3] @ now[:3, :3].T
-        pose = Pose(now[:3, 3], now[:3, :3], rate[:3, 3], _axial(turning))
+        now, along = jax.linearize(relative, frames)
+        by_coordinates = jax.vmap(along, in_axes=3, out_axes=2)(derivatives)
+        turns = _axial(jnp.einsum("abi,cb->aci", by_coordinates[:3, :3], now[:3, :3]))
+        shifts = by_coordinates[:3, 3]
+        pose = Pose(now[:3, 3], now[:3, :3], shifts @ rates, turns @ rates)
         wrench = element.wrench(pose, START if drive.time is None else drive.time)
         force, moment = (actual.frame_forces.share * part for part in wrench)
-        turns = jnp.einsum("abi,cb->aci", by_coordinates[:3, :3], now[:3, :3])
-        total = total + force @ by_coordinates[:3, 3] + moment @ _axial(turns)
+        total = total + force @ shifts + moment @ turns
     return total
 
 
@@ -265,7 +257,9 @@ def reference_accelerations(
         return 0.5 * elasticity.dissipated_power(actual, State(state.position, unravel(qd)))
 
     force = -inertial - jax.grad(potential)(q) - jax.grad(rayleigh)(qd)
-    force = force + _along_joints(actual, state, drive, unravel) + _of_elements(actual, drive, qd, matrices)
+    force = (
+        force + _along_joints(actual, state, drive, unravel) + _of_elements(actual, drive, matrices(q), derivatives, qd)
+    )
 
     def phi(q):
         return constraints(actual, state.position, stabilisation.scale, unravel(q))
