@@ -265,7 +265,9 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
             operators = present_operators(actual, now.relative, *self.factors(h))
         held = () if drive.prescribed is None else (driven_coordinate(actual.topology),)
         of_laws = None if actual.forces is None else law_tangent(actual, state, *self.factors(h))
-        of_elements = element_tangents(actual, now, drive.time, *self.factors(h))
+        of_elements = None
+        if actual.frame_forces is not None:
+            of_elements = element_tangents(actual, now, drive.time, *self.factors(h))
         return iteration_matrix(actual, operators, now, closure(actual, now, scale), held, of_laws, of_elements)
 
     def predict(self, constants: StepConstants, start: StepStart) -> Unknowns:
