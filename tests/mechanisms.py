@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import jax.numpy as jnp
 import numpy as np
 
 from rfem_jax import (
@@ -12,7 +13,11 @@ from rfem_jax import (
     Link,
     Material,
     Mechanism,
+    PointForce,
     PointMass,
+    PointMoment,
+    PointSpring,
+    PointSpringFunction,
     Rectangle,
     RigidBody,
 )
@@ -251,6 +256,27 @@ def two_cuts_of_different_kinds():
               child_orientation=(0.0, -np.pi / 2, 0.0)),
     ]  # fmt: skip
     return Mechanism([*loop.links, link("prop", 0.2)], joints)
+
+
+def loop_with_point_forces():
+    """The four-bar with forces at points and between them: on rigid and flexible links and the base, within a link, on
+    rfes with joints and without, with jumps and by a function of time."""
+
+    def over_time(t, phase):
+        return jnp.stack([t, 2.0 * phase.astype(jnp.float64), 1.0 + t])
+
+    def law(length, rate):
+        return 30.0 * length**2 + 5.0 * jnp.sin(rate)
+
+    rows = [(3, 2, 3), (0, 0, 1), (1, 1, 1), (2, 0, 0)]
+    return four_bar(forces=[
+        PointSpring("across", ["crank", "rocker"], [(0.05, 0.01, 0.02), (0.2, 0.0, 0.01)], 800.0, 30.0, 0.1, 5.0),
+        PointSpring("within", ["coupler", "coupler"], [(0.0, 0.03, 0.02), (0.3, 0.02, 0.0)], 300.0, 3.0, 0.2),
+        PointSpringFunction("law", ["base", "rocker"], [(0.1, 0.1, 0.5), 0.1], law),
+        PointForce("follower", "rocker", 0.3, (30.0, -20.0, 30.0), axes="link"),
+        PointForce("jump", "crank", (0.1, 0.0, 0.02), rows, times=[0, 0.1, 0.1, 0.3]),
+        PointMoment("twist", "coupler", 0.1, over_time, breakpoints=[0.05], axes="link"),
+    ])  # fmt: skip
 
 
 ALL = (four_bar, three_link_loop, six_link_loop, twisted_spatial_loop, two_loop_six_bar, open_chain)

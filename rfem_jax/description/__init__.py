@@ -29,6 +29,13 @@ from rfem_jax.description.methods import (
     GeneralisedAlphaMethod,
     Method,
 )
+from rfem_jax.description.point_forces import (
+    PointForce,
+    PointMoment,
+    PointSpring,
+    PointSpringFunction,
+    PointSpringTable,
+)
 from rfem_jax.description.rigid_bodies import RigidBody
 from rfem_jax.description.sections import (
     Circle,
@@ -76,7 +83,12 @@ __all__ = [
     "MomentFunction",
     "MomentRamp",
     "MomentTable",
+    "PointForce",
     "PointMass",
+    "PointMoment",
+    "PointSpring",
+    "PointSpringFunction",
+    "PointSpringTable",
     "PrescribedDisplacements",
     "PrescribedDrive",
     "PrescribedFunction",

@@ -37,16 +37,20 @@ def each_drive(drive: Drive) -> tuple[AnyDrive, ...]:
 
 def all_breakpoints(drive: Drive) -> tuple[float, ...]:
     """The times [s] at which any of the drives jumps, increasing, each once."""
+    return merged([time for one in each_drive(drive) for time in one.breakpoints()])
+
+
+def merged(times: Sequence[float]) -> tuple[float, ...]:
+    """Times [s] in their order, each once."""
     found: list[float] = []
-    for time in sorted(time for one in each_drive(drive) for time in one.breakpoints()):
+    for time in sorted(times):
         if not found or time - found[-1] > _ROUNDING * time:
             found.append(time)
     return tuple(found)
 
 
-def own_breakpoints(one: AnyDrive, drive: Drive) -> tuple[int, ...]:
+def own_breakpoints(one: AnyDrive, every: Sequence[float]) -> tuple[int, ...]:
     """Which of all breakpoints are those of one of the drives."""
-    every = all_breakpoints(drive)
     return tuple(min(range(len(every)), key=lambda i: abs(every[i] - time)) for time in one.breakpoints())
 
 

@@ -11,7 +11,7 @@ Source: theory (3.14) to (3.17).
 import abc
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import jax
@@ -31,15 +31,20 @@ else:
     Law = Any  # what is no function is refused in a sentence
 
 
-class JointForce(abc.ABC):
-    """A force along one free motion of a joint of the tree."""
+class Force(abc.ABC):
+    """A force that a mechanism holds: along joints, or at points of links (`point_forces`)."""
 
     name: str
+
+
+class JointForce(Force):
+    """A force along one free motion of a joint of the tree."""
+
     joint: str
     motion: str | None
 
     @abc.abstractmethod
-    def resolved(self, joint: Joint) -> Self:
+    def resolved(self, joint: Joint) -> "JointForce":
         """The force with numbers in SI units, and the name of its motion, on its joint; raises InputError if something
         does not fit the joint."""
 
@@ -77,7 +82,7 @@ class JointSpring(ChecksItself, JointForce):
     def __post_init__(self):
         _check_names(self)
 
-    def resolved(self, joint: Joint) -> Self:
+    def resolved(self, joint: Joint) -> "JointSpring":
         freedom = _freedom_of(self, joint)
         of = f"of force `{self.name}`"
         return replace(
@@ -114,7 +119,7 @@ class JointForceTable(ChecksItself, JointForce):
     def __post_init__(self):
         _check_names(self)
 
-    def resolved(self, joint: Joint) -> Self:
+    def resolved(self, joint: Joint) -> "JointForceTable":
         freedom = _freedom_of(self, joint)
         of = f"of force `{self.name}`"
         positions = sequence(self.positions, freedom.dimension, f"`positions` {of}")
@@ -178,7 +183,7 @@ class JointForceFunction(ChecksItself, JointForce):
                 "return one jax.numpy value."
             )
 
-    def resolved(self, joint: Joint) -> Self:
+    def resolved(self, joint: Joint) -> "JointForceFunction":
         _freedom_of(self, joint)
         return replace(self, motion=_motion_of(self, joint))
 

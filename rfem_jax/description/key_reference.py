@@ -17,7 +17,14 @@ from rfem_jax.description.mechanism import Mechanism
 from rfem_jax.description.methods import METHOD_CLASSES, settings_of
 from rfem_jax.description.rigid_bodies import RigidBody
 from rfem_jax.description.study import CASE_KEYS, STUDY_KEYS, Case, Study
-from rfem_jax.description.study_reader import DRIVES, FORCES, MECHANISM_KEYS, SHAPES, SIMULATION_KEYS
+from rfem_jax.description.study_reader import (
+    DRIVES,
+    FORCES,
+    FUNCTION_KEYS,
+    MECHANISM_KEYS,
+    SHAPES,
+    SIMULATION_KEYS,
+)
 from rfem_jax.description.tables import keys_of
 from rfem_jax.description.tolerances import CorrelatedTolerances, SpecifiedTolerance
 from rfem_jax.task_kinds import task_kinds
@@ -80,7 +87,7 @@ def key_tables() -> list[KeyTable]:
     ):
         tables.append(_table(header, kind, *keys_of(kind), _IN_A_FILE))
     for name, kind in FORCES.items():
-        required, optional = keys_of(kind)
+        required, optional = keys_of(kind, omit=FUNCTION_KEYS)
         header, own = f'[[mechanism.forces]] of kind "{name}"', {"kind": f'"{name}"'}
         tables.append(_table(header, kind, ("kind", *required), optional, own))
     for name, (kind, required, optional) in DRIVES.items():

@@ -46,11 +46,12 @@ class PointMass(ChecksItself):
 
     def _check_fields(self, checks: Checks) -> None:
         checks.convert("mass", positive_quantity, "mass", "`mass` of a point mass")
-        checks.convert("position", _position, "`position` of a point mass")
+        checks.convert("position", place_on_link, "`position` of a point mass")
         checks.convert("inertia", _inertia, "`inertia` of a point mass")
 
 
-def _position(place: Any, where: str) -> tuple[float, float, float]:
+def place_on_link(place: Any, where: str) -> tuple[float, float, float]:
+    """Return a place in the frame of a link as floats [m]; else raise InputError.  A single number is x on the axis."""
     if isinstance(place, str) or np.ndim(place) == 0:  # a number: on the axis
         return quantity(place, "length", where), 0.0, 0.0
     return vector(place, "length", where)

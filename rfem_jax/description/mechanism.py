@@ -15,13 +15,14 @@ from typing import Any, TypeVar
 from rfem_jax.description.driven_motions import plain_motion
 from rfem_jax.description.error_catalogue import LINK_ERRORS, error_dimension, error_unit
 from rfem_jax.description.errors import Checks, ChecksItself, InputError, Problems, require_choice, subject, suggestion
-from rfem_jax.description.forces import JointForce
+from rfem_jax.description.forces import Force, JointForce
 from rfem_jax.description.joint_kinds import KINDS, joint_errors
 from rfem_jax.description.joints import Joint
 from rfem_jax.description.links import Link
+from rfem_jax.description.point_forces import PointLoad
 from rfem_jax.description.units import vector
 
-Part = TypeVar("Part", Link, Joint, JointForce)
+Part = TypeVar("Part", Link, Joint, Force)
 
 ELEMENTS = ("linear", "geometrically_exact")
 _ROUNDING = 1e-12  # a position at the end of a link may exceed its length by rounding
@@ -42,10 +43,12 @@ class Mechanism(ChecksItself):
             motions first; None = none (a study sets it from its drives).
         elements: spring-damping elements: "linear" (small deflections relative to the link frame),
             or "geometrically_exact" (of any size).
-        forces: JointSpring, JointForceTable and JointForceFunction objects.
+        forces: JointSpring, JointForceTable and JointForceFunction objects along joints; PointSpring,
+            PointSpringTable and PointSpringFunction objects between points of links, PointForce and PointMoment
+            objects at them.
     Raises:
         InputError: names clash or are unknown, a link is not connected, a loop is not cut, a
-            joint lies off a flexible link, or a force does not fit its joint.
+            joint lies off a flexible link, or a force does not fit its joint or its links.
     """
 
     links: tuple[Link, ...]
@@ -54,7 +57,7 @@ class Mechanism(ChecksItself):
     redundant_reactions: str = "refuse"
     driven_joint: str | tuple[str, ...] | None = None
     elements: str = "linear"
-    forces: tuple[JointForce, ...] = ()
+    forces: tuple[Force, ...] = ()
 
     def _check_fields(self, checks: Checks) -> None:
         checks.convert("links", _unique, Link, "links")
@@ -62,9 +65,9 @@ class Mechanism(ChecksItself):
         checks.convert("gravity", vector, "acceleration", "gravity")
         checks.convert("redundant_reactions", require_choice, ("refuse", "minimum_norm"), "redundant_reactions")
         checks.convert("elements", require_choice, ELEMENTS, "elements")
-        checks.convert("forces", _unique, JointForce, "forces")
+        checks.convert("forces", _unique, Force, "forces")
         checks.relation(("links", "joints"), self._check_structure)
-        checks.relation(("joints", "forces"), self._resolve_forces)
+        checks.relation(("links", "joints", "forces"), self._resolve_forces)
 
     def _check_structure(self) -> None:
         if not self.links:
@@ -83,13 +86,23 @@ class Mechanism(ChecksItself):
         """Return the link `name`; raises InputError with the nearest name if there is none."""
         return _find(self.links, name, "link")
 
-    def force(self, name: str) -> JointForce:
+    def force(self, name: str) -> Force:
         """Return the force `name`; raises InputError with the nearest name if there is none."""
         return _find(self.forces, name, "force")
 
     def joint(self, name: str) -> Joint:
         """Return the joint `name`; raises InputError with the nearest name if there is none."""
         return _find(self.joints, name, "joint")
+
+    @property
+    def joint_forces(self) -> tuple[JointForce, ...]:
+        """The forces along free motions of joints."""
+        return tuple(force for force in self.forces if isinstance(force, JointForce))
+
+    @property
+    def point_forces(self) -> tuple[PointLoad, ...]:
+        """The forces at points of links and between them."""
+        return tuple(force for force in self.forces if isinstance(force, PointLoad))
 
     @property
     def tree_joints(self) -> tuple[Joint, ...]:
@@ -234,11 +247,17 @@ class Mechanism(ChecksItself):
                 )
 
     def _resolve_forces(self) -> None:
-        """Each force knows its joint's motions."""
+        """Each force knows its joint's motions, or is at points that there are."""
         found, problems = [], Problems()
         tree = [joint.name for joint in self.joints if not joint.cut]
+        links = {link.name: link for link in self.links}
         for force in self.forces:
             with problems.noted():
+                if isinstance(force, PointLoad):
+                    force.require_points(links)
+                if not isinstance(force, JointForce):
+                    found.append(force)
+                    continue
                 if force.joint not in tree:
                     cut = force.joint in [joint.name for joint in self.joints]
                     reason = "is cut" if cut else "is none"

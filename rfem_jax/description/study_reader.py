@@ -19,12 +19,13 @@ from rfem_jax.description.drives import (
     PrescribedTable,
 )
 from rfem_jax.description.errors import ABSENT, InputError, Problems, located, require_choice, require_name
-from rfem_jax.description.forces import JointForce, JointForceTable, JointSpring
+from rfem_jax.description.forces import Force, JointForceTable, JointSpring
 from rfem_jax.description.joints import Joint
 from rfem_jax.description.links import Link, PointMass
 from rfem_jax.description.materials import Material
 from rfem_jax.description.mechanism import Mechanism
 from rfem_jax.description.methods import Method, setting_names
+from rfem_jax.description.point_forces import PointForce, PointMoment, PointSpring, PointSpringTable
 from rfem_jax.description.rigid_bodies import RigidBody
 from rfem_jax.description.sections import Circle, GivenSection, Rectangle, Section, Tube
 from rfem_jax.description.tables import build, build_by_trial, checked_list, checked_table, keys_of, named_place
@@ -52,7 +53,15 @@ DRIVES = {
     "prescribed_run_up": (PrescribedRunUp, ("speed", "rise_time"), ()),
     "prescribed_displacements": (PrescribedDisplacements, ("times", "displacements"), ()),
 }
-FORCES = {"joint_spring": JointSpring, "joint_table": JointForceTable}
+FORCES = {
+    "joint_spring": JointSpring,
+    "joint_table": JointForceTable,
+    "point_spring": PointSpring,
+    "point_spring_table": PointSpringTable,
+    "point_force": PointForce,
+    "point_moment": PointMoment,
+}
+FUNCTION_KEYS = ("breakpoints",)  # of functions, which a file cannot hold
 _MECHANISM_OPTIONS = ("gravity", "redundant_reactions", "elements")
 MECHANISM_KEYS = (("links", "joints"), ("materials", "sections", "forces", *_MECHANISM_OPTIONS))
 SIMULATION_KEYS = (("duration",), ("method", "save_every"))  # and the settings of the method
@@ -251,11 +260,11 @@ def _read_joint(table: object, place: str) -> Joint:
     return build(Joint, settings, place, problems)
 
 
-def _read_force(table: object, place: str) -> JointForce:
+def _read_force(table: object, place: str) -> Force:
     problems = Problems()
-    keys = {field.name for kind in FORCES.values() for field in fields(kind)}
+    keys = {field.name for kind in FORCES.values() for field in fields(kind)} - {*FUNCTION_KEYS}
     content = problems.usable(lambda: checked_table(table, place, ("kind",), sorted(keys)))
     kind = _kind_of(content, FORCES, "kind", place, problems)
-    required, optional = keys_of(FORCES[kind])
+    required, optional = keys_of(FORCES[kind], omit=FUNCTION_KEYS)
     settings = _of_kind(content, f'{place} of kind "{kind}"', ("kind", *required), optional, problems)
     return build(FORCES[kind], {name: value for name, value in settings.items() if name != "kind"}, place, problems)

@@ -11,6 +11,7 @@ from jax import Array
 from jaxtyping import Float
 
 from rfem_jax.mechanics.algebra import Scalar
+from rfem_jax.mechanics.frame_forces import Time
 from rfem_jax.mechanics.model import Coordinates, State, Topology
 
 
@@ -18,11 +19,13 @@ class DriveInput(NamedTuple):
     """The drives at one instant, by joint coordinate.
 
     forces: given moments [N m] and forces [N]; motions: prescribed coordinates [rad, m] with their rates and
-    accelerations.  A coordinate is in one of the two at most.
+    accelerations.  A coordinate is in one of the two at most.  time: the instant, for forces that are functions of it
+    (None: the start).
     """
 
     forces: dict[int, Float[Array, ""]] = {}  # noqa: RUF012 - never changed
     motions: dict[int, tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]]] = {}  # noqa: RUF012
+    time: Time | None = None
 
 
 class Stabilisation(NamedTuple):

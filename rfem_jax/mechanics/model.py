@@ -6,9 +6,9 @@ A *node* is a rigid body: -1 is the base, 0 .. links-1 are the rfes 0 (one a lin
 link frame {p,0}), and links + k is the free rfe k.  All free rfes of all links stand in one array
 axis, link by link, so that one operation treats them together.
 
-An *interface* of a link is a free rfe that carries a joint.  Since springs, not constraints, join the rfes
-of a flexible link, the rfes 0 and the interfaces form *islands*: trees of bodies joined by hinges alone, whose
-root is an interface or a link that is joined to the base.
+An *interface* of a link is a free rfe that carries a joint, or that a force element acts on.  Since springs, not
+constraints, join the rfes of a flexible link, the rfes 0 and the interfaces form *islands*: trees of bodies joined by
+hinges alone, whose root is an interface or a link that is joined to the base.
 
 Symbols: n_links L, n_rfes N (free rfes), joints J = L tree joints (joint l carries link l), then C cut
 joints; freedoms F: coordinates of the tree joints; constraints: closure equations of the cut joints.  Arrays are
@@ -28,6 +28,7 @@ from jaxtyping import Float, Int
 from rfem_jax.description.driven_motions import motion_label
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.joint_kinds import COMPONENTS, KINDS, Freedom, JointKind
+from rfem_jax.mechanics.frame_forces import FrameForce
 from rfem_jax.mechanics.joint_laws import JointLaw
 
 BASE = -1
@@ -69,6 +70,7 @@ class Topology(NamedTuple):
     idle: joint coordinates that stand for idle freedoms, which statics holds at their start.
     dependent: those of `drives` that follow from the ones before if all links are rigid, which statics holds only
         where their motion is prescribed; blocked: those that follow from them even so.
+    holders: nodes of the free rfes that force elements act on.
     """
 
     links: tuple[str, ...]
@@ -88,6 +90,7 @@ class Topology(NamedTuple):
     idle: tuple[int, ...] = ()
     dependent: tuple[int, ...] = ()
     blocked: tuple[int, ...] = ()
+    holders: tuple[int, ...] = ()
 
     @property
     def n_links(self) -> int:
@@ -225,8 +228,8 @@ class Topology(NamedTuple):
 
     @property
     def interfaces(self) -> tuple[int, ...]:
-        """The free rfes that carry a joint (as rfes, not as nodes)."""
-        nodes = self.parents + self.children[self.n_links :]
+        """The free rfes that carry a joint or hold a force element (as rfes, not as nodes)."""
+        nodes = self.parents + self.children[self.n_links :] + self.holders
         return tuple(sorted({node - self.n_links for node in nodes if node >= self.n_links}))
 
     def link_of(self, node: int) -> int:
@@ -280,8 +283,8 @@ class Model(eqx.Module):
     at the segment's middle for a free rfe; point_*: mass [kg], place in the node's frame [m] and principal
     moments of inertia [kg m^2] of the point masses and of the links that are bodies; point_products: their J_xy, J_xz,
     J_yz [kg m^2], None where all are zero; start_joints: coordinates of the tree joints at the closed start [rad, m];
-    cut_angles: angles of the cut joints there [rad]; gravity [m/s^2] in global axes;
-    forces: along joint coordinates, by their names, None without any.
+    cut_angles: angles of the cut joints there [rad]; gravity [m/s^2] in global axes; forces: along joint coordinates,
+    by their names, None without any; frame_forces: elements between frames on nodes, likewise.
 
     `equinox.tree_at` may replace what leaves the geometry as it is, also by traced values to differentiate by:
     section, point masses, gravity, the numbers of forces.  With another length or joint frame the start angles no
@@ -305,6 +308,7 @@ class Model(eqx.Module):
     gravity: Float[Array, "3"]
     forces: dict[str, JointLaw] | None = None
     point_products: Float[Array, "3 masses"] | None = None
+    frame_forces: dict[str, FrameForce] | None = None
 
     @property
     def joint_names(self) -> tuple[str, ...]:

@@ -7,7 +7,8 @@ joint `A_force_x_N` ... `A_moment_z_Nm` in its frame H (y along a hinge); `drive
 the coordinates of the joints of the tree that are not revolute, `G_displacement_m`, `U_angle_1_rad`. Where
 several drives act, or one on a translation, they have columns of their own, `A_drive_angle_rad`,
 `A_drive_rate_rad_s`, `A_drive_moment_Nm`, `G_drive_displacement_m`, `G_drive_speed_m_s`, `G_drive_force_N`, in the
-place of those of the driven joint.
+place of those of the driven joint.  Last of all the forces at points in global axes: `coil_length_m`, `coil_tension_N`
+of a spring, `push_force_x_N` ..., `twist_moment_x_Nm` ... of others.
 """
 
 from collections.abc import Mapping
@@ -18,6 +19,7 @@ import numpy as np
 from jaxtyping import Float
 
 from rfem_jax.compilation.keeping import state
+from rfem_jax.description.point_forces import AtPoint
 from rfem_jax.description.study import Study
 from rfem_jax.report.annotations import Run, Summaries
 from rfem_jax.report.driven_motions_report import drive_quantities, has_driven_joint
@@ -63,7 +65,22 @@ def history_columns(study: Study, run: Run) -> dict[str, Float[np.ndarray, " tim
     if not driven:
         columns[column_name("drive_moment", "N m")] = np.asarray(run.drive_moment)
     columns |= {column_name(one.name, one.quantity.unit): one.values(run) for one in driven}
-    return columns | _coordinate_columns(study, run)
+    return columns | _coordinate_columns(study, run) | _point_columns(study, run)
+
+
+def _point_columns(study: Study, run: Run) -> dict[str, Float[np.ndarray, " times"]]:
+    """Length and tension of springs between points; components of the forces and moments at points."""
+    columns = {}
+    for force in study.mechanism.point_forces:
+        history = run.forces[force.name]
+        if isinstance(force, AtPoint):
+            values = np.asarray(getattr(history, force.dimension))
+            for letter, one in zip("xyz", values.T, strict=True):
+                columns[column_name(f"{force.name}_{force.dimension}_{letter}", force.unit)] = one
+        else:
+            columns[column_name(f"{force.name}_length", "m")] = np.asarray(history.length)
+            columns[column_name(f"{force.name}_tension", "N")] = np.asarray(history.tension)
+    return columns
 
 
 def _coordinate_columns(study: Study, run: Run) -> dict[str, Float[np.ndarray, " times"]]:

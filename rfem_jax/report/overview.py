@@ -9,9 +9,11 @@ import re
 from dataclasses import fields
 
 from rfem_jax.description.driven_motions import AnyDrive
+from rfem_jax.description.forces import Force, JointForce
 from rfem_jax.description.joint_kinds import KINDS
 from rfem_jax.description.joints import Joint
 from rfem_jax.description.mechanism import Mechanism
+from rfem_jax.description.point_forces import AtPoint, PointLoad
 from rfem_jax.description.sections import Section
 from rfem_jax.description.study import Case, Study
 from rfem_jax.report.annotations import Structure
@@ -73,13 +75,26 @@ def _start_text(joint: Joint) -> str:
 
 
 def _forces_text(mechanism: Mechanism) -> str:
-    """A line for every force along a free motion of a joint: its kind in words, joint, motion, scalar numbers."""
+    """A line for every force: its kind in words, where it acts, its scalar numbers."""
     lines = []
     for force in mechanism.forces:
-        numbers = [f"{name} {value:g}" for name, value in vars(force).items() if isinstance(value, float)]
+        numbers = [
+            f"{name.replace('_', ' ')} {value:g}" for name, value in vars(force).items() if isinstance(value, float)
+        ]
         size = f" (SI: {', '.join(numbers)})" if numbers else ""
-        lines.append(f"Force {force.name}: {_words(force)} on joint {force.joint}, {force.motion}{size}.\n")
+        where = f"on joint {force.joint}, {force.motion}" if isinstance(force, JointForce) else _points_text(force)
+        lines.append(f"Force {force.name}: {_words(force)} {where}{size}.\n")
     return "".join(lines)
+
+
+def _points_text(force: Force) -> str:
+    """Where a force at points acts, and what it is if that is constant."""
+    assert isinstance(force, PointLoad)
+    places = [f"{link} ({', '.join(f'{x:g}' for x in place)}) m" for link, place in force.ends()]
+    if not isinstance(force, AtPoint):
+        return f"between {' and '.join(places)}"
+    value = "over time" if force.changes else f"({', '.join(f'{x:g}' for x in force.value)}) {force.unit}"
+    return f"at {places[0]}, {value} in {force.axes} axes"
 
 
 def _words(value: object) -> str:

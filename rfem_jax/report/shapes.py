@@ -16,6 +16,7 @@ from rfem_jax.description.joints import Joint
 from rfem_jax.description.mechanism import Mechanism
 from rfem_jax.description.study import Study
 from rfem_jax.report.annotations import Axes3D, Figure, Run
+from rfem_jax.report.force_shapes import draw_forces
 from rfem_jax.report.style import CASE_COLOURS, LINE_STYLES, add_titles, new_figure
 
 _MOST_PANELS = 6
@@ -138,6 +139,16 @@ def _draw_mechanism(axes: Axes3D, mechanism: Mechanism, run: Run, factor: float)
             marker, size = "s", 6
         axes.plot(*point[:, None], marker=marker, markersize=size, color="black", mfc="white")
         points[joint.name] = point
+
+    def drawn(link: str, x: float, place: Point) -> Point:
+        """Where a point of a link is drawn: as far from its centre line as it is, but that line exaggerated."""
+        if link == "base":
+            return place
+        assembled = np.asarray(run.centre_lines[link])
+        return place + point_on_line(lines[link], nominal[link], x) - point_on_line(assembled, nominal[link], x)
+
+    size = float(np.linalg.norm(np.ptp(np.concatenate(list(nominal.values())), axis=0)))
+    draw_forces(axes, mechanism, run, size, drawn)
     for names, point in labelled_points(points, lines):
         axes.text(point[0], point[1], point[2], f"  {', '.join(names)}", fontsize=9, weight="bold")
 

@@ -1,4 +1,5 @@
-"""Which joint coordinates drives act on: those of the model's driven joints, and no others.
+"""Which joint coordinates drives act on: those of the model's driven joints, and no others; and the jumps of drives and
+of forces.
 
 Place in the pipeline: model, drives -> **driving** -> equations, integration, stability.
 """
@@ -14,13 +15,16 @@ from rfem_jax.description.driven_motions import (
     Drive,
     driven_motion,
     each_drive,
+    merged,
     motion_label,
     own_breakpoints,
 )
 from rfem_jax.description.drives import GivenDrive, PrescribedDrive, Time
 from rfem_jax.description.errors import InputError, suggestion
+from rfem_jax.mechanics.frame_forces import Time as Instant
 from rfem_jax.mechanics.inputs import DriveInput
 from rfem_jax.mechanics.model import Model, Topology
+from rfem_jax.mechanics.point_laws import breakpoints_of, changing
 
 
 class ActiveDrives(eqx.Module):
@@ -28,13 +32,14 @@ class ActiveDrives(eqx.Module):
 
     drives; starts: start of each prescribed coordinate [rad, m], from which its motion counts, None for given forces;
     coordinates: joint coordinates that they act on; breakpoints: which of all breakpoints are each drive's own, None
-    where all are.
+    where all are; jumps: all breakpoints [s] where forces are functions of time, else None.
     """
 
     drives: tuple[AnyDrive, ...]
     starts: tuple[Float[Array, ""] | None, ...]
     coordinates: tuple[int, ...] = eqx.field(static=True)
     breakpoints: tuple[tuple[int, ...] | None, ...] = eqx.field(static=True)
+    jumps: tuple[float, ...] | None = eqx.field(static=True, default=None)
 
     @property
     def prescribed(self) -> tuple[int, ...]:
@@ -53,7 +58,8 @@ class ActiveDrives(eqx.Module):
             elif start is not None:
                 change, rate, acceleration = drive.motion_at(t, passed)
                 motions[k] = start + change, rate, acceleration
-        return DriveInput(forces, motions)
+        time = None if self.jumps is None else Instant(jnp.asarray(t), jnp.asarray((-1.0, *self.jumps))[phase])
+        return DriveInput(forces, motions, time)
 
 
 def active_drives(model: Model, drive: Drive) -> ActiveDrives:
@@ -64,8 +70,17 @@ def active_drives(model: Model, drive: Drive) -> ActiveDrives:
         model.start_joints[topology.place_of(k)] if isinstance(one, PrescribedDrive) else None
         for k, one in zip(coordinates, drives, strict=True)
     ]
-    own = tuple(own_breakpoints(one, drives) for one in drives) if len(drives) > 1 else (None,) * len(drives)
-    return ActiveDrives(drives, tuple(starts), coordinates, own)
+    every = all_jumps(drive, model)
+    mixed = len(drives) > 1 or bool(breakpoints_of(model.frame_forces))
+    own = tuple(own_breakpoints(one, every) for one in drives) if mixed else (None,) * len(drives)
+    jumps = every if changing(model.frame_forces) else None
+    return ActiveDrives(drives, tuple(starts), coordinates, own, jumps)
+
+
+def all_jumps(drive: Drive, model: Model | None) -> tuple[float, ...]:
+    """Times [s] > 0 at which a drive or a force of the model jumps, increasing."""
+    of_forces = () if model is None else breakpoints_of(model.frame_forces)
+    return merged([*of_forces, *(time for one in each_drive(drive) for time in one.breakpoints())])
 
 
 def prescribed_coordinates(topology: Topology, drive: Drive) -> tuple[int, ...]:

@@ -18,6 +18,7 @@ from jaxtyping import Array, Float, Int
 from rfem_jax.compilation.scalarisation import nothing_known
 from rfem_jax.mechanics import loads, model_with_errors
 from rfem_jax.mechanics.dynamics import Accelerations, accelerations
+from rfem_jax.mechanics.element_loads import FrameLoads
 from rfem_jax.mechanics.implicit.condensation import LinkOperator
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation, impose
 from rfem_jax.mechanics.joint_forces import LawForces
@@ -131,23 +132,26 @@ def squares(
 
 
 class Along(Protocol):
-    """Of a solved instant: motion, and forces of springs and laws along joint coordinates."""
+    """Of a solved instant: motion, forces of springs and laws along joint coordinates, and of elements on nodes."""
 
     @property
     def motion(self) -> Motion: ...
     @property
     def laws(self) -> LawForces | None: ...
+    @property
+    def frame_loads(self) -> FrameLoads | None: ...
 
 
 def applied_power(
     topology: Topology, state: State, drive: DriveInput, joint: loads.JointLoads, solved: Along
 ) -> Float[Array, ""]:
-    """Power [W] of the drives and of the laws that act on joints from outside."""
+    """Power [W] of the drives, and of the laws of joints and the force elements that act from outside."""
     forces = drive_forces(topology, drive, joint, solved)
     power = forces[0] * (state.velocity.joints[topology.drives[0]] if topology.drives else 0.0)
     for k, force in zip(topology.drives[1:], forces[1:], strict=True):
         power = power + force * state.velocity.joints[k]
-    return power if solved.laws is None else power + solved.laws.power
+    power = power if solved.laws is None else power + solved.laws.power
+    return power if solved.frame_loads is None else power + solved.frame_loads.power
 
 
 def drive_forces(

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from rfem_jax.compilation.program import Program
-from rfem_jax.description.driven_motions import Drive, all_breakpoints
+from rfem_jax.description.driven_motions import Drive
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.methods import Method
 from rfem_jax.mechanics import loads
@@ -45,7 +45,7 @@ from rfem_jax.mechanics.status import (
     STEPS_EXHAUSTED,
 )
 from rfem_jax.simulation import equations
-from rfem_jax.simulation.driving import active_drives, require_driven
+from rfem_jax.simulation.driving import active_drives, all_jumps, require_driven
 from rfem_jax.simulation.equations import Conditions, Scalar, Trajectory
 from rfem_jax.simulation.observation import Record, observe
 from rfem_jax.simulation.packing import pack, unpack
@@ -102,13 +102,16 @@ def simulate(
     """
     require_double_precision()
     require_driven(model, drive)
-    grid, steps = grid_for(drive, duration, method, save_every)
+    grid, steps = grid_for(drive, duration, method, save_every, model)
     errors = assembly_errors(model) if errors is None else errors
     return _simulate(model, errors, drive, grid, start, method, steps, adjoint)
 
 
-def grid_for(drive: Drive, duration: float, method: Method, save_every: float | None) -> tuple[TimeGrid, int]:
-    """Time grid of a duration [s], with an interval of saved times [s], and the number of steps in an interval.
+def grid_for(
+    drive: Drive, duration: float, method: Method, save_every: float | None, model: Model | None = None
+) -> tuple[TimeGrid, int]:
+    """Time grid of a duration [s], with an interval of saved times [s], and the number of steps in an interval; `model`
+    where its forces may jump.
 
     **Raises:** `InputError` for a method without a step or tolerances, and for times that cannot be used.
     """
@@ -117,7 +120,7 @@ def grid_for(drive: Drive, duration: float, method: Method, save_every: float | 
             f"Argument `method` must have a step or tolerances here, but {method.name!r} has none; "
             "replace it by `choose_method(model, method, drive, duration)`, which chooses the step."
         )
-    return divide_time(duration, method.step, save_every, all_breakpoints(drive), method.implicit)
+    return divide_time(duration, method.step, save_every, all_jumps(drive, model), method.implicit)
 
 
 @Program
@@ -289,6 +292,7 @@ def conclude(
         equation_residual=record.residual,
         status=_status(model, prepared, carry, error, drift, jnp.max(record.range_used), residual),
         ends={name: record.ends[:, :, l] for l, name in enumerate(model.link_names)},
+        forces=record.forces,
         branch={model.topology.joints[j]: record.branch[:, i] for i, j in enumerate(model.topology.cuts)},
         integrals=LoadIntegrals(
             force_square={name: record.square_integrals[:, 0, j] for name, j in _joints(model)},

@@ -14,6 +14,7 @@ from rfem_jax.mechanics import algebra, loads
 from rfem_jax.mechanics.centre_lines import link_ends
 from rfem_jax.mechanics.cut_joints import Closure, assembly_modes
 from rfem_jax.mechanics.dynamics import Accelerations
+from rfem_jax.mechanics.element_loads import FrameLoads
 from rfem_jax.mechanics.implicit.residual import Evaluation
 from rfem_jax.mechanics.inputs import DriveInput
 from rfem_jax.mechanics.joint_forces import LawForces, by_coordinate
@@ -22,7 +23,7 @@ from rfem_jax.mechanics.model import Coordinates, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 from rfem_jax.simulation import equations
 from rfem_jax.simulation.equations import Integrals
-from rfem_jax.simulation.run import Energy
+from rfem_jax.simulation.run import Energy, PointHistory
 
 
 class Instant(NamedTuple):
@@ -32,7 +33,8 @@ class Instant(NamedTuple):
     [m], drift_angle [rad]: closure errors of the cut joints; arm [m]: largest coordinate of a joint's centre;
     stabilising, multiplier [N]: largest part of a multiplier due to Baumgarte's terms, and largest multiplier;
     residual [N]: of the equations of motion as forces, none (n = 0) where these were solved for the accelerations;
-    motion, closure: kinematics of the instant; laws: forces of springs and laws along joint coordinates.
+    motion, closure: kinematics of the instant; laws: forces of springs and laws along joint coordinates; frame_loads:
+    what force elements exert.
     """
 
     loads: loads.JointLoads
@@ -47,6 +49,7 @@ class Instant(NamedTuple):
     motion: Motion
     closure: Closure | None
     laws: LawForces | None
+    frame_loads: FrameLoads | None
 
 
 class Record(NamedTuple):
@@ -78,6 +81,7 @@ class Record(NamedTuple):
     square_integrals: Float[Array, "2 joints"]
     residual: Float[Array, " n"]
     squares: Float[Array, "2 joints"]
+    forces: dict[str, PointHistory]
 
 
 def solved_instant(actual: ModelWithErrors, result: Accelerations, drive: DriveInput, scale: algebra.Scalar) -> Instant:
@@ -97,6 +101,7 @@ def solved_instant(actual: ModelWithErrors, result: Accelerations, drive: DriveI
         motion=result.motion,
         closure=result.closure,
         laws=result.laws,
+        frame_loads=result.frame_loads,
     )
 
 
@@ -127,6 +132,7 @@ def evaluated_instant(
         motion=evaluation.motion,
         closure=evaluation.closure,
         laws=evaluation.laws,
+        frame_loads=evaluation.frame_loads,
     )
 
 
@@ -143,7 +149,7 @@ def observe(
         topology = actual.topology
         joint, now = instant.loads, instant.motion
         parts = loads.energies(actual, state)
-        force, moment = loads.momentum_residual(actual, state, instant.accelerations, instant.base)
+        force, moment = loads.momentum_residual(actual, state, instant.accelerations, instant.base, instant.frame_loads)
         largest_force = equations.safe_sqrt(jnp.max(jnp.sum(joint.force**2, axis=0)))
         largest_moment = equations.safe_sqrt(jnp.max(jnp.sum(joint.moment**2, axis=0)))
         largest_moment = largest_moment + largest_force * instant.arm
@@ -166,7 +172,13 @@ def observe(
             square_integrals=jnp.stack([integrals.axial_square + integrals.normal_square, integrals.moment_square]),
             residual=instant.residual,
             squares=squares,
+            forces=_point_histories(instant.frame_loads),
         )
+
+
+def _point_histories(at_nodes: FrameLoads | None) -> dict[str, PointHistory]:
+    """What the force elements exert, by their names."""
+    return {name: PointHistory(*one) for name, one in ({} if at_nodes is None else at_nodes.exerted).items()}
 
 
 def _load_along_free_motions(topology: Topology, instant: Instant, drive: DriveInput) -> Float[Array, ""]:

@@ -85,6 +85,27 @@ class DrivenJoint(eqx.Module):
     rate_end: Float[Array, ""]
 
 
+class PointHistory(eqx.Module):
+    """A force between two points at the saved times: force [N], moment [N m] on the second one (of a force or moment at
+    one point: on that), and place, first_place [m] of both (the latter then in the origin), in global axes."""
+
+    force: Float[Array, "*times 3"]
+    moment: Float[Array, "*times 3"]
+    place: Float[Array, "*times 3"]
+    first_place: Float[Array, "*times 3"]
+
+    @property
+    def length(self) -> Float[Array, "*times"]:
+        """Distance of the two points [m]."""
+        return jnp.linalg.norm(jnp.asarray(self.place) - self.first_place, axis=-1)
+
+    @property
+    def tension(self) -> Float[Array, "*times"]:
+        """Force [N] that pulls the two points together."""
+        apart = jnp.asarray(self.place) - self.first_place
+        return -jnp.sum(self.force * apart, axis=-1) / jnp.linalg.norm(apart, axis=-1)
+
+
 class Run(eqx.Module):
     """One simulated case, or a batch of them with a leading axis.
 
@@ -105,7 +126,8 @@ class Run(eqx.Module):
     ends: positions (times, 3) [m] of the far ends of the links, in global axes.  branch: assembly mode (times,) of
     every cut joint, +1 or -1 (0 where the joints' kinds tell none); a change of sign is a passage through a change
     point (theory (5.13)), after which derivatives, and averages with runs on the other branch, have no meaning.
-    integrals: of squared loads, for `window`.
+    integrals: of squared loads, for `window`.  forces: `PointHistory` by the names of the forces at points of links and
+    between them.
     """
 
     times: Float[Array, " times"]
@@ -134,6 +156,7 @@ class Run(eqx.Module):
     ends: dict[str, Float[Array, "times 3"]]
     branch: dict[str, Float[Array, " times"]]
     integrals: LoadIntegrals
+    forces: dict[str, PointHistory]
 
     def window(self, start: Scalar, stop: Scalar) -> WindowLoads:
         """Loads over start <= t <= stop [s] of one run; use vmap for a batch.  Differentiable.

@@ -10,6 +10,7 @@ from rfem_jax.description.key_reference import NEEDED, argument_meanings, key_ta
 from rfem_jax.description.tasks import allocation, task
 
 from .test_forces import FORCES
+from .test_point_forces import FORCES as POINT_FORCES
 from .test_study_files import FULL
 from .test_tasks import TASKS
 
@@ -94,7 +95,7 @@ def asked(tmp_path, monkeypatch):
     start, end = full.index("[drive]"), full.index("[simulation]")
     for drive in [full[start:end], *(f"[drive]{part}" for part in DRIVES.split("[drive]")[1:])]:
         path = tmp_path / "study.toml"
-        path.write_text(full[:start] + FORCES + drive + full[end:] + TASKS, encoding="utf-8")
+        path.write_text(full[:start] + FORCES + POINT_FORCES + drive + full[end:] + TASKS, encoding="utf-8")
         load_study(path)
         full = full.replace('section = "own"\n', "body = {mass = 1, centre = [0, 0, 0], inertia = [1, 1, 1]}\n")
         start, end = full.index("[drive]"), full.index("[simulation]")

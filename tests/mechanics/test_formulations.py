@@ -11,6 +11,7 @@ from jax.flatten_util import ravel_pytree
 from rfem_jax import discretise
 from rfem_jax.mechanics import loads
 from rfem_jax.mechanics.dynamics import accelerations
+from rfem_jax.mechanics.frame_forces import Time
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation, impose
 from rfem_jax.mechanics.model import State
 from rfem_jax.mechanics.model_with_errors import apply_errors
@@ -24,6 +25,7 @@ from tests.mechanisms import (
     four_bar,
     loop_cut_by,
     loop_with_a_ball,
+    loop_with_point_forces,
     loop_with_springs,
     open_chain,
     random_state,
@@ -84,6 +86,7 @@ CASES = [
     (chain_with_forces, "moment", "linear"),
     (loop_with_springs, "moment", "geometrically_exact"),
     (chain_with_forces, "prescribed", "linear"),
+    (loop_with_point_forces, "moment", "linear"),
     (loop_with_a_ball, "moment", "linear"),
     (chain_with_drives, "several", "linear"),
     *[(named(loop_cut_by, kind), "moment", "linear") for kind in CUT_KINDS],
@@ -114,12 +117,14 @@ def compared(request):
     def both(errors, state):
         actual = apply_errors(model, errors)
         drive = drives_of(model.topology, driven)
+        if model.frame_forces is not None:
+            drive = drive._replace(time=Time(0.2, 0.1))
         state = close(actual, impose(model.topology, state, drive))
         fast = accelerations(actual, state, drive, GAINS)
         slow, multipliers = reference_accelerations(actual, state, drive, GAINS)
         joint = loads.joint_loads(actual, fast, drive)
         chain, base = loads.chain_loads(actual, fast, fast.angular, fast.linear, drive)
-        residual = loads.momentum_residual(actual, state, fast.coordinates, base)
+        residual = loads.momentum_residual(actual, state, fast.coordinates, base, fast.frame_loads)
         inside = {} if fast.laws is None else fast.laws.inside
         return fast.coordinates, fast.multipliers, slow, multipliers, residual, joint, chain, inside, state
 

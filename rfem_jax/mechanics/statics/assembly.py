@@ -26,6 +26,7 @@ from rfem_jax.description.errors import InputError, suggestion
 from rfem_jax.mechanics import loads
 from rfem_jax.mechanics.algebra import Scalar, apply_transposed, cross, dot
 from rfem_jax.mechanics.cut_joints import closure
+from rfem_jax.mechanics.element_loads import element_tangents, frame_loads
 from rfem_jax.mechanics.elements import elasticity
 from rfem_jax.mechanics.implicit.residual import Residual
 from rfem_jax.mechanics.inputs import DriveInput
@@ -250,11 +251,13 @@ def _status_of(actual: ModelWithErrors, position: Coordinates, found: Bool[Array
 
 
 def _unloaded(model: Model) -> ModelWithErrors:
-    """The perfect mechanism without gravity; where loads are applied in steps also without forces of joints, so that
-    the undeformed start is an equilibrium."""
+    """The perfect mechanism without gravity; where loads are applied in steps also without forces of joints and
+    elements, so that the undeformed start is an equilibrium."""
     perfect = eqx.tree_at(lambda r: r.gravity, apply_errors(model, assembly_errors(model)), jnp.zeros(3))
     if model.topology.exact and model.forces is not None:
         perfect = eqx.tree_at(lambda r: r.forces.share, perfect, jnp.zeros(()))
+    if model.topology.exact and model.frame_forces is not None:
+        perfect = eqx.tree_at(lambda r: r.frame_forces.share, perfect, jnp.zeros(()))
     return perfect
 
 
@@ -306,8 +309,26 @@ def _rows(scaled: _Scaled, actual: ModelWithErrors) -> Array:
         at_rest = loads.static_state(topology, scaled.coordinates(jnp.zeros(len(scaled.units))))
         of_laws = by_coordinate(topology, law_tangent(actual, at_rest, 1.0, 0.0))
         of_joints = of_joints + of_laws * scaled.units[: topology.n_freedoms]
-    forces = Coordinates(of_joints, jnp.einsum("kij,jk->ik", springs, one))
+    of_rfes = jnp.einsum("kij,jk->ik", springs, one)
+    if actual.frame_forces is not None:
+        of_joints, of_rfes = _with_element_rows(scaled, actual, of_joints, of_rfes)
+    forces = Coordinates(of_joints, of_rfes)
     return scaled.residual(forces, jnp.full(topology.n_constraints, scaled.length))
+
+
+def _with_element_rows(
+    scaled: _Scaled, actual: ModelWithErrors, of_joints: Array, of_rfes: Array
+) -> tuple[Array, Array]:
+    """Sums of the rows with the stiffness of force elements, which are between any two bodies."""
+    topology, n = scaled.topology, len(scaled.units)
+    at_rest = loads.static_state(topology, scaled.coordinates(jnp.zeros(n)))
+    tangents = element_tangents(actual, motion_of(actual, at_rest), None, 1.0, 0.0)
+    if tangents is None:
+        return of_joints, of_rfes
+    work = jnp.sum(jnp.abs(tangents.stiffness)) * scaled.length**2
+    held = np.isin(np.arange(topology.n_rfes) + topology.n_links, topology.holders).astype(float)
+    units = scaled.unravel(scaled.units)
+    return of_joints + work / units.joints, of_rfes + work / units.elastic * held[None]
 
 
 def _static_residual(
@@ -321,7 +342,8 @@ def _static_residual(
     motion = motion_of(actual, state)
     cuts = closure(actual, motion, scale)
     at_rest = jnp.zeros((3, n + topology.n_rfes))
-    force, moment = loads.inertial_loads(actual, motion, at_rest, at_rest)
+    inertial = loads.inertial_loads(actual, motion, at_rest, at_rest)
+    force, moment = loads.beyond_elements(inertial, frame_loads(actual, motion, None))
     wrenches = loads.chain_wrenches(actual, motion, cuts, multipliers, (force, moment))
     hinge = dot(motion.axis, by_freedom(topology, jnp.stack(wrenches[:n], axis=1)))
     applied = applied_forces(DriveInput(), law_forces(actual, state))
@@ -352,7 +374,8 @@ def static_loads(
     motion = motion_of(actual, state)
     at_rest = jnp.zeros((3, actual.mass.shape[0]))
     cuts = closure(actual, motion, length_scale(model))
-    resting = loads.Resting(motion, cuts, multipliers, law_forces(actual, state))
+    at_nodes = frame_loads(actual, motion, None)
+    resting = loads.Resting(motion, cuts, multipliers, law_forces(actual, state), at_nodes)
     return loads.chain_loads(actual, resting, at_rest, at_rest, DriveInput())[0]
 
 

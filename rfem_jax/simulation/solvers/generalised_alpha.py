@@ -46,6 +46,8 @@ from rfem_jax.description.errors import InputError
 from rfem_jax.description.methods import GeneralisedAlphaMethod, Method
 from rfem_jax.mechanics import algebra, loads
 from rfem_jax.mechanics.cut_joints import closure
+from rfem_jax.mechanics.dynamics import total_dissipated
+from rfem_jax.mechanics.element_loads import element_tangents, frame_loads
 from rfem_jax.mechanics.elements.elasticity import dissipated_power
 from rfem_jax.mechanics.implicit.condensation import LinkOperator, link_operators, present_operators
 from rfem_jax.mechanics.implicit.newton import IterationMatrix, iteration_matrix, newton_increment
@@ -262,7 +264,10 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
             operators = present_operators(actual, now.relative, *self.factors(h))
         held = conditions.drives.prescribed
         of_laws = None if actual.forces is None else law_tangent(actual, state, *self.factors(h))
-        return iteration_matrix(actual, operators, now, closure(actual, now, scale), held, of_laws)
+        of_elements = None
+        if actual.frame_forces is not None:
+            of_elements = element_tangents(actual, now, drive.time, *self.factors(h))
+        return iteration_matrix(actual, operators, now, closure(actual, now, scale), held, of_laws, of_elements)
 
     def predict(self, constants: StepConstants, start: StepStart) -> Unknowns:
         """Accelerations and multipliers of the last step as a first guess.
@@ -309,12 +314,13 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         drive = conditions.drives.at(constants.end, conditions.phase)
         state, auxiliary = self._newmark(h, trajectory, memory, unknowns.accelerations, actual.topology, drive)
         laws = law_forces(actual, state)
-        dissipated = dissipated_power(actual, state)
+        at_nodes = None if actual.frame_forces is None else frame_loads(actual, motion_of(actual, state), drive.time)
         evaluation = evaluation._replace(
             multipliers=unknowns.multipliers,
             wrenches=[*wrenches, *loads.cut_wrenches(actual.topology, evaluation.closure, unknowns.multipliers)],
-            dissipated=dissipated if laws is None else dissipated + laws.dissipated,
+            dissipated=total_dissipated(dissipated_power(actual, state), laws, at_nodes),
             laws=laws,
+            frame_loads=at_nodes,
         )
         return self._step_end(evaluation, unknowns, state, auxiliary, drive, h, start)
 
