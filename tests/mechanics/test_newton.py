@@ -111,7 +111,7 @@ def test_increments_at_a_given_state_find_the_accelerations(mechanism):
         found = jax.tree.map(jnp.zeros_like, result.coordinates)
         if prescribed:
             driven = np.arange(topology.n_freedoms) == topology.driven_coordinate
-            found = Coordinates(jnp.where(driven, drive.prescribed[2], 0.0), found.elastic)
+            found = Coordinates(jnp.where(driven, drive.motions[topology.driven_coordinate][2], 0.0), found.elastic)
         multipliers = jnp.zeros_like(result.multipliers)
 
         def improve(carry, _):

@@ -31,6 +31,7 @@ A step of length zero finds v' and lambda at a given state: with it the method s
 the drive.
 """
 
+import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from typing import ClassVar
@@ -186,7 +187,7 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         operators = args.operators
         if operators is None:
             operators = jax.tree.map(lambda x: x[0], self.operators(args.actual, h[None]))
-        start = StepStart(eqx.tree_at(lambda c: c.operators, args, None), trajectory, solver_state)
+        start = StepStart(dataclasses.replace(args, operators=None), trajectory, solver_state)
         seen = jnp.maximum(peaks, squared_forces(solver_state.rates))
         constants = StepConstants(t1, h, jnp.sqrt(jnp.max(seen)))
         operators, constants, fixed = jax.lax.stop_gradient((operators, constants, start))
