@@ -96,7 +96,7 @@ def test_phases_of_several_drives():
     # 0.1 + 0.2 is 0.3 up to rounding: one jump.
     drives = [first, second, PrescribedRate("B", 1.0)]
     assert all_breakpoints(drives) == pytest.approx((0.1, 0.3), rel=1e-12)
-    assert [own_breakpoints(one, drives) for one in drives] == [(1,), (0, 1), ()]
+    assert [own_breakpoints(one, (0.1, 0.3)) for one in drives] == [(1,), (0, 1), ()]
     assert each_drive(None) == () and each_drive(first) == (first,)
 
 
