@@ -6,7 +6,7 @@ The integrals of squared loads, of the drive's power and of the dissipated power
 system, so that the metrics of a run need no history (theory (3.12)).
 """
 
-from typing import Protocol, TypeVar
+from typing import Protocol, TypeVar, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -131,6 +131,7 @@ def squares(
     return jnp.sum(jnp.where(along, square, 0.0), axis=0), jnp.sum(jnp.where(along, 0.0, square), axis=0), moment
 
 
+@runtime_checkable
 class Along(Protocol):
     """Of a solved instant: motion, forces of springs and laws along joint coordinates, and of elements on nodes."""
 
