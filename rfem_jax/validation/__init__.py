@@ -12,7 +12,8 @@ Place in the pipeline: simulation, mechanics, description -> **validation** -> r
     slider_cranks         on a guide, rigid, and flexible with errors
     spatial_linkages      spherical, universal, prismatic, cylindrical, fixed joints
     bennett_loop          an overconstrained linkage
-    published_linkages    IFToMM spatial slider-crank, Modelica Fourbar1
+    andrews_squeezer      seven bodies, three planar loops
+    published_linkages    IFToMM spatial slider-crank; Fourbar1, Fourbar2 and Engine1a of Modelica
     joint_tables          one body on a joint of each kind
     joint_cases, rigid_links serve the benchmarks of joints of other kinds than revolute
     catalogue             all of them by name

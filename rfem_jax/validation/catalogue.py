@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 from rfem_jax.description.errors import InputError, suggestion
 from rfem_jax.validation import (
+    andrews_squeezer,
     bennett_loop,
     cantilevers,
     four_bar_study,
@@ -33,7 +34,8 @@ BENCHMARKS = (
     Benchmark("slider_cranks", "slider-cranks, rigid and flexible", slider_cranks.validate),
     Benchmark("spatial_linkages", "spatial linkages with joints of many kinds", spatial_linkages.validate),
     Benchmark("bennett_loop", "Bennett's overconstrained linkage", bennett_loop.validate),
-    Benchmark("published_linkages", "published spatial linkages", published_linkages.validate),
+    Benchmark("andrews_squeezer", "Andrews' squeezing mechanism", andrews_squeezer.validate),
+    Benchmark("published_linkages", "linkages of two libraries", published_linkages.validate),
     Benchmark("joint_tables", "one body on a joint of each kind", joint_tables.validate),
 )
 
