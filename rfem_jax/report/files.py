@@ -3,8 +3,8 @@
 Place in the pipeline: after `summary`; written by `output`.
 
 CSV columns: `time_s`; `angle_rad`, `rate_rad_s` of the driven joint; energies `_J`; then for each
-joint `A_force_x_N` ... `A_moment_z_Nm` in its frame H (y along a hinge); `drive_moment_Nm`; and last
-the coordinates of the joints of the tree that are not revolute, `G_displacement_m`, `U_angle_1_rad`. Where
+joint `A_force_x_N` ... `A_moment_z_Nm` in its frame H (y along a hinge, x along a guide); `drive_moment_Nm`; and last
+the coordinates of the other joints of the tree, `D_angle_rad`, `G_displacement_m`, `U_angle_1_rad`. Where
 several drives act, or one on a translation, they have columns of their own, `A_drive_angle_rad`,
 `A_drive_rate_rad_s`, `A_drive_moment_Nm`, `G_drive_displacement_m`, `G_drive_speed_m_s`, `G_drive_force_N`, in the
 place of those of the driven joint.  Last of all the forces at points in global axes: `coil_length_m`, `coil_tension_N`
@@ -19,6 +19,7 @@ import numpy as np
 from jaxtyping import Float
 
 from rfem_jax.compilation.keeping import state
+from rfem_jax.description.joint_kinds import KINDS
 from rfem_jax.description.point_forces import AtPoint
 from rfem_jax.description.study import Study
 from rfem_jax.report.annotations import Run, Summaries
@@ -84,10 +85,12 @@ def _point_columns(study: Study, run: Run) -> dict[str, Float[np.ndarray, " time
 
 
 def _coordinate_columns(study: Study, run: Run) -> dict[str, Float[np.ndarray, " times"]]:
-    """Coordinates of the tree joints that are not revolute, numbered where a joint has several of one dimension."""
+    """Coordinates of the tree joints, numbered where a joint has several of one dimension, but of those whose only one
+    is driven."""
     columns = {}
+    driven = {one.joint for one in study.drives}
     for joint in study.mechanism.joints:
-        if joint.cut or joint.kind == "revolute":
+        if joint.cut or (joint.name in driven and len(KINDS[joint.kind].freedoms) == 1):
             continue
         for what, unit, values in (("angle", "rad", run.angles), ("displacement", "m", run.displacements)):
             several = np.asarray(values[joint.name]) if joint.name in values else np.zeros((0, 0))

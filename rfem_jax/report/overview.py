@@ -7,9 +7,10 @@ and errors in degrees and millimetres, as users write them.
 import math
 import re
 from dataclasses import fields
+from typing import Any
 
 from rfem_jax.description.driven_motions import AnyDrive
-from rfem_jax.description.forces import Force, JointForce
+from rfem_jax.description.forces import Force, JointForce, JointForceTable
 from rfem_jax.description.joint_kinds import KINDS
 from rfem_jax.description.joints import Joint
 from rfem_jax.description.mechanism import Mechanism
@@ -81,6 +82,10 @@ def _forces_text(mechanism: Mechanism) -> str:
         numbers = [
             f"{name.replace('_', ' ')} {value:g}" for name, value in vars(force).items() if isinstance(value, float)
         ]
+        if isinstance(force, JointForceTable):
+            columns: dict[str, Any] = {"positions": force.positions, "forces": force.forces}
+            numbers = [f"{len(force.positions)} rows"]
+            numbers += [f"{name} {values[0]:g} to {values[-1]:g}" for name, values in columns.items()]
         size = f" (SI: {', '.join(numbers)})" if numbers else ""
         where = f"on joint {force.joint}, {force.motion}" if isinstance(force, JointForce) else _points_text(force)
         lines.append(f"Force {force.name}: {_words(force)} {where}{size}.\n")
@@ -144,7 +149,12 @@ def count_lines(mechanism: Mechanism, description: Structure) -> list[str]:
     for link in description.idle:
         joints = [joint for joint in mechanism.joints if link in (joint.parent, joint.child)]
         kinds = " and ".join(f"{joint.name} ({joint.kind})" for joint in joints)
-        lines.append(f"Idle freedom: link {link} can move alone between {kinds}, and nothing else follows.")
+        balls = len(joints) == 2 and all(KINDS[joint.kind].ball for joint in joints)
+        move = f"turn about the line through {kinds}" if balls else f"move alone between {kinds}"
+        lines.append(
+            f"Idle freedom: link {link} can {move}, and nothing else follows; it starts as the joints' start says, "
+            "and is free in the simulation."
+        )
     if description.gap > 1e-9:
         lines.append(
             f"With every link rigid a cut joint stays open by {description.gap:.2g} m at the start, which flexible "

@@ -27,7 +27,7 @@ class Quantity:
 RMS_FORCE = Quantity("rms_force", "N", "RMS resultant force", "root of the mean square over the whole run")
 RMS_MOMENT = Quantity("rms_moment", "N m", "RMS resultant moment", "root of the mean square over the whole run")
 MAX_AXIAL_FORCE = Quantity(
-    "max_axial_force", "N", "Maximum axial force", "largest |force along the joint's axis| of the run"
+    "max_axial_force", "N", "Maximum axial force", "largest |force along the joint's axis, hinge or guide| of the run"
 )
 MAX_NORMAL_FORCE = Quantity(
     "max_normal_force", "N", "Maximum normal force", "largest resultant across the axis of the run"

@@ -17,6 +17,7 @@ from rfem_jax.description.driven_motions import Drive
 from rfem_jax.description.error_catalogue import error_unit
 from rfem_jax.description.errors import InputError, suggestion
 from rfem_jax.description.methods import Method
+from rfem_jax.description.metric_catalogue import has_metric
 from rfem_jax.mechanics.model import Model
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors, assembly_errors
 from rfem_jax.mechanics.status import STATUS
@@ -165,9 +166,20 @@ def _known_metric(model: Model, asked: str | Metric) -> Metric:
             f"Argument `metrics` must be of joints of the model, but {one.name!r} is not; "
             f"{suggestion(joint, model.joint_names)}"
         )
+    if joint is not None and not _has(model, joint, one.name.rpartition(".")[2]):
+        raise InputError(
+            f"Argument `metrics` must be of joints that have them, but {one.name!r} is not: a cut joint has no "
+            "coordinate, and one of another kind not this one; take another joint."
+        )
     if one.function is None:
         raise InputError(
             f"Argument `metrics` must hold metrics with a function of a run, but {one.name!r} has none; write for "
             f"example Metric({one.name!r}, function=lambda run: run.angle[-1])."
         )
     return one
+
+
+def _has(model: Model, joint: str, metric: str) -> bool:
+    topology = model.topology
+    j = topology.joints.index(joint)
+    return has_metric(metric, topology.kind(j), j in topology.cuts)
