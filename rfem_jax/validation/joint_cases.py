@@ -33,13 +33,12 @@ class Shares:
 def checked(
     reference: Reference, case: str, group: str, run: Run, allowed: Shares, duration: float | None = None
 ) -> list[Line]:
-    """All lines that the reference has of a case; group: heading, to which the quantity is added; duration [s] of RMS
-    loads (None: the run's)."""
+    """All lines that the reference has of a case; group: their heading; duration [s] of RMS loads (None: the run's)."""
     lines: list[Line] = []
     metrics = run.metrics if duration is None else run.window(0.0, duration)
     for quantity, values in (("force", metrics.rms_force), ("moment", metrics.rms_moment)):
         found = {joint: float(value) for joint, value in values.items()}
-        lines += _by_joint(reference, f"rms_{quantity}", case, f"{group}: RMS {quantity}", found, allowed.rms)
+        lines += _by_joint(reference, f"rms_{quantity}", case, group, f"RMS {quantity}", found, allowed.rms)
     lines += preload_lines(reference, case, group, run.preload, allowed.preload)
     for quantity in ("force", "moment"):
         lines += _at_instants(reference, quantity, case, group, run, allowed.instant)
@@ -53,12 +52,12 @@ def preload_lines(reference: Reference, case: str, group: str, preload: Mapping[
     lines: list[Line] = []
     for quantity in ("force", "moment"):
         found = {joint: float(np.linalg.norm(getattr(load, quantity))) for joint, load in preload.items()}
-        lines += _by_joint(reference, f"preload_{quantity}", case, f"{group}: preload {quantity}", found, share)
+        lines += _by_joint(reference, f"preload_{quantity}", case, group, f"preload {quantity}", found, share)
     return lines
 
 
 def _by_joint(
-    reference: Reference, key: str, case: str, group: str, found: Mapping[str, float], share: float
+    reference: Reference, key: str, case: str, group: str, title: str, found: Mapping[str, float], share: float
 ) -> list[Line]:
     if key not in reference.quantities or case not in reference[key]:
         return []
@@ -69,7 +68,7 @@ def _by_joint(
         # What vanishes, or nearly, is compared with the largest.
         line = relative if value > 1e-2 * largest else absolute
         allowed = share if value > 1e-2 * largest else share * largest
-        lines.append(line(group, joint, found[joint], value, allowed, reference.label, unit))
+        lines.append(line(group, f"{title} {joint}", found[joint], value, allowed, reference.label, unit))
     return lines
 
 
@@ -84,7 +83,7 @@ def _at_instants(reference: Reference, quantity: str, case: str, group: str, run
             for axis, value, given in zip("xyz", in_seat(run, joint, quantity, i), values):
                 allowed = share * max(scale, 0.1 * abs(given))
                 name = f"{quantity} {axis} of {joint} at {time} s"
-                line = absolute(f"{group}: load at instants", name, value, given, allowed, reference.label, unit)
+                line = absolute(group, name, value, given, allowed, reference.label, unit)
                 found.append((joint, line))
     return _worst(found)
 
@@ -100,7 +99,7 @@ def _motion(
             if unit == "rad":
                 value -= 2.0 * np.pi * np.round((value - given) / (2.0 * np.pi))
             title = f"{name} of {joint} at {time} s"
-            line = absolute(f"{group}: motion", title, value, given, allowed, reference.label, unit)
+            line = absolute(group, title, value, given, allowed, reference.label, unit)
             found.append((joint, line))
     return _worst(found)
 

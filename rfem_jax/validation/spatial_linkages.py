@@ -203,8 +203,8 @@ def rigid_lines(case: str, run: Run) -> list[Line]:
     quantity, times = REFERENCE.quantities["quadrature"], np.asarray(run.times)
     for named, known in quantity.values.items() if case == "RSUP" else ():
         value = np.asarray(run.angle)[np.argmin(np.abs(times - float(named)))]
-        name = f"crank angle at {named} s"
-        lines.append(absolute(f"{group}: energy", name, value, known, 1e-7, quantity.label, "rad"))
+        name = f"crank angle at {named} s, energy"
+        lines.append(absolute(group, name, value, known, 1e-7, quantity.label, "rad"))
     return lines
 
 
