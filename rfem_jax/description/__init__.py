@@ -5,6 +5,7 @@ enters and converted to SI floats.
 """
 
 from rfem_jax.description.drives import (
+    GivenDrive,
     MomentDrive,
     MomentFunction,
     MomentRamp,
@@ -28,6 +29,14 @@ from rfem_jax.description.methods import (
     GeneralisedAlphaMethod,
     Method,
 )
+from rfem_jax.description.point_forces import (
+    PointForce,
+    PointMoment,
+    PointSpring,
+    PointSpringFunction,
+    PointSpringTable,
+)
+from rfem_jax.description.rigid_bodies import RigidBody
 from rfem_jax.description.sections import (
     Circle,
     GivenSection,
@@ -37,6 +46,15 @@ from rfem_jax.description.sections import (
     Tube,
 )
 from rfem_jax.description.study import Case, Study, load_study
+from rfem_jax.description.translation_drives import (
+    ForceDrive,
+    ForceFunction,
+    ForceRamp,
+    ForceTable,
+    PrescribedDisplacements,
+    PrescribedRunUp,
+    PrescribedSpeed,
+)
 from rfem_jax.description.units import quantity
 
 __all__ = [
@@ -45,7 +63,12 @@ __all__ = [
     "Circle",
     "DiffraxMethod",
     "FixedStepMethod",
+    "ForceDrive",
+    "ForceFunction",
+    "ForceRamp",
+    "ForceTable",
     "GeneralisedAlphaMethod",
+    "GivenDrive",
     "GivenSection",
     "InputError",
     "Joint",
@@ -60,13 +83,22 @@ __all__ = [
     "MomentFunction",
     "MomentRamp",
     "MomentTable",
+    "PointForce",
     "PointMass",
+    "PointMoment",
+    "PointSpring",
+    "PointSpringFunction",
+    "PointSpringTable",
+    "PrescribedDisplacements",
     "PrescribedDrive",
     "PrescribedFunction",
     "PrescribedRate",
+    "PrescribedRunUp",
+    "PrescribedSpeed",
     "PrescribedSpinUp",
     "PrescribedTable",
     "Rectangle",
+    "RigidBody",
     "Section",
     "SectionProperties",
     "Study",

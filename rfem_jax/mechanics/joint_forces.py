@@ -3,8 +3,8 @@
 Place in the pipeline: inputs, joint_laws -> **joint_forces** -> dynamics, residual, loads, statics,
 reference_formulation.
 
-They are the moment of the drive, and springs, dampers and laws of a joint's own position and rate.  Springs and
-dampers are inside a joint: parts of its load.  Drives and laws act from outside it and are not (theory (3.17)).
+They are the moments and forces of drives, and springs, dampers and laws of a joint's own position and rate.  Springs
+and dampers are inside a joint: parts of its load.  Drives and laws act from outside it and are not (theory (3.17)).
 """
 
 from functools import reduce
@@ -57,11 +57,9 @@ def law_forces(actual: ModelWithErrors, state: State) -> LawForces | None:
     return LawForces(inside, outside, dissipated, power)
 
 
-def applied_forces(topology: Topology, drive: DriveInput, laws: LawForces | None) -> dict[int, Float[Array, ""]]:
+def applied_forces(drive: DriveInput, laws: LawForces | None) -> dict[int, Float[Array, ""]]:
     """Generalised forces [N m, N] by joint coordinate, where any acts."""
-    found: dict[int, Array] = {}
-    if drive.moment is not None and topology.driven_coordinate is not None:
-        found[topology.driven_coordinate] = drive.moment
+    found: dict[int, Array] = dict(drive.forces)
     for side in () if laws is None else (laws.inside, laws.outside):
         for k, force in side.items():
             found[k] = found[k] + force if k in found else force
@@ -75,10 +73,21 @@ def by_coordinate(topology: Topology, forces: dict[int, Float[Array, ""]]) -> Fl
 
 
 def hinge_moments(topology: Topology, drive: DriveInput) -> Float[Array, " links"] | None:
-    """Moments [N m] of a drive about y of the tree joints, zero where none acts; None where that is everywhere."""
-    if drive.moment is None:
-        return None
-    return jnp.where(np.arange(topology.n_links) == topology.driven, drive.moment[None], 0.0)
+    """Moments [N m] of drives about the hinges of the tree, zero where none acts; None where that is everywhere."""
+    links = np.arange(topology.n_links)
+    about = [
+        jnp.where(links == topology.link_of_freedom[k], moment[None], 0.0)
+        for k, moment in drive.forces.items()
+        if topology.about_hinge(k)
+    ]
+    return reduce(jnp.add, about) if about else None
+
+
+def outside_forces(topology: Topology, drive: DriveInput, laws: LawForces | None) -> list[tuple[int, Float[Array, ""]]]:
+    """Joint coordinates and the forces [N, N m] of laws, and of drives on others than hinges, which are no part of the
+    joints' loads."""
+    of_laws = [] if laws is None else list(laws.outside.items())
+    return of_laws + [(k, force) for k, force in drive.forces.items() if not topology.about_hinge(k)]
 
 
 def law_energy(actual: ModelWithErrors, position: Coordinates) -> Float[Array, ""]:

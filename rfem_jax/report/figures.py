@@ -16,6 +16,7 @@ from matplotlib import rc_context
 from rfem_jax.description.joint_kinds import KINDS
 from rfem_jax.description.study import Study
 from rfem_jax.report.annotations import Figure, Run, Summaries
+from rfem_jax.report.driven_motions_report import drive_quantities, has_driven_joint
 from rfem_jax.report.output import write_pictures
 from rfem_jax.report.quantities import (
     MAX_AXIAL_FORCE,
@@ -187,19 +188,15 @@ def _histories(study: Study, runs: Mapping[str, Run], values: Callable[[Run], An
 
 
 def _motion_figures(study: Study, runs: Mapping[str, Run]) -> dict[str, Figure]:
-    """Angle and rate of the driven joint (none without a drive), and where the other joints of the base are that have
-    one coordinate: the motion that comes out."""
-    figures, driven = {}, None if study.drive is None else study.drive.joint
-    if driven is not None:
-        of_joint = f"of joint {driven} ({study.mechanism.joint(driven).child})"
-        angles = _histories(study, runs, lambda run: run.angle)
-        rates = _histories(study, runs, lambda run: run.rate)
-        figures["angle"] = history_figure(study, angles, f"Angle {of_joint}", "angle, rad")
-        figures["rate"] = history_figure(study, rates, f"Rate {of_joint}", "rate, rad/s")
+    """Angle and rate of the driven joint (none without a drive); of several drives, or one on a translation, position,
+    rate and force of each; and where the other joints of the base are that have one coordinate: the motion that comes
+    out."""
+    figures = _drive_figures(study, runs)
+    driven = {one.joint for one in study.drives}
     outputs = [
         joint
         for joint in study.mechanism.tree_joints
-        if joint.parent == "base" and joint.name != driven and len(KINDS[joint.kind].freedoms) == 1
+        if joint.parent == "base" and joint.name not in driven and len(KINDS[joint.kind].freedoms) == 1
     ]
     for joint in outputs[:MOST_BASE_JOINTS]:
         what, unit = ("angle", "rad") if KINDS[joint.kind].angles else ("displacement", "m")
@@ -207,6 +204,27 @@ def _motion_figures(study: Study, runs: Mapping[str, Run]) -> dict[str, Figure]:
         heading = f"{what.capitalize()} of joint {joint.name} ({joint.child})"
         figures[f"{what}_{joint.name}"] = history_figure(study, values, heading, f"{what}, {unit}")
     return figures
+
+
+def _drive_figures(study: Study, runs: Mapping[str, Run]) -> dict[str, Figure]:
+    if not has_driven_joint(study):
+        return {
+            one.name: history_figure(
+                study,
+                _histories(study, runs, one.values),
+                f"{one.quantity.label.capitalize()} of {one.label}",
+                one.quantity.title,
+            )
+            for one in drive_quantities(study)
+        }
+    joint = study.drives[0].joint
+    of_joint = f"of joint {joint} ({study.mechanism.joint(joint).child})"
+    angles = _histories(study, runs, lambda run: run.angle)
+    rates = _histories(study, runs, lambda run: run.rate)
+    return {
+        "angle": history_figure(study, angles, f"Angle {of_joint}", "angle, rad"),
+        "rate": history_figure(study, rates, f"Rate {of_joint}", "rate, rad/s"),
+    }
 
 
 def draw_figures(study: Study, runs: Mapping[str, Run], summaries: Summaries) -> dict[str, Figure]:

@@ -158,7 +158,18 @@ def draw_force(axes: Axes3D, mechanism: Mechanism, force: JointForce, point: Poi
         tip = point - sign * HALF_BOX[0] * size * along
         place = tip - sign * ARROW * size * along
         _draw_arrow(axes, place, tip)
-    axes.text(*place, f"{force.name}  ", fontsize=8, ha="right", va="top", color="#404040", parse_math=False, zorder=6)
+    axes.text(
+        place[0],
+        place[1],
+        place[2],
+        f"{force.name}  ",
+        fontsize=8,
+        ha="right",
+        va="top",
+        color="#404040",
+        parse_math=False,
+        zorder=6,
+    )
 
 
 def _sign(force: JointForce, position: float) -> float:

@@ -73,10 +73,10 @@ BALANCES = (
 
 ENERGIES = (
     Quantity("kinetic", "J", "Kinetic energy", "of all links"),
-    Quantity("elastic", "J", "Elastic energy", "of the flexible links and the springs"),
+    Quantity("elastic", "J", "Elastic energy", "of the flexible links and springs"),
     Quantity("gravity", "J", "Gravitational energy", "potential energy of the weight"),
     Quantity("total", "J", "Total mechanical energy", "kinetic + elastic + gravity"),
-    Quantity("work", "J", "Work of the drive", "and of given forces of joints, done since the start"),
+    Quantity("work", "J", "Work of the drive", "and of forces from outside, done since the start"),
     Quantity("dissipation", "J", "Dissipated energy", "lost in material damping and dampers since the start"),
 )
 

@@ -17,6 +17,7 @@ from rfem_jax.description.joints import Joint
 from rfem_jax.description.mechanism import Mechanism
 from rfem_jax.description.study import Study
 from rfem_jax.report.annotations import Axes3D, Figure, Run
+from rfem_jax.report.force_shapes import draw_forces
 from rfem_jax.report.joint_symbols import (
     Seat,
     draw_force,
@@ -151,6 +152,15 @@ def _draw_mechanism(
     for force in mechanism.forces:
         if isinstance(force, JointForce) and force.joint in places and np.isfinite(points[force.joint]).all():
             draw_force(axes, mechanism, force, points[force.joint], places[force.joint], size)
+
+    def drawn(link: str, x: float, place: Point) -> Point:
+        """Where a point of a link is drawn: as far from its centre line as it is, but that line exaggerated."""
+        if link == "base":
+            return place
+        assembled = np.asarray(run.centre_lines[link])
+        return place + point_on_line(lines[link], nominal[link], x) - point_on_line(assembled, nominal[link], x)
+
+    draw_forces(axes, mechanism, run, size, drawn)
     for names, point in labelled_points({joint.name: points[joint.name] for joint in mechanism.joints}, lines):
         axes.text(point[0], point[1], point[2], f"  {', '.join(names)}", fontsize=9, weight="bold", zorder=6)
 

@@ -13,7 +13,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from rfem_jax.compilation.program import Program
-from rfem_jax.description.drives import MomentDrive, PrescribedDrive
+from rfem_jax.description.driven_motions import Drive
 from rfem_jax.description.error_catalogue import error_unit
 from rfem_jax.description.errors import InputError, suggestion
 from rfem_jax.description.methods import Method
@@ -44,7 +44,7 @@ class Problem(eqx.Module):
 
     Args:
         model: from `discretise`.
-        drive: a moment or prescribed drive, or None.
+        drive: a given or prescribed drive, a list of them, or None.
         duration: [s].
         metrics: `Metric`s with functions, or names ("A.rms_force", "end_energy"; see `register_metric`).
         method: a `Method`.
@@ -53,7 +53,7 @@ class Problem(eqx.Module):
     """
 
     model: Model
-    drive: MomentDrive | PrescribedDrive | None
+    drive: Drive
     duration: float = eqx.field(static=True)
     metrics: tuple[Metric, ...] = eqx.field(static=True)
     method: Method = eqx.field(static=True)
@@ -62,7 +62,7 @@ class Problem(eqx.Module):
     def __init__(
         self,
         model: Model,
-        drive: MomentDrive | PrescribedDrive | None,
+        drive: Drive,
         duration: float | int,
         metrics: str | Metric | Iterable[str | Metric],
         method: Method,
@@ -72,6 +72,7 @@ class Problem(eqx.Module):
         metrics = (metrics,) if isinstance(metrics, (str, Metric)) else metrics
         self.metrics = tuple(_known_metric(model, m) for m in metrics)
         check_distinct((m.name for m in self.metrics), "metrics")
+        _check_angle(model, self.metrics)
         self.duration, self.save_every = float(duration), None if save_every is None else float(save_every)
         self.method = choose_method(model, method, drive, self.duration, save_every=self.save_every)
 
@@ -145,6 +146,15 @@ class Problem(eqx.Module):
 def _values_and_status(problem: Problem, errors: AssemblyErrors) -> tuple[Values, Status]:
     """A program of its own: that of `simulate` differentiates the histories, too."""
     return problem.with_residual(errors)[:2]
+
+
+def _check_angle(model: Model, metrics: Iterable[Metric]) -> None:
+    driven = model.topology.driven_coordinate
+    if driven is not None and model.topology.slides[driven] and "angle_error" in [m.name for m in metrics]:
+        raise InputError(
+            "Argument `metrics` must fit the drive, but `angle_error` is of an angle and the first drive moves "
+            f"`{model.topology.drive_labels[0]}` along an axis; leave it out, or give a Metric of the displacement."
+        )
 
 
 def _known_metric(model: Model, asked: str | Metric) -> Metric:
