@@ -50,7 +50,7 @@ class Seat(NamedTuple):
 
 def joint_seats(mechanism: Mechanism) -> dict[str, Seat]:
     """The seats of all joints of the perfect mechanism at the start."""
-    from rfem_jax.mechanics import discretise
+    from rfem_jax.mechanics.discretisation import discretise
     from rfem_jax.mechanics.nominal_geometry import geometry_of, place
 
     model = discretise(mechanism)

@@ -64,7 +64,7 @@ def test_run_prints_and_writes_everything(packages, runs, study_file, tmp_path, 
     assert {"angle.png", "assembly.png"} <= names
     captured = capsys.readouterr()
     assert "RMS resultant force, N" in captured.out
-    assert "17 files written" in captured.out
+    assert "18 files written" in captured.out
     assert "Simulating 3 cases: 100 %" in captured.err
 
 
