@@ -42,9 +42,8 @@ from rfem_jax.description.units import Quantities, Quantity, non_negative_quanti
 
 if TYPE_CHECKING:
     Law = Callable[..., Scalar]
-    Name = str
 else:
-    Law = Name = Any  # what is no function, or no name, is refused in a sentence
+    Law = Any  # what is no function is refused in a sentence
 
 
 class GivenDrive(eqx.Module):
@@ -113,7 +112,7 @@ class MomentRamp(MomentDrive):
     moment: Scalar
     rise_time: float = eqx.field(static=True)
 
-    def __init__(self, joint: Name, moment: Quantity, rise_time: Quantity, motion: str | None = None):
+    def __init__(self, joint: str, moment: Quantity, rise_time: Quantity, motion: str | None = None):
         checks = drive_checks(self, joint, motion)
         checks.set("moment", moment, leaf, "moment", "moment")
         checks.set("rise_time", rise_time, positive_quantity, "time", "rise_time")
@@ -141,7 +140,7 @@ class MomentTable(MomentDrive):
     values: Float[Array, " times"]
     times: tuple[float, ...] = eqx.field(static=True)
 
-    def __init__(self, joint: Name, times: Quantities, moments: Quantities, motion: str | None = None):
+    def __init__(self, joint: str, times: Quantities, moments: Quantities, motion: str | None = None):
         checks = drive_checks(self, joint, motion)
         found = checks.value("times", times, table_times, False)
         checks.set("values", moments, column, "moment", "moments", found)
@@ -171,7 +170,7 @@ class MomentFunction(MomentDrive):
     function: Callable[..., Scalar]
     times: tuple[float, ...] = eqx.field(static=True)
 
-    def __init__(self, joint: Name, function: Law, breakpoints: Quantities = (), motion: str | None = None):
+    def __init__(self, joint: str, function: Law, breakpoints: Quantities = (), motion: str | None = None):
         checks = drive_checks(self, joint, motion)
         checks.set("times", breakpoints, checked_breakpoints)
         checks.set("function", function, as_tree)
@@ -201,7 +200,7 @@ class PrescribedRate(PrescribedDrive):
     rate: Scalar
     rise_time: float = eqx.field(static=True)
 
-    def __init__(self, joint: Name, rate: Quantity, rise_time: Quantity = 0.0, motion: str | None = None):
+    def __init__(self, joint: str, rate: Quantity, rise_time: Quantity = 0.0, motion: str | None = None):
         checks = drive_checks(self, joint, motion)
         checks.set("rate", rate, leaf, "rate", "rate")
         checks.set("rise_time", rise_time, non_negative_quantity, "time", "rise_time")
@@ -234,7 +233,7 @@ class PrescribedSpinUp(PrescribedDrive):
     rate: Scalar
     rise_time: float = eqx.field(static=True)
 
-    def __init__(self, joint: Name, rate: Quantity, rise_time: Quantity, motion: str | None = None):
+    def __init__(self, joint: str, rate: Quantity, rise_time: Quantity, motion: str | None = None):
         checks = drive_checks(self, joint, motion)
         checks.set("rate", rate, leaf, "rate", "rate")
         checks.set("rise_time", rise_time, positive_quantity, "time", "rise_time")
@@ -264,7 +263,7 @@ class PrescribedTable(PrescribedDrive):
     coefficients: Float[Array, "4 times-1"]
     end: float = eqx.field(static=True)
 
-    def __init__(self, joint: Name, times: Quantities, angles: Quantities, motion: str | None = None):
+    def __init__(self, joint: str, times: Quantities, angles: Quantities, motion: str | None = None):
         checks = drive_checks(self, joint, motion)
         knots = checks.value("times", times, table_times, True)
         changes = checks.value("angles", angles, table_changes, "angle", "angles", knots)
@@ -294,7 +293,7 @@ class PrescribedFunction(PrescribedDrive):
     function: Callable[..., Scalar]
     times: tuple[float, ...] = eqx.field(static=True)
 
-    def __init__(self, joint: Name, function: Law, breakpoints: Quantities = (), motion: str | None = None):
+    def __init__(self, joint: str, function: Law, breakpoints: Quantities = (), motion: str | None = None):
         checks = drive_checks(self, joint, motion)
         checks.set("times", breakpoints, checked_breakpoints)
         checks.set("function", function, as_tree)

@@ -34,9 +34,8 @@ from rfem_jax.description.units import Quantities, Quantity, non_negative_quanti
 
 if TYPE_CHECKING:
     Law = Callable[..., Scalar]
-    Name = str
 else:
-    Law = Name = Any  # what is no function, or no name, is refused in a sentence
+    Law = Any  # what is no function is refused in a sentence
 
 
 class ForceDrive(GivenDrive):
@@ -67,7 +66,7 @@ class ForceRamp(ForceDrive):
     force: Scalar
     rise_time: float = eqx.field(static=True)
 
-    def __init__(self, joint: Name, force: Quantity, rise_time: Quantity, motion: str | None = None):
+    def __init__(self, joint: str, force: Quantity, rise_time: Quantity, motion: str | None = None):
         checks = drive_checks(self, joint, motion)
         checks.set("force", force, leaf, "force", "force")
         checks.set("rise_time", rise_time, positive_quantity, "time", "rise_time")
@@ -94,7 +93,7 @@ class ForceTable(ForceDrive):
     values: Float[Array, " times"]
     times: tuple[float, ...] = eqx.field(static=True)
 
-    def __init__(self, joint: Name, times: Quantities, forces: Quantities, motion: str | None = None):
+    def __init__(self, joint: str, times: Quantities, forces: Quantities, motion: str | None = None):
         checks = drive_checks(self, joint, motion)
         found = checks.value("times", times, table_times, False)
         checks.set("values", forces, column, "force", "forces", found)
@@ -123,7 +122,7 @@ class ForceFunction(ForceDrive):
     function: Callable[..., Scalar]
     times: tuple[float, ...] = eqx.field(static=True)
 
-    def __init__(self, joint: Name, function: Law, breakpoints: Quantities = (), motion: str | None = None):
+    def __init__(self, joint: str, function: Law, breakpoints: Quantities = (), motion: str | None = None):
         checks = drive_checks(self, joint, motion)
         checks.set("times", breakpoints, checked_breakpoints)
         checks.set("function", function, as_tree)
@@ -152,7 +151,7 @@ class PrescribedSpeed(PrescribedDrive):
     speed: Scalar
     rise_time: float = eqx.field(static=True)
 
-    def __init__(self, joint: Name, speed: Quantity, rise_time: Quantity = 0.0, motion: str | None = None):
+    def __init__(self, joint: str, speed: Quantity, rise_time: Quantity = 0.0, motion: str | None = None):
         checks = drive_checks(self, joint, motion)
         checks.set("speed", speed, leaf, "speed", "speed")
         checks.set("rise_time", rise_time, non_negative_quantity, "time", "rise_time")
@@ -181,7 +180,7 @@ class PrescribedRunUp(PrescribedDrive):
     speed: Scalar
     rise_time: float = eqx.field(static=True)
 
-    def __init__(self, joint: Name, speed: Quantity, rise_time: Quantity, motion: str | None = None):
+    def __init__(self, joint: str, speed: Quantity, rise_time: Quantity, motion: str | None = None):
         checks = drive_checks(self, joint, motion)
         checks.set("speed", speed, leaf, "speed", "speed")
         checks.set("rise_time", rise_time, positive_quantity, "time", "rise_time")
@@ -210,7 +209,7 @@ class PrescribedDisplacements(PrescribedDrive):
     coefficients: Float[Array, "4 times-1"]
     end: float = eqx.field(static=True)
 
-    def __init__(self, joint: Name, times: Quantities, displacements: Quantities, motion: str | None = None):
+    def __init__(self, joint: str, times: Quantities, displacements: Quantities, motion: str | None = None):
         checks = drive_checks(self, joint, motion)
         knots = checks.value("times", times, table_times, True)
         changes = checks.value("displacements", displacements, table_changes, "length", "displacements", knots)

@@ -18,7 +18,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import Array
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from rfem_jax.mechanics import algebra
 from rfem_jax.mechanics.algebra import Scalar, cross
@@ -31,7 +31,7 @@ class Time(NamedTuple):
     t: Scalar
     passed: Scalar
 
-    def phase(self, breakpoints: tuple[float, ...]) -> Float[Array, ""]:
+    def phase(self, breakpoints: tuple[float, ...]) -> Int[Array, ""]:
         """Number of the breakpoints [s] of one function that were passed; t itself is never compared with them."""
         return jnp.sum(jnp.asarray(self.passed) >= jnp.asarray(breakpoints, jnp.float64))
 
