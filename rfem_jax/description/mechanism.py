@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 
 from rfem_jax.description.error_catalogue import LINK_ERRORS, error_dimension, error_unit
 from rfem_jax.description.errors import Checks, ChecksItself, InputError, Problems, require_choice, subject, suggestion
-from rfem_jax.description.forces import JointForce
+from rfem_jax.description.forces import JointForce, JointFriction
 from rfem_jax.description.joint_kinds import KINDS, joint_errors
 from rfem_jax.description.joints import Joint
 from rfem_jax.description.links import Link
@@ -40,7 +40,7 @@ class Mechanism(ChecksItself):
             its start angle; None = none (a study sets it from its drive).
         elements: spring-damping elements: "linear" (small deflections relative to the link frame),
             or "geometrically_exact" (of any size).
-        forces: JointSpring, JointForceTable and JointForceFunction objects.
+        forces: JointSpring, JointFriction, JointForceTable and JointForceFunction objects.
     Raises:
         InputError: names clash or are unknown, a link is not connected, a loop is not cut, a
             joint lies off a flexible link, or a force does not fit its joint.
@@ -209,6 +209,9 @@ class Mechanism(ChecksItself):
         tree = [joint.name for joint in self.joints if not joint.cut]
         for force in self.forces:
             with problems.noted():
+                if isinstance(force, JointFriction) and force.joint in [joint.name for joint in self.cut_joints]:
+                    found.append(force.resolved(self.joint(force.joint)))
+                    continue
                 if force.joint not in tree:
                     cut = force.joint in [joint.name for joint in self.joints]
                     reason = "is cut" if cut else "is none"

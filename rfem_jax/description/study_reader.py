@@ -20,7 +20,7 @@ from rfem_jax.description.drives import (
     PrescribedTable,
 )
 from rfem_jax.description.errors import ABSENT, InputError, Problems, located, require_choice, require_name
-from rfem_jax.description.forces import JointForce, JointForceTable, JointSpring
+from rfem_jax.description.forces import JointForce, JointForceTable, JointFriction, JointSpring
 from rfem_jax.description.joints import Joint
 from rfem_jax.description.links import Link, PointMass
 from rfem_jax.description.materials import Material
@@ -40,7 +40,7 @@ DRIVES = {
     "prescribed_spin_up": (PrescribedSpinUp, ("rate", "rise_time"), ()),
     "prescribed_table": (PrescribedTable, ("times", "angles"), ()),
 }
-FORCES = {"joint_spring": JointSpring, "joint_table": JointForceTable}
+FORCES = {"joint_spring": JointSpring, "joint_table": JointForceTable, "friction": JointFriction}
 _MECHANISM_OPTIONS = ("gravity", "redundant_reactions", "elements")
 MECHANISM_KEYS = (("links", "joints"), ("materials", "sections", "forces", *_MECHANISM_OPTIONS))
 SIMULATION_KEYS = (("duration",), ("method", "save_every"))  # and the settings of the method

@@ -27,6 +27,7 @@ from jaxtyping import Float, Int
 
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.joint_kinds import COMPONENTS, KINDS, Freedom, JointKind
+from rfem_jax.mechanics.friction_laws import Friction
 from rfem_jax.mechanics.joint_laws import JointLaw
 
 BASE = -1
@@ -267,6 +268,7 @@ class Model(eqx.Module):
     cut_angles: Float[Array, " cuts"]
     gravity: Float[Array, "3"]
     forces: dict[str, JointLaw] | None = None
+    friction: dict[str, Friction] | None = None
 
     @property
     def joint_names(self) -> tuple[str, ...]:

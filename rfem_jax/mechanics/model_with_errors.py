@@ -24,6 +24,7 @@ from rfem_jax.description.error_catalogue import error_dimension
 from rfem_jax.description.errors import InputError, suggestion
 from rfem_jax.description.units import quantity
 from rfem_jax.mechanics import algebra
+from rfem_jax.mechanics.friction_laws import Friction
 from rfem_jax.mechanics.joint_laws import JointLaws
 from rfem_jax.mechanics.model import BASE, Model, Topology, rfe_fractions
 
@@ -117,7 +118,7 @@ class ModelWithErrors(eqx.Module):
     beam_middle: x of the middle of every rfe 0 [m].
     gravity: acceleration [m/s^2] in global axes.
     datum: the first base joint's nominal place, the zero level of gravity's energy [m].
-    forces: along joint coordinates, None without any.
+    forces: along joint coordinates, None without any; friction in joints of the tree and cut ones, None without any.
     """
 
     topology: Topology = eqx.field(static=True)
@@ -138,6 +139,7 @@ class ModelWithErrors(eqx.Module):
     gravity: Float[Array, "3"]
     datum: Float[Array, "3"]
     forces: JointLaws | None = None
+    friction: dict[str, Friction] | None = None
 
 
 def apply_errors(model: Model, errors: AssemblyErrors) -> ModelWithErrors:
@@ -185,6 +187,7 @@ def apply_errors(model: Model, errors: AssemblyErrors) -> ModelWithErrors:
             gravity=model.gravity,
             datum=model.parent_position[:, topology.parents.index(BASE)],
             forces=None if model.forces is None else JointLaws(model.forces, jnp.ones(())),
+            friction=model.friction,
             **_spring_damping_elements(model, length),
         )
 

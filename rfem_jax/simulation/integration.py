@@ -153,7 +153,7 @@ def prepare(model: Model, errors: AssemblyErrors, drive: Drive, start: State | N
 def start_carry(model: Model, prepared: Prepared, drive: Drive, method: Method) -> Carry:
     """The state of the integration before the first interval."""
     joints = prepared.preload.force.shape[1]
-    trajectory = equations.start_trajectory(prepared.state, joints)
+    trajectory = equations.start_trajectory(prepared.state, joints, len(model.friction or {}))
     drive = equations.with_start_angle(model, drive)
     phase, stabilisation = jnp.asarray(0, jnp.int32), stabilisation_of(model, method)
     conditions = Conditions(prepared.actual, drive, phase, stabilisation)
@@ -263,7 +263,7 @@ def conclude(
     balance = energy.total - energy.work + energy.dissipation
     error = jnp.max(jnp.abs(balance - balance[0])) / _safe(jnp.max(jnp.abs(energy.total)))
     drift = jnp.max(record.drift)
-    residual = carry.residual / _safe(_force_scale(model, carry, energy))
+    residual = carry.residual / _safe(_force_scale(model, carry, energy, times[-1]))
     relative = jnp.max(record.momentum_residual, axis=0) / _safe(jnp.max(record.largest_load, axis=0))
     zeros = jnp.zeros_like(times)
     angle = zeros if driven is None else record.joints[:, driven]
@@ -297,6 +297,7 @@ def conclude(
         ),
         centre_lines=link_lines(model, prepared.actual, prepared.state.position),
         nominal_lines=link_lines(model, apply_errors(model, assembly_errors(model)), model.start_coordinates()),
+        friction_losses=_by_friction(model, record.friction_losses),
     )
 
 
@@ -341,10 +342,13 @@ def largest_force(carry: Carry) -> Float[Array, ""]:
     return equations.safe_sqrt(jnp.max(carry.peaks))
 
 
-def _force_scale(model: Model, carry: Carry, energy: Energy) -> Float[Array, ""]:
+def _force_scale(model: Model, carry: Carry, energy: Energy, duration: Scalar) -> Float[Array, ""]:
     """What a residual force is compared with [N]: the largest joint force, and for free links, whose joints carry
-    none, their kinetic energy over the longest link."""
+    none, their kinetic energy over the longest link; friction may be the only load, an RMS moment over that link."""
     largest = largest_force(carry)
+    if model.friction is not None:
+        mean_square = jnp.max(carry.trajectory.integrals.moment_square) / duration
+        largest = jnp.maximum(largest, equations.safe_sqrt(mean_square) / length_scale(model))
     if "free" not in model.topology.kinds:
         return largest
     return jnp.maximum(largest, jnp.max(energy.kinetic) / length_scale(model))
@@ -365,6 +369,13 @@ def _coordinates(model: Model, record: Record, rotation: bool) -> dict[str, Arra
         if wanted:
             found[topology.joints[l]] = jnp.stack(wanted, axis=1) if len(wanted) > 1 else wanted[0]
     return found
+
+
+def _by_friction(model: Model, values: Float[Array, "times frictions"] | None) -> dict[str, Float[Array, " times"]]:
+    """Histories by the names of the frictions."""
+    if values is None:
+        return {}
+    return {name: values[:, i] for i, name in enumerate(sorted(model.friction or {}))}
 
 
 def _joints(model):

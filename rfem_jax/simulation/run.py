@@ -95,7 +95,8 @@ class Run(eqx.Module):
     ends: positions (times, 3) [m] of the far ends of the links, in global axes.  branch: assembly mode (times,) of
     every cut joint, +1 or -1 (0 where the joints' kinds tell none); a change of sign is a passage through a change
     point (theory (5.13)), after which derivatives, and averages with runs on the other branch, have no meaning.
-    integrals: of squared loads, for `window`.
+    integrals: of squared loads, for `window`.  friction_losses: energy (times,) [J] that every friction has dissipated,
+    by its name.
     """
 
     times: Float[Array, " times"]
@@ -123,6 +124,7 @@ class Run(eqx.Module):
     ends: dict[str, Float[Array, "times 3"]]
     branch: dict[str, Float[Array, " times"]]
     integrals: LoadIntegrals
+    friction_losses: dict[str, Float[Array, " times"]] = eqx.field(default_factory=dict)
 
     def window(self, start: Scalar, stop: Scalar) -> WindowLoads:
         """Loads over start <= t <= stop [s] of one run; use vmap for a batch.  Differentiable.

@@ -48,6 +48,14 @@ from rfem_jax.description.methods import GeneralisedAlphaMethod, Method
 from rfem_jax.mechanics import algebra, loads
 from rfem_jax.mechanics.cut_joints import closure
 from rfem_jax.mechanics.elements.elasticity import dissipated_power
+from rfem_jax.mechanics.friction import (
+    cut_forces,
+    cut_friction,
+    friction_tangent,
+    losses,
+    tree_friction,
+    with_friction,
+)
 from rfem_jax.mechanics.implicit.condensation import LinkOperator, link_operators, present_operators
 from rfem_jax.mechanics.implicit.newton import IterationMatrix, iteration_matrix, newton_increment
 from rfem_jax.mechanics.implicit.residual import Evaluation, evaluate_residual, residual_of
@@ -188,12 +196,17 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
             operators = jax.tree.map(lambda x: x[0], self.operators(args.actual, h[None]))
         start = StepStart(eqx.tree_at(lambda c: c.operators, args, None), trajectory, solver_state)
         seen = jnp.maximum(peaks, squared_forces(solver_state.rates))
-        constants = StepConstants(t1, h, jnp.sqrt(jnp.max(seen)))
+        largest = jnp.max(seen)
+        if args.actual.friction is not None:
+            largest = jnp.maximum(largest, squared_moments(trajectory, solver_state, t1) / args.stabilisation.scale**2)
+        constants = StepConstants(t1, h, jnp.sqrt(largest))
         operators, constants, fixed = jax.lax.stop_gradient((operators, constants, start))
         matrix = form_matrix(self, operators, constants, fixed)
         trajectory, memory = solved_step(self, matrix, constants, start)
         y1 = trajectory, jnp.maximum(peaks, squared_forces(memory.rates))
         allowed = RESIDUAL_LIMIT * jnp.sqrt(jnp.max(jax.lax.stop_gradient(y1[1])))
+        if args.actual.friction is not None:
+            allowed = jnp.maximum(allowed, RESIDUAL_LIMIT * constants.largest_force)
         result = diffrax.RESULTS.where(
             memory.residual <= allowed,
             diffrax.RESULTS.successful,
@@ -232,22 +245,30 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         predicted = self.predict(constants, start)
         evaluation = self.evaluate(predicted, constants, start)[0]
 
+        def of_friction(unknowns, evaluation):
+            if conditions.actual.friction is None:
+                return None
+            # What does not change need not be carried.
+            return self.matrix_at(matrix, unknowns, evaluation, constants, start, secant=True)._replace(operators=())
+
         def unconverged(carry):
-            count, converged, _, _, _ = carry
+            count, converged, *_ = carry
             return (count == 0) | ((count < self.max_increments) & ~converged)
 
         def improve(carry):
-            count, _, unknowns, residual, _ = carry
-            increment = newton_increment(topology, matrix, residual)
+            count, _, unknowns, residual, _, present = carry
+            now = matrix if present is None else present._replace(operators=matrix.operators)
+            increment = newton_increment(topology, now, residual)
             unknowns = jax.tree.map(jnp.add, unknowns, increment)
             evaluation, end = self.evaluate(unknowns, constants, start)
             closed = cut_drift(evaluation.closure, conditions.stabilisation.scale)[0] <= drift
             converged = (end.memory.residual <= self.tolerance * constants.largest_force) & closed
-            return count + 1, converged, unknowns, residual_of(evaluation), end
+            return count + 1, converged, unknowns, residual_of(evaluation), end, of_friction(unknowns, evaluation)
 
         # The first increment is always made, so the end of the step at the prediction is not needed.
         count, converged = jnp.zeros((), jnp.int32), jnp.zeros((), bool)
-        carry = count, converged, predicted, residual_of(evaluation), StepEnd(trajectory, memory)
+        residual, present = residual_of(evaluation), of_friction(predicted, evaluation)
+        carry = count, converged, predicted, residual, StepEnd(trajectory, memory), present
         return jax.lax.while_loop(unconverged, improve, carry)[4]
 
     def iteration_matrix(
@@ -262,10 +283,32 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         now = motion_of(actual, state)
         if actual.topology.exact:
             operators = present_operators(actual, now.relative, *self.factors(h))
-        prescribed = isinstance(conditions.drive, PrescribedDrive)
-        held = (driven_coordinate(actual.topology),) if prescribed else ()
         of_laws = None if actual.forces is None else law_tangent(actual, state, *self.factors(h))
-        return iteration_matrix(actual, operators, now, closure(actual, now, scale), held, of_laws)
+        return iteration_matrix(actual, operators, now, closure(actual, now, scale), _held(conditions), of_laws)
+
+    def matrix_at(
+        self,
+        matrix: IterationMatrix,
+        unknowns: Unknowns,
+        evaluation: Evaluation,
+        constants: StepConstants,
+        start: StepStart,
+        secant: bool = False,
+    ) -> IterationMatrix:
+        """The iteration matrix at other unknowns than the prediction, where there is friction, whose tangent changes
+        much within a step; `secant`: with the chord of friction from rest instead of its tangent (theory (12.6))."""
+        h, (conditions, trajectory, memory) = constants.length, start
+        actual = conditions.actual
+        if actual.friction is None or evaluation.laws is None or evaluation.laws.friction is None:
+            return matrix
+        drive = drive_input(conditions.drive, constants.end, conditions.phase)
+        state, _ = self._newmark(h, trajectory, memory, unknowns.accelerations, actual.topology, drive)
+        tangent = friction_tangent(actual, evaluation.laws.friction, self.factors(h)[1], secant)
+        tree = law_tangent(actual, state, *self.factors(h))
+        for k, value in tangent.tree.items():
+            tree[k] = tree[k] + value if k in tree else value
+        motion, cuts = evaluation.motion, evaluation.closure
+        return iteration_matrix(actual, matrix.operators, motion, cuts, _held(conditions), tree, tangent.cuts)
 
     def predict(self, constants: StepConstants, start: StepStart) -> Unknowns:
         """Accelerations and multipliers of the last step as a first guess.
@@ -311,11 +354,15 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         actual = conditions.actual
         drive = drive_input(conditions.drive, constants.end, conditions.phase)
         state, auxiliary = self._newmark(h, trajectory, memory, unknowns.accelerations, actual.topology, drive)
-        laws = law_forces(actual, state)
+        laws, cuts, at_cuts = law_forces(actual, state), evaluation.closure, None
+        if actual.friction is not None:
+            in_cuts = cut_friction(actual, motion_of(actual, state), cuts, unknowns.multipliers)
+            laws = with_friction(actual, laws, in_cuts | tree_friction(actual, state, evaluation.motion, wrenches))
+            at_cuts = cut_forces(actual, in_cuts)
         dissipated = dissipated_power(actual, state)
         evaluation = evaluation._replace(
             multipliers=unknowns.multipliers,
-            wrenches=[*wrenches, *loads.cut_wrenches(actual.topology, evaluation.closure, unknowns.multipliers)],
+            wrenches=[*wrenches, *loads.cut_wrenches(actual.topology, cuts, unknowns.multipliers, at_cuts)],
             dissipated=dissipated if laws is None else dissipated + laws.dissipated,
             laws=laws,
         )
@@ -359,7 +406,7 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         joint = loads.loads_of_wrenches(actual.topology, evaluation, evaluation.wrenches, drive)
         axial, normal, moment = equations.squares(actual.topology, joint)
         work = equations.applied_power(actual.topology, state, drive, joint, evaluation.laws)
-        rates = Integrals(axial, normal, moment, work, evaluation.dissipated)
+        rates = Integrals(axial, normal, moment, work, evaluation.dissipated, losses(evaluation.laws))
         integrals = jax.tree.map(
             lambda sum, old, new: sum + 0.5 * h * (old + new),
             trajectory.integrals,
@@ -373,9 +420,22 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         )
 
 
+def _held(conditions: Conditions) -> tuple[int, ...]:
+    """Joint coordinates whose motion is prescribed."""
+    prescribed = isinstance(conditions.drive, PrescribedDrive)
+    return (driven_coordinate(conditions.actual.topology),) if prescribed else ()
+
+
 def squared_forces(rates: Integrals) -> Float[Array, "2 joints"]:
     """Squared axial and normal forces [N^2]."""
     return jnp.stack([rates.axial_square, rates.normal_square])
+
+
+def squared_moments(trajectory: Trajectory, memory: Memory, t: Scalar) -> Float[Array, ""]:
+    """Largest squared moment [N^2 m^2] of a joint in the last step, or its mean square so far: friction may be the only
+    load."""
+    mean = trajectory.integrals.moment_square / jnp.where(t > 0.0, t, 1.0)
+    return jnp.max(jnp.maximum(memory.rates.moment_square, mean))
 
 
 def residual_forces(
