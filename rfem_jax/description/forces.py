@@ -246,8 +246,8 @@ class JointFriction(ChecksItself, JointForce):
     def resolved(self, joint: Joint) -> Self:
         if joint.kind not in FRICTION_KINDS:
             raise InputError(
-                f"Argument `joint` of force `{self.name}` must be revolute, prismatic or cylindrical, but `{joint.name}` "
-                f"is {joint.kind}; there is no friction for this kind, take a damper."
+                f"Argument `joint` of force `{self.name}` must be revolute, prismatic or cylindrical, but "
+                f"`{joint.name}` is {joint.kind}; there is no friction for this kind, take a damper."
             )
         freedom = _freedom_of(self, joint)
         self._check_what_is_given(freedom)
@@ -283,8 +283,8 @@ class JointFriction(ChecksItself, JointForce):
         loaded, sliding = self.coefficient is not None, self.coefficient is not None or self.constant is not None
         if sliding and self.sliding_rate is None:
             raise InputError(
-                f"Argument `sliding_rate` {of} must be given with `coefficient` or `constant`, but is missing; give about "
-                "a hundredth of the joint's RMS rate, as a run without friction shows it."
+                f"Argument `sliding_rate` {of} must be given with `coefficient` or `constant`, but is missing; give "
+                "about a hundredth of the joint's RMS rate, as a run without friction shows it."
             )
         if loaded and freedom.rotation and self.radius is None:
             raise InputError(

@@ -36,13 +36,18 @@ class FrictionTangent(NamedTuple):
     cuts: CutForces
 
 
-def require_implicit(model: Model, method: str, implicit: bool) -> None:
+def require_implicit(
+    model: Model,
+    method: str,
+    implicit: bool,
+    fix: str = "take that method, or give the friction as `constant` and `viscous`.",
+) -> None:
     """Raise InputError for a method that cannot integrate the model's friction."""
     loaded = [] if model.friction is None else [name for name, law in model.friction.items() if law.load is not None]
     if loaded and not implicit:
         raise InputError(
-            f'Argument `method` must be "generalised_alpha" with friction that depends on loads (`{loaded[0]}`), but is '
-            f"{method!r}; take that method, or give the friction as `constant` and `viscous`."
+            f'Argument `method` must be "generalised_alpha" with friction that depends on loads (`{loaded[0]}`), but '
+            f"is {method!r}; {fix}"
         )
 
 
@@ -132,7 +137,9 @@ def node_wrenches(topology: Topology, cuts: Closure | None, forces: CutForces | 
 def joint_wrenches(topology: Topology, cuts: Closure | None, forces: CutForces | None) -> dict[int, Float[Array, "6"]]:
     """Wrenches at the global origin of forces in cut joints on their children, by joint."""
     found: dict[int, Array] = {}
-    for (at, component), force in {} if cuts is None or forces is None else forces.items():
+    if cuts is None or forces is None:
+        return found
+    for (at, component), force in forces.items():
         joint, wrench = at + topology.n_links, _unit_wrench(cuts, at, component) * force[None]
         found[joint] = found[joint] + wrench if joint in found else wrench
     return found
@@ -145,18 +152,13 @@ def friction_tangent(actual: ModelWithErrors, found: Found, v_factor: Scalar, se
     for name, law in _laws(actual):
         one = found[name]
         slope = law.secant(one.rate, one.normal) if secant else jnp.maximum(law.slope(one.rate, one.normal), 0.0)
-        side, key = (
-            (tangent.tree, law.coordinate)
-            if law.coordinate is not None
-            else (tangent.cuts, _key(actual.topology, law))
-        )
-        side[key] = side[key] + slope * v_factor if key in side else slope * v_factor
+        value = slope * v_factor
+        if (k := law.coordinate) is not None:
+            tangent.tree[k] = tangent.tree[k] + value if k in tangent.tree else value
+        else:
+            key = _key(actual.topology, law)
+            tangent.cuts[key] = tangent.cuts[key] + value if key in tangent.cuts else value
     return tangent
-
-
-def unit_wrenches(cuts: Closure, forces: CutForces) -> Float[Array, "6 forces"]:
-    """Wrenches at the global origin of unit forces in cut joints on their children."""
-    return jnp.stack([_unit_wrench(cuts, *key) for key in forces], axis=1)
 
 
 def _laws(actual: ModelWithErrors) -> Sequence[tuple[str, Friction]]:
@@ -174,8 +176,8 @@ def _at(law: Friction, rate: Array, normal: Array | None) -> FrictionState:
 
 
 def _unit_wrench(cuts: Closure, at: int, component: int) -> Float[Array, "6"]:
-    """Wrench at the global origin of a unit force along an axis of L (component 0 to 2) at the centre of P, or of a unit
-    moment about one (3 to 5)."""
+    """Wrench at the global origin of a unit force along an axis of L (component 0 to 2) at the centre of P, or of a
+    unit moment about one (3 to 5)."""
     axis = cuts.rotation[:, component % 3, at]
     if component >= 3:
         return spatial(axis, jnp.zeros_like(axis))

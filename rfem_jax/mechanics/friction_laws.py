@@ -15,6 +15,7 @@ from jaxtyping import ArrayLike, Float
 from rfem_jax.description.forces import JointFriction
 from rfem_jax.description.joint_kinds import KINDS
 from rfem_jax.description.joints import Joint
+from rfem_jax.description.units import Quantity
 from rfem_jax.mechanics.algebra import cross, dot
 
 SMALL_RATE = 1e-4  # over the sliding rate, below which tanh(x) / x is 1 - x^2 / 3
@@ -107,14 +108,16 @@ def _tanh_ratio(x: Float[Array, ""]) -> Float[Array, ""]:
     return jnp.where(small, 1.0 - x**2 / 3.0, jnp.tanh(safe) / safe)
 
 
-def friction_law(friction: JointFriction, joint: Joint, index: int, coordinate: int | None, place: int | None) -> Friction:
+def friction_law(
+    friction: JointFriction, joint: Joint, index: int, coordinate: int | None, place: int | None
+) -> Friction:
     """The arrays of described friction at the joint with an index, on a joint coordinate of the tree or none."""
     kind = KINDS[joint.kind]
     freedom = kind.freedoms[friction.coordinate(joint)]
     if kind.axis is None:
         raise TypeError(f"A {joint.kind} joint has no axis.")
 
-    def number(value, default=0.0):
+    def number(value: Quantity | None, default: Quantity = 0.0) -> Array:
         return jnp.asarray(default if value is None else value, jnp.float64)
 
     load = None
@@ -131,7 +134,7 @@ def friction_law(friction: JointFriction, joint: Joint, index: int, coordinate: 
         place=place,
         law=friction.law,
         constant=number(friction.constant),
-        static_constant=number(friction.static_constant, friction.constant or 0.0),
+        static_constant=number(friction.static_constant, 0.0 if friction.constant is None else friction.constant),
         viscous=number(friction.viscous),
         sliding_rate=number(friction.sliding_rate, 1.0),
         load=load,

@@ -22,7 +22,6 @@ from rfem_jax.mechanics.joint_laws import SpringLaw
 from rfem_jax.mechanics.model import Coordinates, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 
-
 # Forces [N, N m] by cut joint, counted among these, and component: 0 to 2 of the force along the axes of L, 3 to 5 of
 # the moment.
 CutForces = dict[tuple[int, int], Float[Array, ""]]

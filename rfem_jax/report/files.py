@@ -3,8 +3,9 @@
 Place in the pipeline: after `summary`; written by `output`.
 
 CSV columns: `time_s`; `angle_rad`, `rate_rad_s` of the driven joint; energies `_J`; then for each
-joint `A_force_x_N` ... `A_moment_z_Nm` in its frame H (y along a hinge); `drive_moment_Nm`; and last
-the coordinates of the joints of the tree that are not revolute, `G_displacement_m`, `U_angle_1_rad`.
+joint `A_force_x_N` ... `A_moment_z_Nm` in its frame H (y along a hinge); `drive_moment_Nm`; the coordinates of the
+joints of the tree that are not revolute, `G_displacement_m`, `U_angle_1_rad`; and last the energy that every friction
+has dissipated, `bearing_dissipation_J`.
 """
 
 from collections.abc import Mapping
@@ -55,7 +56,8 @@ def history_columns(study: Study, run: Run) -> dict[str, Float[np.ndarray, " tim
             for axis, letter in enumerate("xyz"):
                 columns[column_name(f"{name}_{load}_{letter}", unit)] = values[:, axis]
     columns[column_name("drive_moment", "N m")] = np.asarray(run.drive_moment)
-    return columns | _coordinate_columns(study, run)
+    losses = {column_name(f"{name}_dissipation", "J"): np.asarray(x) for name, x in run.friction_losses.items()}
+    return columns | _coordinate_columns(study, run) | losses
 
 
 def _coordinate_columns(study: Study, run: Run) -> dict[str, Float[np.ndarray, " times"]]:

@@ -9,6 +9,7 @@ import re
 from dataclasses import fields
 
 from rfem_jax.description.drives import MomentDrive, PrescribedDrive
+from rfem_jax.description.forces import JointFriction
 from rfem_jax.description.joint_kinds import KINDS
 from rfem_jax.description.joints import Joint
 from rfem_jax.description.mechanism import Mechanism
@@ -79,6 +80,8 @@ def _forces_text(mechanism: Mechanism) -> str:
     lines = []
     for force in mechanism.forces:
         numbers = [f"{name} {value:g}" for name, value in vars(force).items() if isinstance(value, float)]
+        if isinstance(force, JointFriction):
+            numbers.append(f"law {force.law}")
         size = f" (SI: {', '.join(numbers)})" if numbers else ""
         lines.append(f"Force {force.name}: {_words(force)} on joint {force.joint}, {force.motion}{size}.\n")
     return "".join(lines)

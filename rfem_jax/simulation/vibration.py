@@ -13,8 +13,8 @@ modes are those of P L^-1 K L^-T P.  All of them are found for small mechanisms;
 Lanczos' method with sparse matrices (ARPACK), in memory proportional to the number of rfes.
 
 The stiffness due to gravity and to the forces at rest is neglected beside that of the springs.  For a mechanism of
-rigid links, which has no other, the accelerations are differentiated by central differences.  Springs, dampers and laws
-of joints enter with their derivatives at the position, as far as these do not drive the motion.
+rigid links, which has no other, the accelerations are differentiated by central differences.  Springs, dampers,
+friction and laws of joints enter with their derivatives at the position, as far as these do not drive the motion.
 """
 
 from collections.abc import Callable
@@ -29,7 +29,8 @@ from scipy.sparse.linalg import LinearOperator, eigsh, splu
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.joint_kinds import JointKind
 from rfem_jax.mechanics.cut_joints import RANK_TOLERANCE
-from rfem_jax.mechanics.joint_laws import law_slopes
+from rfem_jax.mechanics.friction_laws import Friction
+from rfem_jax.mechanics.joint_laws import JointLaw, law_slopes
 from rfem_jax.mechanics.model import BASE, Model, Topology
 from rfem_jax.mechanics.model_with_errors import apply_errors, assembly_errors
 from rfem_jax.mechanics.nominal_geometry import (
@@ -93,7 +94,8 @@ class Vibration:
             (stretch.T @ sparse.diags(np.where(damping == rate, springs, 0.0)) @ stretch).tocsr() for rate in self.rates
         ]
         self.before: list[np.ndarray | None] = [None] * len(self.rates)
-        self.forces = model.forces
+        laws: dict[str, JointLaw | Friction] = {**(model.forces or {}), **(model.friction or {})}
+        self.forces = laws or None
 
     def modes(self, joints: Float[np.ndarray, " numbers"]) -> Modes:
         """The modes at a position of the joints, links undeformed."""
@@ -119,11 +121,8 @@ class Vibration:
         laws = [] if self.forces is None else list(self.forces.values())
         rows = np.zeros((len(laws), self.size))
         for row, law in zip(rows, laws, strict=True):
-            link = self.topology.link_of_freedom[law.coordinate]
-            own = list(self.topology.coordinates[link])
-            # The coordinate's rate of a twist over the joint that keeps its constraints.
-            reader = np.linalg.pinv(placed.twists[own].T)[own.index(law.coordinate)]
-            for node, sign in ((self.topology.parents[link], -1.0), (link, 1.0)):
+            sides, reader = self._reader(law, placed)
+            for node, sign in sides:
                 if node == BASE:
                     continue
                 owner = self.topology.link_of(node)
@@ -133,9 +132,41 @@ class Vibration:
                 # Twist at the global origin of velocities in link axes at the node's point.
                 row[6 * node : 6 * node + 3] += sign * (reader[:3] + np.cross(reader[3:], point)) @ rotation
                 row[6 * node + 3 : 6 * node + 6] += sign * reader[3:] @ rotation
-        slopes = [law_slopes(law, joints[law.place], 0.0) for law in laws]
+        slopes = [law_slopes(law, _position(law, joints), 0.0) for law in laws]
         stiffness, damping = np.maximum(-np.array(slopes, float).reshape(-1, 2).T, 0.0)
         return rows @ self.inverse_root, stiffness, damping
+
+    def _reader(self, law: JointLaw | Friction, placed: Placed) -> tuple[tuple[tuple[int, float], ...], np.ndarray]:
+        """The nodes on both sides of a law's joint with their signs, and the row (6,) that gives the rate of its motion
+        from the twist over the joint."""
+        topology = self.topology
+        if law.coordinate is not None:
+            link = topology.link_of_freedom[law.coordinate]
+            own = list(topology.coordinates[link])
+            # The coordinate's rate of a twist over the joint that keeps its constraints.
+            reader = np.linalg.pinv(placed.twists[own].T)[own.index(law.coordinate)]
+            return ((topology.parents[link], -1.0), (link, 1.0)), reader
+        assert isinstance(law, Friction), "only friction is in cut joints"
+        axis = placed.joint_rotation[law.joint][:, law.component % 3]
+        reader = np.concatenate([axis, np.zeros(3)])
+        if law.component < 3:
+            reader = np.concatenate([np.cross(placed.child_centre[law.joint], axis), axis])
+        return ((topology.parents[law.joint], -1.0), (topology.children[law.joint], 1.0)), reader
+
+    def _by_joint_rates(self, law: JointLaw | Friction, placed: Placed) -> np.ndarray:
+        """Row (F,) that gives the rate of a law's motion from those of the joint coordinates."""
+        row = np.zeros(self.topology.n_freedoms)
+        if law.coordinate is not None:
+            row[law.coordinate] = 1.0
+            return row
+        sides, reader = self._reader(law, placed)
+        for node, sign in sides:
+            while node != BASE:
+                link = self.topology.link_of(node)
+                for k in self.topology.coordinates[link]:
+                    row[k] += sign * reader @ placed.twists[k]
+                node = self.topology.parents[link]
+        return row
 
     def _all(self, constraints: np.ndarray, by_springs: np.ndarray, by_dampers: np.ndarray) -> Modes:
         _, singular, rows = np.linalg.svd(_unit_rows(constraints))
@@ -187,10 +218,11 @@ class Vibration:
         squares, vectors = np.linalg.eig(-np.array(columns).T)
         by_rate = np.zeros((self.topology.n_freedoms, self.topology.n_freedoms))
         units = np.eye(len(self.forces))
-        unloaded = self._joint_accelerations(joints, 0.0 * units[0])
+        unloaded, placed = self._joint_accelerations(joints, 0.0 * units[0]), place(self.geometry, joints)
         for law, unit in zip(self.forces.values(), units, strict=True):
-            damping = max(-float(law_slopes(law, joints[law.place], 0.0)[1]), 0.0)
-            by_rate[:, law.coordinate] += damping * (self._joint_accelerations(joints, unit) - unloaded)
+            damping = max(-float(law_slopes(law, _position(law, joints), 0.0)[1]), 0.0)
+            response = self._joint_accelerations(joints, unit) - unloaded
+            by_rate += np.outer(damping * response, self._by_joint_rates(law, placed))
         return Modes(squares, np.linalg.solve(vectors, by_rate @ vectors))
 
     def _joint_accelerations(self, joints: np.ndarray, forces: np.ndarray | None = None) -> np.ndarray:
@@ -203,7 +235,8 @@ class Vibration:
         if self.forces is not None:
             if forces is None:
                 zero = jnp.zeros(())
-                forces = np.array([law.force(jnp.asarray(joints[law.place]), zero) for law in self.forces.values()])
+                laws = self.forces.values()
+                forces = np.array([law.force(jnp.asarray(_position(law, joints)), zero) for law in laws])
             load = load + forces @ self._at_joints(joints, placed)[0]
         free = _projection(sparse.csc_matrix(self._constraints(placed) @ self.inverse_root))(load)
         in_link = (self.inverse_root @ free).reshape(n, 2, 3)
@@ -248,6 +281,11 @@ class Vibration:
             count += len(across) + len(fixed)
         entries = np.concatenate(blocks), (np.concatenate(rows), np.concatenate(columns))
         return sparse.csr_matrix(entries, shape=(count, self.size))
+
+
+def _position(law: JointLaw | Friction, joints: np.ndarray) -> float:
+    """Position of a law's joint; friction in a cut joint depends on none."""
+    return 0.0 if law.place is None else joints[law.place]
 
 
 def _fixed_directions(kind: JointKind, left: np.ndarray, right: np.ndarray) -> np.ndarray:
