@@ -16,6 +16,7 @@ from rfem_jax.mechanics.inputs import DriveInput, Stabilisation
 from rfem_jax.mechanics.model_with_errors import apply_errors
 from rfem_jax.mechanics.reference_friction import reference_with_friction
 from tests.mechanisms import link, loop_cut_by, random_state, some_errors
+from tests.numpy_evaluation import by_numpy
 
 from .test_formulations import close
 
@@ -127,7 +128,7 @@ def compared(request):
 
         actual = eqx.tree_at(arms, actual, [share * arm for arm in arms(actual)])
         state = close(actual, state)
-        slow = reference_with_friction(actual, state, drive, GAINS)
+        slow = reference_with_friction(actual, state, drive, GAINS, rounds=25)
         fast = accelerations(actual, state, drive, GAINS)
         joint = loads.joint_loads(actual, fast, drive)
         chain, base = loads.chain_loads(actual, fast, fast.angular, fast.linear, drive)
@@ -143,7 +144,7 @@ def compared(request):
 
     samples = [(some_errors(model, rng), random_state(model, rng), share) for share in (0.0, 0.3)]
     samples = jax.tree.map(lambda *x: jnp.stack(x), *samples)
-    return model, jax.tree.map(np.asarray, jax.jit(jax.vmap(both))(*samples))
+    return model, by_numpy(jax.vmap(both))(*samples)
 
 
 def without_loads(tree):
