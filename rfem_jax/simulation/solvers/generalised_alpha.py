@@ -245,30 +245,32 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         predicted = self.predict(constants, start)
         evaluation = self.evaluate(predicted, constants, start)[0]
 
-        def of_friction(unknowns, evaluation):
-            if conditions.actual.friction is None:
-                return None
-            # What does not change need not be carried.
-            return self.matrix_at(matrix, unknowns, evaluation, constants, start, secant=True)._replace(operators=())
+        friction = conditions.actual.friction is not None
+
+        def kept(evaluation):
+            # With friction the matrix is formed again for every increment, from all of the evaluation.
+            return evaluation if friction else residual_of(evaluation)
 
         def unconverged(carry):
             count, converged, *_ = carry
             return (count == 0) | ((count < self.max_increments) & ~converged)
 
         def improve(carry):
-            count, _, unknowns, residual, _, present = carry
-            now = matrix if present is None else present._replace(operators=matrix.operators)
-            increment = newton_increment(topology, now, residual)
+            count, _, unknowns, residual, _ = carry
+            present = matrix
+            if friction:
+                present = self.matrix_at(matrix, unknowns, residual, constants, start, secant=True)
+                residual = residual_of(residual)
+            increment = newton_increment(topology, present, residual)
             unknowns = jax.tree.map(jnp.add, unknowns, increment)
             evaluation, end = self.evaluate(unknowns, constants, start)
             closed = cut_drift(evaluation.closure, conditions.stabilisation.scale)[0] <= drift
             converged = (end.memory.residual <= self.tolerance * constants.largest_force) & closed
-            return count + 1, converged, unknowns, residual_of(evaluation), end, of_friction(unknowns, evaluation)
+            return count + 1, converged, unknowns, kept(evaluation), end
 
         # The first increment is always made, so the end of the step at the prediction is not needed.
         count, converged = jnp.zeros((), jnp.int32), jnp.zeros((), bool)
-        residual, present = residual_of(evaluation), of_friction(predicted, evaluation)
-        carry = count, converged, predicted, residual, StepEnd(trajectory, memory), present
+        carry = count, converged, predicted, kept(evaluation), StepEnd(trajectory, memory)
         return jax.lax.while_loop(unconverged, improve, carry)[4]
 
     def iteration_matrix(
