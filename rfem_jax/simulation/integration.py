@@ -263,7 +263,7 @@ def conclude(
     balance = energy.total - energy.work + energy.dissipation
     error = jnp.max(jnp.abs(balance - balance[0])) / _safe(jnp.max(jnp.abs(energy.total)))
     drift = jnp.max(record.drift)
-    residual = carry.residual / _safe(_force_scale(model, carry, energy, times[-1]))
+    residual = carry.residual / _safe(_force_scale(model, carry, energy, times))
     relative = jnp.max(record.momentum_residual, axis=0) / _safe(jnp.max(record.largest_load, axis=0))
     zeros = jnp.zeros_like(times)
     angle = zeros if driven is None else record.joints[:, driven]
@@ -342,12 +342,12 @@ def largest_force(carry: Carry) -> Float[Array, ""]:
     return equations.safe_sqrt(jnp.max(carry.peaks))
 
 
-def _force_scale(model: Model, carry: Carry, energy: Energy, duration: Scalar) -> Float[Array, ""]:
+def _force_scale(model: Model, carry: Carry, energy: Energy, times: Float[Array, " times"]) -> Float[Array, ""]:
     """What a residual force is compared with [N]: the largest joint force, and for free links, whose joints carry
     none, their kinetic energy over the longest link; friction may be the only load, an RMS moment over that link."""
     largest = largest_force(carry)
     if model.friction is not None:
-        mean_square = jnp.max(carry.trajectory.integrals.moment_square) / duration
+        mean_square = jnp.max(carry.trajectory.integrals.moment_square) / times[-1]
         largest = jnp.maximum(largest, equations.safe_sqrt(mean_square) / length_scale(model))
     if "free" not in model.topology.kinds:
         return largest

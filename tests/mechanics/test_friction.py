@@ -128,7 +128,7 @@ def compared(request):
 
         actual = eqx.tree_at(arms, actual, [share * arm for arm in arms(actual)])
         state = close(actual, state)
-        slow = reference_with_friction(actual, state, drive, GAINS, rounds=25)
+        slow = reference_with_friction(actual, state, drive, GAINS, rounds=16)
         fast = accelerations(actual, state, drive, GAINS)
         joint = loads.joint_loads(actual, fast, drive)
         chain, base = loads.chain_loads(actual, fast, fast.angular, fast.linear, drive)
@@ -142,7 +142,7 @@ def compared(request):
         residual = evaluation.hinge, evaluation.force, evaluation.moment
         return slow, explicit, (residual, evaluation.laws, joint, balance)
 
-    samples = [(some_errors(model, rng), random_state(model, rng), share) for share in (0.0, 0.3)]
+    samples = [(some_errors(model, rng), random_state(model, rng), share) for share in (0.0, 0.2)]
     samples = jax.tree.map(lambda *x: jnp.stack(x), *samples)
     return model, by_numpy(jax.vmap(both))(*samples)
 

