@@ -26,8 +26,8 @@ _options.offer()
 _PACKAGES = {
     "description": (
         "Case Circle ForceFunction ForceRamp ForceTable GivenSection InputError Joint JointForceFunction "
-        "JointForceTable JointSpring Link Material Mechanism Method MomentFunction MomentRamp MomentTable "
-        "PointForce PointMass PointMoment PointSpring PointSpringFunction PointSpringTable "
+        "JointForceTable JointFriction JointSpring Link Material Mechanism Method MomentFunction MomentRamp "
+        "MomentTable PointForce PointMass PointMoment PointSpring PointSpringFunction PointSpringTable "
         "PrescribedDisplacements PrescribedFunction PrescribedRate PrescribedRunUp PrescribedSpeed "
         "PrescribedSpinUp PrescribedTable Rectangle RigidBody Study Tube load_study"
     ),

@@ -17,7 +17,7 @@ from rfem_jax.description.drives import (
     PrescribedTable,
 )
 from rfem_jax.description.errors import InputError, nearest
-from rfem_jax.description.forces import JointForceFunction, JointForceTable, JointSpring
+from rfem_jax.description.forces import JointForceFunction, JointForceTable, JointFriction, JointSpring
 from rfem_jax.description.joints import Joint
 from rfem_jax.description.links import Link, PointMass
 from rfem_jax.description.materials import Material
@@ -74,6 +74,7 @@ __all__ = [
     "Joint",
     "JointForceFunction",
     "JointForceTable",
+    "JointFriction",
     "JointSpring",
     "Link",
     "Material",

@@ -19,7 +19,7 @@ from rfem_jax.description.drives import (
     PrescribedTable,
 )
 from rfem_jax.description.errors import ABSENT, InputError, Problems, located, require_choice, require_name
-from rfem_jax.description.forces import Force, JointForceTable, JointSpring
+from rfem_jax.description.forces import Force, JointForceTable, JointFriction, JointSpring
 from rfem_jax.description.joints import Joint
 from rfem_jax.description.links import Link, PointMass
 from rfem_jax.description.materials import Material
@@ -56,6 +56,7 @@ DRIVES = {
 FORCES = {
     "joint_spring": JointSpring,
     "joint_table": JointForceTable,
+    "friction": JointFriction,
     "point_spring": PointSpring,
     "point_spring_table": PointSpringTable,
     "point_force": PointForce,

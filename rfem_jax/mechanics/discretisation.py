@@ -28,6 +28,7 @@ from rfem_jax.mechanics.nominal_geometry import (
     node_place,
     place,
 )
+from rfem_jax.mechanics.normal_loads import require_unique_normal_loads
 from rfem_jax.mechanics.point_laws import PointLaw
 
 # Of the longest link.  Overconstrained loops close only as well as their numbers were typed: with angles of six
@@ -90,6 +91,8 @@ def discretise(mechanism: Mechanism, rfes: int | None = None, elements: str | No
             "parallel axes or slides are statically indeterminate. Make one link of each loop flexible, or set "
             'redundant_reactions = "minimum_norm" to get the reactions of least norm.'
         )
+    if structure.redundant:
+        require_unique_normal_loads(model)
     if structure.redundant and structure.gap > RIGID_CLOSING_TOLERANCE * float(np.max(model.length)):
         raise InputError(
             f"Argument `mechanism` must close at its start, but its rigid loops stay open by {structure.gap:.3g} m, "

@@ -28,6 +28,7 @@ from rfem_jax.mechanics.algebra import apply, apply_transposed, cross, dot, prod
 from rfem_jax.mechanics.cut_joints import Closure, closure, invert_closure, unit_columns
 from rfem_jax.mechanics.element_loads import FrameLoads, frame_loads
 from rfem_jax.mechanics.elements.elasticity import elastic_loads
+from rfem_jax.mechanics.friction import cut_friction, node_wrenches, tree_friction, with_friction
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation
 from rfem_jax.mechanics.joint_forces import LawForces, applied_forces, law_forces
 from rfem_jax.mechanics.kinematics import Motion, by_freedom, motion_of, node_frames, spread, total
@@ -94,9 +95,13 @@ def accelerations(
     angular, linear = _free_accelerations(actual, motion, spin, gravity, *free)
     tree = _interface_tree(actual, state, motion, (force, moment), at_nodes)
     laws = law_forces(actual, state)
+    if actual.friction is not None:
+        found = tree_friction(actual, state, motion, None) | cut_friction(actual, motion, cuts, None)
+        laws = with_friction(actual, laws, found)
+        tree = _with_cut_forces(topology, cuts, tree, laws)
     forces = applied_forces(drive, laws)
     responses, rates = _articulated_bodies(topology, tree, _load_columns(topology, cuts, tree), drive, forces)
-    responses |= _cut_rfe_responses(actual, motion, cuts, angular, linear)
+    responses |= _cut_rfe_responses(actual, motion, cuts, angular, linear, laws)
     multipliers, stabilising = _multipliers(topology, cuts, motion, tree, responses, stabilisation)
     weights = jnp.concatenate([jnp.ones((1,)), multipliers])
     solved = {node: _combine(columns, weights) for node, columns in responses.items()}
@@ -229,6 +234,24 @@ def _interface_tree(
         )
 
 
+def _with_cut_forces(
+    topology: Topology, cuts: Closure | None, tree: InterfaceTree, laws: LawForces | None
+) -> InterfaceTree:
+    """The reduced tree under the forces in cut joints, too."""
+    load = tree.load
+    wrenches = node_wrenches(topology, cuts, None if laws is None else laws.cuts)
+    for i, node in enumerate((*range(topology.n_links), *_branching(topology))):
+        if node in wrenches:
+            wrench = _wrench_at(wrenches[node], tree.point[:, i])
+            load = jnp.where(np.arange(load.shape[1]) == i, load + wrench[:, None], load)
+    return tree._replace(load=load)
+
+
+def _wrench_at(wrench: Array, point: Array) -> Array:
+    """Wrench (6,) given at the global origin, at `point`."""
+    return algebra.spatial(wrench[:3] - cross(point, wrench[3:]), wrench[3:])
+
+
 def _shifted(motion: Array, point: Array) -> Array:
     """Spatial motion (6, ...) given at the global origin, at `point`."""
     return algebra.spatial(motion[:3], motion[3:] + cross(motion[:3], point))
@@ -302,7 +325,12 @@ def _articulated_bodies(
 
 
 def _cut_rfe_responses(
-    actual: ModelWithErrors, motion: Motion, cuts: Closure | None, angular: Array, linear: Array
+    actual: ModelWithErrors,
+    motion: Motion,
+    cuts: Closure | None,
+    angular: Array,
+    linear: Array,
+    laws: LawForces | None,
 ) -> dict[int, Array]:
     """Accelerations (6, 1 + constraints) at their middles of the free rfes that carry cut joints only: under the
     applied loads, and for unit multipliers."""
@@ -321,10 +349,13 @@ def _cut_rfe_responses(
         spin = velocity[:3]
         centripetal = cross(spin, velocity[3:] + cross(spin, where))
         responses = {}
+        in_cuts = node_wrenches(topology, cuts, None if laws is None else laws.cuts)
         for i, node in enumerate(nodes):
             k = node - topology.n_links
             of_link = motion.links.rotation[:, :, topology.link_of(node)]
             applied = algebra.spatial(apply(of_link, angular[:, k]), apply(of_link, linear[:, k]) - centripetal[:, i])
+            if node in in_cuts:
+                applied = applied + apply(mobility[:, :, i], _wrench_at(in_cuts[node], where[:, i]))
             unit = unit_columns(topology, cuts, node, where[:, i])
             response = product(mobility[:, :, i], unit)
             responses[node] = jnp.concatenate([applied[:, None], response], axis=1)

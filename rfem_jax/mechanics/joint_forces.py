@@ -22,18 +22,34 @@ from rfem_jax.mechanics.joint_laws import SpringLaw
 from rfem_jax.mechanics.model import Coordinates, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 
+# Forces [N, N m] by cut joint, counted among these, and component: 0 to 2 of the force along the axes of L, 3 to 5 of
+# the moment.
+CutForces = dict[tuple[int, int], Float[Array, ""]]
+
+
+class FrictionState(NamedTuple):
+    """Friction along one motion of a joint: rate [rad/s, m/s], normal load [N] (None where friction does not depend on
+    it), force [N m, N] on the child."""
+
+    rate: Float[Array, ""]
+    normal: Float[Array, ""] | None
+    force: Float[Array, ""]
+
 
 class LawForces(NamedTuple):
-    """What springs, dampers and laws exert at one instant.
+    """What springs, dampers, friction and laws exert at one instant.
 
-    inside, outside: forces [N, N m] by joint coordinate, of springs with dampers and of laws; dissipated, power [W]: of
-    the dampers, and of the laws.
+    inside, outside: forces [N, N m] by joint coordinate, of springs with dampers and friction, and of laws; dissipated,
+    power [W]: of the dampers and friction, and of the laws; cuts: of friction in cut joints; friction: by its name;
+    these are None without any friction.
     """
 
     inside: dict[int, Float[Array, ""]]
     outside: dict[int, Float[Array, ""]]
     dissipated: Float[Array, ""]
     power: Float[Array, ""]
+    cuts: CutForces | None = None
+    friction: dict[str, FrictionState] | None = None
 
 
 def law_forces(actual: ModelWithErrors, state: State) -> LawForces | None:

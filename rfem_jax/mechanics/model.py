@@ -29,6 +29,7 @@ from rfem_jax.description.driven_motions import motion_label
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.joint_kinds import COMPONENTS, KINDS, Freedom, JointKind
 from rfem_jax.mechanics.frame_forces import FrameForce
+from rfem_jax.mechanics.friction_laws import Friction
 from rfem_jax.mechanics.joint_laws import JointLaw
 
 BASE = -1
@@ -309,6 +310,7 @@ class Model(eqx.Module):
     forces: dict[str, JointLaw] | None = None
     point_products: Float[Array, "3 masses"] | None = None
     frame_forces: dict[str, FrameForce] | None = None
+    friction: dict[str, Friction] | None = None
 
     @property
     def joint_names(self) -> tuple[str, ...]:

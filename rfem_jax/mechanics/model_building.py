@@ -11,12 +11,14 @@ import numpy as np
 from jax import Array
 
 from rfem_jax.description.errors import InputError
+from rfem_jax.description.forces import JointFriction
 from rfem_jax.description.joint_kinds import KINDS
 from rfem_jax.description.joints import Joint
 from rfem_jax.description.links import Link
 from rfem_jax.description.mechanism import Mechanism
 from rfem_jax.description.point_forces import AtPoint, BetweenPoints
 from rfem_jax.mechanics.frame_forces import FrameForce, NodeFrame
+from rfem_jax.mechanics.friction_laws import Friction, friction_law
 from rfem_jax.mechanics.joint_laws import JointLaw, joint_law
 from rfem_jax.mechanics.model import BASE, Model, Sections, Topology, rfe_fractions
 from rfem_jax.mechanics.orientations import quaternion_of_angles
@@ -71,9 +73,10 @@ def build_model(mechanism: Mechanism, elements: dict[str, int], exact: bool = Fa
         start_joints=jnp.asarray(np.concatenate([_start(j) for j in joints[: len(links)]])),
         cut_angles=jnp.zeros(len(joints) - len(links)),
         gravity=jnp.asarray(mechanism.gravity, dtype=float),
-        forces=_joint_laws(mechanism, topology) if mechanism.joint_forces else None,
+        forces=_joint_laws(mechanism, topology) or None,
         point_products=_products([mass for _, mass in masses]),
         frame_forces=elements_between or None,
+        friction=_frictions(mechanism, topology) or None,
     )
 
 
@@ -114,9 +117,24 @@ def _joint_laws(mechanism: Mechanism, topology: Topology) -> dict[str, JointLaw]
     """The forces along joint coordinates, by their names."""
     found = {}
     for force in mechanism.joint_forces:
+        if isinstance(force, JointFriction):
+            continue
         joint = topology.joints.index(force.joint)
         n = force.coordinate(mechanism.joint(force.joint))
         found[force.name] = joint_law(force, topology.coordinates[joint][n], topology.positions[joint][n])
+    return found
+
+
+def _frictions(mechanism: Mechanism, topology: Topology) -> dict[str, Friction]:
+    """Friction in joints, by its names."""
+    found = {}
+    for force in mechanism.forces:
+        if isinstance(force, JointFriction):
+            joint, described = topology.joints.index(force.joint), mechanism.joint(force.joint)
+            n, places = force.coordinate(described), (None, None)
+            if not described.cut:
+                places = topology.coordinates[joint][n], topology.positions[joint][n]
+            found[force.name] = friction_law(force, described, joint, *places)
     return found
 
 

@@ -25,6 +25,7 @@ from rfem_jax.description.errors import InputError, suggestion
 from rfem_jax.description.units import quantity
 from rfem_jax.mechanics import algebra
 from rfem_jax.mechanics.frame_forces import FrameForceSet, NodeFrame
+from rfem_jax.mechanics.friction_laws import Friction
 from rfem_jax.mechanics.joint_laws import JointLaws
 from rfem_jax.mechanics.model import BASE, Model, Topology, rfe_fractions
 
@@ -118,7 +119,8 @@ class ModelWithErrors(eqx.Module):
     beam_middle: x of the middle of every rfe 0 [m].
     gravity: acceleration [m/s^2] in global axes.
     datum: the first base joint's nominal place, the zero level of gravity's energy [m].
-    forces: along joint coordinates, None without any; frame_forces: elements between frames on nodes, likewise.
+    forces: along joint coordinates, None without any; frame_forces: elements between frames on nodes, likewise;
+    friction: in joints of the tree and cut ones, likewise.
     """
 
     topology: Topology = eqx.field(static=True)
@@ -140,6 +142,7 @@ class ModelWithErrors(eqx.Module):
     datum: Float[Array, "3"]
     forces: JointLaws | None = None
     frame_forces: FrameForceSet | None = None
+    friction: dict[str, Friction] | None = None
 
 
 def apply_errors(model: Model, errors: AssemblyErrors) -> ModelWithErrors:
@@ -188,6 +191,7 @@ def apply_errors(model: Model, errors: AssemblyErrors) -> ModelWithErrors:
             datum=model.parent_position[:, topology.parents.index(BASE)],
             forces=None if model.forces is None else JointLaws(model.forces, jnp.ones(())),
             frame_forces=_frame_forces(model, scale),
+            friction=model.friction,
             **_spring_damping_elements(model, length),
         )
 

@@ -8,7 +8,7 @@ augmented system.  Nothing of the recursion is used: transforms, constraints, th
 derivatives of both are formed independently, by 4 x 4 matrices and automatic differentiation.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
 import jax
@@ -17,6 +17,7 @@ from jax import Array
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
+from rfem_jax.description.joint_kinds import JointKind
 from rfem_jax.mechanics.algebra import Scalar
 from rfem_jax.mechanics.elements import elasticity
 from rfem_jax.mechanics.frame_forces import START, NodeFrame, Pose
@@ -101,15 +102,26 @@ def constraints(
 ) -> Float[Array, " constraints"]:
     """Theory (5.1), (5.14), (5.15) for all cut joints [m]; `scale` [m] multiplies the equations of the axes."""
     topology = actual.topology
-    frames = [*transforms(actual, position, change), jnp.eye(4)]
-    rows = []
-    for j in topology.cuts:
-        left = frames[topology.parents[j]] @ _transform(actual.seat_rotation[:, :, j], actual.seat_position[:, j])
-        right = frames[topology.children[j]] @ _transform(actual.bore_rotation[:, :, j], actual.bore_position[:, j])
-        kind, relative = topology.kind(j), jnp.linalg.inv(left) @ right
-        apart = right[:3, 3] - left[:3, 3] if kind.coincident else relative[jnp.array(kind.across, int), 3]
-        rows += [apart, *(scale * relative[i, k][None] for i, k in kind.perpendicular)]
+    frames = transforms(actual, position, change)
+    rows = [joint_rows(topology.kind(j), *joint_frames(actual, frames, j), scale) for j in topology.cuts]
     return jnp.concatenate(rows) if rows else jnp.zeros(0)
+
+
+def joint_frames(
+    actual: ModelWithErrors, frames: Sequence[Array] | Mapping[int, Array], joint: int
+) -> tuple[Float[Array, "4 4"], Float[Array, "4 4"]]:
+    """Transforms of a joint's frames on its parent and on its child, errors included; `frames` of the nodes."""
+    parent, child = actual.topology.parents[joint], actual.topology.children[joint]
+    seat = _transform(actual.seat_rotation[:, :, joint], actual.seat_position[:, joint])
+    bore = _transform(actual.bore_rotation[:, :, joint], actual.bore_position[:, joint])
+    return (jnp.eye(4) if parent == BASE else frames[parent]) @ seat, frames[child] @ bore
+
+
+def joint_rows(kind: JointKind, left: Float[Array, "4 4"], right: Float[Array, "4 4"], scale: Scalar) -> Array:
+    """Closure equations [m] of one cut joint from the transforms of its frames."""
+    relative = jnp.linalg.inv(left) @ right
+    apart = right[:3, 3] - left[:3, 3] if kind.coincident else relative[jnp.array(kind.across, int), 3]
+    return jnp.concatenate([apart, *(scale * relative[i, k][None] for i, k in kind.perpendicular)])
 
 
 def exact_deflections(actual: ModelWithErrors, frames: Float[Array, "nodes 4 4"]) -> Float[Array, "6 rfes"]:
@@ -220,14 +232,18 @@ def _axial(skew: Array) -> Array:
 
 
 def reference_accelerations(
-    actual: ModelWithErrors, state: State, drive: DriveInput, stabilisation: Stabilisation
+    actual: ModelWithErrors,
+    state: State,
+    drive: DriveInput,
+    stabilisation: Stabilisation,
+    applied: Float[Array, " coordinates"] | None = None,
 ) -> tuple[Coordinates, Float[Array, " constraints"]]:
-    """Second derivatives of the coordinates and multipliers [N] from the dense augmented system."""
+    """Second derivatives of the coordinates and multipliers [N] from the dense system; `applied`: more forces, flat."""
     topology = actual.topology
     qd, unravel = ravel_pytree(state.velocity)
     # Changes from the present position are coordinates of which there are as many as rates.
     q = jnp.zeros_like(qd)
-    pseudo_inertia = _pseudo_inertia(actual)
+    pseudo_inertia = pseudo_inertias(actual)
 
     def matrices(q):
         return jnp.stack(transforms(actual, state.position, unravel(q)))
@@ -259,9 +275,8 @@ def reference_accelerations(
         return 0.5 * elasticity.dissipated_power(actual, State(state.position, unravel(qd)))
 
     force = -inertial - jax.grad(potential)(q) - jax.grad(rayleigh)(qd)
-    force = (
-        force + _along_joints(actual, state, drive, unravel) + _of_elements(actual, drive, matrices(q), derivatives, qd)
-    )
+    force = force + _along_joints(actual, state, drive, unravel) + (0.0 if applied is None else applied)
+    force = force + _of_elements(actual, drive, matrices(q), derivatives, qd)
 
     def phi(q):
         return constraints(actual, state.position, stabilisation.scale, unravel(q))
@@ -272,22 +287,24 @@ def reference_accelerations(
     jacobian = jax.jacfwd(phi)(q)
     gamma = -jax.jvp(phi_rate, (q,), (qd,))[1]
     gamma = gamma - stabilisation.velocity_gain * phi_rate(q) - stabilisation.position_gain * phi(q)
-    for k, (_, _, acceleration) in drive.motions.items():
-        jacobian = jnp.concatenate([jacobian, jnp.eye(q.size)[k : k + 1]])
-        gamma = jnp.concatenate([gamma, jnp.reshape(acceleration, (1,))])
-    found, multipliers = _solve_augmented(mass, jacobian, force, gamma)
+    found, multipliers = _solve_augmented(mass, jacobian, force, gamma, drive)
     return unravel(found), multipliers[: topology.n_constraints]
 
 
-def _solve_augmented(mass: Array, jacobian: Array, force: Array, gamma: Array) -> tuple[Array, Array]:
-    """Accelerations and multipliers [N]."""
+def _solve_augmented(
+    mass: Array, jacobian: Array, force: Array, gamma: Array, drive: DriveInput
+) -> tuple[Array, Array]:
+    """Accelerations and multipliers [N], those of prescribed motions last."""
+    for k, (_, _, acceleration) in drive.motions.items():
+        jacobian = jnp.concatenate([jacobian, jnp.eye(force.size)[k : k + 1]])
+        gamma = jnp.concatenate([gamma, jnp.reshape(acceleration, (1,))])
     n, c = force.size, gamma.size
     system = jnp.block([[mass, -jacobian.T], [jacobian, jnp.zeros((c, c))]])
     solution = jnp.linalg.solve(system, jnp.concatenate([force, gamma]))
     return solution[:n], solution[n:]
 
 
-def _pseudo_inertia(actual: ModelWithErrors) -> Array:
+def pseudo_inertias(actual: ModelWithErrors) -> Array:
     """H (nodes, 4, 4) of theory (3.1) about every node's reference point."""
     identity = jnp.eye(3)
     blocks = []

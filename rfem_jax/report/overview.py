@@ -10,7 +10,7 @@ from dataclasses import fields
 from typing import Any
 
 from rfem_jax.description.driven_motions import AnyDrive
-from rfem_jax.description.forces import Force, JointForce, JointForceTable
+from rfem_jax.description.forces import Force, JointForce, JointForceTable, JointFriction
 from rfem_jax.description.joint_kinds import KINDS
 from rfem_jax.description.joints import Joint
 from rfem_jax.description.mechanism import Mechanism
@@ -82,6 +82,8 @@ def _forces_text(mechanism: Mechanism) -> str:
         numbers = [
             f"{name.replace('_', ' ')} {value:g}" for name, value in vars(force).items() if isinstance(value, float)
         ]
+        if isinstance(force, JointFriction):
+            numbers.append(f"law {force.law}")
         if isinstance(force, JointForceTable):
             columns: dict[str, Any] = {"positions": force.positions, "forces": force.forces}
             numbers = [f"{len(force.positions)} rows"]

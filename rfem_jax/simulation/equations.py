@@ -16,7 +16,7 @@ from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float, Int
 
 from rfem_jax.compilation.scalarisation import nothing_known
-from rfem_jax.mechanics import loads, model_with_errors
+from rfem_jax.mechanics import friction, loads, model_with_errors
 from rfem_jax.mechanics.dynamics import Accelerations, accelerations
 from rfem_jax.mechanics.element_loads import FrameLoads
 from rfem_jax.mechanics.implicit.condensation import LinkOperator
@@ -34,13 +34,15 @@ Tree = TypeVar("Tree")
 
 class Integrals(eqx.Module):
     """Integrals over time of squared loads (joints,) [N^2 s, (N m)^2 s]: axial (along the joint's axis) and
-    normal force, resultant moment; work of drive and laws, and dissipated energy [J]."""
+    normal force, resultant moment; work of drive and laws, and dissipated energy [J], of which every friction, by its
+    name (None without any)."""
 
     axial_square: Float[Array, " joints"]
     normal_square: Float[Array, " joints"]
     moment_square: Float[Array, " joints"]
     work: Float[Array, ""]
     dissipation: Float[Array, ""]
+    friction: Float[Array, " frictions"] | None = None
 
 
 class Trajectory(eqx.Module):
@@ -111,6 +113,7 @@ def right_hand_side(t: Scalar, trajectory: Trajectory, conditions: Conditions) -
             moment_square=moment,
             work=applied_power(conditions.actual.topology, state, drive, joint, result),
             dissipation=result.dissipated,
+            friction=friction.losses(result.laws),
         ),
     )
 
@@ -173,10 +176,12 @@ def drive_forces(
     return tuple(force(k) for k in topology.drives) or (jnp.zeros(()),)
 
 
-def start_trajectory(state: State, joints: int) -> Trajectory:
+def start_trajectory(state: State, joints: int, frictions: int = 0) -> Trajectory:
     """The integrated state at the start: all integrals zero."""
     by_joint, total = jnp.zeros((joints,)), jnp.zeros(())
-    return Trajectory(state.position, state.velocity, Integrals(by_joint, by_joint, by_joint, total, total))
+    by_friction = jnp.zeros((frictions,)) if frictions else None
+    integrals = Integrals(by_joint, by_joint, by_joint, total, total, by_friction)
+    return Trajectory(state.position, state.velocity, integrals)
 
 
 def peaks(rate: Trajectory) -> Float[Array, "2 joints"]:

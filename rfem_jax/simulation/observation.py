@@ -60,7 +60,8 @@ class Record(NamedTuple):
     largest components of the residual force [N] and moment [N m] of the momentum balance; largest_load [N, N m]: what
     they are divided by; hinge_residual [N m]: largest load along a free motion of a joint beyond that of its springs,
     which should be zero (forces times `Instant.arm`); range_used: as `kinematics.range_used`; square_integrals: of the
-    resultant force and moment [N^2 s, (N m)^2 s]; squares: of the axial and the normal force [N^2].
+    resultant force and moment [N^2 s, (N m)^2 s]; squares: of the axial and the normal force [N^2]; friction_losses
+    [J]: energy that every friction has dissipated, None without any.
     """
 
     joints: Float[Array, " numbers"]
@@ -82,6 +83,7 @@ class Record(NamedTuple):
     residual: Float[Array, " n"]
     squares: Float[Array, "2 joints"]
     forces: dict[str, PointHistory]
+    friction_losses: Float[Array, " frictions"] | None
 
 
 def solved_instant(actual: ModelWithErrors, result: Accelerations, drive: DriveInput, scale: algebra.Scalar) -> Instant:
@@ -173,6 +175,7 @@ def observe(
             residual=instant.residual,
             squares=squares,
             forces=_point_histories(instant.frame_loads),
+            friction_losses=integrals.friction,
         )
 
 
@@ -199,7 +202,11 @@ def _load_along_free_motions(topology: Topology, instant: Instant, drive: DriveI
     along = jnp.abs(along)
     along = along * jnp.where(np.array(topology.slides, dtype=bool), instant.arm, 1.0)
     along = along * passive
-    about_cuts = jnp.abs(joint.moment[1, n:]) * revolute[n:].astype(float)
+    about_cuts = joint.moment[1, n:]
+    for (at, component), force in ({} if instant.laws is None else instant.laws.cuts or {}).items():
+        here = (np.arange(about_cuts.shape[0]) == at) & (component == 4)
+        about_cuts = jnp.where(here, about_cuts - force[None], about_cuts)
+    about_cuts = jnp.abs(about_cuts) * revolute[n:].astype(float)
     return jnp.max(jnp.concatenate([along, about_cuts]), initial=0.0)
 
 

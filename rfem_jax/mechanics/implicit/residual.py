@@ -22,6 +22,7 @@ from rfem_jax.mechanics.cut_joints import Closure, closure
 from rfem_jax.mechanics.dynamics import total_dissipated
 from rfem_jax.mechanics.element_loads import FrameLoads, frame_loads
 from rfem_jax.mechanics.elements.elasticity import generalised_forces
+from rfem_jax.mechanics.friction import cut_forces, cut_friction, tree_friction, with_friction
 from rfem_jax.mechanics.inputs import DriveInput
 from rfem_jax.mechanics.joint_forces import LawForces, applied_forces, by_coordinate, law_forces
 from rfem_jax.mechanics.kinematics import Motion, by_freedom, motion_of, spread
@@ -93,9 +94,12 @@ def evaluate_residual(
         angular, linear = _node_accelerations(topology, motion, spatial, accelerations)
         at_nodes = frame_loads(actual, motion, drive.time)
         inertial = loads.beyond_elements(loads.inertial_loads(actual, motion, angular, linear), at_nodes)
-        wrenches = loads.chain_wrenches(actual, motion, cuts, multipliers, inertial)
+        in_cuts = cut_friction(actual, motion, cuts, multipliers)
+        wrenches = loads.chain_wrenches(actual, motion, cuts, multipliers, inertial, cut_forces(actual, in_cuts))
         hinge = -dot(motion.axis, by_freedom(topology, jnp.stack(wrenches[:n], axis=1)))
-        laws = law_forces(actual, state)
+        laws = with_friction(
+            actual, law_forces(actual, state), in_cuts | tree_friction(actual, state, motion, wrenches)
+        )
         applied = applied_forces(drive, laws)
         if applied:
             hinge = hinge + by_coordinate(topology, applied)

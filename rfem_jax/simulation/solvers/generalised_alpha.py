@@ -50,6 +50,14 @@ from rfem_jax.mechanics.cut_joints import closure
 from rfem_jax.mechanics.dynamics import total_dissipated
 from rfem_jax.mechanics.element_loads import element_tangents, frame_loads
 from rfem_jax.mechanics.elements.elasticity import dissipated_power
+from rfem_jax.mechanics.friction import (
+    cut_forces,
+    cut_friction,
+    friction_tangent,
+    losses,
+    tree_friction,
+    with_friction,
+)
 from rfem_jax.mechanics.implicit.condensation import LinkOperator, link_operators, present_operators
 from rfem_jax.mechanics.implicit.newton import IterationMatrix, iteration_matrix, newton_increment
 from rfem_jax.mechanics.implicit.residual import Evaluation, evaluate_residual, residual_of
@@ -189,12 +197,17 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
             operators = jax.tree.map(lambda x: x[0], self.operators(args.actual, h[None]))
         start = StepStart(dataclasses.replace(args, operators=None), trajectory, solver_state)
         seen = jnp.maximum(peaks, squared_forces(solver_state.rates))
-        constants = StepConstants(t1, h, jnp.sqrt(jnp.max(seen)))
+        largest = jnp.max(seen)
+        if args.actual.friction is not None:
+            largest = jnp.maximum(largest, squared_moments(trajectory, solver_state, t1) / args.stabilisation.scale**2)
+        constants = StepConstants(t1, h, jnp.sqrt(largest))
         operators, constants, fixed = jax.lax.stop_gradient((operators, constants, start))
         matrix = form_matrix(self, operators, constants, fixed)
         trajectory, memory = solved_step(self, matrix, constants, start)
         y1 = trajectory, jnp.maximum(peaks, squared_forces(memory.rates))
         allowed = RESIDUAL_LIMIT * jnp.sqrt(jnp.max(jax.lax.stop_gradient(y1[1])))
+        if args.actual.friction is not None:
+            allowed = jnp.maximum(allowed, RESIDUAL_LIMIT * constants.largest_force)
         result = diffrax.RESULTS.where(
             memory.residual <= allowed,
             diffrax.RESULTS.successful,
@@ -233,22 +246,32 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         predicted = self.predict(constants, start)
         evaluation = self.evaluate(predicted, constants, start)[0]
 
+        friction = conditions.actual.friction is not None
+
+        def kept(evaluation):
+            # With friction the matrix is formed again for every increment, from all of the evaluation.
+            return evaluation if friction else residual_of(evaluation)
+
         def unconverged(carry):
-            count, converged, _, _, _ = carry
+            count, converged, *_ = carry
             return (count == 0) | ((count < self.max_increments) & ~converged)
 
         def improve(carry):
             count, _, unknowns, residual, _ = carry
-            increment = newton_increment(topology, matrix, residual)
+            present = matrix
+            if friction:
+                present = self.matrix_at(matrix, unknowns, residual, constants, start, secant=True)
+                residual = residual_of(residual)
+            increment = newton_increment(topology, present, residual)
             unknowns = jax.tree.map(jnp.add, unknowns, increment)
             evaluation, end = self.evaluate(unknowns, constants, start)
             closed = cut_drift(evaluation.closure, conditions.stabilisation.scale)[0] <= drift
             converged = (end.memory.residual <= self.tolerance * constants.largest_force) & closed
-            return count + 1, converged, unknowns, residual_of(evaluation), end
+            return count + 1, converged, unknowns, kept(evaluation), end
 
         # The first increment is always made, so the end of the step at the prediction is not needed.
         count, converged = jnp.zeros((), jnp.int32), jnp.zeros((), bool)
-        carry = count, converged, predicted, residual_of(evaluation), StepEnd(trajectory, memory)
+        carry = count, converged, predicted, kept(evaluation), StepEnd(trajectory, memory)
         return jax.lax.while_loop(unconverged, improve, carry)[4]
 
     def iteration_matrix(
@@ -263,12 +286,39 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         now = motion_of(actual, state)
         if actual.topology.exact:
             operators = present_operators(actual, now.relative, *self.factors(h))
-        held = conditions.drives.prescribed
         of_laws = None if actual.forces is None else law_tangent(actual, state, *self.factors(h))
         of_elements = None
         if actual.frame_forces is not None:
             of_elements = element_tangents(actual, now, drive.time, *self.factors(h))
+        held = conditions.drives.prescribed
         return iteration_matrix(actual, operators, now, closure(actual, now, scale), held, of_laws, of_elements)
+
+    def matrix_at(
+        self,
+        matrix: IterationMatrix,
+        unknowns: Unknowns,
+        evaluation: Evaluation,
+        constants: StepConstants,
+        start: StepStart,
+        secant: bool = False,
+    ) -> IterationMatrix:
+        """The iteration matrix at other unknowns than the prediction, where there is friction, whose tangent changes
+        much within a step; `secant`: with the chord of friction from rest instead of its tangent (theory (12.6))."""
+        h, (conditions, trajectory, memory) = constants.length, start
+        actual = conditions.actual
+        if actual.friction is None or evaluation.laws is None or evaluation.laws.friction is None:
+            return matrix
+        drive = conditions.drives.at(constants.end, conditions.phase)
+        state, _ = self._newmark(h, trajectory, memory, unknowns.accelerations, actual.topology, drive)
+        tangent = friction_tangent(actual, evaluation.laws.friction, self.factors(h)[1], secant)
+        tree = law_tangent(actual, state, *self.factors(h))
+        for k, value in tangent.tree.items():
+            tree[k] = tree[k] + value if k in tree else value
+        motion, cuts, held = evaluation.motion, evaluation.closure, conditions.drives.prescribed
+        of_elements = None
+        if actual.frame_forces is not None:
+            of_elements = element_tangents(actual, motion, drive.time, *self.factors(h))
+        return iteration_matrix(actual, matrix.operators, motion, cuts, held, tree, of_elements, tangent.cuts)
 
     def predict(self, constants: StepConstants, start: StepStart) -> Unknowns:
         """Accelerations and multipliers of the last step as a first guess.
@@ -314,11 +364,15 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         actual = conditions.actual
         drive = conditions.drives.at(constants.end, conditions.phase)
         state, auxiliary = self._newmark(h, trajectory, memory, unknowns.accelerations, actual.topology, drive)
-        laws = law_forces(actual, state)
+        laws, cuts, at_cuts = law_forces(actual, state), evaluation.closure, None
+        if actual.friction is not None:
+            in_cuts = cut_friction(actual, motion_of(actual, state), cuts, unknowns.multipliers)
+            laws = with_friction(actual, laws, in_cuts | tree_friction(actual, state, evaluation.motion, wrenches))
+            at_cuts = cut_forces(actual, in_cuts)
         at_nodes = None if actual.frame_forces is None else frame_loads(actual, motion_of(actual, state), drive.time)
         evaluation = evaluation._replace(
             multipliers=unknowns.multipliers,
-            wrenches=[*wrenches, *loads.cut_wrenches(actual.topology, evaluation.closure, unknowns.multipliers)],
+            wrenches=[*wrenches, *loads.cut_wrenches(actual.topology, cuts, unknowns.multipliers, at_cuts)],
             dissipated=total_dissipated(dissipated_power(actual, state), laws, at_nodes),
             laws=laws,
             frame_loads=at_nodes,
@@ -363,7 +417,7 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         joint = loads.loads_of_wrenches(actual.topology, evaluation, evaluation.wrenches, drive)
         axial, normal, moment = equations.squares(actual.topology, joint)
         work = equations.applied_power(actual.topology, state, drive, joint, evaluation)
-        rates = Integrals(axial, normal, moment, work, evaluation.dissipated)
+        rates = Integrals(axial, normal, moment, work, evaluation.dissipated, losses(evaluation.laws))
         integrals = jax.tree.map(
             lambda sum, old, new: sum + 0.5 * h * (old + new),
             trajectory.integrals,
@@ -380,6 +434,13 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
 def squared_forces(rates: Integrals) -> Float[Array, "2 joints"]:
     """Squared axial and normal forces [N^2]."""
     return jnp.stack([rates.axial_square, rates.normal_square])
+
+
+def squared_moments(trajectory: Trajectory, memory: Memory, t: Scalar) -> Float[Array, ""]:
+    """Largest squared moment [N^2 m^2] of a joint in the last step, or its mean square so far: friction may be the only
+    load."""
+    mean = trajectory.integrals.moment_square / jnp.where(t > 0.0, t, 1.0)
+    return jnp.max(jnp.maximum(memory.rates.moment_square, mean))
 
 
 def residual_forces(
