@@ -25,8 +25,8 @@ _options.offer()
 
 _PACKAGES = {
     "description": (
-        "Case Circle GivenSection InputError Joint JointForceFunction JointForceTable JointSpring Link Material "
-        "Mechanism Method MomentFunction MomentRamp MomentTable PointMass PrescribedFunction PrescribedRate "
+        "Case Circle Compliance GivenSection InputError Joint JointForceFunction JointForceTable JointSpring Link "
+        "Material Mechanism Method MomentFunction MomentRamp MomentTable PointMass PrescribedFunction PrescribedRate "
         "PrescribedSpinUp PrescribedTable Rectangle Study Tube load_study"
     ),
     "mechanics": ("AssemblyErrors Coordinates Model State STATUS assemble assembly_errors describe discretise"),

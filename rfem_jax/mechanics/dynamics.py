@@ -89,7 +89,7 @@ def accelerations(
     angular, linear = _free_accelerations(actual, motion, spin, gravity, force, moment)
     tree = _interface_tree(actual, state, motion, force, moment)
     laws = law_forces(actual, state)
-    forces = applied_forces(topology, drive, laws)
+    forces = applied_forces(topology, state.position, drive, laws)
     responses, rates = _articulated_bodies(topology, tree, _load_columns(topology, cuts, tree), drive, forces)
     responses |= _cut_rfe_responses(actual, motion, cuts, angular, linear)
     multipliers, stabilising = _multipliers(topology, cuts, motion, tree, responses, stabilisation)
@@ -100,6 +100,8 @@ def accelerations(
     root_angular, root_linear = _link_accelerations(topology, motion, tree, spatial)
     elastic = _elastic_accelerations(topology, motion, inverse_rate, spin, root_angular, root_linear, angular, linear)
     joints = jnp.stack([_combine(rate[None], weights)[0] for rate in rates]) if rates else jnp.zeros((0,))
+    for part in (laws, None if cuts is None else cuts.springs):
+        dissipated = dissipated if part is None else dissipated + part.dissipated
     return Accelerations(
         coordinates=Coordinates(joints, elastic),
         multipliers=multipliers,
@@ -110,7 +112,7 @@ def accelerations(
         motion=motion,
         closure=cuts,
         interface_tree=tree,
-        dissipated=dissipated if laws is None else dissipated + laws.dissipated,
+        dissipated=dissipated,
         laws=laws,
     )
 
@@ -323,9 +325,27 @@ def _multipliers(
         rows = jnp.asarray(rows)
 
         baumgarte = -stabilisation.velocity_gain * cuts.rate - stabilisation.position_gain * cuts.residual
+        if cuts.springs is not None:
+            return _beside_springs(topology, cuts.springs.multipliers, rows, cuts.bias, baumgarte)
         inverse = invert_closure(topology, rows[:, 1:])
         stabilising = apply(inverse, baumgarte)
         return stabilising - apply(inverse, cuts.bias + rows[:, 0]), stabilising
+
+
+def _beside_springs(
+    topology: Topology, springs: Array, rows: Array, bias: Array, baumgarte: Array
+) -> tuple[Array, Array]:
+    """`_multipliers` where those of springs are given: the others hold what these leave (theory (13.8))."""
+    sprung = np.array(topology.sprung_rows)
+    if sprung.all():
+        return springs, jnp.zeros_like(springs)
+    rigid = np.flatnonzero(~sprung)
+    onto = jnp.asarray(np.eye(len(sprung))[rigid])
+    loaded = bias + rows[:, 0] + apply(rows[:, 1:], springs)
+    matrix = jnp.stack([jnp.stack([rows[i, 1 + j] for j in rigid]) for i in rigid])
+    inverse = invert_closure(topology, matrix)
+    stabilising = apply(onto.T, apply(inverse, apply(onto, baumgarte)))
+    return springs + stabilising - apply(onto.T, apply(inverse, apply(onto, loaded))), stabilising
 
 
 def _points_of(topology: Topology, motion: Motion, tree: InterfaceTree) -> dict[int, Array]:

@@ -23,7 +23,7 @@ from jaxtyping import Float
 
 from rfem_jax.mechanics import algebra
 from rfem_jax.mechanics.algebra import apply, apply_transposed, cross, dot
-from rfem_jax.mechanics.cut_joints import Closure, columns
+from rfem_jax.mechanics.cut_joints import Closure, columns, cut_spring_energy
 from rfem_jax.mechanics.dynamics import Accelerations, link_axes
 from rfem_jax.mechanics.elements import elasticity
 from rfem_jax.mechanics.inputs import DriveInput
@@ -147,7 +147,13 @@ def _without_laws(topology: Topology, result: Solved, force: Array, moment: Arra
     axis = result.motion.axis
     for k, law in ({} if result.laws is None else result.laws.outside).items():
         here = np.arange(topology.n_links) == topology.link_of_freedom[k]
-        along = jnp.where(here[None], (axis[3:, k] if topology.slides[k] else axis[:3, k])[:, None] * law, 0.0)
+        direction = axis[3:, k] if topology.slides[k] else axis[:3, k]
+        tilted = topology.tilted(topology.link_of_freedom[k])
+        if tilted is not None and tilted[0] == k:
+            # The moment that does no work on the tilt (theory (13.5)).
+            across = cross(axis[:3, k + 1], axis[:3, k + 2])
+            direction = across / dot(across, direction)[None]
+        along = jnp.where(here[None], direction[:, None] * law, 0.0)
         force, moment = (force - along, moment) if topology.slides[k] else (force, moment - along)
     return force, moment
 
@@ -263,8 +269,12 @@ def energies(actual: ModelWithErrors, state: State) -> Energies:
 
 def _elastic_energy(actual: ModelWithErrors, position: Coordinates) -> Float[Array, ""]:
     """Energy [J] of the springs of links and joints."""
-    of_links = elasticity.elastic_energy(actual, position)
-    return of_links if actual.forces is None else of_links + law_energy(actual, position)
+    energy = elasticity.elastic_energy(actual, position)
+    if actual.forces is not None or actual.springs is not None:
+        energy = energy + law_energy(actual, position)
+    if actual.topology.sprung_rows:
+        energy = energy + cut_spring_energy(actual, motion_of(actual, static_state(actual.topology, position)))
+    return energy
 
 
 def base_wrench(topology: Topology, wrenches: Sequence[Float[Array, "6"]]) -> Float[Array, "6"]:

@@ -25,6 +25,7 @@ from rfem_jax.description.errors import InputError, suggestion
 from rfem_jax.description.units import quantity
 from rfem_jax.mechanics import algebra
 from rfem_jax.mechanics.joint_laws import JointLaws
+from rfem_jax.mechanics.joint_springs import CompliantSpring
 from rfem_jax.mechanics.model import BASE, Model, Topology, rfe_fractions
 
 
@@ -118,6 +119,7 @@ class ModelWithErrors(eqx.Module):
     gravity: acceleration [m/s^2] in global axes.
     datum: the first base joint's nominal place, the zero level of gravity's energy [m].
     forces: along joint coordinates, None without any.
+    springs: of compliant joints, None without any.
     """
 
     topology: Topology = eqx.field(static=True)
@@ -138,6 +140,7 @@ class ModelWithErrors(eqx.Module):
     gravity: Float[Array, "3"]
     datum: Float[Array, "3"]
     forces: JointLaws | None = None
+    springs: dict[str, CompliantSpring] | None = None
 
 
 def apply_errors(model: Model, errors: AssemblyErrors) -> ModelWithErrors:
@@ -185,6 +188,7 @@ def apply_errors(model: Model, errors: AssemblyErrors) -> ModelWithErrors:
             gravity=model.gravity,
             datum=model.parent_position[:, topology.parents.index(BASE)],
             forces=None if model.forces is None else JointLaws(model.forces, jnp.ones(())),
+            springs=model.springs,
             **_spring_damping_elements(model, length),
         )
 
@@ -192,10 +196,10 @@ def apply_errors(model: Model, errors: AssemblyErrors) -> ModelWithErrors:
 def _start_angles(model: Model) -> Float[Array, " joints"]:
     """Angles [rad] of all joints about y at the start, 0 of tree joints that are not revolute and have no pins."""
     topology, zero = model.topology, jnp.zeros(())
-    if set(topology.kinds[: topology.n_links]) == {"revolute"}:
+    if set(topology.kinds[: topology.n_links]) == {"revolute"} and not topology.sprung:
         return jnp.concatenate([model.start_joints, model.cut_angles])
     revolute = [topology.kinds[l] == "revolute" for l in range(topology.n_links)]
-    angles = [model.start_joints[at[0]] if turns else zero for turns, at in zip(revolute, topology.positions)]
+    angles = [model.start_joints[at[0]] if turns else zero for turns, at in zip(revolute, topology.own_positions)]
     return jnp.concatenate([jnp.stack(angles), model.cut_angles])
 
 

@@ -16,6 +16,12 @@ def require_driven(model: Model, drive: Drive) -> None:
     **Raises:** `InputError` if the model has no driven joint, or another one.
     """
     if drive is None or drive.joint == model.driven_joint:
+        driven = model.topology.driven
+        if isinstance(drive, PrescribedDrive) and driven is not None and model.topology.tilted(driven) is not None:
+            raise InputError(
+                f"Argument `drive` must not prescribe the angle of joint `{drive.joint}` because its tilt is sprung, "
+                "but does; leave its tilt rigid, drive another joint, or give a moment."
+            )
         return
     tree = model.topology.joints[: model.topology.n_links]
     if drive.joint not in tree:

@@ -21,7 +21,7 @@ from rfem_jax.mechanics import loads, model_with_errors
 from rfem_jax.mechanics.dynamics import Accelerations, accelerations
 from rfem_jax.mechanics.implicit.condensation import LinkOperator
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation, impose
-from rfem_jax.mechanics.joint_forces import LawForces
+from rfem_jax.mechanics.joint_forces import LawForces, rate_about_axis
 from rfem_jax.mechanics.model import Coordinates, Model, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 from rfem_jax.mechanics.orientations import position_rate
@@ -143,9 +143,7 @@ def applied_power(
     topology: Topology, state: State, drive: DriveInput, joint: loads.JointLoads, laws: LawForces | None
 ) -> Float[Array, ""]:
     """Power [W] of the drive and of the laws that act on joints from outside."""
-    power = drive_moment(topology, drive, joint, laws) * (
-        0.0 if topology.driven_coordinate is None else state.velocity.joints[topology.driven_coordinate]
-    )
+    power = drive_moment(topology, drive, joint, laws) * rate_about_axis(topology, state)
     return power if laws is None else power + laws.power
 
 

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 from rfem_jax.mechanics import algebra, loads
 from rfem_jax.mechanics.centre_lines import link_ends
-from rfem_jax.mechanics.cut_joints import Closure, assembly_modes
+from rfem_jax.mechanics.cut_joints import Closure, Constraints, assembly_modes
 from rfem_jax.mechanics.dynamics import Accelerations
 from rfem_jax.mechanics.implicit.residual import Evaluation
 from rfem_jax.mechanics.inputs import DriveInput
@@ -175,6 +175,7 @@ def _load_along_free_motions(topology: Topology, instant: Instant, drive: DriveI
     passive = np.ones(len(topology.joints))
     if drive.prescribed is not None:
         passive[topology.driven] = 0.0
+    driven = -1 if drive.prescribed is None else topology.driven_coordinate
     revolute = np.array([kind == "revolute" for kind in topology.kinds])
     if revolute.all() and instant.laws is None:
         return jnp.max(jnp.abs(joint.moment[1]) * jnp.asarray(passive))
@@ -186,7 +187,7 @@ def _load_along_free_motions(topology: Topology, instant: Instant, drive: DriveI
         along = along - by_coordinate(topology, instant.laws.inside)
     along = jnp.abs(along)
     along = along * jnp.where(np.array(topology.slides, dtype=bool), instant.arm, 1.0)
-    along = along * passive[np.array(topology.link_of_freedom, dtype=int)]
+    along = along * (np.arange(topology.n_freedoms) != driven).astype(float)
     about_cuts = jnp.abs(joint.moment[1, n:]) * revolute[n:].astype(float)
     return jnp.max(jnp.concatenate([along, about_cuts]), initial=0.0)
 
@@ -204,11 +205,20 @@ def cut_drift(cuts: Closure | None, scale: algebra.Scalar) -> tuple[Float[Array,
         return jnp.zeros(()), jnp.zeros(())
     distances, turns = [], []
     for group in cuts.groups:
-        of_centres, of_axes = group.residual[: group.n_centres], group.residual[group.n_centres :]
+        of_centres, of_axes = _held_apart(group)
         distances.append(equations.safe_sqrt(jnp.max(jnp.sum(of_centres**2, axis=0))))
         if of_axes.shape[0]:
             turns.append(jnp.max(jnp.abs(of_axes)) / scale)
     return _largest(distances), _largest(turns)
+
+
+def _held_apart(group: Constraints) -> tuple[Float[Array, "r n"], Float[Array, "s n"]]:
+    """Residuals [m] of the equations of centres and of axes, but those that are laws of springs."""
+    r = group.n_centres
+    if not any(group.sprung):
+        return group.residual[:r], group.residual[r:]
+    rigid = np.flatnonzero(~np.array(group.sprung))
+    return group.residual[rigid[rigid < r]], group.residual[rigid[rigid >= r]]
 
 
 def _largest(values: list[Float[Array, ""]]) -> Float[Array, ""]:

@@ -13,11 +13,12 @@ modes are those of P L^-1 K L^-T P.  All of them are found for small mechanisms;
 Lanczos' method with sparse matrices (ARPACK), in memory proportional to the number of rfes.
 
 The stiffness due to gravity and to the forces at rest is neglected beside that of the springs.  For a mechanism of
-rigid links, which has no other, the accelerations are differentiated by central differences.  Springs, dampers and laws
-of joints enter with their derivatives at the position, as far as these do not drive the motion.
+rigid links and joints, which has no other, the accelerations are differentiated by central differences.  Springs,
+dampers and laws of joints enter with their derivatives at the position, as far as these do not drive the motion.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -30,6 +31,7 @@ from rfem_jax.compilation.program import Program
 from rfem_jax.description.joint_kinds import JointKind
 from rfem_jax.mechanics.cut_joints import RANK_TOLERANCE
 from rfem_jax.mechanics.joint_laws import law_slopes
+from rfem_jax.mechanics.joint_springs import CompliantSpring, diagonal_tangent
 from rfem_jax.mechanics.model import BASE, Model, Topology
 from rfem_jax.mechanics.model_with_errors import apply_errors, assembly_errors
 from rfem_jax.mechanics.nominal_geometry import (
@@ -94,11 +96,12 @@ class Vibration:
         ]
         self.before: list[np.ndarray | None] = [None] * len(self.rates)
         self.forces = model.forces
+        self.springs = [] if model.springs is None else list(model.springs.values())
 
     def modes(self, joints: Float[np.ndarray, " numbers"]) -> Modes:
         """The modes at a position of the joints, links undeformed."""
         placed = place(self.geometry, joints)
-        if self.topology.n_rfes == 0:
+        if self.topology.n_rfes == 0 and not self.springs:
             return self._rigid(np.asarray(joints))
         constraints = sparse.csr_matrix(self._constraints(placed) @ self.inverse_root)
         joint_rows, stiffness, damping = self._at_joints(np.asarray(joints), placed)
@@ -106,52 +109,93 @@ class Vibration:
         if self.size <= 6 * MOST_BODIES:
             return self._all(constraints.toarray(), by_springs, by_dampers)
         modes = self._stiffest(sparse.csc_matrix(constraints))
-        if self.forces is None:
+        if not self._joints_are_sprung:
             return modes
         # Springs and dampers of joints as a mode of their own, as those of the links of each damping.
         project = _projection(sparse.csc_matrix(constraints))
         largest = [np.linalg.norm([project(row) for row in rows], 2) ** 2 for rows in (by_springs, by_dampers)]
         return Modes(np.append(modes.squares, largest[0]), np.append(modes.damping, largest[1]))
 
+    @property
+    def _joints_are_sprung(self) -> bool:
+        return self.forces is not None or bool(self.springs)
+
     def _at_joints(self, joints: np.ndarray, placed: Placed) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Of the springs, dampers and laws of joints: rows (laws, 6 n) that give the rates of their coordinates from
         the velocities L^T w of all nodes, stiffness and damping at a position, zero where they are negative."""
         laws = [] if self.forces is None else list(self.forces.values())
-        rows = np.zeros((len(laws), self.size))
-        for row, law in zip(rows, laws, strict=True):
-            link = self.topology.link_of_freedom[law.coordinate]
-            own = list(self.topology.coordinates[link])
-            # The coordinate's rate of a twist over the joint that keeps its constraints.
-            reader = np.linalg.pinv(placed.twists[own].T)[own.index(law.coordinate)]
-            for node, sign in ((self.topology.parents[link], -1.0), (link, 1.0)):
-                if node == BASE:
-                    continue
-                owner = self.topology.link_of(node)
-                along = self.geometry.rest[node - self.topology.n_links] if node >= self.topology.n_links else 0.0
-                rotation = placed.rotation[owner]
-                point = placed.origin[owner] + rotation @ [along, 0.0, 0.0]
-                # Twist at the global origin of velocities in link axes at the node's point.
-                row[6 * node : 6 * node + 3] += sign * (reader[:3] + np.cross(reader[3:], point)) @ rotation
-                row[6 * node + 3 : 6 * node + 6] += sign * reader[3:] @ rotation
-        slopes = [law_slopes(law, joints[law.place], 0.0) for law in laws]
-        stiffness, damping = np.maximum(-np.array(slopes, float).reshape(-1, 2).T, 0.0)
-        return rows @ self.inverse_root, stiffness, damping
+        rows = [self._row_of_coordinate(placed, law.coordinate) for law in laws]
+        slopes = [-np.array(law_slopes(law, joints[law.place], 0.0), float) for law in laws]
+        for spring in self.springs:
+            rows += [self._row_of_coordinate(placed, k) for k in spring.coordinates]
+            rows += [self._row_of_closure(placed, k) for k in spring.rows]
+            slopes += self._slopes(spring)
+        stiffness, damping = np.maximum(np.array(slopes, float).reshape(-1, 2).T, 0.0)
+        return np.array(rows).reshape(-1, self.size) @ self.inverse_root, stiffness, damping
+
+    def _slopes(self, spring: CompliantSpring) -> list[np.ndarray]:
+        """Stiffness and damping of the coordinates, or rows [m], of a compliant joint's spring without load."""
+        zeros = jnp.zeros(len(spring.coordinates) or len(spring.rows))
+        exerted = spring.along
+        if spring.rows:
+            exerted = partial(spring.in_rows, scale=jnp.asarray(self.geometry.scale))
+        factors = ((1.0, 0.0), (0.0, 1.0))
+        return list(np.array([diagonal_tangent(exerted, zeros, zeros, *pair) for pair in factors]).T)
+
+    def _row_of_coordinate(self, placed: Placed, coordinate: int) -> np.ndarray:
+        """Row (6 n,) that gives a joint coordinate's rate from the velocities of all nodes."""
+        link = self.topology.link_of_freedom[coordinate]
+        own = list(self.topology.coordinates[link])
+        # The coordinate's rate of a twist over the joint that keeps its constraints.
+        reader = np.linalg.pinv(placed.twists[own].T)[own.index(coordinate)]
+        return self._row(placed, self.topology.parents[link], -reader) + self._row(placed, link, reader)
+
+    def _row_of_closure(self, placed: Placed, equation: int) -> np.ndarray:
+        """Row (6 n,) that gives the rate of a closure equation [m] of a compliant cut joint from the velocities of all
+        nodes."""
+        topology = self.topology
+        joint = next(j for j, rows in zip(topology.cuts, topology.constraints, strict=True) if equation in rows)
+        kind, left = topology.kind(joint).nominal, placed.joint_rotation[joint]
+        place = equation - topology.constraints[joint - topology.n_links].start
+        if place < len(kind.across):
+            force = left[:, kind.across[place]]
+            reader = np.concatenate([np.cross(placed.child_centre[joint], force), force])
+        else:
+            a, b = kind.perpendicular[place - len(kind.across)]
+            couple = self.geometry.scale * np.cross(placed.child_rotation[joint][:, b], left[:, a])
+            reader = np.concatenate([couple, np.zeros(3)])
+        ends = (topology.parents[joint], -reader), (topology.children[joint], reader)
+        return sum((self._row(placed, node, part) for node, part in ends), np.zeros(self.size))
+
+    def _row(self, placed: Placed, node: int, reader: np.ndarray) -> np.ndarray:
+        """Row (6 n,) of one node, which takes its twist at the global origin to reader . twist."""
+        row = np.zeros(self.size)
+        if node == BASE:
+            return row
+        owner = self.topology.link_of(node)
+        along = self.geometry.rest[node - self.topology.n_links] if node >= self.topology.n_links else 0.0
+        rotation = placed.rotation[owner]
+        point = placed.origin[owner] + rotation @ [along, 0.0, 0.0]
+        # Twist at the global origin of velocities in link axes at the node's point.
+        row[6 * node : 6 * node + 3] = (reader[:3] + np.cross(reader[3:], point)) @ rotation
+        row[6 * node + 3 : 6 * node + 6] = reader[3:] @ rotation
+        return row
 
     def _all(self, constraints: np.ndarray, by_springs: np.ndarray, by_dampers: np.ndarray) -> Modes:
         _, singular, rows = np.linalg.svd(_unit_rows(constraints))
-        free = rows[np.sum(singular > RANK_TOLERANCE * singular[0]) :]
+        free = rows[np.sum(singular > RANK_TOLERANCE * singular.max(initial=0.0)) :]
         # Singular values of the root of the stiffness matrix: the low frequencies of stiff links keep their digits.
         stretch = self.root @ free.T
-        if self.forces is not None:
+        if self._joints_are_sprung:
             stretch = np.concatenate([stretch, by_springs @ free.T])
         missing = np.zeros((max(0, free.shape[0] - stretch.shape[0]), free.shape[0]))
         _, frequencies, vectors = np.linalg.svd(np.concatenate([stretch, missing]), full_matrices=False)
         squares = frequencies**2
-        if len(self.rates) == 1 and self.forces is None:
+        if len(self.rates) == 1 and not self._joints_are_sprung:
             return Modes(squares, self.rates[0] * squares)
         stretch = stretch[: len(self.damping)] @ vectors.T
         damping = stretch.T @ (self.damping[:, None] * stretch)
-        if self.forces is not None:
+        if self._joints_are_sprung:
             across = by_dampers @ free.T @ vectors.T
             damping = damping + across.T @ across
         return Modes(squares, damping)

@@ -24,7 +24,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from rfem_jax.mechanics import algebra
 from rfem_jax.mechanics.algebra import (
@@ -109,11 +109,31 @@ class Response(NamedTuple):
 
 class ClosureMatrix(NamedTuple):
     """Of the cut joints: units, wrenches (6, constraints) of unit multipliers by node; responses to them; inverse
-    of the multipliers' matrix."""
+    of the multipliers' matrix; springs: of compliant cut joints, None without any."""
 
     units: dict[int, Float[Array, "6 multipliers"]]
     responses: Response
     inverse: Float[Array, "multipliers multipliers"]
+    springs: "SpringRows | None" = None
+
+    def solve(self, rows: Array, closing: Array) -> Float[Array, " multipliers"]:
+        """Increments of the multipliers for which the closure equations vanish: `rows`, second derivatives of Phi by
+        the increments of the accelerations without them, and `closing` (`Residual`)."""
+        if self.springs is None:
+            return -apply(self.inverse, closing + rows)
+        sprung, root, matrix = self.springs
+        exerted = jnp.where(sprung, -closing, 0.0)
+        rows = rows + apply(matrix, exerted)
+        return exerted - root * apply(self.inverse, root * rows + jnp.where(sprung, 0.0, closing))
+
+
+class SpringRows(NamedTuple):
+    """Which multipliers are those of springs; by row the root of the springs' tangent, 1 where there is none; the
+    multipliers' matrix (theory (13.9))."""
+
+    sprung: Bool[Array, " multipliers"]
+    root: Float[Array, " multipliers"]
+    matrix: Float[Array, "multipliers multipliers"]
 
 
 class IterationMatrix(NamedTuple):
@@ -138,9 +158,11 @@ def iteration_matrix(
     cuts: Closure | None,
     held: tuple[int, ...] = (),
     joint_tangent: dict[int, Float[Array, ""]] | None = None,
+    row_tangent: Float[Array, " multipliers"] | None = None,
 ) -> IterationMatrix:
     """Factor the iteration matrix at one position; `held`: joint coordinates that are given; `joint_tangent`: minus the
-    derivatives of forces along joint coordinates with respect to their accelerations."""
+    derivatives of forces along joint coordinates with respect to their accelerations; `row_tangent`: those of springs
+    of cut joints, from `spring_row_tangent`."""
     with jax.named_scope("iteration_matrix"):
         topology = actual.topology
         links = _eliminate(actual, operators, motion, held, joint_tangent or {})
@@ -153,8 +175,19 @@ def iteration_matrix(
         joint_loads = jnp.zeros((topology.n_freedoms, columns))
         responses = _respond(topology, links, joint_loads, {}, {}, units, columns)
         rows = sum(product(transpose(unit), _of_node(topology, responses, node)) for node, unit in units.items())
-        inverse = invert_closure(topology, jnp.asarray(rows))
-        return IterationMatrix(operators, links, ClosureMatrix(units, responses, inverse))
+        rows = jnp.asarray(rows)
+        if row_tangent is None:
+            return IterationMatrix(operators, links, ClosureMatrix(units, responses, invert_closure(topology, rows)))
+        springs = _spring_rows(topology, rows, row_tangent)
+        scaled = springs.root[:, None] * rows * springs.root[None] + jnp.diag(springs.sprung.astype(float))
+        return IterationMatrix(
+            operators, links, ClosureMatrix(units, responses, invert_closure(topology, scaled), springs)
+        )
+
+
+def _spring_rows(topology: Topology, rows: Array, row_tangent: Array) -> SpringRows:
+    sprung = jnp.asarray(np.array(topology.sprung_rows))
+    return SpringRows(sprung, jnp.where(sprung, jnp.sqrt(row_tangent), 1.0), rows)
 
 
 def newton_increment(topology: Topology, matrix: IterationMatrix, residual: Residual) -> NewtonIncrement:
@@ -177,9 +210,9 @@ def increment_and_wrenches(
         response = jax.tree.map(lambda x: x[:, 0], applied)
         multipliers = jnp.zeros_like(residual.closing)
         if matrix.closure is not None:
-            units, by_multipliers, inverse = matrix.closure
+            units, by_multipliers = matrix.closure.units, matrix.closure.responses
             rows = sum(apply_transposed(unit, _of_node(topology, response, node)) for node, unit in units.items())
-            multipliers = -apply(inverse, residual.closing + rows)
+            multipliers = matrix.closure.solve(jnp.asarray(rows), residual.closing)
             response = jax.tree.map(lambda a, b: a + apply(b, multipliers), response, by_multipliers)
         elastic = _elastic_accelerations(topology, matrix, loads, response)
         increment = NewtonIncrement(Coordinates(response.joints, elastic), multipliers)

@@ -46,7 +46,7 @@ from rfem_jax.description.drives import PrescribedDrive
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.methods import GeneralisedAlphaMethod, Method
 from rfem_jax.mechanics import algebra, loads
-from rfem_jax.mechanics.cut_joints import closure
+from rfem_jax.mechanics.cut_joints import closure, spring_row_tangent
 from rfem_jax.mechanics.elements.elasticity import dissipated_power
 from rfem_jax.mechanics.implicit.condensation import LinkOperator, link_operators, present_operators
 from rfem_jax.mechanics.implicit.newton import IterationMatrix, iteration_matrix, newton_increment
@@ -264,8 +264,11 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
             operators = present_operators(actual, now.relative, *self.factors(h))
         prescribed = isinstance(conditions.drive, PrescribedDrive)
         held = (driven_coordinate(actual.topology),) if prescribed else ()
-        of_laws = None if actual.forces is None else law_tangent(actual, state, *self.factors(h))
-        return iteration_matrix(actual, operators, now, closure(actual, now, scale), held, of_laws)
+        bare = actual.forces is None and actual.springs is None
+        of_laws = None if bare else law_tangent(actual, state, *self.factors(h))
+        cuts = closure(actual, now, scale)
+        of_rows = spring_row_tangent(actual, cuts, scale, *self.factors(h))
+        return iteration_matrix(actual, operators, now, cuts, held, of_laws, of_rows)
 
     def predict(self, constants: StepConstants, start: StepStart) -> Unknowns:
         """Accelerations and multipliers of the last step as a first guess.
@@ -313,6 +316,10 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         state, auxiliary = self._newmark(h, trajectory, memory, unknowns.accelerations, actual.topology, drive)
         laws = law_forces(actual, state)
         dissipated = dissipated_power(actual, state)
+        if actual.topology.sprung_rows:
+            now = closure(actual, motion_of(actual, state), conditions.stabilisation.scale)
+            if now is not None and now.springs is not None:
+                dissipated = dissipated + now.springs.dissipated
         evaluation = evaluation._replace(
             multipliers=unknowns.multipliers,
             wrenches=[*wrenches, *loads.cut_wrenches(actual.topology, evaluation.closure, unknowns.multipliers)],
@@ -324,7 +331,10 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
     def _closing_as_acceleration(self, evaluation: Evaluation, h) -> Evaluation:
         """The evaluation with its closure error [m] as the acceleration [m/s^2] that removes it within the step."""
         moving, (q_factor, _) = h > 0.0, self.factors(h)
-        by_step = evaluation.closing / jnp.where(moving, q_factor, 1.0)
+        unit = jnp.where(moving, q_factor, 1.0)
+        if evaluation.closure is not None and (sprung := evaluation.closure.sprung_rows):
+            unit = jnp.where(np.array(sprung), 1.0, unit)
+        by_step = evaluation.closing / unit
         return evaluation._replace(closing=jnp.where(moving, by_step, evaluation.closing_acceleration))
 
     def _newmark(self, h, trajectory: Trajectory, memory: Memory, accelerations: Coordinates, topology, drive):
@@ -394,7 +404,10 @@ def residual_forces(
         evaluation.moment / scale,
         hinge / (jnp.where(np.array(slides), 1.0, scale) if any(slides) else scale),
     )
-    parts = evaluation.force, moment, hinge, evaluation.closing * jnp.sum(actual.mass)
+    closing = jnp.sum(actual.mass)
+    if sprung := actual.topology.sprung_rows:
+        closing = jnp.where(np.array(sprung), 1.0, closing)
+    parts = evaluation.force, moment, hinge, evaluation.closing * closing
     return jnp.concatenate([part.reshape(-1) for part in parts])
 
 
