@@ -11,6 +11,7 @@ from rfem_jax.mechanics.model_with_errors import apply_errors, assembly_errors
 from rfem_jax.mechanics.statics import assembly, search
 from rfem_jax.mechanics.status import NOT_ASSEMBLED, OK
 from tests.mechanisms import four_bar, link, some_errors, twisted_spatial_loop
+from tests.numpy_evaluation import by_numpy
 
 
 def four_bar_of_long_chains():
@@ -33,7 +34,7 @@ def equilibria(make):
 def with_derivatives(at):
     """Values, derivatives along both arguments, backward of one number and the same forward, status."""
 
-    @jax.jit
+    @by_numpy
     def evaluate(share, rotation):
         values, jvp, status = jax.linearize(at, share, rotation, has_aux=True)
         forward = jvp(1.0, 0.0), jvp(0.0, 1.0)
@@ -91,7 +92,7 @@ def test_the_preconditioner_is_nearly_exact(make, most):
         value = scaled.residual(Coordinates(hinge, others[0]), others[1])
         return value.at[given].set(unknowns[given])
 
-    @jax.jit
+    @by_numpy
     def iteration():
         preconditioner = assembly._preconditioner(scaled, given, actual, start)
         return jnp.eye(start.size) - jax.vmap(preconditioner, 1, 1)(jax.jacfwd(residual)(start))
@@ -109,7 +110,7 @@ def test_where_the_recursion_does_not_converge_the_jacobian_does(monkeypatch):
         position, _, status = assembly.equilibrium(model, loaded, {})
         return position.joints[0], status
 
-    @jax.jit
+    @by_numpy
     def both(gravity):
         angle, jvp, status = jax.linearize(at, gravity, has_aux=True)
         derivatives = jax.vmap(jvp)(jnp.eye(3)), jax.linear_transpose(jvp, gravity)(1.0)[0]
@@ -122,4 +123,4 @@ def test_where_the_recursion_does_not_converge_the_jacobian_does(monkeypatch):
     np.testing.assert_allclose(derivatives[0][0], -9.8 / (0.6**2 + 9.8**2), rtol=1e-4)
     np.testing.assert_allclose(derivatives[0], derivatives[1], rtol=1e-9)
     monkeypatch.setattr(search, "_linearised", without_matrix)
-    assert jax.jit(at)(gravity)[1] == NOT_ASSEMBLED
+    assert by_numpy(at)(gravity)[1] == NOT_ASSEMBLED

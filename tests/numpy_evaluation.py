@@ -1,0 +1,286 @@
+"""Functions evaluated operation by operation with NumPy: for programs that run once, which take long to compile.
+
+`by_numpy(f)` traces a function of arrays, derivatives and vmap included, and carries out its jaxpr.  What has no rule
+here is carried out by JAX as one operation.  What XLA makes of the same operations is tested wherever mechanisms move.
+"""
+
+import functools
+import math
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import numpy as np
+from jax.core import Tracer
+from jax.extend.core import ClosedJaxpr, Literal
+
+CALLS = frozenset(["jit", "pjit", "closed_call", "checkpoint", "remat", "remat2", "custom_jvp_call", "custom_vjp_call"])
+ELEMENTWISE: dict[str, Callable] = {
+    **{name: getattr(np, name) for name in "sin cos tan exp exp2 log log1p expm1 sqrt tanh sinh cosh abs".split()},
+    **{name: getattr(np, name) for name in "sign floor ceil cbrt nextafter square".split()},
+    **{name: getattr(np, "arc" + name[1:]) for name in "acos asin atan atan2 asinh acosh atanh".split()},
+    "add": np.add, "add_any": np.add, "sub": np.subtract, "mul": np.multiply, "neg": np.negative, "pow": np.power,
+    "max": np.maximum, "min": np.minimum, "rem": np.fmod, "lt": np.less, "le": np.less_equal, "gt": np.greater,
+    "ge": np.greater_equal, "eq": np.equal, "ne": np.not_equal, "and": np.bitwise_and, "or": np.bitwise_or,
+    "xor": np.bitwise_xor, "not": np.invert, "is_finite": np.isfinite, "stop_gradient": np.asarray,
+    "convert_element_type": np.asarray, "copy": np.asarray, "copy_p": np.asarray, "name": np.asarray,
+    "rsqrt": lambda x: 1.0 / np.sqrt(x), "clamp": lambda low, x, high: np.clip(x, low, high),
+}  # fmt: skip
+REDUCED: dict[str, Callable] = {
+    "reduce_sum": np.sum, "reduce_prod": np.prod, "reduce_and": np.all, "reduce_or": np.any,
+    "reduce_max": lambda x, axis: np.max(x, axis=axis, initial=-np.inf) if x.dtype.kind == "f" else np.max(x, axis),
+    "reduce_min": lambda x, axis: np.min(x, axis=axis, initial=np.inf) if x.dtype.kind == "f" else np.min(x, axis),
+}  # fmt: skip
+
+
+def by_numpy(function: Callable) -> Callable:
+    """The function of trees of arrays, evaluated by NumPy; returns NumPy arrays."""
+
+    @functools.wraps(function)
+    def evaluated(*arguments):
+        if any(isinstance(x, Tracer) for x in jax.tree.leaves(arguments)):
+            return function(*arguments)
+        program, shapes = jax.make_jaxpr(function, return_shape=True)(*arguments)
+        with np.errstate(all="ignore"):
+            results = _evaluate(program, [np.asarray(x) for x in jax.tree.leaves(arguments)])
+        return jax.tree.unflatten(jax.tree.structure(shapes), [np.array(x) for x in results])
+
+    return evaluated
+
+
+def _evaluate(program: ClosedJaxpr, given: list[np.ndarray]) -> list[np.ndarray]:
+    jaxpr = program.jaxpr
+    values = dict(zip(jaxpr.constvars, map(np.asarray, program.consts))) | dict(zip(jaxpr.invars, given, strict=True))
+
+    def read(variable: Any):
+        return np.asarray(variable.val) if isinstance(variable, Literal) else values[variable]
+
+    for equation in jaxpr.eqns:
+        results = _apply(equation, [read(variable) for variable in equation.invars])
+        for variable, result in zip(equation.outvars, results, strict=True):
+            values[variable] = np.asarray(result, variable.aval.dtype)
+    return [read(variable) for variable in jaxpr.outvars]
+
+
+def _apply(equation, parts: list[np.ndarray]) -> list:
+    name, settings = equation.primitive.name, equation.params
+    if name in ELEMENTWISE:
+        return [ELEMENTWISE[name](*parts)]
+    if name in REDUCED:
+        return [REDUCED[name](parts[0], axis=tuple(settings["axes"]))]
+    if name in CALLS:
+        inner = settings.get("jaxpr", settings.get("call_jaxpr"))
+        return _evaluate(inner if isinstance(inner, ClosedJaxpr) else ClosedJaxpr(inner, ()), parts)
+    if name in SPECIAL:
+        return SPECIAL[name](equation, *parts)
+    results = equation.primitive.bind(*parts, **settings)
+    return results if equation.primitive.multiple_results else [results]
+
+
+def _divided(equation, a, b):
+    if np.issubdtype(equation.outvars[0].aval.dtype, np.floating):
+        return [a / b]
+    return [np.trunc(a / b)]
+
+
+def _broadcast(equation, x):
+    shape = equation.params["shape"]
+    lengths = [1] * len(shape)
+    for axis, length in zip(equation.params["broadcast_dimensions"], x.shape, strict=True):
+        lengths[axis] = length
+    return [np.broadcast_to(x.reshape(lengths), shape)]
+
+
+def _slice(equation, x):
+    settings = equation.params
+    strides = settings["strides"] or (1,) * x.ndim
+    limits = zip(settings["start_indices"], settings["limit_indices"], strides, strict=True)
+    return [x[tuple(slice(*limit) for limit in limits)]]
+
+
+def _dot(equation, a, b):
+    (a_summed, b_summed), (a_batch, b_batch) = equation.params["dimension_numbers"]
+    a_own = [i for i in range(a.ndim) if i not in (*a_summed, *a_batch)]
+    b_own = [i for i in range(b.ndim) if i not in (*b_summed, *b_batch)]
+    shape = [a.shape[i] for i in (*a_batch, *a_own)] + [b.shape[i] for i in b_own]
+    batch, terms = (math.prod(a.shape[i] for i in axes) for axes in (a_batch, a_summed))
+    rows, columns = (math.prod(x.shape[i] for i in own) for x, own in ((a, a_own), (b, b_own)))
+    a = a.transpose([*a_batch, *a_own, *a_summed]).reshape(batch, rows, terms)
+    b = b.transpose([*b_batch, *b_summed, *b_own]).reshape(batch, terms, columns)
+    return [(a @ b).reshape(shape)]
+
+
+def _selected(_, which, *cases):
+    if which.dtype == bool:
+        return [np.where(which, cases[1], cases[0])]
+    return [np.choose(which, cases)]
+
+
+def _while(equation, *parts):
+    settings = equation.params
+    first, second = settings["cond_nconsts"], settings["cond_nconsts"] + settings["body_nconsts"]
+    of_condition, of_body, values = parts[:first], parts[first:second], list(parts[second:])
+
+    def goes_on():
+        return _evaluate(settings["cond_jaxpr"], [*of_condition, *values])[0]
+
+    while (going := goes_on()).any():
+        # Under vmap the condition may be one of each sample.
+        results = _evaluate(settings["body_jaxpr"], [*of_body, *values])
+        pairs = zip(results, values, strict=True)
+        values = [np.where(going.reshape(going.shape + (1,) * (x.ndim - going.ndim)), x, y) for x, y in pairs]
+    return values
+
+
+def _scan(equation, *parts):
+    settings = equation.params
+    if "num_carry" in settings:
+        first, carried = settings["num_consts"], settings["num_carry"]
+    else:
+        constants, carry, _ = settings["ft_in"].unpack()  # JAX 0.12
+        first, carried = len(constants), len(carry)
+    fixed, carry, rows = parts[:first], list(parts[first : first + carried]), parts[first + carried :]
+    made = []
+    turns = range(settings["length"])
+    for i in reversed(turns) if settings["reverse"] else turns:
+        results = _evaluate(settings["jaxpr"], [*fixed, *carry, *(x[i] for x in rows)])
+        carry = results[:carried]
+        made.append(results[carried:])
+    made = made[::-1] if settings["reverse"] else made
+    empty = [np.zeros(variable.aval.shape) for variable in equation.outvars[carried:]]
+    return carry + ([np.stack(column) for column in zip(*made, strict=True)] if made else empty)
+
+
+def _split(equation, x):
+    stops = np.cumsum(equation.params["sizes"])[:-1]
+    return np.split(x, stops, equation.params["axis"])
+
+
+def _padded(equation, x, value):
+    low, high, inner = np.array(equation.params["padding_config"]).T
+    length = np.array(x.shape) + np.maximum(np.array(x.shape) - 1, 0) * inner
+    before, after = np.maximum(low, 0), np.maximum(high, 0)
+    padded = np.full(before + length + after, value)
+    places = zip(before, length, inner, strict=True)
+    padded[tuple(slice(a, a + n, i + 1) for a, n, i in places)] = x
+    # Negative padding cuts off.
+    kept = zip(before - low, before + length + np.minimum(high, 0) + after, strict=True)
+    return [padded[tuple(slice(a, b) for a, b in kept)]]
+
+
+def _starts(x, size, starts):
+    return [int(np.clip(start, 0, n - s)) for start, n, s in zip(starts, x.shape, size, strict=True)]
+
+
+def _dynamic_slice(equation, x, *starts):
+    size = equation.params["slice_sizes"]
+    return [x[tuple(slice(a, a + s) for a, s in zip(_starts(x, size, starts), size, strict=True))]]
+
+
+def _dynamic_update_slice(_, x, update, *starts):
+    changed = x.copy()
+    places = zip(_starts(x, update.shape, starts), update.shape, strict=True)
+    changed[tuple(slice(a, a + s) for a, s in places)] = update
+    return [changed]
+
+
+def _windows(numbers, batch, inserted, indices, shape, size):
+    """Indices of an operand of the given shape for every place of `indices`, and the place; None where a window of the
+    given size is not within the operand."""
+    for place in np.ndindex(*indices.shape[:-1]):
+        start = np.zeros(len(shape), int)
+        start[list(numbers)] = indices[place]
+        for axis, other in zip(*batch, strict=True):
+            start[axis] = place[other]
+        inside = (start >= 0).all() and (start + size <= shape).all()
+        ends = zip(start, size, strict=True)
+        window = tuple(int(a) if i in inserted else slice(int(a), int(a + s)) for i, (a, s) in enumerate(ends))
+        yield place, window if inside else None
+
+
+def _gather(equation, operand, indices):
+    settings = equation.params
+    numbers, size = settings["dimension_numbers"], settings["slice_sizes"]
+    if settings["mode"] is None or "CLIP" in str(settings["mode"]):
+        last = np.array(operand.shape)[list(numbers.start_index_map)] - np.array(size)[list(numbers.start_index_map)]
+        indices = np.clip(indices, 0, last)
+    gone = (*numbers.collapsed_slice_dims, *numbers.operand_batching_dims)
+    places = indices.shape[:-1]
+    fill = settings["fill_value"]
+    taken = np.full((*places, *(n for i, n in enumerate(size) if i not in gone)), np.nan if fill is None else fill)
+    taken = taken.astype(operand.dtype) if operand.dtype.kind == "f" else np.zeros(taken.shape, operand.dtype)
+    batch = numbers.operand_batching_dims, numbers.start_indices_batching_dims
+    for place, window in _windows(numbers.start_index_map, batch, gone, indices, operand.shape, size):
+        assert window is not None or operand.dtype.kind == "f"
+        if window is not None:
+            taken[place] = operand[window]
+    return [np.moveaxis(taken, range(len(places), taken.ndim), numbers.offset_dims)]
+
+
+def _scatter(equation, operand, indices, updates, combine=None):
+    numbers, changed = equation.params["dimension_numbers"], operand.copy()
+    batch = numbers.operand_batching_dims, numbers.scatter_indices_batching_dims
+    gone = (*numbers.inserted_window_dims, *numbers.operand_batching_dims)
+    own = iter(numbers.update_window_dims)
+    size = [1 if i in gone else updates.shape[next(own)] for i in range(operand.ndim)]
+    updates = np.moveaxis(updates, numbers.update_window_dims, range(indices.ndim - 1, updates.ndim))
+    targets = _windows(numbers.scatter_dims_to_operand_dims, batch, gone, indices, operand.shape, size)
+    for place, window in targets:
+        if window is not None:
+            changed[window] = updates[place] if combine is None else combine(changed[window], updates[place])
+    return [changed]
+
+
+def _linear_solve(equation, *parts):
+    """`custom_linear_solve` by its own solver."""
+    settings = equation.params
+    sizes = settings["const_lengths"]
+    solve = sum(getattr(sizes, name) for name in ("matvec", "vecmat"))
+    constants, rest = parts[solve : solve + sizes.solve], parts[solve + sizes.solve + sizes.transpose_solve :]
+    return _evaluate(settings["jaxprs"].solve, [*constants, *rest])
+
+
+def _unstack(equation, x):
+    return list(np.moveaxis(x, equation.params["axis"], 0))
+
+
+def _iota(equation):
+    settings = equation.params
+    shape, axis = settings["shape"], settings["dimension"]
+    numbers = np.arange(shape[axis]).reshape([-1 if i == axis else 1 for i in range(len(shape))])
+    return [np.broadcast_to(numbers, shape)]
+
+
+SPECIAL: dict[str, Callable] = {
+    "argmax": lambda e, x: [np.argmax(x, *e.params["axes"])],
+    "argmin": lambda e, x: [np.argmin(x, *e.params["axes"])],
+    "broadcast_in_dim": _broadcast,
+    "concatenate": lambda e, *parts: [np.concatenate(parts, e.params["dimension"])],
+    "cond": lambda e, which, *parts: _evaluate(e.params["branches"][int(which)], list(parts)),
+    "div": _divided,
+    "dot_general": _dot,
+    "custom_linear_solve": _linear_solve,
+    "dynamic_slice": _dynamic_slice,
+    "dynamic_update_slice": _dynamic_update_slice,
+    "expand_dims": lambda e, x: [np.expand_dims(x, e.params["dimensions"])],
+    "gather": _gather,
+    "integer_pow": lambda e, x: [x ** float(e.params["y"])],
+    "iota": _iota,
+    "optimization_barrier": lambda _, *parts: list(parts),
+    "pad": _padded,
+    "reorder": lambda e, x: [np.take(x, e.params["order"], e.params["axis"])],
+    "reshape": lambda e, x: [x.reshape(e.params["new_sizes"])],
+    "rev": lambda e, x: [np.flip(x, e.params["dimensions"])],
+    "scan": _scan,
+    "scatter": _scatter,
+    "scatter-add": lambda e, *parts: _scatter(e, *parts, combine=np.add),
+    "scatter_add": lambda e, *parts: _scatter(e, *parts, combine=np.add),
+    "select_n": _selected,
+    "slice": _slice,
+    "split": _split,
+    "squeeze": lambda e, x: [np.squeeze(x, tuple(e.params["dimensions"]))],
+    "stack": lambda e, *parts: [np.stack(parts, e.params["axis"])],
+    "transpose": lambda e, x: [x.transpose(e.params["permutation"])],
+    "unstack": _unstack,
+    "while": _while,
+}
