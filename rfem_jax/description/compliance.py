@@ -126,7 +126,8 @@ _DAMPING = "_damping"
 def _require_direction(kind: JointKind, cut: bool, name: str, of: str) -> None:
     if not kind.directions:
         raise InputError(
-            f"Argument `compliance` {of} must be left out, but was given; a {kind.name} joint holds nothing: remove it."
+            f"Argument `compliance` {of} must be left out because a {kind.name} joint holds nothing, but was given; "
+            "remove it."
         )
     if name not in kind.directions:
         raise InputError(

@@ -10,6 +10,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from typing import Any
 
+from rfem_jax.description.compliance import Compliance
 from rfem_jax.description.joints import Joint
 from rfem_jax.description.links import Link, PointMass
 from rfem_jax.description.materials import Material
@@ -31,6 +32,7 @@ _IN_A_FILE = {  # where a file has something else than the class
     "section": "name of a table [mechanism.sections.NAME] (a rigid link needs it for its mass)",
     "material": 'name of a table [mechanism.materials.NAME]; none with a section of shape "given"',
     "point_masses": "list of tables, [{mass = ..., position = ...}, ...]",
+    "compliance": "table { radial = ..., axial = ..., ... }; none: rigid",
     "cases": "tables [[cases]]; none means one case without errors",
     "mechanism": "the table [mechanism]",
     "simulation": "the table [simulation]",
@@ -73,6 +75,7 @@ def key_tables() -> list[KeyTable]:
         ("[[mechanism.links]]", Link),
         ("point_masses of [[mechanism.links]]", PointMass),
         ("[[mechanism.joints]]", Joint),
+        ("compliance of [[mechanism.joints]]", Compliance),
     ):
         tables.append(_table(header, kind, *keys_of(kind), _IN_A_FILE))
     for name, kind in FORCES.items():

@@ -266,6 +266,8 @@ def _along_joints(
     outside = None if laws is None else laws._replace(inside={})
     for k, applied in applied_forces(actual.topology, state.position, drive, outside).items():
         force = force.at[k].add(applied)
+    if actual.springs is not None:
+        force = force + _spring_force(actual, state, qd, unravel)
     return force
 
 
@@ -311,8 +313,6 @@ def reference_accelerations(
 
     force = -inertial - jax.grad(potential)(q) - jax.grad(rayleigh)(qd)
     force = force + _along_joints(actual, state, drive, unravel)
-    if actual.springs is not None:
-        force = force + _spring_force(actual, state, qd, unravel)
 
     def phi(q):
         return constraints(actual, state.position, stabilisation.scale, unravel(q))

@@ -7,6 +7,7 @@ what is drawn is nominal + factor * (assembled - nominal).
 
 import math
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
@@ -17,6 +18,9 @@ from rfem_jax.description.mechanism import Mechanism
 from rfem_jax.description.study import Study
 from rfem_jax.report.annotations import Axes3D, Figure, Run
 from rfem_jax.report.style import CASE_COLOURS, LINE_STYLES, add_titles, new_figure
+
+if TYPE_CHECKING:
+    from matplotlib.path import Path as MarkerPath
 
 _MOST_PANELS = 6
 SAME_PLACE = 0.02  # of the longest line
@@ -137,9 +141,20 @@ def _draw_mechanism(axes: Axes3D, mechanism: Mechanism, run: Run, factor: float)
         if KINDS[joint.kind].displacements:
             marker, size = "s", 6
         axes.plot(*point[:, None], marker=marker, markersize=size, color="black", mfc="white")
+        if joint.compliance is not None:
+            axes.plot(*point[:, None], marker=_coil(), markersize=18, color="black", mfc="none", mew=0.9)
         points[joint.name] = point
     for names, point in labelled_points(points, lines):
         axes.text(point[0], point[1], point[2], f"  {', '.join(names)}", fontsize=9, weight="bold")
+
+
+def _coil() -> "MarkerPath":
+    """Marker of a compliant joint: a spring across it."""
+    from matplotlib.path import Path
+
+    x = np.linspace(-1.0, 1.0, 9)
+    y = 0.35 * np.array([0.0, 0.0, 1.0, -1.0, 1.0, -1.0, 1.0, 0.0, 0.0])
+    return Path(np.stack([x, y], axis=1))
 
 
 def labelled_points(points: Mapping[str, Point], lines: Mapping[str, Line]) -> list[tuple[list[str], Point]]:
