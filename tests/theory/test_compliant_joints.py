@@ -33,7 +33,7 @@ from rfem_jax import (
 from rfem_jax.description.compliance import SprungDirection
 from rfem_jax.mechanics.joint_springs import compliant_spring
 from rfem_jax.simulation.stability import eigenvalues, largest_stable_step
-from tests.mechanisms import BAR, STEEL, four_bar
+from tests.mechanisms import BAR, STEEL, link
 
 BUSHING = Compliance(
     radial=5e7, axial=2e7, tilt=2e3, radial_damping=500.0, axial_damping=200.0, tilt_damping=0.02
@@ -139,7 +139,7 @@ class TestFourBarOnBushings:
         forward, backward = jax.jacfwd(loads)(at), jax.jacrev(loads)(at)
         np.testing.assert_allclose(backward, forward, rtol=1e-8)
         for n in range(5):
-            step = 1e-4 * at * (jnp.arange(5) == n)
+            step = jnp.where(jnp.arange(5) == n, 1e-4 * at, 0.0)
             slope = (loads(at + step) - loads(at - step)) / (2.0 * step[n])
             np.testing.assert_allclose(forward[:, n], slope, rtol=1e-5)
 
@@ -160,17 +160,17 @@ class TestFourBarOnBushings:
             assert float(part) < 1e-7
 
     def test_bearings_a_hundred_times_as_stiff_in_long_steps(self, bushed):
-        """The largest stable step of an explicit method is 2e-6 s; four Newton increments a step are enough."""
+        """The largest stable step of an explicit method is 5e-6 s; four Newton increments a step are enough."""
         model = stiffer(bushed, 100.0)
+        assert largest_stable_step(model, Method("rk4", step=1e-6)) < 6e-6
         method = Method("generalised_alpha", step=1e-3, corrections=4, spectral_radius=0.3)
         run = simulate(model, drive=MomentRamp("A", 1.5, 0.1), duration=0.1, method=method, save_every=0.05)
-        assert int(run.status) == 0
-        # The perfect mechanism moves as with ideal joints.
-        ideal = discretise(dataclasses.replace(bushed_four_bar(None), redundant_reactions="minimum_norm"))
-        exact = simulate(ideal, drive=MomentRamp("A", 1.5, 0.1), duration=0.1, method=Method("rk4", step=1e-3),
-                         save_every=0.05)  # fmt: skip
-        np.testing.assert_allclose(run.angle, exact.angle, rtol=0, atol=2e-4)
-        np.testing.assert_allclose(run.rate[-1], exact.rate[-1], rtol=1e-3)
+        assert int(run.status) == 0 and float(run.solution_residual) < 1e-6
+        assert float(run.rate[-1]) > 25.0 and float(run.momentum_balance_error) < 1e-6
+        # The links move as with ideal joints: the coupler keeps its length.
+        crank, rocker = np.asarray(run.angle), np.asarray(run.angles["D"])
+        across = 0.3 + 0.3 * np.cos(rocker) - 0.12 * np.cos(crank), 0.12 * np.sin(crank) - 0.3 * np.sin(rocker)
+        np.testing.assert_allclose(np.hypot(*across), 0.3, rtol=0, atol=1e-6)
 
 
 @pytest.mark.parametrize("elements", ["linear", "geometrically_exact"])
@@ -178,21 +178,26 @@ def test_stiff_bearings_approach_ideal_ones_where_a_link_is_flexible(elements):
     """The difference is of first order in the compliance."""
 
     def preload(model):
-        assembled = assemble(model, assembly_errors(model, TILTED))
+        errors = assembly_errors(model, {"D.delta_x": 5e-3, "D.delta_z": 5e-3, "D.d_y": 3e-4})
+        assembled = assemble(model, errors)
         assert int(assembled.status) == 0
-        return np.array([np.concatenate(assembled.preload[joint]) for joint in "ABCD"])
+        return np.array([np.concatenate(assembled.preload[joint]) for joint in "ADC"])
 
     def made(compliance):
-        plain = four_bar(2)
-        joints = [dataclasses.replace(joint, compliance=compliance) for joint in plain.joints]
-        return discretise(dataclasses.replace(plain, joints=joints), elements=elements)
+        """A triangle of the base, a rigid link and a flexible one."""
+        joints = [
+            Joint("A", "base", "left", angle=np.radians(-70), compliance=compliance),
+            Joint("D", "base", "right", position=(0.2, 0.0, 0.0), angle=np.radians(-120), compliance=compliance),
+            Joint("C", "left", "right", cut=True, compliance=compliance),
+        ]
+        return discretise(Mechanism([link("left", 0.2), link("right", 0.25, 2)], joints), elements=elements)
 
     ideal = preload(made(None))
-    model = made(Compliance(radial=1e8, axial=1e8, tilt=1e5))
+    model = made(Compliance(radial=1e11, axial=1e11, tilt=1e8))
     difference = [np.abs(preload(stiffer(model, factor)) - ideal) for factor in (1.0, 10.0, 100.0)]
-    assert difference[0].max() > 0.02 * np.abs(ideal).max()
-    loaded = difference[0] > 1e-3
-    assert loaded.sum() > 12
+    assert difference[0].max() > 0.01 * np.abs(ideal).max()
+    loaded = difference[0] > 1e-3 * difference[0].max()
+    assert loaded.sum() > 8
     np.testing.assert_allclose((difference[1] / difference[2])[loaded], 10.0, rtol=0.03)
     np.testing.assert_allclose((difference[0] / difference[1])[loaded], 10.0, rtol=0.3)
 
@@ -250,7 +255,9 @@ class TestSprings:
         decay = 200.0 / (2.0 * 0.5)
         expected = -decay + 1j * np.sqrt(1e8 / 0.5 - decay**2)
         values = eigenvalues(model)
-        np.testing.assert_allclose(np.sort_complex(values[np.abs(values) > 1.0])[-3:], expected, rtol=1e-6)
+        values = values[np.abs(values) > 1.0]
+        assert values.shape == (6,)
+        np.testing.assert_allclose(values.real + 1j * np.abs(values.imag), expected, rtol=1e-6)
         undamped = Compliance(radial=1e8)
         model = self.block(Joint("S", "base", "block", kind="spherical", compliance=undamped))
         limit = largest_stable_step(model, Method("leapfrog", step=1e-6))
@@ -306,7 +313,7 @@ class TestDrives:
         assert int(run.status) == 0
         np.testing.assert_allclose(run.angle, 20.0 * np.asarray(run.times), rtol=1e-9)
         force = 0.157 * 20.0**2 * 0.1 / (1.0 - 0.157 * 20.0**2 / 1e5)
-        np.testing.assert_allclose(run.loads["A"].force[-1], [-force, 0.0, 0.0], rtol=1e-3, atol=0.2)
+        np.testing.assert_allclose(run.loads["A"].force[-1], [-force, 0.0, 0.0], rtol=1e-6, atol=1e-4)
         assert float(run.hinge_moment_error) < 1e-9 and float(run.momentum_balance_error) < 1e-9
 
     def test_a_prescribed_angle_of_a_joint_whose_tilt_is_sprung_is_refused(self):
@@ -317,29 +324,27 @@ class TestDrives:
 
 
 def test_derivatives_of_a_motion_with_respect_to_error_and_stiffness():
-    """Two links on bushings, one of them cut: an implicit step has both kinds of springs."""
-    bearing = Compliance(radial=1e5, axial=1e5, tilt=50.0, radial_damping=20.0, tilt_damping=0.01)
-    links = [Link(name, 0.2, BAR, STEEL, rigid=True) for name in ("left", "right")]
+    """A rod between two bearings, one of them cut: an implicit step has both kinds of springs."""
+    first = Compliance(radial=1e5, tilt=50.0, tilt_damping=0.01)
     joints = [
-        Joint("A", "base", "left", angle=-1.0),
-        Joint("D", "base", "right", position=(0.2161209, 0.0, 0.0), angle=-np.pi + 1.0, compliance=bearing),
-        Joint("C", "left", "right", cut=True, compliance=bearing),
-    ]
-    model = discretise(Mechanism(links, joints, driven_joint="A"))
+        Joint("A", "base", "arm", compliance=first),
+        Joint("C", "base", "arm", kind="spherical", position=(0.2, 0.0, 0.0), cut=True,
+              compliance=Compliance(T_x=2e4, T_y=1e4, T_y_damping=20.0)),
+    ]  # fmt: skip
+    model = discretise(Mechanism(TestDrives.ARM, joints, driven_joint="A"))
     method = Method("generalised_alpha", step=1e-3, tolerance=1e-12, corrections=12)
 
     def end(values):
-        errors = assembly_errors(model, {"D.delta_x": values[0]})
-        made = eqx.tree_at(lambda m: [m.springs["C.radial"].stiffness, m.springs["D.tilt"].stiffness],
+        errors = assembly_errors(model, {"A.delta_z": values[0]})
+        made = eqx.tree_at(lambda m: [m.springs["C.T_y"].stiffness, m.springs["A.tilt"].stiffness],
                            model, [values[1], values[2]])  # fmt: skip
-        run = simulate(made, errors=errors, drive=MomentRamp("A", 0.5, 0.02), duration=0.02, method=method,
-                       save_every=0.01)  # fmt: skip
-        return jnp.stack([run.metrics.mean_square_moment["C"], run.metrics.mean_square_force["D"]])
+        run = simulate(made, errors=errors, drive=None, duration=0.01, method=method, save_every=0.01)
+        return jnp.stack([run.metrics.mean_square_moment["A"], run.metrics.mean_square_force["C"]])
 
-    at = jnp.asarray([5e-3, 1e5, 50.0])
-    forward, backward = jax.jacfwd(end)(at), jax.jacrev(end)(at)
-    np.testing.assert_allclose(backward, forward, rtol=1e-7)
+    at = jnp.asarray([5e-3, 1e4, 50.0])
+    # Reverse mode transposes the rule of forward mode.
+    derivatives = jax.jacrev(end)(at)
     for n in range(3):
-        step = 1e-4 * at * (jnp.arange(3) == n)
+        step = jnp.where(jnp.arange(3) == n, 1e-4 * at, 0.0)
         slope = (end(at + step) - end(at - step)) / (2.0 * step[n])
-        np.testing.assert_allclose(forward[:, n], slope, rtol=2e-4, atol=1e-7 * float(jnp.abs(forward[:, n]).max()))
+        np.testing.assert_allclose(derivatives[:, n], slope, rtol=2e-4)

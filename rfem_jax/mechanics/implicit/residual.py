@@ -100,20 +100,22 @@ def evaluate_residual(
         elastic, dissipated = generalised_forces(actual, state, motion.relative)
         on_force, on_moment = _interface_loads(topology, motion, wrenches)
         moment = apply_transposed(motion.relative.rate_matrix, on_moment - inertial[1][:, n:])
-        zeros = jnp.zeros((0,))
-        closing = closing_acceleration = zeros
+        force = elastic[:3] + on_force - inertial[0][:, n:]
+        moment = elastic[3:] + moment
+        closing = closing_rate = closing_acceleration = jnp.zeros((0,))
         if cuts is not None:
             closing = spring_residual(topology, cuts, multipliers, cuts.residual)
+            closing_rate = cuts.rate
             closing_acceleration = cuts.bias + _closing_acceleration(topology, cuts, spatial)
             closing_acceleration = spring_residual(topology, cuts, multipliers, closing_acceleration)
         for part in (laws, None if cuts is None else cuts.springs):
             dissipated = dissipated if part is None else dissipated + part.dissipated
         return Evaluation(
             hinge=hinge,
-            force=elastic[:3] + on_force - inertial[0][:, n:],
-            moment=elastic[3:] + moment,
+            force=force,
+            moment=moment,
             closing=closing,
-            closing_rate=zeros if cuts is None else cuts.rate,
+            closing_rate=closing_rate,
             closing_acceleration=closing_acceleration,
             angular=angular,
             linear=linear,

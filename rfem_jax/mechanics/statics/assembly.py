@@ -308,14 +308,15 @@ def _rows(scaled: _Scaled, actual: ModelWithErrors) -> Array:
     of_joints = jnp.full(topology.n_freedoms, scaled.force * scaled.length)
     if any(topology.slides):
         of_joints = of_joints / scaled.units[: topology.n_freedoms]
-    at_rest = loads.static_state(topology, scaled.coordinates(jnp.zeros(len(scaled.units))))
-    if of_laws := law_tangent(actual, at_rest, 1.0, 0.0):
-        of_joints = of_joints + by_coordinate(topology, of_laws) * scaled.units[: topology.n_freedoms]
     closing = jnp.full(topology.n_constraints, scaled.length)
-    cuts = closure(actual, motion_of(actual, at_rest), scaled.length) if topology.sprung_rows else None
-    stiffness = spring_row_tangent(actual, cuts, scaled.length, 1.0, 0.0)
-    if stiffness is not None:
-        closing = jnp.where(np.array(topology.sprung_rows), stiffness * scaled.length + scaled.force, closing)
+    if actual.forces is not None or topology.sprung:
+        at_rest = loads.static_state(topology, scaled.coordinates(jnp.zeros(len(scaled.units))))
+        if of_laws := law_tangent(actual, at_rest, 1.0, 0.0):
+            of_joints = of_joints + by_coordinate(topology, of_laws) * scaled.units[: topology.n_freedoms]
+        cuts = closure(actual, motion_of(actual, at_rest), scaled.length) if topology.sprung_rows else None
+        stiffness = spring_row_tangent(actual, cuts, scaled.length, 1.0, 0.0)
+        if stiffness is not None:
+            closing = jnp.where(np.array(topology.sprung_rows), stiffness * scaled.length + scaled.force, closing)
     forces = Coordinates(of_joints, jnp.einsum("kij,jk->ik", springs, one))
     return scaled.residual(forces, closing)
 
