@@ -25,9 +25,11 @@ _options.offer()
 
 _PACKAGES = {
     "description": (
-        "Case Circle Compliance GivenSection InputError Joint JointForceFunction JointForceTable JointSpring Link "
-        "Material Mechanism Method MomentFunction MomentRamp MomentTable PointMass PrescribedFunction PrescribedRate "
-        "PrescribedSpinUp PrescribedTable Rectangle Study Tube load_study"
+        "Case Circle Compliance ForceFunction ForceRamp ForceTable GivenSection InputError Joint "
+        "JointForceFunction JointForceTable JointSpring Link Material Mechanism Method MomentFunction MomentRamp "
+        "MomentTable PointForce PointMass PointMoment PointSpring PointSpringFunction PointSpringTable "
+        "PrescribedDisplacements PrescribedFunction PrescribedRate PrescribedRunUp PrescribedSpeed "
+        "PrescribedSpinUp PrescribedTable Rectangle RigidBody Study Tube load_study"
     ),
     "mechanics": ("AssemblyErrors Coordinates Model State STATUS assemble assembly_errors describe discretise"),
     "tolerancing": (

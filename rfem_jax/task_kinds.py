@@ -60,7 +60,7 @@ class TaskKind:
 
 
 # Names that study files and the command line use for something else.
-RESERVED_TABLES = ("title", "note", "mechanism", "drive", "simulation", "cases", "tolerances")
+RESERVED_TABLES = ("title", "note", "mechanism", "drive", "drives", "simulation", "cases", "tolerances")
 RESERVED_COMMANDS = ("run", "check", "keys", "validate")
 
 _kinds: dict[str, TaskKind] = {}

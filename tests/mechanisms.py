@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import jax.numpy as jnp
 import numpy as np
 
 from rfem_jax import (
@@ -13,8 +14,13 @@ from rfem_jax import (
     Link,
     Material,
     Mechanism,
+    PointForce,
     PointMass,
+    PointMoment,
+    PointSpring,
+    PointSpringFunction,
     Rectangle,
+    RigidBody,
 )
 
 STEEL = Material("steel", youngs_modulus=210e9, density=7850.0, poisson_ratio=0.3, damping=1e-5)
@@ -173,6 +179,24 @@ def chain_with_forces():
     return dataclasses.replace(chain_of_kinds(), forces=forces)
 
 
+def chain_with_drives():
+    """Drives on motions of all kinds, two of them on one joint, one beside a spring and one beside a law; one link is
+    a body with products of inertia."""
+    body = RigidBody(0.3, (0.04, 0.01, -0.02), [[3e-4, 5e-5, -2e-5], [5e-5, 4e-4, 8e-5], [-2e-5, 8e-5, 5e-4]])
+    links = [link("a", 0.1), link("b", 0.2, 2), Link("c", 0.15, body=body), link("d", 0.12)]
+    joints = [
+        Joint("P", "base", "a", kind="prismatic", orientation=(0.3, -0.2, 0.1), displacement=0.05),
+        Joint("U", "a", "b", kind="universal", child_position=(0.01, 0.0, 0.02), start=(0.3, -0.5)),
+        Joint("C", "b", "c", kind="cylindrical", position=(0.12, 0.01, 0.0), angle=0.6, displacement=-0.03),
+        Joint("L", "c", "d", kind="planar", child_orientation=(0.1, 0.2, -0.3), start=(0.02, -0.04, 0.7)),
+    ]
+    forces = [
+        JointSpring("slide", "P", stiffness=300.0, damping=4.0, rest=0.03),
+        JointForceTable("along", "C", [-1.0, 1.0], [-7.0, 4.0], motion="T_y"),
+    ]
+    return Mechanism(links, joints, driven_joint=["P", "U.R_z", "U.R_y", "C.T_y", "L.T_z", "L.R_y"], forces=forces)
+
+
 def loop_with_springs():
     """A triangle of the base and two flexible links, with a spring and a damper at its feet."""
     forces = [
@@ -279,6 +303,27 @@ def two_cuts_of_different_kinds():
               child_orientation=(0.0, -np.pi / 2, 0.0)),
     ]  # fmt: skip
     return Mechanism([*loop.links, link("prop", 0.2)], joints)
+
+
+def loop_with_point_forces():
+    """The four-bar with forces at points and between them: on rigid and flexible links and the base, within a link, on
+    rfes with joints and without, with jumps and by a function of time."""
+
+    def over_time(t, phase):
+        return jnp.stack([t, 2.0 * phase.astype(jnp.float64), 1.0 + t])
+
+    def law(length, rate):
+        return 30.0 * length**2 + 5.0 * jnp.sin(rate)
+
+    rows = [(3, 2, 3), (0, 0, 1), (1, 1, 1), (2, 0, 0)]
+    return four_bar(forces=[
+        PointSpring("across", ["crank", "rocker"], [(0.05, 0.01, 0.02), (0.2, 0.0, 0.01)], 800.0, 30.0, 0.1, 5.0),
+        PointSpring("within", ["coupler", "coupler"], [(0.0, 0.03, 0.02), (0.3, 0.02, 0.0)], 300.0, 3.0, 0.2),
+        PointSpringFunction("law", ["base", "rocker"], [(0.1, 0.1, 0.5), 0.1], law),
+        PointForce("follower", "rocker", 0.3, (30.0, -20.0, 30.0), axes="link"),
+        PointForce("jump", "crank", (0.1, 0.0, 0.02), rows, times=[0, 0.1, 0.1, 0.3]),
+        PointMoment("twist", "coupler", 0.1, over_time, breakpoints=[0.05], axes="link"),
+    ])  # fmt: skip
 
 
 ALL = (four_bar, three_link_loop, six_link_loop, twisted_spatial_loop, two_loop_six_bar, open_chain)

@@ -6,6 +6,7 @@ enters and converted to SI floats.
 
 from rfem_jax.description.compliance import Compliance
 from rfem_jax.description.drives import (
+    GivenDrive,
     MomentDrive,
     MomentFunction,
     MomentRamp,
@@ -29,6 +30,14 @@ from rfem_jax.description.methods import (
     GeneralisedAlphaMethod,
     Method,
 )
+from rfem_jax.description.point_forces import (
+    PointForce,
+    PointMoment,
+    PointSpring,
+    PointSpringFunction,
+    PointSpringTable,
+)
+from rfem_jax.description.rigid_bodies import RigidBody
 from rfem_jax.description.sections import (
     Circle,
     GivenSection,
@@ -38,6 +47,15 @@ from rfem_jax.description.sections import (
     Tube,
 )
 from rfem_jax.description.study import Case, Study, load_study
+from rfem_jax.description.translation_drives import (
+    ForceDrive,
+    ForceFunction,
+    ForceRamp,
+    ForceTable,
+    PrescribedDisplacements,
+    PrescribedRunUp,
+    PrescribedSpeed,
+)
 from rfem_jax.description.units import quantity
 
 __all__ = [
@@ -47,7 +65,12 @@ __all__ = [
     "Compliance",
     "DiffraxMethod",
     "FixedStepMethod",
+    "ForceDrive",
+    "ForceFunction",
+    "ForceRamp",
+    "ForceTable",
     "GeneralisedAlphaMethod",
+    "GivenDrive",
     "GivenSection",
     "InputError",
     "Joint",
@@ -62,13 +85,22 @@ __all__ = [
     "MomentFunction",
     "MomentRamp",
     "MomentTable",
+    "PointForce",
     "PointMass",
+    "PointMoment",
+    "PointSpring",
+    "PointSpringFunction",
+    "PointSpringTable",
+    "PrescribedDisplacements",
     "PrescribedDrive",
     "PrescribedFunction",
     "PrescribedRate",
+    "PrescribedRunUp",
+    "PrescribedSpeed",
     "PrescribedSpinUp",
     "PrescribedTable",
     "Rectangle",
+    "RigidBody",
     "Section",
     "SectionProperties",
     "Study",

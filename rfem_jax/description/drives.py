@@ -1,41 +1,45 @@
-"""Drives: a moment on a joint, or a prescribed angle of a joint, as functions of time.
+"""Drives: forces and moments on free motions of joints, or prescribed motions of them, as functions of time.
 
 Place in the pipeline: specified in a study; `mechanics` and `simulation` evaluate them inside compiled
-code (jit, vmap, forward and reverse differentiation).
+code (jit, vmap, forward and reverse differentiation).  Here are those of rotations; `translation_drives` has those of
+translations.
 
 A drive may jump at its breakpoints, which are static (they divide the run into integrations).
 Pieces are chosen by `phase`, the number of breakpoints passed, never by comparing t with a jump.
 Values are float64 JAX arrays: new values do not compile anew.
 
-Symbols: t [s]; moment [N m] about +y of the joint; change of the angle since the start [rad], rate
-[rad/s], acceleration [rad/s^2]. Source: theory (3.5), (3.6).
+Symbols: t [s]; moment [N m] about the axis of the motion; change of the angle since the start [rad], rate
+[rad/s], acceleration [rad/s^2]. Source: theory (3.5), (3.6), (3.15).
 """
 
 import abc
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax.core import Tracer
-from jax.tree_util import Partial
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
-from rfem_jax.description.errors import ABSENT, Checks, InputError, require_name, subject
-from rfem_jax.description.units import (
-    Quantities,
-    Quantity,
-    non_negative_quantity,
-    positive_quantity,
-    quantity,
-    sequence,
+from rfem_jax.description.drive_arguments import (
+    Phase,
+    Scalar,
+    Time,
+    as_phase,
+    as_tree,
+    check_scalar,
+    checked_breakpoints,
+    column,
+    drive_checks,
+    leaf,
+    table_changes,
+    table_times,
 )
+from rfem_jax.description.drive_laws import Motion, ramp, rise, spin_up, spline, spline_at, table_at, table_jumps
+from rfem_jax.description.errors import InputError
+from rfem_jax.description.units import Quantities, Quantity, non_negative_quantity, positive_quantity
 
-Scalar = Float[Array, ""]
-Time = int | float | Float[Array | np.ndarray, ""]
-Phase = Int[Array, ""] | int | np.integer
 if TYPE_CHECKING:
     Law = Callable[..., Scalar]
     Name = str
@@ -43,10 +47,26 @@ else:
     Law = Name = Any  # what is no function, or no name, is refused in a sentence
 
 
-class MomentDrive(eqx.Module):
-    """A given moment on a joint."""
+class GivenDrive(eqx.Module):
+    """A given force or moment along one free motion of a joint of the tree; `motion` None: its only one."""
 
     joint: eqx.AbstractVar[str]
+    motion: str | None = eqx.field(static=True, default=None, kw_only=True)
+    rotation: ClassVar[bool | None] = None  # whether the motion is a rotation, or a translation; None: either
+
+    @abc.abstractmethod
+    def breakpoints(self) -> tuple[float, ...]:
+        """Return the times [s] > 0 at which the force jumps, increasing."""
+
+    @abc.abstractmethod
+    def force_at(self, t: Time, phase: Phase) -> Scalar:
+        """Return the moment [N m] or force [N], positive as the motion, at t in the piece `phase` (int, from 0)."""
+
+
+class MomentDrive(GivenDrive):
+    """A given moment about the axis of a free motion of a joint."""
+
+    rotation: ClassVar[bool | None] = True
 
     @abc.abstractmethod
     def breakpoints(self) -> tuple[float, ...]:
@@ -54,21 +74,28 @@ class MomentDrive(eqx.Module):
 
     @abc.abstractmethod
     def moment_at(self, t: Time, phase: Phase) -> Scalar:
-        """Return the moment [N m] about +y at the time t, in the piece `phase` (int, from 0)."""
+        """Return the moment [N m], positive as the motion (about +y of a hinge), at the time t, in the piece `phase`
+        (int, from 0)."""
+
+    def force_at(self, t: Time, phase: Phase) -> Scalar:
+        return self.moment_at(t, phase)
 
 
 class PrescribedDrive(eqx.Module):
-    """A given angle of a joint; the moment that enforces it is a result."""
+    """A given angle or displacement of a joint; the moment or force that enforces it is a result."""
 
     joint: eqx.AbstractVar[str]
+    motion: str | None = eqx.field(static=True, default=None, kw_only=True)
+    rotation: ClassVar[bool | None] = None  # as of `GivenDrive`
 
     @abc.abstractmethod
     def breakpoints(self) -> tuple[float, ...]:
         """Return the times [s] > 0 at which a derivative jumps, increasing."""
 
     @abc.abstractmethod
-    def motion_at(self, t: Time, phase: Phase) -> tuple[Scalar, Scalar, Scalar]:
-        """Return (change of the angle since the start, rate, acceleration) at t in the piece `phase`."""
+    def motion_at(self, t: Time, phase: Phase) -> Motion:
+        """Return (change of the angle or displacement since the start, rate, acceleration) at t in the piece
+        `phase`."""
 
 
 class MomentRamp(MomentDrive):
@@ -78,15 +105,17 @@ class MomentRamp(MomentDrive):
         joint: the joint's name.
         moment: [N m], reached at rise_time.
         rise_time: [s], > 0.
+        motion: which free motion of the joint, as "R_y" or "T_x" (a rotation about y, a translation along x); None =
+            the joint's only one.
     """
 
     joint: str = eqx.field(static=True)
     moment: Scalar
     rise_time: float = eqx.field(static=True)
 
-    def __init__(self, joint: Name, moment: Quantity, rise_time: Quantity):
-        checks = _checks(self, joint)
-        checks.set("moment", moment, _leaf, "moment", "moment")
+    def __init__(self, joint: Name, moment: Quantity, rise_time: Quantity, motion: str | None = None):
+        checks = drive_checks(self, joint, motion)
+        checks.set("moment", moment, leaf, "moment", "moment")
         checks.set("rise_time", rise_time, positive_quantity, "time", "rise_time")
         checks.refuse()
 
@@ -94,7 +123,7 @@ class MomentRamp(MomentDrive):
         return (self.rise_time,)
 
     def moment_at(self, t: Time, phase: Phase) -> Scalar:
-        return jnp.where(_phase(phase) == 0, self.moment * (t / self.rise_time), 0.0)
+        return ramp(self.moment, self.rise_time, t, phase)
 
 
 class MomentTable(MomentDrive):
@@ -104,34 +133,26 @@ class MomentTable(MomentDrive):
         joint: the joint's name.
         times: [s], from 0, not decreasing; a time given twice is a jump.
         moments: [N m], as many as times.
+        motion: which free motion of the joint, as "R_y" or "T_x" (a rotation about y, a translation along x); None =
+            the joint's only one.
     """
 
     joint: str = eqx.field(static=True)
     values: Float[Array, " times"]
     times: tuple[float, ...] = eqx.field(static=True)
 
-    def __init__(self, joint: Name, times: Quantities, moments: Quantities):
-        checks = _checks(self, joint)
-        found = checks.value("times", times, _table_times, False)
-        checks.set("values", moments, _column, "moment", "moments", found)
+    def __init__(self, joint: Name, times: Quantities, moments: Quantities, motion: str | None = None):
+        checks = drive_checks(self, joint, motion)
+        found = checks.value("times", times, table_times, False)
+        checks.set("values", moments, column, "moment", "moments", found)
         checks.refuse()
         self.times = found
 
-    def _jump_rows(self) -> tuple[int, ...]:
-        return tuple(i for i in range(1, len(self.times)) if self.times[i] == self.times[i - 1])
-
     def breakpoints(self) -> tuple[float, ...]:
-        return (*(self.times[row] for row in self._jump_rows()), self.times[-1])
+        return table_jumps(self.times)
 
     def moment_at(self, t: Time, phase: Phase) -> Scalar:
-        phase = _phase(phase)
-        times, rows = jnp.asarray(self.times), self._jump_rows()
-        first = jnp.asarray((0, *rows), jnp.int32)[phase]
-        last = jnp.asarray((*(row - 1 for row in rows), len(self.times) - 1), jnp.int32)[phase]
-        piece = jnp.clip(jnp.searchsorted(times, t, side="right") - 1, first, last - 1)
-        fraction = (t - times[piece]) / (times[piece + 1] - times[piece])
-        value = self.values[piece] + fraction * (self.values[piece + 1] - self.values[piece])
-        return jnp.where(phase <= len(rows), value, 0.0)
+        return table_at(self.values, self.times, t, phase)
 
 
 class MomentFunction(MomentDrive):
@@ -142,24 +163,26 @@ class MomentFunction(MomentDrive):
         function: (t [s], phase) -> moment [N m], a float64 scalar; smooth within a phase. An
             `equinox.Module` with `__call__` may hold parameters to differentiate.
         breakpoints: times [s] > 0 at which the moment jumps, increasing.
+        motion: which free motion of the joint, as "R_y" or "T_x" (a rotation about y, a translation along x); None =
+            the joint's only one.
     """
 
     joint: str = eqx.field(static=True)
     function: Callable[..., Scalar]
     times: tuple[float, ...] = eqx.field(static=True)
 
-    def __init__(self, joint: Name, function: Law, breakpoints: Quantities = ()):
-        checks = _checks(self, joint)
-        checks.set("times", breakpoints, _breakpoints)
-        checks.set("function", function, _as_tree)
+    def __init__(self, joint: Name, function: Law, breakpoints: Quantities = (), motion: str | None = None):
+        checks = drive_checks(self, joint, motion)
+        checks.set("times", breakpoints, checked_breakpoints)
+        checks.set("function", function, as_tree)
         checks.refuse()
-        _check_scalar(self.function, with_phase=True)
+        check_scalar(self.function, with_phase=True)
 
     def breakpoints(self) -> tuple[float, ...]:
         return self.times
 
     def moment_at(self, t: Time, phase: Phase) -> Scalar:
-        return self.function(jnp.asarray(t, jnp.float64), _phase(phase))
+        return self.function(jnp.asarray(t, jnp.float64), as_phase(phase))
 
 
 class PrescribedRate(PrescribedDrive):
@@ -169,30 +192,26 @@ class PrescribedRate(PrescribedDrive):
         joint: the joint's name.
         rate: [rad/s] about +y.
         rise_time: [s], >= 0; 0 moves at the full rate from the start.
+        motion: which free motion of the joint, as "R_y" or "T_x" (a rotation about y, a translation along x); None =
+            the joint's only one.
     """
 
+    rotation: ClassVar[bool | None] = True
     joint: str = eqx.field(static=True)
     rate: Scalar
     rise_time: float = eqx.field(static=True)
 
-    def __init__(self, joint: Name, rate: Quantity, rise_time: Quantity = 0.0):
-        checks = _checks(self, joint)
-        checks.set("rate", rate, _leaf, "rate", "rate")
+    def __init__(self, joint: Name, rate: Quantity, rise_time: Quantity = 0.0, motion: str | None = None):
+        checks = drive_checks(self, joint, motion)
+        checks.set("rate", rate, leaf, "rate", "rate")
         checks.set("rise_time", rise_time, non_negative_quantity, "time", "rise_time")
         checks.refuse()
 
     def breakpoints(self) -> tuple[float, ...]:
         return (self.rise_time,) if self.rise_time > 0.0 else ()
 
-    def motion_at(self, t: Time, phase: Phase) -> tuple[Scalar, Scalar, Scalar]:
-        if self.rise_time == 0.0:
-            return self.rate * t, self.rate + 0.0 * t, 0.0 * self.rate * t
-        x = t / self.rise_time
-        rising = _phase(phase) == 0
-        angle = jnp.where(rising, self.rise_time * x**3 * (1.0 - x / 2.0), t - self.rise_time / 2.0)
-        rate = jnp.where(rising, x**2 * (3.0 - 2.0 * x), 1.0)
-        acceleration = jnp.where(rising, 6.0 * x * (1.0 - x) / self.rise_time, 0.0)
-        return self.rate * angle, self.rate * rate, self.rate * acceleration
+    def motion_at(self, t: Time, phase: Phase) -> Motion:
+        return rise(self.rate, self.rise_time, t, phase)
 
 
 class PrescribedSpinUp(PrescribedDrive):
@@ -206,32 +225,26 @@ class PrescribedSpinUp(PrescribedDrive):
         joint: the joint's name.
         rate: [rad/s] about +y, reached at rise_time.
         rise_time: [s], > 0.
+        motion: which free motion of the joint, as "R_y" or "T_x" (a rotation about y, a translation along x); None =
+            the joint's only one.
     """
 
+    rotation: ClassVar[bool | None] = True
     joint: str = eqx.field(static=True)
     rate: Scalar
     rise_time: float = eqx.field(static=True)
 
-    def __init__(self, joint: Name, rate: Quantity, rise_time: Quantity):
-        checks = _checks(self, joint)
-        checks.set("rate", rate, _leaf, "rate", "rate")
+    def __init__(self, joint: Name, rate: Quantity, rise_time: Quantity, motion: str | None = None):
+        checks = drive_checks(self, joint, motion)
+        checks.set("rate", rate, leaf, "rate", "rate")
         checks.set("rise_time", rise_time, positive_quantity, "time", "rise_time")
         checks.refuse()
 
     def breakpoints(self) -> tuple[float, ...]:
         return (self.rise_time,)
 
-    def motion_at(self, t: Time, phase: Phase) -> tuple[Scalar, Scalar, Scalar]:
-        x, whole = t / self.rise_time, 2.0 * np.pi
-        rising = _phase(phase) == 0
-        angle = jnp.where(rising, x**2 / 2.0 + (jnp.cos(whole * x) - 1.0) / whole**2, x - 0.5)
-        rate = jnp.where(rising, x - jnp.sin(whole * x) / whole, 1.0)
-        acceleration = jnp.where(rising, 1.0 - jnp.cos(whole * x), 0.0)
-        return (
-            self.rate * self.rise_time * angle,
-            self.rate * rate,
-            self.rate * acceleration / self.rise_time,
-        )
+    def motion_at(self, t: Time, phase: Phase) -> Motion:
+        return spin_up(self.rate, self.rise_time, t, phase)
 
 
 class PrescribedTable(PrescribedDrive):
@@ -241,63 +254,57 @@ class PrescribedTable(PrescribedDrive):
         joint: the joint's name.
         times: [s], increasing from 0; at least two.
         angles: changes of the angle since the start [rad], as many as times, the first 0.
+        motion: which free motion of the joint, as "R_y" or "T_x" (a rotation about y, a translation along x); None =
+            the joint's only one.
     """
 
+    rotation: ClassVar[bool | None] = True
     joint: str = eqx.field(static=True)
     knots: Float[Array, " times"]
     coefficients: Float[Array, "4 times-1"]
     end: float = eqx.field(static=True)
 
-    def __init__(self, joint: Name, times: Quantities, angles: Quantities):
-        checks = _checks(self, joint)
-        knots = checks.value("times", times, _table_times, True)
-        changes = checks.value("angles", angles, _table_angles, knots)
+    def __init__(self, joint: Name, times: Quantities, angles: Quantities, motion: str | None = None):
+        checks = drive_checks(self, joint, motion)
+        knots = checks.value("times", times, table_times, True)
+        changes = checks.value("angles", angles, table_changes, "angle", "angles", knots)
         checks.refuse()
-        # A third of a second that no other study needs to wait for.
-        from scipy.interpolate import CubicSpline
-
-        spline = CubicSpline(knots, changes)
-        self.knots = jnp.asarray(knots)
-        self.coefficients = jnp.asarray(spline.c)
-        self.end = knots[-1]
+        self.knots, self.coefficients, self.end = spline(knots, changes)
 
     def breakpoints(self) -> tuple[float, ...]:
         return ()
 
-    def motion_at(self, t: Time, phase: Phase) -> tuple[Scalar, Scalar, Scalar]:
-        last = self.knots.shape[0] - 2
-        piece = jnp.clip(jnp.searchsorted(self.knots, t, side="right") - 1, 0, last)
-        a, b, c, d = self.coefficients[:, piece]
-        x = t - self.knots[piece]
-        angle = ((a * x + b) * x + c) * x + d
-        return angle, (3.0 * a * x + 2.0 * b) * x + c, 6.0 * a * x + 2.0 * b
+    def motion_at(self, t: Time, phase: Phase) -> Motion:
+        return spline_at(self.knots, self.coefficients, t)
 
 
 class PrescribedFunction(PrescribedDrive):
-    """Change of the angle as a Python function written in JAX; its derivatives are taken by JAX.
+    """Change of the angle, or displacement, as a Python function written in JAX; its derivatives are taken by JAX.
 
     Args:
         joint: the joint's name.
-        function: t [s] -> change of the angle [rad], a float64 scalar, 0 at t = 0 and twice
+        function: t [s] -> change of the angle [rad] or displacement [m], a float64 scalar, 0 at t = 0 and twice
             differentiable; with breakpoints it is called as function(t, phase) instead.
         breakpoints: times [s] > 0 at which a derivative jumps, increasing.
+        motion: which free motion of the joint, as "R_y" or "T_x" (a rotation about y, a translation along x); None =
+            the joint's only one.
     """
 
     joint: str = eqx.field(static=True)
     function: Callable[..., Scalar]
     times: tuple[float, ...] = eqx.field(static=True)
 
-    def __init__(self, joint: Name, function: Law, breakpoints: Quantities = ()):
-        checks = _checks(self, joint)
-        checks.set("times", breakpoints, _breakpoints)
-        checks.set("function", function, _as_tree)
+    def __init__(self, joint: Name, function: Law, breakpoints: Quantities = (), motion: str | None = None):
+        checks = drive_checks(self, joint, motion)
+        checks.set("times", breakpoints, checked_breakpoints)
+        checks.set("function", function, as_tree)
         checks.refuse()
-        _check_scalar(self.function, with_phase=bool(self.times))
+        check_scalar(self.function, with_phase=bool(self.times))
         start = self._angle(jnp.zeros((), jnp.float64), 0)
         if not isinstance(start, Tracer) and not abs(float(start)) <= 1e-12:
             raise InputError(
                 f"Argument `function` must be 0 at t = 0, but was {float(start)}; return the change "
-                "of the angle since the start."
+                "of the angle or displacement since the start."
             )
 
     def breakpoints(self) -> tuple[float, ...]:
@@ -306,8 +313,8 @@ class PrescribedFunction(PrescribedDrive):
     def _angle(self, t: Time, phase: Phase) -> Scalar:
         return self.function(t, phase) if self.times else self.function(t)
 
-    def motion_at(self, t: Time, phase: Phase) -> tuple[Scalar, Scalar, Scalar]:
-        t, phase = jnp.asarray(t, jnp.float64), _phase(phase)
+    def motion_at(self, t: Time, phase: Phase) -> Motion:
+        t, phase = jnp.asarray(t, jnp.float64), as_phase(phase)
         one = jnp.ones_like(t)
 
         def angle_and_rate(time: Scalar) -> tuple[Scalar, Scalar]:
@@ -315,114 +322,3 @@ class PrescribedFunction(PrescribedDrive):
 
         (angle, rate), (_, acceleration) = jax.jvp(angle_and_rate, (t,), (one,))
         return angle, rate, acceleration
-
-
-def _phase(phase: Phase) -> Int[Array, ""]:
-    return jnp.asarray(phase, jnp.int32)
-
-
-def _checks(drive: object, joint: object) -> Checks:
-    """Checks of the arguments of a drive, of which that of its joint is done."""
-    if not jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]  # JAX adds it at run time
-        raise InputError(
-            "A drive must be built in double precision, but JAX is set to single precision; paste "
-            'jax.config.update("jax_enable_x64", True) at the start of your program.'
-        )
-    checks = Checks(drive)
-    checks.set("joint", joint, require_name, "`joint` of the drive")
-    return checks
-
-
-def _leaf(value: Any, dimension: str, where: str) -> Scalar:
-    """A float64 scalar array; a traced value stays traced, so that it can be differentiated."""
-    if isinstance(value, Tracer):
-        if value.shape != () or value.dtype != jnp.float64:
-            raise InputError(
-                f"{subject(where)} must be a float64 scalar, but has the type {value.dtype} and "
-                f"the shape {value.shape}; convert it first."
-            )
-        return value
-    return jnp.asarray(quantity(value, dimension, where), jnp.float64)
-
-
-def _column(values: Any, dimension: str, where: str, times: Any) -> Float[Array, " times"]:
-    """The column of a table with these times (ABSENT where they are wrong)."""
-    if not _is_traced_column(values):
-        values = jnp.asarray(sequence(values, dimension, where), jnp.float64)
-    if times is not ABSENT and values.shape[0] != len(times):
-        raise InputError(
-            f"{subject(where)} must have as many entries as `times` ({len(times)}), but has "
-            f"{values.shape[0]}; give one for each time."
-        )
-    return values
-
-
-def _table_angles(values: Any, times: Any) -> Float[np.ndarray, " times"]:
-    angles = np.asarray(_column(values, "angle", "angles", times))
-    if angles.size and angles[0] != 0.0:
-        raise InputError(
-            f"Argument `angles` must start with 0, but starts with {angles[0]}; give the "
-            "changes of the angle since the start."
-        )
-    return angles
-
-
-def _is_traced_column(values: object) -> bool:
-    return isinstance(values, Tracer) and values.dtype == jnp.float64 and values.ndim == 1
-
-
-def _table_times(times: Quantities, strictly: bool) -> tuple[float, ...]:
-    times = sequence(times, "time", "times")
-    if len(times) < 2 or times[0] != 0.0:
-        raise InputError(
-            f"Argument `times` must hold at least two times, the first 0, but was {list(times)}; "
-            "start the table at t = 0."
-        )
-    steps = np.diff(times)
-    if np.any(steps < 0.0) or (strictly and np.any(steps == 0.0)):
-        raise InputError(
-            f"Argument `times` must be increasing, but {times[int(np.argmin(steps)) + 1]} follows "
-            f"{times[int(np.argmin(steps))]}; sort the table and remove repeated times."
-        )
-    repeated = steps == 0.0
-    if np.any(repeated[1:] & repeated[:-1]) or (repeated.size and (repeated[0] or repeated[-1])):
-        raise InputError(
-            "Argument `times` must repeat a time (a jump) only once and neither the first nor the "
-            "last time, but does; remove the superfluous rows (the moment is 0 after the last)."
-        )
-    return times
-
-
-def _breakpoints(times: Quantities) -> tuple[float, ...]:
-    times = sequence(times, "time", "breakpoints")
-    if any(later <= earlier for earlier, later in zip((0.0, *times), times)):
-        raise InputError(
-            f"Argument `breakpoints` must be increasing times above 0, but was {list(times)}; "
-            "sort them and leave out 0."
-        )
-    return times
-
-
-def _as_tree(function: object) -> Any:
-    """A function as a pytree: an equinox Module keeps its leaves, a plain function is static."""
-    if not callable(function):
-        raise InputError(
-            f"Argument `function` must be a function of time, but was {function!r}; pass for example lambda t: 0.6 * t."
-        )
-    return function if isinstance(function, (eqx.Module, Partial)) else Partial(function)
-
-
-def _check_scalar(function: Callable[..., Any], with_phase: bool) -> None:
-    t, phase = jax.ShapeDtypeStruct((), jnp.float64), jax.ShapeDtypeStruct((), jnp.int32)
-    signature = "(t, phase)" if with_phase else "(t)"
-    try:
-        result = eqx.filter_eval_shape(function, *((t, phase) if with_phase else (t,)))
-    except Exception as error:
-        raise InputError(
-            f"Argument `function` must be callable as function{signature} in JAX, but raised "
-            f"{type(error).__name__}: {error}; use jax.numpy and these arguments."
-        ) from error
-    if getattr(result, "shape", None) != () or result.dtype != jnp.float64:
-        raise InputError(
-            f"Argument `function` must return a float64 scalar, but returned {result}; return one jax.numpy value."
-        )

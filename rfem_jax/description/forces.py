@@ -11,7 +11,7 @@ Source: theory (3.14) to (3.17).
 import abc
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import jax
@@ -19,7 +19,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.tree_util import Partial
 
-from rfem_jax.description.errors import ChecksItself, InputError, require_choice, require_name
+from rfem_jax.description.driven_motions import plain_motion
+from rfem_jax.description.errors import ChecksItself, InputError, require_name
 from rfem_jax.description.joint_kinds import KINDS, Freedom
 from rfem_jax.description.joints import Joint
 from rfem_jax.description.units import Quantities, Quantity, non_negative_quantity, quantity, sequence
@@ -30,15 +31,20 @@ else:
     Law = Any  # what is no function is refused in a sentence
 
 
-class JointForce(abc.ABC):
-    """A force along one free motion of a joint of the tree."""
+class Force(abc.ABC):
+    """A force that a mechanism holds: along joints, or at points of links (`point_forces`)."""
 
     name: str
+
+
+class JointForce(Force):
+    """A force along one free motion of a joint of the tree."""
+
     joint: str
     motion: str | None
 
     @abc.abstractmethod
-    def resolved(self, joint: Joint) -> Self:
+    def resolved(self, joint: Joint) -> "JointForce":
         """The force with numbers in SI units, and the name of its motion, on its joint; raises InputError if something
         does not fit the joint."""
 
@@ -76,7 +82,7 @@ class JointSpring(ChecksItself, JointForce):
     def __post_init__(self):
         _check_names(self)
 
-    def resolved(self, joint: Joint) -> Self:
+    def resolved(self, joint: Joint) -> "JointSpring":
         freedom = _freedom_of(self, joint)
         of = f"of force `{self.name}`"
         return replace(
@@ -113,7 +119,7 @@ class JointForceTable(ChecksItself, JointForce):
     def __post_init__(self):
         _check_names(self)
 
-    def resolved(self, joint: Joint) -> Self:
+    def resolved(self, joint: Joint) -> "JointForceTable":
         freedom = _freedom_of(self, joint)
         of = f"of force `{self.name}`"
         positions = sequence(self.positions, freedom.dimension, f"`positions` {of}")
@@ -177,7 +183,7 @@ class JointForceFunction(ChecksItself, JointForce):
                 "return one jax.numpy value."
             )
 
-    def resolved(self, joint: Joint) -> Self:
+    def resolved(self, joint: Joint) -> "JointForceFunction":
         _freedom_of(self, joint)
         return replace(self, motion=_motion_of(self, joint))
 
@@ -189,27 +195,7 @@ def _check_names(force: JointForce) -> None:
 
 def _motion_of(force: JointForce, joint: Joint) -> str:
     """Name of the motion that a force acts on."""
-    where, motions = f"`motion` of force `{force.name}`", KINDS[joint.kind].motions
-    if not motions:
-        raise InputError(
-            f"Argument `joint` of force `{force.name}` must have a free motion, but `{joint.name}` is {joint.kind}; "
-            "take another joint."
-        )
-    motion = motions[0]
-    if force.motion is None and len(motions) > 1:
-        listed = ", ".join(f'"{motion}"' for motion in motions if "_" in motion)
-        raise InputError(
-            f"Argument {where} must say which motion of joint `{joint.name}` is meant, because it is {joint.kind}, but "
-            f"was left out; give one of {listed}."
-        )
-    if force.motion is not None:
-        motion = require_choice(force.motion, motions, where)
-    if "_" not in motion:
-        raise InputError(
-            f"Argument {where} must be about or along one axis, but `{joint.name}` is {joint.kind} and turns about any "
-            "axis; a spring about three axes at once is not offered."
-        )
-    return motion
+    return plain_motion(force.motion, joint.kind, joint.name, f"force `{force.name}`")
 
 
 def _freedom_of(force: JointForce, joint: Joint) -> Freedom:

@@ -16,8 +16,16 @@ from rfem_jax.description.links import Link, PointMass
 from rfem_jax.description.materials import Material
 from rfem_jax.description.mechanism import Mechanism
 from rfem_jax.description.methods import METHOD_CLASSES, settings_of
+from rfem_jax.description.rigid_bodies import RigidBody
 from rfem_jax.description.study import CASE_KEYS, STUDY_KEYS, Case, Study
-from rfem_jax.description.study_reader import DRIVES, FORCES, MECHANISM_KEYS, SHAPES, SIMULATION_KEYS
+from rfem_jax.description.study_reader import (
+    DRIVES,
+    FORCES,
+    FUNCTION_KEYS,
+    MECHANISM_KEYS,
+    SHAPES,
+    SIMULATION_KEYS,
+)
 from rfem_jax.description.tables import keys_of
 from rfem_jax.description.tolerances import CorrelatedTolerances, SpecifiedTolerance
 from rfem_jax.task_kinds import task_kinds
@@ -29,14 +37,16 @@ _IN_A_FILE = {  # where a file has something else than the class
     "links": "tables [[mechanism.links]], at least one",
     "joints": "tables [[mechanism.joints]]; each link is the child of exactly one that is not cut",
     "forces": "tables [[mechanism.forces]]",
-    "section": "name of a table [mechanism.sections.NAME] (a rigid link needs it for its mass)",
+    "section": "name of a table [mechanism.sections.NAME] (a rigid link needs it for its mass, unless it has a body)",
     "material": 'name of a table [mechanism.materials.NAME]; none with a section of shape "given"',
+    "body": "table {mass = ..., centre = ..., inertia = ...} in the place of section and material; the link is rigid",
     "point_masses": "list of tables, [{mass = ..., position = ...}, ...]",
     "compliance": "table { radial = ..., axial = ..., ... }; none: rigid",
     "cases": "tables [[cases]]; none means one case without errors",
     "mechanism": "the table [mechanism]",
     "simulation": "the table [simulation]",
     "drive": "the table [drive]; none means no drive",
+    "drives": "tables [[drives]] in the place of [drive], for several drives at once",
     "tolerances": "the table [tolerances]",
     "bounds": "the table [allocation.bounds]: ERROR = [smallest, largest half-width]",
     "cost": "the table [allocation.cost]: its keys for all errors, ERROR = { ... } for one",
@@ -74,17 +84,18 @@ def key_tables() -> list[KeyTable]:
     for header, kind in (
         ("[[mechanism.links]]", Link),
         ("point_masses of [[mechanism.links]]", PointMass),
+        ("body of [[mechanism.links]]", RigidBody),
         ("[[mechanism.joints]]", Joint),
         ("compliance of [[mechanism.joints]]", Compliance),
     ):
         tables.append(_table(header, kind, *keys_of(kind), _IN_A_FILE))
     for name, kind in FORCES.items():
-        required, optional = keys_of(kind)
+        required, optional = keys_of(kind, omit=FUNCTION_KEYS)
         header, own = f'[[mechanism.forces]] of kind "{name}"', {"kind": f'"{name}"'}
         tables.append(_table(header, kind, ("kind", *required), optional, own))
     for name, (kind, required, optional) in DRIVES.items():
-        header, own = f'[drive] of kind "{name}"', {"kind": f'"{name}"'}
-        tables.append(_table(header, kind, ("joint", "kind", *required), optional, own))
+        header, own = f'[drive] or [[drives]] of kind "{name}"', {"kind": f'"{name}"'}
+        tables.append(_table(header, kind, ("joint", "kind", *required), (*optional, "motion"), own))
     tables += _simulation_tables()
     tables.append(_table("[[cases]]", Case, *CASE_KEYS))
     tolerance = _table("[tolerances] ERROR", SpecifiedTolerance, *keys_of(SpecifiedTolerance, omit=("error",)))

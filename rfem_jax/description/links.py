@@ -1,4 +1,4 @@
-"""Links: rigid bodies or flexible beams along their local x axis, with point masses on them.
+"""Links: flexible beams or rigid ones along their local x axis, or rigid bodies, with point masses on them.
 
 Place in the pipeline: a mechanism is links joined by joints; `mechanics` divides a flexible link
 into rigid finite elements (rfes).
@@ -7,13 +7,14 @@ Symbols: length L [m], from joint to joint; rfes n [1], m = n - 1 spring-damping
 Source: theory (1.3) to (1.6).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 
 from rfem_jax.description.errors import Checks, ChecksItself, InputError, require_flag, require_name
 from rfem_jax.description.materials import Material
+from rfem_jax.description.rigid_bodies import RigidBody
 from rfem_jax.description.sections import (
     Circle,
     GivenSection,
@@ -26,6 +27,7 @@ from rfem_jax.description.sections import (
 from rfem_jax.description.units import non_negative_quantity, positive_quantity, quantity, short, vector
 
 MOST_RFES = 1000
+_USUAL_RFES = 5
 
 
 @dataclass(frozen=True)
@@ -44,11 +46,12 @@ class PointMass(ChecksItself):
 
     def _check_fields(self, checks: Checks) -> None:
         checks.convert("mass", positive_quantity, "mass", "`mass` of a point mass")
-        checks.convert("position", _position, "`position` of a point mass")
+        checks.convert("position", place_on_link, "`position` of a point mass")
         checks.convert("inertia", _inertia, "`inertia` of a point mass")
 
 
-def _position(place: Any, where: str) -> tuple[float, float, float]:
+def place_on_link(place: Any, where: str) -> tuple[float, float, float]:
+    """Return a place in the frame of a link as floats [m]; else raise InputError.  A single number is x on the axis."""
     if isinstance(place, str) or np.ndim(place) == 0:  # a number: on the axis
         return quantity(place, "length", where), 0.0, 0.0
     return vector(place, "length", where)
@@ -69,29 +72,35 @@ class Link(ChecksItself):
     Args:
         name: a word, other than "base".
         length: L [m], > 0.
-        section: Rectangle, Circle, Tube or GivenSection (a rigid link needs it for its mass).
+        section: Rectangle, Circle, Tube or GivenSection (a rigid link needs it for its mass, unless it has a body).
         material: a Material; None with a GivenSection.
         rigid: True makes the link one rigid body.
         rfes: number n of rigid finite elements of a flexible link; 1 is the same as rigid.
         point_masses: PointMass objects on the link.
+        body: a RigidBody in the place of section and material; the link is rigid.
     Raises:
         InputError: a value is out of range or of the wrong kind.
     """
 
     name: str
     length: float
-    section: Section
+    section: Section | None = None
     material: Material | None = None
     rigid: bool = False
-    rfes: int = 5
+    rfes: int = _USUAL_RFES
     point_masses: tuple[PointMass, ...] = ()
+    body: RigidBody | None = None
 
     def _check_fields(self, checks: Checks) -> None:
         checks.convert("name", require_name, "`name` of a link", ("base",))
         of = f"of link `{self.name}`"
         checks.convert("length", positive_quantity, "length", f"`length` {of}")
-        checks.convert("section", _section, of)
-        checks.relation(("section", "material"), self._check_material, of)
+        checks.convert("body", _body, of)
+        if self.body is None:
+            checks.convert("section", _section, of)
+            checks.relation(("section", "material"), self._check_material, of)
+        else:
+            checks.relation(("section", "material", "body"), self._check_body, of)
         checks.convert("rigid", require_flag, f"`rigid` {of}")
         checks.convert("rfes", _number_of_rfes, of)
         checks.convert("point_masses", _masses, of)
@@ -111,6 +120,19 @@ class Link(ChecksItself):
                 "a section needs one for its stiffness and its mass."
             )
 
+    def _check_body(self, of: str) -> None:
+        for field in ("section", "material"):
+            if getattr(self, field) is not None:
+                raise InputError(
+                    f"Argument `{field}` {of} must be left out where the link has a body, but was given; remove one "
+                    "of the two."
+                )
+        if self.rfes not in (1, _USUAL_RFES):
+            raise InputError(
+                f"Argument `rfes` {of} must be left out where the link has a body, which is rigid, but was "
+                f"{self.rfes!r}; remove it, or give a section and a material."
+            )
+
     def _check_point_mass(self, mass: PointMass, of: str) -> None:
         if self.flexible and not 0.0 <= mass.position[0] <= self.length * (1.0 + 1e-12):
             raise InputError(
@@ -122,7 +144,7 @@ class Link(ChecksItself):
     @property
     def elements(self) -> int:
         """Number of rigid finite elements; 1 for a rigid link."""
-        return 1 if self.rigid else self.rfes
+        return 1 if self.rigid or self.body is not None else self.rfes
 
     @property
     def flexible(self) -> bool:
@@ -131,17 +153,34 @@ class Link(ChecksItself):
 
     @property
     def properties(self) -> SectionProperties:
-        """Stiffnesses, inertias and damping per unit length."""
+        """Stiffnesses, inertias and damping per unit length, zeros of a body."""
+        if self.section is None:
+            return SectionProperties(**dict.fromkeys((field.name for field in fields(SectionProperties)), 0.0))
         return self.section.properties(self.material)
+
+    @property
+    def mass(self) -> float:
+        """All mass [kg], that of point masses included."""
+        own = self.properties.line_density * self.length if self.body is None else self.body.mass
+        return own + sum(point.mass for point in self.point_masses)
 
 
 def _section(section: Any, of: str) -> Section:
     if not isinstance(section, (Rectangle, Circle, Tube, GivenSection)):
         raise InputError(
             f"Argument `section` {of} must be a Rectangle, Circle, Tube or GivenSection, "
-            f"but was {section!r}; give a rigid link one too, for its mass."
+            f"but was {section!r}; give a rigid link one too, for its mass, or a `body`."
         )
     return section
+
+
+def _body(body: Any, of: str) -> RigidBody | None:
+    if body is not None and not isinstance(body, RigidBody):
+        raise InputError(
+            f"Argument `body` {of} must be a RigidBody, but was {body!r}; write for example "
+            "RigidBody(0.5, (0.05, 0.0, 0.0), (1e-4, 3e-4, 3e-4))."
+        )
+    return body
 
 
 def _number_of_rfes(rfes: Any, of: str) -> int:

@@ -12,15 +12,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
+from rfem_jax.description.driven_motions import plain_motion
 from rfem_jax.description.error_catalogue import LINK_ERRORS, error_dimension, error_unit
 from rfem_jax.description.errors import Checks, ChecksItself, InputError, Problems, require_choice, subject, suggestion
-from rfem_jax.description.forces import JointForce
+from rfem_jax.description.forces import Force, JointForce
 from rfem_jax.description.joint_kinds import KINDS, joint_errors
 from rfem_jax.description.joints import Joint
 from rfem_jax.description.links import Link
+from rfem_jax.description.point_forces import PointLoad
 from rfem_jax.description.units import vector
 
-Part = TypeVar("Part", Link, Joint, JointForce)
+Part = TypeVar("Part", Link, Joint, Force)
 
 ELEMENTS = ("linear", "geometrically_exact")
 _ROUNDING = 1e-12  # a position at the end of a link may exceed its length by rounding
@@ -36,23 +38,26 @@ class Mechanism(ChecksItself):
         gravity: (x, y, z) [m/s^2] in the global frame.
         redundant_reactions: what to do where joint loads are not unique (rigid loops with parallel
             axes): "refuse", or "minimum_norm" for the solution of least norm.
-        driven_joint: the revolute joint of the tree that a drive acts on and that assembly holds at
-            its start angle; None = none (a study sets it from its drive).
+        driven_joint: the joint of the tree that a drive acts on and that assembly holds at its start; with several
+            free motions "joint.motion", as "C.T_y"; a list of these for several drives, those of prescribed
+            motions first; None = none (a study sets it from its drives).
         elements: spring-damping elements: "linear" (small deflections relative to the link frame),
             or "geometrically_exact" (of any size).
-        forces: JointSpring, JointForceTable and JointForceFunction objects.
+        forces: JointSpring, JointForceTable and JointForceFunction objects along joints; PointSpring,
+            PointSpringTable and PointSpringFunction objects between points of links, PointForce and PointMoment
+            objects at them.
     Raises:
         InputError: names clash or are unknown, a link is not connected, a loop is not cut, a
-            joint lies off a flexible link, or a force does not fit its joint.
+            joint lies off a flexible link, or a force does not fit its joint or its links.
     """
 
     links: tuple[Link, ...]
     joints: tuple[Joint, ...]
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
     redundant_reactions: str = "refuse"
-    driven_joint: str | None = None
+    driven_joint: str | tuple[str, ...] | None = None
     elements: str = "linear"
-    forces: tuple[JointForce, ...] = ()
+    forces: tuple[Force, ...] = ()
 
     def _check_fields(self, checks: Checks) -> None:
         checks.convert("links", _unique, Link, "links")
@@ -60,9 +65,9 @@ class Mechanism(ChecksItself):
         checks.convert("gravity", vector, "acceleration", "gravity")
         checks.convert("redundant_reactions", require_choice, ("refuse", "minimum_norm"), "redundant_reactions")
         checks.convert("elements", require_choice, ELEMENTS, "elements")
-        checks.convert("forces", _unique, JointForce, "forces")
+        checks.convert("forces", _unique, Force, "forces")
         checks.relation(("links", "joints"), self._check_structure)
-        checks.relation(("joints", "forces"), self._resolve_forces)
+        checks.relation(("links", "joints", "forces"), self._resolve_forces)
 
     def _check_structure(self) -> None:
         if not self.links:
@@ -81,13 +86,23 @@ class Mechanism(ChecksItself):
         """Return the link `name`; raises InputError with the nearest name if there is none."""
         return _find(self.links, name, "link")
 
-    def force(self, name: str) -> JointForce:
+    def force(self, name: str) -> Force:
         """Return the force `name`; raises InputError with the nearest name if there is none."""
         return _find(self.forces, name, "force")
 
     def joint(self, name: str) -> Joint:
         """Return the joint `name`; raises InputError with the nearest name if there is none."""
         return _find(self.joints, name, "joint")
+
+    @property
+    def joint_forces(self) -> tuple[JointForce, ...]:
+        """The forces along free motions of joints."""
+        return tuple(force for force in self.forces if isinstance(force, JointForce))
+
+    @property
+    def point_forces(self) -> tuple[PointLoad, ...]:
+        """The forces at points of links and between them."""
+        return tuple(force for force in self.forces if isinstance(force, PointLoad))
 
     @property
     def tree_joints(self) -> tuple[Joint, ...]:
@@ -188,27 +203,61 @@ class Mechanism(ChecksItself):
             f"`{link.name}` is not the child of any joint of the tree; {fix}."
         )
 
-    def _check_driven_joint(self) -> None:
-        if self.driven_joint is None:
-            return
-        driven = self.joint(self.driven_joint)
-        if driven.kind != "revolute":
-            raise InputError(
-                "Argument `driven_joint` must be a revolute joint, because drives are moments and angles, but "
-                f"`{driven.name}` is {driven.kind}; drive a revolute joint."
-            )
+    @property
+    def driven_motions(self) -> tuple[tuple[str, str], ...]:
+        """(joint, motion), as ("C", "T_y"), of all free motions that drives act on, in the order of `driven_joint`."""
+        return tuple(self._driven_motion(name) for name in self._driven_names())
+
+    def _driven_names(self) -> tuple[str, ...]:
+        driven = self.driven_joint
+        return () if driven is None else (driven,) if isinstance(driven, str) else driven
+
+    def _driven_motion(self, name: str) -> tuple[str, str]:
+        joint, _, motion = name.partition(".")
+        driven = self.joint(joint)
         if driven.cut:
             raise InputError(
                 "Argument `driven_joint` must be a joint of the tree, but "
-                f"`{self.driven_joint}` is cut; cut another joint of the loop."
+                f"`{joint}` is cut; cut another joint of the loop."
             )
+        motions = KINDS[driven.kind].motions
+        if not motion and len(motions) > 1:
+            listed = " or ".join(f'"{joint}.{motion}"' for motion in motions if "_" in motion)
+            raise InputError(
+                f"Argument `driven_joint` must say which motion of joint `{joint}` is meant, because it is "
+                f'{driven.kind}, but was "{name}"; write {listed}.'
+            )
+        return joint, plain_motion(motion or None, driven.kind, joint, f"the drive on `{joint}`")
+
+    def _check_driven_joint(self) -> None:
+        if isinstance(self.driven_joint, list):
+            object.__setattr__(self, "driven_joint", tuple(self.driven_joint))
+        names = self._driven_names()
+        if not isinstance(names, tuple) or any(not isinstance(name, str) for name in names):
+            raise InputError(
+                f"Argument `driven_joint` must be a name or a list of names, but was {self.driven_joint!r}; write for "
+                'example ["A", "C.T_y"].'
+            )
+        found = [self._driven_motion(name) for name in names]
+        for joint, motion in found:
+            if found.count((joint, motion)) > 1:
+                raise InputError(
+                    f"Argument `driven_joint` must have each motion once, but has {motion} of joint `{joint}` twice; "
+                    "leave one out."
+                )
 
     def _resolve_forces(self) -> None:
-        """Each force knows its joint's motions."""
+        """Each force knows its joint's motions, or is at points that there are."""
         found, problems = [], Problems()
         tree = [joint.name for joint in self.joints if not joint.cut]
+        links = {link.name: link for link in self.links}
         for force in self.forces:
             with problems.noted():
+                if isinstance(force, PointLoad):
+                    force.require_points(links)
+                if not isinstance(force, JointForce):
+                    found.append(force)
+                    continue
                 if force.joint not in tree:
                     cut = force.joint in [joint.name for joint in self.joints]
                     reason = "is cut" if cut else "is none"

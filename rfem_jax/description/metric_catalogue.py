@@ -7,6 +7,9 @@ A metric of a joint is named "JOINT.KIND" ("A.rms_force"), a metric of the whole
 An entry holds everything about its kind, so that a new metric is one call of `register_metric`, here or in a program
 of the user. The functions read attributes of a run (`rfem_jax.simulation.Run`); nothing is imported from there.
 
+A joint of the tree with one angle, or one displacement, has its value at the end and its range over the saved times,
+the swing of a rocker or the stroke of a slider.
+
 Mean squares are smooth. RMS values are their square roots and have a kink where the load vanishes (theory (8.5),
 (9.5)). The peak of a load is a p-norm over the saved times, a smooth approximation of the maximum (theory (8.7)).
 """
@@ -19,6 +22,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from rfem_jax.description.errors import InputError, require_name
+from rfem_jax.description.joint_kinds import JointKind
 
 PEAK_POWER = 16  # of the p-norm
 
@@ -34,6 +38,11 @@ class MetricKind:
     even: bool | None
     of_joints: bool
     nonnegative: bool
+    had_by: Callable[[JointKind, bool], bool] | None = None
+
+    def is_had_by(self, kind: JointKind, cut: bool) -> bool:
+        """Whether a joint of a kind, cut or not, has this metric."""
+        return self.had_by is None or self.had_by(kind, cut)
 
 
 JOINT_METRICS: dict[str, MetricKind] = {}
@@ -49,6 +58,7 @@ def register_metric(
     even: bool | None = None,
     of_joints: bool = False,
     nonnegative: bool = False,
+    had_by: Callable[[JointKind, bool], bool] | None = None,
     replace: bool = False,
 ) -> None:
     """Add a metric to the catalogue. From then on its name is known everywhere: in `Problem`, in all tolerance
@@ -69,6 +79,7 @@ def register_metric(
             (theory (9.3)), None if unknown.
         of_joints: True for a metric that every joint has.
         nonnegative: True if the value is never negative; a limit in a study file must then be positive.
+        had_by: `had_by(kind, cut)`, whether a joint of a kind, cut or not, has this metric of joints; all if left out.
         replace: True to replace a metric of the same name.
     Raises: InputError for a name that is no plain word or is taken, and for a function that cannot be called.
     """
@@ -87,14 +98,29 @@ def register_metric(
     label = label or name.replace("_", " ") + (" in {joint}" if of_joints else "")
     for catalogue in (JOINT_METRICS, RUN_METRICS):
         catalogue.pop(name, None)
-    kind = MetricKind(name, unit, function, label, even, of_joints, nonnegative)
+    kind = MetricKind(name, unit, function, label, even, of_joints, nonnegative, had_by)
     (JOINT_METRICS if of_joints else RUN_METRICS)[name] = kind
 
 
 def never_negative(name: str) -> bool:
     """Whether the metric `name`, as "A.rms_force", is never negative."""
-    kind = JOINT_METRICS.get(name.rpartition(".")[2]) or RUN_METRICS.get(name)
+    kind = _kind_of(name)
     return kind is not None and kind.nonnegative
+
+
+def unit_of(name: str) -> str | None:
+    """Unit of the metric `name`, as "A.rms_force"; None for an unknown one."""
+    kind = _kind_of(name)
+    return None if kind is None else kind.unit
+
+
+def _kind_of(name: str) -> MetricKind | None:
+    return JOINT_METRICS.get(name.rpartition(".")[2]) or RUN_METRICS.get(name)
+
+
+def has_metric(name: str, kind: JointKind, cut: bool) -> bool:
+    """Whether a joint of a kind, cut or not, has the metric `name` of joints, as "end_angle"."""
+    return name not in JOINT_METRICS or JOINT_METRICS[name].is_had_by(kind, cut)
 
 
 def p_norm(vectors: Float[Array, "times 3"], power: int = PEAK_POWER) -> Float[Array, ""]:
@@ -137,5 +163,26 @@ _register_load(
     "squared preload moment",
     lambda run, joint: jnp.sum(run.preload[joint].moment ** 2),
 )
+
+
+def _register_motion(what: str, unit: str, range_name: str, count: Callable[[JointKind], int]) -> None:
+    def values(run, joint):
+        return getattr(run, f"{what}s")[joint]
+
+    def one(kind: JointKind, cut: bool) -> bool:
+        return not cut and count(kind) == 1
+
+    of = {"even": True, "of_joints": True, "had_by": one}
+    register_metric(
+        f"end_{what}", unit, lambda run, joint: values(run, joint)[-1], label=f"{what} of {{joint}} at the end", **of
+    )
+    register_metric(
+        f"{what}_range", unit, lambda run, joint: jnp.max(values(run, joint)) - jnp.min(values(run, joint)),
+        label=f"{range_name} of {{joint}}", nonnegative=True, **of,
+    )  # fmt: skip
+
+
+_register_motion("angle", "rad", "swing", lambda kind: kind.angles)
+_register_motion("displacement", "m", "stroke", lambda kind: kind.displacements)
 register_metric("angle_error", "rad", lambda run: run.driven_joint.angle_end, label="angle error at the end", even=True)
 register_metric("end_energy", "J", lambda run: run.energy.total[-1], label="energy at the end", even=True)

@@ -12,21 +12,30 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from rfem_jax.description.drives import MomentDrive, PrescribedDrive, PrescribedTable
+from rfem_jax.description.driven_motions import (
+    AnyDrive,
+    all_breakpoints,
+    driven_motion,
+    each_drive,
+    motion_label,
+)
+from rfem_jax.description.drives import PrescribedDrive, PrescribedTable
 from rfem_jax.description.error_catalogue import error_dimension
 from rfem_jax.description.errors import ABSENT, Checks, ChecksItself, InputError, Problems, located, suggestion
 from rfem_jax.description.mechanism import Mechanism
 from rfem_jax.description.methods import Method
-from rfem_jax.description.study_reader import read_drive, read_mechanism, read_simulation
+from rfem_jax.description.study_reader import read_drive, read_drives, read_mechanism, read_simulation
 from rfem_jax.description.tables import checked_list, checked_table, named_place, read_toml
 from rfem_jax.description.tasks.study_tasks import Tasks, read_tasks
 from rfem_jax.description.tolerances import SpecifiedTolerances
+from rfem_jax.description.translation_drives import PrescribedDisplacements
 from rfem_jax.description.units import positive_quantity, quantity
 from rfem_jax.task_kinds import task_kinds
 
 MOST_STEPS, MOST_SAVED = 1e9, 1e6
 LONGEST_NAME = 100
-STUDY_KEYS = (("mechanism", "simulation"), ("title", "note", "drive", "cases", "tolerances"))  # and those of tasks
+# And those of tasks.
+STUDY_KEYS = (("mechanism", "simulation"), ("title", "note", "drive", "drives", "cases", "tolerances"))
 CASE_KEYS = (("name",), ("errors",))
 _ROUNDING = 1.0 + 1e-9  # 0.5 / 1e-3 and the like must not fail by rounding
 
@@ -57,7 +66,7 @@ class Study(ChecksItself):
     Args:
         title: one line.
         mechanism: a Mechanism.
-        drive: a moment or prescribed drive on a joint of the tree, or None.
+        drive: a given or prescribed drive on a joint of the tree, a list of them, or None.
         duration: [s], > 0.
         method: a Method.
         save_every: interval [s] between saved times, or None for the simulation's default.
@@ -72,7 +81,7 @@ class Study(ChecksItself):
 
     title: str
     mechanism: Mechanism
-    drive: MomentDrive | PrescribedDrive | None
+    drive: AnyDrive | tuple[AnyDrive, ...] | None
     duration: float
     method: Method
     save_every: float | None = None
@@ -83,17 +92,17 @@ class Study(ChecksItself):
     asked_method: Method | None = None
 
     def _check_fields(self, checks: Checks) -> None:
-        drives = (MomentDrive, PrescribedDrive, type(None))
-        kinds = {"title": str, "note": str, "mechanism": Mechanism, "drive": drives}
+        kinds = {"title": str, "note": str, "mechanism": Mechanism}
         kinds |= {"method": Method, "tasks": Tasks}
         for name, kind in kinds.items():
             checks.convert(name, _of_kind, name, kind)
+        checks.convert("drive", _drives)
         checks.convert("cases", _cases)
         checks.convert("duration", positive_quantity, "time", "duration")
         if self.save_every is not None:
             checks.convert("save_every", positive_quantity, "time", "save_every")
         checks.relation(("duration", "method", "save_every"), self._check_times)
-        checks.relation(("mechanism", "drive"), self._check_driven_joint)
+        checks.relation(("mechanism", "drive"), self._check_driven_joints)
         checks.relation(("drive", "duration"), self._check_drive_end)
         checks.relation(("mechanism", "cases"), self._check_cases)
         checks.relation(("mechanism", "tasks"), self._check_tasks)
@@ -142,28 +151,56 @@ class Study(ChecksItself):
         if problems:
             raise InputError(*problems)
 
-    def _check_driven_joint(self) -> None:
-        if self.drive is None:
+    @property
+    def drives(self) -> tuple[AnyDrive, ...]:
+        """All drives, in their order."""
+        return each_drive(self.drive)
+
+    @property
+    def drive_labels(self) -> tuple[str, ...]:
+        """Names of the free motions that the drives act on, "A" or "C.T_y", in the order of the drives."""
+        named = zip(self.drives, self.drive_motions, strict=True)
+        return tuple(motion_label(one.joint, self.mechanism.joint(one.joint).kind, motion) for one, motion in named)
+
+    @property
+    def drive_motions(self) -> tuple[str, ...]:
+        """Names of the free motions that the drives act on, as "R_y", in the order of the drives."""
+        return tuple(driven_motion(one, self.mechanism.joint(one.joint).kind) for one in self.drives)
+
+    @property
+    def drive_jumps(self) -> tuple[float, ...]:
+        """Times [s] at which any drive jumps."""
+        return all_breakpoints(self.drive)
+
+    def _check_driven_joints(self) -> None:
+        if not self.drives:
             return
-        tree = [joint.name for joint in self.mechanism.tree_joints]
-        if self.drive.joint not in tree:
-            cut = self.drive.joint in [joint.name for joint in self.mechanism.cut_joints]
-            reason = "is a cut joint" if cut else "is none"
-            fix = "cut another joint of the loop." if cut else suggestion(self.drive.joint, tree)
-            raise InputError(
-                f"Argument `joint` of the drive must be a joint of the tree, but `{self.drive.joint}` {reason}; {fix}"
-            )
-        # The model holds the driven joint at assembly, so it has to know which one that is.
-        driven = replace(self.mechanism, driven_joint=self.drive.joint)
+        tree, problems = [joint.name for joint in self.mechanism.tree_joints], Problems()
+        for one in self.drives:
+            with problems.noted():
+                if one.joint not in tree:
+                    cut = one.joint in [joint.name for joint in self.mechanism.cut_joints]
+                    reason = "is a cut joint" if cut else "is none"
+                    fix = "cut another joint of the loop." if cut else suggestion(one.joint, tree)
+                    raise InputError(
+                        f"Argument `joint` of the drive must be a joint of the tree, but `{one.joint}` {reason}; {fix}"
+                    )
+                driven_motion(one, self.mechanism.joint(one.joint).kind)
+        problems.refuse()
+        # The model holds the driven joints at assembly, those of prescribed motions first.
+        order = sorted(range(len(self.drives)), key=lambda i: not isinstance(self.drives[i], PrescribedDrive))
+        labels = tuple(self.drive_labels[i] for i in order)
+        driven = replace(self.mechanism, driven_joint=labels[0] if len(labels) == 1 else labels)
         object.__setattr__(self, "mechanism", driven)
 
     def _check_drive_end(self) -> None:
-        end = self.drive.end if isinstance(self.drive, PrescribedTable) else self.duration
-        if end * _ROUNDING < self.duration:
-            raise InputError(
-                f"Argument `times` of the drive must reach the duration ({self.duration} s), but "
-                f"ends at {end} s; add later times or reduce the duration."
-            )
+        for one in self.drives:
+            end = one.end if isinstance(one, (PrescribedTable, PrescribedDisplacements)) else self.duration
+            if end * _ROUNDING < self.duration:
+                raise InputError(
+                    f"Argument `times` of the drive must reach the duration ({self.duration} s), but "
+                    f"ends at {end} s; add later times or reduce the duration."
+                )
 
     def _check_cases(self) -> None:
         seen: set[str] = set()
@@ -208,7 +245,8 @@ def _read_study(content: dict[str, Any], path: Path) -> Study:
     parts: dict[str, Any] = {"title": path.stem, "drive": None, "path": path}
     parts |= {name: content[name] for name in ("title", "note") if name in content}
     readers: dict[str, Callable[[Any], Any]] = {
-        "mechanism": read_mechanism, "drive": read_drive, "simulation": read_simulation, "cases": _read_cases
+        "mechanism": read_mechanism, "drive": read_drive, "drives": read_drives, "simulation": read_simulation,
+        "cases": _read_cases,
     }  # fmt: skip
     there = {name: table for name, table in content.items() if table is not ABSENT}
     for name, read in readers.items():
@@ -216,6 +254,10 @@ def _read_study(content: dict[str, Any], path: Path) -> Study:
             parts[name] = ABSENT
             with problems.noted():
                 parts[name] = read(there[name]) if name in there else ABSENT
+    if "drives" in parts:
+        with problems.noted():
+            _refuse_both(content)
+        parts["drive"] = parts.pop("drives")
     parts["tasks"] = ABSENT
     with problems.noted():
         tasks = read_tasks(there)
@@ -229,6 +271,14 @@ def _read_study(content: dict[str, Any], path: Path) -> Study:
     problems.refuse()
     assert study is not None, "what is missing has been noted"
     return study
+
+
+def _refuse_both(content: dict[str, Any]) -> None:
+    if "drive" in content:
+        raise InputError(
+            "The top level must have either [drive] or [[drives]], but has both; move the drive into a table "
+            "[[drives]] of its own."
+        )
 
 
 def _read_cases(entries: object) -> tuple[Case, ...]:
@@ -268,9 +318,15 @@ def _errors(errors: object, case: object) -> dict[str, float]:
 
 def _of_kind(value: Any, name: str, kind: type | tuple[type, ...]) -> Any:
     if not isinstance(value, kind):
-        wanted = {"title": "string", "drive": "drive or None"}.get(name, name.title())
+        wanted = {"title": "string"}.get(name, name.title())
         raise InputError(f"Argument `{name}` of a study must be a {wanted}, but was {value!r}; pass one.")
     return value
+
+
+def _drives(drive: Any) -> Any:
+    """A drive, several as a tuple, or None; a list of one is this one."""
+    found = each_drive(drive)
+    return None if not found else found[0] if len(found) == 1 else found
 
 
 def _cases(cases: Any) -> tuple[Case, ...]:

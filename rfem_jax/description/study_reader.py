@@ -11,24 +11,32 @@ from functools import partial
 from typing import Any, TypeVar
 
 from rfem_jax.description.compliance import Compliance
+from rfem_jax.description.driven_motions import AnyDrive
 from rfem_jax.description.drives import (
-    MomentDrive,
     MomentRamp,
     MomentTable,
-    PrescribedDrive,
     PrescribedRate,
     PrescribedSpinUp,
     PrescribedTable,
 )
 from rfem_jax.description.errors import ABSENT, InputError, Problems, located, require_choice, require_name
-from rfem_jax.description.forces import JointForce, JointForceTable, JointSpring
+from rfem_jax.description.forces import Force, JointForceTable, JointSpring
 from rfem_jax.description.joints import Joint
 from rfem_jax.description.links import Link, PointMass
 from rfem_jax.description.materials import Material
 from rfem_jax.description.mechanism import Mechanism
 from rfem_jax.description.methods import Method, setting_names
+from rfem_jax.description.point_forces import PointForce, PointMoment, PointSpring, PointSpringTable
+from rfem_jax.description.rigid_bodies import RigidBody
 from rfem_jax.description.sections import Circle, GivenSection, Rectangle, Section, Tube
 from rfem_jax.description.tables import build, build_by_trial, checked_list, checked_table, keys_of, named_place
+from rfem_jax.description.translation_drives import (
+    ForceRamp,
+    ForceTable,
+    PrescribedDisplacements,
+    PrescribedRunUp,
+    PrescribedSpeed,
+)
 from rfem_jax.description.units import positive_quantity
 
 Part = TypeVar("Part")
@@ -37,11 +45,24 @@ SHAPES = {"rectangle": Rectangle, "circle": Circle, "tube": Tube, "given": Given
 DRIVES = {
     "moment_ramp": (MomentRamp, ("moment", "rise_time"), ()),
     "moment_table": (MomentTable, ("times", "moments"), ()),
+    "force_ramp": (ForceRamp, ("force", "rise_time"), ()),
+    "force_table": (ForceTable, ("times", "forces"), ()),
     "prescribed_rate": (PrescribedRate, ("rate",), ("rise_time",)),
     "prescribed_spin_up": (PrescribedSpinUp, ("rate", "rise_time"), ()),
     "prescribed_table": (PrescribedTable, ("times", "angles"), ()),
+    "prescribed_speed": (PrescribedSpeed, ("speed",), ("rise_time",)),
+    "prescribed_run_up": (PrescribedRunUp, ("speed", "rise_time"), ()),
+    "prescribed_displacements": (PrescribedDisplacements, ("times", "displacements"), ()),
 }
-FORCES = {"joint_spring": JointSpring, "joint_table": JointForceTable}
+FORCES = {
+    "joint_spring": JointSpring,
+    "joint_table": JointForceTable,
+    "point_spring": PointSpring,
+    "point_spring_table": PointSpringTable,
+    "point_force": PointForce,
+    "point_moment": PointMoment,
+}
+FUNCTION_KEYS = ("breakpoints",)  # of functions, which a file cannot hold
 _MECHANISM_OPTIONS = ("gravity", "redundant_reactions", "elements")
 MECHANISM_KEYS = (("links", "joints"), ("materials", "sections", "forces", *_MECHANISM_OPTIONS))
 SIMULATION_KEYS = (("duration",), ("method", "save_every"))  # and the settings of the method
@@ -67,15 +88,21 @@ def read_mechanism(table: object) -> Mechanism:
     return build(Mechanism, parts, place, problems)
 
 
-def read_drive(table: object) -> MomentDrive | PrescribedDrive:
-    """Return the drive of the table [drive]."""
-    place, problems = "[drive]", Problems()
+def read_drive(table: object, place: str = "[drive]") -> AnyDrive:
+    """Return the drive of the table [drive], or of one of [[drives]]."""
+    problems = Problems()
     keys = {key for _, required, optional in DRIVES.values() for key in (*required, *optional)}
-    content = problems.usable(lambda: checked_table(table, place, ("kind",), ("joint", *sorted(keys))))
+    content = problems.usable(lambda: checked_table(table, place, ("kind",), ("joint", "motion", *sorted(keys))))
     kind = _kind_of(content, DRIVES, "kind", place, problems)
     make, required, optional = DRIVES[kind]
+    optional = (*optional, "motion")
     settings = _of_kind(content, f'{place} of kind "{kind}"', ("joint", "kind", *required), optional, problems)
     return build(make, {name: value for name, value in settings.items() if name != "kind"}, place, problems)
+
+
+def read_drives(entries: object) -> tuple[AnyDrive, ...]:
+    """Return the drives of the tables [[drives]]."""
+    return tuple(_read_list(entries, "[[drives]]", read_drive))
 
 
 def read_simulation(table: object) -> tuple[Any, Method, Any]:
@@ -209,7 +236,17 @@ def _read_link(
         settings["point_masses"] = ABSENT
         with problems.noted():
             settings["point_masses"] = tuple(_read_list(masses, f"{place} point_masses", _read_point_mass))
+    if "body" in settings and settings["body"] is not ABSENT:
+        body, settings["body"] = settings["body"], ABSENT
+        with problems.noted():
+            settings["body"] = _read_body(body, f"{place} body")
     return build(Link, settings, place, problems)
+
+
+def _read_body(table: object, place: str) -> RigidBody:
+    problems = Problems()
+    settings = problems.usable(lambda: checked_table(table, place, *keys_of(RigidBody)))
+    return build(RigidBody, settings, place, problems)
 
 
 def _read_point_mass(table: object, place: str) -> PointMass:
@@ -229,11 +266,11 @@ def _read_joint(table: object, place: str) -> Joint:
     return build(Joint, settings, place, problems)
 
 
-def _read_force(table: object, place: str) -> JointForce:
+def _read_force(table: object, place: str) -> Force:
     problems = Problems()
-    keys = {field.name for kind in FORCES.values() for field in fields(kind)}
+    keys = {field.name for kind in FORCES.values() for field in fields(kind)} - {*FUNCTION_KEYS}
     content = problems.usable(lambda: checked_table(table, place, ("kind",), sorted(keys)))
     kind = _kind_of(content, FORCES, "kind", place, problems)
-    required, optional = keys_of(FORCES[kind])
+    required, optional = keys_of(FORCES[kind], omit=FUNCTION_KEYS)
     settings = _of_kind(content, f'{place} of kind "{kind}"', ("kind", *required), optional, problems)
     return build(FORCES[kind], {name: value for name, value in settings.items() if name != "kind"}, place, problems)

@@ -58,6 +58,7 @@ DIMENSIONS = {
     "force": ((1, 1, -2, 0), "N", "12 kN"),
     "moment": ((1, 2, -2, 0), "N m", "1.5 N m"),
     "rate": ((0, 0, -1, 1), "rad/s", "60 rpm"),
+    "speed": ((0, 1, -1, 0), "m/s", "0.2 m/s"),
     "acceleration": ((0, 1, -2, 0), "m/s^2", "9.81 m/s^2"),
     "axial_stiffness": ((1, 1, -2, 0), "N", "21 MN"),
     "bending_stiffness": ((1, 3, -2, 0), "N m^2", "175 N m^2"),

@@ -15,20 +15,25 @@ from rfem_jax.description.errors import InputError, require_choice
 from rfem_jax.description.mechanism import ELEMENTS, Mechanism
 from rfem_jax.mechanics.cut_joints import RANK_TOLERANCE
 from rfem_jax.mechanics.joint_laws import holds
-from rfem_jax.mechanics.model import BASE, Model
+from rfem_jax.mechanics.model import BASE, Model, Topology
 from rfem_jax.mechanics.model_building import build_model
 from rfem_jax.mechanics.nominal_geometry import (
+    NominalGeometry,
+    Placed,
     closure_jacobian,
     gaps,
     geometry_of,
     joint_units,
     moved,
+    node_place,
     place,
 )
+from rfem_jax.mechanics.point_laws import PointLaw
 
 # Of the longest link.  Overconstrained loops close only as well as their numbers were typed: with angles of six
 # decimals a Bennett linkage stays open by 2e-7.  Flexible links take up the rest in the static start.
 CLOSING_TOLERANCE = 1e-6
+SMALLEST_DISTANCE = 1e-9  # of two points with a force between them, of the longest link
 IDLE_TOLERANCE = 1e-3  # of a motion of size one
 RIGID_CLOSING_TOLERANCE = 1e-9  # where reactions are redundant, nothing gives way
 
@@ -74,6 +79,7 @@ def discretise(mechanism: Mechanism, rfes: int | None = None, elements: str | No
     require_choice(elements, ELEMENTS, "elements")
     counts = {link.name: link.elements if rfes is None or link.elements == 1 else int(rfes) for link in mechanism.links}
     model = _close(build_model(mechanism, counts, elements == "geometrically_exact"))
+    _require_apart(model)
     structure = describe(model)
     if structure.idle:
         idle = tuple(sorted(_idle_coordinates(model)))
@@ -92,6 +98,30 @@ def discretise(mechanism: Mechanism, rfes: int | None = None, elements: str | No
             "flexible."
         )
     return model
+
+
+def _require_apart(model: Model) -> None:
+    """Raise InputError for a force between points that coincide at the start: it has no direction."""
+    geometry = geometry_of(model)
+    placed = place(geometry, np.asarray(model.start_joints))
+    for name, law in _between_points(model).items():
+        one, other = _places(geometry, placed, law)
+        if not np.linalg.norm(other - one) > SMALLEST_DISTANCE * geometry.scale:
+            raise InputError(
+                f"Argument `points` of force {name!r} must lie apart at the start, but coincide: a force along their "
+                "line has no direction there; move one of them, or take a force at a joint."
+            )
+
+
+def _between_points(model: Model) -> dict[str, PointLaw]:
+    """The forces along the line of two points."""
+    return {name: law for name, law in (model.frame_forces or {}).items() if isinstance(law, PointLaw)}
+
+
+def _places(geometry: NominalGeometry, placed: Placed, law: PointLaw) -> list[np.ndarray]:
+    """The two points of a force, in global axes."""
+    frames = [(node_place(geometry, placed, end.node), end) for end in (law.parent, law.child)]
+    return [point + rotation @ np.asarray(end.position) for (rotation, point), end in frames]
 
 
 def require_double_precision() -> None:
@@ -140,9 +170,6 @@ def _idle_coordinates(model: Model) -> dict[int, str]:
     # A freedom that a spring holds is not idle.
     held = [*(law.coordinate for law in laws if holds(law)), *topology.sprung_coordinates]
     sprung = np.eye(topology.n_freedoms)[held]
-    free = _null_space(np.vstack([closure_jacobian(geometry, placed)[:, : topology.n_freedoms], sprung]))
-    if free.shape[1] == 0:
-        return {}
     twists, units = np.zeros((n, 6, topology.n_freedoms)), joint_units(geometry)
     for l, parent in enumerate(topology.parents[:n]):
         if parent != BASE:
@@ -150,13 +177,19 @@ def _idle_coordinates(model: Model) -> dict[int, str]:
         for k in topology.coordinates[l]:
             twists[l, :, k] += units[k] * placed.twists[k]
     twists[:, 3:] /= geometry.scale
+    stretched = [_stretching(model, placed, law, twists) for law in _between_points(model).values()]
+    held = [closure_jacobian(geometry, placed)[:, : topology.n_freedoms], sprung, *stretched]
+    free = _null_space(np.vstack(held))
+    if free.shape[1] == 0:
+        return {}
     moving = twists @ free
+    driven = [topology.link_of_freedom[k] for k in topology.drives]
     ends = zip(topology.parents, topology.children)
     pairs = [tuple(-1 if node == BASE else topology.link_of(node) for node in pair) for pair in ends]
     found = {}
     for l in range(n):
         joined = [a if b == l else b for a, b in pairs if l in (a, b)]
-        if len(joined) < 2 or max(joined) < 0 or l == topology.driven:
+        if len(joined) < 2 or max(joined) < 0 or l in driven:
             continue
         alone = _null_space(np.delete(moving, l, axis=0).reshape(-1, free.shape[1]))
         if alone.shape[1] == 0:
@@ -168,6 +201,37 @@ def _idle_coordinates(model: Model) -> dict[int, str]:
 
         *_, order = qr(motions[list(topology.coordinates[l])].T, mode="r", pivoting=True)
         found |= {topology.coordinates[l][k]: topology.links[l] for k in order[: motions.shape[1]]}
+    return found
+
+
+def _with_dependent_drives(model: Model, joints: Float[np.ndarray, " numbers"]) -> Topology:
+    """The topology with the coordinates of drives that follow from those of the drives before (theory (5.8))."""
+    geometry = geometry_of(model)
+    placed, freedoms = place(geometry, joints), model.topology.n_freedoms
+    sprung = np.eye(freedoms)[list(model.topology.sprung_coordinates)]
+    rigid = np.vstack([closure_jacobian(geometry, placed)[:, :freedoms], sprung])
+    found = []
+    for matrix in (rigid, closure_jacobian(geometry, placed, rigid=False)):
+        unit, kept, following = np.eye(matrix.shape[1]), [], []
+        for k in model.topology.drives:
+            adds = _rank(np.vstack([matrix, unit[[*kept, k]]])) > _rank(np.vstack([matrix, unit[kept]]))
+            (kept if adds or not kept else following).append(k)
+        found.append(tuple(following))
+    return model.topology._replace(dependent=found[0], blocked=found[1])
+
+
+def _stretching(model: Model, placed: Placed, law: PointLaw, twists: np.ndarray) -> np.ndarray:
+    """Change (1, F) of the distance of two points over the longest link by motions of the joints, from the twists
+    (L, 6, F) of rigid links."""
+    geometry = geometry_of(model)
+    one, other = _places(geometry, placed, law)
+    direction = (other - one) / np.linalg.norm(other - one)
+    found = np.zeros((1, twists.shape[2]))
+    for end, sign in ((law.parent, -1.0), (law.child, 1.0)):
+        if end.node != BASE:
+            of_link = twists[model.topology.link_of(end.node)]
+            arm = np.cross(other / geometry.scale, direction)  # of a force along the line, about the origin
+            found += sign * (arm @ of_link[:3] + direction @ of_link[3:])
     return found
 
 
@@ -187,21 +251,23 @@ def _rank(jacobian: np.ndarray) -> int:
 
 
 def close_at(
-    model: Model, joints: Float[np.ndarray, " numbers"]
+    model: Model, joints: Float[np.ndarray, " numbers"], held: tuple[int, ...] | None = None
 ) -> tuple[
     Float[np.ndarray, " numbers"],
     Float[np.ndarray, " constraints"],
     Float[np.ndarray, " cuts"],
     Float[np.ndarray, " cuts"],
 ]:
-    """Refine the position of all joints but the driven one so that the nominal rigid loops close: Newton's
-    method with steps of least norm (theory (5.10)).
+    """Refine the position of all joints so that the nominal rigid loops close: Newton's method with steps of least
+    norm (theory (5.10)).
+
+    **Arguments:** `held`: the joint coordinates that stay (None: those of drives that assembly holds).
 
     **Returns:** position, residuals (constraints,) over the longest link, alignment and angle of each
     cut joint as in `cut_joints.Closure`.
     """
     topology, geometry = model.topology, geometry_of(model)
-    fixed = {topology.driven_coordinate, *topology.sprung_coordinates}
+    fixed = {*(topology.held if held is None else held), *topology.sprung_coordinates}
     free = np.array([k for k in range(topology.n_freedoms) if k not in fixed], dtype=int)
     units = joint_units(geometry)[free]
     joints, change = np.array(joints, dtype=float), np.zeros(topology.n_freedoms)
@@ -223,6 +289,10 @@ def _close(model: Model) -> Model:
     topology = model.topology
     if topology.n_cuts == 0:
         return model
+    if len(topology.drives) > 1:
+        closed = close_at(model, np.asarray(model.start_joints), topology.drives[:1])[0]
+        topology = _with_dependent_drives(model, closed)
+        model = dataclasses.replace(model, topology=topology)
     joints, residual, alignment, cut_angles = close_at(model, np.asarray(model.start_joints))
     if not np.abs(residual).max() < CLOSING_TOLERANCE:
         gap = np.abs(residual).max() * float(np.max(model.length))

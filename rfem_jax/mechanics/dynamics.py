@@ -26,6 +26,7 @@ from jaxtyping import Float
 from rfem_jax.mechanics import algebra
 from rfem_jax.mechanics.algebra import apply, apply_transposed, cross, dot, product
 from rfem_jax.mechanics.cut_joints import Closure, closure, invert_closure, unit_columns
+from rfem_jax.mechanics.element_loads import FrameLoads, frame_loads
 from rfem_jax.mechanics.elements.elasticity import elastic_loads
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation
 from rfem_jax.mechanics.joint_forces import LawForces, applied_forces, law_forces
@@ -57,7 +58,8 @@ class Accelerations(NamedTuple):
     their part due to Baumgarte's terms; angular, linear (3, nodes): absolute accelerations of all nodes'
     reference points in link axes; spatial (6, L): accelerations of the links at their islands' points;
     motion, closure, interface_tree: what they were computed from; dissipated [W]: power that the dampers
-    dissipate; laws: forces of springs and laws along joint coordinates, None without any.
+    dissipate; laws: forces of springs and laws along joint coordinates, None without any; frame_loads: what force
+    elements exert, likewise.
     """
 
     coordinates: Coordinates
@@ -71,6 +73,7 @@ class Accelerations(NamedTuple):
     interface_tree: InterfaceTree
     dissipated: Float[Array, ""]
     laws: LawForces | None
+    frame_loads: FrameLoads | None = None
 
 
 def accelerations(
@@ -86,8 +89,10 @@ def accelerations(
     inverse_rate = algebra.invert_block(motion.relative.rate_matrix)
     force, moment, dissipated = elastic_loads(actual, state, motion.relative, inverse_rate)
     spin, gravity = link_axes(actual, motion)
-    angular, linear = _free_accelerations(actual, motion, spin, gravity, force, moment)
-    tree = _interface_tree(actual, state, motion, force, moment)
+    at_nodes = frame_loads(actual, motion, drive.time)
+    free = (force, moment) if at_nodes is None else _with_elements(topology, at_nodes, force, moment)
+    angular, linear = _free_accelerations(actual, motion, spin, gravity, *free)
+    tree = _interface_tree(actual, state, motion, (force, moment), at_nodes)
     laws = law_forces(actual, state)
     forces = applied_forces(topology, state.position, drive, laws)
     responses, rates = _articulated_bodies(topology, tree, _load_columns(topology, cuts, tree), drive, forces)
@@ -100,8 +105,6 @@ def accelerations(
     root_angular, root_linear = _link_accelerations(topology, motion, tree, spatial)
     elastic = _elastic_accelerations(topology, motion, inverse_rate, spin, root_angular, root_linear, angular, linear)
     joints = jnp.stack([_combine(rate[None], weights)[0] for rate in rates]) if rates else jnp.zeros((0,))
-    for part in (laws, None if cuts is None else cuts.springs):
-        dissipated = dissipated if part is None else dissipated + part.dissipated
     return Accelerations(
         coordinates=Coordinates(joints, elastic),
         multipliers=multipliers,
@@ -112,9 +115,25 @@ def accelerations(
         motion=motion,
         closure=cuts,
         interface_tree=tree,
-        dissipated=dissipated,
+        dissipated=total_dissipated(dissipated, laws, at_nodes, cuts),
         laws=laws,
+        frame_loads=at_nodes,
     )
+
+
+def total_dissipated(
+    of_links: Float[Array, ""], laws: LawForces | None, at_nodes: FrameLoads | None, cuts: Closure | None
+) -> Array:
+    """Power [W] that the dampers of links, joints, force elements and compliant cut joints dissipate."""
+    dissipated = of_links if laws is None else of_links + laws.dissipated
+    dissipated = dissipated if at_nodes is None else dissipated + at_nodes.dissipated
+    return dissipated if cuts is None or cuts.springs is None else dissipated + cuts.springs.dissipated
+
+
+def _with_elements(topology: Topology, at_nodes: FrameLoads, force: Array, moment: Array) -> tuple[Array, Array]:
+    """Forces and moments (3, N) on the free rfes together with those of force elements."""
+    n = topology.n_links
+    return force + at_nodes.force[:, n:], moment + at_nodes.moment[:, n:]
 
 
 def link_axes(actual: ModelWithErrors, motion: Motion) -> tuple[Float[Array, "3 links"], Float[Array, "3 links"]]:
@@ -151,16 +170,21 @@ def _branching(topology: Topology) -> tuple[int, ...]:
 
 def _cut_rfes(topology: Topology) -> tuple[int, ...]:
     """Nodes of the free rfes that carry cut joints only."""
-    nodes = {topology.n_links + k for k in topology.interfaces}
+    sides = topology.parents[topology.n_links :] + topology.children[topology.n_links :]
+    nodes = {node for node in sides if node >= topology.n_links}
     return tuple(sorted(nodes - set(_branching(topology))))
 
 
 def _interface_tree(
-    actual: ModelWithErrors, state: State, motion: Motion, force: Array, moment: Array
+    actual: ModelWithErrors,
+    state: State,
+    motion: Motion,
+    elastic: tuple[Array, Array],
+    at_nodes: FrameLoads | None,
 ) -> InterfaceTree:
-    """The reduced tree under the elastic wrenches (3, N) on the free rfes."""
+    """The reduced tree under the elastic forces and moments (3, N) on the free rfes and those of force elements."""
     with jax.named_scope("interface_tree"):
-        topology = actual.topology
+        topology, (force, moment) = actual.topology, elastic
         n = topology.n_links
         branching = _branching(topology)
         nodes = (*range(n), *branching)
@@ -174,6 +198,10 @@ def _interface_tree(
         arms = cross(motion.relative.position, force)
         applied_force = -total(topology, force)
         applied_moment = -total(topology, moment + arms)
+        if at_nodes is not None:
+            applied_force = applied_force + at_nodes.force[:, :n]
+            applied_moment = applied_moment + at_nodes.moment[:, :n]
+            force, moment = _with_elements(topology, at_nodes, force, moment)
         owners = [*range(n), *(topology.link_of(node) for node in branching)]
         link_rotation = jnp.stack([motion.links.rotation[:, :, l] for l in owners], axis=2)
         for node in branching:
@@ -241,9 +269,10 @@ def _articulated_bodies(
             first = jnp.asarray(np.eye(1, load.shape[1])[0])
             for k in reversed(topology.coordinates[l]):
                 axis, bias = tree.axis[:, k], tree.bias[:, k]
-                if k == topology.driven_coordinate and drive.prescribed is not None:
-                    given = axis * drive.prescribed[2][None] + bias
-                    steps[k] = (axis, given[:, None] * first[None], drive.prescribed[2][None] * first, None)
+                if k in drive.motions:
+                    acceleration = drive.motions[k][2]
+                    given = axis * acceleration[None] + bias
+                    steps[k] = (axis, given[:, None] * first[None], acceleration[None] * first, None)
                     load = load - apply(inertia, given)[:, None] * first[None]
                     continue
                 u = apply(inertia, axis)
@@ -368,6 +397,8 @@ def _with_interfaces(
     """Accelerations (3, N) of the free rfes in link axes, those of the interfaces put in."""
     n = topology.n_links
     for i, k in enumerate(topology.interfaces):
+        if n + k not in solved:  # it carries no joint
+            continue
         velocity, where = motion.interfaces.velocity[:, i], motion.interfaces.point[:, i]
         of_link = motion.links.rotation[:, :, topology.link_of(n + k)]
         spin = velocity[:3]

@@ -1,4 +1,4 @@
-"""What an instant is given besides its state: the action of the drive, and Baumgarte's gains.
+"""What an instant is given besides its state: the action of the drives, and Baumgarte's gains.
 
 Place in the pipeline: model -> **inputs** -> joint_forces, dynamics, residual, loads, simulation.
 """
@@ -11,15 +11,21 @@ from jax import Array
 from jaxtyping import Float
 
 from rfem_jax.mechanics.algebra import Scalar
+from rfem_jax.mechanics.frame_forces import Time
 from rfem_jax.mechanics.model import Coordinates, State, Topology
 
 
 class DriveInput(NamedTuple):
-    """The drive at one instant: a moment [N m] on the driven joint, or the joint's prescribed angle [rad],
-    rate [rad/s] and acceleration [rad/s^2]; at most one of the two is given."""
+    """The drives at one instant, by joint coordinate.
 
-    moment: Float[Array, ""] | None = None
-    prescribed: tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]] | None = None
+    forces: given moments [N m] and forces [N]; motions: prescribed coordinates [rad, m] with their rates and
+    accelerations.  A coordinate is in one of the two at most.  time: the instant, for forces that are functions of it
+    (None: the start).
+    """
+
+    forces: dict[int, Float[Array, ""]] = {}  # noqa: RUF012 - never changed
+    motions: dict[int, tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]]] = {}  # noqa: RUF012
+    time: Time | None = None
 
 
 class Stabilisation(NamedTuple):
@@ -32,15 +38,15 @@ class Stabilisation(NamedTuple):
 
 
 def impose(topology: Topology, state: State, drive: DriveInput) -> State:
-    """The state with the driven joint's angle and rate replaced by the prescribed ones."""
-    if drive.prescribed is None:
-        return state
+    """The state with prescribed coordinates and their rates put in."""
 
-    def replace(values: Coordinates, index: int | None, value: Array) -> Coordinates:
+    def replace(values: Coordinates, index: int, value: Array) -> Coordinates:
         is_driven = np.arange(values.joints.shape[0]) == index
         return Coordinates(jnp.where(is_driven, value[None], values.joints), values.elastic)
 
-    return State(
-        replace(state.position, topology.driven_position, jnp.asarray(drive.prescribed[0])),
-        replace(state.velocity, topology.driven_coordinate, jnp.asarray(drive.prescribed[1])),
-    )
+    for k, (value, rate, _) in drive.motions.items():
+        state = State(
+            replace(state.position, topology.place_of(k), jnp.asarray(value)),
+            replace(state.velocity, k, jnp.asarray(rate)),
+        )
+    return state

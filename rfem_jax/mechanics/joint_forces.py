@@ -3,9 +3,9 @@
 Place in the pipeline: inputs, joint_laws -> **joint_forces** -> dynamics, residual, loads, statics,
 reference_formulation.
 
-They are the moment of the drive, and springs, dampers and laws of a joint's own position and rate.  Springs and
-dampers, those of compliant joints among them, are inside a joint: parts of its load.  Drives and laws act from outside
-it and are not (theory (3.17)).
+They are the moments and forces of drives, and springs, dampers and laws of a joint's own position and rate.  Springs
+and dampers, those of compliant joints among them, are inside a joint: parts of its load.  Drives and laws act from
+outside it and are not (theory (3.17)).
 """
 
 from functools import reduce
@@ -56,6 +56,8 @@ def law_forces(actual: ModelWithErrors, state: State) -> LawForces | None:
                 side = inside
                 dissipated = dissipated + share * law.damping * rate**2
             else:
+                if actual.topology.sprung:
+                    rate = rate_about_axis(actual.topology, state, law.coordinate)
                 power = power + force * rate
             side[law.coordinate] = side[law.coordinate] + force if law.coordinate in side else force
         for spring in springs:
@@ -80,26 +82,25 @@ def applied_forces(
     topology: Topology, position: Coordinates, drive: DriveInput, laws: LawForces | None
 ) -> dict[int, Float[Array, ""]]:
     """Generalised forces [N m, N] by joint coordinate, where any acts."""
-    found: dict[int, Array] = {}
-    if drive.moment is not None and topology.driven_coordinate is not None:
-        found[topology.driven_coordinate] = drive.moment
-        if (tilted := topology.tilted(topology.link_of_freedom[topology.driven_coordinate])) is not None:
-            found[tilted[2]] = jnp.sin(position.joints[tilted[1]]) * drive.moment
+    found: dict[int, Array] = dict(drive.forces)
     for side in () if laws is None else (laws.inside, laws.outside):
         for k, force in side.items():
             found[k] = found[k] + force if k in found else force
+    for side in [] if not topology.sprung else [drive.forces, {} if laws is None else laws.outside]:
+        for k, force in side.items():
+            if (tilted := topology.tilted(k)) is not None:
+                share = jnp.sin(position.joints[tilted[0]]) * force
+                found[tilted[1]] = found[tilted[1]] + share if tilted[1] in found else share
     return found
 
 
-def rate_about_axis(topology: Topology, state: State) -> Float[Array, ""]:
-    """Rate [rad/s] about the driven joint's axis on the parent, zero without one: that of its angle, and what the
-    second axis of a sprung tilt, which the first angle turns, has of it (theory (13.5))."""
-    if topology.driven_coordinate is None:
-        return jnp.zeros(())
-    rate = state.velocity.joints[topology.driven_coordinate]
-    if (tilted := topology.tilted(topology.link_of_freedom[topology.driven_coordinate])) is None:
+def rate_about_axis(topology: Topology, state: State, k: int) -> Float[Array, ""]:
+    """Rate [rad/s, m/s] about or along the axis on the parent of a joint coordinate: its own, and what the second axis
+    of a sprung tilt, which the first angle turns, has of it (theory (13.5))."""
+    rate, tilted = state.velocity.joints[k], topology.tilted(k)
+    if tilted is None:
         return rate
-    return rate + jnp.sin(state.position.joints[tilted[1]]) * state.velocity.joints[tilted[2]]
+    return rate + jnp.sin(state.position.joints[tilted[0]]) * state.velocity.joints[tilted[1]]
 
 
 def about_parents_axes(
@@ -107,11 +108,11 @@ def about_parents_axes(
 ) -> Float[Array, " freedoms"]:
     """Loads along the joint coordinates with those of the second axes of sprung tilts taken across the parents' axes,
     so that what holds an angle is a moment about the parent's axis and none of its tilt (theory (13.5))."""
-    for l in range(topology.n_links if topology.sprung else 0):
-        if (tilted := topology.tilted(l)) is not None:
-            about, place, second = tilted
+    for k in range(topology.n_freedoms if topology.sprung else 0):
+        if (tilted := topology.tilted(k)) is not None:
+            place, second = tilted
             share = jnp.where(np.arange(topology.n_freedoms) == second, jnp.sin(position.joints[place]), 0.0)
-            hinge = hinge - share * hinge[about]
+            hinge = hinge - share * hinge[k]
     return hinge
 
 
@@ -122,10 +123,21 @@ def by_coordinate(topology: Topology, forces: dict[int, Float[Array, ""]]) -> Fl
 
 
 def hinge_moments(topology: Topology, drive: DriveInput) -> Float[Array, " links"] | None:
-    """Moments [N m] of a drive about y of the tree joints, zero where none acts; None where that is everywhere."""
-    if drive.moment is None:
-        return None
-    return jnp.where(np.arange(topology.n_links) == topology.driven, drive.moment[None], 0.0)
+    """Moments [N m] of drives about the hinges of the tree, zero where none acts; None where that is everywhere."""
+    links = np.arange(topology.n_links)
+    about = [
+        jnp.where(links == topology.link_of_freedom[k], moment[None], 0.0)
+        for k, moment in drive.forces.items()
+        if topology.about_hinge(k)
+    ]
+    return reduce(jnp.add, about) if about else None
+
+
+def outside_forces(topology: Topology, drive: DriveInput, laws: LawForces | None) -> list[tuple[int, Float[Array, ""]]]:
+    """Joint coordinates and the forces [N, N m] of laws, and of drives on others than hinges, which are no part of the
+    joints' loads."""
+    of_laws = [] if laws is None else list(laws.outside.items())
+    return of_laws + [(k, force) for k, force in drive.forces.items() if not topology.about_hinge(k)]
 
 
 def law_energy(actual: ModelWithErrors, position: Coordinates) -> Float[Array, ""]:

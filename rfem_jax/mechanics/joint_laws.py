@@ -60,13 +60,20 @@ class TableLaw(JointLaw):
 
     def force(self, position, rate):
         del rate
-        last = self.positions.shape[0] - 2
-        at = jnp.clip(position, self.positions[0], self.positions[-1])
-        # Comparisons and sums, no search: it is a loop, and gathers are slow in compiled loops.
-        row = jnp.clip(jnp.sum(at >= self.positions) - 1, 0, last) == jnp.arange(last + 1)
-        share = (at - self.positions[:-1]) / (self.positions[1:] - self.positions[:-1])
-        values = self.forces[:-1] + share * (self.forces[1:] - self.forces[:-1])
-        return jnp.sum(jnp.where(row, values, 0.0))
+        return between_rows(self.positions, self.forces, position)
+
+
+def between_rows(
+    positions: Float[Array, " rows"], forces: Float[Array, " rows"], position: Float[Array, ""]
+) -> Float[Array, ""]:
+    """Force at a position from a table, linear between its rows and constant outside."""
+    last = positions.shape[0] - 2
+    at = jnp.clip(position, positions[0], positions[-1])
+    # Comparisons and sums, no search: it is a loop, and gathers are slow in compiled loops.
+    row = jnp.clip(jnp.sum(at >= positions) - 1, 0, last) == jnp.arange(last + 1)
+    share = (at - positions[:-1]) / (positions[1:] - positions[:-1])
+    values = forces[:-1] + share * (forces[1:] - forces[:-1])
+    return jnp.sum(jnp.where(row, values, 0.0))
 
 
 class FunctionLaw(JointLaw):

@@ -4,8 +4,8 @@ Place in the pipeline: dynamics -> **loads** -> simulation (metrics, Run).
 
 A joint's load is the force and the moment that the parent side exerts on the child link, about the
 joint's centre on the child, in the hinge frame H (in L at a cut joint), in N and N m (theory (8.1) to (8.3)).  A
-drive that is a given moment, or a law of the joint's position and rate, is an external load and not part of it; a
-spring in the joint and the moment that enforces a prescribed angle are.
+drive that is a given moment or force, or a law of the joint's position and rate, is an external load and not part of
+it; a spring in the joint and the moment or force that enforces a prescribed motion are.
 
 They are computed in two ways, and every run checks them by the balance of momentum: `chain_loads` is the
 recursive Newton-Euler algorithm over all rfes from the tips to the base; `joint_loads` uses the equations
@@ -25,9 +25,10 @@ from rfem_jax.mechanics import algebra
 from rfem_jax.mechanics.algebra import apply, apply_transposed, cross, dot
 from rfem_jax.mechanics.cut_joints import Closure, columns, cut_spring_energy
 from rfem_jax.mechanics.dynamics import Accelerations, link_axes
+from rfem_jax.mechanics.element_loads import FrameLoads, frame_energy
 from rfem_jax.mechanics.elements import elasticity
 from rfem_jax.mechanics.inputs import DriveInput
-from rfem_jax.mechanics.joint_forces import LawForces, hinge_moments, law_energy
+from rfem_jax.mechanics.joint_forces import LawForces, hinge_moments, law_energy, outside_forces
 from rfem_jax.mechanics.kinematics import Motion, all_frames, motion_of, spread, total
 from rfem_jax.mechanics.model import BASE, Coordinates, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
@@ -51,7 +52,8 @@ class Energies(NamedTuple):
 
 @runtime_checkable
 class Solved(Protocol):
-    """Of the solution of one instant, or of a mechanism at rest: motion, closure, multipliers [N], forces of laws."""
+    """Of the solution of one instant, or of a mechanism at rest: motion, closure, multipliers [N], forces of laws, and
+    what force elements exert."""
 
     @property
     def motion(self) -> Motion: ...
@@ -61,6 +63,8 @@ class Solved(Protocol):
     def multipliers(self) -> Float[Array, " constraints"]: ...
     @property
     def laws(self) -> LawForces | None: ...
+    @property
+    def frame_loads(self) -> FrameLoads | None: ...
 
 
 class Resting(NamedTuple):
@@ -70,6 +74,7 @@ class Resting(NamedTuple):
     closure: Closure | None
     multipliers: Float[Array, " constraints"]
     laws: LawForces | None
+    frame_loads: FrameLoads | None = None
 
 
 def joint_loads(actual: ModelWithErrors, result: Accelerations, drive: DriveInput) -> JointLoads:
@@ -108,7 +113,7 @@ def chain_loads(
     """Loads of all joints by the recursive Newton-Euler algorithm over all rfes, for accelerations of the
     nodes in link axes, and the wrench at the origin that the base exerts."""
     with jax.named_scope("chain_loads"):
-        inertial = inertial_loads(actual, result.motion, angular, linear)
+        inertial = beyond_elements(inertial_loads(actual, result.motion, angular, linear), result.frame_loads)
         wrenches = chain_wrenches(actual, result.motion, result.closure, result.multipliers, inertial)
         loads = loads_of_wrenches(actual.topology, result, wrenches, drive)
         return loads, base_wrench(actual.topology, wrenches)
@@ -127,8 +132,8 @@ def _in_hinge_frames(topology: Topology, result: Solved, force: Array, moment: A
     """Loads of all joints in hinge frames from the forces and moments (3, L) of the tree joints about their
     centres, in global axes; those of cut joints from the multipliers."""
     rotation = result.motion.hinges.rotation
-    if result.laws is not None:
-        force, moment = _without_laws(topology, result, force, moment)
+    for k, outside in outside_forces(topology, drive, result.laws):
+        force, moment = _without(topology, result.motion, k, outside, force, moment)
     force, moment = apply_transposed(rotation, force), apply_transposed(rotation, moment)
     external = hinge_moments(topology, drive)
     if external is not None:
@@ -142,20 +147,23 @@ def _in_hinge_frames(topology: Topology, result: Solved, force: Array, moment: A
     return JointLoads(force, moment)
 
 
-def _without_laws(topology: Topology, result: Solved, force: Array, moment: Array) -> tuple[Array, Array]:
-    """Forces and moments (3, L) of the tree joints less those of the laws, which act from outside."""
-    axis = result.motion.axis
-    for k, law in ({} if result.laws is None else result.laws.outside).items():
-        here = np.arange(topology.n_links) == topology.link_of_freedom[k]
-        direction = axis[3:, k] if topology.slides[k] else axis[:3, k]
-        tilted = topology.tilted(topology.link_of_freedom[k])
-        if tilted is not None and tilted[0] == k:
-            # The moment that does no work on the tilt (theory (13.5)).
-            across = cross(axis[:3, k + 1], axis[:3, k + 2])
-            direction = across / dot(across, direction)[None]
-        along = jnp.where(here[None], direction[:, None] * law, 0.0)
-        force, moment = (force - along, moment) if topology.slides[k] else (force, moment - along)
-    return force, moment
+def _without(
+    topology: Topology, motion: Motion, k: int, outside: Array, force: Array, moment: Array
+) -> tuple[Array, Array]:
+    """Forces and moments (3, L) of the tree joints less what acts from outside along a joint coordinate."""
+    axis = motion.axis
+    here = np.arange(topology.n_links) == topology.link_of_freedom[k]
+    along = jnp.where(here[None], (axis[3:, k] if topology.slides[k] else axis[:3, k])[:, None] * outside, 0.0)
+    return (force - along, moment) if topology.slides[k] else (force, moment - along)
+
+
+def load_along(topology: Topology, motion: Motion, joint: JointLoads, k: int) -> Float[Array, ""]:
+    """The component of a joint's load along one of its coordinates: moment [N m] or force [N]."""
+    l = topology.link_of_freedom[k]
+    if topology.about_hinge(k):
+        return joint.moment[1, l]
+    axis, part = (motion.axis[3:, k], joint.force) if topology.slides[k] else (motion.axis[:3, k], joint.moment)
+    return dot(axis, apply(motion.hinges.rotation[:, :, l], part[:, l]))
 
 
 def chain_wrenches(
@@ -166,7 +174,7 @@ def chain_wrenches(
     inertial: tuple[Float[Array, "3 nodes"], Float[Array, "3 nodes"]],
 ) -> list[Float[Array, "6"]]:
     """Wrenches at the global origin that the parent side of every joint exerts on the child, drives and laws
-    included; `inertial` from `inertial_loads`."""
+    included; `inertial` from `inertial_loads`, less what force elements exert."""
     topology = actual.topology
     n = topology.n_links
     force, moment = inertial
@@ -227,6 +235,15 @@ def inertial_loads(
     return force, apply(rotation, rate) + cross(centre, force)
 
 
+def beyond_elements(
+    inertial: tuple[Float[Array, "3 nodes"], Float[Array, "3 nodes"]], at_nodes: FrameLoads | None
+) -> tuple[Float[Array, "3 nodes"], Float[Array, "3 nodes"]]:
+    """What `inertial_loads` leave for joints and springs of links to exert, beyond the force elements."""
+    if at_nodes is None:
+        return inertial
+    return inertial[0] - at_nodes.force, inertial[1] - at_nodes.moment
+
+
 def velocities(
     actual: ModelWithErrors, motion: Motion
 ) -> tuple[Float[Array, "3 3 nodes"], Float[Array, "3 nodes"], Float[Array, "3 nodes"], Float[Array, "3 nodes"]]:
@@ -255,26 +272,27 @@ def momentum(actual: ModelWithErrors, state: State) -> tuple[Float[Array, "3"], 
 
 def energies(actual: ModelWithErrors, state: State) -> Energies:
     """Kinetic, elastic and gravity energy at one instant."""
-    rotation, centre, velocity, spin = velocities(actual, motion_of(actual, state))
+    motion = motion_of(actual, state)
+    rotation, centre, velocity, spin = velocities(actual, motion)
     body_spin = apply_transposed(rotation, spin)
     translation = actual.mass * dot(velocity, velocity)
     rotational = dot(body_spin, apply(actual.inertia, body_spin))
     from_datum = centre - actual.datum[:, None]
     return Energies(
         kinetic=0.5 * jnp.sum(translation + rotational),
-        elastic=_elastic_energy(actual, state.position),
+        elastic=_elastic_energy(actual, state.position, motion),
         gravity=-jnp.sum(actual.mass * dot(actual.gravity[:, None], from_datum)),
     )
 
 
-def _elastic_energy(actual: ModelWithErrors, position: Coordinates) -> Float[Array, ""]:
-    """Energy [J] of the springs of links and joints."""
+def _elastic_energy(actual: ModelWithErrors, position: Coordinates, motion: Motion) -> Float[Array, ""]:
+    """Energy [J] of the springs of links and joints, and between points."""
     energy = elasticity.elastic_energy(actual, position)
     if actual.forces is not None or actual.springs is not None:
         energy = energy + law_energy(actual, position)
     if actual.topology.sprung_rows:
-        energy = energy + cut_spring_energy(actual, motion_of(actual, static_state(actual.topology, position)))
-    return energy
+        energy = energy + cut_spring_energy(actual, motion)
+    return energy if actual.frame_forces is None else energy + frame_energy(actual, motion)
 
 
 def base_wrench(topology: Topology, wrenches: Sequence[Float[Array, "6"]]) -> Float[Array, "6"]:
@@ -283,9 +301,13 @@ def base_wrench(topology: Topology, wrenches: Sequence[Float[Array, "6"]]) -> Fl
 
 
 def momentum_residual(
-    actual: ModelWithErrors, state: State, accelerations: Coordinates, base: Float[Array, "6"]
+    actual: ModelWithErrors,
+    state: State,
+    accelerations: Coordinates,
+    base: Float[Array, "6"],
+    at_nodes: FrameLoads | None = None,
 ) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
-    """Base reactions + weight - d/dt of the total momentum: force [N] and moment [N m].
+    """Base reactions + weight + wrenches of force elements - d/dt of the total momentum: force [N] and moment [N m].
 
     The rate of momentum comes from differentiating the momenta along (q_dot, q_ddot), independently
     of the equations that give the reactions `base`.
@@ -298,6 +320,8 @@ def momentum_residual(
     _, (linear_rate, angular_rate) = jax.jvp(momentum_at, (state.position, state.velocity), tangents)
     _, centre, _, _ = velocities(actual, motion_of(actual, state))
     weight = actual.mass[None] * actual.gravity[:, None]
+    if at_nodes is not None:
+        base = base + at_nodes.wrench
     return (
         base[3:] + jnp.sum(weight, axis=1) - linear_rate,
         base[:3] + jnp.sum(cross(centre, weight), axis=1) - angular_rate,

@@ -6,9 +6,9 @@ A *node* is a rigid body: -1 is the base, 0 .. links-1 are the rfes 0 (one a lin
 link frame {p,0}), and links + k is the free rfe k.  All free rfes of all links stand in one array
 axis, link by link, so that one operation treats them together.
 
-An *interface* of a link is a free rfe that carries a joint.  Since springs, not constraints, join the rfes
-of a flexible link, the rfes 0 and the interfaces form *islands*: trees of bodies joined by hinges alone, whose
-root is an interface or a link that is joined to the base.
+An *interface* of a link is a free rfe that carries a joint, or that a force element acts on.  Since springs, not
+constraints, join the rfes of a flexible link, the rfes 0 and the interfaces form *islands*: trees of bodies joined by
+hinges alone, whose root is an interface or a link that is joined to the base.
 
 Symbols: n_links L, n_rfes N (free rfes), joints J = L tree joints (joint l carries link l), then C cut
 joints; freedoms F: coordinates of the tree joints; constraints: closure equations of the cut joints.  Arrays are
@@ -25,8 +25,10 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float, Int
 
+from rfem_jax.description.driven_motions import motion_label
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.joint_kinds import COMPONENTS, KINDS, Freedom, JointKind, compliant
+from rfem_jax.mechanics.frame_forces import FrameForce
 from rfem_jax.mechanics.joint_laws import JointLaw
 from rfem_jax.mechanics.joint_springs import CompliantSpring
 
@@ -62,11 +64,14 @@ class Topology(NamedTuple):
     parent_at_end, child_at_end: whether a joint sits at the far end of the link on that side, whose twist
         error then rotates it.
     elements: number of rfes of each link (1: rigid).
-    driven: index of the driven tree joint, or None.
+    drives: joint coordinates that drives act on, in the order of the description.
     masses: the node that holds each point mass.
     minimum_norm: whether redundant reactions are resolved by the solution of least norm.
     exact: whether the spring-damping elements are geometrically exact.
     idle: joint coordinates that stand for idle freedoms, which statics holds at their start.
+    dependent: those of `drives` that follow from the ones before if all links are rigid, which statics holds only
+        where their motion is prescribed; blocked: those that follow from them even so.
+    holders: nodes of the free rfes that force elements act on.
     sprung: of each joint the motions that its kind holds and that are sprung; () if no joint is compliant.
     """
 
@@ -80,11 +85,14 @@ class Topology(NamedTuple):
     parent_at_end: tuple[bool, ...]
     child_at_end: tuple[bool, ...]
     elements: tuple[int, ...]
-    driven: int | None
+    drives: tuple[int, ...]
     masses: tuple[int, ...]
     minimum_norm: bool
     exact: bool = False
     idle: tuple[int, ...] = ()
+    dependent: tuple[int, ...] = ()
+    blocked: tuple[int, ...] = ()
+    holders: tuple[int, ...] = ()
     sprung: tuple[tuple[str, ...], ...] = ()
 
     @property
@@ -124,14 +132,14 @@ class Topology(NamedTuple):
         own = {k for at in self.own_coordinates for k in at}
         return tuple(k for k in range(self.n_freedoms) if k not in own) if self.sprung else ()
 
-    def tilted(self, link: int) -> tuple[int, int, int] | None:
-        """Of a tree joint that turns about one axis and whose tilt is sprung: the rate of its angle, the place in the
-        position of the first angle of the tilt, the rate of the second; None of others."""
+    def tilted(self, coordinate: int) -> tuple[int, int] | None:
+        """Of the angle of a tree joint that turns about one axis and whose tilt is sprung: the place in the position of
+        the first angle of the tilt, and the rate of the second; None of other coordinates."""
+        link = self.link_of_freedom[coordinate]
         kind = self.kind(link)
-        if kind.ball or kind.nominal.angles != 1 or kind.angles != 3:
+        if kind.ball or kind.nominal.angles != 1 or kind.angles != 3 or coordinate != self.coordinates[link].stop - 3:
             return None
-        first, stop = self.coordinates[link].stop - 3, self.positions[link].stop
-        return first, stop - 2, first + 2
+        return self.positions[link].stop - 2, coordinate + 2
 
     @property
     def sprung_rows(self) -> tuple[bool, ...]:
@@ -187,15 +195,46 @@ class Topology(NamedTuple):
         quaternion if it turns about any axis."""
         return _ranges([len(self.kind(l).freedoms) + self.kind(l).ball for l in range(self.n_links)])
 
+    def place_of(self, coordinate: int) -> int:
+        """Index in the position of a coordinate that is a plain number."""
+        link = self.link_of_freedom[coordinate]
+        return self.positions[link][coordinate - self.coordinates[link][0]]
+
+    def motion_of(self, coordinate: int) -> str:
+        """Name of the free motion of a coordinate that is a plain number, such as "R_y"."""
+        link = self.link_of_freedom[coordinate]
+        return self.kind(link).motions[coordinate - self.coordinates[link][0]]
+
+    def about_hinge(self, coordinate: int) -> bool:
+        """Whether a coordinate is the angle of a revolute joint."""
+        return self.kinds[self.link_of_freedom[coordinate]] == "revolute"
+
+    @property
+    def drive_labels(self) -> tuple[str, ...]:
+        """Names of the free motions that drives act on: "A", or "C.T_y" where the joint has several."""
+        joints = [self.link_of_freedom[k] for k in self.drives]
+        named = zip(joints, self.drives, strict=True)
+        return tuple(motion_label(self.joints[j], self.kinds[j], self.motion_of(k)) for j, k in named)
+
+    @property
+    def held(self) -> tuple[int, ...]:
+        """Joint coordinates that assembly holds: those of drives, each as far as those before leave it free."""
+        return tuple(k for k in self.drives if k not in self.dependent)
+
+    @property
+    def driven(self) -> int | None:
+        """Index of the tree joint of the first drive, or None."""
+        return self.link_of_freedom[self.drives[0]] if self.drives else None
+
     @property
     def driven_position(self) -> int | None:
-        """Index of the driven joint's coordinate in the position."""
-        return None if self.driven is None else self.own_positions[self.driven][0]
+        """Index in the position of the coordinate of the first drive."""
+        return self.place_of(self.drives[0]) if self.drives else None
 
     @property
     def driven_coordinate(self) -> int | None:
-        """Index of the driven joint's coordinate among the rates."""
-        return None if self.driven is None else self.own_coordinates[self.driven][0]
+        """Index among the rates of the coordinate of the first drive."""
+        return self.drives[0] if self.drives else None
 
     @property
     def constraints(self) -> tuple[range, ...]:
@@ -232,8 +271,8 @@ class Topology(NamedTuple):
 
     @property
     def interfaces(self) -> tuple[int, ...]:
-        """The free rfes that carry a joint (as rfes, not as nodes)."""
-        nodes = self.parents + self.children[self.n_links :]
+        """The free rfes that carry a joint or hold a force element (as rfes, not as nodes)."""
+        nodes = self.parents + self.children[self.n_links :] + self.holders
         return tuple(sorted({node - self.n_links for node in nodes if node >= self.n_links}))
 
     def link_of(self, node: int) -> int:
@@ -285,10 +324,11 @@ class Model(eqx.Module):
     length: of the links [m]; section: of their cross-sections; parent_*, child_*: frames of the joints on
     their two sides (F and F_c), relative to the node's frame, which is the link frame for rfe 0 and the frame
     at the segment's middle for a free rfe; point_*: mass [kg], place in the node's frame [m] and principal
-    moments of inertia [kg m^2] of the point masses; start_joints: coordinates of the tree joints at
-    the closed start [rad, m]; cut_angles: angles of the cut joints there [rad]; gravity [m/s^2] in global axes;
-    forces: along joint coordinates, by their names, None without any.
-    springs: of compliant joints, by the names of joint and direction as "A.radial", None without any.
+    moments of inertia [kg m^2] of the point masses and of the links that are bodies; point_products: their J_xy, J_xz,
+    J_yz [kg m^2], None where all are zero; start_joints: coordinates of the tree joints at the closed start [rad, m];
+    cut_angles: angles of the cut joints there [rad]; gravity [m/s^2] in global axes; forces: along joint coordinates,
+    by their names, None without any; frame_forces: elements between frames on nodes, likewise; springs: of compliant
+    joints, by the names of joint and direction as "A.radial", likewise.
 
     `equinox.tree_at` may replace what leaves the geometry as it is, also by traced values to differentiate by:
     section, point masses, gravity, the numbers of forces and springs.  With another length or joint frame the start
@@ -311,6 +351,8 @@ class Model(eqx.Module):
     cut_angles: Float[Array, " cuts"]
     gravity: Float[Array, "3"]
     forces: dict[str, JointLaw] | None = None
+    point_products: Float[Array, "3 masses"] | None = None
+    frame_forces: dict[str, FrameForce] | None = None
     springs: dict[str, CompliantSpring] | None = None
 
     @property
@@ -325,7 +367,7 @@ class Model(eqx.Module):
 
     @property
     def driven_joint(self) -> str | None:
-        """Name of the joint that the drive acts on."""
+        """Name of the joint that the first drive acts on."""
         driven = self.topology.driven
         return None if driven is None else self.topology.joints[driven]
 

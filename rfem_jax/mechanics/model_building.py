@@ -11,14 +11,17 @@ import numpy as np
 from jax import Array
 
 from rfem_jax.description.errors import InputError
-from rfem_jax.description.joint_kinds import JointKind
+from rfem_jax.description.joint_kinds import KINDS, JointKind, compliant
 from rfem_jax.description.joints import Joint
 from rfem_jax.description.links import Link
 from rfem_jax.description.mechanism import Mechanism
+from rfem_jax.description.point_forces import AtPoint, BetweenPoints
+from rfem_jax.mechanics.frame_forces import FrameForce, NodeFrame
 from rfem_jax.mechanics.joint_laws import JointLaw, joint_law
 from rfem_jax.mechanics.joint_springs import CompliantSpring, compliant_spring
 from rfem_jax.mechanics.model import BASE, Model, Sections, Topology, rfe_fractions
 from rfem_jax.mechanics.orientations import quaternion_of_angles
+from rfem_jax.mechanics.point_laws import load_at, spring_between
 
 
 def build_model(mechanism: Mechanism, elements: dict[str, int], exact: bool = False) -> Model:
@@ -35,9 +38,9 @@ def build_model(mechanism: Mechanism, elements: dict[str, int], exact: bool = Fa
     parents = [discretised.attach(j.parent, j.position, True) for j in joints]
     children = [discretised.attach(j.child, j.child_position, j.cut) for j in joints]
     _require_first_rfes(joints[: len(links)], children)
-    masses = [(i, mass) for i, link in enumerate(links) for mass in link.point_masses]
+    masses = [(i, mass) for i, link in enumerate(links) for mass in _masses_of(link)]
     located = [discretised.locate(i, mass.position) for i, mass in masses]
-    driven = mechanism.driven_joint
+    elements_between = _frame_forces(mechanism, discretised)
     topology = Topology(
         links=tuple(link.name for link in links),
         joints=tuple(j.name for j in joints),
@@ -49,10 +52,11 @@ def build_model(mechanism: Mechanism, elements: dict[str, int], exact: bool = Fa
         parent_at_end=tuple(p.at_end for p in parents),
         child_at_end=tuple(c.at_end for c in children),
         elements=discretised.elements,
-        driven=None if driven is None else [j.name for j in joints].index(driven),
+        drives=tuple(_coordinate(joints, *motion) for motion in mechanism.driven_motions),
         masses=tuple(node for node, _ in located),
         minimum_norm=mechanism.redundant_reactions == "minimum_norm",
         exact=exact,
+        holders=_holders(elements_between, len(links)),
         sprung=tuple(j.sprung for j in joints) if any(j.compliance for j in joints) else (),
     )
     return Model(
@@ -71,15 +75,50 @@ def build_model(mechanism: Mechanism, elements: dict[str, int], exact: bool = Fa
         ),
         cut_angles=jnp.zeros(len(joints) - len(links)),
         gravity=jnp.asarray(mechanism.gravity, dtype=float),
-        forces=_joint_laws(mechanism, topology) if mechanism.forces else None,
+        forces=_joint_laws(mechanism, topology) if mechanism.joint_forces else None,
+        point_products=_products([mass for _, mass in masses]),
+        frame_forces=elements_between or None,
         springs=_springs(joints, topology) if topology.sprung else None,
     )
+
+
+class _Mass(NamedTuple):
+    """A point mass, or a body: mass [kg], its centre [m] in the link frame, principal moments and products of inertia
+    (J_xy, J_xz, J_yz) [kg m^2]."""
+
+    mass: float
+    position: Sequence[float]
+    inertia: Sequence[float]
+    products: Sequence[float] = (0.0, 0.0, 0.0)
+
+
+def _masses_of(link: Link) -> list[_Mass]:
+    """The body of a link, if it has one, and its point masses."""
+    found = [_Mass(point.mass, point.position, point.inertia) for point in link.point_masses]
+    if link.body is None:
+        return found
+    tensor = link.body.tensor
+    products = (tensor[0, 1], tensor[0, 2], tensor[1, 2])
+    return [_Mass(link.body.mass, link.body.centre, np.diag(tensor).tolist(), products), *found]
+
+
+def _products(masses: Sequence[_Mass]) -> Array | None:
+    """Products of inertia (3, masses), None where all are zero."""
+    return _columns([mass.products for mass in masses]) if any(any(mass.products) for mass in masses) else None
+
+
+def _coordinate(joints: Sequence[Joint], joint: str, motion: str) -> int:
+    """Index among the rates of a free motion about or along one axis; joints of the tree come first."""
+    index = [one.name for one in joints].index(joint)
+    # Motions about any axis come last, so that those before have one coordinate each.
+    kinds = [compliant(KINDS[one.kind], one.sprung) for one in joints[: index + 1]]
+    return sum(len(kind.freedoms) for kind in kinds[:index]) + kinds[index].motions.index(motion)
 
 
 def _joint_laws(mechanism: Mechanism, topology: Topology) -> dict[str, JointLaw]:
     """The forces along joint coordinates, by their names."""
     found = {}
-    for force in mechanism.forces:
+    for force in mechanism.joint_forces:
         joint = topology.joints.index(force.joint)
         n = force.coordinate(mechanism.joint(force.joint))
         found[force.name] = joint_law(force, topology.own_coordinates[joint][n], topology.own_positions[joint][n])
@@ -109,6 +148,33 @@ def _rows_of(topology: Topology, cut: int, motions: Sequence[str]) -> tuple[int,
     if motions[0][0] == "R":
         return tuple(rows[len(of_centre) :])
     return tuple(k for k, axis in zip(of_centre, nominal.across) if f"T_{'xyz'[axis]}" in motions)
+
+
+def _frame_forces(mechanism: Mechanism, links: "_Links") -> dict[str, FrameForce]:
+    """The forces at points and between them, by their names."""
+    found: dict[str, FrameForce] = {}
+    for force in mechanism.point_forces:
+        frames = []
+        for name, place in force.ends():
+            node, position, _ = links.attach(name, place, False)
+            frames.append(NodeFrame(node, jnp.eye(3), jnp.asarray(position, float)))
+        if not isinstance(force, BetweenPoints):
+            assert isinstance(force, AtPoint)
+            found[force.name] = load_at(force, NodeFrame(BASE, jnp.eye(3), jnp.zeros(3)), frames[0])
+            continue
+        if frames[0].node == frames[1].node:
+            raise InputError(
+                f"Argument `points` of force `{force.name}` must move against each other, but both lie on one rigid "
+                f"finite element of link `{force.links[0]}`; move them apart, or divide the link more finely."
+            )
+        found[force.name] = spring_between(force, *frames)
+    return found
+
+
+def _holders(elements: dict[str, FrameForce], n_links: int) -> tuple[int, ...]:
+    """The free rfes that elements act on."""
+    nodes = {end.node for element in elements.values() for end in (element.parent, element.child)}
+    return tuple(sorted(node for node in nodes if node >= n_links))
 
 
 class _Attachment(NamedTuple):

@@ -24,6 +24,7 @@ from rfem_jax.description.error_catalogue import error_dimension
 from rfem_jax.description.errors import InputError, suggestion
 from rfem_jax.description.units import quantity
 from rfem_jax.mechanics import algebra
+from rfem_jax.mechanics.frame_forces import FrameForceSet, NodeFrame
 from rfem_jax.mechanics.joint_laws import JointLaws
 from rfem_jax.mechanics.joint_springs import CompliantSpring
 from rfem_jax.mechanics.model import BASE, Model, Topology, rfe_fractions
@@ -118,8 +119,8 @@ class ModelWithErrors(eqx.Module):
     beam_middle: x of the middle of every rfe 0 [m].
     gravity: acceleration [m/s^2] in global axes.
     datum: the first base joint's nominal place, the zero level of gravity's energy [m].
-    forces: along joint coordinates, None without any.
-    springs: of compliant joints, None without any.
+    forces: along joint coordinates, None without any; frame_forces: elements between frames on nodes, likewise;
+    springs: of compliant joints, likewise.
     """
 
     topology: Topology = eqx.field(static=True)
@@ -140,6 +141,7 @@ class ModelWithErrors(eqx.Module):
     gravity: Float[Array, "3"]
     datum: Float[Array, "3"]
     forces: JointLaws | None = None
+    frame_forces: FrameForceSet | None = None
     springs: dict[str, CompliantSpring] | None = None
 
 
@@ -188,9 +190,29 @@ def apply_errors(model: Model, errors: AssemblyErrors) -> ModelWithErrors:
             gravity=model.gravity,
             datum=model.parent_position[:, topology.parents.index(BASE)],
             forces=None if model.forces is None else JointLaws(model.forces, jnp.ones(())),
+            frame_forces=_frame_forces(model, scale),
             springs=model.springs,
             **_spring_damping_elements(model, length),
         )
+
+
+def _frame_forces(model: Model, scale: Array) -> FrameForceSet | None:
+    """The force elements, whose frames lie on links that are `scale` times as long."""
+    if model.frame_forces is None:
+        return None
+    elements = {}
+    for name, element in model.frame_forces.items():
+        frames = [_on_scaled(model.topology, frame, scale) for frame in (element.parent, element.child)]
+        elements[name] = eqx.tree_at(lambda one: (one.parent, one.child), element, tuple(frames))
+    return FrameForceSet(elements, jnp.ones(()))
+
+
+def _on_scaled(topology: Topology, frame: NodeFrame, scale: Array) -> NodeFrame:
+    """A frame on a link that became `scale` times as long."""
+    if frame.node == BASE:
+        return frame
+    x = frame.position[:1] * scale[topology.link_of(frame.node)]
+    return NodeFrame(frame.node, frame.rotation, jnp.concatenate([x, frame.position[1:]]))
 
 
 def _start_angles(model: Model) -> Float[Array, " joints"]:
@@ -277,7 +299,17 @@ def _bodies(
 
     inertia = diagonal(principal) + steiner(mass, beam_centre - centre)
     added = diagonal(model.point_inertia) + steiner(model.point_mass, point - centre[:, holder])
+    if model.point_products is not None:
+        added = added + _off_diagonal(model.point_products)
     return total, centre, inertia + added @ onto
+
+
+def _off_diagonal(products: Float[Array, "3 masses"]) -> Float[Array, "3 3 masses"]:
+    """Symmetric matrices of J_xy, J_xz, J_yz, with zeros on the diagonal."""
+    xy, xz, yz = products
+    zero = jnp.zeros_like(xy)
+    rows = (zero, xy, xz), (xy, zero, yz), (xz, yz, zero)
+    return jnp.stack([jnp.stack(row) for row in rows])
 
 
 def _node_fractions(topology: Topology) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

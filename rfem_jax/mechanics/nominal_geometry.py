@@ -190,6 +190,15 @@ def closure_rows(geometry: NominalGeometry, placed: Placed, rigid: bool = True) 
     return pairs
 
 
+def node_place(geometry: NominalGeometry, placed: Placed, node: int) -> tuple[np.ndarray, np.ndarray]:
+    """Rotation (3, 3) and point (3,) of a node in global axes, links undeformed."""
+    if node == BASE:
+        return np.eye(3), np.zeros(3)
+    owner, n = geometry.topology.link_of(node), geometry.topology.n_links
+    rotation = placed.rotation[owner]
+    return rotation, placed.origin[owner] + rotation[:, 0] * (geometry.rest[node - n] if node >= n else 0.0)
+
+
 def cross_matrix(vectors: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3 3"]:
     """Matrices of the vector products v x of vectors v."""
     x, y, z = np.moveaxis(vectors, -1, 0)

@@ -21,6 +21,7 @@ from jaxtyping import Float
 
 from rfem_jax.mechanics.algebra import Scalar
 from rfem_jax.mechanics.elements import elasticity
+from rfem_jax.mechanics.frame_forces import START, NodeFrame, Pose
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation
 from rfem_jax.mechanics.joint_forces import applied_forces, law_forces
 from rfem_jax.mechanics.joint_laws import SpringLaw
@@ -255,7 +256,7 @@ def _pull(spring: CompliantSpring, stretch: Array) -> Array:
 def _along_joints(
     actual: ModelWithErrors, state: State, drive: DriveInput, unravel: Callable[[Array], Coordinates]
 ) -> Array:
-    """Generalised forces of drive, springs, dampers and laws of joints, flat."""
+    """Generalised forces of drives, springs, dampers and laws of joints, flat."""
     qd, _ = ravel_pytree(state.velocity)
     force = still = jnp.zeros_like(qd)
     if actual.forces is not None:
@@ -269,6 +270,40 @@ def _along_joints(
     if actual.springs is not None:
         force = force + _spring_force(actual, state, qd, unravel)
     return force
+
+
+def _of_elements(actual: ModelWithErrors, drive: DriveInput, frames: Array, derivatives: Array, rates: Array) -> Array:
+    """Generalised forces of force elements, flat, by the principle of virtual work: the relative transform of their two
+    frames and its derivatives by the coordinates, from those (nodes, 4, 4, n) of the transforms of all nodes."""
+    total, forces = jnp.zeros_like(rates), actual.frame_forces
+    if forces is None:
+        return total
+    for element in forces.elements.values():
+
+        def relative(frames, element=element):
+            frames = jnp.concatenate([frames, jnp.eye(4)[None]])
+            parent, child = (_framed(frames, end) for end in (element.parent, element.child))
+            return jnp.linalg.inv(parent) @ child
+
+        now, along = jax.linearize(relative, frames)
+        by_coordinates = jax.vmap(along, in_axes=3, out_axes=2)(derivatives)
+        turns = _axial(jnp.einsum("abi,cb->aci", by_coordinates[:3, :3], now[:3, :3]))
+        shifts = by_coordinates[:3, 3]
+        pose = Pose(now[:3, 3], now[:3, :3], shifts @ rates, turns @ rates)
+        wrench = element.wrench(pose, START if drive.time is None else drive.time)
+        force, moment = (forces.share * part for part in wrench)
+        total = total + force @ shifts + moment @ turns
+    return total
+
+
+def _framed(frames: Array, end: NodeFrame) -> Array:
+    """Transform of a frame on a node, of which the last of `frames` is the base."""
+    return frames[end.node] @ _transform(end.rotation, end.position)
+
+
+def _axial(skew: Array) -> Array:
+    """Vector of a skew-symmetric matrix (3, 3, ...)."""
+    return jnp.stack([skew[2, 1], skew[0, 2], skew[1, 0]])
 
 
 def reference_accelerations(
@@ -312,7 +347,9 @@ def reference_accelerations(
         return 0.5 * elasticity.dissipated_power(actual, State(state.position, unravel(qd)))
 
     force = -inertial - jax.grad(potential)(q) - jax.grad(rayleigh)(qd)
-    force = force + _along_joints(actual, state, drive, unravel)
+    force = (
+        force + _along_joints(actual, state, drive, unravel) + _of_elements(actual, drive, matrices(q), derivatives, qd)
+    )
 
     def phi(q):
         return constraints(actual, state.position, stabilisation.scale, unravel(q))
@@ -323,13 +360,11 @@ def reference_accelerations(
     jacobian = jax.jacfwd(phi)(q)
     gamma = -jax.jvp(phi_rate, (q,), (qd,))[1]
     gamma = gamma - stabilisation.velocity_gain * phi_rate(q) - stabilisation.position_gain * phi(q)
-    if drive.prescribed is not None and (driven := topology.driven_coordinate) is not None:
-        jacobian = jnp.concatenate([jacobian, jnp.eye(q.size)[driven : driven + 1]])
-        gamma = jnp.concatenate([gamma, jnp.reshape(drive.prescribed[2], (1,))])
+    for k, (_, _, acceleration) in drive.motions.items():
+        jacobian = jnp.concatenate([jacobian, jnp.eye(q.size)[k : k + 1]])
+        gamma = jnp.concatenate([gamma, jnp.reshape(acceleration, (1,))])
     found, multipliers = _solve_augmented(mass, jacobian, force, gamma)
-    if not topology.sprung_rows:
-        return unravel(found), multipliers[: topology.n_constraints]
-    return unravel(found), multipliers[: topology.sprung_rows.count(False)]
+    return unravel(found), multipliers[: topology.n_constraints - sum(topology.sprung_rows)]
 
 
 def _solve_augmented(mass: Array, jacobian: Array, force: Array, gamma: Array) -> tuple[Array, Array]:

@@ -2,7 +2,7 @@
 
 Place in the pipeline: after `summary`; needs matplotlib (the extra `plots`), which draws without
 a screen and whose global settings stay as they are. Times s, angles rad, forces N, moments N m,
-energies J, lengths m; force components in the joint's frame H (y along a hinge).
+energies J, lengths m; force components in the joint's frame H (y along a hinge, x along a guide).
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -16,6 +16,7 @@ from matplotlib import rc_context
 from rfem_jax.description.joint_kinds import KINDS
 from rfem_jax.description.study import Study
 from rfem_jax.report.annotations import Figure, Run, Summaries
+from rfem_jax.report.driven_motions_report import drive_quantities, has_driven_joint
 from rfem_jax.report.output import write_pictures
 from rfem_jax.report.quantities import (
     MAX_AXIAL_FORCE,
@@ -31,7 +32,7 @@ from rfem_jax.report.style import SETTINGS, add_legend, add_titles, bar_style, l
 from rfem_jax.report.summary import joint_names, reference_case, total_energy
 
 MOST_BASE_JOINTS = 3
-ROUNDING = 1e-9  # of the largest component: drawn as zero, as the moment about a hinge is
+ROUNDING = 1e-6  # of the largest component: drawn as zero, as the moment about a hinge is that Newton's method leaves
 
 # {case: times and values}
 Histories = dict[str, tuple[Float[np.ndarray, " times"], Float[np.ndarray, " times"]]]
@@ -99,13 +100,17 @@ def component_figure(
         axis.set_ylabel(f"{load}, {quantity.unit}")
     add_legend(axes[0])
     axes[-1].set_xlabel("time, s")
-    add_titles(figure, f"{load.capitalize()} in joint {joint}, hinge frame, on the child link", study)
+    frame = f"{_AXIS_NAMES.get(study.mechanism.joint(joint).kind, 'joint')} frame"
+    add_titles(figure, f"{load.capitalize()} in joint {joint}, {frame}, on the child link", study)
     return figure
+
+
+_AXIS_NAMES = {"revolute": "hinge", "prismatic": "guide"}
 
 
 def _component_titles(kind: str, load: str) -> list[str]:
     """Titles of the x, y and z component of the force or the moment in a joint."""
-    axis, name = KINDS[kind].axis, "hinge" if kind == "revolute" else "axis"
+    axis, name = KINDS[kind].axis, _AXIS_NAMES.get(kind, "axis")
     titles = []
     for i, (number, letter) in enumerate(zip("abc", "xyz", strict=True)):
         words = f"({number}) about {letter}" if load == "moment" else f"({number}) {letter}"
@@ -132,19 +137,27 @@ def _load_figures(study: Study, runs: Mapping[str, Run], summaries: Summaries) -
     figures = {}
     for number, joint in enumerate(shown_joints(study, summaries)):
         name = "base_joint" if number == 0 else f"joint_{joint}"
-        for quantity in (RMS_FORCE, RMS_MOMENT):
+        # A joint that turns about any axis has no moment.
+        ball = KINDS[study.mechanism.joint(joint).kind].ball
+        for quantity in (RMS_FORCE,) if ball else (RMS_FORCE, RMS_MOMENT):
             load = quantity.name.removeprefix("rms_")
             figures[f"{name}_{load}"] = component_figure(study, runs, summaries, joint, quantity)
     return figures
 
 
-def bars_figure(study: Study, summaries: Summaries, panels: Sequence[tuple[Quantity, str]], heading: str) -> Figure:
+def bars_figure(
+    study: Study,
+    summaries: Summaries,
+    panels: Sequence[tuple[Quantity, str]],
+    heading: str,
+    names: Sequence[str] | None = None,
+) -> Figure:
     """Grouped bars, one panel per quantity: joints side by side, one bar per case.
 
     Arguments: panels, two or more (quantity, title); a list of components is shown by its
-    resultant. A value that does not exist is marked "n/a".
+    resultant; names, the joints (all, if left out). A value that does not exist is marked "n/a".
     """
-    names, cases = joint_names(study), list(summaries)
+    names, cases = joint_names(study) if names is None else names, list(summaries)
     width = 0.84 / len(cases)
     wide = min(max(7.2, 0.17 * len(cases) * len(names) + 2.0), 24.0)
     figure = new_figure(wide, 2.9 * len(panels) + 0.9)
@@ -175,10 +188,36 @@ def _histories(study: Study, runs: Mapping[str, Run], values: Callable[[Run], An
 
 
 def _motion_figures(study: Study, runs: Mapping[str, Run]) -> dict[str, Figure]:
-    """Angle and rate of the driven joint (none without a drive)."""
-    if study.drive is None:
-        return {}
-    joint = study.drive.joint
+    """Angle and rate of the driven joint (none without a drive); of several drives, or one on a translation, position,
+    rate and force of each; and where the other joints of the base are that have one coordinate: the motion that comes
+    out."""
+    figures = _drive_figures(study, runs)
+    driven = {one.joint for one in study.drives}
+    outputs = [
+        joint
+        for joint in study.mechanism.tree_joints
+        if joint.parent == "base" and joint.name not in driven and len(KINDS[joint.kind].freedoms) == 1
+    ]
+    for joint in outputs[:MOST_BASE_JOINTS]:
+        what, unit = ("angle", "rad") if KINDS[joint.kind].angles else ("displacement", "m")
+        values = _histories(study, runs, lambda run, joint=joint, what=what: getattr(run, f"{what}s")[joint.name])
+        heading = f"{what.capitalize()} of joint {joint.name} ({joint.child})"
+        figures[f"{what}_{joint.name}"] = history_figure(study, values, heading, f"{what}, {unit}")
+    return figures
+
+
+def _drive_figures(study: Study, runs: Mapping[str, Run]) -> dict[str, Figure]:
+    if not has_driven_joint(study):
+        return {
+            one.name: history_figure(
+                study,
+                _histories(study, runs, one.values),
+                f"{one.quantity.label.capitalize()} of {one.label}",
+                one.quantity.title,
+            )
+            for one in drive_quantities(study)
+        }
+    joint = study.drives[0].joint
     of_joint = f"of joint {joint} ({study.mechanism.joint(joint).child})"
     angles = _histories(study, runs, lambda run: run.angle)
     rates = _histories(study, runs, lambda run: run.rate)
@@ -202,13 +241,17 @@ def draw_figures(study: Study, runs: Mapping[str, Run], summaries: Summaries) ->
             "Total mechanical energy (kinetic + elastic + gravity)",
             "energy, J",
         )
+        with_axis = [joint.name for joint in study.mechanism.joints if KINDS[joint.kind].axis is not None]
         maxima = ((MAX_AXIAL_FORCE, "Maximum axial force"),)
         maxima += ((MAX_NORMAL_FORCE, "Maximum normal force"),)
-        figures["maximum_forces"] = bars_figure(study, summaries, maxima, "Maximum forces in the joints")
+        if with_axis:
+            heading = "Maximum forces in the joints, along and across their axes"
+            figures["maximum_forces"] = bars_figure(study, summaries, maxima, heading, with_axis)
         means = ((RMS_FORCE, "RMS resultant force"), (RMS_MOMENT, "RMS resultant moment"))
         figures["rms_loads"] = bars_figure(study, summaries, means, "Root mean square of the loads in the joints")
         preloads = ((PRELOAD_FORCE, "Preload force"), (PRELOAD_MOMENT, "Preload moment"))
-        heading = "Preload in the joints at the start (weight and holding moment included)"
+        beside = "weight, springs, forces" if study.mechanism.forces else "weight"
+        heading = f"Preload in the joints at the start ({beside} and holding moment included)"
         figures["preload"] = bars_figure(study, summaries, preloads, heading)
         figures |= _load_figures(study, runs, summaries)
         figures["assembly"] = assembly_figure(study, runs)

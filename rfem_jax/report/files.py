@@ -3,8 +3,12 @@
 Place in the pipeline: after `summary`; written by `output`.
 
 CSV columns: `time_s`; `angle_rad`, `rate_rad_s` of the driven joint; energies `_J`; then for each
-joint `A_force_x_N` ... `A_moment_z_Nm` in its frame H (y along a hinge); `drive_moment_Nm`; and last
-the coordinates of the joints of the tree that are not revolute, `G_displacement_m`, `U_angle_1_rad`.
+joint `A_force_x_N` ... `A_moment_z_Nm` in its frame H (y along a hinge, x along a guide); `drive_moment_Nm`; and last
+the coordinates of the other joints of the tree, `D_angle_rad`, `G_displacement_m`, `U_angle_1_rad`. Where
+several drives act, or one on a translation, they have columns of their own, `A_drive_angle_rad`,
+`A_drive_rate_rad_s`, `A_drive_moment_Nm`, `G_drive_displacement_m`, `G_drive_speed_m_s`, `G_drive_force_N`, in the
+place of those of the driven joint.  Last of all the forces at points in global axes: `coil_length_m`, `coil_tension_N`
+of a spring, `push_force_x_N` ..., `twist_moment_x_Nm` ... of others.
 """
 
 from collections.abc import Mapping
@@ -15,8 +19,11 @@ import numpy as np
 from jaxtyping import Float
 
 from rfem_jax.compilation.keeping import state
+from rfem_jax.description.joint_kinds import KINDS
+from rfem_jax.description.point_forces import AtPoint
 from rfem_jax.description.study import Study
 from rfem_jax.report.annotations import Run, Summaries
+from rfem_jax.report.driven_motions_report import drive_quantities, has_driven_joint
 from rfem_jax.report.output import replacing, write_json
 from rfem_jax.report.quantities import ENERGIES, column_name, units
 from rfem_jax.report.summary import joint_names, study_note, total_energy
@@ -24,27 +31,29 @@ from rfem_jax.report.summary import joint_names, study_note, total_energy
 
 def write_results(path: str | Path, study: Study, summaries: Summaries) -> Path:
     """Write `results.json`; `summaries` as `rfem_jax.report.summary.summarise` returns them."""
+    driven = drive_quantities(study)
     content = {
         "title": study.title,
         "note": study_note(study) or None,
         "duration": study.duration,
-        "driven_joint": None if study.drive is None else study.drive.joint,
+        "driven_joint": study.drives[0].joint if has_driven_joint(study) else None,
         "method": asdict(study.method),
         "cases": summaries,
         "compilation": state(),
-        "units": {"duration": "s", **units()},
+        "units": {"duration": "s", **units(), **{one.end.name: one.end.unit for one in driven}},
     }
+    if driven:
+        content["drives"] = list(study.drive_labels)
     return write_json(path, content)
 
 
 def history_columns(study: Study, run: Run) -> dict[str, Float[np.ndarray, " times"]]:
     """Time histories of one run, {column name with unit: (T,) array}, in the order of the CSV."""
     times = np.asarray(run.times)
-    columns = {
-        column_name("time", "s"): times,
-        column_name("angle", "rad"): np.asarray(run.angle),
-        column_name("rate", "rad/s"): np.asarray(run.rate),
-    }
+    columns, driven = {column_name("time", "s"): times}, drive_quantities(study)
+    if not driven:
+        columns |= {column_name("angle", "rad"): np.asarray(run.angle)}
+        columns |= {column_name("rate", "rad/s"): np.asarray(run.rate)}
     for quantity in ENERGIES:
         is_total = quantity.name == "total"
         values = total_energy(run) if is_total else np.asarray(getattr(run.energy, quantity.name))
@@ -54,15 +63,34 @@ def history_columns(study: Study, run: Run) -> dict[str, Float[np.ndarray, " tim
             values = np.asarray(getattr(run.loads[name], load))
             for axis, letter in enumerate("xyz"):
                 columns[column_name(f"{name}_{load}_{letter}", unit)] = values[:, axis]
-    columns[column_name("drive_moment", "N m")] = np.asarray(run.drive_moment)
-    return columns | _coordinate_columns(study, run)
+    if not driven:
+        columns[column_name("drive_moment", "N m")] = np.asarray(run.drive_moment)
+    columns |= {column_name(one.name, one.quantity.unit): one.values(run) for one in driven}
+    return columns | _coordinate_columns(study, run) | _point_columns(study, run)
+
+
+def _point_columns(study: Study, run: Run) -> dict[str, Float[np.ndarray, " times"]]:
+    """Length and tension of springs between points; components of the forces and moments at points."""
+    columns = {}
+    for force in study.mechanism.point_forces:
+        history = run.forces[force.name]
+        if isinstance(force, AtPoint):
+            values = np.asarray(getattr(history, force.dimension))
+            for letter, one in zip("xyz", values.T, strict=True):
+                columns[column_name(f"{force.name}_{force.dimension}_{letter}", force.unit)] = one
+        else:
+            columns[column_name(f"{force.name}_length", "m")] = np.asarray(history.length)
+            columns[column_name(f"{force.name}_tension", "N")] = np.asarray(history.tension)
+    return columns
 
 
 def _coordinate_columns(study: Study, run: Run) -> dict[str, Float[np.ndarray, " times"]]:
-    """Coordinates of the tree joints that are not revolute, numbered where a joint has several of one dimension."""
+    """Coordinates of the tree joints, numbered where a joint has several of one dimension, but of those whose only one
+    is driven."""
     columns = {}
+    driven = {one.joint for one in study.drives}
     for joint in study.mechanism.joints:
-        if joint.cut or joint.kind == "revolute":
+        if joint.cut or (joint.name in driven and len(KINDS[joint.kind].freedoms) == 1):
             continue
         for what, unit, values in (("angle", "rad", run.angles), ("displacement", "m", run.displacements)):
             several = np.asarray(values[joint.name]) if joint.name in values else np.zeros((0, 0))

@@ -7,11 +7,14 @@ and errors in degrees and millimetres, as users write them.
 import math
 import re
 from dataclasses import fields
+from typing import Any
 
-from rfem_jax.description.drives import MomentDrive, PrescribedDrive
+from rfem_jax.description.driven_motions import AnyDrive
+from rfem_jax.description.forces import Force, JointForce, JointForceTable
 from rfem_jax.description.joint_kinds import KINDS
 from rfem_jax.description.joints import Joint
 from rfem_jax.description.mechanism import Mechanism
+from rfem_jax.description.point_forces import AtPoint, PointLoad
 from rfem_jax.description.sections import Section
 from rfem_jax.description.study import Case, Study
 from rfem_jax.report.annotations import Structure
@@ -47,21 +50,19 @@ def link_rows(mechanism: Mechanism) -> list[list[str]]:
     """One row per link: name, length, mass with point masses, rfes, section."""
     rows = []
     for link in mechanism.links:
-        mass = link.properties.line_density * link.length
-        mass += sum(point.mass for point in link.point_masses)
         rfes = "rigid" if link.elements == 1 else str(link.elements)
         points = str(len(link.point_masses) or "-")
-        shape = section_text(link.section)
-        rows.append([link.name, f"{link.length:.6g}", f"{mass:.6g}", rfes, points, shape])
+        shape = "rigid body" if link.section is None else section_text(link.section)
+        rows.append([link.name, f"{link.length:.6g}", f"{link.mass:.6g}", rfes, points, shape])
     return rows
 
 
 def joint_rows(study: Study) -> list[list[str]]:
     """One row per joint: name, kind, parent, child, start, what is special about it."""
-    driven = None if study.drive is None else study.drive.joint
+    driven = [drive.joint for drive in study.drives]
     rows = []
     for joint in study.mechanism.joints:
-        words = ("cut", joint.cut), ("driven", joint.name == driven), ("compliant", joint.compliance is not None)
+        words = ("cut", joint.cut), ("driven", joint.name in driven), ("compliant", joint.compliance is not None)
         marks = [word for word, holds in words if holds]
         start = "-" if joint.cut else _start_text(joint)
         rows.append([joint.name, joint.kind, joint.parent, joint.child, start, ", ".join(marks) or "-"])
@@ -91,13 +92,30 @@ def _compliance_text(mechanism: Mechanism) -> str:
 
 
 def _forces_text(mechanism: Mechanism) -> str:
-    """A line for every force along a free motion of a joint: its kind in words, joint, motion, scalar numbers."""
+    """A line for every force: its kind in words, where it acts, its scalar numbers."""
     lines = []
     for force in mechanism.forces:
-        numbers = [f"{name} {value:g}" for name, value in vars(force).items() if isinstance(value, float)]
+        numbers = [
+            f"{name.replace('_', ' ')} {value:g}" for name, value in vars(force).items() if isinstance(value, float)
+        ]
+        if isinstance(force, JointForceTable):
+            columns: dict[str, Any] = {"positions": force.positions, "forces": force.forces}
+            numbers = [f"{len(force.positions)} rows"]
+            numbers += [f"{name} {values[0]:g} to {values[-1]:g}" for name, values in columns.items()]
         size = f" (SI: {', '.join(numbers)})" if numbers else ""
-        lines.append(f"Force {force.name}: {_words(force)} on joint {force.joint}, {force.motion}{size}.\n")
+        where = f"on joint {force.joint}, {force.motion}" if isinstance(force, JointForce) else _points_text(force)
+        lines.append(f"Force {force.name}: {_words(force)} {where}{size}.\n")
     return "".join(lines)
+
+
+def _points_text(force: Force) -> str:
+    """Where a force at points acts, and what it is if that is constant."""
+    assert isinstance(force, PointLoad)
+    places = [f"{link} ({', '.join(f'{x:g}' for x in place)}) m" for link, place in force.ends()]
+    if not isinstance(force, AtPoint):
+        return f"between {' and '.join(places)}"
+    value = "over time" if force.changes else f"({', '.join(f'{x:g}' for x in force.value)}) {force.unit}"
+    return f"at {places[0]}, {value} in {force.axes} axes"
 
 
 def _words(value: object) -> str:
@@ -105,17 +123,23 @@ def _words(value: object) -> str:
     return re.sub(r"(?<!^)(?=[A-Z])", " ", type(value).__name__).lower()
 
 
-def _drive_text(drive: MomentDrive | PrescribedDrive | None) -> str:
-    """Kind of a drive in words, its joint, its scalar numbers."""
-    if drive is None:
-        return "none"
+def _drives_text(study: Study) -> str:
+    """A line for every drive."""
+    if not study.drives:
+        return "Drive: none.\n"
+    named = zip(study.drives, study.drive_labels, strict=True)
+    return "".join(f"Drive: {_drive_text(drive, label)}.\n" for drive, label in named)
+
+
+def _drive_text(drive: AnyDrive, label: str) -> str:
+    """Kind of a drive in words, its joint and motion, its scalar numbers."""
     values = {field.name: getattr(drive, field.name) for field in fields(drive)}
     numbers = [
         f"{name.replace('_', ' ')} {float(value):g}"
         for name, value in values.items()
         if isinstance(value, float) or getattr(value, "shape", None) == ()
     ]
-    return f"{_words(drive)} on joint {drive.joint}" + (f" (SI: {', '.join(numbers)})" if numbers else "")
+    return f"{_words(drive)} on joint {label.replace('.', ', ')}" + (f" (SI: {', '.join(numbers)})" if numbers else "")
 
 
 def _method_text(study: Study) -> str:
@@ -142,7 +166,12 @@ def count_lines(mechanism: Mechanism, description: Structure) -> list[str]:
     for link in description.idle:
         joints = [joint for joint in mechanism.joints if link in (joint.parent, joint.child)]
         kinds = " and ".join(f"{joint.name} ({joint.kind})" for joint in joints)
-        lines.append(f"Idle freedom: link {link} can move alone between {kinds}, and nothing else follows.")
+        balls = len(joints) == 2 and all(KINDS[joint.kind].ball for joint in joints)
+        move = f"turn about the line through {kinds}" if balls else f"move alone between {kinds}"
+        lines.append(
+            f"Idle freedom: link {link} can {move}, and nothing else follows; it starts as the joints' start says, "
+            "and is free in the simulation."
+        )
     if description.gap > 1e-9:
         lines.append(
             f"With every link rigid a cut joint stays open by {description.gap:.2g} m at the start, which flexible "
@@ -174,7 +203,7 @@ def study_text(study: Study, description: Structure) -> str:
             format_table(link_header, link_rows(mechanism), words=(0, 5)),
             format_table(joint_header, joint_rows(study), words=(0, 1, 2, 3, 5)),
             "\n".join([*count_lines(mechanism, description), f"Gravity: {gravity} m/s^2."]),
-            f"{_compliance_text(mechanism)}{_forces_text(mechanism)}Drive: {_drive_text(study.drive)}.\n"
+            f"{_compliance_text(mechanism)}{_forces_text(mechanism)}{_drives_text(study)}"
             f"Simulation: {study.duration:g} s with {_method_text(study)}; saved {save}.",
             format_table(["case", "assembly errors"], cases, words=(0, 1)),
         ]

@@ -27,7 +27,7 @@ class Quantity:
 RMS_FORCE = Quantity("rms_force", "N", "RMS resultant force", "root of the mean square over the whole run")
 RMS_MOMENT = Quantity("rms_moment", "N m", "RMS resultant moment", "root of the mean square over the whole run")
 MAX_AXIAL_FORCE = Quantity(
-    "max_axial_force", "N", "Maximum axial force", "largest |force along the joint's axis| of the run"
+    "max_axial_force", "N", "Maximum axial force", "largest |force along the joint's axis, hinge or guide| of the run"
 )
 MAX_NORMAL_FORCE = Quantity(
     "max_normal_force", "N", "Maximum normal force", "largest resultant across the axis of the run"
@@ -73,11 +73,11 @@ BALANCES = (
 
 ENERGIES = (
     Quantity("kinetic", "J", "Kinetic energy", "of all links"),
-    Quantity("elastic", "J", "Elastic energy", "of the flexible links"),
+    Quantity("elastic", "J", "Elastic energy", "of the flexible links and springs"),
     Quantity("gravity", "J", "Gravitational energy", "potential energy of the weight"),
     Quantity("total", "J", "Total mechanical energy", "kinetic + elastic + gravity"),
-    Quantity("work", "J", "Work of the drive", "done since the start"),
-    Quantity("dissipation", "J", "Dissipated energy", "lost in material damping since the start"),
+    Quantity("work", "J", "Work of the drive", "and of forces from outside, done since the start"),
+    Quantity("dissipation", "J", "Dissipated energy", "lost in material damping and dampers since the start"),
 )
 
 

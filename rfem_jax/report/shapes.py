@@ -1,33 +1,42 @@
 """Picture of the assembled mechanism: centre lines in 3D with deflections exaggerated.
 
-Place in the pipeline: called by `figures`. `run.centre_lines[LINK]` (P, 3) m are the links at the
-start of the run, `run.nominal_lines[LINK]` (P, 3) m those of the perfect, undeformed mechanism;
-what is drawn is nominal + factor * (assembled - nominal).
+Place in the pipeline: called by `figures`; `joint_symbols` draws joints and forces.
+`run.centre_lines[LINK]` (P, 3) m are the links at the start of the run, `run.nominal_lines[LINK]` (P, 3) m those of the
+perfect, undeformed mechanism; what is drawn is nominal + factor * (assembled - nominal).
 """
 
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
 
+from rfem_jax.description.forces import JointForce
 from rfem_jax.description.joint_kinds import KINDS
 from rfem_jax.description.joints import Joint
 from rfem_jax.description.mechanism import Mechanism
 from rfem_jax.description.study import Study
 from rfem_jax.report.annotations import Axes3D, Figure, Run
+from rfem_jax.report.force_shapes import draw_forces
+from rfem_jax.report.joint_symbols import (
+    Seat,
+    draw_force,
+    draw_guides,
+    draw_joint,
+    guide_ends,
+    joint_seats,
+    legend_handles,
+)
 from rfem_jax.report.style import CASE_COLOURS, LINE_STYLES, add_titles, new_figure
-
-if TYPE_CHECKING:
-    from matplotlib.path import Path as MarkerPath
 
 _MOST_PANELS = 6
 SAME_PLACE = 0.02  # of the longest line
+ARM = 0.01  # of the mechanism's size: a shorter one is not drawn
 _SHARE = 0.2
 
 Line = Float[np.ndarray, "points 3"]
 Point = Float[np.ndarray, " 3"]
+Guides = Mapping[str, list[tuple[Point, Point]]]  # {joint: the ends of its guides}
 
 
 def round_factor(value: float) -> float:
@@ -99,15 +108,16 @@ def joint_point(mechanism: Mechanism, joint: Joint, lines: Mapping[str, Line], n
     for place, (_, seat) in zip(places, found, strict=True):
         if not np.any(seat[1:]):
             return place
-    if joint.parent == "base":
+    if joint.parent == "base" and KINDS[joint.kind].coincident:
         return np.array(joint.position or (0.0, 0.0, 0.0))
     return np.mean(places, axis=0)
 
 
-def _limits(runs: Mapping[str, Run], factor: float) -> tuple[Point, Point]:
+def _limits(runs: Mapping[str, Run], factor: float, guides: Guides) -> tuple[Point, Point]:
     """Lower and upper corner (3,) of a box around all that is drawn, no side too thin."""
     points = [np.asarray(line) for run in runs.values() for line in run.nominal_lines.values()]
     points += [line for run in runs.values() for line in exaggerated_lines(run, factor).values()]
+    points += [np.stack(ends) for lines in guides.values() for ends in lines]
     points = np.concatenate(points)
     points = points[np.isfinite(points).all(axis=1)]
     low, high = points.min(axis=0), points.max(axis=0)
@@ -116,10 +126,46 @@ def _limits(runs: Mapping[str, Run], factor: float) -> tuple[Point, Point]:
     return middle - half, middle + half
 
 
-def _draw_mechanism(axes: Axes3D, mechanism: Mechanism, run: Run, factor: float) -> None:
-    """Nominal lines thin and grey, assembled lines thick, joints with their names."""
+def _draw_mechanism(
+    axes: Axes3D, mechanism: Mechanism, run: Run, factor: float, places: Mapping[str, Seat], guides: Guides
+) -> None:
+    """Nominal lines thin and grey, assembled lines thick, joints with their symbols and names, forces."""
+    # In the order of what lies on what: by depth, short lines would hide behind long ones.
+    axes.computed_zorder = False
     lines = exaggerated_lines(run, factor)
     colours = {link: CASE_COLOURS[(index + 1) % len(CASE_COLOURS)] for index, link in enumerate(lines)}
+    _draw_links(axes, run, lines, colours)
+    nominal = {link: np.asarray(line) for link, line in run.nominal_lines.items()}
+    size = mechanism_size(nominal)
+    points: dict[str, Point] = {}
+    # Sliders first, so that a pin in one of them is seen.
+    for joint in sorted(mechanism.joints, key=lambda joint: KINDS[joint.kind].coincident):
+        point = joint_point(mechanism, joint, lines, nominal)
+        for link, seat in seats(mechanism, joint):
+            # An arm where the joint is off the axis of the link, by design or by its errors.
+            foot = point_on_line(lines[link], nominal[link], float(seat[0]))
+            if np.linalg.norm(point - foot) > ARM * size or np.any(seat[1:]):
+                axes.plot(*np.stack([foot, point], axis=1), color=colours[link], linewidth=1.2)
+        draw_guides(axes, joint, guides.get(joint.name, []))
+        draw_joint(axes, joint, point, places.get(joint.name), size)
+        points[joint.name] = point
+    for force in mechanism.forces:
+        if isinstance(force, JointForce) and force.joint in places and np.isfinite(points[force.joint]).all():
+            draw_force(axes, mechanism, force, points[force.joint], places[force.joint], size)
+
+    def drawn(link: str, x: float, place: Point) -> Point:
+        """Where a point of a link is drawn: as far from its centre line as it is, but that line exaggerated."""
+        if link == "base":
+            return place
+        assembled = np.asarray(run.centre_lines[link])
+        return place + point_on_line(lines[link], nominal[link], x) - point_on_line(assembled, nominal[link], x)
+
+    draw_forces(axes, mechanism, run, size, drawn)
+    for names, point in labelled_points({joint.name: points[joint.name] for joint in mechanism.joints}, lines):
+        axes.text(point[0], point[1], point[2], f"  {', '.join(names)}", fontsize=9, weight="bold", zorder=6)
+
+
+def _draw_links(axes: Axes3D, run: Run, lines: Mapping[str, Line], colours: Mapping[str, str]) -> None:
     for index, link in enumerate(lines):
         nominal = np.asarray(run.nominal_lines[link])
         label = "perfect mechanism" if index == 0 else None
@@ -129,32 +175,11 @@ def _draw_mechanism(axes: Axes3D, mechanism: Mechanism, run: Run, factor: float)
         # Thin rungs from the perfect to the assembled line show the direction of the deflection.
         for start, end in zip(nominal[::2], lines[link][::2], strict=True):
             axes.plot(*np.stack([start, end], axis=1), color=colours[link], linewidth=0.5)
-    nominal = {link: np.asarray(line) for link, line in run.nominal_lines.items()}
-    points: dict[str, Point] = {}
-    for joint in mechanism.joints:
-        point = joint_point(mechanism, joint, lines, nominal)
-        for link, seat in seats(mechanism, joint):
-            if np.any(seat[1:]):  # an arm from the axis of the link to the joint
-                foot = point_on_line(lines[link], nominal[link], float(seat[0]))
-                axes.plot(*np.stack([foot, point], axis=1), color=colours[link], linewidth=1.2)
-        marker, size = ("^", 7) if joint.parent == "base" else ("o", 5)
-        if KINDS[joint.kind].displacements:
-            marker, size = "s", 6
-        axes.plot(*point[:, None], marker=marker, markersize=size, color="black", mfc="white")
-        if joint.compliance is not None:
-            axes.plot(*point[:, None], marker=_coil(), markersize=18, color="black", mfc="none", mew=0.9)
-        points[joint.name] = point
-    for names, point in labelled_points(points, lines):
-        axes.text(point[0], point[1], point[2], f"  {', '.join(names)}", fontsize=9, weight="bold")
 
 
-def _coil() -> "MarkerPath":
-    """Marker of a compliant joint: a spring across it."""
-    from matplotlib.path import Path
-
-    x = np.linspace(-1.0, 1.0, 9)
-    y = 0.35 * np.array([0.0, 0.0, 1.0, -1.0, 1.0, -1.0, 1.0, 0.0, 0.0])
-    return Path(np.stack([x, y], axis=1))
+def mechanism_size(lines: Mapping[str, Line]) -> float:
+    """The longest side of a box around the lines, m."""
+    return float(np.ptp(np.concatenate(list(lines.values())), axis=0).max())
 
 
 def labelled_points(points: Mapping[str, Point], lines: Mapping[str, Line]) -> list[tuple[list[str], Point]]:
@@ -178,6 +203,7 @@ def _format_axes(axes: Axes3D, low: Point, high: Point) -> None:
     for axis, letter, lower, upper in zip("xyz", "XYZ", low, high, strict=True):
         axes.set(**{f"{axis}lim": (lower, upper), f"{axis}label": f"{letter}, m"})
         getattr(axes, f"{axis}axis").set_major_locator(MaxNLocator(3))
+    axes.xaxis.labelpad = 7.0  # clear of its numbers where the mechanism is long and thin
     axes.set_box_aspect(high - low, zoom=0.85)  # pyright: ignore[reportArgumentType]  # a float, says its documentation
     axes.view_init(elev=22.0, azim=-48.0)
     axes.tick_params(labelsize=7, pad=0)
@@ -190,37 +216,51 @@ def _deflection_text(run: Run) -> str:
     return f"largest deflection {1e3 * deflection:.3g} mm"
 
 
-def assembly_figure(study: Study, runs: Mapping[str, Run]) -> Figure:
+def assembly_figure(study: Study, runs: Mapping[str, Run], places: Mapping[str, Seat] | None = None) -> Figure:
     """The assembled mechanism at the start, nominal and assembled, one panel per case.
 
     All panels have the same factor, which the title names. Of more than six cases those with the
-    largest deflections are shown.
+    largest deflections are shown. `places`: seats of the joints, of the mechanism if left out.
     """
+    places = joint_seats(study.mechanism) if places is None else places
     deflections = {name: np.nan_to_num(largest_deflection(run)) for name, run in runs.items()}
     kept = sorted(deflections, key=lambda name: deflections[name], reverse=True)[:_MOST_PANELS]
     shown = {name: runs[name] for name in runs if name in kept}
     factor = exaggeration(shown)
-    low, high = _limits(shown, factor)
-    columns = min(len(shown), 3)
+    first = next(iter(shown.values()))
+    size = mechanism_size({link: np.asarray(line) for link, line in first.nominal_lines.items()})
+    joints = [joint for joint in study.mechanism.joints if joint.name in places]
+    guides = {joint.name: guide_ends(joint, places[joint.name], shown, size) for joint in joints}
+    low, high = _limits(shown, factor, guides)
+    columns = 2 if len(shown) == 4 else min(len(shown), 3)
     rows = -(-len(shown) // columns)
     width, height = max(3.9 * columns, 6.0), 3.9 * rows + 1.9
     figure = new_figure(width, height, layout=None)
     for index, (case, run) in enumerate(shown.items()):
         axes = figure.add_subplot(rows, columns, index + 1, projection="3d", facecolor="none")
-        _draw_mechanism(axes, study.mechanism, run, factor)
+        _draw_mechanism(axes, study.mechanism, run, factor, places, guides)
         _format_axes(axes, low, high)
         axes.set_title(f"{case}: {_deflection_text(run)}", y=1.0)
     # Layout by hand: the automatic one knows neither labels nor legends of 3D axes.
-    figure.subplots_adjust(left=0.02, right=0.93, bottom=1.3 / height, top=1.0 - 0.9 / height, wspace=0.08, hspace=0.15)
+    figure.subplots_adjust(left=0.02, right=0.93, bottom=1.5 / height, top=1.0 - 0.9 / height, wspace=0.08, hspace=0.15)
+    _add_legend(figure, study.mechanism)
+    heading = f"Assembled mechanism at the start, deflections exaggerated {factor:g} times"
+    add_titles(figure, heading, study)
+    return figure
+
+
+def _add_legend(figure: Figure, mechanism: Mechanism) -> None:
+    """Links, kinds of joints and forces below the panels, in lines that fit."""
     handles, labels = figure.axes[-1].get_legend_handles_labels()
+    handles += legend_handles(mechanism)
+    labels += [handle.get_label() for handle in handles[len(labels) :]]
+    columns = max(int(figure.get_figwidth() / (0.75 + 0.075 * max(map(len, labels)))), 1)
     figure.legend(
         handles,
         labels,
         loc="lower center",
-        bbox_to_anchor=(0.5, 0.55 / height),
-        ncols=min(len(labels), int(1.5 * columns) + 2),
+        bbox_to_anchor=(0.5, 0.45 / figure.get_figheight()),
+        ncols=min(len(labels), columns),
         handlelength=4,
+        fontsize=8.5,
     )
-    heading = f"Assembled mechanism at the start, deflections exaggerated {factor:g} times"
-    add_titles(figure, heading, study)
-    return figure

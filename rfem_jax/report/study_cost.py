@@ -39,7 +39,8 @@ def saved_times(study: Study) -> int:
     save_every = study.duration / SAVED_BY_DEFAULT if study.save_every is None else study.save_every
     if study.method.step is not None:
         save_every = max(save_every, study.method.step)
-    jumps = () if study.drive is None else study.drive.breakpoints()
+    of_forces = [time for force in study.mechanism.point_forces for time in force.jumps()]
+    jumps = {*study.drive_jumps, *of_forces}
     regular = math.ceil(study.duration / save_every * (1.0 - 1e-9))
     extra = [
         one for one in jumps if 0.0 < one < study.duration and abs(one / save_every - round(one / save_every)) > 1e-6
@@ -52,9 +53,10 @@ def numbers_saved(study: Study) -> int:
     mechanism = study.mechanism
     joints, links = len(mechanism.joints), len(mechanism.links)
     coordinates = sum(len(joint.start_values) for joint in mechanism.tree_joints)
-    # Time, angle, rate and moment of the drive, energies; loads and integrals of their squares; coordinates of the
-    # tree; ends of the links; assembly modes.
-    explicit = 4 + 5 + 8 * joints + coordinates + 3 * links + len(mechanism.cut_joints)
+    # Time, angle, rate and moment of the drive, those of all drives, energies; loads and integrals of their squares;
+    # coordinates of the tree; ends of the links; assembly modes.
+    explicit = 4 + 3 * len(study.drives) + 5 + 8 * joints + coordinates + 3 * links + len(mechanism.cut_joints)
+    explicit += 12 * len(mechanism.point_forces)  # their forces, moments and points
     if study.method.implicit or study.method.name == "auto":  # which may choose an implicit one
         return explicit + coordinates + 6 * sum(link.elements - 1 for link in mechanism.links)  # residuals
     return explicit

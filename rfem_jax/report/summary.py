@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from rfem_jax.description.study import Study
 from rfem_jax.report.annotations import Run, Summaries
+from rfem_jax.report.driven_motions_report import drive_quantities, has_driven_joint
 from rfem_jax.report.quantities import BALANCES, DRIVEN_JOINT, JOINT_METRICS
 
 PLOTS_HINT = 'No pictures were drawn: matplotlib is not installed (pip install "rfem_jax[plots]").'
@@ -43,10 +44,14 @@ def summarise_run(study: Study, run: Run) -> dict[str, Any]:
         row["preload_force"] = [float(v) for v in np.asarray(run.preload[name].force)]
         row["preload_moment"] = [float(v) for v in np.asarray(run.preload[name].moment)]
         joints[name] = row
-    driven = study.drive is not None
+    driven = has_driven_joint(study)
     ends = {q.name: float(getattr(run.driven_joint, q.name)) if driven else float("nan") for q in DRIVEN_JOINT}
     balances = {q.name: float(getattr(run, q.name)) for q in BALANCES}
-    return {"joints": joints, "driven_joint": ends, **balances, "branch": branches(run)}
+    summary = {"joints": joints, "driven_joint": ends, **balances, "branch": branches(run)}
+    for one in drive_quantities(study):
+        of_drive = summary.setdefault("drives", {}).setdefault(one.label, {})
+        of_drive[one.end.name] = float(one.values(run)[-1])
+    return summary
 
 
 def branches(run: Run) -> dict[str, dict[str, int]]:
@@ -75,8 +80,9 @@ def summarise(study: Study, runs: Mapping[str, Run], statuses: Mapping[str, tupl
         runs: {case name: run of NumPy arrays}.
         statuses: {case name: (short name, full message)}; the short name of success is "ok".
 
-    Returns {case name: {"status", "message", "errors", "joints", "driven_joint", balances}} in
-    the order of the study; numbers are floats in SI units, NaN where a run has no value.
+    Returns {case name: {"status", "message", "errors", "joints", "driven_joint", balances}}, with "drives" where
+    several drives act or one on a translation, in the order of the study; numbers are floats in SI units, NaN where a
+    run has no value.
     """
     summaries = {}
     for case in study.cases:

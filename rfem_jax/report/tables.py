@@ -7,10 +7,13 @@ tables with `format_table`. SI units but for the driven angle in degrees, named 
 import math
 import textwrap
 from collections.abc import Collection, Iterable, Sequence
+from functools import reduce
+from operator import getitem
 
 from rfem_jax.description.error_catalogue import as_specified
 from rfem_jax.description.study import Study
 from rfem_jax.report.annotations import Summaries
+from rfem_jax.report.driven_motions_report import drive_quantities, has_driven_joint
 from rfem_jax.report.quantities import BALANCES, DRIVEN_JOINT, JOINT_METRICS, Quantity
 from rfem_jax.report.summary import joint_names, study_note
 
@@ -78,17 +81,21 @@ def joint_table(summaries: Summaries, names: Sequence[str], quantity: Quantity) 
 
 
 def driven_joint_table(study: Study, summaries: Summaries) -> str:
-    """End of the driven joint (where there is one) and status of all cases."""
+    """End of the driven joint or joints (where there are any) and status of all cases."""
     header, columns = ["case", "status"], [list(summaries)]
     columns.append([one["status"] for one in summaries.values()])
-    if study.drive is not None:
-        for quantity in DRIVEN_JOINT:
-            unit, factor = _shown(quantity.unit)
-            header.append(f"{quantity.label}, {unit}")
-            values = [factor * one["driven_joint"][quantity.name] for one in summaries.values()]
-            columns.append(format_numbers(values, digits=8))
+    ends = [(one.end, ("drives", one.label)) for one in drive_quantities(study)]
+    if has_driven_joint(study):
+        ends = [(quantity, ("driven_joint",)) for quantity in DRIVEN_JOINT]
+    for quantity, path in ends:
+        unit, factor = _shown(quantity.unit)
+        header.append(f"{quantity.label}, {unit}")
+        found = [reduce(getitem, path, one)[quantity.name] for one in summaries.values()]
+        columns.append(format_numbers([factor * value for value in found], digits=8))
     table = format_table(header, zip(*columns, strict=True), words=(0, 1))
-    return table if study.drive is None else f"Driven joint {study.drive.joint}\n{table}"
+    if not study.drives:
+        return table
+    return f"Driven joint {study.drives[0].joint}\n{table}" if has_driven_joint(study) else f"Drives\n{table}"
 
 
 def _shown(unit: str) -> tuple[str, float]:

@@ -88,7 +88,7 @@ def _longest_step(model, method: Method, drive, duration, accuracy, errors) -> f
     length = float(np.max(np.asarray(model.length)))
     interval = duration / TRIAL_INTERVALS
     method = replace(method, step=interval)
-    grid, _ = integration.grid_for(drive, duration, method, interval)
+    grid, _ = integration.grid_for(drive, duration, method, interval, model)
 
     def loads(steps):
         # Traced: one program for all steps.

@@ -41,7 +41,7 @@ def run_cases(
     errors = [assembly_errors(model, case.errors) for case in study.cases]
     errors = jax.tree.map(lambda *leaves: jnp.stack(leaves), *errors)
     method = choose_method(model, study.method, study.drive, study.duration, errors, study.save_every)
-    grid, steps = integration.grid_for(study.drive, study.duration, method, study.save_every)
+    grid, steps = integration.grid_for(study.drive, study.duration, method, study.save_every, model)
     _compile_ahead(model, errors, study.drive, grid, method, steps)
     prepared, carry = _prepare(model, errors, study.drive, method)
     ends = []

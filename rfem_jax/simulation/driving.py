@@ -1,50 +1,165 @@
-"""Which joint a drive acts on: the model's driven joint, and no other.
+"""Which joint coordinates drives act on: those of the model's driven joints, and no others; and the jumps of drives and
+of forces.
 
-Place in the pipeline: model, drive -> **driving** -> integration, stability.
+Place in the pipeline: model, drives -> **driving** -> equations, integration, stability.
 """
 
-from rfem_jax.description.drives import MomentDrive, PrescribedDrive
-from rfem_jax.description.errors import InputError, suggestion
-from rfem_jax.mechanics.model import Model, Topology
+from collections.abc import Sequence
 
-Drive = MomentDrive | PrescribedDrive | None
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from rfem_jax.description.driven_motions import (
+    AnyDrive,
+    Drive,
+    driven_motion,
+    each_drive,
+    merged,
+    motion_label,
+    own_breakpoints,
+)
+from rfem_jax.description.drives import GivenDrive, PrescribedDrive, Time
+from rfem_jax.description.errors import InputError, suggestion
+from rfem_jax.mechanics.frame_forces import Time as Instant
+from rfem_jax.mechanics.inputs import DriveInput
+from rfem_jax.mechanics.model import Model, Topology
+from rfem_jax.mechanics.point_laws import breakpoints_of, changing
+
+
+class ActiveDrives(eqx.Module):
+    """The drives of a model, with what they need of it.
+
+    drives; starts: start of each prescribed coordinate [rad, m], from which its motion counts, None for given forces;
+    coordinates: joint coordinates that they act on; breakpoints: which of all breakpoints are each drive's own, None
+    where all are; jumps: all breakpoints [s] where forces are functions of time, else None.
+    """
+
+    drives: tuple[AnyDrive, ...]
+    starts: tuple[Float[Array, ""] | None, ...]
+    coordinates: tuple[int, ...] = eqx.field(static=True)
+    breakpoints: tuple[tuple[int, ...] | None, ...] = eqx.field(static=True)
+    jumps: tuple[float, ...] | None = eqx.field(static=True, default=None)
+
+    @property
+    def prescribed(self) -> tuple[int, ...]:
+        """Joint coordinates whose motion is prescribed."""
+        each = zip(self.coordinates, self.drives, strict=True)
+        return tuple(k for k, drive in each if isinstance(drive, PrescribedDrive))
+
+    def at(self, t: Time, phase: Int[Array, ""]) -> DriveInput:
+        """Forces and prescribed motions at the time t [s], after `phase` of all breakpoints."""
+        forces, motions = {}, {}
+        for k, drive, start, own in zip(self.coordinates, self.drives, self.starts, self.breakpoints, strict=True):
+            # Comparisons, no table: gathers are slow in compiled loops.
+            passed = phase if own is None else sum((phase > i).astype(jnp.int32) for i in own) + 0 * phase
+            if isinstance(drive, GivenDrive):
+                forces[k] = drive.force_at(t, passed)
+            elif start is not None:
+                change, rate, acceleration = drive.motion_at(t, passed)
+                motions[k] = start + change, rate, acceleration
+        time = None if self.jumps is None else Instant(jnp.asarray(t), jnp.asarray((-1.0, *self.jumps))[phase])
+        return DriveInput(forces, motions, time)
+
+
+def active_drives(model: Model, drive: Drive) -> ActiveDrives:
+    """The drives with the joint coordinates of the model that they act on."""
+    topology, drives = model.topology, each_drive(drive)
+    coordinates = tuple(_coordinate(topology, one) for one in drives)
+    starts = [
+        model.start_joints[topology.place_of(k)] if isinstance(one, PrescribedDrive) else None
+        for k, one in zip(coordinates, drives, strict=True)
+    ]
+    every = all_jumps(drive, model)
+    mixed = len(drives) > 1 or bool(breakpoints_of(model.frame_forces))
+    own = tuple(own_breakpoints(one, every) for one in drives) if mixed else (None,) * len(drives)
+    jumps = every if changing(model.frame_forces) else None
+    return ActiveDrives(drives, tuple(starts), coordinates, own, jumps)
+
+
+def all_jumps(drive: Drive, model: Model | None) -> tuple[float, ...]:
+    """Times [s] > 0 at which a drive or a force of the model jumps, increasing."""
+    of_forces = () if model is None else breakpoints_of(model.frame_forces)
+    return merged([*of_forces, *(time for one in each_drive(drive) for time in one.breakpoints())])
+
+
+def prescribed_coordinates(topology: Topology, drive: Drive) -> tuple[int, ...]:
+    """Joint coordinates whose motion is prescribed."""
+    return tuple(_coordinate(topology, one) for one in each_drive(drive) if isinstance(one, PrescribedDrive))
+
+
+def _coordinate(topology: Topology, drive: AnyDrive) -> int:
+    """The joint coordinate that a drive acts on."""
+    joint = topology.joints.index(drive.joint)
+    return topology.coordinates[joint][topology.kind(joint).motions.index(driven_motion(drive, topology.kinds[joint]))]
 
 
 def require_driven(model: Model, drive: Drive) -> None:
-    """Check that a drive acts on the model's driven joint; None always passes.
+    """Check that drives act on the model's driven joints, each on a motion of its own; None always passes.
 
-    **Raises:** `InputError` if the model has no driven joint, or another one.
+    **Raises:** `InputError` if the model has no driven joint, or others, and for prescribed motions that the joints do
+    not let be independent.
     """
-    if drive is None or drive.joint == model.driven_joint:
-        driven = model.topology.driven
-        if isinstance(drive, PrescribedDrive) and driven is not None and model.topology.tilted(driven) is not None:
+    drives = each_drive(drive)
+    for one in drives:
+        _require_joint(model, one)
+    labels = [_label(model.topology, one) for one in drives]
+    for one, label in zip(drives, labels, strict=True):
+        if labels.count(label) > 1:
             raise InputError(
-                f"Argument `drive` must not prescribe the angle of joint `{drive.joint}` because its tilt is sprung, "
+                f"Argument `drive` must have one drive for each motion of a joint, but has several for `{label}`; add "
+                "them up in one."
+            )
+        if label not in model.topology.drive_labels:
+            raise _other_joint(model, one, labels)
+        coordinate = model.topology.drives[model.topology.drive_labels.index(label)]
+        if isinstance(one, PrescribedDrive) and model.topology.tilted(coordinate) is not None:
+            raise InputError(
+                f"Argument `drive` must not prescribe the angle of joint `{one.joint}` because its tilt is sprung, "
                 "but does; leave its tilt rigid, drive another joint, or give a moment."
             )
-        return
+    _require_independent(model.topology, drives)
+
+
+def _label(topology: Topology, drive: AnyDrive) -> str:
+    kind = topology.kinds[topology.joints.index(drive.joint)]
+    return motion_label(drive.joint, kind, driven_motion(drive, kind))
+
+
+def _require_joint(model: Model, drive: AnyDrive) -> None:
     tree = model.topology.joints[: model.topology.n_links]
     if drive.joint not in tree:
+        cut = drive.joint in model.topology.joints
         raise InputError(
-            f"Argument `drive` must act on a joint of the tree, but acts on `{drive.joint}`; "
-            f"{suggestion(drive.joint, tree)}"
+            f"Argument `drive` must act on a joint of the tree, but acts on `{drive.joint}`"
+            + (", which is cut; cut another joint of the loop." if cut else f"; {suggestion(drive.joint, tree)}")
         )
-    found = "the model has none" if model.driven_joint is None else f"that is `{model.driven_joint}`"
-    raise InputError(
+
+
+def _other_joint(model: Model, drive: AnyDrive, labels: Sequence[str]) -> InputError:
+    known = [f"`{label}`" for label in model.topology.drive_labels]
+    found = "the model has none" if not known else f"that is {' and '.join(known)}"
+    wanted = labels[0] if len(labels) == 1 else list(labels)
+    return InputError(
         f"Argument `drive` must act on the model's driven joint, but acts on `{drive.joint}` and {found}; the model is "
-        f"assembled with this joint held, so describe it by Mechanism(..., driven_joint={drive.joint!r})."
+        f"assembled with this joint held, so describe it by Mechanism(..., driven_joint={wanted!r})."
     )
 
 
-def driven_coordinate(topology: Topology) -> int:
-    """Index of the driven joint's rate, of a model whose drive was checked by `require_driven`."""
-    if topology.driven_coordinate is None:
-        raise ValueError("The model has no driven joint; call `require_driven` before.")
-    return topology.driven_coordinate
-
-
-def driven_position(topology: Topology) -> int:
-    """Index of the driven joint's coordinate in the position, as `driven_coordinate`."""
-    if topology.driven_position is None:
-        raise ValueError("The model has no driven joint; call `require_driven` before.")
-    return topology.driven_position
+def _require_independent(topology: Topology, drives: Sequence[AnyDrive]) -> None:
+    """Prescribed motions come first among the driven ones as far as they depend on each other."""
+    prescribed = prescribed_coordinates(topology, drives)
+    labels = dict(zip(topology.drives, topology.drive_labels, strict=True))
+    for k in prescribed:
+        if k in topology.blocked:
+            raise InputError(
+                f"Argument `drive` must prescribe motions that can be independent, but that of `{labels[k]}` follows "
+                "from those of other driven joints; prescribe one less."
+            )
+        before = topology.drives[: topology.drives.index(k)]
+        first = [labels[i] for i in before if i not in prescribed and i not in topology.dependent]
+        if k in topology.dependent and first:
+            raise InputError(
+                f"Argument `driven_joint` must name prescribed motions first, but `{labels[k]}` stands behind "
+                f"`{first[0]}`, which is held with it at assembly; put `{labels[k]}` before it."
+            )

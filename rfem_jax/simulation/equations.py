@@ -6,7 +6,7 @@ The integrals of squared loads, of the drive's power and of the dissipated power
 system, so that the metrics of a run need no history (theory (3.12)).
 """
 
-from typing import TypeVar
+from typing import Protocol, TypeVar, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -16,16 +16,17 @@ from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float, Int
 
 from rfem_jax.compilation.scalarisation import nothing_known
-from rfem_jax.description.drives import MomentDrive, Phase, PrescribedDrive, Time
 from rfem_jax.mechanics import loads, model_with_errors
 from rfem_jax.mechanics.dynamics import Accelerations, accelerations
+from rfem_jax.mechanics.element_loads import FrameLoads
 from rfem_jax.mechanics.implicit.condensation import LinkOperator
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation, impose
 from rfem_jax.mechanics.joint_forces import LawForces, rate_about_axis
-from rfem_jax.mechanics.model import Coordinates, Model, State, Topology
+from rfem_jax.mechanics.kinematics import Motion
+from rfem_jax.mechanics.model import Coordinates, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 from rfem_jax.mechanics.orientations import position_rate
-from rfem_jax.simulation.driving import Drive, driven_position
+from rfem_jax.simulation.driving import ActiveDrives
 
 Scalar = int | float | Float[Array | np.ndarray, ""]
 Tree = TypeVar("Tree")
@@ -53,13 +54,13 @@ class Trajectory(eqx.Module):
 class Conditions(eqx.Module):
     """Arguments of the equations of motion besides time and state.
 
-    actual: constants of the mechanism with its errors; drive, and its phase (number of jumps passed); stabilisation:
+    actual: constants of the mechanism with its errors; drives, and their phase (number of jumps passed); stabilisation:
     Baumgarte's gains; operators: of an implicit method, the condensed links for its step length (None: they are
     formed in every step).
     """
 
     actual: ModelWithErrors
-    drive: Drive
+    drives: ActiveDrives
     phase: Int[Array, ""]
     stabilisation: Stabilisation
     operators: tuple[LinkOperator | None, ...] | None = None
@@ -86,21 +87,12 @@ def active_inputs(primals: Tree, tangents: Tree) -> tuple[Tree, Tree, Tree]:
     return inputs, fixed, eqx.filter(tangents, moves)
 
 
-def drive_input(drive: Drive, t: Scalar, phase: Int[Array, ""]) -> DriveInput:
-    """The drive's moment or prescribed motion at the time t [s] in one of its phases."""
-    if isinstance(drive, MomentDrive):
-        return DriveInput(moment=drive.moment_at(t, phase))
-    if isinstance(drive, PrescribedDrive):
-        return DriveInput(prescribed=drive.motion_at(t, phase))
-    return DriveInput()
-
-
 def at_instant(
     t: Scalar, trajectory: Trajectory, conditions: Conditions
 ) -> tuple[State, DriveInput, Accelerations, loads.JointLoads]:
     """State with the prescribed motion imposed, drive, accelerations and joint loads at the time t [s]."""
     actual = conditions.actual
-    drive = drive_input(conditions.drive, t, conditions.phase)
+    drive = conditions.drives.at(t, conditions.phase)
     state = impose(actual.topology, State(trajectory.position, trajectory.velocity), drive)
     result = accelerations(actual, state, drive, conditions.stabilisation)
     return state, drive, result, loads.joint_loads(actual, result, drive)
@@ -117,7 +109,7 @@ def right_hand_side(t: Scalar, trajectory: Trajectory, conditions: Conditions) -
             axial_square=axial,
             normal_square=normal,
             moment_square=moment,
-            work=applied_power(conditions.actual.topology, state, drive, joint, result.laws),
+            work=applied_power(conditions.actual.topology, state, drive, joint, result),
             dissipation=result.dissipated,
         ),
     )
@@ -139,52 +131,52 @@ def squares(
     return jnp.sum(jnp.where(along, square, 0.0), axis=0), jnp.sum(jnp.where(along, 0.0, square), axis=0), moment
 
 
+@runtime_checkable
+class Along(Protocol):
+    """Of a solved instant: motion, forces of springs and laws along joint coordinates, and of elements on nodes."""
+
+    @property
+    def motion(self) -> Motion: ...
+    @property
+    def laws(self) -> LawForces | None: ...
+    @property
+    def frame_loads(self) -> FrameLoads | None: ...
+
+
 def applied_power(
-    topology: Topology, state: State, drive: DriveInput, joint: loads.JointLoads, laws: LawForces | None
+    topology: Topology, state: State, drive: DriveInput, joint: loads.JointLoads, solved: Along
 ) -> Float[Array, ""]:
-    """Power [W] of the drive and of the laws that act on joints from outside."""
-    power = drive_moment(topology, drive, joint, laws) * rate_about_axis(topology, state)
-    return power if laws is None else power + laws.power
+    """Power [W] of the drives, and of the laws of joints and the force elements that act from outside."""
+    forces = drive_forces(topology, drive, joint, solved)
+    power = forces[0] * (rate_about_axis(topology, state, topology.drives[0]) if topology.drives else 0.0)
+    for k, force in zip(topology.drives[1:], forces[1:], strict=True):
+        power = power + force * rate_about_axis(topology, state, k)
+    power = power if solved.laws is None else power + solved.laws.power
+    return power if solved.frame_loads is None else power + solved.frame_loads.power
 
 
-def drive_moment(
-    topology: Topology, drive: DriveInput, joint: loads.JointLoads, laws: LawForces | None
-) -> Float[Array, ""]:
-    """Moment [N m] of the drive about the driven joint's hinge: given, or the one that enforces the motion, which is
-    what springs leave of the joint's moment."""
-    if drive.moment is not None:
-        return drive.moment
-    if drive.prescribed is not None:
-        moment = joint.moment[1, topology.driven]
-        inside = {} if laws is None else laws.inside
-        return moment - inside[topology.driven_coordinate] if topology.driven_coordinate in inside else moment
-    return jnp.zeros(())
+def drive_forces(
+    topology: Topology, drive: DriveInput, joint: loads.JointLoads, solved: Along
+) -> tuple[Float[Array, ""], ...]:
+    """Moments [N m] and forces [N] of the drives on the driven coordinates (one zero where none is driven): given, or
+    what enforces the motion, which is what springs leave of the joint's load."""
+
+    def force(k: int) -> Float[Array, ""]:
+        if k in drive.forces:
+            return drive.forces[k]
+        if k not in drive.motions:
+            return jnp.zeros(())
+        along = loads.load_along(topology, solved.motion, joint, k)
+        inside = {} if solved.laws is None else solved.laws.inside
+        return along - inside[k] if k in inside else along
+
+    return tuple(force(k) for k in topology.drives) or (jnp.zeros(()),)
 
 
 def start_trajectory(state: State, joints: int) -> Trajectory:
     """The integrated state at the start: all integrals zero."""
     by_joint, total = jnp.zeros((joints,)), jnp.zeros(())
     return Trajectory(state.position, state.velocity, Integrals(by_joint, by_joint, by_joint, total, total))
-
-
-def with_start_angle(model: Model, drive: Drive) -> Drive:
-    """The drive with a prescribed motion as the driven joint's angle: its own is counted from the start angle."""
-    if not isinstance(drive, PrescribedDrive):
-        return drive
-    return _FromStartAngle(drive.joint, drive, model.start_joints[driven_position(model.topology)])
-
-
-class _FromStartAngle(PrescribedDrive):
-    joint: str = eqx.field(static=True)
-    drive: PrescribedDrive
-    start: Float[Array, ""]
-
-    def breakpoints(self) -> tuple[float, ...]:
-        return self.drive.breakpoints()
-
-    def motion_at(self, t: Time, phase: Phase) -> tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]]:
-        angle, rate, acceleration = self.drive.motion_at(t, phase)
-        return self.start + angle, rate, acceleration
 
 
 def peaks(rate: Trajectory) -> Float[Array, "2 joints"]:

@@ -18,6 +18,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from rfem_jax.compilation.program import Program
+from rfem_jax.description.driven_motions import Drive
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.methods import Method
 from rfem_jax.mechanics import loads
@@ -44,11 +45,11 @@ from rfem_jax.mechanics.status import (
     STEPS_EXHAUSTED,
 )
 from rfem_jax.simulation import equations
-from rfem_jax.simulation.driving import Drive, driven_coordinate, require_driven
+from rfem_jax.simulation.driving import active_drives, all_jumps, require_driven
 from rfem_jax.simulation.equations import Conditions, Scalar, Trajectory
 from rfem_jax.simulation.observation import Record, observe
 from rfem_jax.simulation.packing import pack, unpack
-from rfem_jax.simulation.run import RESIDUAL_LIMIT, DrivenJoint, Energy, LoadIntegrals, Metrics, Run
+from rfem_jax.simulation.run import RESIDUAL_LIMIT, DriveHistory, DrivenJoint, Energy, LoadIntegrals, Metrics, Run
 from rfem_jax.simulation.solvers.catalogue import observed_solver
 from rfem_jax.simulation.solvers.implicit_step import SOLUTION, Memory
 from rfem_jax.simulation.stabilisation import stabilisation_of
@@ -87,10 +88,11 @@ def simulate(
 ) -> Run:
     """Assemble a mechanism with its errors and simulate its motion.
 
-    **Arguments:** `errors` from `assembly_errors` (None: perfect); `drive`: a moment on the model's driven joint, its
-    prescribed motion, or None; `duration` [s]; `method`; `save_every` [s]: interval of saved times (None: 500
-    intervals); `start`: replaces the static assembly (the preload is then unknown, NaN); `adjoint`: diffrax's adjoint,
-    for adaptive methods only (None: forward mode; give `diffrax.RecursiveCheckpointAdjoint()` for reverse mode).
+    **Arguments:** `errors` from `assembly_errors` (None: perfect); `drive`: a moment or force on the model's driven
+    joint, its prescribed motion, a list of such drives on as many driven motions, or None; `duration` [s]; `method`;
+    `save_every` [s]: interval of saved times (None: 500 intervals); `start`: replaces the static assembly (the preload
+    is then unknown, NaN); `adjoint`: diffrax's adjoint, for adaptive methods only (None: forward mode; give
+    `diffrax.RecursiveCheckpointAdjoint()` for reverse mode).
 
     **Returns:** `Run`.  Works under jit, vmap, jacfwd; with fixed-step methods also grad, jacrev and Hessians (memory
     in reverse mode: the state at the end of every interval, and the steps of one interval).
@@ -100,13 +102,16 @@ def simulate(
     """
     require_double_precision()
     require_driven(model, drive)
-    grid, steps = grid_for(drive, duration, method, save_every)
+    grid, steps = grid_for(drive, duration, method, save_every, model)
     errors = assembly_errors(model) if errors is None else errors
     return _simulate(model, errors, drive, grid, start, method, steps, adjoint)
 
 
-def grid_for(drive: Drive, duration: float, method: Method, save_every: float | None) -> tuple[TimeGrid, int]:
-    """Time grid of a duration [s], with an interval of saved times [s], and the number of steps in an interval.
+def grid_for(
+    drive: Drive, duration: float, method: Method, save_every: float | None, model: Model | None = None
+) -> tuple[TimeGrid, int]:
+    """Time grid of a duration [s], with an interval of saved times [s], and the number of steps in an interval; `model`
+    where its forces may jump.
 
     **Raises:** `InputError` for a method without a step or tolerances, and for times that cannot be used.
     """
@@ -115,8 +120,7 @@ def grid_for(drive: Drive, duration: float, method: Method, save_every: float | 
             f"Argument `method` must have a step or tolerances here, but {method.name!r} has none; "
             "replace it by `choose_method(model, method, drive, duration)`, which chooses the step."
         )
-    jumps = () if drive is None else drive.breakpoints()
-    return divide_time(duration, method.step, save_every, jumps, method.implicit)
+    return divide_time(duration, method.step, save_every, all_jumps(drive, model), method.implicit)
 
 
 @Program
@@ -136,16 +140,14 @@ def prepare(model: Model, errors: AssemblyErrors, drive: Drive, start: State | N
             unknown = jnp.full((3, joints), jnp.nan)
             preload = loads.JointLoads(unknown, unknown)
             return Prepared(actual, start, preload, jnp.asarray(OK, jnp.int32))
-        drive = equations.with_start_angle(model, drive)
         held = held_angles(model, None)
-        first = equations.drive_input(drive, jnp.zeros(()), jnp.asarray(0, jnp.int32))
-        if first.prescribed is not None:
-            held = {driven_coordinate(model.topology): first.prescribed[0]}
+        first = active_drives(model, drive).at(jnp.zeros(()), jnp.asarray(0, jnp.int32)).motions
+        held |= {k: position for k, (position, _, _) in first.items()}
         position, multipliers, status = equilibrium(model, actual, held)
         state = loads.static_state(model.topology, position)
         preload = static_loads(model, actual, state, multipliers)
-        if first.prescribed is not None:
-            rates = quasi_static_rates(model, actual, held, first.prescribed[1])
+        if first:
+            rates = quasi_static_rates(model, actual, held, {k: rate for k, (_, rate, _) in first.items()})
             state = State(position, rates)
         return Prepared(actual, state, preload, status)
 
@@ -154,9 +156,9 @@ def start_carry(model: Model, prepared: Prepared, drive: Drive, method: Method) 
     """The state of the integration before the first interval."""
     joints = prepared.preload.force.shape[1]
     trajectory = equations.start_trajectory(prepared.state, joints)
-    drive = equations.with_start_angle(model, drive)
+    drives = active_drives(model, drive)
     phase, stabilisation = jnp.asarray(0, jnp.int32), stabilisation_of(model, method)
-    conditions = Conditions(prepared.actual, drive, phase, stabilisation)
+    conditions = Conditions(prepared.actual, drives, phase, stabilisation)
     return Carry(
         trajectory=trajectory,
         peaks=jnp.zeros((2, joints)),
@@ -226,13 +228,13 @@ def observe_ends(
     They have a loop of their own: XLA compiles two loops faster than one with the operations of both.
     """
     solver = observed_solver(method)
-    drive = equations.with_start_angle(model, drive)
+    drives = active_drives(model, drive)
     stabilisation = stabilisation_of(model, method)
 
     @jax.checkpoint
     def record(entry_and_end):
         (start, length, phase, _), end = entry_and_end
-        conditions = Conditions(actual, drive, phase, stabilisation)
+        conditions = Conditions(actual, drives, phase, stabilisation)
         t, h = start + length, length / steps
         squares, state, now, instant = solver.instant(t, h, end.trajectory, end.memory, conditions)
         return observe(actual, state, now, end.trajectory.integrals, instant, squares)
@@ -258,7 +260,6 @@ def conclude(
     carry = carry._replace(peaks=jnp.maximum(carry.peaks, jnp.max(record.squares, axis=0)))
     record = jax.tree.map(lambda x: x[grid.saved], record)
     times = jnp.asarray(grid.starts + grid.lengths)[grid.saved]
-    driven, driven_rate = model.topology.driven_position, model.topology.driven_coordinate
     energy = record.energy
     balance = energy.total - energy.work + energy.dissipation
     error = jnp.max(jnp.abs(balance - balance[0])) / _safe(jnp.max(jnp.abs(energy.total)))
@@ -266,20 +267,21 @@ def conclude(
     residual = carry.residual / _safe(_force_scale(model, carry, energy))
     relative = jnp.max(record.momentum_residual, axis=0) / _safe(jnp.max(record.largest_load, axis=0))
     zeros = jnp.zeros_like(times)
-    angle = zeros if driven is None else record.joints[:, driven]
-    rate = zeros if driven_rate is None else record.joint_rates[:, driven_rate]
+    drives = _histories(model, record)
+    first = next(iter(drives.values()), DriveHistory(zeros, zeros, record.drive_forces[0]))
     return Run(
         times=times,
-        angle=angle,
-        rate=rate,
-        drive_moment=record.drive_moment,
+        angle=first.position,
+        rate=first.rate,
+        drive_moment=first.force,
+        drives=drives,
         angles=_coordinates(model, record, rotation=True),
         displacements=_coordinates(model, record, rotation=False),
         loads={name: Load(record.loads.force[:, :, j], record.loads.moment[:, :, j]) for name, j in _joints(model)},
         preload=named(model, prepared.preload),
         energy=energy,
         metrics=metrics_of(model, carry, times[-1]),
-        driven_joint=DrivenJoint(angle[-1], rate[-1]),
+        driven_joint=DrivenJoint(first.position[-1], first.rate[-1]),
         energy_balance_error=error,
         closure_drift=drift,
         closure_drift_angle=jnp.max(record.drift_angle),
@@ -290,6 +292,7 @@ def conclude(
         equation_residual=record.residual,
         status=_status(model, prepared, carry, error, drift, jnp.max(record.range_used), residual),
         ends={name: record.ends[:, :, l] for l, name in enumerate(model.link_names)},
+        forces=record.forces,
         branch={model.topology.joints[j]: record.branch[:, i] for i, j in enumerate(model.topology.cuts)},
         integrals=LoadIntegrals(
             force_square={name: record.square_integrals[:, 0, j] for name, j in _joints(model)},
@@ -364,6 +367,14 @@ def _coordinates(model: Model, record: Record, rotation: bool) -> dict[str, Arra
             wanted = list(angles_of(record.joints[:, at.stop - 4 : at.stop]).T)
         if wanted:
             found[topology.joints[l]] = jnp.stack(wanted, axis=1) if len(wanted) > 1 else wanted[0]
+    return found
+
+
+def _histories(model: Model, record: Record) -> dict[str, DriveHistory]:
+    """Position, rate and force of every driven coordinate, by its name."""
+    topology, found = model.topology, {}
+    for label, k, force in zip(topology.drive_labels, topology.drives, record.drive_forces):
+        found[label] = DriveHistory(record.joints[:, topology.place_of(k)], record.joint_rates[:, k], force)
     return found
 
 

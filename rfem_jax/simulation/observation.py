@@ -14,6 +14,7 @@ from rfem_jax.mechanics import algebra, loads
 from rfem_jax.mechanics.centre_lines import link_ends
 from rfem_jax.mechanics.cut_joints import Closure, Constraints, assembly_modes
 from rfem_jax.mechanics.dynamics import Accelerations
+from rfem_jax.mechanics.element_loads import FrameLoads
 from rfem_jax.mechanics.implicit.residual import Evaluation
 from rfem_jax.mechanics.inputs import DriveInput
 from rfem_jax.mechanics.joint_forces import LawForces, by_coordinate
@@ -22,7 +23,7 @@ from rfem_jax.mechanics.model import Coordinates, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 from rfem_jax.simulation import equations
 from rfem_jax.simulation.equations import Integrals
-from rfem_jax.simulation.run import Energy
+from rfem_jax.simulation.run import Energy, PointHistory
 
 
 class Instant(NamedTuple):
@@ -32,7 +33,8 @@ class Instant(NamedTuple):
     [m], drift_angle [rad]: closure errors of the cut joints; arm [m]: largest coordinate of a joint's centre;
     stabilising, multiplier [N]: largest part of a multiplier due to Baumgarte's terms, and largest multiplier;
     residual [N]: of the equations of motion as forces, none (n = 0) where these were solved for the accelerations;
-    motion, closure: kinematics of the instant; laws: forces of springs and laws along joint coordinates.
+    motion, closure: kinematics of the instant; laws: forces of springs and laws along joint coordinates; frame_loads:
+    what force elements exert.
     """
 
     loads: loads.JointLoads
@@ -47,12 +49,14 @@ class Instant(NamedTuple):
     motion: Motion
     closure: Closure | None
     laws: LawForces | None
+    frame_loads: FrameLoads | None
 
 
 class Record(NamedTuple):
     """What is recorded at the end of every interval; fields with the names of `Run`'s are what that says.
 
-    joints, joint_rates: positions of the tree joints (as `Coordinates.joints`) and their rates; momentum_residual:
+    joints, joint_rates: positions of the tree joints (as `Coordinates.joints`) and their rates; drive_forces [N m, N]:
+    as of `equations`; momentum_residual:
     largest components of the residual force [N] and moment [N m] of the momentum balance; largest_load [N, N m]: what
     they are divided by; hinge_residual [N m]: largest load along a free motion of a joint beyond that of its springs,
     which should be zero (forces times `Instant.arm`); range_used: as `kinematics.range_used`; square_integrals: of the
@@ -61,7 +65,7 @@ class Record(NamedTuple):
 
     joints: Float[Array, " numbers"]
     joint_rates: Float[Array, " freedoms"]
-    drive_moment: Float[Array, ""]
+    drive_forces: tuple[Float[Array, ""], ...]
     loads: loads.JointLoads
     energy: Energy
     drift: Float[Array, ""]
@@ -77,6 +81,7 @@ class Record(NamedTuple):
     square_integrals: Float[Array, "2 joints"]
     residual: Float[Array, " n"]
     squares: Float[Array, "2 joints"]
+    forces: dict[str, PointHistory]
 
 
 def solved_instant(actual: ModelWithErrors, result: Accelerations, drive: DriveInput, scale: algebra.Scalar) -> Instant:
@@ -96,6 +101,7 @@ def solved_instant(actual: ModelWithErrors, result: Accelerations, drive: DriveI
         motion=result.motion,
         closure=result.closure,
         laws=result.laws,
+        frame_loads=result.frame_loads,
     )
 
 
@@ -126,6 +132,7 @@ def evaluated_instant(
         motion=evaluation.motion,
         closure=evaluation.closure,
         laws=evaluation.laws,
+        frame_loads=evaluation.frame_loads,
     )
 
 
@@ -142,14 +149,14 @@ def observe(
         topology = actual.topology
         joint, now = instant.loads, instant.motion
         parts = loads.energies(actual, state)
-        force, moment = loads.momentum_residual(actual, state, instant.accelerations, instant.base)
+        force, moment = loads.momentum_residual(actual, state, instant.accelerations, instant.base, instant.frame_loads)
         largest_force = equations.safe_sqrt(jnp.max(jnp.sum(joint.force**2, axis=0)))
         largest_moment = equations.safe_sqrt(jnp.max(jnp.sum(joint.moment**2, axis=0)))
         largest_moment = largest_moment + largest_force * instant.arm
         return Record(
             joints=state.position.joints,
             joint_rates=state.velocity.joints,
-            drive_moment=equations.drive_moment(topology, drive, joint, instant.laws),
+            drive_forces=equations.drive_forces(topology, drive, joint, instant),
             loads=joint,
             energy=Energy(*parts, integrals.work, integrals.dissipation),
             drift=instant.drift,
@@ -165,20 +172,24 @@ def observe(
             square_integrals=jnp.stack([integrals.axial_square + integrals.normal_square, integrals.moment_square]),
             residual=instant.residual,
             squares=squares,
+            forces=_point_histories(instant.frame_loads),
         )
 
 
+def _point_histories(at_nodes: FrameLoads | None) -> dict[str, PointHistory]:
+    """What the force elements exert, by their names."""
+    return {name: PointHistory(*one) for name, one in ({} if at_nodes is None else at_nodes.exerted).items()}
+
+
 def _load_along_free_motions(topology: Topology, instant: Instant, drive: DriveInput) -> Float[Array, ""]:
-    """Largest load along a free motion of a joint, but the driven one's and beyond its springs: moment [N m], or force
+    """Largest load along a free motion of a joint, but prescribed ones and beyond its springs: moment [N m], or force
     times the arm."""
     joint, hinges = instant.loads, instant.motion.hinges
-    passive = np.ones(len(topology.joints))
-    if drive.prescribed is not None:
-        passive[topology.driven] = 0.0
-    driven = -1 if drive.prescribed is None else topology.driven_coordinate
+    passive = np.ones(topology.n_freedoms)
+    passive[list(drive.motions)] = 0.0
     revolute = np.array([kind == "revolute" for kind in topology.kinds])
     if revolute.all() and instant.laws is None:
-        return jnp.max(jnp.abs(joint.moment[1]) * jnp.asarray(passive))
+        return jnp.max(jnp.abs(joint.moment[1]) * jnp.asarray(np.append(passive, np.ones(topology.n_cuts))))
     n = topology.n_links
     force, moment = (algebra.apply(hinges.rotation, part[:, :n]) for part in joint)
     wrenches = algebra.wrench_at_origin(moment, force, hinges.point)
@@ -187,7 +198,7 @@ def _load_along_free_motions(topology: Topology, instant: Instant, drive: DriveI
         along = along - by_coordinate(topology, instant.laws.inside)
     along = jnp.abs(along)
     along = along * jnp.where(np.array(topology.slides, dtype=bool), instant.arm, 1.0)
-    along = along * (np.arange(topology.n_freedoms) != driven).astype(float)
+    along = along * passive
     about_cuts = jnp.abs(joint.moment[1, n:]) * revolute[n:].astype(float)
     return jnp.max(jnp.concatenate([along, about_cuts]), initial=0.0)
 

@@ -18,7 +18,7 @@ RESIDUAL_LIMIT = 0.05  # of the largest joint force: with a larger residual the 
 
 class Energy(eqx.Module):
     """Energies [J] at the saved times: kinetic, elastic, gravity (zero level: the first base joint's nominal
-    position); work of the drive and dissipated energy since the start."""
+    position); work of the drives and dissipated energy since the start."""
 
     kinetic: Float[Array, "*times"]
     elastic: Float[Array, "*times"]
@@ -69,17 +69,48 @@ class WindowLoads(eqx.Module):
         return {name: safe_sqrt(value) for name, value in self.mean_square_moment.items()}
 
 
+class DriveHistory(eqx.Module):
+    """A driven coordinate at the saved times: position [rad, m], rate [rad/s, m/s], and the moment [N m] or force [N]
+    of its drive, given or that which enforces the motion (zero without a drive)."""
+
+    position: Float[Array, "*times"]
+    rate: Float[Array, "*times"]
+    force: Float[Array, "*times"]
+
+
 class DrivenJoint(eqx.Module):
-    """The driven joint's own coordinate at the end: angle [rad] and rate [rad/s]."""
+    """The first driven coordinate at the end: angle [rad] and rate [rad/s], or displacement [m] and speed [m/s]."""
 
     angle_end: Float[Array, ""]
     rate_end: Float[Array, ""]
 
 
+class PointHistory(eqx.Module):
+    """A force between two points at the saved times: force [N], moment [N m] on the second one (of a force or moment at
+    one point: on that), and place, first_place [m] of both (the latter then in the origin), in global axes."""
+
+    force: Float[Array, "*times 3"]
+    moment: Float[Array, "*times 3"]
+    place: Float[Array, "*times 3"]
+    first_place: Float[Array, "*times 3"]
+
+    @property
+    def length(self) -> Float[Array, "*times"]:
+        """Distance of the two points [m]."""
+        return jnp.linalg.norm(jnp.asarray(self.place) - self.first_place, axis=-1)
+
+    @property
+    def tension(self) -> Float[Array, "*times"]:
+        """Force [N] that pulls the two points together."""
+        apart = jnp.asarray(self.place) - self.first_place
+        return -jnp.sum(self.force * apart, axis=-1) / jnp.linalg.norm(apart, axis=-1)
+
+
 class Run(eqx.Module):
     """One simulated case, or a batch of them with a leading axis.
 
-    times [s], the saved times; angle, rate of the driven joint [rad, rad/s]; drive_moment [N m]; angles [rad],
+    times [s], the saved times; drives: `DriveHistory` of every driven coordinate, by joint ("A") or joint and motion
+    ("C.T_y"); angle, rate, drive_moment: those of the first one [rad, rad/s, N m; m, m/s, N]; angles [rad],
     displacements [m]: coordinates of the tree joints that have any, (times, k) where a joint has k > 1; loads,
     preload: `Load`s by joint, in hinge frames; energy; metrics; driven_joint.
 
@@ -95,13 +126,15 @@ class Run(eqx.Module):
     ends: positions (times, 3) [m] of the far ends of the links, in global axes.  branch: assembly mode (times,) of
     every cut joint, +1 or -1 (0 where the joints' kinds tell none); a change of sign is a passage through a change
     point (theory (5.13)), after which derivatives, and averages with runs on the other branch, have no meaning.
-    integrals: of squared loads, for `window`.
+    integrals: of squared loads, for `window`.  forces: `PointHistory` by the names of the forces at points of links and
+    between them.
     """
 
     times: Float[Array, " times"]
     angle: Float[Array, " times"]
     rate: Float[Array, " times"]
     drive_moment: Float[Array, " times"]
+    drives: dict[str, DriveHistory]
     angles: dict[str, Float[Array, " times *k"]]
     displacements: dict[str, Float[Array, " times *k"]]
     loads: dict[str, Load]
@@ -123,6 +156,7 @@ class Run(eqx.Module):
     ends: dict[str, Float[Array, "times 3"]]
     branch: dict[str, Float[Array, " times"]]
     integrals: LoadIntegrals
+    forces: dict[str, PointHistory]
 
     def window(self, start: Scalar, stop: Scalar) -> WindowLoads:
         """Loads over start <= t <= stop [s] of one run; use vmap for a batch.  Differentiable.

@@ -2,7 +2,7 @@
 
 Place in the pipeline: model, method -> **stability** -> simulation, or a refusal.
 
-The modes of vibration about rest, at the start and at positions over a revolution of the driven joint, and the decay
+The modes of vibration about rest, at the start and at positions over a revolution of each driven one, and the decay
 of closure errors by Baumgarte's terms, are tested with the stability function of the method (Runge-Kutta) or with
 the amplification matrix of each mode (leapfrog): theory (11.6), (11.7).
 """
@@ -13,15 +13,15 @@ from typing import Any
 import numpy as np
 from jaxtyping import Complex
 
-from rfem_jax.description.drives import PrescribedDrive
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.methods import FixedStepMethod, Method
 from rfem_jax.mechanics.discretisation import CLOSING_TOLERANCE, close_at
 from rfem_jax.mechanics.model import Model
-from rfem_jax.simulation.driving import Drive, require_driven
+from rfem_jax.simulation.driving import Drive, prescribed_coordinates, require_driven
 from rfem_jax.simulation.stabilisation import stabilisation_of
 from rfem_jax.simulation.vibration import Modes, Vibration
 
+LONGEST_STEP = 1e9  # s, of a mechanism without any stiffness
 POSITIONS = 12  # over a revolution of the driven joint
 GROWTH_TOLERANCE = 1e-6  # of the amplification in one step, relative
 
@@ -63,11 +63,11 @@ def largest_stable_step(model: Model, method: Method, drive: Drive = None) -> fl
     **Raises:** `InputError` for a drive of another joint than the driven one.
     """
     require_driven(model, drive)
-    vibration = Vibration(model, isinstance(drive, PrescribedDrive))
+    vibration = Vibration(model, prescribed_coordinates(model.topology, drive))
     found = [vibration.modes(joints) for joints in _poses(model)]
     values = [modes.eigenvalues() for modes in found]
     frequency = [np.abs(of_one).max() for of_one in values]
-    limit = 20.0 / max(*frequency, 1e-300)
+    limit = min(20.0 / max(*frequency, 1e-300), LONGEST_STEP)
     for pose in np.argsort(frequency)[::-1]:
 
         def stable(step, modes=found[pose], values=values[pose]):
@@ -93,25 +93,27 @@ def eigenvalues(model: Model, drive: Drive = None) -> Complex[np.ndarray, " eige
     **Raises:** `InputError` for a drive of another joint than the driven one.
     """
     require_driven(model, drive)
-    vibration = Vibration(model, isinstance(drive, PrescribedDrive))
+    vibration = Vibration(model, prescribed_coordinates(model.topology, drive))
     return vibration.modes(np.asarray(model.start_joints)).eigenvalues()
 
 
 def _poses(model: Model) -> np.ndarray:
-    """Positions of the joints (poses, numbers) of closed nominal geometries, start first."""
-    start = np.asarray(model.start_joints)
-    driven = model.topology.driven_position
-    if driven is None:
-        return start[None]
-    poses, joints = [start], start
-    for rotation in np.arange(1, POSITIONS) * 2.0 * np.pi / POSITIONS:
-        guess = np.array(joints)
-        guess[driven] = start[driven] + rotation
-        joints, residual, alignment, _ = close_at(model, guess)
-        # A crank that cannot make a full revolution: the positions up to its limit count.
-        if np.abs(residual).max(initial=0.0) > CLOSING_TOLERANCE or (alignment < 0.0).any():
-            break
-        poses.append(joints)
+    """Positions of the joints (poses, numbers) of closed nominal geometries, start first: over a revolution of every
+    driven angle that assembly holds, the others at their start."""
+    start, topology = np.asarray(model.start_joints), model.topology
+    poses = [start]
+    for k in topology.held:
+        joints, driven = start, topology.place_of(k)
+        if topology.slides[k]:
+            continue
+        for rotation in np.arange(1, POSITIONS) * 2.0 * np.pi / POSITIONS:
+            guess = np.array(joints)
+            guess[driven] = start[driven] + rotation
+            joints, residual, alignment, _ = close_at(model, guess)
+            # A crank that cannot make a full revolution: the positions up to its limit count.
+            if np.abs(residual).max(initial=0.0) > CLOSING_TOLERANCE or (alignment < 0.0).any():
+                break
+            poses.append(joints)
     return np.stack(poses)
 
 

@@ -25,7 +25,7 @@ from rfem_jax.mechanics.model import Model
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 from rfem_jax.simulation import equations
 from rfem_jax.simulation.batches import like_batched
-from rfem_jax.simulation.driving import Drive
+from rfem_jax.simulation.driving import Drive, active_drives
 from rfem_jax.simulation.equations import Conditions, Scalar, Trajectory
 from rfem_jax.simulation.solvers.catalogue import observed_solver
 from rfem_jax.simulation.solvers.implicit_step import Memory
@@ -70,7 +70,7 @@ def step_intervals(
     adjoint: diffrax.AbstractAdjoint | None,
 ) -> Callable[[Carry, Entry], Carry]:
     """The function that integrates over one interval of the grid: from the carry at its start to that at its end."""
-    drive = equations.with_start_angle(model, drive)
+    drives = active_drives(model, drive)
     stabilisation = stabilisation_of(model, method)
     solver = observed_solver(method)
     operators = solver.operators(actual, jnp.asarray(grid.distinct) / steps)
@@ -78,7 +78,7 @@ def step_intervals(
     def step_over(carry, entry):
         start, length, phase, kind = entry
         chosen = jax.tree.map(lambda x: x[kind], operators)
-        conditions = Conditions(actual, drive, phase, stabilisation, chosen)
+        conditions = Conditions(actual, drives, phase, stabilisation, chosen)
         if method.adaptive:
             return _adaptive(solver, carry, start, length, conditions, method, adjoint)
         return _fixed(solver, carry, start, length, steps, conditions)

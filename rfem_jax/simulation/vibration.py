@@ -13,11 +13,11 @@ modes are those of P L^-1 K L^-T P.  All of them are found for small mechanisms;
 Lanczos' method with sparse matrices (ARPACK), in memory proportional to the number of rfes.
 
 The stiffness due to gravity and to the forces at rest is neglected beside that of the springs.  For a mechanism of
-rigid links and joints, which has no other, the accelerations are differentiated by central differences.  Springs,
-dampers and laws of joints enter with their derivatives at the position, as far as these do not drive the motion.
+rigid links, which has no other, the accelerations are differentiated by central differences.  Springs, dampers and laws
+of joints, and between points, enter with their derivatives at the position, as far as these do not drive the motion.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -30,6 +30,7 @@ from scipy.sparse.linalg import LinearOperator, eigsh, splu
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.joint_kinds import JointKind
 from rfem_jax.mechanics.cut_joints import RANK_TOLERANCE
+from rfem_jax.mechanics.frame_forces import START, FrameForce, Pose
 from rfem_jax.mechanics.joint_laws import law_slopes
 from rfem_jax.mechanics.joint_springs import CompliantSpring, diagonal_tangent
 from rfem_jax.mechanics.model import BASE, Model, Topology
@@ -40,6 +41,7 @@ from rfem_jax.mechanics.nominal_geometry import (
     cross_matrix,
     geometry_of,
     moved,
+    node_place,
     place,
 )
 
@@ -74,14 +76,14 @@ class Modes(NamedTuple):
 class Vibration:
     """The vibration of a model about positions given by joint coordinates.
 
-    **Arguments:** `held`: whether the driven joint's motion is prescribed.
+    **Arguments:** `held`: joint coordinates whose motion is prescribed.
     """
 
-    def __init__(self, model: Model, held: bool = False):
+    def __init__(self, model: Model, held: tuple[int, ...] = ()):
         constants = _nominal_constants(model)
         self.geometry: NominalGeometry = geometry_of(model)
         self.topology = model.topology
-        self.held = held and self.topology.driven is not None
+        self.held = held
         self.gravity = np.asarray(model.gravity)
         self.mass, self.inverse_root = _masses(constants, self.geometry.scale)
         self.size = 6 * len(constants.mass)
@@ -95,43 +97,47 @@ class Vibration:
             (stretch.T @ sparse.diags(np.where(damping == rate, springs, 0.0)) @ stretch).tocsr() for rate in self.rates
         ]
         self.before: list[np.ndarray | None] = [None] * len(self.rates)
-        self.forces = model.forces
-        self.springs = [] if model.springs is None else list(model.springs.values())
+        self.forces = {} if model.forces is None else model.forces
+        self.elements = [] if model.frame_forces is None else list(model.frame_forces.values())
+        self.bearings = [] if model.springs is None else list(model.springs.values())
+        elements = any(element.components for element in self.elements)
+        self.sprung = bool(self.forces) or bool(self.bearings) or elements
 
     def modes(self, joints: Float[np.ndarray, " numbers"]) -> Modes:
         """The modes at a position of the joints, links undeformed."""
         placed = place(self.geometry, joints)
-        if self.topology.n_rfes == 0 and not self.springs:
+        if self.topology.n_rfes == 0 and not self.bearings:
             return self._rigid(np.asarray(joints))
         constraints = sparse.csr_matrix(self._constraints(placed) @ self.inverse_root)
         joint_rows, stiffness, damping = self._at_joints(np.asarray(joints), placed)
         by_springs, by_dampers = (np.sqrt(x)[:, None] * joint_rows for x in (stiffness, damping))
+        for element in self.elements:
+            by_springs, by_dampers = (
+                np.vstack([rows, np.sqrt(size)[:, None] * more @ self.inverse_root])
+                for rows, (more, size) in zip((by_springs, by_dampers), self._principal(placed, element), strict=True)
+            )
         if self.size <= 6 * MOST_BODIES:
             return self._all(constraints.toarray(), by_springs, by_dampers)
         modes = self._stiffest(sparse.csc_matrix(constraints))
-        if not self._joints_are_sprung:
+        if not self.sprung:
             return modes
-        # Springs and dampers of joints as a mode of their own, as those of the links of each damping.
+        # Springs and dampers of joints and points as a mode of their own, as those of the links of each damping.
         project = _projection(sparse.csc_matrix(constraints))
         largest = [np.linalg.norm([project(row) for row in rows], 2) ** 2 for rows in (by_springs, by_dampers)]
         return Modes(np.append(modes.squares, largest[0]), np.append(modes.damping, largest[1]))
 
-    @property
-    def _joints_are_sprung(self) -> bool:
-        return self.forces is not None or bool(self.springs)
-
     def _at_joints(self, joints: np.ndarray, placed: Placed) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Of the springs, dampers and laws of joints: rows (laws, 6 n) that give the rates of their coordinates from
         the velocities L^T w of all nodes, stiffness and damping at a position, zero where they are negative."""
-        laws = [] if self.forces is None else list(self.forces.values())
-        rows = [self._row_of_coordinate(placed, law.coordinate) for law in laws]
+        laws = list(self.forces.values())
+        rows = [self._coordinate_rates(placed, [law.coordinate for law in laws])]
         slopes = [-np.array(law_slopes(law, joints[law.place], 0.0), float) for law in laws]
-        for spring in self.springs:
-            rows += [self._row_of_coordinate(placed, k) for k in spring.coordinates]
-            rows += [self._row_of_closure(placed, k) for k in spring.rows]
+        for spring in self.bearings:
+            rows.append(self._coordinate_rates(placed, spring.coordinates))
+            rows += [self._closure_rate(placed, k)[None] for k in spring.rows]
             slopes += self._slopes(spring)
         stiffness, damping = np.maximum(np.array(slopes, float).reshape(-1, 2).T, 0.0)
-        return np.array(rows).reshape(-1, self.size) @ self.inverse_root, stiffness, damping
+        return np.vstack(rows) @ self.inverse_root, stiffness, damping
 
     def _slopes(self, spring: CompliantSpring) -> list[np.ndarray]:
         """Stiffness and damping of the coordinates, or rows [m], of a compliant joint's spring without load."""
@@ -142,18 +148,20 @@ class Vibration:
         factors = ((1.0, 0.0), (0.0, 1.0))
         return list(np.array([diagonal_tangent(exerted, zeros, zeros, *pair) for pair in factors]).T)
 
-    def _row_of_coordinate(self, placed: Placed, coordinate: int) -> np.ndarray:
-        """Row (6 n,) that gives a joint coordinate's rate from the velocities of all nodes."""
-        link = self.topology.link_of_freedom[coordinate]
-        own = list(self.topology.coordinates[link])
-        # The coordinate's rate of a twist over the joint that keeps its constraints.
-        reader = np.linalg.pinv(placed.twists[own].T)[own.index(coordinate)]
-        return self._row(placed, self.topology.parents[link], -reader) + self._row(placed, link, reader)
+    def _coordinate_rates(self, placed: Placed, coordinates: Sequence[int]) -> np.ndarray:
+        """Rows (k, 6 n) that give the rates of joint coordinates from the velocities of all nodes."""
+        rows = np.zeros((len(coordinates), self.size))
+        for row, k in zip(rows, coordinates, strict=True):
+            link = self.topology.link_of_freedom[k]
+            own = list(self.topology.coordinates[link])
+            # The coordinate's rate of a twist over the joint that keeps its constraints.
+            reader = np.linalg.pinv(placed.twists[own].T)[own.index(k)]
+            self._read(row, placed, (self.topology.parents[link], link), reader)
+        return rows
 
-    def _row_of_closure(self, placed: Placed, equation: int) -> np.ndarray:
-        """Row (6 n,) that gives the rate of a closure equation [m] of a compliant cut joint from the velocities of all
-        nodes."""
-        topology = self.topology
+    def _closure_rate(self, placed: Placed, equation: int) -> np.ndarray:
+        """Row (6 n,) that gives the rate of a closure equation [m] of a compliant cut joint, likewise."""
+        topology, row = self.topology, np.zeros(self.size)
         joint = next(j for j, rows in zip(topology.cuts, topology.constraints, strict=True) if equation in rows)
         kind, left = topology.kind(joint).nominal, placed.joint_rotation[joint]
         place = equation - topology.constraints[joint - topology.n_links].start
@@ -164,38 +172,72 @@ class Vibration:
             a, b = kind.perpendicular[place - len(kind.across)]
             couple = self.geometry.scale * np.cross(placed.child_rotation[joint][:, b], left[:, a])
             reader = np.concatenate([couple, np.zeros(3)])
-        ends = (topology.parents[joint], -reader), (topology.children[joint], reader)
-        return sum((self._row(placed, node, part) for node, part in ends), np.zeros(self.size))
-
-    def _row(self, placed: Placed, node: int, reader: np.ndarray) -> np.ndarray:
-        """Row (6 n,) of one node, which takes its twist at the global origin to reader . twist."""
-        row = np.zeros(self.size)
-        if node == BASE:
-            return row
-        owner = self.topology.link_of(node)
-        along = self.geometry.rest[node - self.topology.n_links] if node >= self.topology.n_links else 0.0
-        rotation = placed.rotation[owner]
-        point = placed.origin[owner] + rotation @ [along, 0.0, 0.0]
-        # Twist at the global origin of velocities in link axes at the node's point.
-        row[6 * node : 6 * node + 3] = (reader[:3] + np.cross(reader[3:], point)) @ rotation
-        row[6 * node + 3 : 6 * node + 6] = reader[3:] @ rotation
+        self._read(row, placed, (topology.parents[joint], topology.children[joint]), reader)
         return row
+
+    def _read(self, row: np.ndarray, placed: Placed, ends: tuple[int, int], reader: np.ndarray) -> None:
+        """Add to a row (6 n,) what takes the twist of the second of two nodes relative to the first, at the global
+        origin, to reader . twist."""
+        for node, sign in zip(ends, (-1.0, 1.0), strict=True):
+            if node == BASE:
+                continue
+            rotation, point = node_place(self.geometry, placed, node)
+            row[6 * node : 6 * node + 3] += sign * (reader[:3] + np.cross(reader[3:], point)) @ rotation
+            row[6 * node + 3 : 6 * node + 6] += sign * reader[3:] @ rotation
+
+    def _pose(self, placed: Placed, element: FrameForce) -> tuple[Pose, np.ndarray]:
+        """Pose of an element's frames at rest, and rows (6, 6 n) that give the rates of its position and rotation, in
+        the axes of the parent, from the velocities w of all nodes."""
+        frames = []
+        for end in (element.parent, element.child):
+            rotation, point = node_place(self.geometry, placed, end.node)
+            frames.append((rotation, point, point + rotation @ np.asarray(end.position)))
+        (left, _, origin), (right, _, place) = frames
+        axes = left @ np.asarray(element.parent.rotation)
+        rows = np.zeros((6, self.size))
+        for end, (rotation, point, _), sign in zip((element.parent, element.child), frames, (-1.0, 1.0), strict=True):
+            if end.node == BASE:
+                continue
+            of_node, arm = rows[:, 6 * end.node : 6 * end.node + 6], rotation.T @ (place - point)
+            of_node[:3, :3] -= sign * axes.T @ rotation @ cross_matrix(arm)
+            of_node[:3, 3:] += sign * axes.T @ rotation
+            of_node[3:, :3] += sign * axes.T @ rotation
+        turned = axes.T @ right @ np.asarray(element.child.rotation)
+        still = jnp.zeros(3)
+        return Pose(jnp.asarray(axes.T @ (place - origin)), jnp.asarray(turned), still, still), rows
+
+    def _principal(
+        self, placed: Placed, element: FrameForce
+    ) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
+        """Of an element's stiffness and of its damping: rows (k, 6 n) that give the rates along the principal
+        directions from the velocities w, and the values there, zero where they are negative."""
+        if element.components == 0:
+            nothing = np.zeros((0, self.size)), np.zeros(0)
+            return nothing, nothing
+        pose, rows = self._pose(placed, element)
+
+        def principal(q_factor, v_factor):
+            tangent = np.asarray(element.tangent(pose, START, q_factor, v_factor))
+            values, directions = np.linalg.eigh(0.5 * (tangent + tangent.T))
+            return directions.T @ rows[: len(values)], np.maximum(values, 0.0)
+
+        return principal(1.0, 0.0), principal(0.0, 1.0)
 
     def _all(self, constraints: np.ndarray, by_springs: np.ndarray, by_dampers: np.ndarray) -> Modes:
         _, singular, rows = np.linalg.svd(_unit_rows(constraints))
         free = rows[np.sum(singular > RANK_TOLERANCE * singular.max(initial=0.0)) :]
         # Singular values of the root of the stiffness matrix: the low frequencies of stiff links keep their digits.
         stretch = self.root @ free.T
-        if self._joints_are_sprung:
+        if self.sprung:
             stretch = np.concatenate([stretch, by_springs @ free.T])
         missing = np.zeros((max(0, free.shape[0] - stretch.shape[0]), free.shape[0]))
         _, frequencies, vectors = np.linalg.svd(np.concatenate([stretch, missing]), full_matrices=False)
         squares = frequencies**2
-        if len(self.rates) == 1 and not self._joints_are_sprung:
+        if len(self.rates) == 1 and not self.sprung:
             return Modes(squares, self.rates[0] * squares)
         stretch = stretch[: len(self.damping)] @ vectors.T
         damping = stretch.T @ (self.damping[:, None] * stretch)
-        if self._joints_are_sprung:
+        if self.sprung:
             across = by_dampers @ free.T @ vectors.T
             damping = damping + across.T @ across
         return Modes(squares, damping)
@@ -225,30 +267,55 @@ class Vibration:
         for shift in DIFFERENCE * np.eye(self.topology.n_freedoms):
             ahead, behind = (self._joint_accelerations(moved(self.topology, joints, s)) for s in (shift, -shift))
             columns.append((ahead - behind) / (2.0 * DIFFERENCE))
-        if self.forces is None:
+        if not self.sprung:
             squares = -np.linalg.eigvals(np.array(columns).T)
             return Modes(squares, np.zeros(len(squares)))
         squares, vectors = np.linalg.eig(-np.array(columns).T)
         by_rate = np.zeros((self.topology.n_freedoms, self.topology.n_freedoms))
-        units = np.eye(len(self.forces))
-        unloaded = self._joint_accelerations(joints, 0.0 * units[0])
-        for law, unit in zip(self.forces.values(), units, strict=True):
-            damping = max(-float(law_slopes(law, joints[law.place], 0.0)[1]), 0.0)
-            by_rate[:, law.coordinate] += damping * (self._joint_accelerations(joints, unit) - unloaded)
+        placed = place(self.geometry, joints)
+        unloaded = self._joint_accelerations(joints, np.zeros(self.size))
+        rows, _, dampings = self._at_joints(joints, placed)
+        for law, row, damping in zip(self.forces.values(), rows, dampings, strict=True):
+            by_rate[:, law.coordinate] += damping * (self._joint_accelerations(joints, row) - unloaded)
+        velocities = self._unit_velocities(placed)
+        for element in self.elements:
+            for row, damping in zip(*self._principal(placed, element)[1], strict=True):
+                loaded = self._joint_accelerations(joints, row @ self.inverse_root)
+                by_rate += damping * np.outer(loaded - unloaded, row @ velocities)
         return Modes(squares, np.linalg.solve(vectors, by_rate @ vectors))
 
-    def _joint_accelerations(self, joints: np.ndarray, forces: np.ndarray | None = None) -> np.ndarray:
-        """Second derivatives of the joint coordinates of rigid links under gravity, at rest; `forces` of springs
-        and laws in their order, None for those at the position."""
+    def _unit_velocities(self, placed: Placed) -> np.ndarray:
+        """Velocities w (6 n, F) of rigid links at unit rates of the joint coordinates."""
+        found = np.zeros((self.topology.n_links, 6, self.topology.n_freedoms))
+        twists = np.zeros_like(found)
+        for l, coordinates in enumerate(self.topology.coordinates):
+            if self.topology.parents[l] != BASE:
+                twists[l] = twists[self.topology.parents[l]]
+            twists[l][:, list(coordinates)] += placed.twists[list(coordinates)].T
+            rotation, origin = placed.rotation[l], placed.origin[l]
+            found[l, :3] = rotation.T @ twists[l, :3]
+            found[l, 3:] = rotation.T @ (twists[l, 3:] - cross_matrix(origin) @ twists[l, :3])
+        return found.reshape(self.size, -1)
+
+    def _spring_load(self, joints: np.ndarray, placed: Placed) -> np.ndarray:
+        """Load (6 n,) of springs and laws at a position of rest, as `inverse_root` transforms it."""
+        zero = jnp.zeros(())
+        forces = [float(law.force(jnp.asarray(joints[law.place]), zero)) for law in self.forces.values()]
+        load = np.array(forces) @ self._at_joints(joints, placed)[0] if forces else np.zeros(self.size)
+        for element in self.elements:
+            pose, rows = self._pose(placed, element)
+            load = load + np.concatenate(element.wrench(pose, START)) @ rows @ self.inverse_root
+        return load
+
+    def _joint_accelerations(self, joints: np.ndarray, springs: np.ndarray | None = None) -> np.ndarray:
+        """Second derivatives of the joint coordinates of rigid links under gravity, at rest; `springs`: load of springs
+        and laws, None for theirs at the position."""
         placed, topology = place(self.geometry, joints), self.topology
         n = topology.n_links
         falling = np.concatenate([np.zeros((n, 3)), placed.rotation.transpose(0, 2, 1) @ self.gravity], axis=1)
         load = self.inverse_root.T @ (self.mass @ falling.reshape(-1))
-        if self.forces is not None:
-            if forces is None:
-                zero = jnp.zeros(())
-                forces = np.array([law.force(jnp.asarray(joints[law.place]), zero) for law in self.forces.values()])
-            load = load + forces @ self._at_joints(joints, placed)[0]
+        if self.forces or self.elements:
+            load = load + (self._spring_load(joints, placed) if springs is None else springs)
         free = _projection(sparse.csc_matrix(self._constraints(placed) @ self.inverse_root))(load)
         in_link = (self.inverse_root @ free).reshape(n, 2, 3)
         angular, linear = np.moveaxis(np.einsum("lij,lkj->lki", placed.rotation, in_link), 1, 0)
@@ -258,19 +325,19 @@ class Vibration:
             over_joint = twists[l] - (0.0 if topology.parents[l] == BASE else twists[topology.parents[l]])
             axes = placed.twists[list(coordinates)]
             found[list(coordinates)] = np.linalg.lstsq(axes.T, over_joint, rcond=None)[0]
-        if self.held:
-            found[topology.driven_coordinate] = 0.0
+        found[list(self.held)] = 0.0
         return found
 
     def _constraints(self, placed: Placed) -> sparse.csr_matrix:
         """Sparse matrix G of all joints; rows: velocities over the longest link, and angular velocities."""
         topology, n = self.topology, self.topology.n_links
+        hinges = [topology.link_of_freedom[k] for k in self.held if topology.about_hinge(k)]
         rows, columns, blocks = [], [], []
         count = 0
         for joint, ends in enumerate(zip(topology.parents, topology.children, strict=True)):
             kind, joint_axes = topology.kind(joint), placed.joint_rotation[joint]
             fixed = _fixed_directions(kind, joint_axes, placed.child_rotation[joint])
-            if self.held and joint == topology.driven:
+            if joint in hinges:
                 fixed = joint_axes.T
             centre = placed.centre[joint] if kind.coincident else placed.child_centre[joint]
             across = np.eye(3) if kind.coincident else joint_axes[:, kind.across].T
@@ -291,7 +358,11 @@ class Vibration:
                 blocks.append(sign * block.reshape(-1))
             count += len(across) + len(fixed)
         entries = np.concatenate(blocks), (np.concatenate(rows), np.concatenate(columns))
-        return sparse.csr_matrix(entries, shape=(count, self.size))
+        matrix = sparse.csr_matrix(entries, shape=(count, self.size))
+        others = [k for k in self.held if not topology.about_hinge(k)]
+        if not others:
+            return matrix
+        return sparse.csr_matrix(sparse.vstack([matrix, sparse.csr_matrix(self._coordinate_rates(placed, others))]))
 
 
 def _fixed_directions(kind: JointKind, left: np.ndarray, right: np.ndarray) -> np.ndarray:

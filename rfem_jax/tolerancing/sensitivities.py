@@ -34,6 +34,7 @@ from rfem_jax.tolerancing.problems.quadratic_model import QuadraticModel, check_
 from rfem_jax.tolerancing.progress import Progress, ProgressOption
 
 NOT_CONVERGED = "derivative_not_converged"
+ROUNDING = 1e-12  # gradient and Hessian of an error below this part of the largest ones: of no effect
 VANISHING = 1e-6  # gradient below this part of (Hessian x tolerances): zero by symmetry
 ZERO_VALUE = 1e-9  # value below this part of (1/2 tolerances x Hessian x tolerances): zero
 
@@ -151,7 +152,8 @@ class Sensitivities:
 
     def _block(self, m, top):
         unit, size = self.metric_units[m], float(np.max(self.effects[m]))
-        head = f"{self.labels[m]} [{unit}] = {show_number(self.value[m], scale=size)}"
+        value = 0.0 if self.character[m] == "kink" else self.value[m]  # what is left of it is rounding
+        head = f"{self.labels[m]} [{unit}] = {show_number(value, scale=size)}"
         head += _REMARKS[self.character[m]]
         per = "per tolerance" if self.scaled else "per unit"
         header = ["error", "tolerance", "gradient per deg, mm", f"gradient {per}"]
@@ -309,8 +311,10 @@ def _classify(problem, value, g, h) -> tuple[tuple[str, ...], np.ndarray]:
             vanishing[m] = even
             words.append("even" if even else "slope")
         else:
-            influence = np.sum(np.abs(h[m]), axis=1)
-            small = np.abs(g[m]) <= VANISHING * influence
+            influence, slope = np.sum(np.abs(h[m]), axis=1), np.abs(g[m])
+            without = np.maximum(influence, slope) <= ROUNDING * max(np.max(influence), np.max(slope))
+            influence = np.where(without, 0.0, influence)
+            small = without | (slope <= VANISHING * influence)
             vanishing[m] = small & (influence > 0)
             words.append(_character(value[m], h[m], small, influence))
     return tuple(words), vanishing

@@ -8,6 +8,14 @@ Place in the pipeline: simulation, mechanics, description -> **validation** -> r
     cantilevers           statics and frequencies, elastica, Princeton beam, thick cantilever
     rotating_beams        spin-up and slewing beam; rotating_beam_theory, an independent value
     tilted_hinge          the flexible four-bar with a crooked pin
+    spinning_bodies       tumbling body, heavy tops; rigid_body_theory, independent values
+    slider_cranks         on a guide, rigid, and flexible with errors
+    spatial_linkages      spherical, universal, prismatic, cylindrical, fixed joints
+    bennett_loop          an overconstrained linkage
+    andrews_squeezer      seven bodies, three planar loops
+    published_linkages    IFToMM spatial slider-crank; Fourbar1, Fourbar2 and Engine1a of Modelica
+    joint_tables          one body on a joint of each kind
+    joint_cases, rigid_links serve the benchmarks of joints of other kinds than revolute
     catalogue             all of them by name
     reference_values      reads the reference values in `references`, each with its unit and source
 

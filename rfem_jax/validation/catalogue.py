@@ -7,10 +7,17 @@ from collections.abc import Callable, Iterator, Sequence
 
 from rfem_jax.description.errors import InputError, suggestion
 from rfem_jax.validation import (
+    andrews_squeezer,
+    bennett_loop,
     cantilevers,
     four_bar_study,
+    joint_tables,
     large_deflections,
+    published_linkages,
     rotating_beams,
+    slider_cranks,
+    spatial_linkages,
+    spinning_bodies,
     tilted_hinge,
 )
 from rfem_jax.validation.lines import Benchmark, Outcome, Progress
@@ -23,6 +30,13 @@ BENCHMARKS = (
     Benchmark("rotating_beams", "spin-up and slewing beam", rotating_beams.validate),
     Benchmark("main_study", "main study, two forms of elements", four_bar_study.validate),
     Benchmark("tilted_hinge", "four-bar with a tilted hinge", tilted_hinge.validate),
+    Benchmark("spinning_bodies", "tumbling body and tops", spinning_bodies.validate),
+    Benchmark("slider_cranks", "slider-cranks, rigid and flexible", slider_cranks.validate),
+    Benchmark("spatial_linkages", "spatial linkages with joints of many kinds", spatial_linkages.validate),
+    Benchmark("bennett_loop", "Bennett's overconstrained linkage", bennett_loop.validate),
+    Benchmark("andrews_squeezer", "Andrews' squeezing mechanism", andrews_squeezer.validate),
+    Benchmark("published_linkages", "linkages of two libraries", published_linkages.validate),
+    Benchmark("joint_tables", "one body on a joint of each kind", joint_tables.validate),
 )
 
 

@@ -26,6 +26,7 @@ from rfem_jax.compilation.scalarisation import scalarised
 from rfem_jax.mechanics.inputs import Stabilisation
 from rfem_jax.mechanics.model_with_errors import apply_errors
 from rfem_jax.simulation import equations, integration, stepping
+from rfem_jax.simulation.driving import active_drives
 from rfem_jax.simulation.equations import Conditions
 from rfem_jax.simulation.solvers.generalised_alpha import GeneralisedAlpha
 from rfem_jax.simulation.solvers.implicit_step import StepConstants, StepStart, form_matrix, solved_step
@@ -204,7 +205,7 @@ def _steps(model, drive, method):
     prepared = integration.prepare(model, assembly_errors(model, {"D.delta_x": 2e-3}), drive, None)
     carry = integration.start_carry(model, prepared, drive, method)
     phase, gains = jnp.asarray(0, jnp.int32), stepping.stabilisation_of(model, method)
-    conditions = Conditions(prepared.actual, drive, phase, gains)
+    conditions = Conditions(prepared.actual, active_drives(model, drive), phase, gains)
     implicit = GeneralisedAlpha(method)
     trajectory, memory = carry.trajectory, carry.memory
     for h, t1 in ((0.0, 0.0), (2.5e-3, 2.5e-3), (2.5e-3, 5e-3)):
@@ -268,7 +269,7 @@ def test_right_hand_sides_of_all_mechanisms_are_the_same(make, elements, quick_c
     actual = apply_errors(model, some_errors(model, rng))
     gains = Stabilisation(jnp.asarray(20.0), jnp.asarray(100.0), jnp.asarray(0.1))
     drive = None if model.driven_joint is None else PrescribedRate(model.driven_joint, 3.0)
-    conditions = Conditions(actual, drive, jnp.asarray(0, jnp.int32), gains)
+    conditions = Conditions(actual, active_drives(model, drive), jnp.asarray(0, jnp.int32), gains)
     given = jnp.asarray(0.1), equations.start_trajectory(state, len(model.topology.joints)), conditions
     assert_same(stepping._scalarised_rate(*given), by_numpy(equations.right_hand_side)(*given))
     names = primitives(stepping._scalarised_rate.fun, *given)

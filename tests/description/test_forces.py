@@ -92,7 +92,7 @@ def test_a_joint_without_a_free_motion_has_no_force(refused):
 def test_names_are_unique_and_objects_are_forces(refused):
     with refused("`forces`", "`gas` occurs twice"):
         mechanism(GAS, GAS)
-    with refused("`forces`", "JointForce objects"):
+    with refused("`forces`", "Force objects"):
         mechanism("spring")
 
 

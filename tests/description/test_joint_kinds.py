@@ -91,7 +91,22 @@ def test_wrong_kinds_and_starts_are_refused(refused, values, pieces):
         Joint("J", "base", "crank", **values)
 
 
-def test_only_revolute_joints_are_driven(refused):
-    joint = Joint("J", "base", "crank", kind="prismatic")
-    with refused("`driven_joint`", "prismatic", "drive a revolute joint"):
-        Mechanism([beam("crank")], [joint], driven_joint="J")
+def test_free_motions_about_or_along_one_axis_are_driven(refused):
+    def driven(kind, names):
+        joint = Joint("J", "base", "crank", kind=kind)
+        return Mechanism([beam("crank")], [joint], driven_joint=names).driven_motions
+
+    assert driven("prismatic", "J") == (("J", "T_x"),)
+    assert driven("planar", ["J.R_y", "J.T_z"]) == (("J", "R_y"), ("J", "T_z"))
+    assert driven("free", "J.T_y") == (("J", "T_y"),)
+    for kind, names, pieces in (
+        ("cylindrical", "J", ("`driven_joint`", "cylindrical", 'write "J.R_y" or "J.T_y"')),
+        ("cylindrical", "J.T_x", ("`motion`", "T_x")),
+        ("planar", ["J.R_y", "J.R_y"], ("`driven_joint`", "R_y of joint `J` twice")),
+        ("spherical", "J", ("turns about any axis", "a universal joint")),
+        ("free", "J.R", ("turns about any axis", "another motion")),
+        ("fixed", "J", ("must have a free motion", "fixed")),
+        ("revolute", 3, ("`driven_joint`", "a list of names")),
+    ):
+        with refused(*pieces):
+            driven(kind, names)

@@ -43,6 +43,19 @@ def test_study_files_know_a_registered_metric_from_then_on(tmp_path, refused):
         load(tmp_path, '["E.end_force"]')
 
 
+def test_the_motion_of_a_joint_is_a_metric_where_it_has_one(tmp_path, refused):
+    task = load(tmp_path, '["*.end_angle"]', 'limits = { "D.angle_range" = "30 deg", "D.end_angle" = ["-1 deg", 0.5] }')
+    assert task.metrics == ("A.end_angle", "B.end_angle", "D.end_angle", "D.angle_range")
+    assert task.limits["D.angle_range"][1] == pytest.approx(0.5235987756)
+    assert task.limits["D.end_angle"] == (pytest.approx(-0.01745329252), 0.5)
+    with refused("`C.end_angle`", "A, B, D"):
+        load(tmp_path, '["C.end_angle"]')
+    with refused("`*.end_displacement`", "no joint has it"):
+        load(tmp_path, '["*.end_displacement"]')
+    with refused("`limits`", "angle_range", "mm"):
+        load(tmp_path, '["D.end_angle"]', 'limits = { "D.angle_range" = "3 mm" }')
+
+
 def test_limits_of_a_metric_that_is_never_negative_are_positive(tmp_path, refused):
     register_metric("height", "m", lambda run: run.angle[-1] ** 2, nonnegative=True)
     assert load(tmp_path, '["height"]', "limits = { height = 1.0 }").limits == {"height": (float("-inf"), 1.0)}

@@ -240,7 +240,7 @@ def changed(old, new):
     [
         # keys
         (TEXT + "[plots]\nsize = 1\n", ("The top level", "`plots`")),
-        (TEXT + "[drives]\n", ("`drives`", "did you mean `drive`?")),
+        (TEXT + "[driv]\n", ("`driv`", "did you mean `drive`?")),
         (TEXT + "[tolerances]\n", ("[tolerances]", "there is none")),
         (TEXT.split("[simulation]")[0], ("The top level", "`simulation`", "missing")),
         ("title = 'x'\n[simulation]\nduration = 1\n", ("`mechanism`", "missing")),

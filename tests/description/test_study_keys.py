@@ -1,6 +1,7 @@
 """The reference of all keys: what the reader asks for, table by table, with a meaning for each."""
 
 import re
+import tomllib
 
 import pytest
 
@@ -10,6 +11,7 @@ from rfem_jax.description.tasks import allocation, task
 
 from .test_compliance import COMPLIANCE
 from .test_forces import FORCES
+from .test_point_forces import FORCES as POINT_FORCES
 from .test_study_files import FULL
 from .test_tasks import TASKS
 
@@ -35,6 +37,32 @@ kind = "prescribed_table"
 times = [0, 1]
 angles = [0, 1]
 """
+SLIDES = """
+[[drives]]
+joint = "G"
+kind = "force_ramp"
+force = 1
+rise_time = 1
+[[drives]]
+joint = "G"
+kind = "force_table"
+times = [0, 1]
+forces = [0, 1]
+[[drives]]
+joint = "G"
+kind = "prescribed_speed"
+speed = 1
+[[drives]]
+joint = "G"
+kind = "prescribed_run_up"
+speed = 1
+rise_time = 1
+[[drives]]
+joint = "G"
+kind = "prescribed_displacements"
+times = [0, 1]
+displacements = [0, 1]
+"""
 RECTANGLE = '[mechanism.sections.flat]\nshape = "rectangle"\nwidth = 1e-2\nheight = 1e-2\n'
 
 
@@ -43,8 +71,10 @@ def header_of(place):
     place = re.sub(r"^The top level$", "top level", place)
     place = re.sub(r"^\[\[mechanism\.links\]\] .* point_masses.*", "point_masses of [[mechanism.links]]", place)
     place = re.sub(r"^\[\[mechanism\.joints\]\] .* compliance$", "compliance of [[mechanism.joints]]", place)
+    place = re.sub(r"^\[\[mechanism\.links\]\] .* body$", "body of [[mechanism.links]]", place)
     place = re.sub(r"\[mechanism\.(materials|sections)\.\w+\]", r"[mechanism.\1.NAME]", place)
     place = re.sub(r"^(\[\[[\w.]+\]\]) (`[^`]+`|number \d+)", r"\1", place)
+    place = re.sub(r"^(\[drive\]|\[\[drives\]\])", "[drive] or [[drives]]", place)
     place = re.sub(r"^\[tolerances\] `.*", "[tolerances] ERROR", place)
     return re.sub(r"^\[allocation\.cost\] `.*", "[allocation.cost]", place)
 
@@ -68,8 +98,11 @@ def asked(tmp_path, monkeypatch):
     start, end = full.index("[drive]"), full.index("[simulation]")
     for drive in [full[start:end], *(f"[drive]{part}" for part in DRIVES.split("[drive]")[1:])]:
         path = tmp_path / "study.toml"
-        path.write_text(full[:start] + FORCES + drive + full[end:] + TASKS, encoding="utf-8")
+        path.write_text(full[:start] + FORCES + POINT_FORCES + drive + full[end:] + TASKS, encoding="utf-8")
         load_study(path)
+        full = full.replace('section = "own"\n', "body = {mass = 1, centre = [0, 0, 0], inertia = [1, 1, 1]}\n")
+        start, end = full.index("[drive]"), full.index("[simulation]")
+    study_reader.read_drives(tomllib.loads(SLIDES)["drives"])
     return found
 
 
@@ -83,7 +116,7 @@ def test_the_reference_holds_what_the_reader_asks_for(asked):
     # Asked before the shape and the kind are known, or by names of the user.
     for place in (
         "[mechanism.sections.NAME]",
-        "[drive]",
+        "[drive] or [[drives]]",
         "[[mechanism.forces]]",
         "[mechanism.materials]",
         "[mechanism.sections]",

@@ -11,6 +11,7 @@ from jax.flatten_util import ravel_pytree
 from rfem_jax import discretise
 from rfem_jax.mechanics import loads
 from rfem_jax.mechanics.dynamics import accelerations
+from rfem_jax.mechanics.frame_forces import Time
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation, impose
 from rfem_jax.mechanics.model import State
 from rfem_jax.mechanics.model_with_errors import apply_errors
@@ -19,6 +20,7 @@ from tests.mechanisms import (
     ALL,
     chain_of_kinds,
     chain_with_balls,
+    chain_with_drives,
     chain_with_forces,
     compliant_chain,
     compliant_four_bar,
@@ -26,6 +28,7 @@ from tests.mechanisms import (
     loop_cut_by,
     loop_cut_by_sprung,
     loop_with_a_ball,
+    loop_with_point_forces,
     loop_with_springs,
     open_chain,
     random_state,
@@ -47,10 +50,10 @@ def close(actual, state):
     flat, unravel = ravel_pytree(state.position)
     if actual.topology.n_cuts == 0:
         return state
-    # The driven angle is imposed again in the formulations, so it must not move here.
+    # What is prescribed is imposed again in the formulations, so it must not move here.
     moves = jnp.ones_like(flat)
-    if actual.topology.driven_position is not None:
-        moves = moves.at[actual.topology.driven_position].set(0.0)
+    for k in actual.topology.held:
+        moves = moves.at[actual.topology.place_of(k)].set(0.0)
 
     def newton(flat, _):
         def residual(q):
@@ -86,7 +89,9 @@ CASES = [
     (chain_with_forces, "moment", "linear"),
     (loop_with_springs, "moment", "geometrically_exact"),
     (chain_with_forces, "prescribed", "linear"),
+    (loop_with_point_forces, "moment", "linear"),
     (loop_with_a_ball, "moment", "linear"),
+    (chain_with_drives, "several", "linear"),
     *[(named(loop_cut_by, kind), "moment", "linear") for kind in CUT_KINDS],
     (compliant_chain, "moment", "linear"),
     (compliant_four_bar, "moment", "linear"),
@@ -94,27 +99,38 @@ CASES = [
 ]
 
 
+def drives_of(topology, driven):
+    """The first two of several drives prescribed and the others given, or one of the two."""
+    if topology.driven is None:
+        return DriveInput()
+    motion = jnp.asarray(0.3), jnp.asarray(-2.0), jnp.asarray(11.0)
+    if driven == "several":
+        first, second, *others = topology.drives
+        forces = {k: jnp.asarray(1.7 - 4.0 * n) for n, k in enumerate(others)}
+        return DriveInput(forces, {first: motion, second: tuple(0.1 * x for x in motion)})
+    k = topology.driven_coordinate
+    return DriveInput(motions={k: motion}) if driven == "prescribed" else DriveInput({k: jnp.asarray(1.7)})
+
+
 @pytest.fixture(scope="module", params=CASES, ids=lambda case: "-".join([case[0].__name__, *case[1:]]))
 def compared(request):
     """Both formulations on random closed states with random errors, driven by a moment or a prescribed angle."""
     make, driven, elements = request.param
-    prescribed = driven == "prescribed"
     model = discretise(make(), elements=elements)
+    prescribed = tuple(drives_of(model.topology, driven).motions)
     rng = np.random.default_rng(7)
 
     def both(errors, state):
         actual = apply_errors(model, errors)
-        drive = DriveInput()
-        if model.topology.driven is not None:
-            angle, rate = jnp.asarray(0.3), jnp.asarray(-2.0)
-            moment = DriveInput(moment=jnp.asarray(1.7))
-            drive = DriveInput(prescribed=(angle, rate, jnp.asarray(11.0))) if prescribed else moment
+        drive = drives_of(model.topology, driven)
+        if model.frame_forces is not None:
+            drive = drive._replace(time=Time(0.2, 0.1))
         state = close(actual, impose(model.topology, state, drive))
         fast = accelerations(actual, state, drive, GAINS)
         slow, multipliers = reference_accelerations(actual, state, drive, GAINS)
         joint = loads.joint_loads(actual, fast, drive)
         chain, base = loads.chain_loads(actual, fast, fast.angular, fast.linear, drive)
-        residual = loads.momentum_residual(actual, state, fast.coordinates, base)
+        residual = loads.momentum_residual(actual, state, fast.coordinates, base, fast.frame_loads)
         inside = {} if fast.laws is None else fast.laws.inside
         return fast.coordinates, fast.multipliers, slow, multipliers, residual, joint, chain, inside, state
 
@@ -173,10 +189,9 @@ def test_no_load_along_free_motions_but_that_of_springs(compared):
             along = loads[:, 3:, j].T
         for n, k in enumerate(topology.coordinates[j] if j < topology.n_links else ()):
             along[n] = along[n] - inside.get(k, 0.0) / largest
-        if prescribed and j == topology.driven:
-            assert np.abs(along).min() > 1e-6
-        else:
-            np.testing.assert_allclose(along, 0.0, atol=1e-9)
+        enforced = np.isin(topology.coordinates[j] if j < topology.n_links else np.zeros(len(along)) - 1, prescribed)
+        assert (np.abs(along[enforced]) > 1e-6).all()
+        np.testing.assert_allclose(along[~enforced], 0.0, atol=1e-9)
 
 
 def test_both_ways_to_the_joint_loads_agree(compared):

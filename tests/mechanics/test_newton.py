@@ -50,7 +50,8 @@ def mechanism(request):
     drive = DriveInput()
     if model.topology.driven is not None:
         given = (model.start_joints[model.topology.driven], jnp.asarray(-2.0), jnp.asarray(11.0))
-        drive = DriveInput(prescribed=given) if prescribed else DriveInput(moment=jnp.asarray(1.7))
+        k = model.topology.driven_coordinate
+        drive = DriveInput(motions={k: given}) if prescribed else DriveInput(forces={k: jnp.asarray(1.7)})
     rates = Coordinates(
         jnp.asarray(rng.normal(size=model.topology.n_freedoms) * 3.0),
         jnp.asarray(rng.normal(size=size) * np.array([0.02] * 3 + [1.0] * 3)[:, None]),
@@ -110,7 +111,7 @@ def test_increments_at_a_given_state_find_the_accelerations(mechanism):
         found = jax.tree.map(jnp.zeros_like, result.coordinates)
         if prescribed:
             driven = np.arange(topology.n_freedoms) == topology.driven_coordinate
-            found = Coordinates(jnp.where(driven, drive.prescribed[2], 0.0), found.elastic)
+            found = Coordinates(jnp.where(driven, drive.motions[topology.driven_coordinate][2], 0.0), found.elastic)
         multipliers = jnp.zeros_like(result.multipliers)
 
         def improve(carry, _):
@@ -196,7 +197,7 @@ def test_matrix_is_the_tangent_at_rest(mechanism):
     drive = DriveInput()
     if prescribed:
         zero = jnp.zeros(())
-        drive = DriveInput(prescribed=(model.start_joints[topology.driven], zero, zero))
+        drive = DriveInput(motions={topology.driven_coordinate: (model.start_joints[topology.driven], zero, zero)})
 
     @by_numpy
     def both(load):

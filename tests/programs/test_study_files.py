@@ -1,11 +1,13 @@
 """The study files in `studies`: each is valid as it is, and its commands run on a reduced copy.
 
 Copies are short, with few rfes and samples.  Second derivatives of the four-bar take minutes to compile: copies of
-studies that need them have a double pendulum of rigid links instead, whose joints are A and D.
+studies that need them have a tree of rigid links instead: a double pendulum with the joints A and D, a crank with a
+slider (A, G) in place of the engine, and a crank with a ball beside the rocker (A, B, D) in place of the linkage.
 """
 
 import csv
 import json
+import math
 import tomllib
 
 import pytest
@@ -19,6 +21,16 @@ HINGES = [
     {"name": "A", "parent": "base", "child": "crank", "angle": "90 deg"},
     {"name": "D", "parent": "crank", "child": "coupler"},
 ]
+SLIDER = [
+    {"name": "A", "parent": "base", "child": "crank"},
+    {"name": "G", "kind": "prismatic", "parent": "crank", "child": "piston"},
+]
+BALL = [
+    {"name": "A", "parent": "base", "child": "crank"},
+    {"name": "B", "kind": "spherical", "parent": "crank", "child": "coupler"},
+    {"name": "D", "parent": "base", "child": "rocker", "angle": "-82 deg"},
+]
+TREES = {"slider_crank": SLIDER, "spatial_linkage": BALL}
 
 
 def to_toml(value):
@@ -30,7 +42,7 @@ def to_toml(value):
     return json.dumps(value)
 
 
-def reduced(name, pendulum=False):
+def reduced(name, tree=False):
     """Text of a smaller study."""
     content = tomllib.loads((STUDIES / name).read_text(encoding="utf-8"))
     simulation = {"duration": 5e-3, "save_every": 2.5e-3}
@@ -40,12 +52,9 @@ def reduced(name, pendulum=False):
         simulation |= {key: content["simulation"][key] for key in ("method", "step")}
     mechanism = content["mechanism"]
     for link in mechanism["links"]:
-        link |= {"rfes": 1 if pendulum or link.get("rigid") else 2}
-    if pendulum:
-        mechanism["links"], mechanism["joints"] = mechanism["links"][:2], HINGES
-        bounds = content.get("allocation", {}).get("bounds", {})
-        for error in [name for name in bounds if name.split(".")[0] not in ("A", "D", "crank", "coupler")]:
-            del bounds[error]
+        link |= {"rfes": 1 if tree or link.get("rigid") else 2}
+    if tree:
+        plant_tree(content, TREES.get(name.split("/")[0], HINGES))
     for task, sizes in {
         "monte_carlo": {"n": 8, "batch": 4},
         "worst_case": {"evaluations": 4, "batch": 4},
@@ -56,12 +65,32 @@ def reduced(name, pendulum=False):
     return "\n".join(f"{key} = {to_toml(value)}" for key, value in {**content, "simulation": simulation}.items())
 
 
+def plant_tree(content, joints):
+    """Replace the joints of a study, and leave out links and what is asked of joints and links that are gone."""
+    children = [joint["child"] for joint in joints]
+    mechanism = content["mechanism"]
+    mechanism["links"] = [link for link in mechanism["links"] if link["name"] in children]
+    mechanism["joints"] = joints
+    owners = {*children, *(joint["name"] for joint in joints), "*"}
+    tables = [content.get("tolerances", {}), content.get("allocation", {}).get("bounds", {})]
+    tables += [content.get(task, {}).get("limits", {}) for task in ("monte_carlo", "allocation")]
+    for table in tables + [case["errors"] for case in content.get("cases", []) if "errors" in case]:
+        for gone in [key for key in table if key.split(".")[0] not in owners]:
+            del table[gone]
+    for task in content.values():
+        if isinstance(task, dict) and "metrics" in task:
+            task["metrics"] = [one for one in task["metrics"] if one.split(".")[0] in owners] or [
+                "A.mean_square_moment"
+            ]
+
+
 @pytest.mark.parametrize("name", FILES)
 def test_every_file_is_valid(name):
     study = load_study(STUDIES / name)
     model = discretise(study.mechanism)
-    assert model.driven_joint == study.drive.joint == "A" and model.joint_names == ("A", "B", "D", "C")
-    assert any(name.startswith(f"{folder}/") for folder in ("four_bar", *COMMANDS)), "no test runs this file"
+    names = ("A", "B", "G", "P") if name.startswith("slider_crank") else ("A", "B", "D", "C")
+    assert model.driven_joint == study.drive.joint == "A" and model.joint_names == names
+    assert any(name.startswith(f"{folder}/") for folder in ("four_bar", *COMMANDS, *TREES)), "no test runs this file"
 
 
 @pytest.fixture
@@ -116,10 +145,64 @@ COMMANDS = {
     [(f"{folder}/{file}", command) for folder in list(COMMANDS)[1:] for file, command in COMMANDS[folder]],
 )
 def test_tolerance_studies(run_command, name, command):
-    out, said = run_command(command, reduced(name, pendulum=True))
+    out, said = run_command(command, reduced(name, tree=True))
     written = {path.suffix for path in out.iterdir()}
     assert {".json", ".csv", ".png"} <= written
     assert "D.delta_x" in said
+
+
+def without_tasks(text):
+    tasks = ("tolerances", "sensitivity", "monte_carlo", "worst_case", "allocation")
+    return "\n".join(line for line in text.splitlines() if line.split(" = ")[0] not in tasks)
+
+
+@pytest.mark.slow
+def test_slider_crank(run_command):
+    out, _ = run_command("run", without_tasks(reduced("slider_crank/study.toml")))
+    cases = json.loads((out / "results.json").read_text())["cases"]
+    assert all(case["status"] == "ok" for case in cases.values())
+    moments = {name: case["joints"]["G"]["rms_moment"] for name, case in cases.items()}
+    assert moments["perfect"] < 1e-6 and all(value > 1.0 for name, value in moments.items() if name != "perfect")
+    with open(out / "perfect.csv", newline="", encoding="utf-8") as file:
+        last = list(csv.DictReader(file))[-1]
+    crank = float(last["angle_rad"])
+    slide = 0.06 * math.cos(crank) + math.sqrt(0.2**2 - (0.06 * math.sin(crank)) ** 2) - 0.2
+    assert float(last["G_displacement_m"]) == pytest.approx(slide, abs=1e-6)
+    assert "displacement_G.png" in {path.name for path in out.iterdir()}
+
+
+@pytest.mark.slow
+def test_spatial_linkage(run_command):
+    out, _ = run_command("run", without_tasks(reduced("spatial_linkage/study.toml")))
+    cases = json.loads((out / "results.json").read_text())["cases"]
+    assert all(case["status"] == "ok" for case in cases.values())
+    # Nothing is bent to fit: errors of the ball centres hardly change the loads.
+    forces = [case["joints"]["D"]["rms_force"] for case in cases.values()]
+    assert max(forces) < 1.05 * min(forces)
+    assert {"angle_D.png", "maximum_forces.png", "joint_D_moment.png"} <= {path.name for path in out.iterdir()}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "changes", "words"),
+    [
+        ("slider_crank", (), ("sensitivity", "monte_carlo", "worst_case", "allocation", "G.delta_z")),
+        (
+            "spatial_linkage",
+            (("-82.1 deg", "-90 deg"), ("-82.08 deg", "-90 deg"), ("33.19 deg", "0 deg"), ("33.24 deg", "0 deg")),
+            ("sensitivity", "monte_carlo", "allocation", "D.end_angle"),
+        ),
+    ],
+)
+def test_all_tasks_of_a_study(run_command, name, changes, words):
+    """One command does the cases and all tasks, on a tree of rigid links."""
+    text = reduced(f"{name}/study.toml", tree=True)
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    out, said = run_command("run", text)
+    written = " ".join(path.name for path in out.iterdir())
+    assert all(word in written + said for word in words)
 
 
 @pytest.mark.slow

@@ -123,6 +123,8 @@ def synthetic_run(size, status=0):
         times=times,
         angle=-1.5 + 20.0 * times + 0.01 * size * times,
         rate=20.0 + 0.0 * times,
+        angles={"A": times, "B": 2.0 * times, "D": 0.1 * times * size},
+        displacements={},
         drive_moment=np.where(times <= 0.1, 15.0 * times, 0.0),
         loads=loads,
         preload=preload,

@@ -83,13 +83,14 @@ def test_csv_has_units_in_its_header_and_the_right_columns(folder, runs):
         *("A_moment_x_Nm", "A_moment_y_Nm", "A_moment_z_Nm"),
     ]
     assert names[15] == "B_force_x_N"
-    assert names[-2:] == ["C_moment_z_Nm", "drive_moment_Nm"]
+    assert names[-4:] == ["C_moment_z_Nm", "drive_moment_Nm", "B_angle_rad", "D_angle_rad"]
     assert len(rows) == 11
     table = np.genfromtxt(folder / "P2.csv", delimiter=",", names=True)
     np.testing.assert_allclose(table["time_s"], runs["P2"].times, rtol=1e-11)
     np.testing.assert_allclose(table["total_J"], 1.25 * runs["P2"].times, rtol=1e-11)
     np.testing.assert_allclose(table["D_force_y_N"], 6.0, rtol=1e-11)
     np.testing.assert_allclose(table["D_moment_x_Nm"], 0.4, rtol=1e-11)
+    np.testing.assert_allclose(table["D_angle_rad"], 0.2 * runs["P2"].times, rtol=1e-11)
 
 
 @pytest.mark.parametrize(

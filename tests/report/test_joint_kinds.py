@@ -132,7 +132,8 @@ def test_axial_force_is_along_the_guide_and_nothing_is_left_along_free_motions(r
 
 
 def test_titles_of_components_say_which_is_along_the_axis():
-    assert _component_titles("prismatic", "force")[0] == "(a) x, along the axis"
+    assert _component_titles("prismatic", "force")[0] == "(a) x, along the guide"
+    assert _component_titles("cylindrical", "force")[1] == "(b) y, along the axis"
     assert _component_titles("revolute", "moment")[1] == "(b) about y, the hinge"
     assert _component_titles("spherical", "moment") == ["(a) about x", "(b) about y", "(c) about z"]
 

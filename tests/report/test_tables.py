@@ -111,7 +111,8 @@ def test_the_overview_shows_forces(study):
     text = study_text(study, SimpleNamespace(**COUNTS, redundant=False, idle=()))
     numbers = "stiffness 114.592, damping 0, rest 0, preload -1"
     assert f"Force return: joint spring on joint A, R_y (SI: {numbers}).\n" in text
-    assert "Force cam: joint force table on joint B, R_y.\n" in text
+    numbers = "2 rows, positions 0 to 1, forces 0 to 3"
+    assert f"Force cam: joint force table on joint B, R_y (SI: {numbers}).\n" in text
 
 
 def test_redundant_reactions_are_reported(study):

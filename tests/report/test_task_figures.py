@@ -1,6 +1,8 @@
 """Pictures of tasks: all are there, none is blank, and they show the numbers of the results."""
 
 import math
+from dataclasses import replace
+from itertools import pairwise
 
 import jax
 import numpy as np
@@ -9,11 +11,13 @@ import pytest
 pytest.importorskip("matplotlib", reason="pictures need the extra `plots`")
 
 import matplotlib
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.image import imread
 
 from rfem_jax.description import load_study
 from rfem_jax.report.output import write_pictures
 from rfem_jax.report.tasks import study_problem
+from rfem_jax.report.tasks.monte_carlo import _most_felt
 from rfem_jax.report.tasks.sensitivity import Derivatives
 from rfem_jax.report.tasks.task_report import report_on
 from rfem_jax.tolerancing import Tolerances, Uniform, monte_carlo
@@ -131,3 +135,32 @@ def test_worst_cases_and_allocations_show_their_answers(study, tmp_path):
     words = words_of(figures["allocation_tolerances"])
     after = math.degrees(found.answer.tolerances["D.delta_x"])
     assert f"{after:.3g} deg" in words and "0.25 deg" in words and "before 3" in words
+
+
+def test_the_scatter_matrix_shows_the_errors_that_matter_most():
+    """Of six errors the two that act by their squares, the one that acts by its sign, and the next by its square."""
+    errors = np.random.default_rng(2).uniform(-1.0, 1.0, size=(400, 6))
+    values = np.stack([errors[:, 4] ** 2 + 0.7 * errors[:, 1] ** 2 + 0.4 * errors[:, 5] ** 2, errors[:, 2]], axis=1)
+    assert _most_felt(errors, values) == [1, 2, 4, 5]
+    assert _most_felt(errors[:, :3], values) == [0, 1, 2]
+
+
+def test_numbers_below_a_histogram_do_not_overlap(study):
+    """Of a metric that scatters little about a number that is not zero."""
+    result = scatter(closed_form.build([MOMENT, FORCE]))
+    values = 0.58 + 1e-4 * result.values
+    object.__setattr__(result, "values", values)
+    found = {
+        metric: replace(one, mean=replace(one.mean, value=float("nan")), quantiles={})
+        for metric, one in result.statistics.items()
+    }
+    object.__setattr__(result, "statistics", found)
+    object.__setattr__(result, "limits", {})
+    figure = draw(study, "monte_carlo", result)["monte_carlo_histograms"]
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    for axes in figure.axes[:2]:
+        low, high = axes.get_xlim()
+        shown = [text for text in axes.get_xticklabels() if low <= text.get_position()[0] <= high]
+        boxes = [text.get_window_extent() for text in shown]
+        assert len(boxes) > 2 and all(one.x1 < other.x0 for one, other in pairwise(boxes))

@@ -9,6 +9,7 @@ import pytest
 
 from rfem_jax import InputError, Method, MomentFunction, assembly_errors, simulate
 from rfem_jax.simulation import integration
+from rfem_jax.simulation.driving import active_drives
 from rfem_jax.simulation.equations import (
     Conditions,
     safe_sqrt,
@@ -27,7 +28,8 @@ pytestmark = pytest.mark.usefixtures("quick_compilation")
 def in_one_interval(model, drive, method):
     """Conditions, start and carry of a mechanism with errors."""
     prepared = integration.prepare(model, assembly_errors(model, ERRORS), drive, None)
-    conditions = Conditions(prepared.actual, drive, jnp.asarray(0, jnp.int32), stabilisation_of(model, method))
+    drives, gains = active_drives(model, drive), stabilisation_of(model, method)
+    conditions = Conditions(prepared.actual, drives, jnp.asarray(0, jnp.int32), gains)
     y = (start_trajectory(prepared.state, 4), jnp.zeros((2, 4)))
     return prepared, conditions, y
 

@@ -55,7 +55,7 @@ def test_planar_state_has_planar_accelerations(flexible_four_bar_runs):
 
     @eqx.filter_jit
     def at(model, state):
-        drive, none = DriveInput(moment=zero + 3.0), Stabilisation(zero, zero, zero + 0.3)
+        drive, none = DriveInput({model.topology.driven_coordinate: zero + 3.0}), Stabilisation(zero, zero, zero + 0.3)
         return accelerations(apply_errors(model, assembly_errors(model)), state, drive, none)
 
     result = at(model, State(position, velocity))

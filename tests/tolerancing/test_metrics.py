@@ -29,6 +29,8 @@ def run(force=FORCE, moment=MOMENT):
         loads={"A": loads},
         preload={"A": SimpleNamespace(force=jnp.array([1.0, 2, 2]), moment=jnp.array([0.0, 3, 4]))},
         metrics=SimpleNamespace(**{name: {"A": value} for name, value in kinds.items()}),
+        angles={"A": jnp.array([0.5, 2.0, -1.0])},
+        displacements={"A": jnp.array([0.1, 0.4, 0.2])},
         driven_joint=SimpleNamespace(angle_end=jnp.asarray(1.25)),
         energy=SimpleNamespace(total=jnp.array([1.0, 0.5])),
     )
@@ -43,6 +45,7 @@ def test_every_metric_is_what_its_name_says():
     expected = {
         "mean_square_force": 4.0, "mean_square_moment": 9.0, "rms_force": 2.0, "rms_moment": 3.0,
         "preload_force_square": 9.0, "preload_moment_square": 25.0, **peaks,
+        "end_angle": -1.0, "angle_range": 3.0, "end_displacement": 0.2, "displacement_range": 0.3,
     }  # fmt: skip
     assert found == pytest.approx(expected, rel=1e-12)
     assert float(metric("angle_error")(run())) == 1.25
@@ -84,6 +87,16 @@ def test_metrics_of_ones_own_and_bad_ones():
         metric("A.rms_forse")
     with pytest.raises(InputError, match="did you mean `end_energy`"):
         metric("end_enrgy")
+
+
+def test_only_joints_with_a_coordinate_have_a_motion():
+    joints = [Joint("A", "base", "arm", kind="prismatic"), Joint("B", "arm", "hand", kind="universal")]
+    model = discretise(Mechanism([link("arm", 0.3), link("hand", 0.3)], joints))
+    settings = {"drive": None, "duration": 1e-3, "method": Method("rk4", step=1e-4)}
+    assert Problem(model, metrics=("A.end_displacement", "A.displacement_range"), **settings).metrics[0].unit == "m"
+    for name in ("A.end_angle", "B.end_angle"):
+        with pytest.raises(InputError, match="`metrics` must be of joints that have them"):
+            Problem(model, metrics=(name,), **settings)
 
 
 @pytest.fixture

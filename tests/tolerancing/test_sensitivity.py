@@ -100,6 +100,16 @@ def test_root_of_a_mean_square_that_vanishes_has_a_kink_and_the_derivatives_of_t
         result.root_derivative("force", direction)
 
 
+def test_rounding_of_an_error_without_effect_hides_no_kink():
+    def function(e):
+        return {"square": 5e-10 + 4.0 * e["a"] ** 2 + 1e-18 * e["b"] + 1e-22 * e["b"] ** 2}
+
+    result = sensitivity(FunctionProblem(function, ("a", "b"), ("square",)))
+    assert result.character == ("kink",) and result.vanishing.tolist() == [[True, False]]
+    np.testing.assert_allclose(result.root_derivatives[0], [2.0, 0.0], atol=1e-10)
+    assert "= 0; zero and even at this point" in str(result)
+
+
 def test_one_sided_derivative_is_the_limit_of_the_root_along_a_small_error(problem):
     result = sensitivity(problem, scale=WIDTHS)
     direction = {"D.delta_x": 1.0, "D.delta_z": 2.0}

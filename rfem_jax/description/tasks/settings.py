@@ -10,8 +10,8 @@ from dataclasses import fields
 from typing import Any
 
 from rfem_jax.description.errors import Checks, InputError, Problems, require_choice, suggestion
-from rfem_jax.description.metric_catalogue import JOINT_METRICS, RUN_METRICS, never_negative
-from rfem_jax.description.units import Quantity, quantity, short
+from rfem_jax.description.metric_catalogue import JOINT_METRICS, RUN_METRICS, never_negative, unit_of
+from rfem_jax.description.units import DIMENSIONS, Quantity, quantity, short
 
 MOST = 10**9  # of whole numbers without a bound of their own
 MOST_SAMPLES, MOST_AT_ONCE = 10**8, 10**5
@@ -63,12 +63,14 @@ def limits_of(limits: object, needed: bool = False) -> dict[str, tuple[float, fl
 
 def _limit(name: Any, limit: Any) -> tuple[float, float]:
     pair = tuple(limit) if isinstance(limit, (list, tuple)) else (float("-inf"), limit)
+    pair = tuple(_in_metrics_unit(name, end) if isinstance(end, str) else end for end in pair)
     plain = all(isinstance(end, (int, float)) and not isinstance(end, bool) for end in pair)
     plain = plain and all(abs(end) < MOST_LIMIT or end in (float("inf"), float("-inf")) for end in pair)
     if len(pair) != 2 or not plain or not pair[0] < pair[1]:
         raise InputError(
             f"Argument `limits` must give a largest value or [low, high], but `{name}` has "
-            f"{short(repr(limit))}; write a number in the metric's unit (inf and -inf are open ends)."
+            f"{short(repr(limit))}; write a number in the metric's unit (inf and -inf are open ends), or a string with "
+            'a unit for an angle, a length, a force or a moment, as "30 deg".'
         )
     if isinstance(name, str) and never_negative(name) and pair[1] <= 0.0:
         raise InputError(
@@ -76,6 +78,16 @@ def _limit(name: Any, limit: Any) -> tuple[float, float]:
             f"{limit!r}; write its largest value as a positive number."
         )
     return float(pair[0]), float(pair[1])
+
+
+def _in_metrics_unit(name: Any, limit: str) -> Any:
+    """A string with a unit as a number in the metric's unit, if that is a dimension of its own; else the string."""
+    unit = unit_of(name) if isinstance(name, str) else None
+    dimension = _DIMENSIONS.get(unit) if unit else None
+    return limit if dimension is None else quantity(limit, dimension, f"`limits` of `{name}`")
+
+
+_DIMENSIONS = {DIMENSIONS[name][1]: name for name in ("angle", "length", "force", "moment")}
 
 
 def starts_of(starts: object) -> dict[str, int]:

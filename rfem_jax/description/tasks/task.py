@@ -9,8 +9,10 @@ from dataclasses import dataclass, fields, replace
 from typing import Any, ClassVar
 
 from rfem_jax.description.errors import ChecksItself, InputError, Problems, suggestion
+from rfem_jax.description.joint_kinds import KINDS
+from rfem_jax.description.joints import Joint
 from rfem_jax.description.mechanism import Mechanism
-from rfem_jax.description.metric_catalogue import RUN_METRICS
+from rfem_jax.description.metric_catalogue import RUN_METRICS, has_metric
 from rfem_jax.description.tables import build, checked_table, keys_of
 from rfem_jax.description.tolerances import SpecifiedTolerances
 
@@ -50,13 +52,12 @@ class Task(ChecksItself):
         for error in (*getattr(self, "at", ()), *getattr(self, "bounds", ())):
             with problems.noted():
                 mechanism.require_error(error, f"`{name}`")
-        joints = tuple(joint.name for joint in mechanism.joints)
         own = {one.name: getattr(self, one.name) for one in fields(self)}
         patterns = (*own.get("limits", ()), *own.get("metrics", ()))
         metrics: dict[str, list[str]] = {}
         for pattern in patterns:
             with problems.noted():
-                metrics[pattern] = _resolve(pattern, joints, name)
+                metrics[pattern] = _resolve(pattern, mechanism.joints, name)
         problems.refuse()
         changes: dict[str, Any] = {}
         if "limits" in own:
@@ -68,14 +69,22 @@ class Task(ChecksItself):
         return replace(self, **changes)
 
 
-def _resolve(pattern: str, joints: Iterable[str], task: str) -> list[str]:
-    """Names of the metrics that one name with "*" stands for; the joint must be there."""
+def _resolve(pattern: str, joints: Iterable[Joint], task: str) -> list[str]:
+    """Names of the metrics that one name with "*" stands for, of all joints that have it; the joint must be there."""
     joint, _, kind = pattern.rpartition(".")
-    if joint == "*":
-        return [f"{name}.{kind}" for name in joints]
-    if pattern not in RUN_METRICS and joint not in joints:
+    names = {one.name: has_metric(kind, KINDS[one.kind], one.cut) for one in joints}
+    if joint == "*" and any(names.values()):
+        return [f"{name}.{kind}" for name, has in names.items() if has]
+    if pattern not in RUN_METRICS and joint not in (*names, "*"):
         raise InputError(
             f"Argument `metrics` of the task `{task}` must be of joints of the mechanism, but "
-            f"`{joint}` in `{pattern}` is none; {suggestion(joint, joints)}"
+            f"`{joint}` in `{pattern}` is none; {suggestion(joint, names)}"
+        )
+    if pattern not in RUN_METRICS and not names.get(joint):
+        having = [name for name, has in names.items() if has]
+        raise InputError(
+            f"Argument `metrics` of the task `{task}` must be of joints that have them, but `{pattern}` is not: a cut "
+            f"joint has no coordinate, and one of another kind not this one; "
+            + (f"joints that have it are {', '.join(having)}." if having else "no joint has it, leave it out.")
         )
     return [pattern]

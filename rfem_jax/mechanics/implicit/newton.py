@@ -38,6 +38,7 @@ from rfem_jax.mechanics.algebra import (
     transpose,
 )
 from rfem_jax.mechanics.cut_joints import Closure, invert_closure, unit_columns
+from rfem_jax.mechanics.element_loads import ElementTangents
 from rfem_jax.mechanics.implicit.block_tridiagonal import solve
 from rfem_jax.mechanics.implicit.condensation import LinkOperator, root_inertia
 from rfem_jax.mechanics.implicit.residual import Residual
@@ -135,13 +136,28 @@ class SpringRows(NamedTuple):
     root: Float[Array, " multipliers"]
     matrix: Float[Array, "multipliers multipliers"]
 
+    def scaled(self) -> Float[Array, "multipliers multipliers"]:
+        """The matrix that is inverted."""
+        return self.root[:, None] * self.matrix * self.root[None] + jnp.diag(self.sprung.astype(float))
+
+
+class ElementMatrix(NamedTuple):
+    """Of the force elements: units, wrenches (6, k) of unit forces and moments by node; responses to them; gain (k, k):
+    what they exert per relative acceleration that there would be without them (theory (7.22))."""
+
+    units: dict[int, Float[Array, "6 k"]]
+    responses: Response
+    gain: Float[Array, "k k"]
+
 
 class IterationMatrix(NamedTuple):
-    """Factored iteration matrix of one step; closure: None without cut joints."""
+    """Factored iteration matrix of one step; closure: None without cut joints; elements: None without force elements
+    that have tangents."""
 
     operators: tuple[LinkOperator | None, ...]
     links: tuple[ArticulatedLink, ...]
     closure: ClosureMatrix | None
+    elements: ElementMatrix | None = None
 
 
 class NewtonIncrement(NamedTuple):
@@ -158,36 +174,64 @@ def iteration_matrix(
     cuts: Closure | None,
     held: tuple[int, ...] = (),
     joint_tangent: dict[int, Float[Array, ""]] | None = None,
+    element_tangent: ElementTangents | None = None,
     row_tangent: Float[Array, " multipliers"] | None = None,
 ) -> IterationMatrix:
     """Factor the iteration matrix at one position; `held`: joint coordinates that are given; `joint_tangent`: minus the
-    derivatives of forces along joint coordinates with respect to their accelerations; `row_tangent`: those of springs
-    of cut joints, from `spring_row_tangent`."""
+    derivatives of forces along joint coordinates with respect to their accelerations; `element_tangent`: of force
+    elements likewise; `row_tangent`: of springs of cut joints, from `spring_row_tangent`."""
     with jax.named_scope("iteration_matrix"):
         topology = actual.topology
         links = _eliminate(actual, operators, motion, held, joint_tangent or {})
+        elements = None
+        if element_tangent is not None:
+            elements = _element_matrix(topology, links, motion, element_tangent)
         if cuts is None:
-            return IterationMatrix(operators, links, None)
+            return IterationMatrix(operators, links, None, elements)
         points = _points(topology, motion)
         sides = topology.parents[topology.n_links :] + topology.children[topology.n_links :]
         units = {node: unit_columns(topology, cuts, node, points[node]) for node in sorted(set(sides)) if node != BASE}
         columns = topology.n_constraints
         joint_loads = jnp.zeros((topology.n_freedoms, columns))
         responses = _respond(topology, links, joint_loads, {}, {}, units, columns)
+        responses = _with_elements(topology, elements, responses)
         rows = sum(product(transpose(unit), _of_node(topology, responses, node)) for node, unit in units.items())
         rows = jnp.asarray(rows)
-        if row_tangent is None:
-            return IterationMatrix(operators, links, ClosureMatrix(units, responses, invert_closure(topology, rows)))
-        springs = _spring_rows(topology, rows, row_tangent)
-        scaled = springs.root[:, None] * rows * springs.root[None] + jnp.diag(springs.sprung.astype(float))
-        return IterationMatrix(
-            operators, links, ClosureMatrix(units, responses, invert_closure(topology, scaled), springs)
-        )
+        springs = None if row_tangent is None else _spring_rows(topology, rows, row_tangent)
+        inverse = invert_closure(topology, rows if springs is None else springs.scaled())
+        return IterationMatrix(operators, links, ClosureMatrix(units, responses, inverse, springs), elements)
 
 
 def _spring_rows(topology: Topology, rows: Array, row_tangent: Array) -> SpringRows:
     sprung = jnp.asarray(np.array(topology.sprung_rows))
     return SpringRows(sprung, jnp.where(sprung, jnp.sqrt(row_tangent), 1.0), rows)
+
+
+def _element_matrix(
+    topology: Topology, links: tuple[ArticulatedLink, ...], motion: Motion, tangents: ElementTangents
+) -> ElementMatrix:
+    """Force elements as a change of low rank of the mechanism without them (the formula of Sherman, Morrison and
+    Woodbury): no stiffness is too large for it, nor zero too small."""
+    points, k = _points(topology, motion), tangents.stiffness.shape[0]
+    units = {
+        node: algebra.spatial(wrench[:3] - cross(points[node][:, None], wrench[3:]), wrench[3:])
+        for node, wrench in tangents.units.items()
+    }
+    responses = _respond(topology, links, jnp.zeros((topology.n_freedoms, k)), {}, {}, units, k)
+    rows = sum(product(transpose(unit), _of_node(topology, responses, node)) for node, unit in units.items())
+    stiffness = tangents.stiffness
+    gain = -jnp.linalg.solve(jnp.eye(k) + product(stiffness, jnp.asarray(rows)), stiffness)
+    return ElementMatrix(units, responses, gain)
+
+
+def _with_elements(topology: Topology, elements: ElementMatrix | None, response: Response) -> Response:
+    """The response (..., K) of a mechanism with its force elements, from that without them."""
+    if elements is None:
+        return response
+    units, by_element, gain = elements
+    rows = sum(product(transpose(unit), _of_node(topology, response, node)) for node, unit in units.items())
+    exerted = product(gain, jnp.asarray(rows))
+    return jax.tree.map(lambda a, b: a + product(b, exerted), response, by_element)
 
 
 def newton_increment(topology: Topology, matrix: IterationMatrix, residual: Residual) -> NewtonIncrement:
@@ -207,6 +251,7 @@ def increment_and_wrenches(
         on_links = {l: -constant_product(op.rigid_response.T, on_rfes[l]) for l, op in flexible.items()}
         of_interfaces = {l: constant_product(op.interface_rows, on_rfes[l]) for l, op in flexible.items()}
         applied = _respond(topology, matrix.links, residual.hinge[:, None], on_links, of_interfaces, {}, 1)
+        applied = _with_elements(topology, matrix.elements, applied)
         response = jax.tree.map(lambda x: x[:, 0], applied)
         multipliers = jnp.zeros_like(residual.closing)
         if matrix.closure is not None:

@@ -19,6 +19,8 @@ from jaxtyping import Float
 from rfem_jax.mechanics import algebra, loads
 from rfem_jax.mechanics.algebra import Scalar, apply, apply_transposed, cross, dot
 from rfem_jax.mechanics.cut_joints import Closure, closure, spring_residual
+from rfem_jax.mechanics.dynamics import total_dissipated
+from rfem_jax.mechanics.element_loads import FrameLoads, frame_loads
 from rfem_jax.mechanics.elements.elasticity import generalised_forces
 from rfem_jax.mechanics.inputs import DriveInput
 from rfem_jax.mechanics.joint_forces import LawForces, applied_forces, by_coordinate, law_forces
@@ -47,7 +49,7 @@ class Evaluation(NamedTuple):
     less what springs of cut joints exert [N] in the places of these; angular, linear (3, nodes):
     accelerations of the nodes in link axes; motion, closure, multipliers: what it was computed from;
     wrenches (6,): of all joints at the global origin; dissipated [W]: power of the dampers; laws: forces of springs
-    and laws along joint coordinates, None without any.
+    and laws along joint coordinates, None without any; frame_loads: what force elements exert, likewise.
     """
 
     hinge: Float[Array, " freedoms"]
@@ -64,6 +66,7 @@ class Evaluation(NamedTuple):
     wrenches: list[Float[Array, "6"]]
     dissipated: Float[Array, ""]
     laws: LawForces | None
+    frame_loads: FrameLoads | None = None
 
 
 def residual_of(evaluation: Evaluation) -> Residual:
@@ -90,7 +93,8 @@ def evaluate_residual(
         cuts = closure(actual, motion, scale)
         spatial = _spatial_accelerations(actual, motion, state, accelerations)
         angular, linear = _node_accelerations(topology, motion, spatial, accelerations)
-        inertial = loads.inertial_loads(actual, motion, angular, linear)
+        at_nodes = frame_loads(actual, motion, drive.time)
+        inertial = loads.beyond_elements(loads.inertial_loads(actual, motion, angular, linear), at_nodes)
         wrenches = loads.chain_wrenches(actual, motion, cuts, multipliers, inertial)
         hinge = -dot(motion.axis, by_freedom(topology, jnp.stack(wrenches[:n], axis=1)))
         laws = law_forces(actual, state)
@@ -108,8 +112,6 @@ def evaluate_residual(
             closing_rate = cuts.rate
             closing_acceleration = cuts.bias + _closing_acceleration(topology, cuts, spatial)
             closing_acceleration = spring_residual(topology, cuts, multipliers, closing_acceleration)
-        for part in (laws, None if cuts is None else cuts.springs):
-            dissipated = dissipated if part is None else dissipated + part.dissipated
         return Evaluation(
             hinge=hinge,
             force=force,
@@ -123,8 +125,9 @@ def evaluate_residual(
             closure=cuts,
             multipliers=multipliers,
             wrenches=wrenches,
-            dissipated=dissipated,
+            dissipated=total_dissipated(dissipated, laws, at_nodes, cuts),
             laws=laws,
+            frame_loads=at_nodes,
         )
 
 

@@ -26,6 +26,7 @@ from rfem_jax.description.errors import InputError, suggestion
 from rfem_jax.mechanics import loads
 from rfem_jax.mechanics.algebra import Scalar, apply_transposed, cross, dot
 from rfem_jax.mechanics.cut_joints import closure, spring_residual, spring_row_tangent
+from rfem_jax.mechanics.element_loads import element_tangents, frame_loads
 from rfem_jax.mechanics.elements import elasticity
 from rfem_jax.mechanics.implicit.residual import Residual
 from rfem_jax.mechanics.inputs import DriveInput
@@ -67,7 +68,7 @@ def assemble(model: Model, errors: AssemblyErrors, hold: Mapping[str, ArrayLike]
     """Assemble the mechanism: static equilibrium with some joints held.
 
     **Arguments:** `hold`: name of a joint with one coordinate -> its angle [rad] or displacement [m]; None holds
-    the driven joint at its start angle, {} holds nothing.
+    the coordinates that drives act on at their start, {} holds nothing.
 
     **Returns:** state (velocities zero), preload (gravity and holding moment included) and status
     (0 = ok; see `STATUS`). Differentiable with respect to errors and held angles.
@@ -89,14 +90,14 @@ def _assemble(model: Model, errors: AssemblyErrors, hold: dict[str, Array] | Non
 
 
 def held_angles(model: Model, hold: Mapping[str, ArrayLike] | None) -> dict[int, Float[Array, ""]]:
-    """Index of a joint coordinate -> held value [rad, m], by the names of joints; None: the driven joint's start angle.
+    """Index of a joint coordinate -> held value [rad, m], by the names of joints; None: those that drives act
+    on, at their start.
 
     **Raises:** `InputError` for a name that is not a joint of the tree with one coordinate.
     """
     topology = model.topology
     if hold is None:
-        driven = topology.driven_coordinate
-        return {} if driven is None else {driven: model.start_joints[topology.driven_position]}
+        return {k: model.start_joints[topology.place_of(k)] for k in topology.held}
     _require_tree_joints(model, hold)
     return {
         topology.own_coordinates[topology.joints.index(name)][0]: jnp.asarray(value) for name, value in hold.items()
@@ -256,11 +257,13 @@ def _status_of(actual: ModelWithErrors, position: Coordinates, found: Bool[Array
 
 
 def _unloaded(model: Model) -> ModelWithErrors:
-    """The perfect mechanism without gravity; where loads are applied in steps also without forces of joints, so that
-    the undeformed start is an equilibrium."""
+    """The perfect mechanism without gravity; where loads are applied in steps also without forces of joints and
+    elements, so that the undeformed start is an equilibrium."""
     perfect = eqx.tree_at(lambda r: r.gravity, apply_errors(model, assembly_errors(model)), jnp.zeros(3))
     if model.topology.exact and model.forces is not None:
         perfect = eqx.tree_at(lambda r: r.forces.share, perfect, jnp.zeros(()))
+    if model.topology.exact and model.frame_forces is not None:
+        perfect = eqx.tree_at(lambda r: r.frame_forces.share, perfect, jnp.zeros(()))
     return perfect
 
 
@@ -317,8 +320,26 @@ def _rows(scaled: _Scaled, actual: ModelWithErrors) -> Array:
         stiffness = spring_row_tangent(actual, cuts, scaled.length, 1.0, 0.0)
         if stiffness is not None:
             closing = jnp.where(np.array(topology.sprung_rows), stiffness * scaled.length + scaled.force, closing)
-    forces = Coordinates(of_joints, jnp.einsum("kij,jk->ik", springs, one))
+    of_rfes = jnp.einsum("kij,jk->ik", springs, one)
+    if actual.frame_forces is not None:
+        of_joints, of_rfes = _with_element_rows(scaled, actual, of_joints, of_rfes)
+    forces = Coordinates(of_joints, of_rfes)
     return scaled.residual(forces, closing)
+
+
+def _with_element_rows(
+    scaled: _Scaled, actual: ModelWithErrors, of_joints: Array, of_rfes: Array
+) -> tuple[Array, Array]:
+    """Sums of the rows with the stiffness of force elements, which are between any two bodies."""
+    topology, n = scaled.topology, len(scaled.units)
+    at_rest = loads.static_state(topology, scaled.coordinates(jnp.zeros(n)))
+    tangents = element_tangents(actual, motion_of(actual, at_rest), None, 1.0, 0.0)
+    if tangents is None:
+        return of_joints, of_rfes
+    work = jnp.sum(jnp.abs(tangents.stiffness)) * scaled.length**2
+    held = np.isin(np.arange(topology.n_rfes) + topology.n_links, topology.holders).astype(float)
+    units = scaled.unravel(scaled.units)
+    return of_joints + work / units.joints, of_rfes + work / units.elastic * held[None]
 
 
 def _static_residual(
@@ -332,7 +353,8 @@ def _static_residual(
     motion = motion_of(actual, state)
     cuts = closure(actual, motion, scale)
     at_rest = jnp.zeros((3, n + topology.n_rfes))
-    force, moment = loads.inertial_loads(actual, motion, at_rest, at_rest)
+    inertial = loads.inertial_loads(actual, motion, at_rest, at_rest)
+    force, moment = loads.beyond_elements(inertial, frame_loads(actual, motion, None))
     wrenches = loads.chain_wrenches(actual, motion, cuts, multipliers, (force, moment))
     hinge = dot(motion.axis, by_freedom(topology, jnp.stack(wrenches[:n], axis=1)))
     applied = applied_forces(topology, position, DriveInput(), law_forces(actual, state))
@@ -364,7 +386,8 @@ def static_loads(
     motion = motion_of(actual, state)
     at_rest = jnp.zeros((3, actual.mass.shape[0]))
     cuts = closure(actual, motion, length_scale(model))
-    resting = loads.Resting(motion, cuts, multipliers, law_forces(actual, state))
+    at_nodes = frame_loads(actual, motion, None)
+    resting = loads.Resting(motion, cuts, multipliers, law_forces(actual, state), at_nodes)
     return loads.chain_loads(actual, resting, at_rest, at_rest, DriveInput())[0]
 
 
@@ -375,25 +398,16 @@ def named(model: Model, joint_loads: loads.JointLoads) -> dict[str, Load]:
 
 
 def quasi_static_rates(
-    model: Model, actual: ModelWithErrors, held: dict[int, Float[Array, ""]], driven_rate: Scalar
+    model: Model, actual: ModelWithErrors, held: dict[int, Float[Array, ""]], rates: Mapping[int, Scalar]
 ) -> Coordinates:
-    """Rates of the coordinates when the driven joint moves at a rate [rad/s] through equilibria: the
-    derivative of the static equilibrium by the driven angle, times the rate.
+    """Rates of all coordinates when held ones move at rates [rad/s, m/s] through equilibria: the derivative of the
+    static equilibrium along these."""
 
-    **Raises:** `InputError` if no joint of the model is driven.
-    """
-    driven = model.topology.driven_coordinate
-    if driven is None:
-        raise InputError(
-            "Argument `model` must have a driven joint to move through equilibria, but has none; "
-            "give the mechanism a `driven_joint`."
-        )
+    def at_values(values):
+        return equilibrium(model, actual, {**held, **values})[0]
 
-    def at_angle(angle):
-        return equilibrium(model, actual, {**held, driven: angle})[0]
-
-    angle = jnp.asarray(held[driven])
-    position, derivative = jax.jvp(at_angle, (angle,), (jnp.asarray(driven_rate),))
+    values = {k: jnp.asarray(held[k]) for k in rates}
+    position, derivative = jax.jvp(at_values, (values,), ({k: jnp.asarray(rate) for k, rate in rates.items()},))
     return rates_of(model.topology, position, derivative)
 
 

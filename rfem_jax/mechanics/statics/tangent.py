@@ -19,6 +19,7 @@ from jaxtyping import Float
 from rfem_jax.mechanics import loads
 from rfem_jax.mechanics.algebra import Scalar
 from rfem_jax.mechanics.cut_joints import closure, spring_row_tangent
+from rfem_jax.mechanics.element_loads import element_tangents
 from rfem_jax.mechanics.implicit.condensation import link_operators
 from rfem_jax.mechanics.implicit.newton import IterationMatrix, iteration_matrix, newton_increment
 from rfem_jax.mechanics.implicit.residual import Residual
@@ -53,9 +54,10 @@ def static_tangent(
     state = loads.static_state(actual.topology, position)
     motion = motion_of(actual, state)
     of_laws = law_tangent(actual, state, q_factor, 0.0)
+    of_elements = element_tangents(actual, motion, None, q_factor, 0.0)
     cuts = closure(actual, motion, scale)
     of_rows = spring_row_tangent(actual, cuts, scale, q_factor, 0.0)
-    matrix = iteration_matrix(actual, operators, motion, cuts, held, of_laws, of_rows)
+    matrix = iteration_matrix(actual, operators, motion, cuts, held, of_laws, of_elements, of_rows)
     return StaticTangent(matrix, q_factor)
 
 

@@ -234,6 +234,7 @@ def histogram_figure(study: Study, result: MonteCarloResult) -> Figure:
         if metric in result.yields:
             title += f": {100 * result.yields[metric].of_all.value:.3g} % within"
         axes.set_title(title, loc="left")
+        axes.locator_params(axis="x", nbins=5)  # room for the digits of a metric that scatters little
         axes.set_xlabel(result.metric_units[index] or "1")
         axes.set_ylabel("samples")
     add_shared_legend(list(styles.values()), list(styles))
@@ -244,7 +245,7 @@ def histogram_figure(study: Study, result: MonteCarloResult) -> Figure:
 
 
 def scatter_matrix_figure(study: Study, result: MonteCarloResult) -> Figure:
-    """Every pair of errors and metrics (four of each): points below, rank correlations
+    """Every pair of errors and metrics (four of each, the errors that matter most): points below, rank correlations
     above, histograms on the diagonal."""
     names, samples = _columns(result)
     size = len(names)
@@ -286,15 +287,30 @@ def _columns(result: MonteCarloResult) -> tuple[list[str], Float[np.ndarray, "sa
     """Labels and samples (n, p) of the errors and metrics that are drawn."""
     errors, values = good_samples(result)
     names, columns = [], []
-    for i, (name, unit) in enumerate(zip(result.names, result.error_units, strict=True)):
-        if i < MOST_EACH:
-            specified, factor = as_specified(unit)
-            names.append(f"{name}\n{specified}")
-            columns.append(factor * errors[:, i])
-    for i in sorted(range(len(result.metrics)), key=lambda i: _order(result, i))[:MOST_EACH]:
+    metrics = sorted(range(len(result.metrics)), key=lambda i: _order(result, i))[:MOST_EACH]
+    for i in _most_felt(errors, values[:, metrics]):
+        specified, factor = as_specified(result.error_units[i])
+        names.append(f"{result.names[i]}\n{specified}")
+        columns.append(factor * errors[:, i])
+    for i in metrics:
         names.append(f"{result.metrics[i]}\n{result.metric_units[i] or '1'}")
         columns.append(values[:, i])
     return names, np.stack(columns, axis=1)
+
+
+def _most_felt(errors: Float[np.ndarray, "samples errors"], values: Float[np.ndarray, "samples metrics"]) -> list[int]:
+    """Which errors are drawn, in their order: those that a metric is correlated with most, or with whose squares, as
+    loads are even in many errors."""
+    if errors.shape[1] <= MOST_EACH or len(errors) < 3:
+        return list(range(min(errors.shape[1], MOST_EACH)))
+    centred = errors - errors.mean(axis=0)
+
+    def standard(columns: Float[np.ndarray, "samples columns"]) -> Float[np.ndarray, "samples columns"]:
+        spread = columns.std(axis=0)
+        return (columns - columns.mean(axis=0)) / np.where(spread > 0.0, spread, 1.0)
+
+    felt = [np.abs(standard(of).T @ standard(values)).max(axis=1) for of in (centred, centred**2)]
+    return sorted(np.argsort(-np.max(felt, axis=0), kind="stable")[:MOST_EACH].tolist())
 
 
 def _order(result: MonteCarloResult, i: int) -> tuple[bool, int, int]:

@@ -33,6 +33,7 @@ UNDAMPED = (
     "phase of\nundamped 1-20 kHz vibrations and may even have the wrong sign (those of moments "
     "stay smooth).\nGive the material a small damping for a study of derivatives."
 )
+NOTHING = 1e-6
 MOST_PANELS = 12
 
 
@@ -189,7 +190,9 @@ def heat_map_figure(study: Study, result: Sensitivities) -> Figure:
         figure.colorbar(image, ax=axes, label=unit or "1", pad=0.02)
         middle = 0.55 * np.nanmax(effects, initial=0.0)
         for (row, column), value in np.ndenumerate(effects):
-            text = f"{value:.3g}" if np.isfinite(value) else "n/a"
+            # Plain digits, three of them, and 0 for what is nothing beside the others.
+            shown = 0.0 if value < NOTHING * np.nanmax(effects) else float(f"{value:.3g}")
+            text = f"{shown:g}" if np.isfinite(value) else "n/a"
             colour = "white" if value > middle else "black"
             axes.text(column, row, text, ha="center", va="center", fontsize=8.5, color=colour)
         axes.set_yticks(range(len(group)), [joint for joint, _ in group])

@@ -31,6 +31,7 @@ A step of length zero finds v' and lambda at a given state: with it the method s
 the drive.
 """
 
+import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from typing import ClassVar
@@ -42,11 +43,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, PyTree
 
-from rfem_jax.description.drives import PrescribedDrive
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.methods import GeneralisedAlphaMethod, Method
 from rfem_jax.mechanics import algebra, loads
 from rfem_jax.mechanics.cut_joints import closure, spring_row_tangent
+from rfem_jax.mechanics.dynamics import total_dissipated
+from rfem_jax.mechanics.element_loads import element_tangents, frame_loads
 from rfem_jax.mechanics.elements.elasticity import dissipated_power
 from rfem_jax.mechanics.implicit.condensation import LinkOperator, link_operators, present_operators
 from rfem_jax.mechanics.implicit.newton import IterationMatrix, iteration_matrix, newton_increment
@@ -58,8 +60,7 @@ from rfem_jax.mechanics.model import Coordinates, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 from rfem_jax.mechanics.orientations import moved
 from rfem_jax.simulation import equations
-from rfem_jax.simulation.driving import driven_coordinate
-from rfem_jax.simulation.equations import Conditions, Integrals, Scalar, Trajectory, drive_input
+from rfem_jax.simulation.equations import Conditions, Integrals, Scalar, Trajectory
 from rfem_jax.simulation.observation import Instant, cut_drift, evaluated_instant
 from rfem_jax.simulation.run import RESIDUAL_LIMIT
 from rfem_jax.simulation.solvers.implicit_step import (
@@ -186,7 +187,7 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         operators = args.operators
         if operators is None:
             operators = jax.tree.map(lambda x: x[0], self.operators(args.actual, h[None]))
-        start = StepStart(eqx.tree_at(lambda c: c.operators, args, None), trajectory, solver_state)
+        start = StepStart(dataclasses.replace(args, operators=None), trajectory, solver_state)
         seen = jnp.maximum(peaks, squared_forces(solver_state.rates))
         constants = StepConstants(t1, h, jnp.sqrt(jnp.max(seen)))
         operators, constants, fixed = jax.lax.stop_gradient((operators, constants, start))
@@ -216,7 +217,7 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         """At the end t of a step of length h [s]: squared forces [N^2], state, drive, and the instant."""
         scale = conditions.stabilisation.scale
         state = State(trajectory.position, trajectory.velocity)
-        drive = drive_input(conditions.drive, t, conditions.phase)
+        drive = conditions.drives.at(t, conditions.phase)
         accelerations, multipliers = memory.accelerations, memory.multipliers
         evaluation = evaluate_residual(conditions.actual, state, accelerations, multipliers, drive, scale)
         forces = residual_forces(conditions.actual, self._closing_as_acceleration(evaluation, h), drive, scale)
@@ -256,19 +257,21 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         """Approximate Jacobian of the residual, formed at the prediction; the solution does not depend on it."""
         h, (conditions, trajectory, memory) = constants.length, start
         actual, scale = conditions.actual, conditions.stabilisation.scale
-        drive = drive_input(conditions.drive, constants.end, conditions.phase)
+        drive = conditions.drives.at(constants.end, conditions.phase)
         accelerations, _ = self.predict(constants, start)
         state, _ = self._newmark(h, trajectory, memory, accelerations, actual.topology, drive)
         now = motion_of(actual, state)
         if actual.topology.exact:
             operators = present_operators(actual, now.relative, *self.factors(h))
-        prescribed = isinstance(conditions.drive, PrescribedDrive)
-        held = (driven_coordinate(actual.topology),) if prescribed else ()
+        held = conditions.drives.prescribed
         bare = actual.forces is None and actual.springs is None
         of_laws = None if bare else law_tangent(actual, state, *self.factors(h))
+        of_elements = None
+        if actual.frame_forces is not None:
+            of_elements = element_tangents(actual, now, drive.time, *self.factors(h))
         cuts = closure(actual, now, scale)
         of_rows = spring_row_tangent(actual, cuts, scale, *self.factors(h))
-        return iteration_matrix(actual, operators, now, cuts, held, of_laws, of_rows)
+        return iteration_matrix(actual, operators, now, cuts, held, of_laws, of_elements, of_rows)
 
     def predict(self, constants: StepConstants, start: StepStart) -> Unknowns:
         """Accelerations and multipliers of the last step as a first guess.
@@ -278,7 +281,7 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         """
         h, (conditions, trajectory, memory) = constants.length, start
         topology = conditions.actual.topology
-        drive = drive_input(conditions.drive, constants.end, conditions.phase)
+        drive = conditions.drives.at(constants.end, conditions.phase)
         accelerations = memory.accelerations
         if topology.exact:
             moving = h > 0.0
@@ -294,7 +297,7 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         """Residual at given unknowns (its `closing` as an acceleration), and the end of the step if it is zero."""
         h, (conditions, trajectory, memory) = constants.length, start
         actual, scale = conditions.actual, conditions.stabilisation.scale
-        drive = drive_input(conditions.drive, constants.end, conditions.phase)
+        drive = conditions.drives.at(constants.end, conditions.phase)
         accelerations, multipliers = unknowns
         state, auxiliary = self._newmark(h, trajectory, memory, accelerations, actual.topology, drive)
         evaluation = evaluate_residual(actual, state, accelerations, multipliers, drive, scale)
@@ -312,19 +315,19 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         """The end of the step at given unknowns and wrenches of the tree joints, for those of the evaluation."""
         h, (conditions, trajectory, memory) = constants.length, start
         actual = conditions.actual
-        drive = drive_input(conditions.drive, constants.end, conditions.phase)
+        drive = conditions.drives.at(constants.end, conditions.phase)
         state, auxiliary = self._newmark(h, trajectory, memory, unknowns.accelerations, actual.topology, drive)
         laws = law_forces(actual, state)
-        dissipated = dissipated_power(actual, state)
+        cuts = None
         if actual.topology.sprung_rows:
-            now = closure(actual, motion_of(actual, state), conditions.stabilisation.scale)
-            if now is not None and now.springs is not None:
-                dissipated = dissipated + now.springs.dissipated
+            cuts = closure(actual, motion_of(actual, state), conditions.stabilisation.scale)
+        at_nodes = None if actual.frame_forces is None else frame_loads(actual, motion_of(actual, state), drive.time)
         evaluation = evaluation._replace(
             multipliers=unknowns.multipliers,
             wrenches=[*wrenches, *loads.cut_wrenches(actual.topology, evaluation.closure, unknowns.multipliers)],
-            dissipated=dissipated if laws is None else dissipated + laws.dissipated,
+            dissipated=total_dissipated(dissipated_power(actual, state), laws, at_nodes, cuts),
             laws=laws,
+            frame_loads=at_nodes,
         )
         return self._step_end(evaluation, unknowns, state, auxiliary, drive, h, start)
 
@@ -368,7 +371,7 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         residual = jax.lax.stop_gradient(residual)
         joint = loads.loads_of_wrenches(actual.topology, evaluation, evaluation.wrenches, drive)
         axial, normal, moment = equations.squares(actual.topology, joint)
-        work = equations.applied_power(actual.topology, state, drive, joint, evaluation.laws)
+        work = equations.applied_power(actual.topology, state, drive, joint, evaluation)
         rates = Integrals(axial, normal, moment, work, evaluation.dissipated)
         integrals = jax.tree.map(
             lambda sum, old, new: sum + 0.5 * h * (old + new),
@@ -396,9 +399,9 @@ def residual_forces(
     **Arguments:** `scale`: a length [m] of the mechanism; the closing of the evaluation is an acceleration.
     """
     hinge = evaluation.hinge
-    if drive.prescribed is not None:
-        # About the driven hinge this is the moment that enforces the motion, no residual.
-        hinge = jnp.where(np.arange(hinge.shape[0]) == actual.topology.driven_coordinate, 0.0, hinge)
+    if drive.motions:
+        # Along a prescribed coordinate this is the force that enforces the motion, no residual.
+        hinge = jnp.where(np.isin(np.arange(hinge.shape[0]), list(drive.motions)), 0.0, hinge)
     slides = actual.topology.slides
     moment, hinge = (
         evaluation.moment / scale,
@@ -412,9 +415,8 @@ def residual_forces(
 
 
 def _with_prescribed(topology: Topology, drive: DriveInput, accelerations: Coordinates) -> Coordinates:
-    """The accelerations with that of a prescribed joint put in."""
-    if drive.prescribed is None:
-        return accelerations
-    driven = np.arange(topology.n_freedoms) == topology.driven_coordinate
-    joints = jnp.where(driven, drive.prescribed[2][None], accelerations.joints)
+    """The accelerations with the prescribed ones put in."""
+    joints = accelerations.joints
+    for k, (_, _, acceleration) in drive.motions.items():
+        joints = jnp.where(np.arange(topology.n_freedoms) == k, acceleration[None], joints)
     return Coordinates(joints, accelerations.elastic)

@@ -13,10 +13,11 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from rfem_jax.compilation.program import Program
-from rfem_jax.description.drives import MomentDrive, PrescribedDrive
+from rfem_jax.description.driven_motions import Drive
 from rfem_jax.description.error_catalogue import error_unit
 from rfem_jax.description.errors import InputError, suggestion
 from rfem_jax.description.methods import Method
+from rfem_jax.description.metric_catalogue import has_metric
 from rfem_jax.mechanics.model import Model
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors, assembly_errors
 from rfem_jax.mechanics.status import STATUS
@@ -43,7 +44,7 @@ class Problem(eqx.Module):
 
     Args:
         model: from `discretise`.
-        drive: a moment or prescribed drive, or None.
+        drive: a given or prescribed drive, a list of them, or None.
         duration: [s].
         metrics: `Metric`s with functions, or names ("A.rms_force", "end_energy"; see `register_metric`).
         method: a `Method`.
@@ -52,7 +53,7 @@ class Problem(eqx.Module):
     """
 
     model: Model
-    drive: MomentDrive | PrescribedDrive | None
+    drive: Drive
     duration: float = eqx.field(static=True)
     metrics: tuple[Metric, ...] = eqx.field(static=True)
     method: Method = eqx.field(static=True)
@@ -61,7 +62,7 @@ class Problem(eqx.Module):
     def __init__(
         self,
         model: Model,
-        drive: MomentDrive | PrescribedDrive | None,
+        drive: Drive,
         duration: float | int,
         metrics: str | Metric | Iterable[str | Metric],
         method: Method,
@@ -71,6 +72,7 @@ class Problem(eqx.Module):
         metrics = (metrics,) if isinstance(metrics, (str, Metric)) else metrics
         self.metrics = tuple(_known_metric(model, m) for m in metrics)
         check_distinct((m.name for m in self.metrics), "metrics")
+        _check_angle(model, self.metrics)
         self.duration, self.save_every = float(duration), None if save_every is None else float(save_every)
         self.method = choose_method(model, method, drive, self.duration, save_every=self.save_every)
 
@@ -146,6 +148,15 @@ def _values_and_status(problem: Problem, errors: AssemblyErrors) -> tuple[Values
     return problem.with_residual(errors)[:2]
 
 
+def _check_angle(model: Model, metrics: Iterable[Metric]) -> None:
+    driven = model.topology.driven_coordinate
+    if driven is not None and model.topology.slides[driven] and "angle_error" in [m.name for m in metrics]:
+        raise InputError(
+            "Argument `metrics` must fit the drive, but `angle_error` is of an angle and the first drive moves "
+            f"`{model.topology.drive_labels[0]}` along an axis; leave it out, or give a Metric of the displacement."
+        )
+
+
 def _known_metric(model: Model, asked: str | Metric) -> Metric:
     """The metric of a name, or the one given, if the simulator can compute it. Raises InputError."""
     one = metric(asked) if isinstance(asked, str) else asked
@@ -155,9 +166,20 @@ def _known_metric(model: Model, asked: str | Metric) -> Metric:
             f"Argument `metrics` must be of joints of the model, but {one.name!r} is not; "
             f"{suggestion(joint, model.joint_names)}"
         )
+    if joint is not None and not _has(model, joint, one.name.rpartition(".")[2]):
+        raise InputError(
+            f"Argument `metrics` must be of joints that have them, but {one.name!r} is not: a cut joint has no "
+            "coordinate, and one of another kind not this one; take another joint."
+        )
     if one.function is None:
         raise InputError(
             f"Argument `metrics` must hold metrics with a function of a run, but {one.name!r} has none; write for "
             f"example Metric({one.name!r}, function=lambda run: run.angle[-1])."
         )
     return one
+
+
+def _has(model: Model, joint: str, metric: str) -> bool:
+    topology = model.topology
+    j = topology.joints.index(joint)
+    return has_metric(metric, topology.kind(j), j in topology.cuts)

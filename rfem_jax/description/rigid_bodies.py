@@ -1,0 +1,91 @@
+"""Rigid bodies of any shape: mass, mass centre and inertia as they are measured or computed elsewhere.
+
+Place in the pipeline: units -> **rigid_bodies** -> links.
+
+Symbols: mass m [kg], centre c [m] in the link frame, inertia J [kg m^2] about the mass centre.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from rfem_jax.description.errors import Checks, ChecksItself, InputError
+from rfem_jax.description.sections import require_triangle
+from rfem_jax.description.units import positive_quantity, vector
+
+_SYMMETRY = 1e-9  # relative to the largest entry
+Tensor = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
+
+
+@dataclass(frozen=True)
+class RigidBody(ChecksItself):
+    """Mass and inertia of a rigid link.
+
+    Args:
+        mass: [kg], > 0.
+        centre: (x, y, z) [m] of the mass centre in the link frame.
+        inertia: about the mass centre [kg m^2], positive definite: three principal moments, or the tensor as three
+            rows, in the axes of the link.
+        orientation: angles (about x, y, z) [rad] of the axes of `inertia` in the link frame, R = R_z R_y R_x.
+    Raises:
+        InputError: a value is out of range, or the inertia is that of no body.
+    """
+
+    mass: float
+    centre: tuple[float, float, float]
+    inertia: tuple[float, float, float] | Tensor
+    orientation: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def _check_fields(self, checks: Checks) -> None:
+        checks.convert("mass", positive_quantity, "mass", "`mass` of a body")
+        checks.convert("centre", vector, "length", "`centre` of a body")
+        checks.convert("inertia", _inertia)
+        checks.convert("orientation", vector, "angle", "`orientation` of a body")
+        checks.relation(("inertia",), self._check_inertia)
+
+    def _check_inertia(self) -> None:
+        tensor, where = _as_tensor(self.inertia), "`inertia` of a body"
+        if np.abs(tensor - tensor.T).max() > _SYMMETRY * np.abs(tensor).max():
+            raise InputError(
+                f"Argument {where} must be symmetric, but was {tensor.tolist()}; give the products of inertia twice, "
+                "with the sign of minus the integral of x y."
+            )
+        principal = np.linalg.eigvalsh(tensor)
+        if principal[0] <= 0.0:
+            raise InputError(
+                f"Argument {where} must be positive definite, but has the principal moments {principal.tolist()}; "
+                "correct the signs, and give a thin rod its small moment about its axis."
+            )
+        first, second, third = principal.tolist()
+        require_triangle((first, second, third), where)
+
+    @property
+    def tensor(self) -> Float[np.ndarray, "3 3"]:
+        """J [kg m^2] about the mass centre in the axes of the link."""
+        (cx, cy, cz), (sx, sy, sz) = np.cos(self.orientation), np.sin(self.orientation)
+        rx = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
+        ry = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
+        rz = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
+        rotation = rz @ ry @ rx
+        return rotation @ _as_tensor(self.inertia) @ rotation.T
+
+
+def _as_tensor(inertia: Any) -> Float[np.ndarray, "3 3"]:
+    given = np.array(inertia, dtype=float)
+    return np.diag(given) if given.ndim == 1 else given
+
+
+def _inertia(inertia: Any) -> Any:
+    """Three moments, or three rows of three."""
+    where = "`inertia` of a body"
+    rows = list(inertia) if isinstance(inertia, (list, tuple)) or np.ndim(inertia) else []
+    if len(rows) != 3:
+        raise InputError(
+            f"Argument {where} must be three principal moments or three rows of a tensor, but was {inertia!r}; write "
+            "for example [1e-4, 3e-4, 3e-4]."
+        )
+    if not any(isinstance(row, (list, tuple)) or np.ndim(row) for row in rows):
+        return vector(rows, "moment_of_inertia", where)
+    return tuple(vector(row, "moment_of_inertia", f"{where} (row {n})") for n, row in enumerate(rows, start=1))

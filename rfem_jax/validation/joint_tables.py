@@ -1,0 +1,199 @@
+"""One body on a joint of each kind, let go under gravity, against tables computed with Adams.
+
+Place in the pipeline: a benchmark of `catalogue`. Reference values: `references/joint_tables.json`; positions of the
+mass centre, angular velocity, and force and torque of the body on the ground at the joint's point, in global axes.
+
+The tables' joints turn about and slide along z of their frame, the universal one turns about x of the ground and y of
+the body. The table of the universal joint loses energy, which nothing in the mechanism takes; its motion is therefore
+compared with Lagrange's equations of the two angles, too, derived by JAX and solved by SciPy to 1e-11.
+"""
+
+from dataclasses import dataclass, field
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from scipy.integrate import solve_ivp
+
+from rfem_jax.description import Joint, Mechanism, Method
+from rfem_jax.mechanics.discretisation import discretise
+from rfem_jax.mechanics.loads import static_state
+from rfem_jax.simulation import Run, simulate
+from rfem_jax.validation.lines import Line, Outcome, Progress, absolute
+from rfem_jax.validation.reference_values import read_reference
+from rfem_jax.validation.rigid_links import Axes, angles_of, body, turn_x, turn_y, turn_z
+
+REFERENCE = read_reference("joint_tables")
+SHARE = 1e-4  # of the largest value of a table
+MASS, ARM, GRAVITY = 1.0, 2.0, (0.0, 0.0, -9.80665)
+TABLE_OFF = (
+    "the table loses energy in a mechanism that conserves it; our motion agrees with Lagrange's equations, solved "
+    "independently (next group)"
+)
+EIGHTH = turn_x(-np.pi / 4.0)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A joint: its axes on the body and on the ground at the start, relative to the tables' frame; its place [m]; this
+    frame; mass centre and inertia of the body in it."""
+
+    axes: Axes
+    place: tuple[float, float, float] = (1.0, 2.0, 3.0)
+    frame: Axes = field(default_factory=lambda: EIGHTH)
+    centre: tuple[float, float, float] = (ARM, 0.0, 0.0)
+    inertia: tuple[float, float, float] = (0.04, 0.1, 0.1)
+
+
+ALONG_Z = turn_x(np.pi / 2.0)  # y is the tables' z
+CASES = {
+    "revolute": Case(ALONG_Z),
+    "prismatic": Case(turn_y(-np.pi / 2.0)),  # x is the tables' z
+    "cylindrical": Case(ALONG_Z),
+    "spherical": Case(np.eye(3)),
+    "universal": Case(
+        np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]),  # y is the tables' x, z their y
+        place=(0.0, 0.0, 0.0),
+        frame=turn_z(-np.pi / 4.0) @ turn_x(np.pi / 2.0) @ turn_z(np.pi / 4.0),
+        centre=(0.0, 0.0, -ARM),
+        inertia=(0.1, 0.1, 0.04),
+    ),
+}
+
+
+def simulated(kind: str) -> Run:
+    """Five seconds, and two saved times for differences, from rest; the body's axes are those of the tables' frame."""
+    case = CASES[kind]
+    pendulum = body("body", 4.0, MASS, case.centre, case.inertia)
+    joint = Joint("J", "base", "body", kind=kind, position=case.place, orientation=angles_of(case.frame @ case.axes),
+                  child_orientation=angles_of(case.axes))  # fmt: skip
+    model = discretise(Mechanism((pendulum,), (joint,), gravity=GRAVITY))
+    start = static_state(model.topology, model.start_coordinates())
+    return simulate(model, drive=None, duration=5.02, method=Method("rk4", step=1e-3), save_every=0.01, start=start)
+
+
+def motions(kind: str, run: Run) -> tuple[Float[np.ndarray, "times 3 3"], Float[np.ndarray, "times 3"]]:
+    """Rotations of the joint's frame on the body relative to that on the ground, and its displacement there [m]."""
+    times = len(np.asarray(run.times))
+    displacement = np.zeros((times, 3))
+    if kind in ("prismatic", "cylindrical"):
+        displacement[:, 0 if kind == "prismatic" else 1] = np.asarray(run.displacements["J"])
+    angles = np.asarray(run.angles["J"]).reshape(times, -1) if "J" in run.angles else np.zeros((times, 0))
+    turns = {
+        "prismatic": lambda: np.eye(3),
+        "universal": lambda first, second: turn_y(first) @ turn_z(second),
+        "spherical": lambda x, y, z: turn_z(z) @ turn_y(y) @ turn_x(x),
+    }
+    turn = turns.get(kind, turn_y)
+    return np.stack([turn(*values) for values in angles]), displacement
+
+
+def observed(kind: str, run: Run) -> dict[str, Float[np.ndarray, "times 3"]]:
+    """The tables' quantities at the saved times; the angular velocity by differences of rotations."""
+    case = CASES[kind]
+    relative, displacement = motions(kind, run)
+    seat = case.frame @ case.axes
+    rotation = seat @ relative @ case.axes.T
+    moved = displacement @ seat.T
+    position = np.array(case.place) + moved + rotation @ np.array(case.centre)
+    step = float(run.times[1] - run.times[0])
+    slope = (
+        8.0 * (np.roll(rotation, -1, 0) - np.roll(rotation, 1, 0)) - np.roll(rotation, -2, 0) + np.roll(rotation, 2, 0)
+    ) / (12.0 * step)
+    spin = slope @ np.swapaxes(rotation, 1, 2)
+    rate = np.stack([spin[:, 2, 1], spin[:, 0, 2], spin[:, 1, 0]], axis=1)
+    load = {name: np.asarray(getattr(run.loads["J"], name)) for name in ("force", "moment")}
+    to_global = seat @ relative
+    force = -np.einsum("tij,tj->ti", to_global, load["force"])
+    torque = -np.einsum("tij,tj->ti", to_global, load["moment"]) + np.cross(moved, force)
+    return {"position": position, "rate": rate, "force": force, "torque": torque}
+
+
+def energy_loss(kind: str) -> float:
+    """Change of a table's energy from rest to its last row, as a share of its largest kinetic energy, for a body that
+    is symmetric about the line from the joint's point to its mass centre."""
+    case, (axial, across) = CASES[kind], sorted(CASES[kind].inertia)[:2]
+    place, rate = (np.array(list(REFERENCE[key][kind].values())) for key in ("position", "rate"))
+    arm = place - np.array(case.place)
+    start = np.array(case.place) + case.frame @ np.array(case.centre)
+    turning = across * np.sum(rate**2, 1) + (axial - across) * np.sum(rate * arm, 1) ** 2 / ARM**2
+    kinetic = 0.5 * (MASS * np.sum(np.cross(rate, arm) ** 2, 1) + turning)
+    return float(kinetic[-1] - MASS * (place[-1] - start) @ np.array(GRAVITY)) / float(kinetic.max())
+
+
+def lines_of(kind: str, run: Run) -> list[Line]:
+    """Of each table the value that is farthest off."""
+    lines, times = [], np.asarray(run.times)
+    reason = TABLE_OFF if kind == "universal" and abs(energy_loss(kind)) > SHARE else ""
+    for key, found in observed(kind, run).items():
+        quantity = REFERENCE.quantities[key]
+        named, table = zip(*quantity.values[kind].items())
+        known = np.array(table)
+        ours = found[[int(np.argmin(np.abs(times - float(name)))) for name in named]]
+        largest = np.abs(known).max()
+        row, column = np.unravel_index(np.argmax(np.abs(ours - known)), known.shape)
+        name = f"{key} {'xyz'[column]} at {named[row]} s"
+        allowed = SHARE * largest if largest > 0.0 else 1e-9
+        lines.append(absolute(f"Adams, {kind} joint", name, ours[row, column], known[row, column], allowed,
+                              quantity.label, quantity.unit, reason))  # fmt: skip
+    return lines
+
+
+def lagrange_angles(times: Float[np.ndarray, " times"]) -> Float[np.ndarray, "times 2"]:
+    """The two angles [rad] of the universal joint by Lagrange's equations."""
+    case = CASES["universal"]
+    seat, of_body = jnp.asarray(case.frame @ case.axes), jnp.asarray(case.axes)
+    centre, inertia = jnp.asarray(case.centre), jnp.asarray(case.inertia)
+
+    def rotation(q):
+        (ca, cb), (sa, sb) = jnp.cos(q), jnp.sin(q)
+        one, none = jnp.ones_like(ca), jnp.zeros_like(ca)
+        first = jnp.array([[ca, none, sa], [none, one, none], [-sa, none, ca]])
+        second = jnp.array([[cb, -sb, none], [sb, cb, none], [none, none, one]])
+        return seat @ first @ second @ of_body.T
+
+    def lagrangian(q, rate):
+        turned, slope = jax.jvp(rotation, (q,), (rate,))
+        spin = turned.T @ slope
+        w = jnp.stack([spin[2, 1], spin[0, 2], spin[1, 0]])
+        velocity = slope @ centre
+        return 0.5 * (MASS * velocity @ velocity + w @ (inertia * w)) + MASS * (turned @ centre) @ jnp.array(GRAVITY)
+
+    @jax.jit
+    def slope(y):
+        q, rate = y[:2], y[2:]
+        by_rate = jax.grad(lagrangian, 1)
+        mass = jax.jacfwd(by_rate, 1)(q, rate)
+        force = jax.grad(lagrangian, 0)(q, rate) - jax.jvp(lambda p: by_rate(p, rate), (q,), (rate,))[1]
+        return jnp.concatenate([rate, jnp.linalg.solve(mass, force)])
+
+    solved = solve_ivp(lambda _, y: np.asarray(slope(jnp.asarray(y))), (0.0, times[-1]), np.zeros(4), method="DOP853",
+                       t_eval=times, rtol=1e-11, atol=1e-12)  # fmt: skip
+    return solved.y[:2].T
+
+
+def lagrange_lines(run: Run) -> list[Line]:
+    """Angles of the universal joint."""
+    every = slice(0, None, 50)
+    ours = np.asarray(run.angles["J"])[every]
+    known = lagrange_angles(np.asarray(run.times)[every])
+    row, column = np.unravel_index(np.argmax(np.abs(ours - known)), known.shape)
+    name = f"angle {column + 1} at {float(run.times[50 * row]):.2g} s"
+    return [
+        absolute("Universal joint, Lagrange's equations", name, ours[row, column], known[row, column], 1e-7,
+                 "Lagrange's equations, solved to 1e-11", "rad")
+    ]  # fmt: skip
+
+
+def validate(full: bool, progress: Progress) -> Outcome:
+    """All five joints."""
+    del full
+    lines: list[Line] = []
+    for number, kind in enumerate(CASES):
+        run = simulated(kind)
+        lines += lines_of(kind, run)
+        if kind == "universal":
+            lines += lagrange_lines(run)
+        progress((number + 1) / len(CASES))
+    return Outcome(lines)

@@ -1,0 +1,114 @@
+"""Planar slider-cranks on a guide: rigid, and with a flexible rod whose guide and wrist pin are tilted.
+
+Place in the pipeline: a benchmark of `catalogue`. Reference values: `references/slider_cranks.json`; those of the
+rigid one are a closed form.
+"""
+
+import jax.numpy as jnp
+import numpy as np
+
+from rfem_jax.description import (
+    Joint,
+    Link,
+    Material,
+    Mechanism,
+    Method,
+    MomentRamp,
+    PrescribedFunction,
+    PrescribedRate,
+    Rectangle,
+)
+from rfem_jax.mechanics.discretisation import discretise
+from rfem_jax.mechanics.model_with_errors import assembly_errors
+from rfem_jax.simulation import Run, simulate
+from rfem_jax.simulation.driving import Drive
+from rfem_jax.validation.joint_cases import Shares, checked
+from rfem_jax.validation.lines import Outcome, Progress
+from rfem_jax.validation.reference_values import read_reference
+from rfem_jax.validation.rigid_links import body
+
+REFERENCE = read_reference("slider_cranks")
+RIGID = Shares(rms=1e-7, instant=1e-7, motion=1e-9)
+EXACT = Shares(rms=1e-7, instant=1e-6, motion=1e-7)
+RATE = 60.0  # rad/s, of the crank of the rigid one
+ERRORS = {
+    "G.delta_x": np.radians(0.3), "G.delta_z": np.radians(0.2), "G.d_y": 3e-4,
+    "C.delta_x": np.radians(0.2), "C.delta_z": np.radians(-0.15),
+}  # fmt: skip
+RISE, TURNING = 0.1, 40.0  # s, rad/s, of the prescribed angle
+
+
+def rigid() -> Mechanism:
+    """Crank, rod and piston; spherical crank pin and cylindrical wrist pin leave no redundant rows."""
+    links = (
+        body("crank", 0.06, 0.4, (0.02, 0, 0.003), (1.5e-4, 3e-4, 2.5e-4)),
+        body("piston", 0.05, 0.5, (0.012, 0, 0.006), (3e-4, 4e-4, 3.5e-4)),
+        body("rod", 0.2, 0.35, (0.07, 0, 0.004), (1e-4, 1.6e-3, 1.55e-3)),
+    )
+    joints = (
+        Joint("A", "base", "crank"),
+        Joint("G", "base", "piston", kind="prismatic", position=(0, 0, 0.01), displacement=0.26),
+        Joint("C", "piston", "rod", kind="cylindrical", position=(0, 0, 0), child_position=(0.2, 0, 0)),
+        Joint("B", "crank", "rod", kind="spherical", cut=True, child_position=(0, 0, 0)),
+    )
+    return Mechanism(links, joints, driven_joint="A")
+
+
+def flexible() -> Mechanism:
+    """Hinges at both ends of a flexible rod of five rfes, geometrically exact."""
+    steel = Material("steel", youngs_modulus=210e9, density=7850.0, poisson_ratio=0.3, damping=1e-5)
+    bar, crank = Rectangle(0.01, 0.01), -np.pi / 3.0
+    rod = float(np.arcsin(-0.06 * np.sin(crank) / 0.25))
+    links = (
+        Link("crank", 0.06, bar, steel, rigid=True),
+        Link("rod", 0.25, bar, steel, rfes=5),
+        body("piston", 0.05, 0.3, (0, 0, 0), (1e-4, 1.2e-4, 1.1e-4)),
+    )
+    joints = (
+        Joint("A", "base", "crank", angle=crank),
+        Joint("B", "crank", "rod", angle=rod - crank),
+        Joint("G", "base", "piston", kind="prismatic", displacement=0.27),
+        Joint("C", "rod", "piston", cut=True, child_position=(0, 0, 0)),
+    )
+    return Mechanism(links, joints, driven_joint="A", elements="geometrically_exact")
+
+
+def run_rigid() -> Run:
+    """One turn at a constant rate."""
+    period = 2.0 * np.pi / RATE
+    method = Method("rk4", step=period / 1000)
+    return simulate(discretise(rigid()), drive=PrescribedRate("A", RATE), duration=period, method=method,
+                    save_every=period / 40)  # fmt: skip
+
+
+def smooth_turning(t, phase):
+    """Angle [rad] whose rate rises by 10 x^3 - 15 x^4 + 6 x^5, x = t / RISE, and stays."""
+    x = t / RISE
+    rising = RISE * x**4 * (2.5 - 3.0 * x + x**2)
+    return TURNING * jnp.where(phase == 0, rising, t - RISE / 2.0)
+
+
+def drives() -> dict[str, tuple[Drive, float]]:
+    """Drive and duration [s] of the cases of the flexible one."""
+    ramp, turning = MomentRamp("A", 0.8, RISE), PrescribedFunction("A", smooth_turning, (RISE,))
+    return {"moment": (ramp, 0.4), "angle": (turning, 0.3)}
+
+
+def run_flexible(case: str, step: float = 1e-5) -> Run:
+    """From static equilibrium with the errors."""
+    model = discretise(flexible())
+    drive, duration = drives()[case]
+    return simulate(model, assembly_errors(model, ERRORS), drive=drive, duration=duration,
+                    method=Method("rk4", step=step), save_every=0.05)  # fmt: skip
+
+
+def validate(full: bool, progress: Progress) -> Outcome:
+    """The rigid one, then the flexible one under a moment and with prescribed angle."""
+    del full
+    lines = checked(REFERENCE, "rigid", "Slider-crank, rigid", run_rigid(), RIGID)
+    progress(0.2)
+    for number, (case, title) in enumerate((("moment", "moment"), ("angle", "prescribed angle"))):
+        group = f"Slider-crank, flexible rod, guide errors, {title}"
+        lines += checked(REFERENCE, case, group, run_flexible(case), EXACT)
+        progress(0.2 + 0.4 * (number + 1))
+    return Outcome(lines)

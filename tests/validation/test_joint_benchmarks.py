@@ -1,0 +1,98 @@
+"""Benchmarks of joints of other kinds than revolute; `rfem-jax validate` also computes those with flexible links."""
+
+import numpy as np
+import pytest
+
+from rfem_jax import assemble, assembly_errors, discretise
+from rfem_jax.validation import (
+    andrews_squeezer,
+    bennett_loop,
+    joint_cases,
+    joint_tables,
+    published_linkages,
+    slider_cranks,
+    spatial_linkages,
+    spinning_bodies,
+)
+from rfem_jax.validation.lines import NOT_MET, PASS
+from tests.validation.test_benchmarks import assert_all_pass, computed
+
+
+def failed(lines):
+    return [line.name for line in lines if line.verdict != PASS]
+
+
+def test_spinning_bodies():
+    assert_all_pass(computed(spinning_bodies.validate), 5)
+    assert np.degrees(spinning_bodies.nutating_top()[2].max()) > 160.0
+
+
+def test_a_top_of_slightly_other_inertia_fails(monkeypatch):
+    monkeypatch.setattr(spinning_bodies, "AXIAL", 1.00001 * spinning_bodies.AXIAL)
+    _, known, _ = spinning_bodies.nutating_top()
+    monkeypatch.undo()
+    run, right, _ = spinning_bodies.nutating_top()
+    found = spinning_bodies.rotations(run)
+    assert spinning_bodies.turned(found, right).max() < spinning_bodies.TURNED
+    assert spinning_bodies.turned(found, known).max() > 10.0 * spinning_bodies.TURNED
+
+
+def test_rigid_slider_crank():
+    run = slider_cranks.run_rigid()
+    lines = joint_cases.checked(slider_cranks.REFERENCE, "rigid", "", run, slider_cranks.RIGID)
+    assert_all_pass(lines, 14)
+    assert float(run.energy_balance_error) < 1e-8
+    assert float(run.momentum_balance_error) < 1e-12
+    assert float(run.hinge_moment_error) < 1e-12
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case, count", [("RSSR", 14), ("RSUR rigid", 22), ("RSRC", 27), ("RSUP", 20)])
+def test_rigid_spatial_linkages(case, count):
+    run = spatial_linkages.rigid_runs()[case][1]()
+    assert int(run.status) == 0
+    assert_all_pass(spatial_linkages.rigid_lines(case, run), count)
+    if case == "RSRC":
+        assert np.isnan(run.metrics.max_axial_force["F"]) and np.isfinite(run.metrics.max_axial_force["D"])
+
+
+def test_flexible_linkages_at_rest():
+    """The slider-crank without one of its errors fails."""
+    model = discretise(slider_cranks.flexible())
+    for left_out in (None, "C.delta_z"):
+        errors = {name: value for name, value in slider_cranks.ERRORS.items() if name != left_out}
+        preload = assemble(model, assembly_errors(model, errors)).preload
+        lines = joint_cases.preload_lines(slider_cranks.REFERENCE, "moment", "", preload, 1e-8)
+        assert len(lines) == 8 and (failed(lines) == []) == (left_out is None)
+
+
+def test_bennett_linkage():
+    assert_all_pass(computed(bennett_loop.validate), 4)
+
+
+@pytest.mark.slow
+def test_published_linkages(monkeypatch):
+    """All but the planar engine."""
+    fourbars = {name: published_linkages.MODELICA[name] for name in ("Fourbar1", "Fourbar2")}
+    monkeypatch.setattr(published_linkages, "MODELICA", fourbars)
+    assert_all_pass(computed(published_linkages.validate), 16)
+
+
+@pytest.mark.slow
+def test_andrews_squeezer():
+    assert_all_pass(computed(andrews_squeezer.validate), 8)
+
+
+@pytest.mark.slow
+def test_joint_tables(monkeypatch):
+    """Three joints: their tables are met but that of the universal one, which loses energy; Lagrange's equations are
+    met there."""
+    kinds = ("prismatic", "cylindrical", "universal")
+    monkeypatch.setattr(joint_tables, "CASES", {kind: joint_tables.CASES[kind] for kind in kinds})
+    lines = computed(joint_tables.validate)
+    table = [line for line in lines if line.group == "Adams, universal joint"]
+    assert len(table) == 4 and all(line.verdict == NOT_MET for line in table)
+    assert_all_pass([line for line in lines if line not in table], 9)
+    monkeypatch.undo()
+    kept = [joint_tables.energy_loss(kind) for kind in ("revolute", "spherical")]
+    assert np.abs(kept).max() < 1e-5 and joint_tables.energy_loss("universal") < -4e-4
