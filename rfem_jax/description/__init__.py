@@ -4,6 +4,7 @@ Place in the pipeline: the first package; imports nothing of the others. Everyth
 enters and converted to SI floats.
 """
 
+from rfem_jax.description.compliance import Compliance
 from rfem_jax.description.drives import (
     GivenDrive,
     MomentDrive,
@@ -61,6 +62,7 @@ __all__ = [
     "AutomaticMethod",
     "Case",
     "Circle",
+    "Compliance",
     "DiffraxMethod",
     "FixedStepMethod",
     "ForceDrive",

@@ -257,6 +257,11 @@ class JointFriction(ChecksItself, JointForce):
             )
         freedom = _freedom_of(self, joint)
         self._check_what_is_given(freedom)
+        if freedom.rotation and not joint.cut and any(motion[0] == "R" for motion in joint.sprung):
+            raise InputError(
+                f"Argument `joint` of force `{self.name}` must not tilt, or must be cut, for friction about its axis, "
+                f"but the tilt of `{joint.name}` is sprung; leave `tilt` out of its compliance, or cut it."
+            )
         about = freedom.rotation
         dimensions = {
             "coefficient": "none",

@@ -99,7 +99,7 @@ def accelerations(
         found = tree_friction(actual, state, motion, None) | cut_friction(actual, motion, cuts, None)
         laws = with_friction(actual, laws, found)
         tree = _with_cut_forces(topology, cuts, tree, laws)
-    forces = applied_forces(drive, laws)
+    forces = applied_forces(topology, state.position, drive, laws)
     responses, rates = _articulated_bodies(topology, tree, _load_columns(topology, cuts, tree), drive, forces)
     responses |= _cut_rfe_responses(actual, motion, cuts, angular, linear, laws)
     multipliers, stabilising = _multipliers(topology, cuts, motion, tree, responses, stabilisation)
@@ -120,16 +120,19 @@ def accelerations(
         motion=motion,
         closure=cuts,
         interface_tree=tree,
-        dissipated=total_dissipated(dissipated, laws, at_nodes),
+        dissipated=total_dissipated(dissipated, laws, at_nodes, cuts),
         laws=laws,
         frame_loads=at_nodes,
     )
 
 
-def total_dissipated(of_links: Float[Array, ""], laws: LawForces | None, at_nodes: FrameLoads | None) -> Array:
-    """Power [W] that the dampers of links, joints and force elements dissipate."""
+def total_dissipated(
+    of_links: Float[Array, ""], laws: LawForces | None, at_nodes: FrameLoads | None, cuts: Closure | None
+) -> Array:
+    """Power [W] that the dampers of links, joints, force elements and compliant cut joints dissipate."""
     dissipated = of_links if laws is None else of_links + laws.dissipated
-    return dissipated if at_nodes is None else dissipated + at_nodes.dissipated
+    dissipated = dissipated if at_nodes is None else dissipated + at_nodes.dissipated
+    return dissipated if cuts is None or cuts.springs is None else dissipated + cuts.springs.dissipated
 
 
 def _with_elements(topology: Topology, at_nodes: FrameLoads, force: Array, moment: Array) -> tuple[Array, Array]:
@@ -382,9 +385,27 @@ def _multipliers(
         rows = jnp.asarray(rows)
 
         baumgarte = -stabilisation.velocity_gain * cuts.rate - stabilisation.position_gain * cuts.residual
+        if cuts.springs is not None:
+            return _beside_springs(topology, cuts.springs.multipliers, rows, cuts.bias, baumgarte)
         inverse = invert_closure(topology, rows[:, 1:])
         stabilising = apply(inverse, baumgarte)
         return stabilising - apply(inverse, cuts.bias + rows[:, 0]), stabilising
+
+
+def _beside_springs(
+    topology: Topology, springs: Array, rows: Array, bias: Array, baumgarte: Array
+) -> tuple[Array, Array]:
+    """`_multipliers` where those of springs are given: the others hold what these leave (theory (13.8))."""
+    sprung = np.array(topology.sprung_rows)
+    if sprung.all():
+        return springs, jnp.zeros_like(springs)
+    rigid = np.flatnonzero(~sprung)
+    onto = jnp.asarray(np.eye(len(sprung))[rigid])
+    loaded = bias + rows[:, 0] + apply(rows[:, 1:], springs)
+    matrix = jnp.stack([jnp.stack([rows[i, 1 + j] for j in rigid]) for i in rigid])
+    inverse = invert_closure(topology, matrix)
+    stabilising = apply(onto.T, apply(inverse, apply(onto, baumgarte)))
+    return springs + stabilising - apply(onto.T, apply(inverse, apply(onto, loaded))), stabilising
 
 
 def _points_of(topology: Topology, motion: Motion, tree: InterfaceTree) -> dict[int, Array]:

@@ -23,7 +23,7 @@ from jaxtyping import Float
 
 from rfem_jax.mechanics import algebra
 from rfem_jax.mechanics.algebra import apply, apply_transposed, cross, dot
-from rfem_jax.mechanics.cut_joints import Closure, columns
+from rfem_jax.mechanics.cut_joints import Closure, columns, cut_spring_energy
 from rfem_jax.mechanics.dynamics import Accelerations, link_axes
 from rfem_jax.mechanics.element_loads import FrameLoads, frame_energy
 from rfem_jax.mechanics.elements import elasticity
@@ -308,8 +308,10 @@ def energies(actual: ModelWithErrors, state: State) -> Energies:
 def _elastic_energy(actual: ModelWithErrors, position: Coordinates, motion: Motion) -> Float[Array, ""]:
     """Energy [J] of the springs of links and joints, and between points."""
     energy = elasticity.elastic_energy(actual, position)
-    if actual.forces is not None:
+    if actual.forces is not None or actual.springs is not None:
         energy = energy + law_energy(actual, position)
+    if actual.topology.sprung_rows:
+        energy = energy + cut_spring_energy(actual, motion)
     return energy if actual.frame_forces is None else energy + frame_energy(actual, motion)
 
 

@@ -33,7 +33,7 @@ def require_unique_normal_loads(model: Model) -> None:
         return
     geometry = geometry_of(model)
     placed = place(geometry, np.asarray(model.start_joints))
-    _, singular, vectors = np.linalg.svd(closure_jacobian(geometry, placed).T)
+    _, singular, vectors = np.linalg.svd(closure_jacobian(geometry, placed, rigid=False).T)
     rank = int(np.sum(singular > 1e3 * RANK_TOLERANCE * singular.max(initial=0.0)))
     for multipliers in vectors[rank:]:
         for name, law in loaded.items():
@@ -48,14 +48,15 @@ def require_unique_normal_loads(model: Model) -> None:
 
 def _pressing(geometry: NominalGeometry, placed: Placed, law: Friction, multipliers: np.ndarray) -> float:
     """Largest part of redundant reactions that presses a joint, a force over the norm of the reactions."""
-    topology, wrench = geometry.topology, np.zeros(6)
-    sides = closure_rows(geometry, placed)
-    for joint, rows, (left, right) in zip(topology.cuts, topology.constraints, sides, strict=True):
+    topology, wrench, stop = geometry.topology, np.zeros(6), 0
+    sides = closure_rows(geometry, placed, rigid=False)
+    for joint, (left, right) in zip(topology.cuts, sides, strict=True):
+        start, stop = stop, stop + len(left)
         for node, on_side in ((topology.parents[joint], left), (topology.children[joint], right)):
             if joint == law.joint and node == topology.children[joint]:
-                wrench = wrench + on_side.T @ multipliers[rows.start : rows.stop]
+                wrench = wrench + on_side.T @ multipliers[start:stop]
             if law.coordinate is not None and _is_outboard(topology, node, law.joint):
-                wrench = wrench - on_side.T @ multipliers[rows.start : rows.stop]
+                wrench = wrench - on_side.T @ multipliers[start:stop]
     # Rows of forces are over the scale.
     force = wrench[3:] * geometry.scale
     moment = wrench[:3] - np.cross(placed.child_centre[law.joint], wrench[3:])

@@ -11,8 +11,10 @@ derivatives of both are formed independently, by 4 x 4 matrices and automatic di
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
@@ -24,6 +26,7 @@ from rfem_jax.mechanics.frame_forces import START, NodeFrame, Pose
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation
 from rfem_jax.mechanics.joint_forces import applied_forces, law_forces
 from rfem_jax.mechanics.joint_laws import SpringLaw
+from rfem_jax.mechanics.joint_springs import CompliantSpring
 from rfem_jax.mechanics.model import BASE, Coordinates, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 
@@ -180,6 +183,88 @@ def _spring_work(actual: ModelWithErrors, state: State, q: Coordinates, qd: Coor
     return potential, rayleigh
 
 
+def _over_joints(actual: ModelWithErrors, position: Coordinates, change: Coordinates) -> dict[str, Array]:
+    """Transforms from the frame on the parent to that on the child, by the names of joints."""
+    frames, topology, found = [*transforms(actual, position, change), jnp.eye(4)], actual.topology, {}
+    for j, name in enumerate(topology.joints):
+        left = _transform(actual.seat_rotation[:, :, j], actual.seat_position[:, j])
+        right = _transform(actual.bore_rotation[:, :, j], actual.bore_position[:, j])
+        left, right = frames[topology.parents[j]] @ left, frames[topology.children[j]] @ right
+        found[name] = jnp.linalg.inv(left) @ right
+    return found
+
+
+def _displacement(relative: Array, motions: tuple[str, ...], axis: int | None, universal: bool) -> Array:
+    """What a compliant joint's spring acts on, from the transform over the joint: displacements along the parent's
+    axes; the vector of the tilt between two axes, as long as its angle; or one angle."""
+    if motions[0][0] == "T":
+        return jnp.stack([relative["xyz".index(motion[-1]), 3] for motion in motions])
+    rotation = relative[:3, :3]
+    if universal:
+        return jnp.arcsin(rotation[1, 2])[None]
+    if len(motions) == 2 and axis is not None:
+        first, second = ((axis + n) % 3 for n in (1, 2))
+        vector = jnp.stack([-rotation[second, axis], rotation[first, axis]])
+        square = vector @ vector
+        none = square < 1e-20
+        sine = jnp.sqrt(jnp.where(none, 1.0, square))
+        return vector * jnp.where(none, 1.0 + square / 6.0, jnp.arctan2(sine, rotation[axis, axis]) / sine)
+    # One rotation: the angle of the next but one axis, or of the successive ones about x, y, z.
+    about = "xyz".index(motions[0][-1])
+    b, c = (about + 1) % 3, (about + 2) % 3
+    if about == 0:
+        return jnp.arctan2(-rotation[b, c], rotation[c, c])[None]
+    sine, cosine = (rotation[0, 2], rotation[0, 0]) if about == 1 else (-rotation[0, 1], rotation[0, 0])
+    return jnp.arcsin(sine)[None] if about == 1 else jnp.arctan2(sine, cosine)[None]
+
+
+def _spring_force(actual: ModelWithErrors, state: State, qd: Array, unravel: Callable[[Array], Coordinates]) -> Array:
+    """Generalised forces of the springs of compliant joints: what they are stretched by, and its rate, give the work
+    that their forces do."""
+    still, topology = jnp.zeros_like(qd), actual.topology
+    springs = [(*name.split("."), spring) for name, spring in (actual.springs or {}).items()]
+    kinds = {joint: topology.kind(topology.joints.index(joint)).nominal for joint, *_ in springs}
+
+    def over(q):
+        return _over_joints(actual, state.position, unravel(q))
+
+    def stretches(q):
+        found = over(q)
+        return [
+            _displacement(found[joint], kinds[joint].directions[name], kinds[joint].axis, kinds[joint].angles == 2)
+            for joint, name, _ in springs
+        ]
+
+    def rates(qd):
+        now, change = jax.jvp(over, (still,), (qd,))
+        plain = jax.jvp(stretches, (still,), (qd,))[1]
+        for n, (joint, name, _) in enumerate(springs):
+            if name == "tilt" and kinds[joint].angles < 2:
+                # The angular velocity across the parent's axis.
+                spin = change[joint][:3, :3] @ now[joint][:3, :3].T
+                vector = jnp.stack([spin[2, 1], spin[0, 2], spin[1, 0]])
+                plain[n] = jnp.where(np.arange(3) == kinds[joint].axis, 0.0, vector)
+        return plain
+
+    pulls = [_pull(spring, at) for (*_, spring), at in zip(springs, stretches(still))]
+    drags = [spring.damping * rate for (*_, spring), rate in zip(springs, rates(qd))]
+    force = jnp.zeros_like(qd)
+    for exerted, jacobian in zip((pulls, drags), (jax.jacfwd(stretches)(still), jax.jacfwd(rates)(qd))):
+        force = force - sum(rows.T @ one for rows, one in zip(jacobian, exerted))
+    return force
+
+
+def _pull(spring: CompliantSpring, stretch: Array) -> Array:
+    """What displaces a spring by a vector, or in one direction by a number of either sign."""
+    size = stretch[0] if stretch.size == 1 else jnp.linalg.norm(stretch)
+    x, f = spring.positions, spring.forces
+    if x is None or f is None:
+        return spring.stiffness * stretch
+    row = jnp.clip(jnp.searchsorted(x, size, side="right") - 1, 0, x.size - 2)
+    exerted = f[row] + (f[row + 1] - f[row]) / (x[row + 1] - x[row]) * (size - x[row])
+    return exerted / size * stretch
+
+
 def _along_joints(
     actual: ModelWithErrors, state: State, drive: DriveInput, unravel: Callable[[Array], Coordinates]
 ) -> Array:
@@ -189,11 +274,13 @@ def _along_joints(
     if actual.forces is not None:
         force = force - jax.grad(lambda q: _spring_work(actual, state, unravel(q), unravel(still))[0])(still)
         force = force - jax.grad(lambda qd: _spring_work(actual, state, unravel(still), unravel(qd))[1])(qd)
-    laws = law_forces(actual, state)
+    laws = law_forces(eqx.tree_at(lambda a: a.springs, actual, None, is_leaf=lambda x: x is None), state)
     # Those of springs and dampers are in the two functions already.
     outside = None if laws is None else laws._replace(inside={})
-    for k, applied in applied_forces(drive, outside).items():
+    for k, applied in applied_forces(actual.topology, state.position, drive, outside).items():
         force = force.at[k].add(applied)
+    if actual.springs is not None:
+        force = force + _spring_force(actual, state, qd, unravel)
     return force
 
 
@@ -238,7 +325,8 @@ def reference_accelerations(
     stabilisation: Stabilisation,
     applied: Float[Array, " coordinates"] | None = None,
 ) -> tuple[Coordinates, Float[Array, " constraints"]]:
-    """Second derivatives of the coordinates and multipliers [N] from the dense system; `applied`: more forces, flat."""
+    """Second derivatives of the coordinates and multipliers [N] but those of springs, from the dense system; `applied`:
+    more forces, flat."""
     topology = actual.topology
     qd, unravel = ravel_pytree(state.velocity)
     # Changes from the present position are coordinates of which there are as many as rates.
@@ -288,7 +376,7 @@ def reference_accelerations(
     gamma = -jax.jvp(phi_rate, (q,), (qd,))[1]
     gamma = gamma - stabilisation.velocity_gain * phi_rate(q) - stabilisation.position_gain * phi(q)
     found, multipliers = _solve_augmented(mass, jacobian, force, gamma, drive)
-    return unravel(found), multipliers[: topology.n_constraints]
+    return unravel(found), multipliers[: topology.n_constraints - sum(topology.sprung_rows)]
 
 
 def _solve_augmented(

@@ -21,7 +21,7 @@ from rfem_jax.mechanics.dynamics import Accelerations, accelerations
 from rfem_jax.mechanics.element_loads import FrameLoads
 from rfem_jax.mechanics.implicit.condensation import LinkOperator
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation, impose
-from rfem_jax.mechanics.joint_forces import LawForces
+from rfem_jax.mechanics.joint_forces import LawForces, rate_about_axis
 from rfem_jax.mechanics.kinematics import Motion
 from rfem_jax.mechanics.model import Coordinates, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
@@ -151,9 +151,9 @@ def applied_power(
 ) -> Float[Array, ""]:
     """Power [W] of the drives, and of the laws of joints and the force elements that act from outside."""
     forces = drive_forces(topology, drive, joint, solved)
-    power = forces[0] * (state.velocity.joints[topology.drives[0]] if topology.drives else 0.0)
+    power = forces[0] * (rate_about_axis(topology, state, topology.drives[0]) if topology.drives else 0.0)
     for k, force in zip(topology.drives[1:], forces[1:], strict=True):
-        power = power + force * state.velocity.joints[k]
+        power = power + force * rate_about_axis(topology, state, k)
     power = power if solved.laws is None else power + solved.laws.power
     return power if solved.frame_loads is None else power + solved.frame_loads.power
 

@@ -365,7 +365,7 @@ def _coordinates(model: Model, record: Record, rotation: bool) -> dict[str, Arra
     """Angles or displacements by tree joint: (times,), or (times, k) of a kind that has several."""
     found, topology = {}, model.topology
     for l, at in enumerate(topology.positions):
-        plain = zip(at, topology.kind(l).freedoms[: topology.plain(l)])
+        plain = zip(topology.own_positions[l], topology.kind(l).nominal.freedoms)
         wanted = [record.joints[:, k] for k, freedom in plain if freedom.rotation is rotation]
         if rotation and topology.kind(l).ball:
             wanted = list(angles_of(record.joints[:, at.stop - 4 : at.stop]).T)

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 from rfem_jax.mechanics import algebra, loads
 from rfem_jax.mechanics.centre_lines import link_ends
-from rfem_jax.mechanics.cut_joints import Closure, assembly_modes
+from rfem_jax.mechanics.cut_joints import Closure, Constraints, assembly_modes
 from rfem_jax.mechanics.dynamics import Accelerations
 from rfem_jax.mechanics.element_loads import FrameLoads
 from rfem_jax.mechanics.implicit.residual import Evaluation
@@ -223,11 +223,20 @@ def cut_drift(cuts: Closure | None, scale: algebra.Scalar) -> tuple[Float[Array,
         return jnp.zeros(()), jnp.zeros(())
     distances, turns = [], []
     for group in cuts.groups:
-        of_centres, of_axes = group.residual[: group.n_centres], group.residual[group.n_centres :]
+        of_centres, of_axes = _held_apart(group)
         distances.append(equations.safe_sqrt(jnp.max(jnp.sum(of_centres**2, axis=0))))
         if of_axes.shape[0]:
             turns.append(jnp.max(jnp.abs(of_axes)) / scale)
     return _largest(distances), _largest(turns)
+
+
+def _held_apart(group: Constraints) -> tuple[Float[Array, "r n"], Float[Array, "s n"]]:
+    """Residuals [m] of the equations of centres and of axes, but those that are laws of springs."""
+    r = group.n_centres
+    if not any(group.sprung):
+        return group.residual[:r], group.residual[r:]
+    rigid = np.flatnonzero(~np.array(group.sprung))
+    return group.residual[rigid[rigid < r]], group.residual[rigid[rigid >= r]]
 
 
 def _largest(values: list[Float[Array, ""]]) -> Float[Array, ""]:

@@ -19,6 +19,7 @@ not drive the motion.
 """
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -33,6 +34,7 @@ from rfem_jax.mechanics.cut_joints import RANK_TOLERANCE
 from rfem_jax.mechanics.frame_forces import START, FrameForce, Pose
 from rfem_jax.mechanics.friction_laws import Friction
 from rfem_jax.mechanics.joint_laws import JointLaw, law_slopes
+from rfem_jax.mechanics.joint_springs import CompliantSpring, diagonal_tangent
 from rfem_jax.mechanics.model import BASE, Model, Topology
 from rfem_jax.mechanics.model_with_errors import apply_errors, assembly_errors
 from rfem_jax.mechanics.nominal_geometry import (
@@ -103,12 +105,14 @@ class Vibration:
         self.before: list[np.ndarray | None] = [None] * len(self.rates)
         self.forces: dict[str, JointLaw | Friction] = {**(model.forces or {}), **(model.friction or {})}
         self.elements = [] if model.frame_forces is None else list(model.frame_forces.values())
-        self.sprung = bool(self.forces) or any(element.components for element in self.elements)
+        self.bearings = [] if model.springs is None else list(model.springs.values())
+        elements = any(element.components for element in self.elements)
+        self.sprung = bool(self.forces) or bool(self.bearings) or elements
 
     def modes(self, joints: Float[np.ndarray, " numbers"]) -> Modes:
         """The modes at a position of the joints, links undeformed."""
         placed = place(self.geometry, joints)
-        if self.topology.n_rfes == 0:
+        if self.topology.n_rfes == 0 and not self.bearings:
             return self._rigid(np.asarray(joints))
         constraints = sparse.csr_matrix(self._constraints(placed) @ self.inverse_root)
         joint_rows, stiffness, damping = self._at_joints(np.asarray(joints), placed)
@@ -132,10 +136,23 @@ class Vibration:
         """Of the springs, dampers and laws of joints: rows (laws, 6 n) that give the rates of their coordinates from
         the velocities L^T w of all nodes, stiffness and damping at a position, zero where they are negative."""
         laws = list(self.forces.values())
-        rows = self._relative_rates(placed, [self._reader(law, placed) for law in laws])
-        slopes = [law_slopes(law, _position(law, joints), 0.0) for law in laws]
-        stiffness, damping = np.maximum(-np.array(slopes, float).reshape(-1, 2).T, 0.0)
-        return rows @ self.inverse_root, stiffness, damping
+        readers = [self._reader(law, placed) for law in laws]
+        slopes = [-np.array(law_slopes(law, _position(law, joints), 0.0), float) for law in laws]
+        for spring in self.bearings:
+            readers += [self._coordinate_reader(k, placed) for k in spring.coordinates]
+            readers += [self._closure_reader(k, placed) for k in spring.rows]
+            slopes += self._slopes(spring)
+        stiffness, damping = np.maximum(np.array(slopes, float).reshape(-1, 2).T, 0.0)
+        return self._relative_rates(placed, readers) @ self.inverse_root, stiffness, damping
+
+    def _slopes(self, spring: CompliantSpring) -> list[np.ndarray]:
+        """Stiffness and damping of the coordinates, or rows [m], of a compliant joint's spring without load."""
+        zeros = jnp.zeros(len(spring.coordinates) or len(spring.rows))
+        exerted = spring.along
+        if spring.rows:
+            exerted = partial(spring.in_rows, scale=jnp.asarray(self.geometry.scale))
+        factors = ((1.0, 0.0), (0.0, 1.0))
+        return list(np.array([diagonal_tangent(exerted, zeros, zeros, *pair) for pair in factors]).T)
 
     def _coordinate_rates(self, placed: Placed, coordinates: Sequence[int]) -> np.ndarray:
         """Rows (k, 6 n) that give the rates of joint coordinates from the velocities of all nodes."""
@@ -148,10 +165,7 @@ class Vibration:
             for node, sign in sides:
                 if node == BASE:
                     continue
-                owner = self.topology.link_of(node)
-                along = self.geometry.rest[node - self.topology.n_links] if node >= self.topology.n_links else 0.0
-                rotation = placed.rotation[owner]
-                point = placed.origin[owner] + rotation @ [along, 0.0, 0.0]
+                rotation, point = node_place(self.geometry, placed, node)
                 # Twist at the global origin of velocities in link axes at the node's point.
                 row[6 * node : 6 * node + 3] += sign * (reader[:3] + np.cross(reader[3:], point)) @ rotation
                 row[6 * node + 3 : 6 * node + 6] += sign * reader[3:] @ rotation
@@ -215,6 +229,21 @@ class Vibration:
         reader = np.linalg.pinv(placed.twists[own].T)[own.index(k)]
         return ((self.topology.parents[link], -1.0), (link, 1.0)), reader
 
+    def _closure_reader(self, equation: int, placed: Placed) -> Reader:
+        """How to read the rate of a closure equation [m] of a compliant cut joint."""
+        topology = self.topology
+        joint = next(j for j, rows in zip(topology.cuts, topology.constraints, strict=True) if equation in rows)
+        kind, left = topology.kind(joint).nominal, placed.joint_rotation[joint]
+        at = equation - topology.constraints[joint - topology.n_links].start
+        if at < len(kind.across):
+            force = left[:, kind.across[at]]
+            reader = np.concatenate([np.cross(placed.child_centre[joint], force), force])
+        else:
+            a, b = kind.perpendicular[at - len(kind.across)]
+            couple = self.geometry.scale * np.cross(placed.child_rotation[joint][:, b], left[:, a])
+            reader = np.concatenate([couple, np.zeros(3)])
+        return ((topology.parents[joint], -1.0), (topology.children[joint], 1.0)), reader
+
     def _by_joint_rates(self, law: JointLaw | Friction, placed: Placed) -> np.ndarray:
         """Row (F,) that gives the rate of a law's motion from those of the joint coordinates."""
         row = np.zeros(self.topology.n_freedoms)
@@ -232,7 +261,7 @@ class Vibration:
 
     def _all(self, constraints: np.ndarray, by_springs: np.ndarray, by_dampers: np.ndarray) -> Modes:
         _, singular, rows = np.linalg.svd(_unit_rows(constraints))
-        free = rows[np.sum(singular > RANK_TOLERANCE * singular[0]) :]
+        free = rows[np.sum(singular > RANK_TOLERANCE * singular.max(initial=0.0)) :]
         # Singular values of the root of the stiffness matrix: the low frequencies of stiff links keep their digits.
         stretch = self.root @ free.T
         if self.sprung:

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from rfem_jax import (
+    Compliance,
     Joint,
     JointForceFunction,
     JointForceTable,
@@ -132,6 +133,13 @@ LOADED = {"coefficient": 0.1, "sliding_rate": 0.1}
 def test_friction_that_does_not_fit_its_joint_is_refused(refused, friction, pieces):
     with refused(*pieces):
         mechanism(friction)
+
+
+def test_friction_about_an_axis_whose_tilt_is_sprung_is_refused_in_the_tree(refused):
+    links, friction = [Link("a", 0.1, BAR, STEEL, rigid=True)], JointFriction("f", "A", **SLIDING)
+    with refused("`joint` of force `f`", "the tilt of `A` is sprung"):
+        Mechanism(links, [Joint("A", "base", "a", compliance=Compliance(tilt=1.0))], forces=[friction])
+    Mechanism(links, [Joint("A", "base", "a", compliance=Compliance(radial=1.0))], forces=[friction])
 
 
 def test_an_unknown_law_of_friction_is_refused(refused):

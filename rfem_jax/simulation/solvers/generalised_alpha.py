@@ -46,7 +46,7 @@ from jaxtyping import Array, Bool, Float, PyTree
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.methods import GeneralisedAlphaMethod, Method
 from rfem_jax.mechanics import algebra, loads
-from rfem_jax.mechanics.cut_joints import closure
+from rfem_jax.mechanics.cut_joints import closure, spring_row_tangent
 from rfem_jax.mechanics.dynamics import total_dissipated
 from rfem_jax.mechanics.element_loads import element_tangents, frame_loads
 from rfem_jax.mechanics.elements.elasticity import dissipated_power
@@ -286,12 +286,14 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         now = motion_of(actual, state)
         if actual.topology.exact:
             operators = present_operators(actual, now.relative, *self.factors(h))
-        of_laws = None if actual.forces is None else law_tangent(actual, state, *self.factors(h))
+        bare = actual.forces is None and actual.springs is None
+        of_laws = None if bare else law_tangent(actual, state, *self.factors(h))
         of_elements = None
         if actual.frame_forces is not None:
             of_elements = element_tangents(actual, now, drive.time, *self.factors(h))
-        held = conditions.drives.prescribed
-        return iteration_matrix(actual, operators, now, closure(actual, now, scale), held, of_laws, of_elements)
+        cuts, held = closure(actual, now, scale), conditions.drives.prescribed
+        of_rows = spring_row_tangent(actual, cuts, scale, *self.factors(h))
+        return iteration_matrix(actual, operators, now, cuts, held, of_laws, of_elements, of_rows)
 
     def matrix_at(
         self,
@@ -318,7 +320,8 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         of_elements = None
         if actual.frame_forces is not None:
             of_elements = element_tangents(actual, motion, drive.time, *self.factors(h))
-        return iteration_matrix(actual, matrix.operators, motion, cuts, held, tree, of_elements, tangent.cuts)
+        of_rows = spring_row_tangent(actual, cuts, conditions.stabilisation.scale, *self.factors(h))
+        return iteration_matrix(actual, matrix.operators, motion, cuts, held, tree, of_elements, of_rows, tangent.cuts)
 
     def predict(self, constants: StepConstants, start: StepStart) -> Unknowns:
         """Accelerations and multipliers of the last step as a first guess.
@@ -369,11 +372,14 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
             in_cuts = cut_friction(actual, motion_of(actual, state), cuts, unknowns.multipliers)
             laws = with_friction(actual, laws, in_cuts | tree_friction(actual, state, evaluation.motion, wrenches))
             at_cuts = cut_forces(actual, in_cuts)
+        now = None
+        if actual.topology.sprung_rows:
+            now = closure(actual, motion_of(actual, state), conditions.stabilisation.scale)
         at_nodes = None if actual.frame_forces is None else frame_loads(actual, motion_of(actual, state), drive.time)
         evaluation = evaluation._replace(
             multipliers=unknowns.multipliers,
             wrenches=[*wrenches, *loads.cut_wrenches(actual.topology, cuts, unknowns.multipliers, at_cuts)],
-            dissipated=total_dissipated(dissipated_power(actual, state), laws, at_nodes),
+            dissipated=total_dissipated(dissipated_power(actual, state), laws, at_nodes, now),
             laws=laws,
             frame_loads=at_nodes,
         )
@@ -382,7 +388,10 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
     def _closing_as_acceleration(self, evaluation: Evaluation, h) -> Evaluation:
         """The evaluation with its closure error [m] as the acceleration [m/s^2] that removes it within the step."""
         moving, (q_factor, _) = h > 0.0, self.factors(h)
-        by_step = evaluation.closing / jnp.where(moving, q_factor, 1.0)
+        unit = jnp.where(moving, q_factor, 1.0)
+        if evaluation.closure is not None and (sprung := evaluation.closure.sprung_rows):
+            unit = jnp.where(np.array(sprung), 1.0, unit)
+        by_step = evaluation.closing / unit
         return evaluation._replace(closing=jnp.where(moving, by_step, evaluation.closing_acceleration))
 
     def _newmark(self, h, trajectory: Trajectory, memory: Memory, accelerations: Coordinates, topology, drive):
@@ -459,7 +468,10 @@ def residual_forces(
         evaluation.moment / scale,
         hinge / (jnp.where(np.array(slides), 1.0, scale) if any(slides) else scale),
     )
-    parts = evaluation.force, moment, hinge, evaluation.closing * jnp.sum(actual.mass)
+    closing = jnp.sum(actual.mass)
+    if sprung := actual.topology.sprung_rows:
+        closing = jnp.where(np.array(sprung), 1.0, closing)
+    parts = evaluation.force, moment, hinge, evaluation.closing * closing
     return jnp.concatenate([part.reshape(-1) for part in parts])
 
 
