@@ -308,6 +308,30 @@ def _of_elements(actual: ModelWithErrors, drive: DriveInput, frames: Array, deri
     return total
 
 
+def element_wrenches(
+    actual: ModelWithErrors, drive: DriveInput, frames: Float[Array, "nodes 4 4"], rates: Float[Array, "nodes 4 4"]
+) -> list[tuple[int, Float[Array, "6"]]]:
+    """Nodes, and the wrenches at the global origin that force elements exert on them, from the transforms of all nodes
+    and their rates."""
+    found, forces = [], actual.frame_forces
+    if forces is None:
+        return found
+    for element in forces.elements.values():
+
+        def placed(frames, element=element):
+            frames = jnp.concatenate([frames, jnp.eye(4)[None]])
+            parent, child = (_framed(frames, end) for end in (element.parent, element.child))
+            return jnp.linalg.inv(parent) @ child, parent, child
+
+        (now, parent, child), (change, *_) = jax.jvp(placed, (frames,), (rates,))
+        pose = Pose(now[:3, 3], now[:3, :3], change[:3, 3], _axial(change[:3, :3] @ now[:3, :3].T))
+        wrench = element.wrench(pose, START if drive.time is None else drive.time)
+        force, moment = (forces.share * parent[:3, :3] @ part for part in wrench)
+        at_origin = jnp.concatenate([moment + jnp.cross(child[:3, 3], force), force])
+        found += [(element.child.node, at_origin), (element.parent.node, -at_origin)]
+    return found
+
+
 def _framed(frames: Array, end: NodeFrame) -> Array:
     """Transform of a frame on a node, of which the last of `frames` is the base."""
     return frames[end.node] @ _transform(end.rotation, end.position)

@@ -21,6 +21,7 @@ from rfem_jax.mechanics.inputs import DriveInput, Stabilisation
 from rfem_jax.mechanics.model import BASE, Coordinates, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 from rfem_jax.mechanics.reference_formulation import (
+    element_wrenches,
     joint_frames,
     joint_rows,
     pseudo_inertias,
@@ -46,7 +47,7 @@ def reference_with_friction(
     def improve(carry, _):
         friction, *_ = carry
         found = reference_accelerations(actual, state, drive, stabilisation, matrix.T @ friction)
-        return (forces_under(_normal_loads(actual, state, *found, friction, stabilisation.scale)), *found), None
+        return (forces_under(_normal_loads(actual, state, drive, *found, friction, stabilisation.scale)), *found), None
 
     unsolved = jax.tree.map(jnp.zeros_like, state.velocity), jnp.zeros(actual.topology.n_constraints)
     first = (forces_under(jnp.zeros(len(laws))), *unsolved)
@@ -105,6 +106,7 @@ def _displaced(frame: Array, twist: Array) -> Array:
 def _normal_loads(
     actual: ModelWithErrors,
     state: State,
+    drive: DriveInput,
     accelerations: Coordinates,
     multipliers: Array,
     friction: Array,
@@ -128,6 +130,7 @@ def _normal_loads(
     change = jnp.einsum("nab,nbc,ndc->nad", of_nodes, pseudo_inertias(actual), jnp.stack(frames))
     laws = sorted((actual.friction or {}).items())
     on_nodes = _cut_wrenches(actual, frames, multipliers, laws, friction, scale)
+    of_elements = element_wrenches(actual, drive, jnp.stack(frames), rate(still))
     found = []
     for _, law in laws:
         left, right = joint_frames(actual, frames, law.joint)
@@ -135,15 +138,16 @@ def _normal_loads(
             found.append(jnp.zeros(()))
             continue
         if law.coordinate is None:
-            wrench, axis = on_nodes[law.joint, topology.children[law.joint]], left[:3, law.axis]
+            wrench = on_nodes[law.joint, topology.children[law.joint]]
         else:
             outboard = _outboard(topology, law.joint)
             total = jnp.sum(jnp.stack([change[k] for k in outboard]), axis=0)
             moment = jnp.stack([total[2, 1] - total[1, 2], total[0, 2] - total[2, 0], total[1, 0] - total[0, 1]])
             wrench = jnp.concatenate([moment, total[:3, 3]])
-            wrench = wrench - sum((w for (_, node), w in on_nodes.items() if node in outboard), start=jnp.zeros(6))
-            axis = right[:3, law.axis]
-        found.append(law.load.size(wrench[3:], wrench[:3] - cross(right[:3, 3], wrench[3:]), axis))
+            others = [(node, w) for (_, node), w in on_nodes.items()] + of_elements
+            wrench = wrench - sum((w for node, w in others if node in outboard), start=jnp.zeros(6))
+        moment = wrench[:3] - cross(right[:3, 3], wrench[3:])
+        found.append(law.load.size(wrench[3:], moment, left[:3, law.axis]))
     return jnp.stack(found)
 
 

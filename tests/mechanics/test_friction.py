@@ -1,13 +1,15 @@
 """Friction in joints of the tree and in cut joints: laws against closed forms, the recursive formulation against the
 dense one, whose loads do not come from the recursion."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax import Joint, JointFriction, Mechanism, discretise
+from rfem_jax import Compliance, Joint, JointFriction, Mechanism, PointSpring, discretise
 from rfem_jax.mechanics import loads
 from rfem_jax.mechanics.dynamics import accelerations
 from rfem_jax.mechanics.friction_laws import friction_law
@@ -94,6 +96,20 @@ def chain_with_friction():
     return Mechanism(links, joints, driven_joint="A", forces=forces)
 
 
+def bearings_with_friction():
+    """The chain with a part of what its joints hold sprung, and a spring between points of two links."""
+    chain = chain_with_friction()
+    springs = {
+        "A": Compliance(radial=3e5, axial=2e5, radial_damping=30.0),
+        "P": Compliance(normal=4e5, R_y=2e3, R_y_damping=0.1),
+        "C": Compliance(radial=5e5),
+        "R": Compliance(axial=2e5, axial_damping=20.0),
+    }
+    joints = [dataclasses.replace(joint, compliance=springs[joint.name]) for joint in chain.joints]
+    coil = PointSpring("coil", ["a", "g"], [[0.05, 0.0, 0.01], [0.1, 0.0, 0.0]], 3e5, 40.0, free_length=0.1)
+    return dataclasses.replace(chain, joints=joints, forces=[*chain.forces, coil])
+
+
 def loops_with_friction():
     """A cut guide between flexible links and a cut hinge in the middle of one of them, on a rigid link outboard of a
     cylindrical joint."""
@@ -112,7 +128,11 @@ def loops_with_friction():
     return Mechanism([*loop.links, link("prop", 0.2)], joints, forces=forces)
 
 
-@pytest.fixture(scope="module", params=[chain_with_friction, loops_with_friction], ids=lambda make: make.__name__)
+@pytest.fixture(
+    scope="module",
+    params=[chain_with_friction, bearings_with_friction, loops_with_friction],
+    ids=lambda make: make.__name__,
+)
 def compared(request):
     """Both formulations, first with friction by the rate alone, then by loads, too, which the recursive one has in its
     residual."""
@@ -146,7 +166,8 @@ def compared(request):
         residual = evaluation.hinge, evaluation.force, evaluation.moment
         return slow, explicit, (residual, evaluation.laws, joint, balance)
 
-    samples = [(some_errors(model, rng), random_state(model, rng), share) for share in (0.0, 0.2)]
+    size = 0.1 if model.topology.sprung else 0.5  # displacements of bearings are small
+    samples = [(some_errors(model, rng), random_state(model, rng, size), share) for share in (0.0, 0.2)]
     samples = jax.tree.map(lambda *x: jnp.stack(x), *samples)
     return model, by_numpy(jax.vmap(both))(*samples)
 

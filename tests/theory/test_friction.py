@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from rfem_jax import (
+    Compliance,
     GivenSection,
     InputError,
     Joint,
@@ -125,6 +126,38 @@ class TestFlywheel:
         np.testing.assert_allclose(run.loads["G"].moment[:, 1], 0.0, atol=1e-9)
         np.testing.assert_allclose(run.drive_moment, self.CONSTANT + 3.0 * self.VISCOUS, rtol=1e-9)
         assert float(run.energy_balance_error) < 1e-9
+
+
+class TestRotorOnSprings:
+    """A rotor turns under its weight on a bearing that gives way, sunk to where the springs carry it."""
+
+    MASS, STIFFNESS, INERTIA, COEFFICIENT, RADIUS = 2.0, 2e5, 0.012, 0.2, 0.01
+
+    @in_tree_or_cut
+    def test_run_down(self, cut):
+        wheel = body("body", self.MASS, inertia=(self.INERTIA,) * 3)
+        friction = JointFriction("bearing", "G", coefficient=self.COEFFICIENT, radius=self.RADIUS, sliding_rate=1e-2)
+        joints = [Joint("G", "base", "body", cut=cut, child_position=(0.0, 0.0, 0.0), compliance=self.springs())]
+        if cut:
+            joints.append(Joint("F", "base", "body", kind="free"))
+        model = discretise(Mechanism([wheel], joints, forces=[friction], gravity=(0.0, 0.0, -9.81)))
+        start = loads.static_state(model.topology, model.start_coordinates())
+        # Radial springs are T_x and T_z of a hinge about y, before its angle; a free joint has T_y, too.
+        sunk = start.position.joints.at[2 if cut else 1].set(-self.MASS * 9.81 / self.STIFFNESS)
+        rates = start.velocity.joints.at[4 if cut else 2].set(30.0)
+        start = State(Coordinates(sunk, start.position.elastic), Coordinates(rates, start.velocity.elastic))
+        run = simulate(model, drive=None, start=start, duration=0.2, method=IMPLICIT, save_every=0.1)
+        assert int(run.status) == 0
+        moment = self.COEFFICIENT * self.RADIUS * self.MASS * 9.81
+        np.testing.assert_allclose(run.loads["G"].moment[:, 1], -moment, rtol=1e-6)
+        rate = 30.0 - moment / self.INERTIA * np.asarray(run.times)
+        np.testing.assert_allclose(run.energy.kinetic, 0.5 * self.INERTIA * rate**2, rtol=1e-6)
+        np.testing.assert_allclose(run.energy.elastic, 0.5 * (self.MASS * 9.81) ** 2 / self.STIFFNESS, rtol=1e-6)
+        np.testing.assert_allclose(run.friction_losses["bearing"], 0.5 * self.INERTIA * (900.0 - rate**2), rtol=1e-4)
+        assert float(run.energy_balance_error) < 1e-4 and float(run.hinge_moment_error) < 1e-6
+
+    def springs(self):
+        return Compliance(radial=self.STIFFNESS, radial_damping=50.0)
 
 
 class TestInclinedGuide:
