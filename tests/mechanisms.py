@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rfem_jax import (
+    Compliance,
     Joint,
     JointForceFunction,
     JointForceTable,
@@ -204,6 +205,52 @@ def loop_with_springs():
         JointForceTable("table", "D", [-3.0, -2.0, 0.0], [5.0, -1.0, 2.0]),
     ]
     return dataclasses.replace(three_link_loop(), forces=forces)
+
+
+TABLE = {"positions": [0.0, 0.01, 0.2], "forces": [0.0, 3.0, 20.0]}  # of a resultant
+
+
+def compliant_chain():
+    """A chain of four kinds of joints with most of what they hold sprung, linearly and by tables."""
+    turn = {"positions": [-1.0, 0.0, 1.0], "forces": [-2.0, 0.0, 3.0]}  # another one in each sense
+    first = Compliance(
+        radial=300.0, axial=200.0, tilt=2.0, radial_damping=3.0, axial_damping=2.0, tilt_damping=0.3
+    )  # fmt: skip
+    second = Compliance(normal=TABLE, R_x=turn, R_y=2.0, R_z=1.5, normal_damping=0.4, R_y_damping=0.1)
+    links = [link("a", 0.1), link("b", 0.2, 2), link("c", 0.15), link("d", 0.25)]
+    joints = [
+        Joint("A", "base", "a", orientation=(0.2, 0.0, 0.3), angle=0.4, compliance=first),
+        Joint("P", "a", "b", kind="prismatic", orientation=(0.3, -0.2, 0.1), displacement=0.05, compliance=second),
+        Joint("U", "b", "c", kind="universal", child_position=(0.01, 0.0, 0.02), start=(0.3, -0.5),
+              compliance=Compliance(radial=400.0, tilt=1.5, tilt_damping=0.1)),
+        Joint("C", "b", "d", kind="cylindrical", position=(0.12, 0.01, 0.0), angle=0.6, displacement=-0.03,
+              compliance=Compliance(T_x=100.0, tilt=TABLE, tilt_damping=0.05)),
+    ]  # fmt: skip
+    spring = JointSpring("at_drive", "A", stiffness=2.0, damping=0.1, rest=0.2, preload=0.3)
+    law = JointForceTable("beside", "A", [-1.0, 1.0], [-3.0, 4.0])
+    return Mechanism(links, joints, driven_joint="A", forces=[spring, law])
+
+
+BUSHING = Compliance(
+    radial=3e4, axial=2e4, tilt=20.0, radial_damping=30.0, axial_damping=20.0, tilt_damping=0.3
+)  # fmt: skip
+
+
+def compliant_four_bar(cut=BUSHING, tree=BUSHING, rfes=2, **more):
+    """The study's four-bar with compliances at its cut joint and at the others; `rfes` None: rigid."""
+    plain = four_bar(rfes, **more)
+    joints = [dataclasses.replace(joint, compliance=cut if joint.cut else tree) for joint in plain.joints]
+    return dataclasses.replace(plain, joints=joints)
+
+
+def loop_cut_by_sprung(kind):
+    """`loop_cut_by` with a part of what the cut joint holds sprung."""
+    loop = loop_cut_by(kind)
+    name = {"prismatic": "T_z", "fixed": "T_y", "planar": "axial"}.get(kind, "radial")
+    tilt = {} if kind in ("prismatic", "fixed", "spherical") else {"tilt": TABLE, "tilt_damping": 0.2}
+    compliance = Compliance(**{name: 2e4, f"{name}_damping": 5.0}, **tilt)
+    joints = [dataclasses.replace(joint, compliance=compliance if joint.cut else None) for joint in loop.joints]
+    return dataclasses.replace(loop, joints=joints)
 
 
 OFFSETS = {"prismatic": (0.04, 0.0, 0.0), "cylindrical": (0.0, 0.05, 0.0), "planar": (0.03, 0.0, -0.02)}

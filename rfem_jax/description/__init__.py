@@ -4,6 +4,7 @@ Place in the pipeline: the first package; imports nothing of the others. Everyth
 enters and converted to SI floats.
 """
 
+from rfem_jax.description.compliance import Compliance
 from rfem_jax.description.drives import (
     GivenDrive,
     MomentDrive,
@@ -17,7 +18,7 @@ from rfem_jax.description.drives import (
     PrescribedTable,
 )
 from rfem_jax.description.errors import InputError, nearest
-from rfem_jax.description.forces import JointForceFunction, JointForceTable, JointSpring
+from rfem_jax.description.forces import JointForceFunction, JointForceTable, JointFriction, JointSpring
 from rfem_jax.description.joints import Joint
 from rfem_jax.description.links import Link, PointMass
 from rfem_jax.description.materials import Material
@@ -61,6 +62,7 @@ __all__ = [
     "AutomaticMethod",
     "Case",
     "Circle",
+    "Compliance",
     "DiffraxMethod",
     "FixedStepMethod",
     "ForceDrive",
@@ -74,6 +76,7 @@ __all__ = [
     "Joint",
     "JointForceFunction",
     "JointForceTable",
+    "JointFriction",
     "JointSpring",
     "Link",
     "Material",

@@ -1,11 +1,12 @@
-"""Forces along the free motions of joints: springs with dampers, and laws of the joint's own position and rate.
+"""Forces along the free motions of joints: springs with dampers, friction, laws of the joint's own position and rate.
 
 Place in the pipeline: `Mechanism` holds them; the mechanics evaluates them inside compiled code.
 
 A force acts on one free motion of a joint of the tree, which is about or along one axis: a moment [N m] about it or a
 force [N] along it, of the parent on the child, positive as the joint's coordinate, and the opposite one on the parent.
 A spring is part of its joint and of the joint's load; a law acts beside the joint, as a drive does, and is not.
-Source: theory (3.14) to (3.17).
+Friction is part of its joint, too, and acts at cut joints as well.
+Source: theory (3.14) to (3.17); of friction (12.1) to (12.5).
 """
 
 import abc
@@ -20,15 +21,26 @@ import numpy as np
 from jax.tree_util import Partial
 
 from rfem_jax.description.driven_motions import plain_motion
-from rfem_jax.description.errors import ChecksItself, InputError, require_name
+from rfem_jax.description.errors import ChecksItself, InputError, require_choice, require_name
 from rfem_jax.description.joint_kinds import KINDS, Freedom
 from rfem_jax.description.joints import Joint
-from rfem_jax.description.units import Quantities, Quantity, non_negative_quantity, quantity, sequence
+from rfem_jax.description.units import (
+    Quantities,
+    Quantity,
+    non_negative_quantity,
+    positive_quantity,
+    quantity,
+    sequence,
+)
 
 if TYPE_CHECKING:
     Law = Callable[[Any, Any], Any]
 else:
     Law = Any  # what is no function is refused in a sentence
+
+
+FRICTION_LAWS = ("tanh", "brown_mcphee")
+FRICTION_KINDS = ("revolute", "prismatic", "cylindrical")
 
 
 class Force(abc.ABC):
@@ -186,6 +198,133 @@ class JointForceFunction(ChecksItself, JointForce):
     def resolved(self, joint: Joint) -> "JointForceFunction":
         _freedom_of(self, joint)
         return replace(self, motion=_motion_of(self, joint))
+
+
+@dataclass(frozen=True)
+class JointFriction(ChecksItself, JointForce):
+    """Friction against one free motion of a joint: -(constant + coefficient * radius * N) * s(rate) - viscous * rate.
+
+    N is the joint's normal load, the resultant of its force across the axis; for a bearing or a guide of a given length
+    the sum of those at both ends, which misalignment moments press, too. Along an axis there is no radius. s is a
+    smooth sign, so that a joint does not stick but creeps; at rest friction is exactly zero. Each motion of a
+    cylindrical joint has its own friction. Load-dependent friction needs the implicit method.
+
+    Args:
+        name: a word.
+        joint: name of a revolute, prismatic or cylindrical joint, cut or not.
+        coefficient: of friction by the normal load, >= 0; None = friction does not depend on loads.
+        radius: of the pin [m]; needed with `coefficient` for friction about an axis.
+        length: of the bearing or the guide's shoe [m], centred on the joint's point on the child; None = moments
+            across the axis do not press.
+        constant: moment [N m] about an axis, force [N] along one, >= 0; None = none.
+        viscous: [N m s/rad] about an axis, [N s/m] along one, >= 0.
+        sliding_rate: of the smooth sign [rad/s, m/s], far below the rates of interest: "tanh" has 76 % of its friction
+            there, "brown_mcphee" all; needed with `coefficient` or `constant`.
+        law: the smooth sign, "tanh" or "brown_mcphee" (whose friction may be larger before sliding).
+        static_coefficient: largest coefficient before sliding, >= `coefficient`, of "brown_mcphee"; None = the same.
+        static_constant: largest constant before sliding, >= `constant`, of "brown_mcphee"; None = the same.
+        load_scale: force [N] far below the loads of interest, below which the normal load is rounded off to be smooth
+            at zero.
+        motion: which free motion of the joint, as "R_y" or "T_x" (a rotation about y, a translation along x); None =
+            the joint's only one.
+    Raises:
+        InputError: a value is out of range or of the wrong kind, missing, or not used.
+    """
+
+    name: str
+    joint: str
+    coefficient: Quantity | None = None
+    radius: Quantity | None = None
+    length: Quantity | None = None
+    constant: Quantity | None = None
+    viscous: Quantity = 0.0
+    sliding_rate: Quantity | None = None
+    law: str = "tanh"
+    static_coefficient: Quantity | None = None
+    static_constant: Quantity | None = None
+    load_scale: Quantity = 1e-3
+    motion: str | None = None
+
+    def __post_init__(self):
+        _check_names(self)
+        require_choice(self.law, FRICTION_LAWS, f"`law` of force `{self.name}`")
+
+    def resolved(self, joint: Joint) -> "JointFriction":
+        if joint.kind not in FRICTION_KINDS:
+            raise InputError(
+                f"Argument `joint` of force `{self.name}` must be revolute, prismatic or cylindrical, but "
+                f"`{joint.name}` is {joint.kind}; there is no friction for this kind, take a damper."
+            )
+        freedom = _freedom_of(self, joint)
+        self._check_what_is_given(freedom)
+        if freedom.rotation and not joint.cut and any(motion[0] == "R" for motion in joint.sprung):
+            raise InputError(
+                f"Argument `joint` of force `{self.name}` must not tilt, or must be cut, for friction about its axis, "
+                f"but the tilt of `{joint.name}` is sprung; leave `tilt` out of its compliance, or cut it."
+            )
+        about = freedom.rotation
+        dimensions = {
+            "coefficient": "none",
+            "radius": "length",
+            "length": "length",
+            "constant": _dimension(freedom, "force"),
+            "viscous": _dimension(freedom, "damping"),
+            "sliding_rate": "rate" if about else "speed",
+            "static_coefficient": "none",
+            "static_constant": _dimension(freedom, "force"),
+            "load_scale": "force",
+        }
+        found = {}
+        for name, dimension in dimensions.items():
+            read = positive_quantity if name in _POSITIVE else non_negative_quantity
+            value = getattr(self, name)
+            found[name] = None if value is None else read(value, dimension, f"`{name}` of force `{self.name}`")
+        for name in ("coefficient", "constant"):
+            static, sliding = found[f"static_{name}"], found[name]
+            if static is not None and static < sliding:
+                raise InputError(
+                    f"Argument `static_{name}` of force `{self.name}` must be at least `{name}` ({sliding:g}), but was "
+                    f"{static:g}; friction does not grow with the rate, but for its viscous part."
+                )
+        return replace(self, **found, motion=_motion_of(self, joint))
+
+    def _check_what_is_given(self, freedom: Freedom) -> None:
+        """What needs another argument comes with it, and what nothing uses does not come."""
+        of = f"of force `{self.name}`"
+        loaded, sliding = self.coefficient is not None, self.coefficient is not None or self.constant is not None
+        if sliding and self.sliding_rate is None:
+            raise InputError(
+                f"Argument `sliding_rate` {of} must be given with `coefficient` or `constant`, but is missing; give "
+                "about a hundredth of the joint's RMS rate, as a run without friction shows it."
+            )
+        if loaded and freedom.rotation and self.radius is None:
+            raise InputError(
+                f"Argument `radius` {of} must be given with `coefficient` for friction about an axis, but is missing; "
+                "give the radius of the pin."
+            )
+        needs = {
+            "radius": loaded and freedom.rotation,
+            "length": loaded,
+            "sliding_rate": sliding,
+            "static_coefficient": loaded and self.law == "brown_mcphee",
+            "static_constant": self.constant is not None and self.law == "brown_mcphee",
+        }
+        with_what = {
+            "radius": "`coefficient` and a rotation",
+            "length": "`coefficient`",
+            "sliding_rate": "`coefficient` or `constant`",
+            "static_coefficient": '`coefficient` and the law "brown_mcphee"',
+            "static_constant": '`constant` and the law "brown_mcphee"',
+        }
+        for name, used in needs.items():
+            if getattr(self, name) is not None and not used:
+                raise InputError(
+                    f"Argument `{name}` {of} must come with {with_what[name]}, but came without and is not used; leave "
+                    "it out, or give what it belongs to."
+                )
+
+
+_POSITIVE = ("radius", "length", "sliding_rate", "load_scale")
 
 
 def _check_names(force: JointForce) -> None:

@@ -6,10 +6,13 @@ A kind is the list of its free motions in their order from the parent to the chi
 "T_x" a translation along x, of the frame that the motions before it lead to, and "R" any rotation. Of this list
 follow the coordinates of a joint of the tree and the closure equations of a cut one, the errors that mean something,
 and the axis of its loads. Source: theory (2.14) to (2.17).
+
+What a kind holds may be sprung instead (`directions`, `compliant`): a compliant joint has those directions as
+coordinates, too (theory (13.1)).
 """
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
 from rfem_jax.description.errors import require_choice
 
@@ -102,6 +105,47 @@ class JointKind:
         """Number of closure equations of a cut joint."""
         return 6 - len(self.freedoms)
 
+    @property
+    def nominal(self) -> "JointKind":
+        """The kind without its springs."""
+        return self
+
+    @cached_property
+    def own(self) -> tuple[int, ...]:
+        """Places among the freedoms of those that are no springs, in the order of the nominal kind."""
+        return tuple(range(len(self.freedoms)))
+
+    @cached_property
+    def to_hinge_frame(self) -> int:
+        """Number of freedoms, first ones, that lead to the axes of the hinge frame H."""
+        return len(self.freedoms)
+
+    @property
+    def turns_held(self) -> tuple[str, ...]:
+        """Rotations that the kind holds: about axes of the parent where it turns about one or none."""
+        free = {freedom.axis for freedom in self.freedoms if freedom.rotation}
+        return tuple(f"R_{letter}" for axis, letter in enumerate(_AXES) if axis not in free)
+
+    @cached_property
+    def directions(self) -> dict[str, tuple[str, ...]]:
+        """Directions that may be sprung, by name, and the motions of each.
+
+        "T_x" and so on: one translation, or one rotation of a kind that turns about no axis. With several motions the
+        spring acts on their resultant: "radial" ("normal" of a slide) across the axis, "axial" along it, "tilt" of the
+        axis, "roll" about it.
+        """
+        axis = None if self.axis is None else _AXES[self.axis]
+        shifts = tuple(f"T_{_AXES[i]}" for i in self.across)
+        turns, slides_only = self.turns_held, self.angles == 0
+        found = {motion: (motion,) for motion in (*shifts, *(turns if slides_only else ()))}
+        groups = {
+            "normal" if slides_only and axis else "radial": [m for m in shifts if not axis or m[-1] != axis],
+            "axial": [m for m in shifts if axis and m[-1] == axis],
+            "tilt": [] if slides_only and not axis else [m for m in turns if not axis or m[-1] != axis],
+            "roll": [m for m in turns if axis and m[-1] == axis],
+        }
+        return {**{name: tuple(motions) for name, motions in groups.items() if motions}, **found}
+
     def errors(self, child: bool) -> tuple[str, ...]:
         """Names of the errors of the joint's frame on the child or on the parent: those that no free motion makes good.
 
@@ -114,6 +158,62 @@ class JointKind:
         elif turns:
             free.add(f"delta_{_AXES[turns[-1 if child else 0]]}")
         return tuple(name for name in COMPONENTS if name not in free)
+
+
+@dataclass(frozen=True)
+class CompliantKind(JointKind):
+    """A kind some of whose held directions are sprung: `motions` are all that move, `of` the kind without springs.
+
+    Translations come first, along the axes of the parent; then the rotation of the nominal kind, whose angle that of
+    the next but one axis of the child about the parent's axis is; then the tilts (theory (13.1)). Name, axis of loads
+    and errors are those of the nominal kind.
+    """
+
+    of: JointKind
+
+    @property
+    def nominal(self) -> JointKind:
+        return self.of
+
+    @cached_property
+    def own(self) -> tuple[int, ...]:
+        found = []
+        for one in self.of.freedoms:
+            same = (
+                n for n, other in enumerate(self.freedoms) if (other.rotation, other.axis) == (one.rotation, one.axis)
+            )
+            found.append(next(same))
+        return tuple(found)
+
+    @cached_property
+    def to_hinge_frame(self) -> int:
+        turns = [n for n in self.own if self.freedoms[n].rotation]
+        return 1 + max(turns) if turns else self.displacements
+
+    @property
+    def axis(self) -> int | None:
+        return self.of.axis
+
+    def errors(self, child: bool) -> tuple[str, ...]:
+        return self.of.errors(child)
+
+
+@cache
+def compliant(kind: JointKind, sprung: tuple[str, ...]) -> JointKind:
+    """The kind with motions that it holds as coordinates, too."""
+    if not sprung:
+        return kind
+    free = set(kind.motions) | set(sprung)
+    shifts = [motion for motion in ("T_x", "T_y", "T_z") if motion in free]
+    turns = [motion for motion in kind.motions if motion[0] == "R"]
+    tilts = [motion for motion in sprung if motion[0] == "R"]
+    if len(turns) == 2:
+        turns = [turns[0], *tilts, turns[1]]  # the axis across both
+    elif tilts:
+        first = _AXES.index(turns[0][-1]) if turns else 0
+        order = [f"R_{_AXES[(first + n) % 3]}" for n in range(3)]
+        turns = [motion for motion in order if motion in free]
+    return CompliantKind(kind.name, (*shifts, *turns), kind)
 
 
 COMPONENTS = ("delta_x", "delta_y", "delta_z", "d_x", "d_y", "d_z")

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from rfem_jax.description.compliance import Compliance, SprungDirection
 from rfem_jax.description.errors import Checks, ChecksItself, InputError, require_flag, require_name
 from rfem_jax.description.joint_kinds import DEFAULT, KINDS, JointKind, require_kind
 from rfem_jax.description.units import quantity, vector
@@ -40,6 +41,8 @@ class Joint(ChecksItself):
         start: approximate start values of a kind with several angles or displacements, in the order of
             its motions (universal: 2 angles; planar: x, z, angle; spherical: angles about x, y, z of
             R_z R_y R_x; free: x, y, z and these angles); None means zeros.
+        compliance: springs and dampers in directions that the kind holds, a `Compliance`; None = rigid. All
+            start values, errors and angles are those of the kind without springs.
     Raises:
         InputError: a value is out of range or of the wrong kind.
     """
@@ -56,6 +59,7 @@ class Joint(ChecksItself):
     kind: str = DEFAULT
     displacement: float | None = None
     start: tuple[float, ...] | None = None
+    compliance: Compliance | None = None
 
     def _check_fields(self, checks: Checks) -> None:
         checks.convert("name", require_name, "`name` of a joint")
@@ -73,6 +77,21 @@ class Joint(ChecksItself):
         checks.relation(("kind", "cut"), self._check_cut, of)
         if checks.passed("kind", "cut"):
             self._set_start(checks, of)
+        if self.compliance is not None:
+            checks.convert("compliance", _compliance, f"`compliance` {of}")
+            checks.relation(("kind", "cut", "compliance"), lambda: self.springs)
+
+    @property
+    def springs(self) -> tuple[SprungDirection, ...]:
+        """The springs of a compliant joint, in SI units."""
+        if self.compliance is None:
+            return ()
+        return self.compliance.springs(KINDS[self.kind], self.cut, f"of joint `{self.name}`")
+
+    @property
+    def sprung(self) -> tuple[str, ...]:
+        """Motions that the kind holds and that are sprung."""
+        return tuple(motion for spring in self.springs for motion in spring.motions)
 
     def _check_child(self, of: str) -> None:
         if self.parent == self.child:
@@ -141,6 +160,14 @@ def _start_values(values: object, kind: JointKind, of: str) -> tuple[float, ...]
 
 def _kind_name(kind: object, where: str) -> str:
     return require_kind(kind, where).name
+
+
+def _compliance(compliance: object, where: str) -> Compliance:
+    if not isinstance(compliance, Compliance):
+        raise InputError(
+            f'Argument {where} must be a Compliance, but was {compliance!r}; write Compliance(radial="1e8 N/m").'
+        )
+    return compliance
 
 
 def _child(child: object, of: str) -> str:

@@ -10,6 +10,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from typing import Any
 
+from rfem_jax.description.compliance import Compliance
 from rfem_jax.description.joints import Joint
 from rfem_jax.description.links import Link, PointMass
 from rfem_jax.description.materials import Material
@@ -40,6 +41,7 @@ _IN_A_FILE = {  # where a file has something else than the class
     "material": 'name of a table [mechanism.materials.NAME]; none with a section of shape "given"',
     "body": "table {mass = ..., centre = ..., inertia = ...} in the place of section and material; the link is rigid",
     "point_masses": "list of tables, [{mass = ..., position = ...}, ...]",
+    "compliance": "table { radial = ..., axial = ..., ... }; none: rigid",
     "cases": "tables [[cases]]; none means one case without errors",
     "mechanism": "the table [mechanism]",
     "simulation": "the table [simulation]",
@@ -84,6 +86,7 @@ def key_tables() -> list[KeyTable]:
         ("point_masses of [[mechanism.links]]", PointMass),
         ("body of [[mechanism.links]]", RigidBody),
         ("[[mechanism.joints]]", Joint),
+        ("compliance of [[mechanism.joints]]", Compliance),
     ):
         tables.append(_table(header, kind, *keys_of(kind), _IN_A_FILE))
     for name, kind in FORCES.items():

@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 from rfem_jax.description.driven_motions import plain_motion
 from rfem_jax.description.error_catalogue import LINK_ERRORS, error_dimension, error_unit
 from rfem_jax.description.errors import Checks, ChecksItself, InputError, Problems, require_choice, subject, suggestion
-from rfem_jax.description.forces import Force, JointForce
+from rfem_jax.description.forces import Force, JointForce, JointFriction
 from rfem_jax.description.joint_kinds import KINDS, joint_errors
 from rfem_jax.description.joints import Joint
 from rfem_jax.description.links import Link
@@ -43,7 +43,7 @@ class Mechanism(ChecksItself):
             motions first; None = none (a study sets it from its drives).
         elements: spring-damping elements: "linear" (small deflections relative to the link frame),
             or "geometrically_exact" (of any size).
-        forces: JointSpring, JointForceTable and JointForceFunction objects along joints; PointSpring,
+        forces: JointSpring, JointFriction, JointForceTable and JointForceFunction objects along joints; PointSpring,
             PointSpringTable and PointSpringFunction objects between points of links, PointForce and PointMoment
             objects at them.
     Raises:
@@ -257,6 +257,9 @@ class Mechanism(ChecksItself):
                     force.require_points(links)
                 if not isinstance(force, JointForce):
                     found.append(force)
+                    continue
+                if isinstance(force, JointFriction) and force.joint in [joint.name for joint in self.cut_joints]:
+                    found.append(force.resolved(self.joint(force.joint)))
                     continue
                 if force.joint not in tree:
                     cut = force.joint in [joint.name for joint in self.joints]

@@ -10,6 +10,7 @@ from dataclasses import fields
 from functools import partial
 from typing import Any, TypeVar
 
+from rfem_jax.description.compliance import Compliance
 from rfem_jax.description.driven_motions import AnyDrive
 from rfem_jax.description.drives import (
     MomentRamp,
@@ -19,7 +20,7 @@ from rfem_jax.description.drives import (
     PrescribedTable,
 )
 from rfem_jax.description.errors import ABSENT, InputError, Problems, located, require_choice, require_name
-from rfem_jax.description.forces import Force, JointForceTable, JointSpring
+from rfem_jax.description.forces import Force, JointForceTable, JointFriction, JointSpring
 from rfem_jax.description.joints import Joint
 from rfem_jax.description.links import Link, PointMass
 from rfem_jax.description.materials import Material
@@ -56,6 +57,7 @@ DRIVES = {
 FORCES = {
     "joint_spring": JointSpring,
     "joint_table": JointForceTable,
+    "friction": JointFriction,
     "point_spring": PointSpring,
     "point_spring_table": PointSpringTable,
     "point_force": PointForce,
@@ -256,7 +258,12 @@ def _read_point_mass(table: object, place: str) -> PointMass:
 
 def _read_joint(table: object, place: str) -> Joint:
     problems = Problems()
-    settings = problems.usable(lambda: checked_table(table, place, *keys_of(Joint)))
+    settings = dict(problems.usable(lambda: checked_table(table, place, *keys_of(Joint))))
+    given = settings.get("compliance", ABSENT)
+    if given is not ABSENT:
+        header, settings["compliance"] = f"{place} compliance", ABSENT
+        with problems.noted():
+            settings["compliance"] = Compliance(**checked_table(given, header, *keys_of(Compliance)))
     return build(Joint, settings, place, problems)
 
 

@@ -9,11 +9,12 @@ centre_lines                where the links are in space
 elements                    forces of the sdes, linear and geometrically exact
 cut_joints                  constraints of the cut joints
 joint_laws                  springs, dampers, tables and functions along joint coordinates
+friction_laws, friction     friction in joints; whether its normal_loads are unique
 frame_forces, point_laws    wrenches between two frames, springs and forces at points
 element_loads               what all of these exert at one instant
 inputs, joint_forces        the drive at one instant, forces along the joint coordinates
 dynamics                    accelerations by the articulated-body algorithm
-reference_formulation       the same, dense, to test against
+reference_formulation       the same, dense, to test against; with reference_friction
 loads                       joint loads, energies, balance of momentum
 implicit                    residual of the equations for given accelerations, its Newton increments
 statics                     assembled start state and preload

@@ -6,12 +6,14 @@ What a cut joint holds together is the complement of its kind's free motions (th
 joint centres of the left side L and the right side P coincide (global axes), or are apart only along free
 directions of L; and axes of L stay perpendicular to axes of P (times a length, so that all equations are in
 metres and the multipliers in newtons).  Theory (5.3) is complete: gamma = -(Phi_q)_dot q_dot.  All cut joints of
-one kind are one array axis.
+one kind are one array axis.  Of a compliant joint the multipliers of sprung directions are no unknowns but what its
+springs exert at the residual (theory (13.6)).
 
 Symbols: a axes of L, b axes of P that stay perpendicular; r equations of centres, s of axes, n joints of a kind.
 """
 
 from collections.abc import Sequence
+from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -24,6 +26,7 @@ from jaxtyping import Float
 from rfem_jax.description.joint_kinds import KINDS, JointKind
 from rfem_jax.mechanics import algebra
 from rfem_jax.mechanics.algebra import Scalar, apply, apply_transposed, cross, dot, product
+from rfem_jax.mechanics.joint_springs import CompliantSpring, diagonal_tangent
 from rfem_jax.mechanics.kinematics import Motion, node_frames
 from rfem_jax.mechanics.model import BASE, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
@@ -37,7 +40,8 @@ class Constraints(eqx.Module):
     members: these joints, counted among the cut joints.  residual, rate, bias (r + s, n): Phi [m], its rate and
     (Phi_q)_dot q_dot.  forces (3, r, n): unit multipliers of the equations of centres as forces on P, None where
     these are the global axes; couples (3, s, n) [m]: moments on P of the other unit multipliers.  On L all act in
-    the opposite sense.  left_point, right_point (3, n): where the forces act on L and on P.
+    the opposite sense.  left_point, right_point (3, n): where the forces act on L and on P.  sprung: which equations of
+    each joint are laws of springs, () if none is.
     """
 
     kind: str = eqx.field(static=True)
@@ -49,6 +53,7 @@ class Constraints(eqx.Module):
     couples: Float[Array, "3 s n"]
     left_point: Float[Array, "3 n"]
     right_point: Float[Array, "3 n"]
+    sprung: tuple[bool, ...] = eqx.field(static=True, default=())
 
     @property
     def n_centres(self) -> int:
@@ -78,12 +83,21 @@ class Constraints(eqx.Module):
         return force, couple
 
 
+class SpringMultipliers(NamedTuple):
+    """Of the springs of compliant cut joints: their multipliers [N], zero in all other equations; the power [W] that
+    their dampers dissipate."""
+
+    multipliers: Float[Array, " constraints"]
+    dissipated: Float[Array, ""]
+
+
 class Closure(NamedTuple):
     """All cut joints at one instant.
 
     groups: their constraints, a group a kind; rotation (3, 3, C), centre (3, C): the frames L; right_centre: the
     joints' centres on P; alignment (C,): above 0 where a joint is closed as it is built, below 0 where its axes
-    point in opposite directions (theory (5.11), (5.16)); angle (C,) [rad]: from L to P about y of L.
+    point in opposite directions (theory (5.11), (5.16)); angle (C,) [rad]: from L to P about y of L; springs: what the
+    springs of compliant joints exert, None without any.
     """
 
     groups: tuple[Constraints, ...]
@@ -92,6 +106,15 @@ class Closure(NamedTuple):
     right_centre: Float[Array, "3 cuts"]
     alignment: Float[Array, " cuts"]
     angle: Float[Array, " cuts"]
+    springs: "SpringMultipliers | None" = None
+
+    @property
+    def sprung_rows(self) -> tuple[bool, ...]:
+        """Which equations are laws of springs, cut by cut; () if none is."""
+        if self.springs is None:
+            return ()
+        by_cut = {i: group.sprung or (False,) * group.residual.shape[0] for group in self.groups for i in group.members}
+        return tuple(row for i in sorted(by_cut) for row in by_cut[i])
 
     @property
     def residual(self) -> Float[Array, " constraints"]:
@@ -178,18 +201,20 @@ def closure(actual: ModelWithErrors, motion: Motion, scale: Scalar) -> Closure |
         centre_bias, axis_bias = cross(spin, velocity), cross(spin[:, None], axis_rate)
         both = _Side(rotation, axis_rate, axis_bias, centre, velocity, centre_bias)
         left, right = _Side(*(part[..., :c] for part in both)), _Side(*(part[..., c:] for part in both))
-        kinds = topology.kinds[n:]
+        kinds = [(topology.kinds[j], topology.sprung[j] if topology.sprung else ()) for j in topology.cuts]
         groups = []
         for kind in dict.fromkeys(kinds):
             members = tuple(i for i in range(c) if kinds[i] == kind)
             on_left, on_right = (_Side(*(_members(part, members) for part in side)) for side in (left, right))
-            groups.append(_constraints(KINDS[kind], members, on_left, on_right, scale))
+            rows = topology.constraints[members[0]]
+            sprung = topology.sprung_rows[rows.start : rows.stop]
+            groups.append(_constraints(KINDS[kind[0]], members, on_left, on_right, scale, sprung))
         x = apply_transposed(left.axes, right.axes[:, 0])
         alignment = [
             _alignment(KINDS[group.kind], *(_members(side.axes, group.members) for side in (left, right)))
             for group in groups
         ]
-        return Closure(
+        cuts = Closure(
             groups=tuple(groups),
             rotation=left.axes,
             centre=left.centre,
@@ -197,6 +222,70 @@ def closure(actual: ModelWithErrors, motion: Motion, scale: Scalar) -> Closure |
             alignment=columns(groups, alignment),
             angle=jnp.arctan2(-x[2], x[0]),
         )
+        return cuts._replace(springs=_spring_multipliers(actual, cuts, scale)) if topology.sprung_rows else cuts
+
+
+def cut_springs(actual: ModelWithErrors) -> list[CompliantSpring]:
+    """The springs of compliant cut joints."""
+    return [spring for spring in (actual.springs or {}).values() if spring.rows]
+
+
+def _in_rows(parts: dict[int, Array], size: int) -> Float[Array, " constraints"]:
+    """A vector with given entries, zero elsewhere."""
+    return jnp.stack([parts.get(k, jnp.zeros(())) for k in range(size)])
+
+
+def _spring_multipliers(actual: ModelWithErrors, cuts: Closure, scale: Scalar) -> SpringMultipliers:
+    """What the springs of compliant cut joints exert (theory (13.6), (13.7))."""
+    residual, rate = cuts.residual, cuts.rate
+    found, dissipated = {}, jnp.zeros(())
+    for spring in cut_springs(actual):
+        at, moving = (jnp.stack([values[k] for k in spring.rows]) for values in (residual, rate))
+        exerted = spring.in_rows(at, moving, scale)
+        found |= dict(zip(spring.rows, exerted))
+        dissipated = dissipated - dot(exerted - spring.in_rows(at, 0.0 * moving, scale), moving)
+    return SpringMultipliers(_in_rows(found, residual.shape[0]), dissipated)
+
+
+def spring_row_tangent(
+    actual: ModelWithErrors, cuts: Closure | None, scale: Scalar, q_factor: Scalar, v_factor: Scalar
+) -> Float[Array, " constraints"] | None:
+    """Minus the derivatives of the springs' multipliers [N] with respect to the second derivatives of their own
+    residuals, for the derivatives of residual [s^2] and rate [s] by these; None without such springs."""
+    if cuts is None or cuts.springs is None:
+        return None
+    residual, rate = cuts.residual, cuts.rate
+    found = {}
+    for spring in cut_springs(actual):
+        at = [jnp.stack([values[k] for k in spring.rows]) for values in (residual, rate)]
+        tangent = diagonal_tangent(partial(_exerted, spring, scale), at[0], at[1], q_factor, v_factor)
+        found |= dict(zip(spring.rows, tangent))
+    return _in_rows(found, residual.shape[0])
+
+
+def _exerted(spring: CompliantSpring, scale: Scalar, residual: Array, rate: Array) -> Array:
+    return spring.in_rows(residual, rate, scale)
+
+
+def cut_spring_energy(actual: ModelWithErrors, motion: Motion) -> Float[Array, ""]:
+    """Potential energy [J] of the springs of compliant cut joints."""
+    cuts = closure(actual, motion, jnp.ones(()))
+    residual = jnp.zeros((0,)) if cuts is None else cuts.residual
+    energies = [
+        spring.energy_in_rows(jnp.stack([residual[k] for k in spring.rows]), jnp.ones(()))
+        for spring in cut_springs(actual)
+    ]
+    return jnp.asarray(sum(energies, jnp.zeros(())))
+
+
+def spring_residual(
+    topology: Topology, cuts: Closure, multipliers: Float[Array, " constraints"], closing: Float[Array, " constraints"]
+) -> Float[Array, " constraints"]:
+    """The residuals of the closure equations `closing`, and in the places of springs' laws multipliers less what the
+    springs exert [N]."""
+    if cuts.springs is None:
+        return closing
+    return jnp.where(np.array(topology.sprung_rows), multipliers - cuts.springs.multipliers, closing)
 
 
 def _members(values: Array, members: tuple[int, ...]) -> Array:
@@ -206,12 +295,15 @@ def _members(values: Array, members: tuple[int, ...]) -> Array:
     return jnp.stack([values[..., i] for i in members], axis=-1)
 
 
-def _constraints(kind: JointKind, members: tuple[int, ...], left: _Side, right: _Side, scale: Scalar) -> Constraints:
-    centres = _coincidence(left, right) if kind.coincident else _guidance(kind.across, left, right)
+def _constraints(
+    kind: JointKind, members: tuple[int, ...], left: _Side, right: _Side, scale: Scalar, sprung: tuple[bool, ...]
+) -> Constraints:
+    coincident = kind.coincident and not any(sprung[: len(kind.across)])
+    centres = _coincidence(left, right) if coincident else _guidance(kind.across, left, right)
     forces, left_point, *of_centres = centres
     couples, *of_axes = _perpendicularity(kind.perpendicular, left, right, scale)
     residual, rate, bias = (jnp.concatenate(parts) for parts in zip(of_centres, of_axes))
-    return Constraints(kind.name, members, residual, rate, bias, forces, couples, left_point, right.centre)
+    return Constraints(kind.name, members, residual, rate, bias, forces, couples, left_point, right.centre, sprung)
 
 
 def _coincidence(left: _Side, right: _Side) -> tuple[None, Array, Array, Array, Array]:
@@ -292,18 +384,18 @@ def assembly_modes(actual: ModelWithErrors, motion: Motion, cuts: Closure) -> Fl
         if node == BASE:
             return centre[:, cut] - actual.datum
         link = topology.link_of(node)
-        freedoms = topology.kind(link).freedoms
+        freedoms = topology.kind(link).nominal.freedoms
         if len(freedoms) != 1:
             return jnp.zeros_like(actual.datum)
         if freedoms[0].rotation:
             return centre[:, cut] - motion.hinges.point[:, link]
         # A slide moves as about a hinge far away across it.
-        return cross(motion.axis[3:, topology.coordinates[link][0]], cuts.rotation[:, 1, cut])
+        return cross(motion.axis[3:, topology.own_coordinates[link][0]], cuts.rotation[:, 1, cut])
 
     left = jnp.stack([arm(topology.parents[n + i], i, cuts.centre) for i in range(topology.n_cuts)], axis=1)
     right = jnp.stack([arm(topology.children[n + i], i, cuts.right_centre) for i in range(topology.n_cuts)], axis=1)
     modes = jnp.sign(dot(cuts.rotation[:, 1], cross(left, right)))
-    told = np.array([topology.kind(j).motions == ("R_y",) for j in topology.cuts])
+    told = np.array([topology.kind(j).nominal.motions == ("R_y",) for j in topology.cuts])
     return modes if told.all() else jnp.where(told, modes, 0.0)
 
 

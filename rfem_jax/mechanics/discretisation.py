@@ -28,6 +28,7 @@ from rfem_jax.mechanics.nominal_geometry import (
     node_place,
     place,
 )
+from rfem_jax.mechanics.normal_loads import require_unique_normal_loads
 from rfem_jax.mechanics.point_laws import PointLaw
 
 # Of the longest link.  Overconstrained loops close only as well as their numbers were typed: with angles of six
@@ -41,11 +42,12 @@ RIGID_CLOSING_TOLERANCE = 1e-9  # where reactions are redundant, nothing gives w
 class Structure(NamedTuple):
     """Coordinates and constraints of a model at its nominal start.
 
-    coordinates: number of coordinates; constraints: closure equations; rank: of their Jacobian;
-    mobility: coordinates - rank, the degrees of freedom; rigid_*: the same with every link rigid;
-    redundant: the multipliers, hence the joint loads, are not unique; gap [m]: how far the cut joint that closes
-    worst stays open at the start with every link rigid; idle: names of links in a loop that could move alone if
-    all were rigid, as a rod between two spherical joints about its own axis.
+    coordinates: number of coordinates, sprung directions of compliant joints among them; constraints: closure
+    equations, those of sprung directions left out; rank: of their Jacobian; mobility: coordinates - rank, the degrees
+    of freedom; rigid_*: the same with every link and every joint rigid; redundant: the multipliers, hence the joint
+    loads, are not unique; gap [m]: how far the cut joint that closes worst stays open at the start with every link
+    rigid; idle: names of links in a loop that could move alone if all were rigid, as a rod between two spherical joints
+    about its own axis.
     """
 
     coordinates: int
@@ -87,9 +89,11 @@ def discretise(mechanism: Mechanism, rfes: int | None = None, elements: str | No
         raise InputError(
             f"Argument `mechanism` must have unique joint reactions, but its "
             f"{structure.constraints} closure equations have rank {structure.rank}: rigid loops with "
-            "parallel axes or slides are statically indeterminate. Make one link of each loop flexible, or set "
-            'redundant_reactions = "minimum_norm" to get the reactions of least norm.'
+            "parallel axes or slides are statically indeterminate. Make one link of each loop flexible, give joints of "
+            'each loop a compliance, or set redundant_reactions = "minimum_norm" to get the reactions of least norm.'
         )
+    if structure.redundant:
+        require_unique_normal_loads(model)
     if structure.redundant and structure.gap > RIGID_CLOSING_TOLERANCE * float(np.max(model.length)):
         raise InputError(
             f"Argument `mechanism` must close at its start, but its rigid loops stay open by {structure.gap:.3g} m, "
@@ -136,18 +140,21 @@ def describe(model: Model) -> Structure:
     """Rank and mobility at the nominal start, flexible and with every link rigid (theory (5.8))."""
     geometry = geometry_of(model)
     placed = place(geometry, np.asarray(model.start_joints))
-    jacobian = closure_jacobian(geometry, placed)
+    jacobian = closure_jacobian(geometry, placed, rigid=False)
     residual = gaps(geometry, placed).residual
-    rank, rigid_rank = _rank(jacobian), _rank(jacobian[:, : model.topology.n_freedoms])
+    sprung = model.topology.sprung_coordinates
+    own = [k for k in range(model.topology.n_freedoms) if k not in sprung]
+    rigid = closure_jacobian(geometry, placed)[:, own]
+    rank, rigid_rank = _rank(jacobian), _rank(rigid)
     constraints, size = jacobian.shape
     return Structure(
         coordinates=size,
         constraints=constraints,
         rank=rank,
         mobility=size - rank,
-        rigid_coordinates=model.topology.n_freedoms,
+        rigid_coordinates=len(own),
         rigid_rank=rigid_rank,
-        rigid_mobility=model.topology.n_freedoms - rigid_rank,
+        rigid_mobility=len(own) - rigid_rank,
         redundant=rank < constraints,
         gap=float(np.abs(residual).max(initial=0.0) * np.max(np.asarray(model.length))),
         idle=tuple(dict.fromkeys(_idle_coordinates(model).values())),
@@ -164,7 +171,8 @@ def _idle_coordinates(model: Model) -> dict[int, str]:
     placed = place(geometry, np.asarray(model.start_joints))
     laws = [] if model.forces is None else model.forces.values()
     # A freedom that a spring holds is not idle.
-    sprung = np.eye(topology.n_freedoms)[[law.coordinate for law in laws if holds(law)]]
+    held = [*(law.coordinate for law in laws if holds(law)), *topology.sprung_coordinates]
+    sprung = np.eye(topology.n_freedoms)[held]
     twists, units = np.zeros((n, 6, topology.n_freedoms)), joint_units(geometry)
     for l, parent in enumerate(topology.parents[:n]):
         if parent != BASE:
@@ -202,9 +210,11 @@ def _idle_coordinates(model: Model) -> dict[int, str]:
 def _with_dependent_drives(model: Model, joints: Float[np.ndarray, " numbers"]) -> Topology:
     """The topology with the coordinates of drives that follow from those of the drives before (theory (5.8))."""
     geometry = geometry_of(model)
-    jacobian = closure_jacobian(geometry, place(geometry, joints))
+    placed, freedoms = place(geometry, joints), model.topology.n_freedoms
+    sprung = np.eye(freedoms)[list(model.topology.sprung_coordinates)]
+    rigid = np.vstack([closure_jacobian(geometry, placed)[:, :freedoms], sprung])
     found = []
-    for matrix in (jacobian[:, : model.topology.n_freedoms], jacobian):
+    for matrix in (rigid, closure_jacobian(geometry, placed, rigid=False)):
         unit, kept, following = np.eye(matrix.shape[1]), [], []
         for k in model.topology.drives:
             adds = _rank(np.vstack([matrix, unit[[*kept, k]]])) > _rank(np.vstack([matrix, unit[kept]]))
@@ -260,8 +270,8 @@ def close_at(
     cut joint as in `cut_joints.Closure`.
     """
     topology, geometry = model.topology, geometry_of(model)
-    held = topology.held if held is None else held
-    free = np.array([k for k in range(topology.n_freedoms) if k not in held], dtype=int)
+    fixed = {*(topology.held if held is None else held), *topology.sprung_coordinates}
+    free = np.array([k for k in range(topology.n_freedoms) if k not in fixed], dtype=int)
     units = joint_units(geometry)[free]
     joints, change = np.array(joints, dtype=float), np.zeros(topology.n_freedoms)
     for _ in range(100):

@@ -28,6 +28,7 @@ from rfem_jax.mechanics.algebra import apply, apply_transposed, cross, dot, prod
 from rfem_jax.mechanics.cut_joints import Closure, closure, invert_closure, unit_columns
 from rfem_jax.mechanics.element_loads import FrameLoads, frame_loads
 from rfem_jax.mechanics.elements.elasticity import elastic_loads
+from rfem_jax.mechanics.friction import cut_friction, node_wrenches, tree_friction, with_friction
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation
 from rfem_jax.mechanics.joint_forces import LawForces, applied_forces, law_forces
 from rfem_jax.mechanics.kinematics import Motion, by_freedom, motion_of, node_frames, spread, total
@@ -94,9 +95,13 @@ def accelerations(
     angular, linear = _free_accelerations(actual, motion, spin, gravity, *free)
     tree = _interface_tree(actual, state, motion, (force, moment), at_nodes)
     laws = law_forces(actual, state)
-    forces = applied_forces(drive, laws)
+    if actual.friction is not None:
+        found = tree_friction(actual, state, motion, None) | cut_friction(actual, motion, cuts, None)
+        laws = with_friction(actual, laws, found)
+        tree = _with_cut_forces(topology, cuts, tree, laws)
+    forces = applied_forces(topology, state.position, drive, laws)
     responses, rates = _articulated_bodies(topology, tree, _load_columns(topology, cuts, tree), drive, forces)
-    responses |= _cut_rfe_responses(actual, motion, cuts, angular, linear)
+    responses |= _cut_rfe_responses(actual, motion, cuts, angular, linear, laws)
     multipliers, stabilising = _multipliers(topology, cuts, motion, tree, responses, stabilisation)
     weights = jnp.concatenate([jnp.ones((1,)), multipliers])
     solved = {node: _combine(columns, weights) for node, columns in responses.items()}
@@ -115,16 +120,19 @@ def accelerations(
         motion=motion,
         closure=cuts,
         interface_tree=tree,
-        dissipated=total_dissipated(dissipated, laws, at_nodes),
+        dissipated=total_dissipated(dissipated, laws, at_nodes, cuts),
         laws=laws,
         frame_loads=at_nodes,
     )
 
 
-def total_dissipated(of_links: Float[Array, ""], laws: LawForces | None, at_nodes: FrameLoads | None) -> Array:
-    """Power [W] that the dampers of links, joints and force elements dissipate."""
+def total_dissipated(
+    of_links: Float[Array, ""], laws: LawForces | None, at_nodes: FrameLoads | None, cuts: Closure | None
+) -> Array:
+    """Power [W] that the dampers of links, joints, force elements and compliant cut joints dissipate."""
     dissipated = of_links if laws is None else of_links + laws.dissipated
-    return dissipated if at_nodes is None else dissipated + at_nodes.dissipated
+    dissipated = dissipated if at_nodes is None else dissipated + at_nodes.dissipated
+    return dissipated if cuts is None or cuts.springs is None else dissipated + cuts.springs.dissipated
 
 
 def _with_elements(topology: Topology, at_nodes: FrameLoads, force: Array, moment: Array) -> tuple[Array, Array]:
@@ -229,6 +237,24 @@ def _interface_tree(
         )
 
 
+def _with_cut_forces(
+    topology: Topology, cuts: Closure | None, tree: InterfaceTree, laws: LawForces | None
+) -> InterfaceTree:
+    """The reduced tree under the forces in cut joints, too."""
+    load = tree.load
+    wrenches = node_wrenches(topology, cuts, None if laws is None else laws.cuts)
+    for i, node in enumerate((*range(topology.n_links), *_branching(topology))):
+        if node in wrenches:
+            wrench = _wrench_at(wrenches[node], tree.point[:, i])
+            load = jnp.where(np.arange(load.shape[1]) == i, load + wrench[:, None], load)
+    return tree._replace(load=load)
+
+
+def _wrench_at(wrench: Array, point: Array) -> Array:
+    """Wrench (6,) given at the global origin, at `point`."""
+    return algebra.spatial(wrench[:3] - cross(point, wrench[3:]), wrench[3:])
+
+
 def _shifted(motion: Array, point: Array) -> Array:
     """Spatial motion (6, ...) given at the global origin, at `point`."""
     return algebra.spatial(motion[:3], motion[3:] + cross(motion[:3], point))
@@ -302,7 +328,12 @@ def _articulated_bodies(
 
 
 def _cut_rfe_responses(
-    actual: ModelWithErrors, motion: Motion, cuts: Closure | None, angular: Array, linear: Array
+    actual: ModelWithErrors,
+    motion: Motion,
+    cuts: Closure | None,
+    angular: Array,
+    linear: Array,
+    laws: LawForces | None,
 ) -> dict[int, Array]:
     """Accelerations (6, 1 + constraints) at their middles of the free rfes that carry cut joints only: under the
     applied loads, and for unit multipliers."""
@@ -321,10 +352,13 @@ def _cut_rfe_responses(
         spin = velocity[:3]
         centripetal = cross(spin, velocity[3:] + cross(spin, where))
         responses = {}
+        in_cuts = node_wrenches(topology, cuts, None if laws is None else laws.cuts)
         for i, node in enumerate(nodes):
             k = node - topology.n_links
             of_link = motion.links.rotation[:, :, topology.link_of(node)]
             applied = algebra.spatial(apply(of_link, angular[:, k]), apply(of_link, linear[:, k]) - centripetal[:, i])
+            if node in in_cuts:
+                applied = applied + apply(mobility[:, :, i], _wrench_at(in_cuts[node], where[:, i]))
             unit = unit_columns(topology, cuts, node, where[:, i])
             response = product(mobility[:, :, i], unit)
             responses[node] = jnp.concatenate([applied[:, None], response], axis=1)
@@ -351,9 +385,27 @@ def _multipliers(
         rows = jnp.asarray(rows)
 
         baumgarte = -stabilisation.velocity_gain * cuts.rate - stabilisation.position_gain * cuts.residual
+        if cuts.springs is not None:
+            return _beside_springs(topology, cuts.springs.multipliers, rows, cuts.bias, baumgarte)
         inverse = invert_closure(topology, rows[:, 1:])
         stabilising = apply(inverse, baumgarte)
         return stabilising - apply(inverse, cuts.bias + rows[:, 0]), stabilising
+
+
+def _beside_springs(
+    topology: Topology, springs: Array, rows: Array, bias: Array, baumgarte: Array
+) -> tuple[Array, Array]:
+    """`_multipliers` where those of springs are given: the others hold what these leave (theory (13.8))."""
+    sprung = np.array(topology.sprung_rows)
+    if sprung.all():
+        return springs, jnp.zeros_like(springs)
+    rigid = np.flatnonzero(~sprung)
+    onto = jnp.asarray(np.eye(len(sprung))[rigid])
+    loaded = bias + rows[:, 0] + apply(rows[:, 1:], springs)
+    matrix = jnp.stack([jnp.stack([rows[i, 1 + j] for j in rigid]) for i in rigid])
+    inverse = invert_closure(topology, matrix)
+    stabilising = apply(onto.T, apply(inverse, apply(onto, baumgarte)))
+    return springs + stabilising - apply(onto.T, apply(inverse, apply(onto, loaded))), stabilising
 
 
 def _points_of(topology: Topology, motion: Motion, tree: InterfaceTree) -> dict[int, Array]:

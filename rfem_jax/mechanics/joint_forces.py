@@ -4,7 +4,8 @@ Place in the pipeline: inputs, joint_laws -> **joint_forces** -> dynamics, resid
 reference_formulation.
 
 They are the moments and forces of drives, and springs, dampers and laws of a joint's own position and rate.  Springs
-and dampers are inside a joint: parts of its load.  Drives and laws act from outside it and are not (theory (3.17)).
+and dampers, those of compliant joints among them, are inside a joint: parts of its load.  Drives and laws act from
+outside it and are not (theory (3.17)).
 """
 
 from functools import reduce
@@ -16,54 +17,119 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float
 
-from rfem_jax.mechanics.algebra import Scalar
+from rfem_jax.mechanics.algebra import Scalar, dot
 from rfem_jax.mechanics.inputs import DriveInput
 from rfem_jax.mechanics.joint_laws import SpringLaw
+from rfem_jax.mechanics.joint_springs import CompliantSpring, diagonal_tangent
 from rfem_jax.mechanics.model import Coordinates, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 
+# Forces [N, N m] by cut joint, counted among these, and component: 0 to 2 of the force along the axes of L, 3 to 5 of
+# the moment.
+CutForces = dict[tuple[int, int], Float[Array, ""]]
+
+
+class FrictionState(NamedTuple):
+    """Friction along one motion of a joint: rate [rad/s, m/s], normal load [N] (None where friction does not depend on
+    it), force [N m, N] on the child."""
+
+    rate: Float[Array, ""]
+    normal: Float[Array, ""] | None
+    force: Float[Array, ""]
+
 
 class LawForces(NamedTuple):
-    """What springs, dampers and laws exert at one instant.
+    """What springs, dampers, friction and laws exert at one instant.
 
-    inside, outside: forces [N, N m] by joint coordinate, of springs with dampers and of laws; dissipated, power [W]: of
-    the dampers, and of the laws.
+    inside, outside: forces [N, N m] by joint coordinate, of springs with dampers and friction, and of laws; dissipated,
+    power [W]: of the dampers and friction, and of the laws; cuts: of friction in cut joints; friction: by its name;
+    these are None without any friction.
     """
 
     inside: dict[int, Float[Array, ""]]
     outside: dict[int, Float[Array, ""]]
     dissipated: Float[Array, ""]
     power: Float[Array, ""]
+    cuts: CutForces | None = None
+    friction: dict[str, FrictionState] | None = None
 
 
 def law_forces(actual: ModelWithErrors, state: State) -> LawForces | None:
     """Forces of springs, dampers and laws at one instant; None for a mechanism without them."""
-    if actual.forces is None:
+    springs = tree_springs(actual)
+    if actual.forces is None and not springs:
         return None
     inside: dict[int, Array] = {}
     outside: dict[int, Array] = {}
     dissipated = power = jnp.zeros(())
     with jax.named_scope("joint_laws"):
-        for law in actual.forces.laws.values():
+        laws, share = ({}, 1.0) if actual.forces is None else (actual.forces.laws, actual.forces.share)
+        for law in laws.values():
             position, rate = state.position.joints[law.place], state.velocity.joints[law.coordinate]
-            force = actual.forces.share * law.force(position, rate)
+            force = share * law.force(position, rate)
             side = outside
             if isinstance(law, SpringLaw):
                 side = inside
-                dissipated = dissipated + actual.forces.share * law.damping * rate**2
+                dissipated = dissipated + share * law.damping * rate**2
             else:
+                if actual.topology.sprung:
+                    rate = rate_about_axis(actual.topology, state, law.coordinate)
                 power = power + force * rate
             side[law.coordinate] = side[law.coordinate] + force if law.coordinate in side else force
+        for spring in springs:
+            position, rate = _at(spring, state)
+            inside |= dict(zip(spring.coordinates, spring.along(position, rate)))
+            dissipated = dissipated - dot(spring.along(position, rate) - spring.along(position, 0.0 * rate), rate)
     return LawForces(inside, outside, dissipated, power)
 
 
-def applied_forces(drive: DriveInput, laws: LawForces | None) -> dict[int, Float[Array, ""]]:
+def tree_springs(actual: ModelWithErrors) -> list[CompliantSpring]:
+    """The springs of compliant joints of the tree."""
+    return [spring for spring in (actual.springs or {}).values() if spring.coordinates]
+
+
+def _at(spring: CompliantSpring, state: State) -> tuple[Array, Array]:
+    """Position and rate of the coordinates of a spring."""
+    joints, rates = state.position.joints, state.velocity.joints
+    return jnp.stack([joints[k] for k in spring.places]), jnp.stack([rates[k] for k in spring.coordinates])
+
+
+def applied_forces(
+    topology: Topology, position: Coordinates, drive: DriveInput, laws: LawForces | None
+) -> dict[int, Float[Array, ""]]:
     """Generalised forces [N m, N] by joint coordinate, where any acts."""
     found: dict[int, Array] = dict(drive.forces)
     for side in () if laws is None else (laws.inside, laws.outside):
         for k, force in side.items():
             found[k] = found[k] + force if k in found else force
+    for side in [] if not topology.sprung else [drive.forces, {} if laws is None else laws.outside]:
+        for k, force in side.items():
+            if (tilted := topology.tilted(k)) is not None:
+                share = jnp.sin(position.joints[tilted[0]]) * force
+                found[tilted[1]] = found[tilted[1]] + share if tilted[1] in found else share
     return found
+
+
+def rate_about_axis(topology: Topology, state: State, k: int) -> Float[Array, ""]:
+    """Rate [rad/s, m/s] about or along the axis on the parent of a joint coordinate: its own, and what the second axis
+    of a sprung tilt, which the first angle turns, has of it (theory (13.5))."""
+    rate, tilted = state.velocity.joints[k], topology.tilted(k)
+    if tilted is None:
+        return rate
+    return rate + jnp.sin(state.position.joints[tilted[0]]) * state.velocity.joints[tilted[1]]
+
+
+def about_parents_axes(
+    topology: Topology, position: Coordinates, hinge: Float[Array, " freedoms"]
+) -> Float[Array, " freedoms"]:
+    """Loads along the joint coordinates with those of the second axes of sprung tilts taken across the parents' axes,
+    so that what holds an angle is a moment about the parent's axis and none of its tilt (theory (13.5))."""
+    for k in range(topology.n_freedoms if topology.sprung else 0):
+        if (tilted := topology.tilted(k)) is not None:
+            place, second = tilted
+            share = jnp.where(np.arange(topology.n_freedoms) == second, jnp.sin(position.joints[place]), 0.0)
+            hinge = hinge - share * hinge[k]
+    return hinge
 
 
 def by_coordinate(topology: Topology, forces: dict[int, Float[Array, ""]]) -> Float[Array, " freedoms"]:
@@ -91,10 +157,13 @@ def outside_forces(topology: Topology, drive: DriveInput, laws: LawForces | None
 
 
 def law_energy(actual: ModelWithErrors, position: Coordinates) -> Float[Array, ""]:
-    """Potential energy [J] of the springs of joints."""
+    """Potential energy [J] of the springs of the joints of the tree."""
     springs = [] if actual.forces is None else actual.forces.laws.values()
     energies = [law.energy(position.joints[law.place]) for law in springs if isinstance(law, SpringLaw)]
-    return jnp.asarray(sum(energies)) * (1.0 if actual.forces is None else actual.forces.share)
+    energy = jnp.asarray(sum(energies)) * (1.0 if actual.forces is None else actual.forces.share)
+    for spring in tree_springs(actual):
+        energy = energy + spring.energy(jnp.stack([position.joints[k] for k in spring.places]))
+    return energy
 
 
 def law_tangent(
@@ -109,4 +178,7 @@ def law_tangent(
         along = [jnp.asarray(factor, float) for factor in (q_factor, v_factor)]
         value = jnp.maximum(-jax.jvp(law.force, (position, rate), tuple(along))[1], 0.0)
         found[law.coordinate] = found[law.coordinate] + value if law.coordinate in found else value
+    for spring in tree_springs(actual):
+        values = diagonal_tangent(spring.along, *_at(spring, state), q_factor, v_factor)
+        found |= dict(zip(spring.coordinates, values))
     return found

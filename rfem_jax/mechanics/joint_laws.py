@@ -15,6 +15,7 @@ from jax import Array
 from jaxtyping import ArrayLike, Float
 
 from rfem_jax.description.forces import JointForce, JointForceFunction, JointForceTable, JointSpring
+from rfem_jax.mechanics.friction_laws import Friction
 
 
 class JointLaw(eqx.Module):
@@ -107,7 +108,9 @@ def joint_law(force: JointForce, coordinate: int, place: int) -> JointLaw:
     raise TypeError(f"{type(force).__name__} is no force that this model knows.")
 
 
-def law_slopes(law: JointLaw, position: ArrayLike, rate: ArrayLike) -> tuple[Float[Array, ""], Float[Array, ""]]:
+def law_slopes(
+    law: JointLaw | Friction, position: ArrayLike, rate: ArrayLike
+) -> tuple[Float[Array, ""], Float[Array, ""]]:
     """Derivatives of a force with respect to position and rate."""
     at = jnp.asarray(position, jnp.float64), jnp.asarray(rate, jnp.float64)
     return jax.grad(law.force, (0, 1))(*at)

@@ -5,7 +5,8 @@ Place in the pipeline: model with errors + state -> **kinematics** -> elasticity
 The relative motion of the free rfes (theory (2.7) to (2.10)) is taken for all of them at once in
 their link frames; then the links are placed one after another from the base (theory (2.6) with both
 errors, (2.14) to (2.16)).  Frames: link frame {p,0} = H (F_c E_c)^-1 with the hinge frame H = F E X_J(q), where X_J
-is the product of the motions of the joint's kind.
+is the product of the motions of the joint's kind.  The axes of H at a compliant joint are those before its tilts
+(theory (13.1)).
 
 Symbols: R rotation, w angular velocity; spatial velocities (6,) at the global origin.
 """
@@ -203,8 +204,9 @@ def _place_link(actual: ModelWithErrors, state: State, index: int, parent: Frame
     centre = parent.point + apply(parent.rotation, actual.seat_position[:, index])
     velocity, axes, velocities = parent.velocity, [], []
     before, basis = velocity, turned
-    at = topology.positions[index]
-    for n, (k, freedom) in enumerate(zip(topology.coordinates[index], topology.kind(index).freedoms)):
+    at, kind = topology.positions[index], topology.kind(index)
+    hinge = turned
+    for n, (k, freedom) in enumerate(zip(topology.coordinates[index], kind.freedoms)):
         rate = state.velocity.joints[k]
         if freedom.first:
             before, basis = velocity, turned
@@ -221,9 +223,11 @@ def _place_link(actual: ModelWithErrors, state: State, index: int, parent: Frame
         axes.append(axis)
         velocities.append(before)
         velocity = velocity + axis * rate[None]
+        if n < kind.to_hinge_frame:
+            hinge = turned
     rotation = algebra.product_transposed(turned, actual.bore_rotation[:, :, index])
     origin = centre - apply(rotation, actual.bore_position[:, index])
-    return Frames(rotation, origin, velocity), _PlacedJoint(HingeFrames(turned, centre), axes, velocities)
+    return Frames(rotation, origin, velocity), _PlacedJoint(HingeFrames(hinge, centre), axes, velocities)
 
 
 def _spatial_columns(vectors: list[Float[Array, "6"]]) -> Float[Array, "6 n"]:

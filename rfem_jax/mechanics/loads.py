@@ -23,12 +23,13 @@ from jaxtyping import Float
 
 from rfem_jax.mechanics import algebra
 from rfem_jax.mechanics.algebra import apply, apply_transposed, cross, dot
-from rfem_jax.mechanics.cut_joints import Closure, columns
+from rfem_jax.mechanics.cut_joints import Closure, columns, cut_spring_energy
 from rfem_jax.mechanics.dynamics import Accelerations, link_axes
 from rfem_jax.mechanics.element_loads import FrameLoads, frame_energy
 from rfem_jax.mechanics.elements import elasticity
+from rfem_jax.mechanics.friction import joint_wrenches
 from rfem_jax.mechanics.inputs import DriveInput
-from rfem_jax.mechanics.joint_forces import LawForces, hinge_moments, law_energy, outside_forces
+from rfem_jax.mechanics.joint_forces import CutForces, LawForces, hinge_moments, law_energy, outside_forces
 from rfem_jax.mechanics.kinematics import Motion, all_frames, motion_of, spread, total
 from rfem_jax.mechanics.model import BASE, Coordinates, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
@@ -114,7 +115,8 @@ def chain_loads(
     nodes in link axes, and the wrench at the origin that the base exerts."""
     with jax.named_scope("chain_loads"):
         inertial = beyond_elements(inertial_loads(actual, result.motion, angular, linear), result.frame_loads)
-        wrenches = chain_wrenches(actual, result.motion, result.closure, result.multipliers, inertial)
+        at_cuts = None if result.laws is None else result.laws.cuts
+        wrenches = chain_wrenches(actual, result.motion, result.closure, result.multipliers, inertial, at_cuts)
         loads = loads_of_wrenches(actual.topology, result, wrenches, drive)
         return loads, base_wrench(actual.topology, wrenches)
 
@@ -144,7 +146,19 @@ def _in_hinge_frames(topology: Topology, result: Solved, force: Array, moment: A
         on_right, couple = (columns(cuts.groups, part) for part in zip(*of_groups))
         force = jnp.concatenate([force, apply_transposed(cuts.rotation, on_right)], axis=1)
         moment = jnp.concatenate([moment, apply_transposed(cuts.rotation, couple)], axis=1)
-    return JointLoads(force, moment)
+    at_cuts = None if result.laws is None else result.laws.cuts
+    return _with_cut_forces(topology, JointLoads(force, moment), at_cuts)
+
+
+def _with_cut_forces(topology: Topology, joint: JointLoads, at_cuts: CutForces | None) -> JointLoads:
+    """Loads with the forces in cut joints, which are in the axes of L as they are."""
+    parts = [*joint]
+    for (at, component), value in (at_cuts or {}).items():
+        here = np.zeros(joint.force.shape, bool)
+        here[component % 3, topology.n_links + at] = True
+        side = component // 3
+        parts[side] = jnp.where(here, parts[side] + value[None, None], parts[side])
+    return JointLoads(*parts)
 
 
 def _without(
@@ -172,9 +186,10 @@ def chain_wrenches(
     cuts: Closure | None,
     multipliers: Float[Array, " constraints"],
     inertial: tuple[Float[Array, "3 nodes"], Float[Array, "3 nodes"]],
+    at_cuts: CutForces | None = None,
 ) -> list[Float[Array, "6"]]:
     """Wrenches at the global origin that the parent side of every joint exerts on the child, drives and laws
-    included; `inertial` from `inertial_loads`, less what force elements exert."""
+    included; `inertial` from `inertial_loads`, less what force elements exert; `at_cuts`: forces in cut joints."""
     topology = actual.topology
     n = topology.n_links
     force, moment = inertial
@@ -186,7 +201,7 @@ def chain_wrenches(
         apply(motion.links.rotation, link_force),
         motion.links.point,
     )
-    wrenches = dict(zip(topology.cuts, cut_wrenches(topology, cuts, multipliers)))
+    wrenches = dict(zip(topology.cuts, cut_wrenches(topology, cuts, multipliers, at_cuts)))
     for l in reversed(range(n)):
         wrench = of_links[:, l]
         for j in [*range(l + 1, n), *topology.cuts]:
@@ -200,14 +215,19 @@ def chain_wrenches(
 
 
 def cut_wrenches(
-    topology: Topology, cuts: Closure | None, multipliers: Float[Array, " constraints"]
+    topology: Topology,
+    cuts: Closure | None,
+    multipliers: Float[Array, " constraints"],
+    at_cuts: CutForces | None = None,
 ) -> list[Float[Array, "6"]]:
     """Wrenches at the global origin that the parent sides of the cut joints exert on the children."""
     if cuts is None:
         return []
     origin = jnp.zeros_like(cuts.centre[:, 0])
     units = [cuts.wrenches(i, "child", origin) for i in range(topology.n_cuts)]
-    return [apply(unit, multipliers[rows]) for unit, rows in zip(units, _rows(topology))]
+    wrenches = [apply(unit, multipliers[rows]) for unit, rows in zip(units, _rows(topology))]
+    more = joint_wrenches(topology, cuts, at_cuts)
+    return [wrench + more[j] if j in more else wrench for j, wrench in zip(topology.cuts, wrenches)]
 
 
 def _rows(topology: Topology) -> list[slice]:
@@ -288,8 +308,10 @@ def energies(actual: ModelWithErrors, state: State) -> Energies:
 def _elastic_energy(actual: ModelWithErrors, position: Coordinates, motion: Motion) -> Float[Array, ""]:
     """Energy [J] of the springs of links and joints, and between points."""
     energy = elasticity.elastic_energy(actual, position)
-    if actual.forces is not None:
+    if actual.forces is not None or actual.springs is not None:
         energy = energy + law_energy(actual, position)
+    if actual.topology.sprung_rows:
+        energy = energy + cut_spring_energy(actual, motion)
     return energy if actual.frame_forces is None else energy + frame_energy(actual, motion)
 
 

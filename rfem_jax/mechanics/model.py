@@ -27,9 +27,11 @@ from jaxtyping import Float, Int
 
 from rfem_jax.description.driven_motions import motion_label
 from rfem_jax.description.errors import InputError
-from rfem_jax.description.joint_kinds import COMPONENTS, KINDS, Freedom, JointKind
+from rfem_jax.description.joint_kinds import COMPONENTS, KINDS, Freedom, JointKind, compliant
 from rfem_jax.mechanics.frame_forces import FrameForce
+from rfem_jax.mechanics.friction_laws import Friction
 from rfem_jax.mechanics.joint_laws import JointLaw
+from rfem_jax.mechanics.joint_springs import CompliantSpring
 
 BASE = -1
 
@@ -71,6 +73,7 @@ class Topology(NamedTuple):
     dependent: those of `drives` that follow from the ones before if all links are rigid, which statics holds only
         where their motion is prescribed; blocked: those that follow from them even so.
     holders: nodes of the free rfes that force elements act on.
+    sprung: of each joint the motions that its kind holds and that are sprung; () if no joint is compliant.
     """
 
     links: tuple[str, ...]
@@ -91,6 +94,7 @@ class Topology(NamedTuple):
     dependent: tuple[int, ...] = ()
     blocked: tuple[int, ...] = ()
     holders: tuple[int, ...] = ()
+    sprung: tuple[tuple[str, ...], ...] = ()
 
     @property
     def n_links(self) -> int:
@@ -108,8 +112,48 @@ class Topology(NamedTuple):
         return sum(n - 1 for n in self.elements)
 
     def kind(self, joint: int) -> JointKind:
-        """The kind of a joint, by its index."""
-        return KINDS[self.kinds[joint]]
+        """The kind of a joint, by its index; of a compliant joint with its sprung directions as free motions."""
+        kind = KINDS[self.kinds[joint]]
+        return compliant(kind, self.sprung[joint]) if self.sprung else kind
+
+    @property
+    def own_coordinates(self) -> tuple[tuple[int, ...], ...]:
+        """Indices of the rates of every tree joint that are no springs, in the order of its nominal kind."""
+        return tuple(tuple(at[n] for n in self.kind(l).own) for l, at in enumerate(self.coordinates))
+
+    @property
+    def own_positions(self) -> tuple[tuple[int, ...], ...]:
+        """Indices in the position of the plain numbers of every tree joint that are no springs, likewise."""
+        plain = (tuple(n for n in self.kind(l).own if n < self.plain(l)) for l in range(self.n_links))
+        return tuple(tuple(at[n] for n in own) for own, at in zip(plain, self.positions))
+
+    @property
+    def sprung_coordinates(self) -> tuple[int, ...]:
+        """Indices of the rates of the tree joints that are sprung directions of compliant joints."""
+        own = {k for at in self.own_coordinates for k in at}
+        return tuple(k for k in range(self.n_freedoms) if k not in own) if self.sprung else ()
+
+    def tilted(self, coordinate: int) -> tuple[int, int] | None:
+        """Of the angle of a tree joint that turns about one axis and whose tilt is sprung: the place in the position of
+        the first angle of the tilt, and the rate of the second; None of other coordinates."""
+        link = self.link_of_freedom[coordinate]
+        kind = self.kind(link)
+        if kind.ball or kind.nominal.angles != 1 or kind.angles != 3 or coordinate != self.coordinates[link].stop - 3:
+            return None
+        return self.positions[link].stop - 2, coordinate + 2
+
+    @property
+    def sprung_rows(self) -> tuple[bool, ...]:
+        """Which closure equations of the cut joints are laws of springs; () if none is."""
+        rows = [self._sprung_rows(j) for j in self.cuts] if self.sprung else []
+        return tuple(row for joint in rows for row in joint) if any(any(joint) for joint in rows) else ()
+
+    def _sprung_rows(self, cut: int) -> list[bool]:
+        """Which closure equations of one cut joint are laws of springs."""
+        kind = self.kind(cut)
+        tilts = any(motion[0] == "R" for motion in self.sprung[cut])
+        across = kind.nominal.across
+        return [axis not in kind.across for axis in across] + [tilts] * len(kind.nominal.perpendicular)
 
     @property
     def freedoms(self) -> tuple[Freedom, ...]:
@@ -195,8 +239,8 @@ class Topology(NamedTuple):
 
     @property
     def constraints(self) -> tuple[range, ...]:
-        """Indices of the closure equations of every cut joint."""
-        return _ranges([self.kind(j).constraints for j in self.cuts])
+        """Indices of the closure equations of every cut joint, laws of springs among them."""
+        return _ranges([self.kind(j).nominal.constraints for j in self.cuts])
 
     @property
     def n_constraints(self) -> int:
@@ -284,13 +328,14 @@ class Model(eqx.Module):
     moments of inertia [kg m^2] of the point masses and of the links that are bodies; point_products: their J_xy, J_xz,
     J_yz [kg m^2], None where all are zero; start_joints: coordinates of the tree joints at the closed start [rad, m];
     cut_angles: angles of the cut joints there [rad]; gravity [m/s^2] in global axes; forces: along joint coordinates,
-    by their names, None without any; frame_forces: elements between frames on nodes, likewise.
+    by their names, None without any; frame_forces: elements between frames on nodes, likewise; springs: of compliant
+    joints, by the names of joint and direction as "A.radial", likewise.
 
     `equinox.tree_at` may replace what leaves the geometry as it is, also by traced values to differentiate by:
-    section, point masses, gravity, the numbers of forces.  With another length or joint frame the start angles no
-    longer close the loops, and another length does not move the joints on the link either, so that results and
-    derivatives are wrong without a sign of it: use the length errors of `assembly_errors`, or describe and discretise
-    anew.
+    section, point masses, gravity, the numbers of forces and springs.  With another length or joint frame the start
+    angles no longer close the loops, and another length does not move the joints on the link either, so that results
+    and derivatives are wrong without a sign of it: use the length errors of `assembly_errors`, or describe and
+    discretise anew.
     """
 
     topology: Topology = eqx.field(static=True)
@@ -309,6 +354,8 @@ class Model(eqx.Module):
     forces: dict[str, JointLaw] | None = None
     point_products: Float[Array, "3 masses"] | None = None
     frame_forces: dict[str, FrameForce] | None = None
+    friction: dict[str, Friction] | None = None
+    springs: dict[str, CompliantSpring] | None = None
 
     @property
     def joint_names(self) -> tuple[str, ...]:

@@ -11,13 +11,16 @@ import numpy as np
 from jax import Array
 
 from rfem_jax.description.errors import InputError
-from rfem_jax.description.joint_kinds import KINDS
+from rfem_jax.description.forces import JointFriction
+from rfem_jax.description.joint_kinds import KINDS, JointKind, compliant
 from rfem_jax.description.joints import Joint
 from rfem_jax.description.links import Link
 from rfem_jax.description.mechanism import Mechanism
 from rfem_jax.description.point_forces import AtPoint, BetweenPoints
 from rfem_jax.mechanics.frame_forces import FrameForce, NodeFrame
+from rfem_jax.mechanics.friction_laws import Friction, friction_law
 from rfem_jax.mechanics.joint_laws import JointLaw, joint_law
+from rfem_jax.mechanics.joint_springs import CompliantSpring, compliant_spring
 from rfem_jax.mechanics.model import BASE, Model, Sections, Topology, rfe_fractions
 from rfem_jax.mechanics.orientations import quaternion_of_angles
 from rfem_jax.mechanics.point_laws import load_at, spring_between
@@ -56,6 +59,7 @@ def build_model(mechanism: Mechanism, elements: dict[str, int], exact: bool = Fa
         minimum_norm=mechanism.redundant_reactions == "minimum_norm",
         exact=exact,
         holders=_holders(elements_between, len(links)),
+        sprung=tuple(j.sprung for j in joints) if any(j.compliance for j in joints) else (),
     )
     return Model(
         topology=topology,
@@ -68,12 +72,16 @@ def build_model(mechanism: Mechanism, elements: dict[str, int], exact: bool = Fa
         point_mass=jnp.asarray(np.array([mass.mass for _, mass in masses], dtype=float)),
         point_position=_columns([position for _, position in located]),
         point_inertia=_columns([mass.inertia for _, mass in masses]),
-        start_joints=jnp.asarray(np.concatenate([_start(j) for j in joints[: len(links)]])),
+        start_joints=jnp.asarray(
+            np.concatenate([_start(j, topology.kind(l)) for l, j in enumerate(joints[: len(links)])])
+        ),
         cut_angles=jnp.zeros(len(joints) - len(links)),
         gravity=jnp.asarray(mechanism.gravity, dtype=float),
-        forces=_joint_laws(mechanism, topology) if mechanism.joint_forces else None,
+        forces=_joint_laws(mechanism, topology) or None,
         point_products=_products([mass for _, mass in masses]),
         frame_forces=elements_between or None,
+        friction=_frictions(mechanism, topology) or None,
+        springs=_springs(joints, topology) if topology.sprung else None,
     )
 
 
@@ -106,18 +114,58 @@ def _coordinate(joints: Sequence[Joint], joint: str, motion: str) -> int:
     """Index among the rates of a free motion about or along one axis; joints of the tree come first."""
     index = [one.name for one in joints].index(joint)
     # Motions about any axis come last, so that those before have one coordinate each.
-    before = sum(len(KINDS[one.kind].freedoms) for one in joints[:index])
-    return before + KINDS[joints[index].kind].motions.index(motion)
+    kinds = [compliant(KINDS[one.kind], one.sprung) for one in joints[: index + 1]]
+    return sum(len(kind.freedoms) for kind in kinds[:index]) + kinds[index].motions.index(motion)
 
 
 def _joint_laws(mechanism: Mechanism, topology: Topology) -> dict[str, JointLaw]:
     """The forces along joint coordinates, by their names."""
     found = {}
     for force in mechanism.joint_forces:
+        if isinstance(force, JointFriction):
+            continue
         joint = topology.joints.index(force.joint)
         n = force.coordinate(mechanism.joint(force.joint))
-        found[force.name] = joint_law(force, topology.coordinates[joint][n], topology.positions[joint][n])
+        found[force.name] = joint_law(force, topology.own_coordinates[joint][n], topology.own_positions[joint][n])
     return found
+
+
+def _frictions(mechanism: Mechanism, topology: Topology) -> dict[str, Friction]:
+    """Friction in joints, by its names."""
+    found = {}
+    for force in mechanism.forces:
+        if isinstance(force, JointFriction):
+            joint, described = topology.joints.index(force.joint), mechanism.joint(force.joint)
+            n, places = force.coordinate(described), (None, None)
+            if not described.cut:
+                places = topology.own_coordinates[joint][n], topology.own_positions[joint][n]
+            found[force.name] = friction_law(force, described, joint, *places)
+    return found
+
+
+def _springs(joints: Sequence[Joint], topology: Topology) -> dict[str, CompliantSpring]:
+    """The springs of compliant joints by names as "A.radial"."""
+    found = {}
+    for j, joint in enumerate(joints):
+        for spring in joint.springs:
+            if j < topology.n_links:
+                named = list(enumerate(topology.kind(j).freedoms))
+                at = [n for n, one in named if f"{'TR'[one.rotation]}_{'xyz'[one.axis]}" in spring.motions]
+                rates, numbers = topology.coordinates[j], topology.positions[j]
+                made = compliant_spring(spring, tuple(rates[n] for n in at), tuple(numbers[n] for n in at), ())
+            else:
+                made = compliant_spring(spring, (), (), _rows_of(topology, j, spring.motions))
+            found[f"{joint.name}.{spring.name}"] = made
+    return found
+
+
+def _rows_of(topology: Topology, cut: int, motions: Sequence[str]) -> tuple[int, ...]:
+    """Closure equations of a cut joint that are the laws of a spring on these motions."""
+    nominal, rows = topology.kind(cut).nominal, topology.constraints[cut - topology.n_links]
+    of_centre = rows[: len(nominal.across)]
+    if motions[0][0] == "R":
+        return tuple(rows[len(of_centre) :])
+    return tuple(k for k, axis in zip(of_centre, nominal.across) if f"T_{'xyz'[axis]}" in motions)
 
 
 def _frame_forces(mechanism: Mechanism, links: "_Links") -> dict[str, FrameForce]:
@@ -195,10 +243,12 @@ def _require_first_rfes(joints: Sequence[Joint], children: Sequence[_Attachment]
             )
 
 
-def _start(joint: Joint) -> np.ndarray:
-    """Start of a tree joint as numbers of the position: its three angles as a quaternion if it turns about any axis."""
-    values = np.array(joint.start_values, dtype=float)
-    if not KINDS[joint.kind].ball:
+def _start(joint: Joint, kind: JointKind) -> np.ndarray:
+    """Start of a tree joint as numbers of the position, zero along springs: its three angles as a quaternion if it
+    turns about any axis."""
+    values = np.zeros(len(kind.freedoms))
+    values[list(kind.own)] = joint.start_values
+    if not kind.ball:
         return values
     return np.concatenate([values[:-3], quaternion_of_angles(values[-3:])])
 

@@ -25,7 +25,9 @@ from rfem_jax.description.errors import InputError, suggestion
 from rfem_jax.description.units import quantity
 from rfem_jax.mechanics import algebra
 from rfem_jax.mechanics.frame_forces import FrameForceSet, NodeFrame
+from rfem_jax.mechanics.friction_laws import Friction
 from rfem_jax.mechanics.joint_laws import JointLaws
+from rfem_jax.mechanics.joint_springs import CompliantSpring
 from rfem_jax.mechanics.model import BASE, Model, Topology, rfe_fractions
 
 
@@ -118,7 +120,8 @@ class ModelWithErrors(eqx.Module):
     beam_middle: x of the middle of every rfe 0 [m].
     gravity: acceleration [m/s^2] in global axes.
     datum: the first base joint's nominal place, the zero level of gravity's energy [m].
-    forces: along joint coordinates, None without any; frame_forces: elements between frames on nodes, likewise.
+    forces: along joint coordinates, None without any; frame_forces: elements between frames on nodes, likewise;
+    friction: in joints of the tree and cut ones, likewise; springs: of compliant joints, likewise.
     """
 
     topology: Topology = eqx.field(static=True)
@@ -140,6 +143,8 @@ class ModelWithErrors(eqx.Module):
     datum: Float[Array, "3"]
     forces: JointLaws | None = None
     frame_forces: FrameForceSet | None = None
+    friction: dict[str, Friction] | None = None
+    springs: dict[str, CompliantSpring] | None = None
 
 
 def apply_errors(model: Model, errors: AssemblyErrors) -> ModelWithErrors:
@@ -188,6 +193,8 @@ def apply_errors(model: Model, errors: AssemblyErrors) -> ModelWithErrors:
             datum=model.parent_position[:, topology.parents.index(BASE)],
             forces=None if model.forces is None else JointLaws(model.forces, jnp.ones(())),
             frame_forces=_frame_forces(model, scale),
+            friction=model.friction,
+            springs=model.springs,
             **_spring_damping_elements(model, length),
         )
 
@@ -214,10 +221,10 @@ def _on_scaled(topology: Topology, frame: NodeFrame, scale: Array) -> NodeFrame:
 def _start_angles(model: Model) -> Float[Array, " joints"]:
     """Angles [rad] of all joints about y at the start, 0 of tree joints that are not revolute and have no pins."""
     topology, zero = model.topology, jnp.zeros(())
-    if set(topology.kinds[: topology.n_links]) == {"revolute"}:
+    if set(topology.kinds[: topology.n_links]) == {"revolute"} and not topology.sprung:
         return jnp.concatenate([model.start_joints, model.cut_angles])
     revolute = [topology.kinds[l] == "revolute" for l in range(topology.n_links)]
-    angles = [model.start_joints[at[0]] if turns else zero for turns, at in zip(revolute, topology.positions)]
+    angles = [model.start_joints[at[0]] if turns else zero for turns, at in zip(revolute, topology.own_positions)]
     return jnp.concatenate([jnp.stack(angles), model.cut_angles])
 
 

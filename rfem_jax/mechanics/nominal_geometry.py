@@ -148,11 +148,11 @@ def moved(
 
 
 def gaps(geometry: NominalGeometry, placed: Placed) -> Gaps:
-    """The equations of all cut joints (`cut_joints`, theory (5.1), (5.14), (5.15))."""
+    """The equations of all cut joints (`cut_joints`, theory (5.1), (5.14), (5.15)), of the kinds without springs."""
     topology, n = geometry.topology, geometry.topology.n_links
     residual, alignment = [np.zeros(0)], []
     for joint in topology.cuts:
-        kind, left, right = topology.kind(joint), placed.joint_rotation[joint], placed.child_rotation[joint]
+        kind, left, right = topology.kind(joint).nominal, placed.joint_rotation[joint], placed.child_rotation[joint]
         apart = (placed.child_centre[joint] - placed.centre[joint]) / geometry.scale
         products = np.einsum("ki,kj->ij", left, right)
         residual.append(apart if kind.coincident else left[:, kind.across].T @ apart)
@@ -170,11 +170,13 @@ def _alignment(kind: JointKind, products: Float[np.ndarray, "3 3"]) -> float:
     return 1.0 if kind.angles == 3 else products[axis, axis]
 
 
-def closure_rows(geometry: NominalGeometry, placed: Placed) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Derivatives (k, 6) of the k residuals of every cut joint by the twists of L and of P."""
+def closure_rows(geometry: NominalGeometry, placed: Placed, rigid: bool = True) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Derivatives (k, 6) of the k residuals of every cut joint by the twists of L and of P; `rigid`: of the kinds
+    without springs, else without the sprung directions of compliant joints."""
     topology, pairs = geometry.topology, []
     for joint in topology.cuts:
-        kind, left, right = topology.kind(joint), placed.joint_rotation[joint], placed.child_rotation[joint]
+        kind = topology.kind(joint).nominal if rigid else topology.kind(joint)
+        left, right = placed.joint_rotation[joint], placed.child_rotation[joint]
         forces = np.eye(3) if kind.coincident else left[:, kind.across].T
         couples = np.array([np.cross(right[:, j], left[:, i]) for i, j in kind.perpendicular]).reshape(-1, 3)
         centre = placed.child_centre[joint]
@@ -205,16 +207,21 @@ def cross_matrix(vectors: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3 
     return np.stack(rows, -2)
 
 
-def closure_jacobian(geometry: NominalGeometry, placed: Placed) -> Float[np.ndarray, "constraints coordinates"]:
+def closure_jacobian(
+    geometry: NominalGeometry, placed: Placed, rigid: bool = True
+) -> Float[np.ndarray, "constraints coordinates"]:
     """Jacobian of the residuals (constraints, F + 6 N), by the joint coordinates (displacements over the longest
-    link), then the free rfes' (x, y, z over the longest link, phi_x, phi_y, phi_z), rfe by rfe."""
+    link), then the free rfes' (x, y, z over the longest link, phi_x, phi_y, phi_z), rfe by rfe; `rigid` as in
+    `closure_rows`."""
     topology = geometry.topology
     n, freedoms = topology.n_links, topology.n_freedoms
-    jacobian = np.zeros((topology.n_constraints, freedoms + 6 * topology.n_rfes))
+    sides = closure_rows(geometry, placed, rigid)
+    jacobian = np.zeros((sum(len(left) for left, _ in sides), freedoms + 6 * topology.n_rfes))
     units = joint_units(geometry)
-    sides = closure_rows(geometry, placed)
-    for joint, equations, (left, right) in zip(topology.cuts, topology.constraints, sides, strict=True):
-        block = jacobian[equations.start : equations.stop]
+    stop = 0
+    for joint, (left, right) in zip(topology.cuts, sides, strict=True):
+        start, stop = stop, stop + len(left)
+        block = jacobian[start:stop]
         for node, rows in ((topology.parents[joint], left), (topology.children[joint], right)):
             while node != BASE:
                 link = topology.link_of(node)

@@ -8,21 +8,25 @@ augmented system.  Nothing of the recursion is used: transforms, constraints, th
 derivatives of both are formed independently, by 4 x 4 matrices and automatic differentiation.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
+from rfem_jax.description.joint_kinds import JointKind
 from rfem_jax.mechanics.algebra import Scalar
 from rfem_jax.mechanics.elements import elasticity
 from rfem_jax.mechanics.frame_forces import START, NodeFrame, Pose
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation
 from rfem_jax.mechanics.joint_forces import applied_forces, law_forces
 from rfem_jax.mechanics.joint_laws import SpringLaw
+from rfem_jax.mechanics.joint_springs import CompliantSpring
 from rfem_jax.mechanics.model import BASE, Coordinates, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 
@@ -101,15 +105,26 @@ def constraints(
 ) -> Float[Array, " constraints"]:
     """Theory (5.1), (5.14), (5.15) for all cut joints [m]; `scale` [m] multiplies the equations of the axes."""
     topology = actual.topology
-    frames = [*transforms(actual, position, change), jnp.eye(4)]
-    rows = []
-    for j in topology.cuts:
-        left = frames[topology.parents[j]] @ _transform(actual.seat_rotation[:, :, j], actual.seat_position[:, j])
-        right = frames[topology.children[j]] @ _transform(actual.bore_rotation[:, :, j], actual.bore_position[:, j])
-        kind, relative = topology.kind(j), jnp.linalg.inv(left) @ right
-        apart = right[:3, 3] - left[:3, 3] if kind.coincident else relative[jnp.array(kind.across, int), 3]
-        rows += [apart, *(scale * relative[i, k][None] for i, k in kind.perpendicular)]
+    frames = transforms(actual, position, change)
+    rows = [joint_rows(topology.kind(j), *joint_frames(actual, frames, j), scale) for j in topology.cuts]
     return jnp.concatenate(rows) if rows else jnp.zeros(0)
+
+
+def joint_frames(
+    actual: ModelWithErrors, frames: Sequence[Array] | Mapping[int, Array], joint: int
+) -> tuple[Float[Array, "4 4"], Float[Array, "4 4"]]:
+    """Transforms of a joint's frames on its parent and on its child, errors included; `frames` of the nodes."""
+    parent, child = actual.topology.parents[joint], actual.topology.children[joint]
+    seat = _transform(actual.seat_rotation[:, :, joint], actual.seat_position[:, joint])
+    bore = _transform(actual.bore_rotation[:, :, joint], actual.bore_position[:, joint])
+    return (jnp.eye(4) if parent == BASE else frames[parent]) @ seat, frames[child] @ bore
+
+
+def joint_rows(kind: JointKind, left: Float[Array, "4 4"], right: Float[Array, "4 4"], scale: Scalar) -> Array:
+    """Closure equations [m] of one cut joint from the transforms of its frames."""
+    relative = jnp.linalg.inv(left) @ right
+    apart = right[:3, 3] - left[:3, 3] if kind.coincident else relative[jnp.array(kind.across, int), 3]
+    return jnp.concatenate([apart, *(scale * relative[i, k][None] for i, k in kind.perpendicular)])
 
 
 def exact_deflections(actual: ModelWithErrors, frames: Float[Array, "nodes 4 4"]) -> Float[Array, "6 rfes"]:
@@ -168,6 +183,88 @@ def _spring_work(actual: ModelWithErrors, state: State, q: Coordinates, qd: Coor
     return potential, rayleigh
 
 
+def _over_joints(actual: ModelWithErrors, position: Coordinates, change: Coordinates) -> dict[str, Array]:
+    """Transforms from the frame on the parent to that on the child, by the names of joints."""
+    frames, topology, found = [*transforms(actual, position, change), jnp.eye(4)], actual.topology, {}
+    for j, name in enumerate(topology.joints):
+        left = _transform(actual.seat_rotation[:, :, j], actual.seat_position[:, j])
+        right = _transform(actual.bore_rotation[:, :, j], actual.bore_position[:, j])
+        left, right = frames[topology.parents[j]] @ left, frames[topology.children[j]] @ right
+        found[name] = jnp.linalg.inv(left) @ right
+    return found
+
+
+def _displacement(relative: Array, motions: tuple[str, ...], axis: int | None, universal: bool) -> Array:
+    """What a compliant joint's spring acts on, from the transform over the joint: displacements along the parent's
+    axes; the vector of the tilt between two axes, as long as its angle; or one angle."""
+    if motions[0][0] == "T":
+        return jnp.stack([relative["xyz".index(motion[-1]), 3] for motion in motions])
+    rotation = relative[:3, :3]
+    if universal:
+        return jnp.arcsin(rotation[1, 2])[None]
+    if len(motions) == 2 and axis is not None:
+        first, second = ((axis + n) % 3 for n in (1, 2))
+        vector = jnp.stack([-rotation[second, axis], rotation[first, axis]])
+        square = vector @ vector
+        none = square < 1e-20
+        sine = jnp.sqrt(jnp.where(none, 1.0, square))
+        return vector * jnp.where(none, 1.0 + square / 6.0, jnp.arctan2(sine, rotation[axis, axis]) / sine)
+    # One rotation: the angle of the next but one axis, or of the successive ones about x, y, z.
+    about = "xyz".index(motions[0][-1])
+    b, c = (about + 1) % 3, (about + 2) % 3
+    if about == 0:
+        return jnp.arctan2(-rotation[b, c], rotation[c, c])[None]
+    sine, cosine = (rotation[0, 2], rotation[0, 0]) if about == 1 else (-rotation[0, 1], rotation[0, 0])
+    return jnp.arcsin(sine)[None] if about == 1 else jnp.arctan2(sine, cosine)[None]
+
+
+def _spring_force(actual: ModelWithErrors, state: State, qd: Array, unravel: Callable[[Array], Coordinates]) -> Array:
+    """Generalised forces of the springs of compliant joints: what they are stretched by, and its rate, give the work
+    that their forces do."""
+    still, topology = jnp.zeros_like(qd), actual.topology
+    springs = [(*name.split("."), spring) for name, spring in (actual.springs or {}).items()]
+    kinds = {joint: topology.kind(topology.joints.index(joint)).nominal for joint, *_ in springs}
+
+    def over(q):
+        return _over_joints(actual, state.position, unravel(q))
+
+    def stretches(q):
+        found = over(q)
+        return [
+            _displacement(found[joint], kinds[joint].directions[name], kinds[joint].axis, kinds[joint].angles == 2)
+            for joint, name, _ in springs
+        ]
+
+    def rates(qd):
+        now, change = jax.jvp(over, (still,), (qd,))
+        plain = jax.jvp(stretches, (still,), (qd,))[1]
+        for n, (joint, name, _) in enumerate(springs):
+            if name == "tilt" and kinds[joint].angles < 2:
+                # The angular velocity across the parent's axis.
+                spin = change[joint][:3, :3] @ now[joint][:3, :3].T
+                vector = jnp.stack([spin[2, 1], spin[0, 2], spin[1, 0]])
+                plain[n] = jnp.where(np.arange(3) == kinds[joint].axis, 0.0, vector)
+        return plain
+
+    pulls = [_pull(spring, at) for (*_, spring), at in zip(springs, stretches(still))]
+    drags = [spring.damping * rate for (*_, spring), rate in zip(springs, rates(qd))]
+    force = jnp.zeros_like(qd)
+    for exerted, jacobian in zip((pulls, drags), (jax.jacfwd(stretches)(still), jax.jacfwd(rates)(qd))):
+        force = force - sum(rows.T @ one for rows, one in zip(jacobian, exerted))
+    return force
+
+
+def _pull(spring: CompliantSpring, stretch: Array) -> Array:
+    """What displaces a spring by a vector, or in one direction by a number of either sign."""
+    size = stretch[0] if stretch.size == 1 else jnp.linalg.norm(stretch)
+    x, f = spring.positions, spring.forces
+    if x is None or f is None:
+        return spring.stiffness * stretch
+    row = jnp.clip(jnp.searchsorted(x, size, side="right") - 1, 0, x.size - 2)
+    exerted = f[row] + (f[row + 1] - f[row]) / (x[row + 1] - x[row]) * (size - x[row])
+    return exerted / size * stretch
+
+
 def _along_joints(
     actual: ModelWithErrors, state: State, drive: DriveInput, unravel: Callable[[Array], Coordinates]
 ) -> Array:
@@ -177,11 +274,13 @@ def _along_joints(
     if actual.forces is not None:
         force = force - jax.grad(lambda q: _spring_work(actual, state, unravel(q), unravel(still))[0])(still)
         force = force - jax.grad(lambda qd: _spring_work(actual, state, unravel(still), unravel(qd))[1])(qd)
-    laws = law_forces(actual, state)
+    laws = law_forces(eqx.tree_at(lambda a: a.springs, actual, None, is_leaf=lambda x: x is None), state)
     # Those of springs and dampers are in the two functions already.
     outside = None if laws is None else laws._replace(inside={})
-    for k, applied in applied_forces(drive, outside).items():
+    for k, applied in applied_forces(actual.topology, state.position, drive, outside).items():
         force = force.at[k].add(applied)
+    if actual.springs is not None:
+        force = force + _spring_force(actual, state, qd, unravel)
     return force
 
 
@@ -209,6 +308,30 @@ def _of_elements(actual: ModelWithErrors, drive: DriveInput, frames: Array, deri
     return total
 
 
+def element_wrenches(
+    actual: ModelWithErrors, drive: DriveInput, frames: Float[Array, "nodes 4 4"], rates: Float[Array, "nodes 4 4"]
+) -> list[tuple[int, Float[Array, "6"]]]:
+    """Nodes, and the wrenches at the global origin that force elements exert on them, from the transforms of all nodes
+    and their rates."""
+    found, forces = [], actual.frame_forces
+    if forces is None:
+        return found
+    for element in forces.elements.values():
+
+        def placed(frames, element=element):
+            frames = jnp.concatenate([frames, jnp.eye(4)[None]])
+            parent, child = (_framed(frames, end) for end in (element.parent, element.child))
+            return jnp.linalg.inv(parent) @ child, parent, child
+
+        (now, parent, child), (change, *_) = jax.jvp(placed, (frames,), (rates,))
+        pose = Pose(now[:3, 3], now[:3, :3], change[:3, 3], _axial(change[:3, :3] @ now[:3, :3].T))
+        wrench = element.wrench(pose, START if drive.time is None else drive.time)
+        force, moment = (forces.share * parent[:3, :3] @ part for part in wrench)
+        at_origin = jnp.concatenate([moment + jnp.cross(child[:3, 3], force), force])
+        found += [(element.child.node, at_origin), (element.parent.node, -at_origin)]
+    return found
+
+
 def _framed(frames: Array, end: NodeFrame) -> Array:
     """Transform of a frame on a node, of which the last of `frames` is the base."""
     return frames[end.node] @ _transform(end.rotation, end.position)
@@ -220,14 +343,19 @@ def _axial(skew: Array) -> Array:
 
 
 def reference_accelerations(
-    actual: ModelWithErrors, state: State, drive: DriveInput, stabilisation: Stabilisation
+    actual: ModelWithErrors,
+    state: State,
+    drive: DriveInput,
+    stabilisation: Stabilisation,
+    applied: Float[Array, " coordinates"] | None = None,
 ) -> tuple[Coordinates, Float[Array, " constraints"]]:
-    """Second derivatives of the coordinates and multipliers [N] from the dense augmented system."""
+    """Second derivatives of the coordinates and multipliers [N] but those of springs, from the dense system; `applied`:
+    more forces, flat."""
     topology = actual.topology
     qd, unravel = ravel_pytree(state.velocity)
     # Changes from the present position are coordinates of which there are as many as rates.
     q = jnp.zeros_like(qd)
-    pseudo_inertia = _pseudo_inertia(actual)
+    pseudo_inertia = pseudo_inertias(actual)
 
     def matrices(q):
         return jnp.stack(transforms(actual, state.position, unravel(q)))
@@ -259,9 +387,8 @@ def reference_accelerations(
         return 0.5 * elasticity.dissipated_power(actual, State(state.position, unravel(qd)))
 
     force = -inertial - jax.grad(potential)(q) - jax.grad(rayleigh)(qd)
-    force = (
-        force + _along_joints(actual, state, drive, unravel) + _of_elements(actual, drive, matrices(q), derivatives, qd)
-    )
+    force = force + _along_joints(actual, state, drive, unravel) + (0.0 if applied is None else applied)
+    force = force + _of_elements(actual, drive, matrices(q), derivatives, qd)
 
     def phi(q):
         return constraints(actual, state.position, stabilisation.scale, unravel(q))
@@ -272,22 +399,24 @@ def reference_accelerations(
     jacobian = jax.jacfwd(phi)(q)
     gamma = -jax.jvp(phi_rate, (q,), (qd,))[1]
     gamma = gamma - stabilisation.velocity_gain * phi_rate(q) - stabilisation.position_gain * phi(q)
+    found, multipliers = _solve_augmented(mass, jacobian, force, gamma, drive)
+    return unravel(found), multipliers[: topology.n_constraints - sum(topology.sprung_rows)]
+
+
+def _solve_augmented(
+    mass: Array, jacobian: Array, force: Array, gamma: Array, drive: DriveInput
+) -> tuple[Array, Array]:
+    """Accelerations and multipliers [N], those of prescribed motions last."""
     for k, (_, _, acceleration) in drive.motions.items():
-        jacobian = jnp.concatenate([jacobian, jnp.eye(q.size)[k : k + 1]])
+        jacobian = jnp.concatenate([jacobian, jnp.eye(force.size)[k : k + 1]])
         gamma = jnp.concatenate([gamma, jnp.reshape(acceleration, (1,))])
-    found, multipliers = _solve_augmented(mass, jacobian, force, gamma)
-    return unravel(found), multipliers[: topology.n_constraints]
-
-
-def _solve_augmented(mass: Array, jacobian: Array, force: Array, gamma: Array) -> tuple[Array, Array]:
-    """Accelerations and multipliers [N]."""
     n, c = force.size, gamma.size
     system = jnp.block([[mass, -jacobian.T], [jacobian, jnp.zeros((c, c))]])
     solution = jnp.linalg.solve(system, jnp.concatenate([force, gamma]))
     return solution[:n], solution[n:]
 
 
-def _pseudo_inertia(actual: ModelWithErrors) -> Array:
+def pseudo_inertias(actual: ModelWithErrors) -> Array:
     """H (nodes, 4, 4) of theory (3.1) about every node's reference point."""
     identity = jnp.eye(3)
     blocks = []

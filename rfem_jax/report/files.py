@@ -8,7 +8,8 @@ the coordinates of the other joints of the tree, `D_angle_rad`, `G_displacement_
 several drives act, or one on a translation, they have columns of their own, `A_drive_angle_rad`,
 `A_drive_rate_rad_s`, `A_drive_moment_Nm`, `G_drive_displacement_m`, `G_drive_speed_m_s`, `G_drive_force_N`, in the
 place of those of the driven joint.  Last of all the forces at points in global axes: `coil_length_m`, `coil_tension_N`
-of a spring, `push_force_x_N` ..., `twist_moment_x_Nm` ... of others.
+of a spring, `push_force_x_N` ..., `twist_moment_x_Nm` ... of others; and the energy that every friction has dissipated,
+`bearing_dissipation_J`.
 """
 
 from collections.abc import Mapping
@@ -66,7 +67,8 @@ def history_columns(study: Study, run: Run) -> dict[str, Float[np.ndarray, " tim
     if not driven:
         columns[column_name("drive_moment", "N m")] = np.asarray(run.drive_moment)
     columns |= {column_name(one.name, one.quantity.unit): one.values(run) for one in driven}
-    return columns | _coordinate_columns(study, run) | _point_columns(study, run)
+    losses = {column_name(f"{name}_dissipation", "J"): np.asarray(x) for name, x in run.friction_losses.items()}
+    return columns | _coordinate_columns(study, run) | _point_columns(study, run) | losses
 
 
 def _point_columns(study: Study, run: Run) -> dict[str, Float[np.ndarray, " times"]]:

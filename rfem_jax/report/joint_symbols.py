@@ -94,6 +94,8 @@ def draw_joint(axes: Axes3D, joint: Joint, point: Point, seat: Seat | None, size
     kind = KINDS[joint.kind]
     if joint.parent == "base" and not kind.displacements:
         axes.plot(*point[:, None], **_ground(size=13), zorder=3)
+    if joint.compliance is not None:
+        axes.plot(*point[:, None], **_bushing(), zorder=6)
     if seat is not None:
         if kind.angles == 1 or joint.kind == "universal":
             _draw_axis(axes, point, seat.rotation[:, 1], size)
@@ -101,6 +103,15 @@ def draw_joint(axes: Axes3D, joint: Joint, point: Point, seat: Seat | None, size
             _draw_box(axes, point, seat.rotation, size)
             return
     axes.plot(*point[:, None], linestyle="none", color="black", zorder=5, **MARKERS[joint.kind])
+
+
+def _bushing() -> dict[str, Any]:
+    """Arguments of `plot` for the mark of a compliant joint: a spring across it."""
+    from matplotlib.path import Path
+
+    x, y = np.linspace(-1.0, 1.0, 9), 0.35 * np.array([0.0, 0.0, 1.0, -1.0, 1.0, -1.0, 1.0, 0.0, 0.0])
+    path = Path(np.stack([x, y], axis=1))
+    return {"linestyle": "none", "marker": path, "markersize": 20, "color": "black", "mfc": "none", "mew": 0.9}
 
 
 def _ground(size: float) -> dict[str, Any]:
@@ -224,6 +235,8 @@ def legend_handles(mechanism: Mechanism) -> list[Any]:
     found = [Line2D([], [], linestyle="none", color="black", label=kind, **MARKERS[kind]) for kind in kinds]
     if any(joint.parent == "base" for joint in mechanism.joints):
         found.append(Line2D([], [], label="base", **_ground(size=11)))
+    if any(joint.compliance is not None for joint in mechanism.joints):
+        found.append(Line2D([], [], label="compliant", **_bushing()))
     if any(isinstance(force, JointSpring) for force in mechanism.forces):
         found.append(Line2D([], [], label="spring, damper", **SPRING))
     if any(not isinstance(force, JointSpring) for force in mechanism.forces):

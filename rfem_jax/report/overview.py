@@ -10,7 +10,7 @@ from dataclasses import fields
 from typing import Any
 
 from rfem_jax.description.driven_motions import AnyDrive
-from rfem_jax.description.forces import Force, JointForce, JointForceTable
+from rfem_jax.description.forces import Force, JointForce, JointForceTable, JointFriction
 from rfem_jax.description.joint_kinds import KINDS
 from rfem_jax.description.joints import Joint
 from rfem_jax.description.mechanism import Mechanism
@@ -62,7 +62,8 @@ def joint_rows(study: Study) -> list[list[str]]:
     driven = [drive.joint for drive in study.drives]
     rows = []
     for joint in study.mechanism.joints:
-        marks = [word for word, holds in (("cut", joint.cut), ("driven", joint.name in driven)) if holds]
+        words = ("cut", joint.cut), ("driven", joint.name in driven), ("compliant", joint.compliance is not None)
+        marks = [word for word, holds in words if holds]
         start = "-" if joint.cut else _start_text(joint)
         rows.append([joint.name, joint.kind, joint.parent, joint.child, start, ", ".join(marks) or "-"])
     return rows
@@ -75,6 +76,21 @@ def _start_text(joint: Joint) -> str:
     return ", ".join(f"{math.degrees(x):.6g} deg" if one.rotation else f"{x:.6g} m" for x, one in values) or "-"
 
 
+def _compliance_text(mechanism: Mechanism) -> str:
+    """A line for every compliant joint: its sprung directions with their stiffnesses and dampings."""
+    lines = []
+    for joint in mechanism.joints:
+        parts = []
+        for spring in joint.springs:
+            per = "N m/rad" if spring.rotation else "N/m"
+            size = f"{spring.stiffness:g} {per}" if spring.positions is None else "a table"
+            damping = f" with {spring.damping:g} {per.replace('/', ' s/')}" if spring.damping else ""
+            parts.append(f"{spring.name} {size}{damping}")
+        if parts:
+            lines.append(f"Joint {joint.name} is compliant: {', '.join(parts)}.\n")
+    return "".join(lines)
+
+
 def _forces_text(mechanism: Mechanism) -> str:
     """A line for every force: its kind in words, where it acts, its scalar numbers."""
     lines = []
@@ -82,6 +98,8 @@ def _forces_text(mechanism: Mechanism) -> str:
         numbers = [
             f"{name.replace('_', ' ')} {value:g}" for name, value in vars(force).items() if isinstance(value, float)
         ]
+        if isinstance(force, JointFriction):
+            numbers.append(f"law {force.law}")
         if isinstance(force, JointForceTable):
             columns: dict[str, Any] = {"positions": force.positions, "forces": force.forces}
             numbers = [f"{len(force.positions)} rows"]
@@ -141,7 +159,8 @@ def count_lines(mechanism: Mechanism, description: Structure) -> list[str]:
     lines = [
         f"Coordinates: {description.coordinates}; constraint equations at the cut joints: "
         f"{description.constraints}, of rank {description.rank}.",
-        f"Mobility: {description.mobility} with flexible links, {description.rigid_mobility} if all links were rigid.",
+        f"Mobility: {description.mobility} with flexible links, {description.rigid_mobility} if all links "
+        f"{'and joints ' if any(joint.compliance for joint in mechanism.joints) else ''}were rigid.",
     ]
     if description.rigid_mobility == 0:
         kinds = ", ".join(f"{joint.name} ({joint.kind})" for joint in mechanism.joints)
@@ -165,7 +184,8 @@ def count_lines(mechanism: Mechanism, description: Structure) -> list[str]:
     lines.append("Redundant constraints: the joint reactions are not unique.")
     if mechanism.redundant_reactions == "minimum_norm":
         return [*lines, "The smallest ones (minimum norm) are reported, as the study asks."]
-    return [*lines, 'Make a link flexible, or choose redundant_reactions = "minimum_norm".']
+    fix = 'Make a link flexible, give joints a compliance, or choose redundant_reactions = "minimum_norm".'
+    return [*lines, fix]
 
 
 def study_text(study: Study, description: Structure) -> str:
@@ -185,7 +205,7 @@ def study_text(study: Study, description: Structure) -> str:
             format_table(link_header, link_rows(mechanism), words=(0, 5)),
             format_table(joint_header, joint_rows(study), words=(0, 1, 2, 3, 5)),
             "\n".join([*count_lines(mechanism, description), f"Gravity: {gravity} m/s^2."]),
-            f"{_forces_text(mechanism)}{_drives_text(study)}"
+            f"{_compliance_text(mechanism)}{_forces_text(mechanism)}{_drives_text(study)}"
             f"Simulation: {study.duration:g} s with {_method_text(study)}; saved {save}.",
             format_table(["case", "assembly errors"], cases, words=(0, 1)),
         ]

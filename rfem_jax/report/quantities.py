@@ -40,6 +40,8 @@ PRELOADS = (PRELOAD_FORCE, PRELOAD_MOMENT)
 
 ANGLE_END = Quantity("angle_end", "rad", "Angle at end", "the driven joint's own coordinate")
 RATE_END = Quantity("rate_end", "rad/s", "Rate at end", "rate of the driven joint's coordinate")
+FRICTION_LOSS = Quantity("friction_loss", "J", "Friction loss", "energy that a friction has dissipated over the run")
+
 DRIVEN_JOINT = (ANGLE_END, RATE_END)
 
 BALANCES = (
@@ -77,7 +79,7 @@ ENERGIES = (
     Quantity("gravity", "J", "Gravitational energy", "potential energy of the weight"),
     Quantity("total", "J", "Total mechanical energy", "kinetic + elastic + gravity"),
     Quantity("work", "J", "Work of the drive", "and of forces from outside, done since the start"),
-    Quantity("dissipation", "J", "Dissipated energy", "lost in material damping and dampers since the start"),
+    Quantity("dissipation", "J", "Dissipated energy", "lost in material damping, dampers and friction since the start"),
 )
 
 
@@ -93,5 +95,5 @@ def column_name(name: str, unit: str) -> str:
 
 def units() -> dict[str, str]:
     """Unit of every number in `results.json` by its name ("1" where it has no dimension)."""
-    listed = (*JOINT_METRICS, *PRELOADS, *DRIVEN_JOINT, *BALANCES)
+    listed = (*JOINT_METRICS, *PRELOADS, *DRIVEN_JOINT, FRICTION_LOSS, *BALANCES)
     return {quantity.name: quantity.unit or "1" for quantity in listed}

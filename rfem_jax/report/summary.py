@@ -13,7 +13,7 @@ from jaxtyping import Float
 from rfem_jax.description.study import Study
 from rfem_jax.report.annotations import Run, Summaries
 from rfem_jax.report.driven_motions_report import drive_quantities, has_driven_joint
-from rfem_jax.report.quantities import BALANCES, DRIVEN_JOINT, JOINT_METRICS
+from rfem_jax.report.quantities import BALANCES, DRIVEN_JOINT, FRICTION_LOSS, JOINT_METRICS
 
 PLOTS_HINT = 'No pictures were drawn: matplotlib is not installed (pip install "rfem_jax[plots]").'
 
@@ -35,8 +35,8 @@ def total_energy(run: Run) -> Float[np.ndarray, " times"]:
 
 
 def summarise_run(study: Study, run: Run) -> dict[str, Any]:
-    """Metrics, preload, end of the driven joint, balances and branch of one run (numbers, SI; NaN for an axial or
-    normal force of a joint without an axis)."""
+    """Metrics, preload, end of the driven joint, losses by friction where there is any, balances and branch of one run
+    (numbers, SI; NaN for an axial or normal force of a joint without an axis)."""
     joints: dict[str, dict[str, Any]] = {}
     for name in joint_names(study):
         row: dict[str, Any] = {"kind": study.mechanism.joint(name).kind}
@@ -47,7 +47,9 @@ def summarise_run(study: Study, run: Run) -> dict[str, Any]:
     driven = has_driven_joint(study)
     ends = {q.name: float(getattr(run.driven_joint, q.name)) if driven else float("nan") for q in DRIVEN_JOINT}
     balances = {q.name: float(getattr(run, q.name)) for q in BALANCES}
-    summary = {"joints": joints, "driven_joint": ends, **balances, "branch": branches(run)}
+    losses = {name: float(np.asarray(values)[-1]) for name, values in run.friction_losses.items()}
+    friction = {FRICTION_LOSS.name: losses} if losses else {}
+    summary = {"joints": joints, "driven_joint": ends, **friction, **balances, "branch": branches(run)}
     for one in drive_quantities(study):
         of_drive = summary.setdefault("drives", {}).setdefault(one.label, {})
         of_drive[one.end.name] = float(one.values(run)[-1])

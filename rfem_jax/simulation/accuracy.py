@@ -25,6 +25,7 @@ from rfem_jax.description.methods import (
     GeneralisedAlphaMethod,
     Method,
 )
+from rfem_jax.mechanics.friction import require_implicit
 from rfem_jax.mechanics.model import Model
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors, assembly_errors
 from rfem_jax.mechanics.status import OK
@@ -75,6 +76,12 @@ def choose_method(
     step = _longest_step(model, implicit, drive, duration, accuracy, errors)
     if step is not None:
         return replace(implicit, step=min(float(round_down(step)), longest))
+    require_implicit(
+        model,
+        "auto",
+        implicit=False,
+        fix="no step that is tried with the implicit method keeps the accuracy; give generalised_alpha with a `step`.",
+    )
     trial = FixedStepMethod("rk4", step=1e-6, stabilisation=method.stabilisation)
     limit = 0.9 * largest_stable_step(model, trial, drive)
     # Rigid links have no limit; but no step is longer than those that were not accurate enough with the implicit
@@ -166,6 +173,8 @@ def rms_loads(
         force = jnp.stack(list(metrics.rms_force.values()))
         moment = jnp.stack(list(metrics.rms_moment.values()))
         largest = integration.largest_force(carry)
+        if model.friction is not None:
+            largest = jnp.maximum(largest, jnp.max(moment) / jnp.max(model.length))
         residual = carry.residual / jnp.where(largest > 0.0, largest, 1.0)
         return jnp.stack([force, moment]), residual, prepared.status == OK
 

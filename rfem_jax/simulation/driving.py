@@ -112,6 +112,12 @@ def require_driven(model: Model, drive: Drive) -> None:
             )
         if label not in model.topology.drive_labels:
             raise _other_joint(model, one, labels)
+        coordinate = model.topology.drives[model.topology.drive_labels.index(label)]
+        if isinstance(one, PrescribedDrive) and model.topology.tilted(coordinate) is not None:
+            raise InputError(
+                f"Argument `drive` must not prescribe the angle of joint `{one.joint}` because its tilt is sprung, "
+                "but does; leave its tilt rigid, drive another joint, or give a moment."
+            )
     _require_independent(model.topology, drives)
 
 

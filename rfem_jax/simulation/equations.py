@@ -16,12 +16,12 @@ from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float, Int
 
 from rfem_jax.compilation.scalarisation import nothing_known
-from rfem_jax.mechanics import loads, model_with_errors
+from rfem_jax.mechanics import friction, loads, model_with_errors
 from rfem_jax.mechanics.dynamics import Accelerations, accelerations
 from rfem_jax.mechanics.element_loads import FrameLoads
 from rfem_jax.mechanics.implicit.condensation import LinkOperator
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation, impose
-from rfem_jax.mechanics.joint_forces import LawForces
+from rfem_jax.mechanics.joint_forces import LawForces, rate_about_axis
 from rfem_jax.mechanics.kinematics import Motion
 from rfem_jax.mechanics.model import Coordinates, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
@@ -34,13 +34,15 @@ Tree = TypeVar("Tree")
 
 class Integrals(eqx.Module):
     """Integrals over time of squared loads (joints,) [N^2 s, (N m)^2 s]: axial (along the joint's axis) and
-    normal force, resultant moment; work of drive and laws, and dissipated energy [J]."""
+    normal force, resultant moment; work of drive and laws, and dissipated energy [J], of which every friction, by its
+    name (None without any)."""
 
     axial_square: Float[Array, " joints"]
     normal_square: Float[Array, " joints"]
     moment_square: Float[Array, " joints"]
     work: Float[Array, ""]
     dissipation: Float[Array, ""]
+    friction: Float[Array, " frictions"] | None = None
 
 
 class Trajectory(eqx.Module):
@@ -111,6 +113,7 @@ def right_hand_side(t: Scalar, trajectory: Trajectory, conditions: Conditions) -
             moment_square=moment,
             work=applied_power(conditions.actual.topology, state, drive, joint, result),
             dissipation=result.dissipated,
+            friction=friction.losses(result.laws),
         ),
     )
 
@@ -148,9 +151,9 @@ def applied_power(
 ) -> Float[Array, ""]:
     """Power [W] of the drives, and of the laws of joints and the force elements that act from outside."""
     forces = drive_forces(topology, drive, joint, solved)
-    power = forces[0] * (state.velocity.joints[topology.drives[0]] if topology.drives else 0.0)
+    power = forces[0] * (rate_about_axis(topology, state, topology.drives[0]) if topology.drives else 0.0)
     for k, force in zip(topology.drives[1:], forces[1:], strict=True):
-        power = power + force * state.velocity.joints[k]
+        power = power + force * rate_about_axis(topology, state, k)
     power = power if solved.laws is None else power + solved.laws.power
     return power if solved.frame_loads is None else power + solved.frame_loads.power
 
@@ -173,10 +176,12 @@ def drive_forces(
     return tuple(force(k) for k in topology.drives) or (jnp.zeros(()),)
 
 
-def start_trajectory(state: State, joints: int) -> Trajectory:
+def start_trajectory(state: State, joints: int, frictions: int = 0) -> Trajectory:
     """The integrated state at the start: all integrals zero."""
     by_joint, total = jnp.zeros((joints,)), jnp.zeros(())
-    return Trajectory(state.position, state.velocity, Integrals(by_joint, by_joint, by_joint, total, total))
+    by_friction = jnp.zeros((frictions,)) if frictions else None
+    integrals = Integrals(by_joint, by_joint, by_joint, total, total, by_friction)
+    return Trajectory(state.position, state.velocity, integrals)
 
 
 def peaks(rate: Trajectory) -> Float[Array, "2 joints"]:

@@ -155,7 +155,7 @@ def prepare(model: Model, errors: AssemblyErrors, drive: Drive, start: State | N
 def start_carry(model: Model, prepared: Prepared, drive: Drive, method: Method) -> Carry:
     """The state of the integration before the first interval."""
     joints = prepared.preload.force.shape[1]
-    trajectory = equations.start_trajectory(prepared.state, joints)
+    trajectory = equations.start_trajectory(prepared.state, joints, len(model.friction or {}))
     drives = active_drives(model, drive)
     phase, stabilisation = jnp.asarray(0, jnp.int32), stabilisation_of(model, method)
     conditions = Conditions(prepared.actual, drives, phase, stabilisation)
@@ -264,7 +264,7 @@ def conclude(
     balance = energy.total - energy.work + energy.dissipation
     error = jnp.max(jnp.abs(balance - balance[0])) / _safe(jnp.max(jnp.abs(energy.total)))
     drift = jnp.max(record.drift)
-    residual = carry.residual / _safe(_force_scale(model, carry, energy))
+    residual = carry.residual / _safe(_force_scale(model, carry, energy, times))
     relative = jnp.max(record.momentum_residual, axis=0) / _safe(jnp.max(record.largest_load, axis=0))
     zeros = jnp.zeros_like(times)
     drives = _histories(model, record)
@@ -300,6 +300,7 @@ def conclude(
         ),
         centre_lines=link_lines(model, prepared.actual, prepared.state.position),
         nominal_lines=link_lines(model, apply_errors(model, assembly_errors(model)), model.start_coordinates()),
+        friction_losses=_by_friction(model, record.friction_losses),
     )
 
 
@@ -344,10 +345,13 @@ def largest_force(carry: Carry) -> Float[Array, ""]:
     return equations.safe_sqrt(jnp.max(carry.peaks))
 
 
-def _force_scale(model: Model, carry: Carry, energy: Energy) -> Float[Array, ""]:
+def _force_scale(model: Model, carry: Carry, energy: Energy, times: Float[Array, " times"]) -> Float[Array, ""]:
     """What a residual force is compared with [N]: the largest joint force, and for free links, whose joints carry
-    none, their kinetic energy over the longest link."""
+    none, their kinetic energy over the longest link; friction may be the only load, an RMS moment over that link."""
     largest = largest_force(carry)
+    if model.friction is not None:
+        mean_square = jnp.max(carry.trajectory.integrals.moment_square) / times[-1]
+        largest = jnp.maximum(largest, equations.safe_sqrt(mean_square) / length_scale(model))
     if "free" not in model.topology.kinds:
         return largest
     return jnp.maximum(largest, jnp.max(energy.kinetic) / length_scale(model))
@@ -361,7 +365,7 @@ def _coordinates(model: Model, record: Record, rotation: bool) -> dict[str, Arra
     """Angles or displacements by tree joint: (times,), or (times, k) of a kind that has several."""
     found, topology = {}, model.topology
     for l, at in enumerate(topology.positions):
-        plain = zip(at, topology.kind(l).freedoms[: topology.plain(l)])
+        plain = zip(topology.own_positions[l], topology.kind(l).nominal.freedoms)
         wanted = [record.joints[:, k] for k, freedom in plain if freedom.rotation is rotation]
         if rotation and topology.kind(l).ball:
             wanted = list(angles_of(record.joints[:, at.stop - 4 : at.stop]).T)
@@ -376,6 +380,13 @@ def _histories(model: Model, record: Record) -> dict[str, DriveHistory]:
     for label, k, force in zip(topology.drive_labels, topology.drives, record.drive_forces):
         found[label] = DriveHistory(record.joints[:, topology.place_of(k)], record.joint_rates[:, k], force)
     return found
+
+
+def _by_friction(model: Model, values: Float[Array, "times frictions"] | None) -> dict[str, Float[Array, " times"]]:
+    """Histories by the names of the frictions."""
+    if values is None:
+        return {}
+    return {name: values[:, i] for i, name in enumerate(sorted(model.friction or {}))}
 
 
 def _joints(model):

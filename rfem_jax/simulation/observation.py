@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 from rfem_jax.mechanics import algebra, loads
 from rfem_jax.mechanics.centre_lines import link_ends
-from rfem_jax.mechanics.cut_joints import Closure, assembly_modes
+from rfem_jax.mechanics.cut_joints import Closure, Constraints, assembly_modes
 from rfem_jax.mechanics.dynamics import Accelerations
 from rfem_jax.mechanics.element_loads import FrameLoads
 from rfem_jax.mechanics.implicit.residual import Evaluation
@@ -60,7 +60,8 @@ class Record(NamedTuple):
     largest components of the residual force [N] and moment [N m] of the momentum balance; largest_load [N, N m]: what
     they are divided by; hinge_residual [N m]: largest load along a free motion of a joint beyond that of its springs,
     which should be zero (forces times `Instant.arm`); range_used: as `kinematics.range_used`; square_integrals: of the
-    resultant force and moment [N^2 s, (N m)^2 s]; squares: of the axial and the normal force [N^2].
+    resultant force and moment [N^2 s, (N m)^2 s]; squares: of the axial and the normal force [N^2]; friction_losses
+    [J]: energy that every friction has dissipated, None without any.
     """
 
     joints: Float[Array, " numbers"]
@@ -82,6 +83,7 @@ class Record(NamedTuple):
     residual: Float[Array, " n"]
     squares: Float[Array, "2 joints"]
     forces: dict[str, PointHistory]
+    friction_losses: Float[Array, " frictions"] | None
 
 
 def solved_instant(actual: ModelWithErrors, result: Accelerations, drive: DriveInput, scale: algebra.Scalar) -> Instant:
@@ -173,6 +175,7 @@ def observe(
             residual=instant.residual,
             squares=squares,
             forces=_point_histories(instant.frame_loads),
+            friction_losses=integrals.friction,
         )
 
 
@@ -199,7 +202,11 @@ def _load_along_free_motions(topology: Topology, instant: Instant, drive: DriveI
     along = jnp.abs(along)
     along = along * jnp.where(np.array(topology.slides, dtype=bool), instant.arm, 1.0)
     along = along * passive
-    about_cuts = jnp.abs(joint.moment[1, n:]) * revolute[n:].astype(float)
+    about_cuts = joint.moment[1, n:]
+    for (at, component), force in ({} if instant.laws is None else instant.laws.cuts or {}).items():
+        here = (np.arange(about_cuts.shape[0]) == at) & (component == 4)
+        about_cuts = jnp.where(here, about_cuts - force[None], about_cuts)
+    about_cuts = jnp.abs(about_cuts) * revolute[n:].astype(float)
     return jnp.max(jnp.concatenate([along, about_cuts]), initial=0.0)
 
 
@@ -216,11 +223,20 @@ def cut_drift(cuts: Closure | None, scale: algebra.Scalar) -> tuple[Float[Array,
         return jnp.zeros(()), jnp.zeros(())
     distances, turns = [], []
     for group in cuts.groups:
-        of_centres, of_axes = group.residual[: group.n_centres], group.residual[group.n_centres :]
+        of_centres, of_axes = _held_apart(group)
         distances.append(equations.safe_sqrt(jnp.max(jnp.sum(of_centres**2, axis=0))))
         if of_axes.shape[0]:
             turns.append(jnp.max(jnp.abs(of_axes)) / scale)
     return _largest(distances), _largest(turns)
+
+
+def _held_apart(group: Constraints) -> tuple[Float[Array, "r n"], Float[Array, "s n"]]:
+    """Residuals [m] of the equations of centres and of axes, but those that are laws of springs."""
+    r = group.n_centres
+    if not any(group.sprung):
+        return group.residual[:r], group.residual[r:]
+    rigid = np.flatnonzero(~np.array(group.sprung))
+    return group.residual[rigid[rigid < r]], group.residual[rigid[rigid >= r]]
 
 
 def _largest(values: list[Float[Array, ""]]) -> Float[Array, ""]:

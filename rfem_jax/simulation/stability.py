@@ -16,6 +16,7 @@ from jaxtyping import Complex
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.methods import FixedStepMethod, Method
 from rfem_jax.mechanics.discretisation import CLOSING_TOLERANCE, close_at
+from rfem_jax.mechanics.friction import require_implicit
 from rfem_jax.mechanics.model import Model
 from rfem_jax.simulation.driving import Drive, prescribed_coordinates, require_driven
 from rfem_jax.simulation.stabilisation import stabilisation_of
@@ -34,6 +35,7 @@ def check_step(model: Model, method: Method, drive: Drive = None) -> float | Non
 
     **Raises:** `InputError` if the method's step is larger, and for a drive of another joint than the driven one.
     """
+    require_implicit(model, method.name, method.implicit or method.name == "auto")
     if method.implicit or method.step is None or not _stability_known(method):
         return None
     limit = largest_stable_step(model, method, drive)

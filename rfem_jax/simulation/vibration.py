@@ -14,10 +14,12 @@ Lanczos' method with sparse matrices (ARPACK), in memory proportional to the num
 
 The stiffness due to gravity and to the forces at rest is neglected beside that of the springs.  For a mechanism of
 rigid links, which has no other, the accelerations are differentiated by central differences.  Springs, dampers and laws
-of joints, and between points, enter with their derivatives at the position, as far as these do not drive the motion.
+of joints, their friction, and springs between points enter with their derivatives at the position, as far as these do
+not drive the motion.
 """
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -30,7 +32,9 @@ from rfem_jax.compilation.program import Program
 from rfem_jax.description.joint_kinds import JointKind
 from rfem_jax.mechanics.cut_joints import RANK_TOLERANCE
 from rfem_jax.mechanics.frame_forces import START, FrameForce, Pose
-from rfem_jax.mechanics.joint_laws import law_slopes
+from rfem_jax.mechanics.friction_laws import Friction
+from rfem_jax.mechanics.joint_laws import JointLaw, law_slopes
+from rfem_jax.mechanics.joint_springs import CompliantSpring, diagonal_tangent
 from rfem_jax.mechanics.model import BASE, Model, Topology
 from rfem_jax.mechanics.model_with_errors import apply_errors, assembly_errors
 from rfem_jax.mechanics.nominal_geometry import (
@@ -49,6 +53,10 @@ SAMPLES = 400  # frequencies that stand for the modes below the stiffest one
 DIFFERENCE = 1e-5  # rad
 SMALLEST_INERTIA = 1e-15  # of a body, over its mass times the square of the longest link
 RIDGE = 1e-13  # added to a matrix with unit diagonal that may be singular
+
+
+# The nodes on both sides of a joint with their signs, and the row (6,) that gives a rate from the twist over the joint.
+Reader = tuple[tuple[tuple[int, float], ...], np.ndarray]
 
 
 class Modes(NamedTuple):
@@ -95,14 +103,16 @@ class Vibration:
             (stretch.T @ sparse.diags(np.where(damping == rate, springs, 0.0)) @ stretch).tocsr() for rate in self.rates
         ]
         self.before: list[np.ndarray | None] = [None] * len(self.rates)
-        self.forces = {} if model.forces is None else model.forces
+        self.forces: dict[str, JointLaw | Friction] = {**(model.forces or {}), **(model.friction or {})}
         self.elements = [] if model.frame_forces is None else list(model.frame_forces.values())
-        self.sprung = bool(self.forces) or any(element.components for element in self.elements)
+        self.bearings = [] if model.springs is None else list(model.springs.values())
+        elements = any(element.components for element in self.elements)
+        self.sprung = bool(self.forces) or bool(self.bearings) or elements
 
     def modes(self, joints: Float[np.ndarray, " numbers"]) -> Modes:
         """The modes at a position of the joints, links undeformed."""
         placed = place(self.geometry, joints)
-        if self.topology.n_rfes == 0:
+        if self.topology.n_rfes == 0 and not self.bearings:
             return self._rigid(np.asarray(joints))
         constraints = sparse.csr_matrix(self._constraints(placed) @ self.inverse_root)
         joint_rows, stiffness, damping = self._at_joints(np.asarray(joints), placed)
@@ -126,26 +136,36 @@ class Vibration:
         """Of the springs, dampers and laws of joints: rows (laws, 6 n) that give the rates of their coordinates from
         the velocities L^T w of all nodes, stiffness and damping at a position, zero where they are negative."""
         laws = list(self.forces.values())
-        rows = self._coordinate_rates(placed, [law.coordinate for law in laws])
-        slopes = [law_slopes(law, joints[law.place], 0.0) for law in laws]
-        stiffness, damping = np.maximum(-np.array(slopes, float).reshape(-1, 2).T, 0.0)
-        return rows @ self.inverse_root, stiffness, damping
+        readers = [self._reader(law, placed) for law in laws]
+        slopes = [-np.array(law_slopes(law, _position(law, joints), 0.0), float) for law in laws]
+        for spring in self.bearings:
+            readers += [self._coordinate_reader(k, placed) for k in spring.coordinates]
+            readers += [self._closure_reader(k, placed) for k in spring.rows]
+            slopes += self._slopes(spring)
+        stiffness, damping = np.maximum(np.array(slopes, float).reshape(-1, 2).T, 0.0)
+        return self._relative_rates(placed, readers) @ self.inverse_root, stiffness, damping
+
+    def _slopes(self, spring: CompliantSpring) -> list[np.ndarray]:
+        """Stiffness and damping of the coordinates, or rows [m], of a compliant joint's spring without load."""
+        zeros = jnp.zeros(len(spring.coordinates) or len(spring.rows))
+        exerted = spring.along
+        if spring.rows:
+            exerted = partial(spring.in_rows, scale=jnp.asarray(self.geometry.scale))
+        factors = ((1.0, 0.0), (0.0, 1.0))
+        return list(np.array([diagonal_tangent(exerted, zeros, zeros, *pair) for pair in factors]).T)
 
     def _coordinate_rates(self, placed: Placed, coordinates: Sequence[int]) -> np.ndarray:
         """Rows (k, 6 n) that give the rates of joint coordinates from the velocities of all nodes."""
-        rows = np.zeros((len(coordinates), self.size))
-        for row, k in zip(rows, coordinates, strict=True):
-            link = self.topology.link_of_freedom[k]
-            own = list(self.topology.coordinates[link])
-            # The coordinate's rate of a twist over the joint that keeps its constraints.
-            reader = np.linalg.pinv(placed.twists[own].T)[own.index(k)]
-            for node, sign in ((self.topology.parents[link], -1.0), (link, 1.0)):
+        return self._relative_rates(placed, [self._coordinate_reader(k, placed) for k in coordinates])
+
+    def _relative_rates(self, placed: Placed, readers: Sequence[Reader]) -> np.ndarray:
+        """Rows (k, 6 n) that give the rates of motions over joints from the velocities of all nodes."""
+        rows = np.zeros((len(readers), self.size))
+        for row, (sides, reader) in zip(rows, readers, strict=True):
+            for node, sign in sides:
                 if node == BASE:
                     continue
-                owner = self.topology.link_of(node)
-                along = self.geometry.rest[node - self.topology.n_links] if node >= self.topology.n_links else 0.0
-                rotation = placed.rotation[owner]
-                point = placed.origin[owner] + rotation @ [along, 0.0, 0.0]
+                rotation, point = node_place(self.geometry, placed, node)
                 # Twist at the global origin of velocities in link axes at the node's point.
                 row[6 * node : 6 * node + 3] += sign * (reader[:3] + np.cross(reader[3:], point)) @ rotation
                 row[6 * node + 3 : 6 * node + 6] += sign * reader[3:] @ rotation
@@ -189,9 +209,59 @@ class Vibration:
 
         return principal(1.0, 0.0), principal(0.0, 1.0)
 
+    def _reader(self, law: JointLaw | Friction, placed: Placed) -> Reader:
+        """How to read the rate of a law's motion."""
+        if law.coordinate is not None:
+            return self._coordinate_reader(law.coordinate, placed)
+        assert isinstance(law, Friction), "only friction is in cut joints"
+        topology = self.topology
+        axis = placed.joint_rotation[law.joint][:, law.component % 3]
+        reader = np.concatenate([axis, np.zeros(3)])
+        if law.component < 3:
+            reader = np.concatenate([np.cross(placed.child_centre[law.joint], axis), axis])
+        return ((topology.parents[law.joint], -1.0), (topology.children[law.joint], 1.0)), reader
+
+    def _coordinate_reader(self, k: int, placed: Placed) -> Reader:
+        """How to read the rate of a joint coordinate."""
+        link = self.topology.link_of_freedom[k]
+        own = list(self.topology.coordinates[link])
+        # The coordinate's rate of a twist over the joint that keeps its constraints.
+        reader = np.linalg.pinv(placed.twists[own].T)[own.index(k)]
+        return ((self.topology.parents[link], -1.0), (link, 1.0)), reader
+
+    def _closure_reader(self, equation: int, placed: Placed) -> Reader:
+        """How to read the rate of a closure equation [m] of a compliant cut joint."""
+        topology = self.topology
+        joint = next(j for j, rows in zip(topology.cuts, topology.constraints, strict=True) if equation in rows)
+        kind, left = topology.kind(joint).nominal, placed.joint_rotation[joint]
+        at = equation - topology.constraints[joint - topology.n_links].start
+        if at < len(kind.across):
+            force = left[:, kind.across[at]]
+            reader = np.concatenate([np.cross(placed.child_centre[joint], force), force])
+        else:
+            a, b = kind.perpendicular[at - len(kind.across)]
+            couple = self.geometry.scale * np.cross(placed.child_rotation[joint][:, b], left[:, a])
+            reader = np.concatenate([couple, np.zeros(3)])
+        return ((topology.parents[joint], -1.0), (topology.children[joint], 1.0)), reader
+
+    def _by_joint_rates(self, law: JointLaw | Friction, placed: Placed) -> np.ndarray:
+        """Row (F,) that gives the rate of a law's motion from those of the joint coordinates."""
+        row = np.zeros(self.topology.n_freedoms)
+        if law.coordinate is not None:
+            row[law.coordinate] = 1.0
+            return row
+        sides, reader = self._reader(law, placed)
+        for node, sign in sides:
+            while node != BASE:
+                link = self.topology.link_of(node)
+                for k in self.topology.coordinates[link]:
+                    row[k] += sign * reader @ placed.twists[k]
+                node = self.topology.parents[link]
+        return row
+
     def _all(self, constraints: np.ndarray, by_springs: np.ndarray, by_dampers: np.ndarray) -> Modes:
         _, singular, rows = np.linalg.svd(_unit_rows(constraints))
-        free = rows[np.sum(singular > RANK_TOLERANCE * singular[0]) :]
+        free = rows[np.sum(singular > RANK_TOLERANCE * singular.max(initial=0.0)) :]
         # Singular values of the root of the stiffness matrix: the low frequencies of stiff links keep their digits.
         stretch = self.root @ free.T
         if self.sprung:
@@ -242,7 +312,8 @@ class Vibration:
         unloaded = self._joint_accelerations(joints, np.zeros(self.size))
         rows, _, dampings = self._at_joints(joints, placed)
         for law, row, damping in zip(self.forces.values(), rows, dampings, strict=True):
-            by_rate[:, law.coordinate] += damping * (self._joint_accelerations(joints, row) - unloaded)
+            response = self._joint_accelerations(joints, row) - unloaded
+            by_rate += np.outer(damping * response, self._by_joint_rates(law, placed))
         velocities = self._unit_velocities(placed)
         for element in self.elements:
             for row, damping in zip(*self._principal(placed, element)[1], strict=True):
@@ -266,7 +337,7 @@ class Vibration:
     def _spring_load(self, joints: np.ndarray, placed: Placed) -> np.ndarray:
         """Load (6 n,) of springs and laws at a position of rest, as `inverse_root` transforms it."""
         zero = jnp.zeros(())
-        forces = [float(law.force(jnp.asarray(joints[law.place]), zero)) for law in self.forces.values()]
+        forces = [float(law.force(jnp.asarray(_position(law, joints)), zero)) for law in self.forces.values()]
         load = np.array(forces) @ self._at_joints(joints, placed)[0] if forces else np.zeros(self.size)
         for element in self.elements:
             pose, rows = self._pose(placed, element)
@@ -329,6 +400,11 @@ class Vibration:
         if not others:
             return matrix
         return sparse.csr_matrix(sparse.vstack([matrix, sparse.csr_matrix(self._coordinate_rates(placed, others))]))
+
+
+def _position(law: JointLaw | Friction, joints: np.ndarray) -> float:
+    """Position of a law's joint; friction in a cut joint depends on none."""
+    return 0.0 if law.place is None else joints[law.place]
 
 
 def _fixed_directions(kind: JointKind, left: np.ndarray, right: np.ndarray) -> np.ndarray:

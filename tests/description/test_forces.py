@@ -4,7 +4,18 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax import Joint, JointForceFunction, JointForceTable, JointSpring, Link, Mechanism, Rectangle, load_study
+from rfem_jax import (
+    Compliance,
+    Joint,
+    JointForceFunction,
+    JointForceTable,
+    JointFriction,
+    JointSpring,
+    Link,
+    Mechanism,
+    Rectangle,
+    load_study,
+)
 from tests.mechanisms import STEEL
 
 from .test_study_files import FULL
@@ -28,6 +39,18 @@ joint = "B"
 positions = [0, "90 deg"]
 forces = [0, "1.5 N m"]
 motion = "R_y"
+[[mechanism.forces]]
+kind = "friction"
+name = "bearing"
+joint = "D"
+coefficient = "15 %"
+radius = "8 mm"
+length = 0.02
+constant = "20 N mm"
+viscous = 1e-3
+sliding_rate = "10 rpm"
+law = "brown_mcphee"
+static_coefficient = 0.2
 """
 
 
@@ -83,6 +106,47 @@ def test_forces_that_do_not_fit_their_joint_are_refused(refused, force, pieces):
         mechanism(force)
 
 
+SLIDING = {"constant": 1.0, "sliding_rate": 0.1}
+LOADED = {"coefficient": 0.1, "sliding_rate": 0.1}
+
+
+@pytest.mark.parametrize(
+    "friction, pieces",
+    [
+        (JointFriction("f", "S", **SLIDING), ("`joint` of force `f`", "`S` is spherical")),
+        (JointFriction("f", "F", viscous=1.0), ("`joint` of force `f`", "`F` is fixed")),
+        (JointFriction("f", "B", viscous=1.0), ("`joint` of force `f`", "`B` is none")),
+        (JointFriction("f", "C", **SLIDING), ("`motion` of force `f`", '"R_y", "T_y"')),
+        (JointFriction("f", "A", constant=1.0), ("`sliding_rate` of force `f`", "is missing")),
+        (JointFriction("f", "A", **LOADED), ("`radius` of force `f`", "radius of the pin")),
+        (JointFriction("f", "P", radius=0.1, **LOADED), ("`radius` of force `f`", "a rotation")),
+        (JointFriction("f", "P", length=0.1, **SLIDING), ("`length` of force `f`", "`coefficient`")),
+        (JointFriction("f", "A", viscous=1.0, sliding_rate=0.1), ("`sliding_rate` of force `f`", "not used")),
+        (JointFriction("f", "A", static_constant=2.0, **SLIDING), ("`static_constant` of force `f`", "brown_mcphee")),
+        (JointFriction("f", "A", static_constant=0.5, law="brown_mcphee", **SLIDING), ("at least `constant` (1)",)),
+        (JointFriction("f", "P", constant="1 N m", sliding_rate=0.1), ("`constant` of force `f`", "a force")),
+        (JointFriction("f", "P", constant=1.0, sliding_rate="1 rpm"), ("`sliding_rate` of force `f`", "a speed")),
+        (JointFriction("f", "A", constant=-1.0, sliding_rate=0.1), ("`constant` of force `f`", "negative")),
+        (JointFriction("f", "A", constant=1.0, sliding_rate=0.0), ("`sliding_rate` of force `f`",)),
+    ],
+)
+def test_friction_that_does_not_fit_its_joint_is_refused(refused, friction, pieces):
+    with refused(*pieces):
+        mechanism(friction)
+
+
+def test_friction_about_an_axis_whose_tilt_is_sprung_is_refused_in_the_tree(refused):
+    links, friction = [Link("a", 0.1, BAR, STEEL, rigid=True)], JointFriction("f", "A", **SLIDING)
+    with refused("`joint` of force `f`", "the tilt of `A` is sprung"):
+        Mechanism(links, [Joint("A", "base", "a", compliance=Compliance(tilt=1.0))], forces=[friction])
+    Mechanism(links, [Joint("A", "base", "a", compliance=Compliance(radial=1.0))], forces=[friction])
+
+
+def test_an_unknown_law_of_friction_is_refused(refused):
+    with refused("`law` of force `f`", '"tanh"'):
+        JointFriction("f", "A", law="tan", **SLIDING)
+
+
 def test_a_joint_without_a_free_motion_has_no_force(refused):
     links = [Link("a", 0.1, BAR, STEEL, rigid=True)]
     with refused("`joint` of force `k`", "`F` is fixed"):
@@ -112,9 +176,12 @@ def test_functions_are_checked(refused, function, pieces):
 def test_forces_of_a_study_file(tmp_path):
     path = tmp_path / "study.toml"
     path.write_text(with_forces(FORCES), encoding="utf-8")
-    spring, cam = load_study(path).mechanism.forces
+    spring, cam, bearing = load_study(path).mechanism.forces
     np.testing.assert_allclose([spring.stiffness, spring.rest, spring.preload], [360.0 / np.pi, np.pi / 18.0, -0.03])
     np.testing.assert_allclose([*cam.positions, *cam.forces], [0.0, np.pi / 2.0, 0.0, 1.5])
+    found = bearing.coefficient, bearing.radius, bearing.constant, bearing.sliding_rate, bearing.static_coefficient
+    np.testing.assert_allclose(found, [0.15, 0.008, 0.02, np.pi / 3.0, 0.2])
+    assert (bearing.joint, bearing.motion, bearing.static_constant) == ("D", "R_y", None)
 
 
 @pytest.mark.parametrize(

@@ -143,6 +143,7 @@ def synthetic_run(size, status=0):
         centre_lines={link: line + (0.0 if link == "crank" else size) * bend for link, line in nominal.items()},
         nominal_lines=nominal,
         branch={"C": np.where(times < 0.2, 1.0, -1.0)},
+        friction_losses={},
     )
 
 

@@ -12,8 +12,9 @@ pytest.importorskip("matplotlib", reason="pictures need the extra `plots`")
 import matplotlib
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.image import imread
+from matplotlib.path import Path
 
-from rfem_jax.description import Joint
+from rfem_jax.description import Compliance, Joint
 from rfem_jax.report.figures import component_figure, draw_figures, shown_joints, write_figures
 from rfem_jax.report.output import write_pictures
 from rfem_jax.report.quantities import RMS_MOMENT
@@ -231,6 +232,15 @@ def test_an_arm_joins_the_axis_and_the_joint(ternary, study, runs):
     arms = [np.stack(line.get_data_3d(), axis=1) for line in figure.axes[0].lines if line.get_linewidth() == 1.2]
     arms = [arm for arm in arms if len(arm) == 2 and np.ptp(arm[:, 2]) > 0.05]
     assert any(np.allclose(arm, [[0.17, 0.0, 0.12], [0.17, 0.0, 0.18]]) for arm in arms)
+
+
+def test_a_compliant_joint_is_marked_by_a_coil(study, runs):
+    joints = [replace(j, compliance=Compliance(radial=1e8) if j.name in "BC" else None) for j in study.mechanism.joints]
+    made = replace(study, mechanism=replace(study.mechanism, joints=joints))
+    drawn = assembly_figure(made, {"P2": runs["P2"]}).axes[0].lines
+    paths = [line for line in drawn if isinstance(line.get_marker(), Path) and len(line.get_marker().vertices) == 9]
+    coils = [np.stack(line.get_data_3d(), axis=1)[0] for line in paths]
+    np.testing.assert_allclose([coil[[0, 2]] for coil in coils], [[0.0, 0.12], [0.244, 0.295]], atol=1e-3)
 
 
 def test_no_label_of_the_assembly_is_clipped(study, runs):

@@ -24,7 +24,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from rfem_jax.mechanics import algebra
 from rfem_jax.mechanics.algebra import (
@@ -39,9 +39,11 @@ from rfem_jax.mechanics.algebra import (
 )
 from rfem_jax.mechanics.cut_joints import Closure, invert_closure, unit_columns
 from rfem_jax.mechanics.element_loads import ElementTangents
+from rfem_jax.mechanics.friction import joint_wrenches
 from rfem_jax.mechanics.implicit.block_tridiagonal import solve
 from rfem_jax.mechanics.implicit.condensation import LinkOperator, root_inertia
 from rfem_jax.mechanics.implicit.residual import Residual
+from rfem_jax.mechanics.joint_forces import CutForces
 from rfem_jax.mechanics.kinematics import Motion
 from rfem_jax.mechanics.model import BASE, Coordinates, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
@@ -110,11 +112,36 @@ class Response(NamedTuple):
 
 class ClosureMatrix(NamedTuple):
     """Of the cut joints: units, wrenches (6, constraints) of unit multipliers by node; responses to them; inverse
-    of the multipliers' matrix."""
+    of the multipliers' matrix; springs: of compliant cut joints, None without any.  Friction in cut joints has further
+    columns (theory (12.7))."""
 
     units: dict[int, Float[Array, "6 multipliers"]]
     responses: Response
     inverse: Float[Array, "multipliers multipliers"]
+    springs: "SpringRows | None" = None
+
+    def solve(self, rows: Array, closing: Array) -> Float[Array, " multipliers"]:
+        """Increments of the multipliers for which the closure equations vanish: `rows`, second derivatives of Phi by
+        the increments of the accelerations without them, and `closing` (`Residual`)."""
+        if self.springs is None:
+            return -apply(self.inverse, closing + rows)
+        sprung, root, matrix = self.springs
+        exerted = jnp.where(sprung, -closing, 0.0)
+        rows = rows + apply(matrix, exerted)
+        return exerted - root * apply(self.inverse, root * rows + jnp.where(sprung, 0.0, closing))
+
+
+class SpringRows(NamedTuple):
+    """Which multipliers are those of springs; by row the root of the springs' tangent, 1 where there is none; the
+    multipliers' matrix (theory (13.9))."""
+
+    sprung: Bool[Array, " multipliers"]
+    root: Float[Array, " multipliers"]
+    matrix: Float[Array, "multipliers multipliers"]
+
+    def scaled(self) -> Float[Array, "multipliers multipliers"]:
+        """The matrix that is inverted."""
+        return self.root[:, None] * self.matrix * self.root[None] + jnp.diag(self.sprung.astype(float))
 
 
 class ElementMatrix(NamedTuple):
@@ -151,10 +178,13 @@ def iteration_matrix(
     held: tuple[int, ...] = (),
     joint_tangent: dict[int, Float[Array, ""]] | None = None,
     element_tangent: ElementTangents | None = None,
+    row_tangent: Float[Array, " multipliers"] | None = None,
+    cut_tangent: CutForces | None = None,
 ) -> IterationMatrix:
     """Factor the iteration matrix at one position; `held`: joint coordinates that are given; `joint_tangent`: minus the
     derivatives of forces along joint coordinates with respect to their accelerations; `element_tangent`: of force
-    elements likewise."""
+    elements, `cut_tangent`: of friction in cut joints, likewise; `row_tangent`: of springs of cut joints, from
+    `spring_row_tangent`."""
     with jax.named_scope("iteration_matrix"):
         topology = actual.topology
         links = _eliminate(actual, operators, motion, held, joint_tangent or {})
@@ -166,13 +196,27 @@ def iteration_matrix(
         points = _points(topology, motion)
         sides = topology.parents[topology.n_links :] + topology.children[topology.n_links :]
         units = {node: unit_columns(topology, cuts, node, points[node]) for node in sorted(set(sides)) if node != BASE}
-        columns = topology.n_constraints
+        of_friction = _friction_columns(topology, cuts, points, cut_tangent or {})
+        units = {node: jnp.concatenate([unit, *of_friction.get(node, ())], axis=1) for node, unit in units.items()}
+        columns = topology.n_constraints + len(cut_tangent or {})
         joint_loads = jnp.zeros((topology.n_freedoms, columns))
         responses = _respond(topology, links, joint_loads, {}, {}, units, columns)
         responses = _with_elements(topology, elements, responses)
         rows = sum(product(transpose(unit), _of_node(topology, responses, node)) for node, unit in units.items())
-        inverse = invert_closure(topology, jnp.asarray(rows))
-        return IterationMatrix(operators, links, ClosureMatrix(units, responses, inverse), elements)
+        if cut_tangent:
+            rows = rows + np.diag(np.arange(columns) >= topology.n_constraints).astype(float)
+        rows = jnp.asarray(rows)
+        springs = None if row_tangent is None else _spring_rows(topology, rows, row_tangent)
+        inverse = invert_closure(topology, rows if springs is None else springs.scaled())
+        return IterationMatrix(operators, links, ClosureMatrix(units, responses, inverse, springs), elements)
+
+
+def _spring_rows(topology: Topology, rows: Array, row_tangent: Array) -> SpringRows:
+    sprung = np.array(topology.sprung_rows)
+    if (more := rows.shape[0] - topology.n_constraints) > 0:  # columns of friction come last
+        sprung = np.append(sprung, np.zeros(more, bool))
+        row_tangent = jnp.concatenate([row_tangent, jnp.zeros(more)])
+    return SpringRows(jnp.asarray(sprung), jnp.where(sprung, jnp.sqrt(row_tangent), 1.0), rows)
 
 
 def _element_matrix(
@@ -202,6 +246,27 @@ def _with_elements(topology: Topology, elements: ElementMatrix | None, response:
     return jax.tree.map(lambda a, b: a + product(b, exerted), response, by_element)
 
 
+def _friction_columns(
+    topology: Topology, cuts: Closure, points: dict[int, Array], cut_tangent: CutForces
+) -> dict[int, list[Array]]:
+    """Columns (6, 1) of forces in cut joints by node, times the square roots of their tangents.
+
+    With force f = -D a for a relative acceleration a = u^T A of tangent D, the scaled force f / sqrt(D) is a further
+    multiplier of u sqrt(D), whose row has a one on the diagonal; D may be zero.
+    """
+    found: dict[int, list[Array]] = {}
+    for key, tangent in cut_tangent.items():
+        joint, wrench = next(iter(joint_wrenches(topology, cuts, {key: jnp.sqrt(tangent)}).items()))
+        sides: dict[int, Array] = {}
+        for node, sign in ((topology.parents[joint], -1.0), (topology.children[joint], 1.0)):
+            if node != BASE:
+                moved = algebra.spatial(wrench[:3] - cross(points[node], wrench[3:]), wrench[3:])
+                sides[node] = sides.get(node, 0.0) + sign * moved
+        for node in {*topology.parents[topology.n_links :], *topology.children[topology.n_links :]} - {BASE}:
+            found.setdefault(node, []).append(sides.get(node, jnp.zeros(6))[:, None])
+    return found
+
+
 def newton_increment(topology: Topology, matrix: IterationMatrix, residual: Residual) -> NewtonIncrement:
     """Increments of accelerations and multipliers for which the linearised residual vanishes."""
     return increment_and_wrenches(topology, matrix, residual)[0]
@@ -223,10 +288,14 @@ def increment_and_wrenches(
         response = jax.tree.map(lambda x: x[:, 0], applied)
         multipliers = jnp.zeros_like(residual.closing)
         if matrix.closure is not None:
-            units, by_multipliers, inverse = matrix.closure
+            units, by_multipliers = matrix.closure.units, matrix.closure.responses
             rows = sum(apply_transposed(unit, _of_node(topology, response, node)) for node, unit in units.items())
-            multipliers = -apply(inverse, residual.closing + rows)
+            closing = residual.closing
+            if (more := matrix.closure.inverse.shape[0] - topology.n_constraints) > 0:
+                closing = jnp.concatenate([closing, jnp.zeros(more)])
+            multipliers = matrix.closure.solve(jnp.asarray(rows), closing)
             response = jax.tree.map(lambda a, b: a + apply(b, multipliers), response, by_multipliers)
+            multipliers = multipliers[: topology.n_constraints] if more > 0 else multipliers
         elastic = _elastic_accelerations(topology, matrix, loads, response)
         increment = NewtonIncrement(Coordinates(response.joints, elastic), multipliers)
         return increment, _wrenches(matrix.links, response)

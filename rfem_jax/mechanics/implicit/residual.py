@@ -18,10 +18,11 @@ from jaxtyping import Float
 
 from rfem_jax.mechanics import algebra, loads
 from rfem_jax.mechanics.algebra import Scalar, apply, apply_transposed, cross, dot
-from rfem_jax.mechanics.cut_joints import Closure, closure
+from rfem_jax.mechanics.cut_joints import Closure, closure, spring_residual
 from rfem_jax.mechanics.dynamics import total_dissipated
 from rfem_jax.mechanics.element_loads import FrameLoads, frame_loads
 from rfem_jax.mechanics.elements.elasticity import generalised_forces
+from rfem_jax.mechanics.friction import cut_forces, cut_friction, tree_friction, with_friction
 from rfem_jax.mechanics.inputs import DriveInput
 from rfem_jax.mechanics.joint_forces import LawForces, applied_forces, by_coordinate, law_forces
 from rfem_jax.mechanics.kinematics import Motion, by_freedom, motion_of, spread
@@ -31,7 +32,8 @@ from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 
 class Residual(NamedTuple):
     """Residual of the equations of motion: hinge (F,) [N m, N]; force [N], moment [N m] (3, N) on the free rfes;
-    closing [m/s^2]: second derivative of Phi, zero in a solution."""
+    closing [m/s^2]: second derivative of Phi, zero in a solution; in the places of springs of cut joints multipliers
+    less what these exert [N]."""
 
     hinge: Float[Array, " freedoms"]
     force: Float[Array, "3 rfes"]
@@ -44,7 +46,8 @@ class Evaluation(NamedTuple):
 
     hinge (F,): drive minus load along every coordinate of the tree joints [N m, N]; force, moment (3, N): on the
     free rfes at their middles, in link axes and about the axes of the angles' rates [N, N m]; closing,
-    closing_rate, closing_acceleration: Phi [m] and its derivatives; angular, linear (3, nodes):
+    closing_rate, closing_acceleration: Phi [m] and its derivatives, but in closing and closing_acceleration multipliers
+    less what springs of cut joints exert [N] in the places of these; angular, linear (3, nodes):
     accelerations of the nodes in link axes; motion, closure, multipliers: what it was computed from;
     wrenches (6,): of all joints at the global origin; dissipated [W]: power of the dampers; laws: forces of springs
     and laws along joint coordinates, None without any; frame_loads: what force elements exert, likewise.
@@ -93,30 +96,40 @@ def evaluate_residual(
         angular, linear = _node_accelerations(topology, motion, spatial, accelerations)
         at_nodes = frame_loads(actual, motion, drive.time)
         inertial = loads.beyond_elements(loads.inertial_loads(actual, motion, angular, linear), at_nodes)
-        wrenches = loads.chain_wrenches(actual, motion, cuts, multipliers, inertial)
+        in_cuts = cut_friction(actual, motion, cuts, multipliers)
+        wrenches = loads.chain_wrenches(actual, motion, cuts, multipliers, inertial, cut_forces(actual, in_cuts))
         hinge = -dot(motion.axis, by_freedom(topology, jnp.stack(wrenches[:n], axis=1)))
-        laws = law_forces(actual, state)
-        applied = applied_forces(drive, laws)
+        laws = with_friction(
+            actual, law_forces(actual, state), in_cuts | tree_friction(actual, state, motion, wrenches)
+        )
+        applied = applied_forces(topology, state.position, drive, laws)
         if applied:
             hinge = hinge + by_coordinate(topology, applied)
         elastic, dissipated = generalised_forces(actual, state, motion.relative)
         on_force, on_moment = _interface_loads(topology, motion, wrenches)
         moment = apply_transposed(motion.relative.rate_matrix, on_moment - inertial[1][:, n:])
-        zeros = jnp.zeros((0,))
+        force = elastic[:3] + on_force - inertial[0][:, n:]
+        moment = elastic[3:] + moment
+        closing = closing_rate = closing_acceleration = jnp.zeros((0,))
+        if cuts is not None:
+            closing = spring_residual(topology, cuts, multipliers, cuts.residual)
+            closing_rate = cuts.rate
+            closing_acceleration = cuts.bias + _closing_acceleration(topology, cuts, spatial)
+            closing_acceleration = spring_residual(topology, cuts, multipliers, closing_acceleration)
         return Evaluation(
             hinge=hinge,
-            force=elastic[:3] + on_force - inertial[0][:, n:],
-            moment=elastic[3:] + moment,
-            closing=zeros if cuts is None else cuts.residual,
-            closing_rate=zeros if cuts is None else cuts.rate,
-            closing_acceleration=zeros if cuts is None else cuts.bias + _closing_acceleration(topology, cuts, spatial),
+            force=force,
+            moment=moment,
+            closing=closing,
+            closing_rate=closing_rate,
+            closing_acceleration=closing_acceleration,
             angular=angular,
             linear=linear,
             motion=motion,
             closure=cuts,
             multipliers=multipliers,
             wrenches=wrenches,
-            dissipated=total_dissipated(dissipated, laws, at_nodes),
+            dissipated=total_dissipated(dissipated, laws, at_nodes, cuts),
             laws=laws,
             frame_loads=at_nodes,
         )

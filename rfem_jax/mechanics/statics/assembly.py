@@ -25,12 +25,12 @@ from rfem_jax.compilation.program import Program
 from rfem_jax.description.errors import InputError, suggestion
 from rfem_jax.mechanics import loads
 from rfem_jax.mechanics.algebra import Scalar, apply_transposed, cross, dot
-from rfem_jax.mechanics.cut_joints import closure
+from rfem_jax.mechanics.cut_joints import closure, spring_residual, spring_row_tangent
 from rfem_jax.mechanics.element_loads import element_tangents, frame_loads
 from rfem_jax.mechanics.elements import elasticity
 from rfem_jax.mechanics.implicit.residual import Residual
 from rfem_jax.mechanics.inputs import DriveInput
-from rfem_jax.mechanics.joint_forces import applied_forces, by_coordinate, law_forces, law_tangent
+from rfem_jax.mechanics.joint_forces import about_parents_axes, applied_forces, by_coordinate, law_forces, law_tangent
 from rfem_jax.mechanics.kinematics import by_freedom, motion_of, range_used
 from rfem_jax.mechanics.model import Coordinates, Model, State, Topology
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors, ModelWithErrors, apply_errors, assembly_errors
@@ -99,7 +99,9 @@ def held_angles(model: Model, hold: Mapping[str, ArrayLike] | None) -> dict[int,
     if hold is None:
         return {k: model.start_joints[topology.place_of(k)] for k in topology.held}
     _require_tree_joints(model, hold)
-    return {topology.coordinates[topology.joints.index(name)][0]: jnp.asarray(value) for name, value in hold.items()}
+    return {
+        topology.own_coordinates[topology.joints.index(name)][0]: jnp.asarray(value) for name, value in hold.items()
+    }
 
 
 def _require_tree_joints(model: Model, names: Iterable[str]) -> None:
@@ -110,7 +112,7 @@ def _require_tree_joints(model: Model, names: Iterable[str]) -> None:
             raise InputError(
                 f"Argument `hold` must name joints of the tree, but has {name!r}; {suggestion(name, tree)}"
             )
-        kind = model.topology.kind(tree.index(name))
+        kind = model.topology.kind(tree.index(name)).nominal
         if len(kind.freedoms) != 1:
             raise InputError(
                 f"Argument `hold` must name joints with one coordinate, but {name!r} is {kind.name} and has "
@@ -145,15 +147,19 @@ class _Scaled(NamedTuple):
         return unknowns[self.units.size :] * self.force
 
     def residual(self, forces: Coordinates, closing: Array) -> Array:
-        """Flat, of generalised forces and closing [m]."""
+        """Flat, of generalised forces and closing [m] (of springs [N])."""
         works = ravel_pytree(forces)[0] * self.units / (self.force * self.length)
-        return jnp.concatenate([works, closing / self.length])
+        return jnp.concatenate([works, closing / self._unit_of_closing()])
 
     def unscaled(self, residual: Array) -> tuple[Coordinates, Array]:
-        """Generalised forces and closing [m] of a flat residual."""
+        """Generalised forces and closing [m] (of springs [N]) of a flat residual."""
         works, closing = residual[: self.units.size], residual[self.units.size :]
         forces = self.unravel(works * (self.force * self.length) / self.units)
-        return forces, closing * self.length
+        return forces, closing * self._unit_of_closing()
+
+    def _unit_of_closing(self) -> Array:
+        sprung = self.topology.sprung_rows
+        return jnp.where(np.array(sprung), self.force, self.length) if sprung else self.length
 
 
 def _scaled(model: Model, actual: ModelWithErrors) -> _Scaled:
@@ -305,15 +311,20 @@ def _rows(scaled: _Scaled, actual: ModelWithErrors) -> Array:
     of_joints = jnp.full(topology.n_freedoms, scaled.force * scaled.length)
     if any(topology.slides):
         of_joints = of_joints / scaled.units[: topology.n_freedoms]
-    if actual.forces is not None:
+    closing = jnp.full(topology.n_constraints, scaled.length)
+    if actual.forces is not None or topology.sprung:
         at_rest = loads.static_state(topology, scaled.coordinates(jnp.zeros(len(scaled.units))))
-        of_laws = by_coordinate(topology, law_tangent(actual, at_rest, 1.0, 0.0))
-        of_joints = of_joints + of_laws * scaled.units[: topology.n_freedoms]
+        if of_laws := law_tangent(actual, at_rest, 1.0, 0.0):
+            of_joints = of_joints + by_coordinate(topology, of_laws) * scaled.units[: topology.n_freedoms]
+        cuts = closure(actual, motion_of(actual, at_rest), scaled.length) if topology.sprung_rows else None
+        stiffness = spring_row_tangent(actual, cuts, scaled.length, 1.0, 0.0)
+        if stiffness is not None:
+            closing = jnp.where(np.array(topology.sprung_rows), stiffness * scaled.length + scaled.force, closing)
     of_rfes = jnp.einsum("kij,jk->ik", springs, one)
     if actual.frame_forces is not None:
         of_joints, of_rfes = _with_element_rows(scaled, actual, of_joints, of_rfes)
     forces = Coordinates(of_joints, of_rfes)
-    return scaled.residual(forces, jnp.full(topology.n_constraints, scaled.length))
+    return scaled.residual(forces, closing)
 
 
 def _with_element_rows(
@@ -335,7 +346,7 @@ def _static_residual(
     actual: ModelWithErrors, position: Coordinates, multipliers: Array, scale: Array
 ) -> tuple[Float[Array, " freedoms"], Float[Array, "6 rfes"], Float[Array, " constraints"]]:
     """Loads along the joint coordinates [N m, N], generalised forces on the free rfes [N, N m] and closure residuals
-    [m] of a mechanism at rest."""
+    [m] (of springs [N]) of a mechanism at rest."""
     topology = actual.topology
     n = topology.n_links
     state = loads.static_state(topology, position)
@@ -346,9 +357,9 @@ def _static_residual(
     force, moment = loads.beyond_elements(inertial, frame_loads(actual, motion, None))
     wrenches = loads.chain_wrenches(actual, motion, cuts, multipliers, (force, moment))
     hinge = dot(motion.axis, by_freedom(topology, jnp.stack(wrenches[:n], axis=1)))
-    applied = applied_forces(DriveInput(), law_forces(actual, state))
+    applied = applied_forces(topology, position, DriveInput(), law_forces(actual, state))
     if applied:
-        hinge = hinge - by_coordinate(topology, applied)
+        hinge = about_parents_axes(topology, position, hinge - by_coordinate(topology, applied))
     force, moment = -force[:, n:], -moment[:, n:]
     for j, (left, right) in enumerate(zip(topology.parents, topology.children)):
         for node, sign in ((left, -1.0), (right, 1.0)):
@@ -364,7 +375,8 @@ def _static_residual(
                 moment = moment + apply_transposed(rotation, on_moment)[:, None] * there
     external = jnp.concatenate([force, apply_transposed(motion.relative.rate_matrix, moment)])
     elastic, _ = elasticity.generalised_forces(actual, state, motion.relative)
-    return hinge, external + elastic, jnp.zeros((0,)) if cuts is None else cuts.residual
+    closing = jnp.zeros((0,)) if cuts is None else spring_residual(topology, cuts, multipliers, cuts.residual)
+    return hinge, external + elastic, closing
 
 
 def static_loads(

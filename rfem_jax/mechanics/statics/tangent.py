@@ -12,12 +12,13 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jaxtyping import Float
 
 from rfem_jax.mechanics import loads
 from rfem_jax.mechanics.algebra import Scalar
-from rfem_jax.mechanics.cut_joints import closure
+from rfem_jax.mechanics.cut_joints import closure, spring_row_tangent
 from rfem_jax.mechanics.element_loads import element_tangents
 from rfem_jax.mechanics.implicit.condensation import link_operators
 from rfem_jax.mechanics.implicit.newton import IterationMatrix, iteration_matrix, newton_increment
@@ -54,16 +55,20 @@ def static_tangent(
     motion = motion_of(actual, state)
     of_laws = law_tangent(actual, state, q_factor, 0.0)
     of_elements = element_tangents(actual, motion, None, q_factor, 0.0)
-    matrix = iteration_matrix(actual, operators, motion, closure(actual, motion, scale), held, of_laws, of_elements)
+    cuts = closure(actual, motion, scale)
+    of_rows = spring_row_tangent(actual, cuts, scale, q_factor, 0.0)
+    matrix = iteration_matrix(actual, operators, motion, cuts, held, of_laws, of_elements, of_rows)
     return StaticTangent(matrix, q_factor)
 
 
 def static_increment(
     topology: Topology, tangent: StaticTangent, residual: Residual
 ) -> tuple[Coordinates, Float[Array, " constraints"]]:
-    """Increments of coordinates and multipliers for which the linearised residual (`closing` in m) vanishes;
-    coordinates held do not change."""
-    residual = residual._replace(closing=residual.closing / tangent.q_factor)
+    """Increments of coordinates and multipliers for which the linearised residual (`closing` in m, of springs in N)
+    vanishes; coordinates held do not change."""
+    sprung = topology.sprung_rows
+    unit = jnp.where(np.array(sprung), 1.0, tangent.q_factor) if sprung else tangent.q_factor
+    residual = residual._replace(closing=residual.closing / unit)
     increment = newton_increment(topology, tangent.matrix, residual)
     coordinates = jax.tree.map(lambda part: tangent.q_factor * part, increment.accelerations)
     return coordinates, increment.multipliers

@@ -46,10 +46,18 @@ from jaxtyping import Array, Bool, Float, PyTree
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.methods import GeneralisedAlphaMethod, Method
 from rfem_jax.mechanics import algebra, loads
-from rfem_jax.mechanics.cut_joints import closure
+from rfem_jax.mechanics.cut_joints import closure, spring_row_tangent
 from rfem_jax.mechanics.dynamics import total_dissipated
 from rfem_jax.mechanics.element_loads import element_tangents, frame_loads
 from rfem_jax.mechanics.elements.elasticity import dissipated_power
+from rfem_jax.mechanics.friction import (
+    cut_forces,
+    cut_friction,
+    friction_tangent,
+    losses,
+    tree_friction,
+    with_friction,
+)
 from rfem_jax.mechanics.implicit.condensation import LinkOperator, link_operators, present_operators
 from rfem_jax.mechanics.implicit.newton import IterationMatrix, iteration_matrix, newton_increment
 from rfem_jax.mechanics.implicit.residual import Evaluation, evaluate_residual, residual_of
@@ -189,12 +197,17 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
             operators = jax.tree.map(lambda x: x[0], self.operators(args.actual, h[None]))
         start = StepStart(dataclasses.replace(args, operators=None), trajectory, solver_state)
         seen = jnp.maximum(peaks, squared_forces(solver_state.rates))
-        constants = StepConstants(t1, h, jnp.sqrt(jnp.max(seen)))
+        largest = jnp.max(seen)
+        if args.actual.friction is not None:
+            largest = jnp.maximum(largest, squared_moments(trajectory, solver_state, t1) / args.stabilisation.scale**2)
+        constants = StepConstants(t1, h, jnp.sqrt(largest))
         operators, constants, fixed = jax.lax.stop_gradient((operators, constants, start))
         matrix = form_matrix(self, operators, constants, fixed)
         trajectory, memory = solved_step(self, matrix, constants, start)
         y1 = trajectory, jnp.maximum(peaks, squared_forces(memory.rates))
         allowed = RESIDUAL_LIMIT * jnp.sqrt(jnp.max(jax.lax.stop_gradient(y1[1])))
+        if args.actual.friction is not None:
+            allowed = jnp.maximum(allowed, RESIDUAL_LIMIT * constants.largest_force)
         result = diffrax.RESULTS.where(
             memory.residual <= allowed,
             diffrax.RESULTS.successful,
@@ -233,22 +246,32 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         predicted = self.predict(constants, start)
         evaluation = self.evaluate(predicted, constants, start)[0]
 
+        friction = conditions.actual.friction is not None
+
+        def kept(evaluation):
+            # With friction the matrix is formed again for every increment, from all of the evaluation.
+            return evaluation if friction else residual_of(evaluation)
+
         def unconverged(carry):
-            count, converged, _, _, _ = carry
+            count, converged, *_ = carry
             return (count == 0) | ((count < self.max_increments) & ~converged)
 
         def improve(carry):
             count, _, unknowns, residual, _ = carry
-            increment = newton_increment(topology, matrix, residual)
+            present = matrix
+            if friction:
+                present = self.matrix_at(matrix, unknowns, residual, constants, start, secant=True)
+                residual = residual_of(residual)
+            increment = newton_increment(topology, present, residual)
             unknowns = jax.tree.map(jnp.add, unknowns, increment)
             evaluation, end = self.evaluate(unknowns, constants, start)
             closed = cut_drift(evaluation.closure, conditions.stabilisation.scale)[0] <= drift
             converged = (end.memory.residual <= self.tolerance * constants.largest_force) & closed
-            return count + 1, converged, unknowns, residual_of(evaluation), end
+            return count + 1, converged, unknowns, kept(evaluation), end
 
         # The first increment is always made, so the end of the step at the prediction is not needed.
         count, converged = jnp.zeros((), jnp.int32), jnp.zeros((), bool)
-        carry = count, converged, predicted, residual_of(evaluation), StepEnd(trajectory, memory)
+        carry = count, converged, predicted, kept(evaluation), StepEnd(trajectory, memory)
         return jax.lax.while_loop(unconverged, improve, carry)[4]
 
     def iteration_matrix(
@@ -263,12 +286,42 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         now = motion_of(actual, state)
         if actual.topology.exact:
             operators = present_operators(actual, now.relative, *self.factors(h))
-        held = conditions.drives.prescribed
-        of_laws = None if actual.forces is None else law_tangent(actual, state, *self.factors(h))
+        bare = actual.forces is None and actual.springs is None
+        of_laws = None if bare else law_tangent(actual, state, *self.factors(h))
         of_elements = None
         if actual.frame_forces is not None:
             of_elements = element_tangents(actual, now, drive.time, *self.factors(h))
-        return iteration_matrix(actual, operators, now, closure(actual, now, scale), held, of_laws, of_elements)
+        cuts, held = closure(actual, now, scale), conditions.drives.prescribed
+        of_rows = spring_row_tangent(actual, cuts, scale, *self.factors(h))
+        return iteration_matrix(actual, operators, now, cuts, held, of_laws, of_elements, of_rows)
+
+    def matrix_at(
+        self,
+        matrix: IterationMatrix,
+        unknowns: Unknowns,
+        evaluation: Evaluation,
+        constants: StepConstants,
+        start: StepStart,
+        secant: bool = False,
+    ) -> IterationMatrix:
+        """The iteration matrix at other unknowns than the prediction, where there is friction, whose tangent changes
+        much within a step; `secant`: with the chord of friction from rest instead of its tangent (theory (12.6))."""
+        h, (conditions, trajectory, memory) = constants.length, start
+        actual = conditions.actual
+        if actual.friction is None or evaluation.laws is None or evaluation.laws.friction is None:
+            return matrix
+        drive = conditions.drives.at(constants.end, conditions.phase)
+        state, _ = self._newmark(h, trajectory, memory, unknowns.accelerations, actual.topology, drive)
+        tangent = friction_tangent(actual, evaluation.laws.friction, self.factors(h)[1], secant)
+        tree = law_tangent(actual, state, *self.factors(h))
+        for k, value in tangent.tree.items():
+            tree[k] = tree[k] + value if k in tree else value
+        motion, cuts, held = evaluation.motion, evaluation.closure, conditions.drives.prescribed
+        of_elements = None
+        if actual.frame_forces is not None:
+            of_elements = element_tangents(actual, motion, drive.time, *self.factors(h))
+        of_rows = spring_row_tangent(actual, cuts, conditions.stabilisation.scale, *self.factors(h))
+        return iteration_matrix(actual, matrix.operators, motion, cuts, held, tree, of_elements, of_rows, tangent.cuts)
 
     def predict(self, constants: StepConstants, start: StepStart) -> Unknowns:
         """Accelerations and multipliers of the last step as a first guess.
@@ -314,12 +367,19 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         actual = conditions.actual
         drive = conditions.drives.at(constants.end, conditions.phase)
         state, auxiliary = self._newmark(h, trajectory, memory, unknowns.accelerations, actual.topology, drive)
-        laws = law_forces(actual, state)
+        laws, cuts, at_cuts = law_forces(actual, state), evaluation.closure, None
+        if actual.friction is not None:
+            in_cuts = cut_friction(actual, motion_of(actual, state), cuts, unknowns.multipliers)
+            laws = with_friction(actual, laws, in_cuts | tree_friction(actual, state, evaluation.motion, wrenches))
+            at_cuts = cut_forces(actual, in_cuts)
+        now = None
+        if actual.topology.sprung_rows:
+            now = closure(actual, motion_of(actual, state), conditions.stabilisation.scale)
         at_nodes = None if actual.frame_forces is None else frame_loads(actual, motion_of(actual, state), drive.time)
         evaluation = evaluation._replace(
             multipliers=unknowns.multipliers,
-            wrenches=[*wrenches, *loads.cut_wrenches(actual.topology, evaluation.closure, unknowns.multipliers)],
-            dissipated=total_dissipated(dissipated_power(actual, state), laws, at_nodes),
+            wrenches=[*wrenches, *loads.cut_wrenches(actual.topology, cuts, unknowns.multipliers, at_cuts)],
+            dissipated=total_dissipated(dissipated_power(actual, state), laws, at_nodes, now),
             laws=laws,
             frame_loads=at_nodes,
         )
@@ -328,7 +388,10 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
     def _closing_as_acceleration(self, evaluation: Evaluation, h) -> Evaluation:
         """The evaluation with its closure error [m] as the acceleration [m/s^2] that removes it within the step."""
         moving, (q_factor, _) = h > 0.0, self.factors(h)
-        by_step = evaluation.closing / jnp.where(moving, q_factor, 1.0)
+        unit = jnp.where(moving, q_factor, 1.0)
+        if evaluation.closure is not None and (sprung := evaluation.closure.sprung_rows):
+            unit = jnp.where(np.array(sprung), 1.0, unit)
+        by_step = evaluation.closing / unit
         return evaluation._replace(closing=jnp.where(moving, by_step, evaluation.closing_acceleration))
 
     def _newmark(self, h, trajectory: Trajectory, memory: Memory, accelerations: Coordinates, topology, drive):
@@ -363,7 +426,7 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         joint = loads.loads_of_wrenches(actual.topology, evaluation, evaluation.wrenches, drive)
         axial, normal, moment = equations.squares(actual.topology, joint)
         work = equations.applied_power(actual.topology, state, drive, joint, evaluation)
-        rates = Integrals(axial, normal, moment, work, evaluation.dissipated)
+        rates = Integrals(axial, normal, moment, work, evaluation.dissipated, losses(evaluation.laws))
         integrals = jax.tree.map(
             lambda sum, old, new: sum + 0.5 * h * (old + new),
             trajectory.integrals,
@@ -382,6 +445,13 @@ def squared_forces(rates: Integrals) -> Float[Array, "2 joints"]:
     return jnp.stack([rates.axial_square, rates.normal_square])
 
 
+def squared_moments(trajectory: Trajectory, memory: Memory, t: Scalar) -> Float[Array, ""]:
+    """Largest squared moment [N^2 m^2] of a joint in the last step, or its mean square so far: friction may be the only
+    load."""
+    mean = trajectory.integrals.moment_square / jnp.where(t > 0.0, t, 1.0)
+    return jnp.max(jnp.maximum(memory.rates.moment_square, mean))
+
+
 def residual_forces(
     actual: ModelWithErrors, evaluation: Evaluation, drive: DriveInput, scale: algebra.Scalar
 ) -> Float[Array, " n"]:
@@ -398,7 +468,10 @@ def residual_forces(
         evaluation.moment / scale,
         hinge / (jnp.where(np.array(slides), 1.0, scale) if any(slides) else scale),
     )
-    parts = evaluation.force, moment, hinge, evaluation.closing * jnp.sum(actual.mass)
+    closing = jnp.sum(actual.mass)
+    if sprung := actual.topology.sprung_rows:
+        closing = jnp.where(np.array(sprung), 1.0, closing)
+    parts = evaluation.force, moment, hinge, evaluation.closing * closing
     return jnp.concatenate([part.reshape(-1) for part in parts])
 
 

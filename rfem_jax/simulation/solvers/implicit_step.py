@@ -95,6 +95,17 @@ class ImplicitMethod(Protocol):
         """The approximate Jacobian of the step's equations, factored."""
         ...
 
+    def matrix_at(
+        self,
+        matrix: IterationMatrix,
+        unknowns: Unknowns,
+        evaluation: Evaluation,
+        constants: StepConstants,
+        start: StepStart,
+    ) -> IterationMatrix:
+        """The approximate Jacobian at the given unknowns, where it is better than the step's own for derivatives."""
+        ...
+
     def solve(self, matrix: IterationMatrix, constants: StepConstants, start: StepStart) -> StepEnd:
         """Solve the equations of the step by Newton's method with the iteration matrix."""
         ...
@@ -186,6 +197,8 @@ def _end_and_tangent(method, matrix, constants, solution, inputs, fixed, along):
     (_, end), linearised, evaluation = jax.linearize(at, solution, inputs, has_aux=True)
     start = eqx.combine(inputs, fixed)
     topology = start.conditions.actual.topology
+    if start.conditions.actual.friction is not None:
+        matrix = jax.lax.stop_gradient(method.matrix_at(matrix, solution, evaluation, constants, start))
 
     def refine(found, _):
         residual, _ = linearised(found, along)
