@@ -252,7 +252,7 @@ def scatter_matrix_figure(study: Study, result: MonteCarloResult) -> Figure:
     figure = new_figure(1.35 * size + 1.0, 1.35 * size + 1.4)
     panels = figure.subplots(size, size, squeeze=False)
     ranks = np.argsort(np.argsort(samples, axis=0), axis=0).astype(float)
-    point = float(np.clip(80.0 / np.sqrt(len(samples)), 1.0, 2.5))
+    point = float(np.clip(80.0 / np.sqrt(max(len(samples), 1)), 1.0, 2.5))
     for row in range(size):
         for column in range(size):
             axes = panels[row, column]

@@ -191,7 +191,7 @@ def heat_map_figure(study: Study, result: Sensitivities) -> Figure:
         middle = 0.55 * np.nanmax(effects, initial=0.0)
         for (row, column), value in np.ndenumerate(effects):
             # Plain digits, three of them, and 0 for what is nothing beside the others.
-            shown = 0.0 if value < NOTHING * np.nanmax(effects) else float(f"{value:.3g}")
+            shown = 0.0 if value < NOTHING * np.nanmax(effects, initial=0.0) else float(f"{value:.3g}")
             text = f"{shown:g}" if np.isfinite(value) else "n/a"
             colour = "white" if value > middle else "black"
             axes.text(column, row, text, ha="center", va="center", fontsize=8.5, color=colour)

@@ -122,7 +122,7 @@ def worst_case_figure(study: Study, results: dict[str, WorstCase]) -> Figure:
             total = len(corners)
             axes.plot(
                 np.arange(1, total + 1), corners, MARKERS[1], color=CASE_COLOURS[2],
-                label="corners of the box",
+                markersize=6.0 if total <= 64 else 2.0, label="corners of the box",
             )  # fmt: skip
         ends = np.sort(one.end_values)
         axes.plot(
