@@ -1,6 +1,6 @@
 """Vibration of the perfect mechanism about a position of rest: squared frequencies and damping.
 
-Place in the pipeline: model -> **vibration** -> stability.
+Place in the pipeline: vibration_matrices -> **vibration** -> stability.
 
 All bodies (rfes) have six velocities each, in the axes of their link; joints are constraints on these
 (theory (11.5)):
@@ -18,7 +18,7 @@ of joints, their friction, and springs between points enter with their derivativ
 not drive the motion.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -26,17 +26,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Complex, Float, Inexact
 from scipy import sparse
-from scipy.sparse.linalg import LinearOperator, eigsh, splu
+from scipy.sparse.linalg import LinearOperator, eigsh
 
-from rfem_jax.compilation.program import Program
 from rfem_jax.description.joint_kinds import JointKind
 from rfem_jax.mechanics.cut_joints import RANK_TOLERANCE
 from rfem_jax.mechanics.frame_forces import START, FrameForce, Pose
 from rfem_jax.mechanics.friction_laws import Friction
 from rfem_jax.mechanics.joint_laws import JointLaw, law_slopes
 from rfem_jax.mechanics.joint_springs import CompliantSpring, diagonal_tangent
-from rfem_jax.mechanics.model import BASE, Model, Topology
-from rfem_jax.mechanics.model_with_errors import apply_errors, assembly_errors
+from rfem_jax.mechanics.model import BASE, Model
 from rfem_jax.mechanics.nominal_geometry import (
     NominalGeometry,
     Placed,
@@ -46,13 +44,18 @@ from rfem_jax.mechanics.nominal_geometry import (
     node_place,
     place,
 )
+from rfem_jax.simulation.vibration_matrices import (
+    deformation_rates,
+    mass_matrices,
+    nominal_constants,
+    null_space_projection,
+    unit_rows,
+)
 
 MOST_BODIES = 40  # of a mechanism all of whose modes are found
 STIFFEST_TOLERANCE = 1e-6  # of the largest squared frequency, relative
 SAMPLES = 400  # frequencies that stand for the modes below the stiffest one
 DIFFERENCE = 1e-5  # rad
-SMALLEST_INERTIA = 1e-15  # of a body, over its mass times the square of the longest link
-RIDGE = 1e-13  # added to a matrix with unit diagonal that may be singular
 
 
 # The nodes on both sides of a joint with their signs, and the row (6,) that gives a rate from the twist over the joint.
@@ -86,14 +89,14 @@ class Vibration:
     """
 
     def __init__(self, model: Model, held: tuple[int, ...] = ()):
-        constants = _nominal_constants(model)
+        constants = nominal_constants(model)
         self.geometry: NominalGeometry = geometry_of(model)
         self.topology = model.topology
         self.held = held
         self.gravity = np.asarray(model.gravity)
-        self.mass, self.inverse_root = _masses(constants, self.geometry.scale)
+        self.mass, self.inverse_root = mass_matrices(constants, self.geometry.scale)
         self.size = 6 * len(constants.mass)
-        stretch = _stretch(constants, self.topology) @ self.inverse_root
+        stretch = deformation_rates(constants, self.topology) @ self.inverse_root
         springs = constants.stiffness.T.reshape(-1)
         damping = np.repeat(constants.damping, 6)
         self.rates = np.unique(constants.damping)
@@ -128,7 +131,7 @@ class Vibration:
         if not self.sprung:
             return modes
         # Springs and dampers of joints and points as a mode of their own, as those of the links of each damping.
-        project = _projection(sparse.csc_matrix(constraints))
+        project = null_space_projection(sparse.csc_matrix(constraints))
         largest = [np.linalg.norm([project(row) for row in rows], 2) ** 2 for rows in (by_springs, by_dampers)]
         return Modes(np.append(modes.squares, largest[0]), np.append(modes.damping, largest[1]))
 
@@ -260,7 +263,7 @@ class Vibration:
         return row
 
     def _all(self, constraints: np.ndarray, by_springs: np.ndarray, by_dampers: np.ndarray) -> Modes:
-        _, singular, rows = np.linalg.svd(_unit_rows(constraints))
+        _, singular, rows = np.linalg.svd(unit_rows(constraints))
         free = rows[np.sum(singular > RANK_TOLERANCE * singular.max(initial=0.0)) :]
         # Singular values of the root of the stiffness matrix: the low frequencies of stiff links keep their digits.
         stretch = self.root @ free.T
@@ -281,7 +284,7 @@ class Vibration:
     def _stiffest(self, constraints: sparse.csc_matrix) -> Modes:
         """For the links of each damping, which are nearly decoupled from the others at high frequencies: the stiffest
         mode, and frequencies evenly spaced below it in place of the other modes of the mechanism."""
-        project = _projection(constraints)
+        project = null_space_projection(constraints)
         squares, damping = [], []
         for i, (rate, springs) in enumerate(zip(self.rates, self.springs, strict=True)):
 
@@ -353,7 +356,7 @@ class Vibration:
         load = self.inverse_root.T @ (self.mass @ falling.reshape(-1))
         if self.forces or self.elements:
             load = load + (self._spring_load(joints, placed) if springs is None else springs)
-        free = _projection(sparse.csc_matrix(self._constraints(placed) @ self.inverse_root))(load)
+        free = null_space_projection(sparse.csc_matrix(self._constraints(placed) @ self.inverse_root))(load)
         in_link = (self.inverse_root @ free).reshape(n, 2, 3)
         angular, linear = np.moveaxis(np.einsum("lij,lkj->lki", placed.rotation, in_link), 1, 0)
         twists = np.concatenate([angular, linear + np.cross(placed.origin, angular)], axis=1)
@@ -413,90 +416,3 @@ def _fixed_directions(kind: JointKind, left: np.ndarray, right: np.ndarray) -> n
     if len(turns) == 2:
         return np.cross(left[:, turns[0]], right[:, turns[1]])[None]
     return left[:, [axis for axis in range(3) if axis not in turns]].T
-
-
-@Program
-def _nominal(model: Model):
-    return apply_errors(model, assembly_errors(model))
-
-
-class _Constants(NamedTuple):
-    """Of `ModelWithErrors`, without errors: mass (n,), centre (n, 3), inertia (n, 3, 3) of all nodes; of the N free
-    rfes rest, damping, lever (N,) to the sde on the left, and stiffness (6, N)."""
-
-    mass: np.ndarray
-    centre: np.ndarray
-    inertia: np.ndarray
-    rest: np.ndarray
-    stiffness: np.ndarray
-    damping: np.ndarray
-    lever: np.ndarray
-
-
-def _nominal_constants(model: Model) -> _Constants:
-    made = _nominal(model)
-    return _Constants(
-        mass=np.asarray(made.mass),
-        centre=np.asarray(made.centre).T,
-        inertia=np.moveaxis(np.asarray(made.inertia), 2, 0),
-        rest=np.asarray(made.rest),
-        stiffness=np.asarray(made.stiffness),
-        damping=np.asarray(made.damping),
-        lever=np.asarray(made.lever_right),
-    )
-
-
-def _masses(constants: _Constants, scale: float) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:
-    """M, block diagonal by node, and L^-T."""
-    n = len(constants.mass)
-    mass = np.zeros((n, 6, 6))
-    shift = constants.mass[:, None, None] * cross_matrix(constants.centre)
-    least = SMALLEST_INERTIA * constants.mass * scale**2
-    mass[:, :3, :3] = constants.inertia - shift @ cross_matrix(constants.centre) + least[:, None, None] * np.eye(3)
-    mass[:, :3, 3:] = shift
-    mass[:, 3:, :3] = -shift
-    mass[:, 3:, 3:] = constants.mass[:, None, None] * np.eye(3)
-    root = np.linalg.inv(np.linalg.cholesky(mass)).swapaxes(1, 2)
-    return _block_diagonal(mass), _block_diagonal(root)
-
-
-def _block_diagonal(blocks: np.ndarray) -> sparse.csr_matrix:
-    n = len(blocks)
-    return sparse.csr_matrix(sparse.bsr_matrix((blocks, np.arange(n), np.arange(n + 1)), shape=(6 * n, 6 * n)))
-
-
-def _stretch(constants: _Constants, topology: Topology) -> sparse.csr_matrix:
-    """Matrix (6 N, 6 n) that gives the deformation rates (du, dphi) of all sdes from the nodes' velocities."""
-    n, count = topology.n_links, topology.n_rfes
-    left = np.arange(n - 1, n + count - 1)
-    first = [a for a, b in topology.ranges if b > a]
-    left[first] = topology.link_of_rfe[first]
-    place_of = np.concatenate([np.zeros(n), constants.rest])
-    sde = constants.rest + constants.lever
-
-    def faces(node):
-        blocks = np.zeros((count, 6, 6))
-        arm = np.zeros((count, 3))
-        arm[:, 0] = sde - place_of[node]
-        blocks[:, :3, :3] = -cross_matrix(arm)
-        blocks[:, :3, 3:] = blocks[:, 3:, :3] = np.eye(3)
-        shape = (6 * count, 6 * (n + count))
-        return sparse.bsr_matrix((blocks, node, np.arange(count + 1)), shape=shape)
-
-    return sparse.csr_matrix(faces(n + np.arange(count)) - faces(left))
-
-
-def _unit_rows(matrix: np.ndarray) -> np.ndarray:
-    return matrix / np.linalg.norm(matrix, axis=1, keepdims=True)
-
-
-def _projection(constraints: sparse.csc_matrix) -> Callable[[np.ndarray], np.ndarray]:
-    """Orthogonal projection onto the null space of a sparse matrix, whose rows may be linearly dependent."""
-    size = np.sqrt(np.asarray(constraints.multiply(constraints).sum(axis=1)).reshape(-1))
-    unit = sparse.csc_matrix(sparse.diags(1.0 / size) @ constraints)
-    factored = splu(sparse.csc_matrix(unit @ unit.T + RIDGE * sparse.eye(len(size))))
-
-    def once(vector):
-        return vector - unit.T @ factored.solve(unit @ vector)
-
-    return lambda vector: once(once(vector))

@@ -46,11 +46,12 @@ from jaxtyping import Array, Bool, Float, PyTree
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.methods import GeneralisedAlphaMethod, Method
 from rfem_jax.mechanics import algebra, loads
-from rfem_jax.mechanics.cut_joints import closure, spring_row_tangent
+from rfem_jax.mechanics.cut_joints import Closure, closure, spring_row_tangent
 from rfem_jax.mechanics.dynamics import total_dissipated
 from rfem_jax.mechanics.element_loads import element_tangents, frame_loads
 from rfem_jax.mechanics.elements.elasticity import dissipated_power
 from rfem_jax.mechanics.friction import (
+    FrictionTangent,
     cut_forces,
     cut_friction,
     friction_tangent,
@@ -63,7 +64,7 @@ from rfem_jax.mechanics.implicit.newton import IterationMatrix, iteration_matrix
 from rfem_jax.mechanics.implicit.residual import Evaluation, evaluate_residual, residual_of
 from rfem_jax.mechanics.inputs import DriveInput, impose
 from rfem_jax.mechanics.joint_forces import law_forces, law_tangent
-from rfem_jax.mechanics.kinematics import motion_of
+from rfem_jax.mechanics.kinematics import Motion, motion_of
 from rfem_jax.mechanics.model import Coordinates, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 from rfem_jax.mechanics.orientations import moved
@@ -286,14 +287,7 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         now = motion_of(actual, state)
         if actual.topology.exact:
             operators = present_operators(actual, now.relative, *self.factors(h))
-        bare = actual.forces is None and actual.springs is None
-        of_laws = None if bare else law_tangent(actual, state, *self.factors(h))
-        of_elements = None
-        if actual.frame_forces is not None:
-            of_elements = element_tangents(actual, now, drive.time, *self.factors(h))
-        cuts, held = closure(actual, now, scale), conditions.drives.prescribed
-        of_rows = spring_row_tangent(actual, cuts, scale, *self.factors(h))
-        return iteration_matrix(actual, operators, now, cuts, held, of_laws, of_elements, of_rows)
+        return self._matrix(operators, state, now, closure(actual, now, scale), h, conditions, drive)
 
     def matrix_at(
         self,
@@ -313,15 +307,33 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         drive = conditions.drives.at(constants.end, conditions.phase)
         state, _ = self._newmark(h, trajectory, memory, unknowns.accelerations, actual.topology, drive)
         tangent = friction_tangent(actual, evaluation.laws.friction, self.factors(h)[1], secant)
-        tree = law_tangent(actual, state, *self.factors(h))
-        for k, value in tangent.tree.items():
-            tree[k] = tree[k] + value if k in tree else value
-        motion, cuts, held = evaluation.motion, evaluation.closure, conditions.drives.prescribed
-        of_elements = None
+        return self._matrix(
+            matrix.operators, state, evaluation.motion, evaluation.closure, h, conditions, drive, tangent
+        )
+
+    def _matrix(
+        self,
+        operators: tuple[LinkOperator | None, ...],
+        state: State,
+        motion: Motion,
+        cuts: Closure | None,
+        h: Float[Array, ""],
+        conditions: Conditions,
+        drive: DriveInput,
+        of_friction: FrictionTangent | None = None,
+    ) -> IterationMatrix:
+        """The iteration matrix at a state and its motion."""
+        actual, factors = conditions.actual, self.factors(h)
+        of_laws, of_elements, in_cuts = law_tangent(actual, state, *factors), None, None
+        if of_friction is not None:
+            in_cuts = of_friction.cuts
+            for k, value in of_friction.tree.items():
+                of_laws[k] = of_laws[k] + value if k in of_laws else value
         if actual.frame_forces is not None:
-            of_elements = element_tangents(actual, motion, drive.time, *self.factors(h))
-        of_rows = spring_row_tangent(actual, cuts, conditions.stabilisation.scale, *self.factors(h))
-        return iteration_matrix(actual, matrix.operators, motion, cuts, held, tree, of_elements, of_rows, tangent.cuts)
+            of_elements = element_tangents(actual, motion, drive.time, *factors)
+        of_rows = spring_row_tangent(actual, cuts, conditions.stabilisation.scale, *factors)
+        held = conditions.drives.prescribed
+        return iteration_matrix(actual, operators, motion, cuts, held, of_laws, of_elements, of_rows, in_cuts)
 
     def predict(self, constants: StepConstants, start: StepStart) -> Unknowns:
         """Accelerations and multipliers of the last step as a first guess.
