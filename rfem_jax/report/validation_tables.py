@@ -1,4 +1,4 @@
-"""The validation table: on the terminal, as Markdown for the README, as CSV and JSON.
+"""The validation table: on the terminal, as Markdown for docs/validation.md, as CSV and JSON.
 
 Place in the pipeline: after `validation`; called by the command `rfem-jax validate`.
 """
