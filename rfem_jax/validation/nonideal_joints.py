@@ -39,7 +39,7 @@ def _bars(rfes: int | None) -> tuple[Link, ...]:
 
 
 def _hinges(compliance: Compliance | None = None) -> tuple[Joint, ...]:
-    crank, coupler, rocker = -1.57079632679, -0.62161444632, -1.75896545305  # rad, closed
+    crank, coupler, rocker = -np.pi / 2.0, -0.62161444632, -1.75896545305  # rad, closed
     return (
         Joint("A", "base", "crank", angle=crank, compliance=compliance),
         Joint("B", "crank", "coupler", angle=coupler - crank, compliance=compliance),
