@@ -9,6 +9,7 @@
     time          of Exudyn: its fastest settings
     tilted_hinge  the four-bar with a tilted hinge
     open_chain    an open chain with all errors
+    studies       the studies four_bar, slider_crank and spatial_linkage, accuracy and time; joints of other kinds
 
 Every agreement is checked; the exit code is 1 if one fails.  `--quick` leaves out most of our own simulations.
 `--trial` simulates few steps: it shows that the command works, and its agreements may fail (exit code 0).
@@ -25,20 +26,19 @@ import json
 import sys
 import time
 
-import jax
+import speed_timing  # noqa: F401  first: it sets JAX up
 
-jax.config.update("jax_enable_x64", True)
+import exudyn_speed as speed  # isort: skip
+import numpy as np
+from exudyn_models import Settings, build, exu, linkage
+from exudyn_open_chain import all_errors, compare_open_chain
+from exudyn_runs import equilibrium, rms_loads, simulate
+from exudyn_speed import fastest
+from exudyn_studies import compare_studies
+from exudyn_tilted_hinge import compare_tilted_hinge
 
-import exudyn_speed as speed  # noqa: E402
-import numpy as np  # noqa: E402
-from exudyn_models import Settings, build, exu, linkage  # noqa: E402
-from exudyn_open_chain import all_errors, compare_open_chain  # noqa: E402
-from exudyn_runs import equilibrium, rms_loads, simulate  # noqa: E402
-from exudyn_speed import fastest  # noqa: E402
-from exudyn_tilted_hinge import compare_tilted_hinge  # noqa: E402
-
-from rfem_jax import assemble, assembly_errors, discretise, run_cases  # noqa: E402
-from rfem_jax.validation.reference_values import read_reference  # noqa: E402
+from rfem_jax import assemble, assembly_errors, discretise, run_cases
+from rfem_jax.validation.reference_values import read_reference
 
 __all__ = ["fastest", "simulate"]
 
@@ -341,7 +341,7 @@ def _whole_sample(report: Report, search: speed.Search) -> None:
     report.table("Besides the solver, once a sample", ["work", "CPU s"], rows)
 
 
-PARTS = ("preload", "loads", "convergence", "time", "tilted_hinge", "open_chain")
+PARTS = ("preload", "loads", "convergence", "time", "tilted_hinge", "open_chain", "studies")
 
 
 def compare_loads(report: Report, cases, quick: bool, search: speed.Search) -> None:
@@ -383,6 +383,8 @@ def main() -> int:
         compare_tilted_hinge(report, quick, options.trial)
     if "open_chain" in parts:
         compare_open_chain(report, options.trial)
+    if "studies" in parts:
+        compare_studies(report, quick, options.trial)
     print(f"\n{report.passed} agreements met, {len(report.failed)} failed")
     for what in report.failed:
         print(f"  {what}")

@@ -5,7 +5,7 @@
 Only numbers are shared (`apply_errors`: masses, inertias, joint frames with their errors, stiffnesses);
 kinematics, element, constraints, statics and integration are Exudyn's own.  Every rfe is a rigid
 body with absolute coordinates, every sde a six-dof connector between its two faces, every joint a
-revolute joint with five multipliers.
+constraint with multipliers (`exudyn_joints`).
 
 The connector.  Exudyn's default form measures the rotation by Tait-Bryan angles in the axes of its
 first marker and applies the force at both markers: not symmetric, and the pair of forces leaves a
@@ -13,66 +13,53 @@ moment.  The `intrinsic` form takes the logarithm of the relative motion in SE(3
 mid-frame: it does not depend on the order of the markers and keeps the balance of moments, so it is
 the nearest to a geometrically exact element, and the default here.
 
-Axes.  Exudyn's revolute joint turns about z, ours about y: all axes, global and of bodies, are
-renamed in a circle, (x, y, z) there = (z, x, y) here.
+Not translated, and refused: friction by the joint's load, forces at points other than springs, tables of
+compliant joints, more than one drive.
 
 Units: SI, rad.  Source: J. Gerstmayr, Exudyn - a C++-based Python package for flexible multibody
 systems, Multibody Syst. Dyn. 60 (2024) 533-561.
 """
 
-import contextlib
-import io
-import os
-import sys
 from typing import NamedTuple
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-sys.exudynFast = True  # the module without range checks, for fair times
+import equinox as eqx
+import numpy as np
+from exudyn_engine import BACK, HINGE, TURNED, exu, exut
+from exudyn_joints import JointSensors, LinkageJoint, Side, axis_of, constrain
 
-import equinox as eqx  # noqa: E402
-import numpy as np  # noqa: E402
+from rfem_jax.description.joint_kinds import KINDS
+from rfem_jax.mechanics.kinematics import all_frames, motion_of
+from rfem_jax.mechanics.loads import static_state
+from rfem_jax.mechanics.model import BASE, Model
+from rfem_jax.mechanics.model_with_errors import AssemblyErrors, apply_errors
+from rfem_jax.mechanics.point_laws import SpringBetween
 
-try:
-    with contextlib.redirect_stdout(io.StringIO()):
-        import exudyn as exu
-        import exudyn.utilities as exut
-except ImportError as missing:
-    raise SystemExit(
-        "The package exudyn must be there to compare with it, but it cannot be imported; install "
-        'it with `pip install "rfem_jax[bench]"`.'
-    ) from missing
-
-from rfem_jax.mechanics.kinematics import all_frames, motion_of  # noqa: E402
-from rfem_jax.mechanics.loads import static_state  # noqa: E402
-from rfem_jax.mechanics.model import BASE, Model  # noqa: E402
-from rfem_jax.mechanics.model_with_errors import AssemblyErrors, apply_errors  # noqa: E402
-
-exu.config.printToConsole = False  # a solver that fails says so by its exception
-
-TURNED = [2, 0, 1]  # ours -> Exudyn's axes
-BACK = [1, 2, 0]
-HINGE = 2
+__all__ = ["BACK", "HINGE", "Settings", "build", "exu", "linkage"]
 
 
 class Linkage(NamedTuple):
     """A discretised mechanism with its errors in Exudyn's axes; bodies are the rfes.
 
     rotation (n, 3, 3), centre (n, 3): nominal start poses of the bodies, loops still open by the
-    errors; mass (n,), inertia (n, 3, 3) about the centre of mass; joints: (name, is a cut joint,
-    parent and child: body, frame and point on it); elements: (left body, right body, point on each,
-    stiffness (6,), damping time); driven: index of the driven joint; start_angle [rad].
+    errors; mass (n,), inertia (n, 3, 3) about the centre of mass; elements: (left body, right body, point on each,
+    stiffness (6,), damping time); driven: index of the driven joint, motion: which of its motions; start: of this
+    motion [rad, m]; idle: (joint, axis) of rotations of ball joints that statics holds; point_springs: (bodies, points
+    on them, stiffness, damping, free length, preload).
     """
 
     rotation: np.ndarray
     centre: np.ndarray
     mass: np.ndarray
     inertia: np.ndarray
-    joints: list
+    joints: list[LinkageJoint]
     elements: list
     gravity: np.ndarray
     driven: int | None
-    start_angle: float
+    motion: str
+    start: float
     order: tuple[str, ...]
+    idle: tuple[tuple[int, int], ...] = ()
+    point_springs: tuple = ()
 
 
 class Settings(NamedTuple):
@@ -113,14 +100,17 @@ def linkage(model: Model, errors: AssemblyErrors) -> Linkage:
     def side(node, rotations, positions, j):
         """Body, frame and point of a joint's side; the point from the body's centre of mass."""
         at = np.asarray(positions)[:, j] - (0.0 if node == BASE else centre[node])
-        return node, _turned(np.asarray(rotations)[:, :, j]), at[TURNED]
+        return Side(node, _turned(np.asarray(rotations)[:, :, j]), at[TURNED])
 
     joints = [
-        (
+        LinkageJoint(
             name,
+            topology.kinds[j],
             j >= n,
             side(topology.parents[j], actual.seat_rotation, actual.seat_position, j),
             side(topology.children[j], actual.bore_rotation, actual.bore_position, j),
+            *_springs_of(model, j),
+            laws=_laws_of(model, j),
         )
         for j, name in enumerate(topology.joints)
     ]
@@ -143,10 +133,80 @@ def linkage(model: Model, errors: AssemblyErrors) -> Linkage:
         joints=joints,
         elements=elements,
         gravity=np.asarray(model.gravity)[TURNED],
-        driven=topology.driven,
-        start_angle=0.0 if topology.driven is None else float(model.start_joints[topology.driven]),
         order=model.joint_names,
+        point_springs=_point_springs(actual, centre),
+        **_driven(model),
     )
+
+
+def _driven(model: Model) -> dict:
+    """The driven joint, its motion and the start of this; and the idle rotations."""
+    topology = model.topology
+    if len(topology.drives) > 1:
+        raise NotImplementedError("Several drives are not translated.")
+    idle = []
+    for k in topology.idle:
+        joint = topology.link_of_freedom[k]
+        idle.append((joint, BACK[topology.freedoms[k].axis]))
+    if topology.driven is None:
+        return {"driven": None, "motion": "R_y", "start": 0.0, "idle": tuple(idle)}
+    return {
+        "driven": topology.driven,
+        "motion": topology.motion_of(topology.drives[0]),
+        "start": float(model.start_joints[topology.driven_position]),
+        "idle": tuple(idle),
+    }
+
+
+def _springs_of(model: Model, j: int):
+    """Stiffnesses and dampings (6,) of a compliant joint and its sprung motions, or None and ()."""
+    topology = model.topology
+    if not topology.sprung or not topology.sprung[j]:
+        return None, ()
+    kind, rows = KINDS[topology.kinds[j]], np.zeros((2, 6))
+    turns = {motion for motion in topology.sprung[j] if motion[0] == "R"}
+    if turns and (kind.angles != 1 or turns != set(kind.turns_held)):
+        raise NotImplementedError(
+            f"Joint {topology.joints[j]}: only the tilt of a joint with one rotation is translated."
+        )
+    for name, spring in (model.springs or {}).items():
+        joint, direction = name.split(".")
+        if joint != topology.joints[j]:
+            continue
+        if spring.positions is not None:
+            raise NotImplementedError(f"The table of spring {name} is not translated.")
+        for motion in kind.directions[direction]:
+            at = BACK["xyz".index(motion[2])] + (3 if motion[0] == "R" else 0)
+            rows[:, at] = float(spring.stiffness), float(spring.damping)
+    return (rows[0], rows[1]), topology.sprung[j]
+
+
+def _laws_of(model: Model, j: int) -> tuple:
+    """Laws along motions of a joint of the tree, and friction in a joint: (law, motion, start)."""
+    topology, found = model.topology, []
+    for law in (model.forces or {}).values():
+        if topology.link_of_freedom[law.coordinate] == j:
+            found.append((law, topology.motion_of(law.coordinate), float(model.start_joints[law.place])))
+    for law in (model.friction or {}).values():
+        if law.joint == j:
+            start = 0.0 if law.place is None else float(model.start_joints[law.place])
+            found.append((law, f"{'TR'[law.component // 3]}_{'xyz'[law.component % 3]}", start))
+    return tuple(found)
+
+
+def _point_springs(actual, centre) -> tuple:
+    found = []
+    for spring in (actual.frame_forces.elements if actual.frame_forces is not None else {}).values():
+        if not isinstance(spring, SpringBetween):
+            raise NotImplementedError(f"A {type(spring).__name__} is not translated.")
+        nodes = spring.parent.node, spring.child.node
+        points = [
+            (np.asarray(end.position) - (0.0 if end.node == BASE else centre[end.node]))[TURNED]
+            for end in (spring.parent, spring.child)
+        ]
+        numbers = (float(x) for x in (spring.stiffness, spring.damping, spring.free_length, spring.preload))
+        found.append((nodes, points, *numbers))
+    return tuple(found)
 
 
 @eqx.filter_jit
@@ -167,9 +227,9 @@ def _about_hinge(angle: float) -> np.ndarray:
 
 
 class System(NamedTuple):
-    """An assembled Exudyn system; hold: the constraint on the driven angle or None; loads: of the
-    drive; sensors: joint -> (force, couples, rotation); place_sensor: of the tracked joint's
-    position; container keeps the system alive."""
+    """An assembled Exudyn system; hold: the constraint on the driven motion or None; loads: of the
+    drive; sensors: joint -> `JointSensors`; place_sensor: of the tracked joint's position; idle:
+    (joint, axis, sensor) of constraints on idle rotations; container keeps the system alive."""
 
     mbs: object
     container: object
@@ -177,9 +237,10 @@ class System(NamedTuple):
     hold: object
     hold_sensor: object
     loads: list
-    sensors: dict
+    sensors: dict[str, JointSensors]
     rate_sensor: object
     place_sensor: object
+    idle: list
 
 
 def build(
@@ -190,31 +251,18 @@ def build(
     angle=None,
     moment=None,
     track=None,
+    resting=False,
 ) -> System:
     """An Exudyn system of a linkage.
 
     **Arguments:** `poses`: rotations (n, 3, 3), centres (n, 3) of the bodies (None: nominal);
-    `velocities`: angular and of the centres (n, 3) each (None: rest); `angle`: t -> angle turned by
-    the driven joint, prescribed (None: free); `moment`: t -> moment on the driven joint [N m];
-    `track`: name of a joint whose position is recorded.
+    `velocities`: angular and of the centres (n, 3) each (None: rest); `angle`: t -> change of the driven
+    motion since its start, prescribed (None: free); `moment`: t -> moment [N m] or force [N] on the driven joint;
+    `track`: name of a joint whose position is recorded; `resting`: hold idle rotations, for statics.
     """
     container = exu.SystemContainer()
     mbs = container.AddSystem()
-    rotations, centres = (link.rotation, link.centre) if poses is None else poses
-    still = np.zeros((len(link.mass), 3))
-    angular, linear = (still, still) if velocities is None else velocities
-    bodies = [
-        mbs.CreateRigidBody(
-            referencePosition=list(centres[i]),
-            referenceRotationMatrix=rotations[i],
-            initialVelocity=list(linear[i]),
-            initialAngularVelocity=list(angular[i]),
-            inertia=exut.RigidBodyInertia(float(link.mass[i]), link.inertia[i]),
-            gravity=list(link.gravity),
-            nodeType=NODE_TYPES[settings.nodes],
-        )
-        for i in range(len(link.mass))
-    ]
+    bodies = _add_bodies(mbs, link, settings, poses, velocities)
     ground = mbs.CreateGround()
 
     def marker(node, point):
@@ -230,38 +278,61 @@ def build(
                 intrinsicFormulation=settings.intrinsic,
             )
         )
-    sensors, loads, hold, hold_sensor, rate_sensor, place = {}, [], None, None, None, None
-    for j, (name, _, parent, child) in enumerate(link.joints):
-        markers = [marker(parent[0], parent[2]), marker(child[0], child[2])]
-        number = mbs.AddObject(
-            exut.ObjectJointRevoluteZ(markerNumbers=markers, rotationMarker0=parent[1], rotationMarker1=child[1])
-        )
-        kinds = (
-            exu.OutputVariableType.ForceLocal,
-            exu.OutputVariableType.TorqueLocal,
-            exu.OutputVariableType.Rotation,
-        )
-        sensors[name] = [_sensor(mbs, number, kind) for kind in kinds]
-        if name == track:
-            place = _sensor(mbs, number, exu.OutputVariableType.Position)
+    _add_point_springs(mbs, link, marker)
+    sensors, loads, idle, hold, hold_sensor, rate_sensor, place = {}, [], [], None, None, None, None
+    for j, joint in enumerate(link.joints):
+        markers = [marker(side.node, side.point) for side in (joint.parent, joint.child)]
+        sensors[joint.name] = constrain(mbs, joint, markers, lambda number, what: _sensor(mbs, number, what))
+        if joint.name == track:
+            place = _sensor(mbs, sensors[joint.name].number, exu.OutputVariableType.Position)
+        if resting:
+            for axis in (axis for which, axis in link.idle if which == j):
+                number = _hold_turn(mbs, link, joint, markers, axis)
+                idle.append((joint.name, axis, _sensor(mbs, number, exu.OutputVariableType.TorqueLocal)))
         if j != link.driven:
             continue
-        rate_sensor = _sensor(mbs, number, exu.OutputVariableType.AngularVelocityLocal)
+        rotation = link.motion[0] == "R"
+        rate_kind = exu.OutputVariableType.AngularVelocityLocal if rotation else exu.OutputVariableType.VelocityLocal
+        rate_sensor = _sensor(mbs, sensors[joint.name].number, rate_kind)
         if angle is not None:
-            hold = mbs.AddObject(
-                exut.ObjectJointGeneric(
-                    markerNumbers=markers,
-                    constrainedAxes=[0, 0, 0, 0, 0, 1],
-                    rotationMarker0=parent[1] @ _about_hinge(link.start_angle),
-                    rotationMarker1=child[1],
-                    offsetUserFunction=lambda mbs, t, item, _: [0, 0, 0, 0, 0, angle(t)],
-                )
-            )
-            hold_sensor = _sensor(mbs, hold, exu.OutputVariableType.TorqueLocal)
+            hold = _prescribe(mbs, link, joint, markers, angle)
+            kind = exu.OutputVariableType.TorqueLocal if rotation else exu.OutputVariableType.ForceLocal
+            hold_sensor = _sensor(mbs, hold, kind)
         if moment is not None:
-            loads += _drive_loads(mbs, markers, parent, child, moment)
+            loads += _drive_loads(mbs, link.motion, markers, joint, moment)
     mbs.Assemble()
-    return System(mbs, container, bodies, hold, hold_sensor, loads, sensors, rate_sensor, place)
+    return System(mbs, container, bodies, hold, hold_sensor, loads, sensors, rate_sensor, place, idle)
+
+
+def _add_bodies(mbs, link: Linkage, settings: Settings, poses, velocities) -> list:
+    rotations, centres = (link.rotation, link.centre) if poses is None else poses
+    still = np.zeros((len(link.mass), 3))
+    angular, linear = (still, still) if velocities is None else velocities
+    return [
+        mbs.CreateRigidBody(
+            referencePosition=list(centres[i]),
+            referenceRotationMatrix=rotations[i],
+            initialVelocity=list(linear[i]),
+            initialAngularVelocity=list(angular[i]),
+            inertia=exut.RigidBodyInertia(float(link.mass[i]), link.inertia[i]),
+            gravity=list(link.gravity),
+            nodeType=NODE_TYPES[settings.nodes],
+        )
+        for i in range(len(link.mass))
+    ]
+
+
+def _add_point_springs(mbs, link: Linkage, marker) -> None:
+    for nodes, points, stiffness, damping, length, preload in link.point_springs:
+        mbs.AddObject(
+            exut.ObjectConnectorSpringDamper(
+                markerNumbers=[marker(node, point) for node, point in zip(nodes, points, strict=True)],
+                stiffness=stiffness,
+                damping=damping,
+                referenceLength=length,
+                force=preload,
+            )
+        )
 
 
 def _sensor(mbs, number, kind):
@@ -270,21 +341,58 @@ def _sensor(mbs, number, kind):
     )
 
 
-def _drive_loads(mbs, markers, parent, child, moment):
-    """The moment on the child about the hinge, and its reaction on a parent other than the base."""
-    if parent[0] == BASE:
-        return [_torque(mbs, markers[1], parent[1][:, HINGE], moment, turning=False)]
+def _prescribe(mbs, link: Linkage, joint: LinkageJoint, markers, change):
+    """A constraint on the driven motion, which is `change(t)` more than at the start."""
+    axis, frame = axis_of(link.motion), joint.parent.frame
+    at = axis + (3 if link.motion[0] == "R" else 0)
+    start = 0.0 if link.motion[0] == "R" else link.start
+    if link.motion[0] == "R":
+        frame = frame @ _about_hinge(link.start)
+    return mbs.AddObject(
+        exut.ObjectJointGeneric(
+            markerNumbers=markers,
+            constrainedAxes=[int(k == at) for k in range(6)],
+            rotationMarker0=frame,
+            rotationMarker1=joint.child.frame,
+            offsetUserFunction=lambda mbs, t, item, _: [start + change(t) if k == at else 0.0 for k in range(6)],
+        )
+    )
+
+
+def _hold_turn(mbs, link: Linkage, joint: LinkageJoint, markers, axis: int):
+    """Hold the small rotation about an axis of the parent's frame since the nominal start."""
+    parent = np.eye(3) if joint.parent.node == BASE else link.rotation[joint.parent.node]
+    same = link.rotation[joint.child.node].T @ parent @ joint.parent.frame
+    return mbs.AddObject(
+        exut.ObjectJointGeneric(
+            markerNumbers=markers,
+            constrainedAxes=[0, 0, 0, *(int(k == axis) for k in range(3))],
+            rotationMarker0=joint.parent.frame,
+            rotationMarker1=same,
+        )
+    )
+
+
+def _drive_loads(mbs, motion: str, markers, joint: LinkageJoint, moment):
+    """The moment on the child about the hinge, and its reaction on a parent other than the base; or the force on the
+    child along an axis."""
+    axis = joint.parent.frame[:, axis_of(motion)]
+    if joint.parent.node == BASE:
+        return [_drive_load(mbs, motion, markers[1], axis, moment, turning=False)]
+    if motion[0] == "T":
+        raise NotImplementedError("A force between two links along a joint's motion is not translated.")
     return [
-        _torque(mbs, marker, sign * frame[:, HINGE], moment, turning=True)
-        for marker, (_, frame, _), sign in zip(markers, (parent, child), (-1.0, 1.0))
+        _drive_load(mbs, motion, marker, sign * side.frame[:, HINGE], moment, turning=True)
+        for marker, side, sign in zip(markers, (joint.parent, joint.child), (-1.0, 1.0), strict=True)
     ]
 
 
-def _torque(mbs, marker, axis, moment, turning):
+def _drive_load(mbs, motion: str, marker, axis, moment, turning):
     x, y, z = (float(value) for value in axis)
 
-    def torque(mbs, t, _):
+    def vector(mbs, t, _):
         value = moment(t)
         return (value * x, value * y, value * z)
 
-    return mbs.AddLoad(exut.LoadTorqueVector(markerNumber=marker, bodyFixed=turning, loadVectorUserFunction=torque))
+    kind = exut.LoadTorqueVector if motion[0] == "R" else exut.LoadForceVector
+    return mbs.AddLoad(kind(markerNumber=marker, bodyFixed=turning, loadVectorUserFunction=vector))

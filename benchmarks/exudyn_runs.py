@@ -18,9 +18,11 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from exudyn_models import BACK, HINGE, Settings, build, exu, linkage
+from exudyn_joints import axis_of, idle_moment, joined, loads_of, rows_of
+from exudyn_models import BACK, Settings, build, exu, linkage
 
-from rfem_jax.description.drives import MomentDrive
+from rfem_jax.description.drives import GivenDrive
+from rfem_jax.description.joint_kinds import KINDS
 from rfem_jax.mechanics.model import Model
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors
 
@@ -30,9 +32,10 @@ ANGLE_DIFFERENCE = 1e-4  # rad, for the quasi-static start velocities
 class Histories(NamedTuple):
     """Motion and loads at the ends of steps; a jump of the drive's moment has two rows.
 
-    times (T,) [s]; angle, rate (T,) of the driven joint [rad, rad/s]; force, moment: joint ->
+    times (T,) [s]; angle, rate (T,) of the driven motion [rad or m, and per s]; force, moment: joint ->
     (T, 3) in the hinge frame (the parent side on the child, about the hinge's centre; a given drive
-    moment excluded) [N, N m]; place (T, 3): position of the tracked joint [m], else zero.
+    moment excluded) [N, N m]; place (T, 3): position of the tracked joint [m], else zero; angles, displacements:
+    joint -> (T,) of joints with one rotation [rad], and of those with one translation [m].
     """
 
     times: np.ndarray
@@ -41,6 +44,8 @@ class Histories(NamedTuple):
     force: dict
     moment: dict
     place: np.ndarray
+    angles: dict
+    displacements: dict
 
 
 class Result(NamedTuple):
@@ -86,48 +91,40 @@ def equilibrium(link, settings: Settings, turned: float = 0.0, poses=None):
     **Returns:** poses of the bodies, and joint -> (force, moment) with the holding moment.
     """
     held = None if link.driven is None else lambda t: turned
-    system = build(link, settings._replace(nodes="euler_parameters"), poses, angle=held)
+    system = build(link, settings._replace(nodes="euler_parameters"), poses, angle=held, resting=True)
     s = _silent_settings(settings)
     s.staticSolver.newton.relativeTolerance = 1e-9
     s.staticSolver.newton.absoluteTolerance = max(1e-7, _force_noise(link))
     s.staticSolver.newton.maxIterations = 50
     s.staticSolver.adaptiveStep = False
     system.mbs.SolveStatic(s)
-    rows = {
-        name: [np.asarray(system.mbs.GetSensorValues(x))[None] for x in sensors]
-        for name, sensors in system.sensors.items()
-    }
-    holding = 0.0
-    if system.hold_sensor is not None:
-        holding = float(system.mbs.GetSensorValues(system.hold_sensor)[HINGE])
+    holding = _holding(system, link.motion, lambda x: np.asarray(system.mbs.GetSensorValues(x))[None])
     preload = {}
-    for j, (name, cut, _, _) in enumerate(link.joints):
-        force, moment, _ = _loads_of(*rows[name], cut)
-        moment = moment + np.array([0.0, holding if j == link.driven else 0.0, 0.0])
-        # The static solver's multipliers have the opposite sign of the dynamic solvers'.
-        preload[name] = (-force[0], -moment[0])
+    for j, joint in enumerate(link.joints):
+        rows = rows_of(system.sensors[joint.name], lambda x: np.atleast_1d(system.mbs.GetSensorValues(x))[None])
+        force, moment, _ = loads_of(joint, rows, -1.0)
+        if j == link.driven:
+            _add_holding(link, joint, -holding, force, moment)
+        for _, axis, sensor in (one for one in system.idle if one[0] == joint.name):
+            multiplier = -float(system.mbs.GetSensorValues(sensor)[axis])
+            moment += idle_moment(joint, rows, axis, multiplier)
+        preload[joint.name] = (force[0], moment[0])
     return poses_of(system), {name: preload[name] for name in link.order}
 
 
-def _loads_of(force, couples, rotation, cut):
-    """Force and moment (T, 3) on the child, and the angle (T,), from Exudyn's multipliers.
-
-    force: what the joint's constraint measures, in the parent's frame (its negative acts on the
-    child); couples: multipliers of the two axis equations z0 . x1 = 0 and z0 . y1 = 0, whose
-    moments on the child are along the child's y and -x.  Loads are in the child's frame, at a cut
-    joint in the parent's.
-    """
-    angle = rotation[:, HINGE]
-    moment = np.stack([-couples[:, 1], couples[:, 0], np.zeros(len(couples))], axis=1)
-    force, moment = (-force, _spun(moment, angle)) if cut else (_spun(-force, -angle), moment)
-    return force[:, BACK], moment[:, BACK], angle
+def _holding(system, motion: str, read):
+    """What the constraint on the driven motion measures, (T,); zero without one."""
+    return read(system.hold_sensor)[:, axis_of(motion)] if system.hold_sensor is not None else 0.0
 
 
-def _spun(vectors, angle):
-    """Vectors (T, 3) turned about z by the angle (T,)."""
-    c, s = np.cos(angle), np.sin(angle)
-    x, y, z = vectors.T
-    return np.stack([c * x - s * y, s * x + c * y, z], axis=1)
+def _add_holding(link, joint, holding, force, moment) -> None:
+    """Add to loads (T, 3) in our axes the moment, or minus the force, that a constraint measures along the driven
+    motion: a moment of x0 . y1 = 0 is along the axis, a force on the child against it."""
+    axis = "xyz".index(link.motion[2])
+    if link.motion[0] == "R":
+        moment[:, axis] += holding
+    else:
+        force[:, axis] -= holding
 
 
 class _Schedule:
@@ -171,7 +168,7 @@ def run(link, drive, duration, step, settings=Settings(), window=None, *, start,
     poses, preload = start
     schedule = _Schedule()
     velocities = None
-    given_moment = isinstance(drive, MomentDrive)
+    given_moment = isinstance(drive, GivenDrive)
     if drive is not None and not given_moment:
         rate = float(drive.motion_at(jnp.zeros(()), 0)[1])
         velocities = quasi_static_velocities(link, settings, poses, rate)
@@ -215,8 +212,8 @@ def _plan(schedule, system, drive, begin, end, steps, phase):
     if drive is None:
         return
     times = np.linspace(begin, end, steps + 1)
-    if isinstance(drive, MomentDrive):
-        values = np.asarray(jax.vmap(lambda x: drive.moment_at(x, phase))(jnp.asarray(times)))
+    if isinstance(drive, GivenDrive):
+        values = np.asarray(jax.vmap(lambda x: drive.force_at(x, phase))(jnp.asarray(times)))
         if not values.any():
             for load in system.loads:
                 system.mbs.SetLoadParameter(load, "loadVectorUserFunction", 0)
@@ -243,32 +240,44 @@ def _recorded(link, system):
     def rows(sensor):
         return np.asarray(system.mbs.GetSensorStoredData(sensor))
 
-    loads = {name: [rows(x) for x in sensors] for name, sensors in system.sensors.items()}
-    times = next(iter(loads.values()))[0][:, 0]
-    rate = rows(system.rate_sensor)[:, 1 + HINGE] if system.rate_sensor is not None else 0.0 * times
-    held = rows(system.hold_sensor)[:, 1 + HINGE] if system.hold_sensor is not None else 0.0 * times
+    loads = {name: rows_of(sensors, lambda x: rows(x)[:, 1:]) for name, sensors in system.sensors.items()}
+    times = rows(next(iter(system.sensors.values())).force)[:, 0]
+    axis = axis_of(link.motion)
+    rate = rows(system.rate_sensor)[:, 1 + axis] if system.rate_sensor is not None else 0.0 * times
+    held = rows(system.hold_sensor)[:, 1 + axis] if system.hold_sensor is not None else 0.0 * times
     no_place = np.zeros((len(times), 3))
     place = no_place if system.place_sensor is None else rows(system.place_sensor)[:, 1:]
-    return times, {n: [r[:, 1:] for r in x] for n, x in loads.items()}, rate, held, place[:, BACK]
+    return times, loads, rate, held, place[:, BACK]
 
 
 def _joined(link, parts) -> Histories:
     times, rate, held, place = (np.concatenate([p[k] for p in parts]) for k in (0, 2, 3, 4))
-    force, moment, angle = {}, {}, 0.0 * times
-    for j, (name, cut, _, _) in enumerate(link.joints):
-        columns = [np.concatenate([part[1][name][k] for part in parts]) for k in range(3)]
-        force[name], moment[name], turned = _loads_of(*columns, cut)
-        if j == link.driven:
-            moment[name] = moment[name] + held[:, None] * np.array([0.0, 1.0, 0.0])
+    force, moment, angles, displacements, driven = {}, {}, {}, {}, 0.0 * times
+    for j, joint in enumerate(link.joints):
+        rows = joined([part[1][joint.name] for part in parts])
+        force[joint.name], moment[joint.name], turned = loads_of(joint, rows)
+        kind = KINDS[joint.kind]
+        if kind.angles == 1:
+            angles[joint.name] = np.unwrap(turned)
+        if kind.displacements == 1 and rows.shift is not None:
+            displacements[joint.name] = rows.shift[:, axis_of(next(m for m in kind.motions if m[0] == "T"))]
+        if j != link.driven:
+            continue
+        _add_holding(link, joint, held, force[joint.name], moment[joint.name])
+        if link.motion[0] == "R":
             turned = np.unwrap(turned)
-            angle = turned + 2.0 * np.pi * np.round((link.start_angle - turned[0]) / (2.0 * np.pi))
+            driven = turned + 2.0 * np.pi * np.round((link.start - turned[0]) / (2.0 * np.pi))
+        else:
+            driven = rows.shift[:, axis_of(link.motion)]
     return Histories(
         times,
-        angle,
+        driven,
         rate,
         {n: force[n] for n in link.order},
         {n: moment[n] for n in link.order},
         place,
+        angles,
+        displacements,
     )
 
 

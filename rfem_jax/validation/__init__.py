@@ -10,7 +10,10 @@ Place in the pipeline: simulation, mechanics, description -> **validation** -> r
     tilted_hinge          the flexible four-bar with a crooked pin
     spinning_bodies       tumbling body, heavy tops; rigid_body_theory, independent values
     slider_cranks         on a guide, rigid, and flexible with errors
+    flexible_slider_crank with an elastic rod, of the test set for initial value problems; flexible_rod_theory, an
+                          independent value
     spatial_linkages      spherical, universal, prismatic, cylindrical, fixed joints
+    nonideal_joints       bushings, and friction by constants and by loads
     bennett_loop          an overconstrained linkage
     andrews_squeezer      seven bodies, three planar loops
     published_linkages    IFToMM spatial slider-crank; Fourbar1, Fourbar2 and Engine1a of Modelica

@@ -124,6 +124,16 @@ def test_tilted_hinge_by_exudyn(run_program, tmp_path):
     assert float(force[1]) == pytest.approx(1.0197 * float(force[2]), rel=1e-3)
 
 
+def test_studies_by_exudyn(run_program, tmp_path):
+    """The slider-crank, with a few long steps and two rfes."""
+    file = tmp_path / "tables.json"
+    said = run_program("benchmarks/against_exudyn.py", "--trial", "--parts", "studies", "--json", file)
+    found = agreements(file)
+    assert len(found) == 5 and [what for what, met in found.items() if not met] == []
+    timed = [row for row in rows_of(said) if row[0] == "slider_crank, guide_tilted"][1]
+    assert all(float(number) > 0.0 for number in timed[1:])
+
+
 def test_time_of_exudyn(run_program):
     said = run_program("benchmarks/against_exudyn.py", "--trial", "--parts", "time")
     rows = rows_of(said)
