@@ -36,6 +36,37 @@ def test_assembly_preload(run_program, tmp_path):
     np.testing.assert_allclose(column(drive, "moment_Nm"), column(drive, "derivative_of_energy_Nm"), atol=0.02)
 
 
+def test_bearing_stiffness(run_program, tmp_path):
+    said = run_program("studies/bearing_stiffness/study.py", "--quick", "--out", tmp_path)
+    assert "Distance from ideal joints" in said
+    assert {path.stem for path in tmp_path.glob("*.png")} == {"preload_over_stiffness", "stiffness_that_counts"}
+    sweep = table(tmp_path / "sweep.csv")
+    columns = [name for name in sweep[0] if name.endswith(("_N", "_Nm"))]
+    loads = {
+        links: np.stack([column([row for row in sweep if row["links"] == links], name) for name in columns], axis=1)
+        for links in ("rigid", "flexible")
+    }
+    stiffness = column([row for row in sweep if row["links"] == "rigid"], "radial_N_per_m")
+    assert len(columns) == 8 and len(stiffness) == 6 and stiffness[-1] / stiffness[0] == pytest.approx(1e6)
+    # Rigid links: in proportion to the stiffness, without a limit.
+    np.testing.assert_allclose(loads["rigid"] / stiffness[:, None], loads["rigid"][1:2] / 1e8 * np.ones((6, 1)), 1e-8)
+    assert (loads["rigid"][1] > 0.1).all()
+    # Flexible links: as much as rigid ones on soft bearings; near ideal joints the rest is of first order in 1/k.
+    (limit,) = table(tmp_path / "ideal.csv")
+    ideal = np.array([float(limit[name]) for name in columns])
+    assert (loads["flexible"][0] > 0.8 * loads["rigid"][0]).all()
+    assert (np.diff(loads["flexible"], axis=0) > 0.0).all()
+    off = (1.0 - loads["flexible"] / ideal)[3:]
+    assert (off[0] > 1e-3).all()
+    np.testing.assert_allclose(off[:-1] / off[1:], 10.0, rtol=0.02)
+    # All stiffnesses together: the loads of rigid links are of degree one in them, those of flexible links of less.
+    directions = table(tmp_path / "directions.csv")
+    for links, low, high in (("rigid", 1.0 - 1e-6, 1.0 + 1e-6), ("flexible", 0.1, 0.9)):
+        own = [row for row in directions if row["links"] == links]
+        sums = np.array([column(own, f"{joint}_{load}").sum() for joint in "ABCD" for load in ("force", "moment")])
+        assert len(own) == 12 and (low < sums).all() and (sums < high).all()
+
+
 QUESTIONS = ("rfes", "steps", "elements", "crank", "damping")
 
 

@@ -17,6 +17,7 @@ from tests.programs.conftest import ROOT
 
 STUDIES = ROOT / "studies"
 FILES = sorted(path.relative_to(STUDIES).as_posix() for path in STUDIES.rglob("*.toml"))
+JOINTS = {"slider_crank": ("A", "B", "G", "P")}
 HINGES = [
     {"name": "A", "parent": "base", "child": "crank", "angle": "90 deg"},
     {"name": "D", "parent": "crank", "child": "coupler"},
@@ -32,8 +33,8 @@ def to_toml(value):
     return json.dumps(value)
 
 
-def reduced(name, pendulum=False):
-    """Text of a smaller study."""
+def reduced(name, pendulum=False, change=None):
+    """Text of a smaller study; `change` is called with its content."""
     content = tomllib.loads((STUDIES / name).read_text(encoding="utf-8"))
     simulation = {"duration": 5e-3, "save_every": 2.5e-3}
     if content["simulation"]["method"] == "auto":
@@ -55,6 +56,8 @@ def reduced(name, pendulum=False):
     }.items():
         if task in content:
             content[task] |= {key: size for key, size in sizes.items() if key in content[task]}
+    if change is not None:
+        change(content)
     return "\n".join(f"{key} = {to_toml(value)}" for key, value in {**content, "simulation": simulation}.items())
 
 
@@ -62,9 +65,9 @@ def reduced(name, pendulum=False):
 def test_every_file_is_valid(name):
     study = load_study(STUDIES / name)
     model = discretise(study.mechanism)
-    names = ("A", "B", "G", "P") if name.startswith("slider_crank") else ("A", "B", "D", "C")
+    names = JOINTS.get(name.partition("/")[0], ("A", "B", "D", "C"))
     assert model.driven_joint == study.drive.joint == "A" and model.joint_names == names
-    folders = ("four_bar", "slider_crank", "spatial_linkage", *COMMANDS)
+    folders = ("four_bar", "spatial_linkage", "bearing_stiffness", *JOINTS, *COMMANDS)
     assert any(name.startswith(f"{folder}/") for folder in folders), "no test runs this file"
 
 
@@ -159,6 +162,47 @@ def test_spatial_linkage(run_command):
     angle, force = (np.array([float(row[name]) for row in rows]) for name in ("D.end_angle_rad", "D.rms_force_N"))
     assert 1e-4 < np.ptp(angle) < 1e-2 and np.ptp(force) < 0.05 * force.min()
     assert "D.end_angle" in said
+
+
+def shaft_in_two_bearings(content):
+    """The crank alone, in the bearing A and, 50 mm beside it, in D: one loop of one rigid link."""
+    mechanism = content["mechanism"]
+    joints = {joint["name"]: joint for joint in mechanism["joints"]}
+    beside = [0.0, "50 mm", 0.0]
+    second = {"position": beside, "child_position": beside, "child": "crank", "cut": True}
+    mechanism["links"] = mechanism["links"][:1]
+    mechanism["joints"] = [joints["A"], {**without(joints["D"], "angle"), **second}]
+
+
+def without(table, key):
+    return {name: value for name, value in table.items() if name != key}
+
+
+@pytest.mark.slow
+def test_bearing_stiffness(run_command):
+    """All tasks, one after the other."""
+    out, said = run_command("run", reduced("bearing_stiffness/study.toml", change=shaft_in_two_bearings))
+    cases = json.loads((out / "results.json").read_text())["cases"]
+    assert all(case["status"] == "ok" for case in cases.values())
+    # Tilting springs of both bearings, and the shaft between springs across: it turns by a part of the tilt.
+    radial, tilt, angle = 1e8, 1200.0, math.radians(0.5)
+    turned = tilt * angle / (2.0 * tilt + 0.5 * radial * 0.05**2)
+    for case in ("tilted_x", "tilted_z"):
+        moment = cases[case]["joints"]["D"]["preload_moment"]
+        assert math.hypot(*moment) == pytest.approx(tilt * (angle - turned), rel=1e-4)
+    check_tasks(out, said, 8)
+    rows = json.loads((out / "allocation.json").read_text())
+    assert rows["status"] == "ok"
+
+
+def check_tasks(out, said, samples):
+    """Every task wrote its files; no sample failed."""
+    assert {path.stem for path in out.glob("*.json")} == {"results", "sensitivity", "monte_carlo", "allocation"}
+    with open(out / "monte_carlo.csv", newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == samples and {row["status"] for row in rows} == {"0"}
+    for word in ("Sensitivities of order", "limit", "Allocation ("):
+        assert word in said
 
 
 @pytest.mark.slow
