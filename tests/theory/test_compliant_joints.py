@@ -33,6 +33,7 @@ from rfem_jax import (
 from rfem_jax.description.compliance import SprungDirection
 from rfem_jax.mechanics.joint_springs import compliant_spring
 from rfem_jax.simulation.stability import eigenvalues, largest_stable_step
+from rfem_jax.validation.reference_values import read_reference
 from tests.mechanisms import BAR, STEEL, link
 
 BUSHING = Compliance(
@@ -79,6 +80,10 @@ def in_seat(load, angle):
     return turned @ np.asarray(load)
 
 
+GIVEN = read_reference("nonideal_joints")
+RMS = {joint: (GIVEN["rms_force"]["bushings"][joint], GIVEN["rms_moment"]["bushings"][joint]) for joint in "ABCD"}
+
+
 class TestFourBarOnBushings:
     FORCES: ClassVar = {
         "A": (0.279489464553, 27.3698436479, 2.44419950633),
@@ -95,12 +100,6 @@ class TestFourBarOnBushings:
     PRELOAD: ClassVar = {  # by the errors alone, divided by their size, of a closed form; global axes
         "A": ((0.0, 27.3683361039, 0.0), (-7.20076623163, 0.0, -0.642038127512)),
         "D": ((0.0, -27.3683361039, 0.0), (7.20076623163, 0.0, 8.85253895867)),
-    }
-    RMS: ClassVar = {  # force, moment
-        "A": (39.8968129775, 6.56271441865),
-        "B": (37.4243021115, 5.90915178902),
-        "C": (30.3302327189, 6.27950751451),
-        "D": (30.0127139078, 11.1720003796),
     }
 
     def test_at_rest_with_the_crank_held(self, bushed):
@@ -149,7 +148,7 @@ class TestFourBarOnBushings:
         run = simulate(bushed, errors=assembly_errors(bushed, TILTED), drive=MomentRamp("A", 1.5, 0.1), duration=0.4,
                        method=method, save_every=0.05)  # fmt: skip
         assert int(run.status) == 0
-        for joint, (force, moment) in self.RMS.items():
+        for joint, (force, moment) in RMS.items():
             np.testing.assert_allclose(run.metrics.rms_force[joint], force, rtol=2e-6)
             np.testing.assert_allclose(run.metrics.rms_moment[joint], moment, rtol=1e-9)
         np.testing.assert_allclose(run.angle[2], -0.877416583055, rtol=0, atol=1e-9)
