@@ -182,4 +182,4 @@ def _known_metric(model: Model, asked: str | Metric) -> Metric:
 def _has(model: Model, joint: str, metric: str) -> bool:
     topology = model.topology
     j = topology.joints.index(joint)
-    return has_metric(metric, topology.kind(j), j in topology.cuts)
+    return has_metric(metric, topology.kind(j).nominal, j in topology.cuts)
