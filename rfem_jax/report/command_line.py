@@ -318,7 +318,7 @@ def _check(arguments: argparse.Namespace) -> int:
 
     from rfem_jax.mechanics import describe
     from rfem_jax.report.overview import study_text
-    from rfem_jax.report.study_cost import cost_text
+    from rfem_jax.report.study_cost import cost_text, times_text
     from rfem_jax.report.tasks.task_overview import tasks_text
     from rfem_jax.simulation import check_step
 
@@ -328,12 +328,14 @@ def _check(arguments: argparse.Namespace) -> int:
         show(text, end="\n\n")
     show(cost_text(study), end="\n\n")
     if study.method.name == "auto":
-        _settle_method(study)
-        return DONE
-    _announce("Looking for the largest stable step")
-    step = check_step(model, study.method, study.drive)
-    found = "any, chosen by the method, or not known" if step is None else f"{float(step):.3g} s"
-    show(f"Largest stable step of {study.method.name}: {found}.")
+        study = _settle_method(study)
+    else:
+        _announce("Looking for the largest stable step")
+        step = check_step(model, study.method, study.drive)
+        found = "any, chosen by the method, or not known" if step is None else f"{float(step):.3g} s"
+        show(f"Largest stable step of {study.method.name}: {found}.")
+    if text := times_text(study):
+        show(text)
     return DONE
 
 
