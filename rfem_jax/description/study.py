@@ -24,6 +24,7 @@ from rfem_jax.description.error_catalogue import error_dimension
 from rfem_jax.description.errors import ABSENT, Checks, ChecksItself, InputError, Problems, located, suggestion
 from rfem_jax.description.mechanism import Mechanism
 from rfem_jax.description.methods import Method
+from rfem_jax.description.notebook_tables import study_html
 from rfem_jax.description.study_reader import read_drive, read_drives, read_mechanism, read_simulation
 from rfem_jax.description.tables import checked_list, checked_table, named_place, read_toml
 from rfem_jax.description.tasks.study_tasks import Tasks, read_tasks
@@ -90,6 +91,9 @@ class Study(ChecksItself):
     note: str = ""
     tasks: Tasks = field(default_factory=Tasks)
     asked_method: Method | None = None
+
+    def _repr_html_(self) -> str:
+        return study_html(self)
 
     def _check_fields(self, checks: Checks) -> None:
         kinds = {"title": str, "note": str, "mechanism": Mechanism}

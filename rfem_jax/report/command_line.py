@@ -121,7 +121,8 @@ def _answer(arguments: argparse.Namespace) -> tuple[Answer, list[str]]:
     command: Command = arguments.chosen
     try:
         with _rare_collections(), ProgressLine(sys.stderr) as line:
-            line("Loading JAX" if command.computes else "Working")
+            if command.computes:
+                line("Loading JAX")
             from rfem_jax.description.errors import InputError
 
             try:
