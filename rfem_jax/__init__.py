@@ -1,6 +1,6 @@
 """Differentiable simulation of flexible mechanisms with assembly errors.
 
-    load_study / Mechanism(...)          description   what the user states
+    load_study / Mechanism(...)          description   what the user specifies
         |
     discretise -> Model                  mechanics     rigid finite elements, closed start
         |  assembly_errors({...})                      how it is wrong

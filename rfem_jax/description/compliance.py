@@ -49,9 +49,9 @@ class Compliance:
     """Stiffness and damping of a joint in directions that its kind holds; a direction that is left out stays rigid.
 
     A stiffness is a number, or a table { positions = [...], forces = [...] } of the force (moment) that displaces by a
-    position (angle), linear in between and beyond its ends with the last slope, not decreasing: from 0, 0 and the same
-    in both senses, or from negative to positive positions where the direction is one axis. Linear springs of "radial",
-    "normal" and "tilt" are the same in all directions across the axis, and tables are over the resultant.
+    position (angle), linear in between and beyond its ends with the last stiffness, not decreasing: from 0, 0 and the
+    same in both senses, or from negative to positive positions where the direction is one axis. Linear springs of
+    "radial", "normal" and "tilt" are the same in all directions across the axis, and tables are over the resultant.
 
     Args:
         radial: [N/m] across the axis; of kinds without an axis (spherical, universal, fixed) in all directions.

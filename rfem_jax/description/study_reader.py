@@ -187,9 +187,8 @@ def _read_link(
         if known is None:
             continue
         with problems.noted():
-            settings[key] = known[_choice(name, known, key, place)]
-        if settings[key] is None:
-            raise InputError(*problems.found)  # the mistake in that table is noted: the link is not judged
+            part = known[_choice(name, known, key, place)]
+            settings[key] = ABSENT if part is None else part  # the mistake in that table is noted
     if settings.get("rigid") is True and settings.get("rfes", 1) != 1:
         problems.found.append(
             f"{place}: Argument `rfes` must be left out where rigid = true, but was "

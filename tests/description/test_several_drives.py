@@ -63,7 +63,7 @@ duration = 0.5
 step = 1e-4
 """
 PUSH = '[[drives]]\njoint = "C"\nmotion = "T_y"\nkind = "force_ramp"\nforce = "5 N"\nrise_time = 0.1\n'
-TURN = '[[drives]]\njoint = "C"\nmotion = "R_y"\nkind = "prescribed_rate"\nrate = "60 rpm"\n'
+ROTATION = '[[drives]]\njoint = "C"\nmotion = "R_y"\nkind = "prescribed_rate"\nrate = "60 rpm"\n'
 MOMENT = '[[drives]]\njoint = "A"\nkind = "moment_ramp"\nmoment = 1\nrise_time = 0.2\n'
 
 
@@ -101,7 +101,7 @@ def test_phases_of_several_drives():
 
 
 def test_a_study_file_with_several_drives(load):
-    study = load(PUSH + MOMENT + TURN)
+    study = load(PUSH + MOMENT + ROTATION)
     assert study.drive_labels == ("C.T_y", "A", "C.R_y")
     # Prescribed motions are held first.
     assert study.mechanism.driven_joint == ("C.R_y", "C.T_y", "A")

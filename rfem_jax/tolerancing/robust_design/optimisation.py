@@ -23,8 +23,9 @@ import numpy as np
 from jaxtyping import Float
 
 from rfem_jax.description.errors import InputError, require_choice
+from rfem_jax.description.precision import require_float64
 from rfem_jax.tolerancing.allocation.cost_models import CostModel, total_cost
-from rfem_jax.tolerancing.checks import ErrorValue, require_float64
+from rfem_jax.tolerancing.checks import ErrorValue
 from rfem_jax.tolerancing.layout import show_number
 from rfem_jax.tolerancing.optimisation.starting_points import sobol_units
 from rfem_jax.tolerancing.problems.distributions import Normal, Tolerance, Tolerances

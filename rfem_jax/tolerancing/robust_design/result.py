@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rfem_jax.tolerancing.layout import align_columns, show_error, show_number, wrap_lines
+from rfem_jax.text_layout import align_columns, wrap_lines
+from rfem_jax.tolerancing.layout import show_error, show_number
 
 STATUSES = {
     "ok": "found, and a fresh run agrees",
