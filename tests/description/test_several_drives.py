@@ -107,7 +107,7 @@ def test_a_study_file_with_several_drives(load):
     assert study.mechanism.driven_joint == ("C.R_y", "C.T_y", "A")
     assert study.drive_jumps == (0.1, 0.2)
     assert study.drives[0].force == 5.0 and float(study.drives[2].rate) == pytest.approx(2.0 * np.pi)
-    beside = load(MOMENT.replace("[[drives]]", "[drive]") + PUSH + TURN)
+    beside = load(MOMENT.replace("[[drives]]", "[drive]") + PUSH + ROTATION)
     assert beside.drive_labels == ("A", "C.T_y", "C.R_y"), "that of [drive] is the first"
     alone = load(PUSH)
     assert isinstance(alone.drive, ForceRamp) and alone.mechanism.driven_joint == "C.T_y"
