@@ -37,6 +37,17 @@ def without_nan(value: Any) -> Any:
     return value
 
 
+def plain(value: Any) -> Any:
+    """NumPy arrays and scalars of nested dicts and lists as Python's own."""
+    if isinstance(value, dict):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(item) for item in value]
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    return value.item() if isinstance(value, np.generic) else value
+
+
 def versions() -> dict[str, str | None]:
     """Versions of Python and of the packages that made the numbers (None: not installed)."""
     found: dict[str, str | None] = {"python": platform.python_version()}

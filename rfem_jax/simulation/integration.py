@@ -49,7 +49,16 @@ from rfem_jax.simulation.driving import active_drives, all_jumps, require_driven
 from rfem_jax.simulation.equations import Conditions, Scalar, Trajectory
 from rfem_jax.simulation.observation import Record, observe
 from rfem_jax.simulation.packing import pack, unpack
-from rfem_jax.simulation.run import RESIDUAL_LIMIT, DriveHistory, DrivenJoint, Energy, LoadIntegrals, Metrics, Run
+from rfem_jax.simulation.run import (
+    RESIDUAL_LIMIT,
+    DriveHistory,
+    DrivenJoint,
+    Energy,
+    LoadIntegrals,
+    Loads,
+    Metrics,
+    Run,
+)
 from rfem_jax.simulation.solvers.catalogue import observed_solver
 from rfem_jax.simulation.solvers.implicit_step import SOLUTION, Memory
 from rfem_jax.simulation.stabilisation import stabilisation_of
@@ -277,7 +286,7 @@ def conclude(
         drives=drives,
         angles=_coordinates(model, record, rotation=True),
         displacements=_coordinates(model, record, rotation=False),
-        loads={name: Load(record.loads.force[:, :, j], record.loads.moment[:, :, j]) for name, j in _joints(model)},
+        loads=Loads({name: Load(*(part[:, :, j] for part in record.loads)) for name, j in _joints(model)}),
         preload=named(model, prepared.preload),
         energy=energy,
         metrics=metrics_of(model, carry, times[-1]),

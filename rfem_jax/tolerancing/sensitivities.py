@@ -27,6 +27,7 @@ from rfem_jax.description.error_catalogue import as_specified
 from rfem_jax.description.errors import InputError
 from rfem_jax.text_layout import align_columns, wrap_lines
 from rfem_jax.tolerancing.checks import ErrorValues, check_known
+from rfem_jax.tolerancing.labelled_results import LabelledSensitivities
 from rfem_jax.tolerancing.layout import show_error, show_number, without_rounding
 from rfem_jax.tolerancing.problems.distributions import Tolerances
 from rfem_jax.tolerancing.problems.evaluation import describe_status, read_point, select_half_widths
@@ -41,7 +42,7 @@ ZERO_VALUE = 1e-9  # value below this part of (1/2 tolerances x Hessian x tolera
 
 
 @dataclass(frozen=True, eq=False)
-class Sensitivities:
+class Sensitivities(LabelledSensitivities):
     """Derivatives of m metrics by k errors; NaN where there is no derivative.
 
     names, error_units (k); metrics, metric_units, labels (m); at {name: value} of the point [rad, m]; scale (k,)

@@ -107,6 +107,8 @@ def test_a_study_file_with_several_drives(load):
     assert study.mechanism.driven_joint == ("C.R_y", "C.T_y", "A")
     assert study.drive_jumps == (0.1, 0.2)
     assert study.drives[0].force == 5.0 and float(study.drives[2].rate) == pytest.approx(2.0 * np.pi)
+    beside = load(MOMENT.replace("[[drives]]", "[drive]") + PUSH + ROTATION)
+    assert beside.drive_labels == ("A", "C.T_y", "C.R_y"), "that of [drive] is the first"
     alone = load(PUSH)
     assert isinstance(alone.drive, ForceRamp) and alone.mechanism.driven_joint == "C.T_y"
 
@@ -121,7 +123,7 @@ def test_a_study_file_with_several_drives(load):
         (PUSH.replace('"T_y"', '"T_q"'), ("`motion` of the drive", "T_q")),
         (PUSH + "moment = 1\n", ('number 1 of kind "force_ramp"', "`moment`")),
         (PUSH + PUSH, ("each motion once", "T_y of joint `C` twice")),
-        (MOMENT.replace("[[drives]]", "[drive]") + PUSH, ("either [drive] or [[drives]]", "has both")),
+        (MOMENT.replace("[[drives]]", "[drive]") + MOMENT, ("each motion once", "R_y of joint `A` twice")),
         ("[drives]\n" + PUSH.partition("\n")[2], ("[[drives]]", "must be a list of tables")),
         (
             '[[drives]]\njoint = "A"\nkind = "prescribed_table"\ntimes = [0, 0.1]\nangles = [0, 1]\n' + PUSH,

@@ -22,7 +22,6 @@ from rfem_jax.description.study import Study
 from rfem_jax.description.tasks.monte_carlo import MonteCarloTask
 from rfem_jax.report.annotations import Axes, Figure
 from rfem_jax.report.output import write_csv
-from rfem_jax.report.quantities import column_name
 from rfem_jax.report.style import (
     BAR_COLOURS,
     CASE_COLOURS,
@@ -123,7 +122,7 @@ class MonteCarloReport(TaskReport[MonteCarloTask, MonteCarloResult]):
         }
         return [
             write_task_json(folder / "monte_carlo.json", self.study, self.name, content),
-            write_csv(folder / "monte_carlo.csv", sample_rows(result)),
+            write_csv(folder / "monte_carlo.csv", result.rows()),
         ]
 
     def simulations(self) -> list[str]:
@@ -163,19 +162,6 @@ def describe_study(study: Study) -> dict[str, str]:
         with suppress(keys.NotDigestible):
             found[name] = keys.digest_value(part)
     return found
-
-
-def sample_rows(result: MonteCarloResult) -> list[dict[str, Any]]:
-    """One row per sample: its number, status, errors [rad, m] and metrics, {column with unit: value}."""
-    errors = [column_name(*named) for named in zip(result.names, result.error_units, strict=True)]
-    metrics = [column_name(*named) for named in zip(result.metrics, result.metric_units, strict=True)]
-    rows: list[dict[str, Any]] = []
-    for index in range(result.samples):
-        row = {"sample": index, "status": int(result.status[index])}
-        row |= dict(zip(errors, result.errors[index], strict=True))
-        row |= dict(zip(metrics, result.values[index], strict=True))
-        rows.append(row)
-    return rows
 
 
 def _estimate(estimate: Estimate) -> dict[str, float]:

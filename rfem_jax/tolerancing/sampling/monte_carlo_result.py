@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from rfem_jax.text_layout import align_columns, wrap_lines
+from rfem_jax.tolerancing.labelled_results import LabelledMonteCarlo
 from rfem_jax.tolerancing.layout import show_number
 from rfem_jax.tolerancing.sampling.statistics import ControlledMean, Estimate, SobolIndices
 
@@ -38,7 +39,7 @@ class Yield:
 
 
 @dataclass(frozen=True, eq=False)
-class MonteCarloResult:
+class MonteCarloResult(LabelledMonteCarlo):
     """Result of a Monte Carlo study.
 
     names, error_units (d) and metrics, metric_units, labels (m): of the errors that vary and of the metrics;
