@@ -41,7 +41,7 @@ def section_text(section: Section) -> str:
     sizes = [
         f"{field.name.replace('_', ' ')} {1e3 * getattr(section, field.name):.6g} mm"
         for field in fields(section)
-        if field.name != "shear_factor"
+        if field.name not in ("shear_factor", "name")
     ]
     return ", ".join([shape.lower(), *sizes])
 
