@@ -4,8 +4,8 @@ Place in the pipeline: model and its source, parameters -> **designs** -> static
 
 A `Design` holds values, `AssemblyErrors.parameters` deviations from them. Of the model's arrays those are made anew,
 by the formulas that made the nominal ones, that depend on a number that is set (theory (14.1)); with a new geometry the
-loops are closed anew (`start_closure`, theory (14.2) to (14.5)). What is on which rigid finite element stays: a joint, a
-mass or a force whose point leaves its rfe is carried by a rigid arm, which is as exact as the division of the link as
+loops are closed anew (`start_closure`, theory (14.2) to (14.5)). What is on which rigid finite element stays: a joint,
+a mass or a force whose point leaves its rfe is carried by a rigid arm, which is as exact as the division of the link as
 long as it is shorter than half an rfe; a longer one is told by the status.
 
 A design that cannot be is computed with the nominal numbers, so that a batch goes on, and its status says so.
@@ -154,8 +154,8 @@ def designed(model: Model, design: Design | None, errors: AssemblyErrors | None 
 
 
 class Plan(NamedTuple):
-    """What changes with some parameters: which leaves of a model, start values of the joints among them; closes: whether
-    loops are to be closed; arms: whether points may leave their rfes; products: whether bodies have products of
+    """What changes with some parameters: which leaves of a model, start values of the joints among them; closes:
+    whether loops are to be closed; arms: whether points may leave their rfes; products: whether bodies have products of
     inertia."""
 
     changes: tuple[bool, ...]

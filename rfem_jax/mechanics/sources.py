@@ -23,7 +23,7 @@ from rfem_jax.description.sections import Tube
 
 ForceNodes = tuple[tuple[str, tuple[int, ...]], ...]
 # Of the longest link.  Overconstrained loops close only as well as their numbers were typed: with angles of six
-# decimals a Bennett linkage stays open by 2e-7.  Flexible links take up the rest in the static start.
+# decimals a Bennett linkage stays open by 2e-7.  flexible links close the remaining gap in the static start.
 CLOSING_TOLERANCE = 1e-6
 NOTHING = float("nan")
 
