@@ -10,7 +10,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
-from jaxtyping import Array, Float
+import jax.numpy as jnp
+from jax.typing import ArrayLike
 
 from rfem_jax.description.driven_motions import AnyDrive
 from rfem_jax.description.drives import (
@@ -80,7 +81,7 @@ def read_drive_number(name: str, value: Any, where: str, labels: Sequence[str]) 
 
 
 def drives_with(
-    drives: Sequence[AnyDrive], labels: Sequence[str], values: Mapping[str, Float[Array, ""]]
+    drives: Sequence[AnyDrive], labels: Sequence[str], values: Mapping[str, ArrayLike]
 ) -> tuple[AnyDrive, ...]:
     """Drives with other numbers, by their names.
 
@@ -95,6 +96,7 @@ def drives_with(
             )
         i, number = known[name]
         field = NUMBERS[type(drives[i])][1]
-        new = value * getattr(drives[i], field) if number == "factor" else value
+        new = jnp.asarray(value, jnp.float64)
+        new = new * getattr(drives[i], field) if number == "factor" else new
         found[i] = eqx.tree_at(lambda one, field=field: getattr(one, field), found[i], new)
     return tuple(found)

@@ -186,6 +186,7 @@ def _of_links(parts: Parts) -> Iterator[Parameter]:
 
 def _shared(links: Sequence[Link], kind: str) -> Iterator[Parameter]:
     """Parameters of sections or materials, those of one name and content once."""
+    own: list[tuple[int, Link, Any]]
     own = [(i, link, getattr(link, kind)) for i, link in enumerate(links) if getattr(link, kind) is not None]
     by_name: dict[str, list[Any]] = {}
     for _, _, thing in own:
@@ -196,8 +197,10 @@ def _shared(links: Sequence[Link], kind: str) -> Iterator[Parameter]:
         if alike and thing.name in done:
             continue
         users = [n for n, _, other in own if other.name == thing.name] if alike else [i]
-        done |= {thing.name} if alike else set()
-        owner, before = ((kind, thing.name), "") if alike else (("link", link.name), f"{kind}.")
+        owner, before = ("link", link.name), f"{kind}."
+        if alike:
+            done.add(str(thing.name))
+            owner, before = (kind, str(thing.name)), ""
         fields = dict(FIELDS[type(thing)])
         if isinstance(thing, Tube) and thing.shear_factor == thing.derived_factor:
             del fields["shear_factor"]

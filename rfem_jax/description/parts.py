@@ -69,7 +69,7 @@ def _with_positions(joint: Joint) -> Joint:
 def number_at(whole: Any, path: Path) -> Any:
     """What stands at a path."""
     for step in path:
-        whole = getattr(whole, step) if _is_field(whole, step) else whole[step]
+        whole = getattr(whole, str(step)) if _is_field(whole, step) else whole[step]
     return whole
 
 

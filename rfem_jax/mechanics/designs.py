@@ -31,12 +31,14 @@ from rfem_jax.description.number_fields import ANY, POSITIVE
 from rfem_jax.description.parameters import Parameter, require_each_once
 from rfem_jax.description.parts import Parts
 from rfem_jax.description.sections import Tube
+from rfem_jax.description.study import Study
+from rfem_jax.mechanics.discretisation import discretise
 from rfem_jax.mechanics.model import BASE, Model, Topology, rfe_fractions
 from rfem_jax.mechanics.model_building import PartStructure, arrays_of
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors
 from rfem_jax.mechanics.sources import NOTHING, Blueprint, Source
 from rfem_jax.mechanics.start_closure import close_start
-from rfem_jax.mechanics.status import DESIGN_OUT_OF_RANGE, NOT_CLOSED, OK
+from rfem_jax.mechanics.status import DESIGN_OUT_OF_RANGE, NOT_CLOSED, OK, STATUS
 
 LONGEST_ARM = 0.5  # of a segment between two spring-damping elements
 
@@ -151,6 +153,30 @@ def designed(model: Model, design: Design | None, errors: AssemblyErrors | None 
     new = iter(changed)
     leaves = [next(new) if changes else leaf for leaf, changes in zip(leaves, plan.changes, strict=True)]
     return Designed(jax.tree.unflatten(tree, leaves), left, status, gap)
+
+
+def model_of_study(study: Study) -> Model:
+    """The model of a study's mechanism with the values of its design, from which parameters deviate.
+
+    **Raises:** `InputError` as `discretise`, and for a design that cannot be.
+    """
+    model = discretise(study.mechanism)
+    values = {name: value for name, value in study.design_values.items() if not name.startswith("drive.")}
+    if not values:
+        return model
+    wanted = design(model, values)
+    made = designed(model, wanted)
+    assert made.status is not None and made.gap is not None, "numbers were set"
+    if int(made.status) != OK:
+        raise InputError(
+            f"Argument `design` must be one that can be built, but is not ({STATUS[int(made.status)].message.lower()} "
+            f"gap {float(made.gap):.3g} m); change it."
+        )
+    source = source_in(model)
+    numbers = np.array(source.numbers)
+    for i, one in enumerate(source.blueprint.names.all):
+        numbers[i] = wanted.values.get(one.full, numbers[i])
+    return replace(made.model, source=replace(source, numbers=jnp.asarray(numbers)))
 
 
 class Plan(NamedTuple):

@@ -107,7 +107,7 @@ def _follow(
     def improve(carry):
         z, _, kept, largest, count, _ = carry
         # First at the nominal start, which gives the projector; in the end once more, at the result.
-        share, last = jnp.minimum(count / STEPS, 1.0), largest <= TOLERANCE
+        share, last = jnp.minimum(count.astype(jnp.float64) / STEPS, 1.0), largest <= TOLERANCE
         model = jax.tree.map(lambda a, b: jnp.where(share < 1.0, a + share * (b - a), b), one, other)
         value, push = jax.linearize(lambda z: residual(z, model), z)
         matrix = jax.vmap(push, out_axes=1)(jnp.eye(size))

@@ -13,7 +13,7 @@ import numpy as np
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.study import Study
 from rfem_jax.labelled_data import DataFrame, Dataset, frame
-from rfem_jax.mechanics.discretisation import discretise
+from rfem_jax.mechanics.designs import model_of_study
 from rfem_jax.mechanics.model import Model
 from rfem_jax.mechanics.model_with_errors import assembly_errors
 from rfem_jax.simulation import integration, labelled_runs
@@ -60,23 +60,24 @@ def run_cases(
 
     **Raises:** `InputError` as `choose_method`, and for a model whose driven joint is not that of the study's drive.
     """
-    model = discretise(study.mechanism) if model is None else model
-    require_driven(model, study.drive)
+    model = model_of_study(study) if model is None else model
+    drive = study.designed_drive
+    require_driven(model, drive)
     errors = [assembly_errors(model, case.errors) for case in study.cases]
     errors = jax.tree.map(lambda *leaves: jnp.stack(leaves), *errors)
-    method = choose_method(model, study.method, study.drive, study.duration, errors, study.save_every)
-    grid, steps = integration.grid_for(study.drive, study.duration, method, study.save_every, model)
-    _compile_ahead(model, errors, study.drive, grid, method, steps)
-    prepared, carry = _prepare(model, errors, study.drive, method)
+    method = choose_method(model, study.method, drive, study.duration, errors, study.save_every)
+    grid, steps = integration.grid_for(drive, study.duration, method, study.save_every, model)
+    _compile_ahead(model, errors, drive, grid, method, steps)
+    prepared, carry = _prepare(model, errors, drive, method)
     ends = []
     for piece in _pieces(grid):
-        carry, reached = _advance(model, prepared.actual, study.drive, carry, piece, method, steps)
+        carry, reached = _advance(model, prepared.actual, drive, carry, piece, method, steps)
         ends.append(jax.tree.map(np.asarray, reached))
         if progress is not None:
             progress(float((piece.starts + piece.lengths)[-1] / study.duration))
     count = len(grid.starts)
     ends = jax.tree.map(lambda *parts: np.concatenate(parts, axis=1)[:, :count], *ends)
-    runs = _conclude(model, prepared, study.drive, carry, ends, grid, method, steps)
+    runs = _conclude(model, prepared, drive, carry, ends, grid, method, steps)
     return model, Runs({case.name: one_of(runs, i) for i, case in enumerate(study.cases)})
 
 
