@@ -63,7 +63,7 @@ class Comparison:
     remarks: tuple[str, ...]
 
     def text(self, names: Sequence[str]) -> str:
-        """Tables by quantity, then the remarks and the largest difference; `names` of the two results."""
+        """Tables by quantity, then the remarks; `names` of the two results."""
         parts = [f"first: {names[0]}\nsecond: {names[1]}"]
         for quantity in (*JOINT_METRICS, *DRIVEN_JOINT):
             rows = [one for one in self.differences if one.quantity == quantity.name]
@@ -71,7 +71,7 @@ class Comparison:
                 parts.append(f"{quantity.title}\n{_table(rows)}")
         if self.remarks:
             parts.append("\n".join(self.remarks))
-        return "\n\n".join([*parts, self.largest()])
+        return "\n\n".join(parts)
 
     def largest(self) -> str:
         """One sentence on the largest relative difference."""
