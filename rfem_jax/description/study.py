@@ -259,9 +259,8 @@ def _read_study(content: dict[str, Any], path: Path) -> Study:
             with problems.noted():
                 parts[name] = read(there[name]) if name in there else ABSENT
     if "drives" in parts:
-        with problems.noted():
-            _refuse_both(content)
-        parts["drive"] = parts.pop("drives")
+        drive, drives = parts["drive"], parts.pop("drives")
+        parts["drive"] = ABSENT if ABSENT in (drive, drives) else (*each_drive(drive), *drives)
     parts["tasks"] = ABSENT
     with problems.noted():
         tasks = read_tasks(there)
@@ -275,14 +274,6 @@ def _read_study(content: dict[str, Any], path: Path) -> Study:
     problems.refuse()
     assert study is not None, "what is missing has been noted"
     return study
-
-
-def _refuse_both(content: dict[str, Any]) -> None:
-    if "drive" in content:
-        raise InputError(
-            "The top level must have either [drive] or [[drives]], but has both; move the drive into a table "
-            "[[drives]] of its own."
-        )
 
 
 def _read_cases(entries: object) -> tuple[Case, ...]:

@@ -9,9 +9,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from rfem_jax.report.output import replacing, write_csv, write_json
+from rfem_jax.report.output import write_csv, write_json
 from rfem_jax.report.tables import format_table
 from rfem_jax.validation.lines import FAIL, Line
+from rfem_jax.whole_files import replacing
 
 HEADER = ("checked", "ours", "reference", "difference", "allowed", "verdict", "source")
 

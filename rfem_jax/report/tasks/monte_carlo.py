@@ -299,8 +299,8 @@ def _most_felt(errors: Float[np.ndarray, "samples errors"], values: Float[np.nda
         spread = columns.std(axis=0)
         return (columns - columns.mean(axis=0)) / np.where(spread > 0.0, spread, 1.0)
 
-    felt = [np.abs(standard(of).T @ standard(values)).max(axis=1) for of in (centred, centred**2)]
-    return sorted(np.argsort(-np.max(felt, axis=0), kind="stable")[:MOST_EACH].tolist())
+    influence = [np.abs(standard(of).T @ standard(values)).max(axis=1) for of in (centred, centred**2)]
+    return sorted(np.argsort(-np.max(influence, axis=0), kind="stable")[:MOST_EACH].tolist())
 
 
 def _order(result: MonteCarloResult, i: int) -> tuple[bool, int, int]:
