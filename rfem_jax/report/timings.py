@@ -20,7 +20,7 @@ import jax
 
 from rfem_jax.compilation import keeping, keys, options
 from rfem_jax.description.study import Study
-from rfem_jax.report.output import replacing
+from rfem_jax.whole_files import replacing
 
 MOST = 500  # entries; the oldest go
 UNKNOWN = (

@@ -10,7 +10,6 @@ not interrupted, to the last bit.
 """
 
 import io
-import os
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -21,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rfem_jax.compilation import keys
+from rfem_jax.whole_files import replacing
 
 EVERY = 60.0  # s
 
@@ -79,13 +79,8 @@ class Unfinished:
         arrays = {"digest": np.array(self.digest), "counts": np.array([number, len(parts[0])])}
         arrays |= {f"carry_{i}": np.asarray(leaf) for i, leaf in enumerate(jax.tree.leaves(carry))}
         arrays |= {f"part_{n}_{i}": leaf for n, part in enumerate(parts) for i, leaf in enumerate(part)}
-        temporary = self.path.with_name(f".{self.path.name}.{os.getpid()}.part")
-        try:
-            with open(temporary, "wb") as file:
-                np.savez(file, **arrays)  # pyright: ignore[reportArgumentType] - the stub takes names for `allow_pickle`
-            os.replace(temporary, self.path)
-        finally:
-            temporary.unlink(missing_ok=True)
+        with replacing(self.path) as temporary, open(temporary, "wb") as file:
+            np.savez(file, **arrays)  # pyright: ignore[reportArgumentType] - the stub takes names for `allow_pickle`
         self._written, self._time = number, time.monotonic()
 
     def remove(self) -> None:
