@@ -249,11 +249,11 @@ def expand_point(
         directions = np.concatenate([directions, np.repeat(directions[:1], width - used, axis=0)])
         settings = order, mode, batch
 
-        def along():
+        def compute():
             found = _differentiate_along(problem, tuple(names), base, x, jnp.asarray(directions), *settings)
             return jax.device_get(found)
 
-        parts.append(remembered(problem, ("directions", tuple(names), base, x, directions, *settings), along))
+        parts.append(remembered(problem, ("directions", tuple(names), base, x, directions, *settings), compute))
         advance(used)
     (value, jacobian, _, status), count = parts[0], _sums(problem, mode)
     hessian = asymmetry = residual_changes = force_changes = None
