@@ -25,9 +25,9 @@ _options.offer()
 
 _PACKAGES = {
     "description": (
-        "Case Circle Compliance ForceFunction ForceRamp ForceTable GivenSection InputError Joint JointForceFunction "
-        "JointForceTable JointFriction JointSpring Link Material Mechanism Method MomentFunction MomentRamp "
-        "MomentTable PointForce PointMass PointMoment PointSpring PointSpringFunction PointSpringTable "
+        "Bearing Case Circle Compliance ForceFunction ForceRamp ForceTable GivenSection InputError Joint "
+        "JointForceFunction JointForceTable JointFriction JointSpring Link Material Mechanism Method MomentFunction "
+        "MomentRamp MomentTable PointForce PointMass PointMoment PointSpring PointSpringFunction PointSpringTable "
         "PrescribedDisplacements PrescribedFunction PrescribedRate PrescribedRunUp PrescribedSpeed "
         "PrescribedSpinUp PrescribedTable Rectangle RigidBody Study Tube load_study"
     ),

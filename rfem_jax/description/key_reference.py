@@ -10,6 +10,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from typing import Any
 
+from rfem_jax.description.bearings import Bearing
 from rfem_jax.description.compliance import Compliance
 from rfem_jax.description.joints import Joint
 from rfem_jax.description.links import Link, PointMass
@@ -42,6 +43,7 @@ _IN_A_FILE = {  # where a file has something else than the class
     "body": "table {mass = ..., centre = ..., inertia = ...} in the place of section and material; the link is rigid",
     "point_masses": "list of tables, [{mass = ..., position = ...}, ...]",
     "compliance": "table { radial = ..., axial = ..., ... }; none: rigid",
+    "bearing": "table { dynamic_capacity = ..., static_capacity = ..., ... }; none: unknown",
     "cases": "tables [[cases]]; none means one case without errors",
     "mechanism": "the table [mechanism]",
     "simulation": "the table [simulation]",
@@ -87,6 +89,7 @@ def key_tables() -> list[KeyTable]:
         ("body of [[mechanism.links]]", RigidBody),
         ("[[mechanism.joints]]", Joint),
         ("compliance of [[mechanism.joints]]", Compliance),
+        ("bearing of [[mechanism.joints]]", Bearing),
     ):
         tables.append(_table(header, kind, *keys_of(kind), _IN_A_FILE))
     for name, kind in FORCES.items():

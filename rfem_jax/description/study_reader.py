@@ -10,6 +10,7 @@ from dataclasses import fields
 from functools import partial
 from typing import Any, TypeVar
 
+from rfem_jax.description.bearings import Bearing
 from rfem_jax.description.compliance import Compliance
 from rfem_jax.description.driven_motions import AnyDrive
 from rfem_jax.description.drives import (
@@ -264,7 +265,18 @@ def _read_joint(table: object, place: str) -> Joint:
         header, settings["compliance"] = f"{place} compliance", ABSENT
         with problems.noted():
             settings["compliance"] = Compliance(**checked_table(given, header, *keys_of(Compliance)))
+    given = settings.get("bearing", ABSENT)
+    if given is not ABSENT:
+        settings["bearing"] = ABSENT
+        with problems.noted():
+            settings["bearing"] = _read_bearing(given, f"{place} bearing")
     return build(Joint, settings, place, problems)
+
+
+def _read_bearing(table: object, place: str) -> Bearing:
+    problems = Problems()
+    settings = problems.usable(lambda: checked_table(table, place, *keys_of(Bearing)))
+    return build(Bearing, settings, place, problems)
 
 
 def _read_force(table: object, place: str) -> Force:

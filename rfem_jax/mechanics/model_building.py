@@ -17,6 +17,7 @@ from rfem_jax.description.joints import Joint
 from rfem_jax.description.links import Link
 from rfem_jax.description.mechanism import Mechanism
 from rfem_jax.description.point_forces import AtPoint, BetweenPoints
+from rfem_jax.mechanics.bearings import bearing_capacities
 from rfem_jax.mechanics.frame_forces import FrameForce, NodeFrame
 from rfem_jax.mechanics.friction_laws import Friction, friction_law
 from rfem_jax.mechanics.joint_laws import JointLaw, joint_law
@@ -82,6 +83,7 @@ def build_model(mechanism: Mechanism, elements: dict[str, int], exact: bool = Fa
         frame_forces=elements_between or None,
         friction=_frictions(mechanism, topology) or None,
         springs=_springs(joints, topology) if topology.sprung else None,
+        bearings=bearing_capacities(joints) or None,
     )
 
 
@@ -275,7 +277,14 @@ def _sections(links: Sequence[Link]) -> Sections:
         line_density=rows("line_density")[0],
         rotary=rows("rotary_x", "rotary_y", "rotary_z"),
         damping=rows("damping")[0],
+        edges=tuple(_edge(link) for link in links),
     )
+
+
+def _edge(link: Link) -> Array | None:
+    """Stresses at the edge of a link's section per unit of its loads; None where the edge is not known."""
+    points = () if link.section is None else link.section.edge_stresses()
+    return jnp.asarray(np.array(points, dtype=float).T) if points else None
 
 
 def _orientation(angles: Sequence[float]) -> np.ndarray:

@@ -9,6 +9,7 @@ from rfem_jax.description import load_study, study, study_reader, tolerances
 from rfem_jax.description.key_reference import NEEDED, argument_meanings, key_tables
 from rfem_jax.description.tasks import allocation, task
 
+from .test_bearings import BEARING
 from .test_compliance import COMPLIANCE
 from .test_forces import FORCES
 from .test_point_forces import FORCES as POINT_FORCES
@@ -71,6 +72,7 @@ def header_of(place):
     place = re.sub(r"^The top level$", "top level", place)
     place = re.sub(r"^\[\[mechanism\.links\]\] .* point_masses.*", "point_masses of [[mechanism.links]]", place)
     place = re.sub(r"^\[\[mechanism\.joints\]\] .* compliance$", "compliance of [[mechanism.joints]]", place)
+    place = re.sub(r"^\[\[mechanism\.joints\]\] .* bearing$", "bearing of [[mechanism.joints]]", place)
     place = re.sub(r"^\[\[mechanism\.links\]\] .* body$", "body of [[mechanism.links]]", place)
     place = re.sub(r"\[mechanism\.(materials|sections)\.\w+\]", r"[mechanism.\1.NAME]", place)
     place = re.sub(r"^(\[\[[\w.]+\]\]) (`[^`]+`|number \d+)", r"\1", place)
@@ -94,7 +96,7 @@ def asked(tmp_path, monkeypatch):
     for module in (study, study_reader, tolerances, task, allocation):
         monkeypatch.setattr(module, "checked_table", recorded(module.checked_table))
     full = FULL.replace("[mechanism.sections.round]", f"{RECTANGLE}[mechanism.sections.round]")
-    full = full.replace('name = "A"\n', f'name = "A"\n{COMPLIANCE}', 1)
+    full = full.replace('name = "A"\n', f'name = "A"\n{COMPLIANCE}{BEARING}', 1)
     start, end = full.index("[drive]"), full.index("[simulation]")
     for drive in [full[start:end], *(f"[drive]{part}" for part in DRIVES.split("[drive]")[1:])]:
         path = tmp_path / "study.toml"
