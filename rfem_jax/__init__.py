@@ -40,7 +40,8 @@ _PACKAGES = {
     "compilation.keeping": "keep_programs",
     "task_kinds": "TaskKind register_task",
     "simulation": (
-        "Run check_step choose_method derivative_residual largest_stable_step register_method run_cases simulate"
+        "Run check_step choose_method derivative_residual kinetostatic_turn largest_stable_step natural_frequencies "
+        "register_method run_cases simulate"
     ),
 }
 _PACKAGE_OF = {name: package for package, names in _PACKAGES.items() for name in names.split()}
