@@ -19,6 +19,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NoReturn
 
+from rfem_jax.report.analyses.commands import add_analyses
 from rfem_jax.report.annotations import Model, Run, Study, Summaries
 from rfem_jax.report.process import count_devices, join_processes, require_platform, set_up_jax
 from rfem_jax.report.progress_line import ClosedPipe, ProgressLine, discard, say, show
@@ -94,6 +95,7 @@ def build_parser() -> argparse.ArgumentParser:
         "table", metavar="WORD", nargs="?", help='tables with this word in their header, such as "joints"'
     )
     keys.set_defaults(action=_keys, cache=True)
+    add_analyses(commands, _add_common, _analyse)
     _add_validate(commands)
     return parser
 
@@ -307,6 +309,24 @@ def _do_task(arguments: argparse.Namespace) -> int:
     seconds = time.perf_counter() - started
     if written:
         show(f"{len(written)} files written to {folder} ({seconds:.1f} s in all).")
+    return DONE if good else CASE_FAILED
+
+
+def _analyse(arguments: argparse.Namespace) -> int:
+    from rfem_jax.description import load_study
+
+    started = time.perf_counter()
+    _announce(f"Reading {arguments.study}")
+    study = load_study(arguments.study)
+    require_folder(arguments.out)
+    model = _discretise(study)
+    folder = open_folder(arguments.out)
+    try:
+        good, written = arguments.analysis(arguments, study, model, folder, _announce, show)
+    except OSError as problem:
+        raise _cannot_write(folder, problem) from problem
+    seconds = time.perf_counter() - started
+    show(f"\n{len(written)} files written to {folder} ({seconds:.1f} s in all).")
     return DONE if good else CASE_FAILED
 
 

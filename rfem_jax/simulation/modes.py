@@ -4,9 +4,9 @@ Place in the pipeline: model, errors -> static equilibrium -> **modes** -> repor
 
 The equations of motion are linearised about the equilibrium with its errors, preload and weight (theory (11.15)): mass,
 damping and stiffness are derivatives of the residual of the equations of motion, so that whatever acts on a mechanism
-is in them. Every eigenpair is the root of its equations (theory (11.16)), so that derivatives of any order follow by the
-implicit function theorem (theory (11.17); R. B. Nelson, AIAA J. 14 (1976) 1201-1205); those of repeated eigenvalues do
-not exist.
+is in them. Every eigenpair is the root of its equations (theory (11.16)), so that derivatives of any order follow by
+the implicit function theorem (theory (11.17); R. B. Nelson, AIAA J. 14 (1976) 1201-1205); those of repeated eigenvalues
+do not exist.
 
 `vibration` is another way, for limits of the step: of the perfect mechanism, undeformed, and without loads.
 """

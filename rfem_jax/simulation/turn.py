@@ -135,10 +135,11 @@ class _Still(NamedTuple):
     frame_loads: FrameLoads | None
 
 
-def held_at(model: Model, errors: AssemblyErrors, pose: ClosedPose) -> Turn:
-    """The mechanism held at one closed pose."""
-    model = eqx.tree_at(lambda m: (m.start_joints, m.cut_angles), model, (pose.start_joints, pose.cut_angles))
+def held_at(model: Model, errors: AssemblyErrors, pose: ClosedPose, stresses: bool = True) -> Turn:
+    """The mechanism held at one closed pose, with the stresses of its links if wanted."""
+    # Crooked pins are those of the start.
     actual, topology = apply_errors(model, errors), model.topology
+    model = eqx.tree_at(lambda m: (m.start_joints, m.cut_angles), model, (pose.start_joints, pose.cut_angles))
     position, multipliers, status = equilibrium(model, actual, held_angles(model, None))
     state = loads.static_state(topology, position)
     resting = closed_at_rest(model, actual, state, multipliers)
@@ -152,7 +153,7 @@ def held_at(model: Model, errors: AssemblyErrors, pose: ClosedPose) -> Turn:
     stress = {}
     edges = model.section.edges or (None,) * topology.n_links
     for l, (name, edge) in enumerate(zip(topology.links, edges, strict=True)):
-        if edge is not None:
+        if edge is not None and stresses:
             of_sections = loads_of_sections(model, actual, state, still, l)
             stress[name] = safe_sqrt(jnp.max(stress_squares(edge, of_sections.resultants)))
     energy = loads.energies(actual, state)
