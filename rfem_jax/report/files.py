@@ -25,9 +25,10 @@ from rfem_jax.description.point_forces import AtPoint
 from rfem_jax.description.study import Study
 from rfem_jax.report.annotations import Run, Summaries
 from rfem_jax.report.driven_motions_report import drive_quantities, has_driven_joint
-from rfem_jax.report.output import replacing, write_json
+from rfem_jax.report.output import write_json
 from rfem_jax.report.quantities import ENERGIES, column_name, units
 from rfem_jax.report.summary import joint_names, study_note, total_energy
+from rfem_jax.whole_files import replacing
 
 
 def write_results(path: str | Path, study: Study, summaries: Summaries) -> Path:

@@ -1,8 +1,7 @@
 """How files are written: whole or not at all, without NaN, with the versions that made them.
 
-Place in the pipeline: used by every module of this package that writes, and by the studies' scripts.
-A file is written beside its final place and then renamed.  JSON has no NaN; a value that does not
-exist is null, in CSV an empty cell.
+Place in the pipeline: `whole_files` -> **output** -> every module of this package that writes, and the studies'
+scripts.  JSON has no NaN; a value that does not exist is null, in CSV an empty cell.
 
 Columns of CSV files are named with their units (`quantities.column_name`): `time_s`, `D.d_y_m`. Where the unit changes
 from row to row, it stands in a column of its own: `gradient_unit` is that of `gradient`, `unit` that of all others. A
@@ -13,10 +12,8 @@ import csv
 import io
 import json
 import math
-import os
 import platform
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -24,20 +21,9 @@ from typing import Any
 import numpy as np
 
 from rfem_jax.report.annotations import Figure
+from rfem_jax.whole_files import replacing
 
 _PACKAGES = ("rfem_jax", "jax", "jaxlib", "diffrax", "equinox", "optimistix", "lineax", "numpy")
-
-
-@contextmanager
-def replacing(path: str | Path) -> Iterator[Path]:
-    """Give a temporary path beside `path`; rename it to `path` when the block ends well."""
-    path = Path(path)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        yield temporary
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def without_nan(value: Any) -> Any:
@@ -49,6 +35,17 @@ def without_nan(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
+
+
+def plain(value: Any) -> Any:
+    """NumPy arrays and scalars of nested dicts and lists as Python's own."""
+    if isinstance(value, dict):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(item) for item in value]
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    return value.item() if isinstance(value, np.generic) else value
 
 
 def versions() -> dict[str, str | None]:

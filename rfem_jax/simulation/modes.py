@@ -24,8 +24,8 @@ from jaxtyping import ArrayLike, Float, Int
 
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.errors import InputError
+from rfem_jax.description.precision import require_float64
 from rfem_jax.mechanics import loads
-from rfem_jax.mechanics.discretisation import require_double_precision
 from rfem_jax.mechanics.implicit.residual import evaluate_residual
 from rfem_jax.mechanics.inputs import DriveInput
 from rfem_jax.mechanics.model import Coordinates, Model, State
@@ -85,7 +85,7 @@ def natural_frequencies(
 
     **Raises:** `InputError` for a bad `count`, and as `assemble`.
     """
-    require_double_precision()
+    require_float64()
     if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < 1:
         raise InputError(f"Argument `count` must be a whole number of at least 1, but is {count!r}; 6 is usual.")
     hold = None if hold is None else {name: jnp.asarray(value, jnp.float64) for name, value in hold.items()}

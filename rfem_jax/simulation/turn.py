@@ -17,8 +17,9 @@ from jaxtyping import Float, Int
 
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.errors import InputError
+from rfem_jax.description.precision import require_float64
 from rfem_jax.mechanics import loads
-from rfem_jax.mechanics.discretisation import CLOSING_TOLERANCE, close_at, require_double_precision
+from rfem_jax.mechanics.discretisation import CLOSING_TOLERANCE, close_at
 from rfem_jax.mechanics.element_loads import FrameLoads
 from rfem_jax.mechanics.inputs import DriveInput
 from rfem_jax.mechanics.kinematics import Motion
@@ -113,7 +114,7 @@ def kinetostatic_turn(
 
     **Raises:** `InputError` for a model without a driven joint and for positions at which it does not close.
     """
-    require_double_precision()
+    require_float64()
     positions = turn_positions(model) if positions is None else np.atleast_1d(np.asarray(positions, float))
     poses = closed_poses(model, positions)
     return turn_over(model, assembly_errors(model) if errors is None else errors, poses)
