@@ -16,7 +16,7 @@ Mean squares are smooth. RMS values are their square roots and have a kink where
 (9.5)). The peak of a load is a p-norm over the saved times, a smooth approximation of the maximum (theory (8.7)).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -142,6 +142,19 @@ def kind_and_owner(name: str) -> tuple[MetricKind | None, str]:
     if not owner:
         return RUN_METRICS.get(name), ""
     return JOINT_METRICS.get(kind) or LINK_METRICS.get(kind), owner
+
+
+def records_for(names: Iterable[str]) -> tuple[str, ...]:
+    """What a run has to record for metrics of the catalogue, by their names."""
+    pairs = [kind_and_owner(name) for name in names]
+    return tuple(dict.fromkeys(one for kind, owner in pairs if kind is not None for one in kind.recorded_for(owner)))
+
+
+def metric_of(run: Any, name: str) -> Any:
+    """The value of a metric of the catalogue, by its name, in a run."""
+    kind, owner = kind_and_owner(name)
+    assert kind is not None, "names of metrics are checked where they enter"
+    return kind.function(run, owner) if owner else kind.function(run)
 
 
 def known_names(owner: str) -> list[str]:

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rfem_jax.compilation.program import Program
+from rfem_jax.description.metric_catalogue import records_for
 from rfem_jax.description.study import Study
 from rfem_jax.labelled_data import DataFrame, Dataset, frame
 from rfem_jax.mechanics.discretisation import discretise
@@ -19,6 +20,7 @@ from rfem_jax.mechanics.model_with_errors import assembly_errors
 from rfem_jax.simulation import integration, labelled_runs
 from rfem_jax.simulation.accuracy import choose_method
 from rfem_jax.simulation.driving import require_driven
+from rfem_jax.simulation.records import require_records
 from rfem_jax.simulation.run import Run, one_of
 from rfem_jax.simulation.time_grid import TimeGrid
 
@@ -66,7 +68,8 @@ def run_cases(
     errors = jax.tree.map(lambda *leaves: jnp.stack(leaves), *errors)
     method = choose_method(model, study.method, study.drive, study.duration, errors, study.save_every)
     grid, steps = integration.grid_for(study.drive, study.duration, method, study.save_every, model)
-    _compile_ahead(model, errors, study.drive, grid, method, steps)
+    asked = require_records(model, records_for(study.metrics))
+    _compile_ahead(model, errors, study.drive, grid, method, steps, asked)
     prepared, carry = _prepare(model, errors, study.drive, method)
     ends = []
     for piece in _pieces(grid):
@@ -76,7 +79,7 @@ def run_cases(
             progress(float((piece.starts + piece.lengths)[-1] / study.duration))
     count = len(grid.starts)
     ends = jax.tree.map(lambda *parts: np.concatenate(parts, axis=1)[:, :count], *ends)
-    runs = _conclude(model, prepared, study.drive, carry, ends, grid, method, steps)
+    runs = _conclude(model, prepared, study.drive, carry, ends, grid, method, steps, asked)
     return model, Runs({case.name: one_of(runs, i) for i, case in enumerate(study.cases)})
 
 
@@ -88,7 +91,7 @@ def _pieces(grid: TimeGrid):
         yield grid.piece(first, size)
 
 
-def _compile_ahead(model, errors, drive, grid: TimeGrid, method, steps) -> None:
+def _compile_ahead(model, errors, drive, grid: TimeGrid, method, steps, asked) -> None:
     """Start to compile all programs, or to load them, side by side."""
     started = _prepare.ahead(model, errors, drive, method)
     if started is None:
@@ -101,7 +104,7 @@ def _compile_ahead(model, errors, drive, grid: TimeGrid, method, steps) -> None:
     carry, ends = advanced
     cases, count = len(jax.tree.leaves(errors)[0]), len(grid.starts)
     ends = jax.tree.map(lambda x: jax.ShapeDtypeStruct((cases, count, *x.shape[2:]), x.dtype), ends)
-    _conclude.ahead(model, prepared, drive, carry, ends, grid, method, steps)
+    _conclude.ahead(model, prepared, drive, carry, ends, grid, method, steps, asked)
 
 
 @functools.partial(Program, quick=True)
@@ -120,8 +123,8 @@ def _advance(model, actual, drive, carry, grid, method, steps):
 
 
 @functools.partial(Program, quick=True)
-def _conclude(model, prepared, drive, carry, ends, grid, method, steps):
+def _conclude(model, prepared, drive, carry, ends, grid, method, steps, asked):
     def one(prepared, carry, ends):
-        return integration.conclude(model, prepared, drive, carry, ends, grid, method, steps)
+        return integration.conclude(model, prepared, drive, carry, ends, grid, method, steps, asked)
 
     return jax.vmap(one)(prepared, carry, ends)

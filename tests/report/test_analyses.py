@@ -99,3 +99,29 @@ def test_what_cannot_be_asked_is_said(study, tmp_path, capsys):
     ):
         assert main([arguments[0], str(study), "--out", str(tmp_path / "no"), *arguments[1:]]) == 2
         assert words in capsys.readouterr().err
+
+
+def test_metrics_of_all_cases_of_a_run(tmp_path, capsys):
+    text = STUDY.replace("rfes = 2", "rigid = true").replace("duration = 0.1", "duration = 1e-3\nsave_every = 5e-4")
+    text = text.replace("step = 1e-6", "step = 1e-4").replace(
+        'title = "Arm"', 'title = "Arm"\nmetrics = ["*.max_stress", "mass", "peak_drive_power"]'
+    )
+    path, out = tmp_path / "study.toml", tmp_path / "out"
+    path.write_text(text, encoding="utf-8")
+    assert main(["run", str(path), "--out", str(out)]) == 0
+    assert "arm.max_stress" in capsys.readouterr().out
+    content = json.loads((out / "results.json").read_text(encoding="utf-8"))
+    assert content["units"]["metrics"] == {"arm.max_stress": "Pa", "mass": "kg", "peak_drive_power": "W"}
+    nominal, longer = (content["cases"][name]["metrics"] for name in ("nominal", "longer"))
+    weight = 7850 * 0.008 * 0.012 * 9.81
+    assert nominal["mass"] == pytest.approx(weight * 0.4 / 9.81) and longer["mass"] == pytest.approx(
+        weight * 0.402 / 9.81
+    )
+    # The arm hangs and turns by a milliradian: weight and centrifugal force pull at the hinge, and the weight bends.
+    pull = weight * 0.4 + weight / 9.81 * 0.4 * 0.2
+    bending = weight * 0.4 * 0.2 * 1e-3 * 6 / (0.008 * 0.012**2)
+    assert nominal["arm.max_stress"] == pytest.approx(pull / (0.008 * 0.012) + bending, rel=1e-4)
+    assert 0 < nominal["peak_drive_power"] < weight * 0.4 * 0.2 * 1e-3
+    path.write_text(text.replace('"mass"', '"mas"'), encoding="utf-8")
+    assert main(["run", str(path), "--out", str(out)]) == 2
+    assert "did you mean `mass`" in capsys.readouterr().err
