@@ -41,7 +41,7 @@ _PACKAGES = {
     "task_kinds": "TaskKind register_task",
     "simulation": (
         "Run check_step choose_method derivative_residual kinetostatic_turn largest_stable_step natural_frequencies "
-        "register_method run_cases simulate"
+        "register_method run_cases simulate steady_cycle"
     ),
 }
 _PACKAGE_OF = {name: package for package, names in _PACKAGES.items() for name in names.split()}

@@ -17,6 +17,7 @@
     vibration            modes of the perfect mechanism at rest, for limits of the step
     modes                natural frequencies about assembled configurations, differentiable
     turn                 the mechanism held at positions of its drive
+    cycle                the motion that repeats with every revolution of a drive
     stability            the largest stable step
     accuracy             the method that "auto" stands for
     run                  the result
@@ -29,6 +30,7 @@ from importlib import import_module
 _MODULES = {
     "accuracy": "choose_method",
     "cases": "run_cases",
+    "cycle": "Cycle steady_cycle",
     "integration": "simulate",
     "modes": "NaturalModes natural_frequencies",
     "run": "STATUS Run derivative_residual one_of",

@@ -6,6 +6,7 @@ import math
 
 import pytest
 
+from rfem_jax.report import command_line
 from rfem_jax.report.command_line import main
 
 STUDY = """
@@ -47,6 +48,12 @@ errors = { "arm.length" = "2 mm" }
 @pytest.fixture(scope="module", autouse=True)
 def _quick(quick_compilation):
     yield
+
+
+@pytest.fixture(autouse=True)
+def _settled(monkeypatch):
+    """JAX is set up already."""
+    monkeypatch.setattr(command_line, "set_up_jax", lambda *_: None)
 
 
 @pytest.fixture
@@ -125,3 +132,25 @@ def test_metrics_of_all_cases_of_a_run(tmp_path, capsys):
     path.write_text(text.replace('"mass"', '"mas"'), encoding="utf-8")
     assert main(["run", str(path), "--out", str(out)]) == 2
     assert "did you mean `mass`" in capsys.readouterr().err
+
+
+def test_a_cycle_is_reported_as_a_run_of_one_revolution(tmp_path, capsys):
+    text = STUDY.replace("rfes = 2", "rigid = true").replace("duration = 0.1", "duration = 1.0\nsave_every = 0.5")
+    text = text.replace("step = 1e-6", "step = 0.05").replace("rate = 1\n", "rate = 2\nrise_time = 0.1\n")
+    path, out = tmp_path / "study.toml", tmp_path / "out"
+    path.write_text(text, encoding="utf-8")
+    assert main(["cycle", str(path), "--out", str(out)]) == 0
+    assert "repeats after 2 revolutions" in capsys.readouterr().out
+    content = json.loads((out / "results.json").read_text(encoding="utf-8"))
+    assert content["duration"] == pytest.approx(math.pi)
+    mass = 7850 * 0.008 * 0.012 * 0.4
+    # Weight and centrifugal force, over a revolution at right angles in the mean.
+    rms = mass * math.hypot(9.81, 0.2 * 2.0**2)
+    assert content["cases"]["nominal"]["joints"]["A"]["rms_force"] == pytest.approx(rms, rel=1e-6)
+    path.write_text(
+        text.replace(
+            'kind = "prescribed_rate"\nrate = 2\nrise_time = 0.1', 'kind = "moment_ramp"\nmoment = 1\nrise_time = 0.1'
+        )
+    )
+    assert main(["cycle", str(path), "--out", str(out)]) == 2
+    assert "prescribed_rate" in capsys.readouterr().err

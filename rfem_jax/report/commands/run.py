@@ -59,7 +59,7 @@ def act(arguments: argparse.Namespace) -> Answer:
     show(results_text(study, summaries), end="\n\n")
     try:
         written = write_files(folder, study, runs, summaries)
-        written += _write_pictures(folder, study, runs, summaries)
+        written += write_run_pictures(folder, study, runs, summaries)
     except OSError as problem:
         raise cannot_write(folder, problem) from problem
     good = all(one["status"] == "ok" for one in summaries.values())
@@ -84,7 +84,8 @@ def _simulate(study: Study) -> dict[str, Run]:
     return runs
 
 
-def _write_pictures(folder: Path, study: Study, runs: dict[str, Run], summaries: Summaries) -> list[Path]:
+def write_run_pictures(folder: Path, study: Study, runs: dict[str, Run], summaries: Summaries) -> list[Path]:
+    """Draw the pictures of a run, unless matplotlib is missing, which is said."""
     try:
         import matplotlib  # noqa: F401
     except ImportError:
