@@ -80,7 +80,7 @@ def run_cases(
     unfinished = Unfinished(keep, (model, errors, study.drive, study.duration, method, study.save_every))
     try:
         carry, ends = _advance_all(model, prepared, study, carry, grid, method, steps, unfinished, progress)
-        runs = _conclude(model, prepared, study.drive, carry, ends, grid, method, steps)
+        runs = _conclude(model, prepared, study.drive, carry, ends, grid, method, steps, asked)
     except KeyboardInterrupt:
         unfinished.write()
         raise
@@ -103,14 +103,8 @@ def _advance_all(model, prepared, study: Study, carry, grid: TimeGrid, method, s
             progress(float((piece.starts + piece.lengths)[-1] / study.duration))
     assert tree is not None
     count = len(grid.starts)
-<<<<<<< HEAD
-    ends = jax.tree.map(lambda *parts: np.concatenate(parts, axis=1)[:, :count], *ends)
-    runs = _conclude(model, prepared, study.drive, carry, ends, grid, method, steps, asked)
-    return model, Runs({case.name: one_of(runs, i) for i, case in enumerate(study.cases)})
-=======
     ends = [np.concatenate(leaves, axis=1)[:, :count] for leaves in zip(*parts, strict=True)]
     return carry, jax.tree.unflatten(tree, ends)
->>>>>>> origin/main
 
 
 def _pieces(grid: TimeGrid):

@@ -63,13 +63,8 @@ def act(arguments: argparse.Namespace) -> Answer:
     show(results_text(study, summaries), end="\n\n")
     written: list[Path] = []
     try:
-<<<<<<< HEAD
-        written = write_files(folder, study, runs, summaries)
-        written += write_run_pictures(folder, study, runs, summaries)
-=======
         written += write_files(folder, study, runs, summaries)
-        written += _write_pictures(folder, study, runs, summaries)
->>>>>>> origin/main
+        written += write_run_pictures(folder, study, runs, summaries)
     except OSError as problem:
         raise cannot_write(folder, problem) from problem
     except KeyboardInterrupt:
