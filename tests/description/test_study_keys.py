@@ -7,8 +7,9 @@ import pytest
 
 from rfem_jax.description import force_reader, load_study, study, study_reader, tables, tolerances
 from rfem_jax.description.key_reference import NEEDED, argument_meanings, key_tables
-from rfem_jax.description.tasks import allocation, task
+from rfem_jax.description.tasks import costs, task
 
+from .test_bearings import BEARING
 from .test_compliance import COMPLIANCE
 from .test_force_reader import IN_JOINTS, SPRINGS
 from .test_forces import FORCES
@@ -64,6 +65,16 @@ kind = "prescribed_displacements"
 times = [0, 1]
 displacements = [0, 1]
 """
+OPTIMISE = """
+[optimise]
+objective = { cost = 1, end_energy = 1 }
+[optimise.bounds]
+"D.delta_x" = ["0.05 deg", "1 deg"]
+"B.d_x" = ["0.05 mm", "1 mm"]
+"C.d_x" = [1e-5, 1e-3]
+[optimise.cost]
+"D.delta_x" = { at = "0.2 deg" }
+"""
 RECTANGLE = '[mechanism.sections.flat]\nshape = "rectangle"\nwidth = 1e-2\nheight = 1e-2\n'
 
 
@@ -77,7 +88,7 @@ def header_of(place):
     place = re.sub(r"^(\[\[[\w.]+\]\]) (`[^`]+`|number \d+)", r"\1", place)
     place = re.sub(r"^(\[drive\]|\[\[drives\]\])", "[drive] or [[drives]]", place)
     place = re.sub(r"^\[tolerances\] `.*", "[tolerances] ERROR", place)
-    return re.sub(r"^\[allocation\.cost\] `.*", "[allocation.cost]", place)
+    return re.sub(r"^\[(allocation|optimise)\.cost\] `.*", r"[\1.cost]", place)
 
 
 @pytest.fixture
@@ -92,15 +103,15 @@ def asked(tmp_path, monkeypatch):
 
         return check
 
-    for module in (study, study_reader, force_reader, tables, tolerances, task, allocation):
+    for module in (study, study_reader, force_reader, tables, tolerances, task, costs):
         monkeypatch.setattr(module, "checked_table", recorded(module.checked_table))
     full = FULL.replace("[mechanism.sections.round]", f"{RECTANGLE}[mechanism.sections.round]")
-    full = full.replace('name = "A"\n', f'name = "A"\n{COMPLIANCE}', 1)
+    full = full.replace('name = "A"\n', f'name = "A"\n{COMPLIANCE}{BEARING}', 1)
     full = full.replace('name = "B"\n', f'name = "B"\n{IN_JOINTS}', 1)
     start, end = full.index("[drive]"), full.index("[simulation]")
     for drive in [full[start:end], *(f"[drive]{part}" for part in DRIVES.split("[drive]")[1:])]:
         path = tmp_path / "study.toml"
-        path.write_text(full[:start] + FORCES + POINT_FORCES + SPRINGS + drive + full[end:] + TASKS, encoding="utf-8")
+        path.write_text(full[:start] + FORCES + POINT_FORCES + SPRINGS + drive + full[end:] + TASKS + OPTIMISE, encoding="utf-8")
         load_study(path)
         full = full.replace('section = "own"\n', "body = {mass = 1, centre = [0, 0, 0], inertia = [1, 1, 1]}\n")
         start, end = full.index("[drive]"), full.index("[simulation]")

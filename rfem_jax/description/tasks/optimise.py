@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 
 from rfem_jax.description.errors import Checks, InputError, require_choice
 from rfem_jax.description.mechanism import Mechanism
+from rfem_jax.description.metric_subjects import require_metric, subjects_of
 from rfem_jax.description.tables import keys_of
 from rfem_jax.description.tasks.costs import ErrorCost, complete_costs, half_width_bounds, read_with_costs
 from rfem_jax.description.tasks.settings import (
@@ -25,7 +26,7 @@ from rfem_jax.description.tasks.settings import (
     set_fields,
     whole_number,
 )
-from rfem_jax.description.tasks.task import Task, resolve_metric
+from rfem_jax.description.tasks.task import Task
 from rfem_jax.description.tolerances import SpecifiedTolerances
 from rfem_jax.description.units import non_negative_quantity, positive_quantity
 
@@ -133,7 +134,7 @@ class OptimiseTask(Task):
         """As `Task.resolved`; metrics of the objective must be there, too."""
         for metric in self.objective:
             if metric != COST:
-                resolve_metric(metric, mechanism.joints, name)
+                require_metric(metric, subjects_of(mechanism), "mechanism", f" of the task `{name}`")
         return super().resolved(mechanism, name)
 
     @property
