@@ -11,7 +11,7 @@ with Delta = IT_n - IT_(n-1) over 3 mm and 0 up to 3 mm, where N is -ei in all g
 
 Symbols: IT standard tolerance, es and ei upper and lower deviations of a shaft, ES and EI of a hole; all lengths in m
 outside of the file.
-Source: ISO 286-1:2010, 4.3 and tables 1 to 5.
+Source: ISO 286-1:2010, tables 1 to 5.
 """
 
 import json

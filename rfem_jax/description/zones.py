@@ -14,7 +14,7 @@ A fit "25 H7/g6" in the place of a diameter is a cylinder of the largest clearan
 (between parallel planes or lines) are intervals of one error: give this error a tolerance of its own.
 
 Symbols: diameter D and length l [m], p_+ and p_- [m], errors [m, rad].
-Source: theory (10.18); ISO 1101:2017, 17.9 to 17.13; ISO 286-1 for the clearance.
+Source: theory (10.18); ISO 1101:2017; ISO 286-1 for the clearance.
 """
 
 from dataclasses import dataclass

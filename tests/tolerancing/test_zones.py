@@ -9,6 +9,7 @@ from scipy import stats
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.tolerances import read_tolerances
 from rfem_jax.description.zones import SpecifiedZone
+from rfem_jax.tolerancing.problems.capability import process_capability
 from rfem_jax.tolerancing.problems.distributions import (
     CorrelatedNormal,
     ProcessNormal,
@@ -19,7 +20,6 @@ from rfem_jax.tolerancing.problems.distributions import (
     Zone,
 )
 from rfem_jax.tolerancing.problems.problem import FunctionProblem
-from rfem_jax.tolerancing.problems.process_capability import process_capability
 from rfem_jax.tolerancing.sampling.monte_carlo_study import monte_carlo
 from rfem_jax.tolerancing.sampling.sequences import unit_points
 from rfem_jax.tolerancing.worst_cases import worst_case

@@ -36,11 +36,11 @@ from rfem_jax.description.precision import require_float64
 from rfem_jax.description.study import Study
 from rfem_jax.description.tolerances import SpecifiedTolerance, SpecifiedTolerances
 from rfem_jax.tolerancing.checks import DIMENSIONS, check_known, parse_error
+from rfem_jax.tolerancing.problems.capability import mean_shift
 from rfem_jax.tolerancing.problems.joint_distributions import CorrelatedNormal as CorrelatedNormal
 from rfem_jax.tolerancing.problems.joint_distributions import Zone as Zone
 from rfem_jax.tolerancing.problems.joint_distributions import checked_number
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem
-from rfem_jax.tolerancing.problems.process_capability import mean_shift
 
 
 class Tolerance(eqx.Module):

@@ -12,7 +12,7 @@ pairs of opposite directions.
 Symbols: w (k,) standard normal coordinates of the errors (`Tolerances.from_normal`), G limit state, positive where the
 limit holds, beta = |w| of a design point with the sign of G(0) [1].
 Source: theory (10.21), (10.22); R. Rackwitz, B. Fiessler, Computers and Structures 9 (1978) 489-494 (HL-RF);
-Y. Zhang, A. Der Kiureghian, in: Reliability and Optimization of Structural Systems (1995) 297-305 (step by a merit
+Y. Zhang, A. Der Kiureghian, in: Reliability and Optimization of Structural Systems (1995) 297-304 (step by a merit
 function); A. Der Kiureghian, T. Dakessian, Structural Safety 20 (1998) 37-49 (several design points).
 """
 
@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from rfem_jax.compilation.program import Program
 from rfem_jax.tolerancing.optimisation.starting_points import sobol_units, spread_points
@@ -133,7 +133,7 @@ def find_design_points(
     directions = np.concatenate([half, -half])[:starts]
     owners = np.repeat(np.arange(len(states)), starts)
     scale = np.where(np.isfinite(nominal) & (nominal != 0.0), np.abs(nominal), 1.0)[owners]
-    of_points = [states[i] for i in owners]
+    of_points = [state for state in states for _ in range(starts)]
     points, slopes, reached = _search(space, of_points, np.tile(directions, (len(states), 1)), scale, rounds, accuracy)
     found = []
     for i, value in enumerate(nominal):
@@ -199,8 +199,8 @@ def _converged(w, value, slope, accuracy) -> Bool[np.ndarray, " n"]:
 def _distinct(points: np.ndarray, slopes: np.ndarray, nominal: float) -> DesignPoints:
     """The design points that differ, nearest first, without those far behind the first."""
     lengths = np.linalg.norm(points, axis=1)
-    kept: list[Int] = []
-    for i in np.argsort(lengths, kind="stable"):
+    kept: list[int] = []
+    for i in np.argsort(lengths, kind="stable").tolist():
         near = not kept or lengths[i] <= lengths[kept[0]] + FAR_BEHIND
         if near and all(np.linalg.norm(points[i] - points[j]) > SAME for j in kept):
             kept.append(i)

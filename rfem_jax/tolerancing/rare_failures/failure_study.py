@@ -70,8 +70,7 @@ def reliability(
         raise InputError(f"Argument `tolerances` must be a Tolerances collection, but it is {tolerances!r}.")
     check_known(tolerances.names, problem.error_names, "tolerances")
     tolerances.require_units(problem)
-    asked = read_limits(limits, tuple(metric.name for metric in problem.metrics), needed=True)
-    states = _limit_states(problem, asked)
+    states = _limit_states(problem, limits)
     for what, number, least in (("n", n, FEWEST), ("starts", starts, 1), ("rounds", rounds, 1), ("batch", batch, 1)):
         whole_number(number, what, least)
     confidence = require_confidence(confidence)
@@ -100,9 +99,10 @@ def reliability(
     )
 
 
-def _limit_states(problem: ToleranceProblem, limits: Mapping[str, tuple[float, float]]) -> list[LimitState]:
+def _limit_states(problem: ToleranceProblem, limits: Mapping[str, Any]) -> list[LimitState]:
     names = [metric.name for metric in problem.metrics]
-    ends = [(names.index(name), sign, end) for name, pair in limits.items() for sign, end in zip((-1.0, 1.0), pair)]
+    asked = read_limits(limits, names, needed=True)
+    ends = [(names.index(name), sign, end) for name, pair in asked.items() for sign, end in zip((-1.0, 1.0), pair)]
     states = [LimitState(index, sign, end) for index, sign, end in ends if np.isfinite(end)]
     if not states:
         raise InputError("Argument `limits` must have at least one finite end, but all are open; give a number.")

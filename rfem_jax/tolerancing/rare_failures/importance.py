@@ -50,7 +50,7 @@ class Mixture:
         """Weights n(w)/q(w) of points w (n, k)."""
         exponents = w @ self.centres.T - 0.5 * np.sum(self.centres**2, axis=1)
         shares = self.counts / self.counts.sum()
-        return np.exp(-logsumexp(exponents, axis=1, b=shares))
+        return np.exp(-np.asarray(logsumexp(exponents, axis=1, b=shares)))
 
 
 def mixture_of(points: Sequence[Float[np.ndarray, "p k"]], n: int, k: int) -> Mixture:

@@ -1,6 +1,6 @@
 """Process capability: from Cp and Cpk to mean and standard deviation, and back (theory (10.20)).
 
-Place in the pipeline: **process_capability** -> `distributions` (`ProcessNormal`).
+Place in the pipeline: **capability** -> `distributions` (`ProcessNormal`).
 
     Cp = t/(3 sigma),   Cpk = (t - |mean - centre|)/(3 sigma),   mean - centre = +- t (1 - Cpk/Cp)
 
