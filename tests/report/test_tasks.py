@@ -95,7 +95,11 @@ def test_sensitivity(task_file, tmp_path, capsys):
     out = tmp_path / "out"
     assert call("sensitivity", task_file, out) == 0
     names = {"sensitivity.json", "sensitivity.csv"}
-    assert names_in(out) == names | {"sensitivity_heat_map.png", "sensitivity_tornado.png"}
+    assert names_in(out) == names | {
+        "sensitivity_heat_map.png",
+        "sensitivity_tornado.png",
+        "sensitivity_contributions.png",
+    }
     found = read(out / "sensitivity.json")
     assert (found["status"], found["undamped"]) == ("ok", False)
     moment, force = found["metrics"][MOMENT], found["metrics"][FORCE]

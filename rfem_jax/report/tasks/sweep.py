@@ -81,6 +81,10 @@ class SweepReport(TaskReport[SweepTask, SweepResult]):
                 f"remove `{folder / self.name}` and its points."
             ) from None
 
+    def left(self, folder: Path) -> str:
+        count = len(list((folder / self.name).glob("chunk-*.npz")))
+        return f"{count} chunks of points are kept in {folder / self.name}" if count else super().left(folder)
+
     def succeeded(self, result: SweepResult) -> bool:
         return result.good > 0
 
