@@ -195,6 +195,7 @@ class Run(eqx.Module):
     integrals: LoadIntegrals
     forces: dict[str, PointHistory]
     friction_losses: dict[str, Float[Array, " times"]] = eqx.field(default_factory=dict)
+    design_gap: Float[Array, ""] | None = None
 
     def window(self, start: Scalar, stop: Scalar) -> WindowLoads:
         """Loads over start <= t <= stop [s] of one run; use vmap for a batch.  Differentiable.
