@@ -94,3 +94,13 @@ def test_without_distributions_or_second_derivatives(found):
 )
 def test_fourth_moments(tolerance, kurtosis):
     assert 3.0 * _fourth(tolerance) == pytest.approx(kurtosis, rel=2e-5)
+
+
+def test_the_square_of_a_distance_within_a_disc():
+    """r^2 is uniform in 0 ... R^2 for a point of a disc, and its deviation R^2/sqrt(12)."""
+    problem = FunctionProblem(lambda e: {"f": e["x"] ** 2 + e["z"] ** 2 + e["a"] ** 2}, ("x", "z", "a"), "f")
+    tolerances = Tolerances({"a": Uniform(0.3)}, zones=Zone(("x", "z"), 0.5 * np.eye(2), (2,)))
+    shares = sensitivity(problem, scale=tolerances).shares
+    disc, alone = 0.5**4 / 12.0, 0.3**4 * (1 / 5 - 1 / 9)
+    assert shares.std[0] == pytest.approx(np.sqrt(disc + alone), rel=1e-9)
+    np.testing.assert_allclose(shares.total[0], np.array([alone, disc]) / (disc + alone), rtol=1e-8)
