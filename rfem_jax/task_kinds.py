@@ -158,3 +158,13 @@ register_task(
         results="probabilities with intervals, the most probable failures, what errors contribute to them",
     )
 )
+register_task(
+    TaskKind(
+        "optimise",
+        asks="rfem_jax.description.tasks.optimise:OptimiseTask",
+        reports="rfem_jax.report.tasks.optimise:OptimiseReport",
+        purpose="the best dimensions and tolerances that keep limits",
+        results="dimensions and tolerances before and after, verified margins, Pareto front",
+        kept="evaluations of an optimisation",
+    )
+)

@@ -58,7 +58,7 @@ class Task(ChecksItself):
         metrics: dict[str, list[str]] = {}
         for pattern in patterns:
             with problems.noted():
-                metrics[pattern] = _resolve(pattern, mechanism.joints, name)
+                metrics[pattern] = resolve_metric(pattern, mechanism.joints, name)
         problems.refuse()
         changes: dict[str, Any] = {}
         if "limits" in own:
@@ -70,7 +70,7 @@ class Task(ChecksItself):
         return replace(self, **changes)
 
 
-def _resolve(pattern: str, joints: Iterable[Joint], task: str) -> list[str]:
+def resolve_metric(pattern: str, joints: Iterable[Joint], task: str) -> list[str]:
     """Names of the metrics that one name with "*" stands for, of all joints that have it; the joint must be there."""
     joint, _, kind = pattern.rpartition(".")
     names = {one.name: has_metric(kind, KINDS[one.kind], one.cut) for one in joints}
