@@ -36,9 +36,9 @@ _PACKAGES = {
         "discretise parameters"
     ),
     "tolerancing": (
-        "CorrelatedNormal Exponential FunctionProblem Metric Normal Problem Reciprocal "
-        "ReciprocalSquared Tolerances Triangular TruncatedNormal Uniform allocate expand metric "
-        "monte_carlo optimise pareto_front sensitivity worst_case"
+        "CorrelatedNormal Exponential FunctionProblem Metric Normal Problem ProcessNormal Reciprocal "
+        "ReciprocalSquared Tolerances Triangular TruncatedNormal Uniform Zone allocate expand fit_response_surface "
+        "metric monte_carlo optimise pareto_front process_capability reliability sensitivity sweep worst_case"
     ),
     "compilation.keeping": "keep_programs",
     "task_kinds": "TaskKind register_task",

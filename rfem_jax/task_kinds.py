@@ -140,6 +140,26 @@ register_task(
 )
 register_task(
     TaskKind(
+        "sweep",
+        asks="rfem_jax.description.tasks.sweep:SweepTask",
+        reports="rfem_jax.report.tasks.sweep:SweepReport",
+        purpose="metrics over ranges of the errors, and the surface through them; continues an interrupted run",
+        results="all points, the response surface with its error, responses, contours; chunks of points in DIR/sweep",
+        many_processes=True,
+        kept="finished chunks of a sweep",
+    )
+)
+register_task(
+    TaskKind(
+        "reliability",
+        asks="rfem_jax.description.tasks.reliability:ReliabilityTask",
+        reports="rfem_jax.report.tasks.reliability:ReliabilityReport",
+        purpose="probabilities that limits are broken, however small (FORM, importance sampling)",
+        results="probabilities with intervals, the most probable failures, what errors contribute to them",
+    )
+)
+register_task(
+    TaskKind(
         "optimise",
         asks="rfem_jax.description.tasks.optimise:OptimiseTask",
         reports="rfem_jax.report.tasks.optimise:OptimiseReport",

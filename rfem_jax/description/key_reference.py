@@ -36,6 +36,7 @@ from rfem_jax.description.study_reader import (
 )
 from rfem_jax.description.tables import keys_of
 from rfem_jax.description.tolerances import CorrelatedTolerances, SpecifiedTolerance
+from rfem_jax.description.zones import SpecifiedZone
 from rfem_jax.task_kinds import task_kinds
 
 NEEDED = "needed"
@@ -110,6 +111,9 @@ def key_tables() -> list[KeyTable]:
     tolerance = _table("[tolerances] ERROR", SpecifiedTolerance, *keys_of(SpecifiedTolerance, omit=("error",)))
     either = Key("ERROR = ...", "-", "a half-width alone, or a table { ... } of the keys below")
     tables.append(KeyTable(tolerance.header, (either, *tolerance.keys)))
+    zone = _table("[tolerances] JOINT.position", SpecifiedZone, *keys_of(SpecifiedZone, omit=("name",)))
+    either = Key("JOINT.position = ...", "-", "or coaxiality, parallelism, perpendicularity: a diameter, or a table")
+    tables.append(KeyTable(zone.header, (either, *zone.keys)))
     tables.append(_table("[[tolerances.correlated]]", CorrelatedTolerances, *keys_of(CorrelatedTolerances)))
     for name, kind in task_kinds().items():
         for header, described, required, optional in kind.asked_class().tables(f"[{name}]"):

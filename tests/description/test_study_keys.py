@@ -78,6 +78,16 @@ objective = { cost = 1, end_energy = 1 }
 RECTANGLE = '[mechanism.sections.flat]\nshape = "rectangle"\nwidth = 1e-2\nheight = 1e-2\n'
 
 
+ZONE = '"A.position" = { diameter = "0.1 mm" }\n'
+MORE_TASKS = """
+[sweep]
+metrics = ["*.rms_moment"]
+[reliability]
+limits = { "D.mean_square_moment" = 20.0 }
+"""
+ALL_TASKS = TASKS.replace("[[tolerances.correlated]]", f"{ZONE}[[tolerances.correlated]]") + MORE_TASKS
+
+
 def header_of(place):
     """The header in the reference of a place that the reader names."""
     place = re.sub(r"^The top level$", "top level", place)
@@ -87,6 +97,7 @@ def header_of(place):
     place = re.sub(r"\[mechanism\.(materials|sections)\.\w+\]", r"[mechanism.\1.NAME]", place)
     place = re.sub(r"^(\[\[[\w.]+\]\]) (`[^`]+`|number \d+)", r"\1", place)
     place = re.sub(r"^(\[drive\]|\[\[drives\]\])", "[drive] or [[drives]]", place)
+    place = re.sub(r"^\[tolerances\] `\w+\.position`$", "[tolerances] JOINT.position", place)
     place = re.sub(r"^\[tolerances\] `.*", "[tolerances] ERROR", place)
     return re.sub(r"^\[(allocation|optimise)\.cost\] `.*", r"[\1.cost]", place)
 
@@ -111,7 +122,9 @@ def asked(tmp_path, monkeypatch):
     start, end = full.index("[drive]"), full.index("[simulation]")
     for drive in [full[start:end], *(f"[drive]{part}" for part in DRIVES.split("[drive]")[1:])]:
         path = tmp_path / "study.toml"
-        path.write_text(full[:start] + FORCES + POINT_FORCES + SPRINGS + drive + full[end:] + TASKS + OPTIMISE, encoding="utf-8")
+        path.write_text(
+            full[:start] + FORCES + POINT_FORCES + SPRINGS + drive + full[end:] + ALL_TASKS + OPTIMISE, encoding="utf-8"
+        )
         load_study(path)
         full = full.replace('section = "own"\n', "body = {mass = 1, centre = [0, 0, 0], inertia = [1, 1, 1]}\n")
         start, end = full.index("[drive]"), full.index("[simulation]")
@@ -124,7 +137,7 @@ def test_the_reference_holds_what_the_reader_asks_for(asked):
     for table in key_tables():
         # The reader asks at once for the settings of all methods.
         reference.setdefault(table.header.partition(", settings of the method")[0], {}).update(
-            {key.name: key.default for key in table.keys if not key.name.startswith("ERROR")}
+            {key.name: key.default for key in table.keys if not key.name.startswith(("ERROR", "JOINT"))}
         )
     # Asked before the shape and the kind are known, or by names of the user.
     for place in (
