@@ -61,7 +61,7 @@ class TaskKind:
 
 # Names that study files and the command line use for something else.
 RESERVED_TABLES = ("title", "note", "mechanism", "drive", "drives", "simulation", "cases", "tolerances")
-RESERVED_COMMANDS = ("run", "check", "keys", "validate")
+RESERVED_COMMANDS = ("run", "check", "keys", "validate", "report")
 
 _kinds: dict[str, TaskKind] = {}
 

@@ -95,7 +95,19 @@ def build_parser() -> argparse.ArgumentParser:
     )
     keys.set_defaults(action=_keys, cache=True)
     _add_validate(commands)
+    _add_report(commands)
     return parser
+
+
+def _add_report(commands: Any) -> None:
+    report = commands.add_parser(
+        "report",
+        help="write report.html from the files of a folder",
+        description="Write report.html, a page for any browser, from the files that other commands have written into "
+        "a folder: the mechanism as it moves, loads over time, tables, tasks, checks. Nothing is computed.",
+    )
+    report.add_argument("folder", metavar="DIR", help="the folder that was given to --out")
+    report.set_defaults(action=_report, cache=True)
 
 
 def _add_validate(commands: Any) -> None:
@@ -234,6 +246,35 @@ def _write_pictures(folder: Path, study: Study, runs: dict[str, Run], summaries:
     return write_figures(folder, study, runs, summaries)
 
 
+def _write_animation(folder: Path, runs: dict[str, Run]) -> list[Path]:
+    from rfem_jax.report.page.animation import write_animation
+
+    _announce("Tracing where the mechanism is")
+    return write_animation(folder, runs)
+
+
+def _write_page(folder: Path) -> list[Path]:
+    """The page of all results that the folder has."""
+    from rfem_jax.report.page.document import write_folder
+
+    _announce("Writing report.html")
+    try:
+        return [write_folder(folder)]
+    except OSError as problem:
+        raise _cannot_write(folder, problem) from problem
+
+
+def _report(arguments: argparse.Namespace) -> int:
+    from rfem_jax.report.page.document import write_folder
+
+    try:
+        path = write_folder(arguments.folder)
+    except OSError as problem:
+        raise _cannot_write(arguments.folder, problem) from problem
+    show(f"Written: {path}")
+    return DONE
+
+
 def _run(arguments: argparse.Namespace) -> int:
     from rfem_jax.description import load_study
 
@@ -257,6 +298,7 @@ def _run(arguments: argparse.Namespace) -> int:
     try:
         written = write_files(folder, study, runs, summaries)
         written += _write_pictures(folder, study, runs, summaries)
+        written += _write_animation(folder, runs)
     except OSError as problem:
         raise _cannot_write(folder, problem) from problem
     good = all(one["status"] == "ok" for one in summaries.values())
@@ -265,6 +307,7 @@ def _run(arguments: argparse.Namespace) -> int:
     for task in study.tasks.declared:
         done, files = _write_task(study, task, folder)
         good, written = good and done, written + files
+    written += _write_page(folder)
     seconds = time.perf_counter() - started
     show(f"{len(written)} files written to {folder} ({seconds:.1f} s in all).")
     return DONE if good else CASE_FAILED
@@ -304,6 +347,8 @@ def _do_task(arguments: argparse.Namespace) -> int:
     study = _settle_method(study)
     folder = open_folder(arguments.out)
     good, written = _write_task(study, arguments.task, folder)
+    if written:  # not by the helpers of process 0
+        written += _write_page(folder)
     seconds = time.perf_counter() - started
     if written:
         show(f"{len(written)} files written to {folder} ({seconds:.1f} s in all).")

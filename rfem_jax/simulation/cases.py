@@ -18,7 +18,7 @@ from rfem_jax.mechanics.model_with_errors import assembly_errors
 from rfem_jax.simulation import integration
 from rfem_jax.simulation.accuracy import choose_method
 from rfem_jax.simulation.driving import require_driven
-from rfem_jax.simulation.run import Run, one_of
+from rfem_jax.simulation.run import Run, of_model, one_of
 from rfem_jax.simulation.time_grid import TimeGrid
 
 PIECES = 20
@@ -38,8 +38,8 @@ def run_cases(
     """
     model = discretise(study.mechanism) if model is None else model
     require_driven(model, study.drive)
-    errors = [assembly_errors(model, case.errors) for case in study.cases]
-    errors = jax.tree.map(lambda *leaves: jnp.stack(leaves), *errors)
+    each = [assembly_errors(model, case.errors) for case in study.cases]
+    errors = jax.tree.map(lambda *leaves: jnp.stack(leaves), *each)
     method = choose_method(model, study.method, study.drive, study.duration, errors, study.save_every)
     grid, steps = integration.grid_for(study.drive, study.duration, method, study.save_every, model)
     _compile_ahead(model, errors, study.drive, grid, method, steps)
@@ -53,7 +53,8 @@ def run_cases(
     count = len(grid.starts)
     ends = jax.tree.map(lambda *parts: np.concatenate(parts, axis=1)[:, :count], *ends)
     runs = _conclude(model, prepared, study.drive, carry, ends, grid, method, steps)
-    return model, {case.name: one_of(runs, i) for i, case in enumerate(study.cases)}
+    found = (of_model(one_of(runs, i), model, one) for i, one in enumerate(each))
+    return model, {case.name: run for case, run in zip(study.cases, found)}
 
 
 def _pieces(grid: TimeGrid):

@@ -49,7 +49,16 @@ from rfem_jax.simulation.driving import active_drives, all_jumps, require_driven
 from rfem_jax.simulation.equations import Conditions, Scalar, Trajectory
 from rfem_jax.simulation.observation import Record, observe
 from rfem_jax.simulation.packing import pack, unpack
-from rfem_jax.simulation.run import RESIDUAL_LIMIT, DriveHistory, DrivenJoint, Energy, LoadIntegrals, Metrics, Run
+from rfem_jax.simulation.run import (
+    RESIDUAL_LIMIT,
+    DriveHistory,
+    DrivenJoint,
+    Energy,
+    LoadIntegrals,
+    Metrics,
+    Run,
+    of_model,
+)
 from rfem_jax.simulation.solvers.catalogue import observed_solver
 from rfem_jax.simulation.solvers.implicit_step import SOLUTION, Memory
 from rfem_jax.simulation.stabilisation import stabilisation_of
@@ -104,7 +113,8 @@ def simulate(
     require_driven(model, drive)
     grid, steps = grid_for(drive, duration, method, save_every, model)
     errors = assembly_errors(model) if errors is None else errors
-    return _simulate(model, errors, drive, grid, start, method, steps, adjoint)
+    run = _simulate(model, errors, drive, grid, start, method, steps, adjoint)
+    return of_model(run, model, errors)
 
 
 def grid_for(
@@ -301,6 +311,7 @@ def conclude(
         centre_lines=link_lines(model, prepared.actual, prepared.state.position),
         nominal_lines=link_lines(model, apply_errors(model, assembly_errors(model)), model.start_coordinates()),
         friction_losses=_by_friction(model, record.friction_losses),
+        positions=jax.tree.map(lambda x: x[grid.saved], ends.trajectory.position),
     )
 
 

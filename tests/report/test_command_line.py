@@ -64,7 +64,7 @@ def test_run_prints_and_writes_everything(packages, runs, study_file, tmp_path, 
     assert {"angle.png", "assembly.png"} <= names
     captured = capsys.readouterr()
     assert "RMS resultant force, N" in captured.out
-    assert "18 files written" in captured.out
+    assert "report.html" in names and "19 files written" in captured.out
     assert "Simulating 3 cases: 100 %" in captured.err
 
 
@@ -219,7 +219,7 @@ def test_without_matplotlib_the_rest_is_written(packages, study_file, tmp_path, 
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     assert main(["run", str(study_file), "--out", str(out)]) == 0
     names = sorted(path.name for path in out.iterdir())
-    assert names == ["P1.csv", "P2.csv", "P3.csv", "results.json"]
+    assert names == ["P1.csv", "P2.csv", "P3.csv", "report.html", "results.json"]
     assert 'pip install "rfem_jax[plots]"' in capsys.readouterr().out
 
 
