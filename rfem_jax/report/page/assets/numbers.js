@@ -12,6 +12,11 @@ function showNumber(value, digits = 4) {
   return String(Number(value.toPrecision(digits)));
 }
 
+// A number, or another one where there is none.
+function numberOr(value, other) {
+  return Number.isFinite(value) ? value : other;
+}
+
 function withUnit(value, unit, digits) {
   return unit && unit !== "1" ? `${showNumber(value, digits)} ${unit}` : showNumber(value, digits);
 }

@@ -73,9 +73,10 @@ function heatMap(kind, entries, errors, result) {
 // Changes at the lower and the upper end of a tolerance by the quadratic model.
 function endChanges(one, errors, result) {
   return errors.map((error, i) => {
-    const width = (result.half_widths || {})[error] || 0;
-    const slope = ((one.gradient || {})[error] || 0) * width;
-    const curved = one.hessian ? 0.5 * one.hessian[i][i] * width * width : 0;
+    const width = numberOr((result.half_widths || {})[error], 0);
+    const slope = numberOr((one.gradient || {})[error], 0) * width;
+    const row = Array.isArray(one.hessian) && Array.isArray(one.hessian[i]) ? one.hessian[i] : [];
+    const curved = 0.5 * numberOr(row[i], 0) * width * width;
     return { error, low: curved - slope, high: curved + slope };
   }).sort((a, b) => Math.max(Math.abs(b.low), Math.abs(b.high)) - Math.max(Math.abs(a.low), Math.abs(a.high)));
 }
