@@ -1,6 +1,6 @@
 """Differentiable simulation of flexible mechanisms with assembly errors.
 
-    load_study / Mechanism(...)          description   what the user states
+    load_study / Mechanism(...)          description   what the user specifies
         |
     discretise -> Model                  mechanics     rigid finite elements, closed start
         |  assembly_errors({...})                      how it is wrong
@@ -35,7 +35,7 @@ _PACKAGES = {
     "tolerancing": (
         "CorrelatedNormal Exponential FunctionProblem Metric Normal Problem Reciprocal "
         "ReciprocalSquared Tolerances Triangular TruncatedNormal Uniform allocate expand metric "
-        "monte_carlo sensitivity worst_case"
+        "monte_carlo optimise pareto_front sensitivity worst_case"
     ),
     "compilation.keeping": "keep_programs",
     "task_kinds": "TaskKind register_task",

@@ -61,7 +61,8 @@ class TaskKind:
 
 # Names that study files and the command line use for something else.
 RESERVED_TABLES = ("title", "note", "mechanism", "drive", "drives", "simulation", "cases", "tolerances")
-RESERVED_COMMANDS = ("run", "check", "keys", "validate", "report")
+# Subcommands that are no tasks, in the order of `--help`: each is a file of `rfem_jax.report.commands` of that name.
+COMMANDS = ("init", "run", "check", "compare", "keys", "report", "validate")
 
 _kinds: dict[str, TaskKind] = {}
 
@@ -82,7 +83,7 @@ def register_task(kind: TaskKind) -> TaskKind:
             f"Argument `name` of a kind of task must be a new one, but `{kind.name}` is in use; choose another."
         )
     commands = [one.command for one in _kinds.values()]
-    if kind.command in (*commands, *RESERVED_COMMANDS):
+    if kind.command in (*commands, *COMMANDS):
         raise ValueError(
             f"Argument `command` of a kind of task must be a new one, but `{kind.command}` is in use; choose another."
         )

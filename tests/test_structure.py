@@ -10,7 +10,13 @@ ROOT = Path(__file__).parents[1]
 PACKAGES = ("description", "compilation", "mechanics", "simulation", "validation", "tolerancing", "report")
 FILES = sorted(path for path in (ROOT / "rfem_jax").rglob("*.py") if path.parent != ROOT / "rfem_jax")
 
-BESIDE = ("task_kinds",)  # modules that all packages may import
+BESIDE = (
+    "task_kinds",
+    "labelled_data",
+    "rich_text",
+    "text_layout",
+    "whole_files",
+)  # modules that all packages may import
 
 
 def imported_modules(path: Path):

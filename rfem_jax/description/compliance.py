@@ -9,7 +9,7 @@ included), the tilt is the angle between the two axes; force and reaction act at
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -23,14 +23,35 @@ else:
     Stiffness = Any  # what is no stiffness is refused in a sentence
 
 
+_DAMPING = "_damping"
+
+
+@dataclass(frozen=True)
+class SprungDirection:
+    """A spring of a joint: its name, the motions that it acts on, stiffness [N/m, N m/rad] or a table (positions
+    [m, rad], forces [N, N m]) of both senses, and damping [N s/m, N m s/rad]."""
+
+    name: str
+    motions: tuple[str, ...]
+    stiffness: float
+    damping: float
+    positions: tuple[float, ...] | None = None
+    forces: tuple[float, ...] | None = None
+
+    @property
+    def rotation(self) -> bool:
+        """Whether it is a rotation."""
+        return self.motions[0][0] == "R"
+
+
 @dataclass(frozen=True)
 class Compliance:
     """Stiffness and damping of a joint in directions that its kind holds; a direction that is left out stays rigid.
 
     A stiffness is a number, or a table { positions = [...], forces = [...] } of the force (moment) that displaces by a
-    position (angle), linear in between and beyond its ends with the last slope, not decreasing: from 0, 0 and the same
-    in both senses, or from negative to positive positions where the direction is one axis. Linear springs of "radial",
-    "normal" and "tilt" are the same in all directions across the axis, and tables are over the resultant.
+    position (angle), linear in between and beyond its ends with the last stiffness, not decreasing: from 0, 0 and the
+    same in both senses, or from negative to positive positions where the direction is one axis. Linear springs of
+    "radial", "normal" and "tilt" are the same in all directions across the axis, and tables are over the resultant.
 
     Args:
         radial: [N/m] across the axis; of kinds without an axis (spherical, universal, fixed) in all directions.
@@ -76,90 +97,112 @@ class Compliance:
     R_y_damping: Quantity = 0.0
     R_z_damping: Quantity = 0.0
 
-    def springs(self, kind: JointKind, cut: bool, of: str) -> tuple["SprungDirection", ...]:
+    def springs(self, kind: JointKind, cut: bool, of: str) -> tuple[SprungDirection, ...]:
         """The springs of a joint of a kind; raises InputError if something does not fit it. `of`: "of joint `A`"."""
         problems, found = Problems(), []
         for name in (field.name for field in fields(self) if not field.name.endswith(_DAMPING)):
             stiffness, damping = getattr(self, name), getattr(self, name + _DAMPING)
             with problems.noted():
                 if stiffness is not None or damping != 0.0:
-                    _require_direction(kind, cut, name, of)
-                    found.append(_spring(name, kind.directions[name], stiffness, damping, of))
+                    self._require_direction(kind, cut, name, of)
+                    found.append(self._spring(name, kind.directions[name], stiffness, damping, of))
         problems.refuse()
         motions = [motion for spring in found for motion in spring.motions]
         twice = [motion for n, motion in enumerate(motions) if motion in motions[:n]]
         if twice:
-            names = " and ".join(f"`{spring.name}`" for spring in found if twice[0] in spring.motions)
+            names = " and ".join(f"`{self._key(spring.name)}`" for spring in found if twice[0] in spring.motions)
             raise InputError(
-                f"Argument `compliance` {of} must spring every direction once, but {names} both do so along or about "
-                f"{twice[0][-1]}; leave one out."
+                f"Argument `{self._table}` {of} must spring every direction once, but {names} both do so along or "
+                f"about {twice[0][-1]}; leave one out."
             )
         if not found:
             raise InputError(
-                f"Argument `compliance` {of} must spring a direction, but is empty; give one of "
-                f"{', '.join(kind.directions)}, or leave the compliance out."
+                f"Argument `{self._table}` {of} must spring a direction, but is empty; give one of "
+                f"{', '.join(map(self._key, kind.directions))}, or leave it out."
             )
         return tuple(found)
 
+    _table: ClassVar[str] = "compliance"  # what it is called where it is written
 
-@dataclass(frozen=True)
-class SprungDirection:
-    """A spring of a joint: its name, the motions that it acts on, stiffness [N/m, N m/rad] or a table (positions
-    [m, rad], forces [N, N m]) of both senses, and damping [N s/m, N m s/rad]."""
+    @staticmethod
+    def _key(direction: str) -> str:
+        """Name of a direction where it is written."""
+        return direction
 
-    name: str
-    motions: tuple[str, ...]
-    stiffness: float
-    damping: float
-    positions: tuple[float, ...] | None = None
-    forces: tuple[float, ...] | None = None
+    @staticmethod
+    def _damping_key(direction: str) -> str:
+        """Name of its damping where it is written."""
+        return f"compliance.{direction}{_DAMPING}"
 
-    @property
-    def rotation(self) -> bool:
-        """Whether it is a rotation."""
-        return self.motions[0][0] == "R"
+    def _require_direction(self, kind: JointKind, cut: bool, name: str, of: str) -> None:
+        if not kind.directions:
+            raise InputError(
+                f"Argument `{self._table}` {of} must be left out because a {kind.name} joint holds nothing, but was "
+                "given; remove it."
+            )
+        if name not in kind.directions:
+            known = tuple(map(self._key, kind.directions))
+            raise InputError(
+                f"Argument `{self._table}` {of} must spring directions that a {kind.name} joint holds, but "
+                f"`{self._key(name)}` is none; {suggestion(self._key(name), known)}"
+            )
+        if cut and kind.angles == 0 and kind.directions[name][0][0] == "R":
+            raise InputError(
+                f"Argument `{self._table}` {of} must spring no rotation because the joint is {kind.name} and cut, but "
+                f"has `{self._key(name)}`; cut another joint of the loop."
+            )
+
+    def _spring(self, name: str, motions: tuple[str, ...], stiffness: Any, damping: Any, of: str) -> SprungDirection:
+        turns, key = "rotational_" if motions[0][0] == "R" else "", self._key(name)
+        if stiffness is None:
+            beside = self._damping_key(name).removeprefix(f"{self._table}.")
+            raise InputError(
+                f"Argument `{self._table}` {of} must have the stiffness `{key}` beside `{beside}`, but it is missing; "
+                "give it."
+            )
+        what = f"{self._table}.{key}"
+        where = f"`{what}` {of}"
+        size = non_negative_quantity(damping, f"{turns}damping", f"`{self._damping_key(name)}` {of}")
+        if not isinstance(stiffness, Mapping):
+            return SprungDirection(name, motions, positive_quantity(stiffness, f"{turns}stiffness", where), size)
+        if set(stiffness) != {"positions", "forces"}:
+            raise InputError(
+                f"Argument {where} must be a stiffness or a table with `positions` and `forces`, but was "
+                f"{stiffness!r}; write {{ positions = [...], forces = [...] }}."
+            )
+        positions = sequence(stiffness["positions"], "angle" if turns else "length", f"`{what}.positions` {of}")
+        forces = sequence(stiffness["forces"], "moment" if turns else "force", f"`{what}.forces` {of}")
+        return SprungDirection(name, motions, 0.0, size, *_both_senses(positions, forces, len(motions) > 1, where))
 
 
-_DAMPING = "_damping"
+class TablesByDirection(Compliance):
+    """A Compliance that is written as two tables, `stiffness` and `damping`: its refusals name their keys."""
 
+    _table: ClassVar[str] = "stiffness"
 
-def _require_direction(kind: JointKind, cut: bool, name: str, of: str) -> None:
-    if not kind.directions:
-        raise InputError(
-            f"Argument `compliance` {of} must be left out because a {kind.name} joint holds nothing, but was given; "
-            "remove it."
+    @staticmethod
+    def _key(direction: str) -> str:
+        """As x for T_x and rx for R_x."""
+        letter, _, axis = direction.partition("_")
+        return {"T": axis, "R": f"r{axis}"}.get(letter, direction)
+
+    @staticmethod
+    def _damping_key(direction: str) -> str:
+        return f"damping.{TablesByDirection._key(direction)}"
+
+    @classmethod
+    def keys(cls) -> dict[str, str]:
+        """{key of both tables: name of the direction}."""
+        return {cls._key(one.name): one.name for one in fields(cls) if not one.name.endswith(_DAMPING)}
+
+    @classmethod
+    def of(cls, stiffness: Mapping[str, Any], damping: Mapping[str, Any]) -> "TablesByDirection":
+        """Return the Compliance of two tables whose keys are known."""
+        names = cls.keys()
+        return cls(
+            **{names[key]: value for key, value in stiffness.items()},
+            **{names[key] + _DAMPING: value for key, value in damping.items()},
         )
-    if name not in kind.directions:
-        raise InputError(
-            f"Argument `compliance` {of} must spring directions that a {kind.name} joint holds, but `{name}` is none; "
-            f"{suggestion(name, tuple(kind.directions))}"
-        )
-    if cut and kind.angles == 0 and kind.directions[name][0][0] == "R":
-        raise InputError(
-            f"Argument `compliance` {of} must spring no rotation because the joint is {kind.name} and cut, but has "
-            f"`{name}`; cut another joint of the loop."
-        )
-
-
-def _spring(name: str, motions: tuple[str, ...], stiffness: Any, damping: Any, of: str) -> SprungDirection:
-    turns = "rotational_" if motions[0][0] == "R" else ""
-    if stiffness is None:
-        raise InputError(
-            f"Argument `compliance` {of} must have the stiffness `{name}` beside `{name}{_DAMPING}`, but it is "
-            "missing; give it."
-        )
-    where = f"`compliance.{name}` {of}"
-    size = non_negative_quantity(damping, f"{turns}damping", f"`compliance.{name}{_DAMPING}` {of}")
-    if not isinstance(stiffness, Mapping):
-        return SprungDirection(name, motions, positive_quantity(stiffness, f"{turns}stiffness", where), size)
-    if set(stiffness) != {"positions", "forces"}:
-        raise InputError(
-            f"Argument {where} must be a stiffness or a table with `positions` and `forces`, but was {stiffness!r}; "
-            "write { positions = [...], forces = [...] }."
-        )
-    positions = sequence(stiffness["positions"], "angle" if turns else "length", f"`compliance.{name}.positions` {of}")
-    forces = sequence(stiffness["forces"], "moment" if turns else "force", f"`compliance.{name}.forces` {of}")
-    return SprungDirection(name, motions, 0.0, size, *_both_senses(positions, forces, len(motions) > 1, where))
 
 
 def _both_senses(

@@ -16,6 +16,7 @@ from jaxtyping import Array, Float, Int
 
 from rfem_jax.description.errors import ABSENT, Checks, InputError, require_choice, require_name, subject
 from rfem_jax.description.joint_kinds import KINDS
+from rfem_jax.description.precision import require_float64
 from rfem_jax.description.units import Quantities, quantity, sequence
 
 Scalar = Float[Array, ""]
@@ -30,11 +31,7 @@ def as_phase(phase: Phase) -> Int[Array, ""]:
 
 def drive_checks(drive: object, joint: object, motion: object) -> Checks:
     """Checks of the arguments of a drive, of which those of its joint and motion are done."""
-    if not jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]  # JAX adds it at run time
-        raise InputError(
-            "A drive must be built in double precision, but JAX is set to single precision; paste "
-            'jax.config.update("jax_enable_x64", True) at the start of your program.'
-        )
+    require_float64()
     checks = Checks(drive)
     checks.set("joint", joint, require_name, "`joint` of the drive")
     checks.set("motion", motion, _motion)

@@ -10,7 +10,16 @@ from collections.abc import Collection, Mapping
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from typing import Any
 
-from rfem_jax.description.compliance import Compliance
+from rfem_jax.description.compliance import Compliance, TablesByDirection
+from rfem_jax.description.force_reader import (
+    FORCES,
+    IN_JOINTS,
+    JOINT_KEYS,
+    OF_ITS_JOINT,
+    SPRINGS,
+    force_keys,
+    spring_place,
+)
 from rfem_jax.description.joints import Joint
 from rfem_jax.description.links import Link, PointMass
 from rfem_jax.description.materials import Material
@@ -20,8 +29,6 @@ from rfem_jax.description.rigid_bodies import RigidBody
 from rfem_jax.description.study import CASE_KEYS, STUDY_KEYS, Case, Study
 from rfem_jax.description.study_reader import (
     DRIVES,
-    FORCES,
-    FUNCTION_KEYS,
     MECHANISM_KEYS,
     SHAPES,
     SIMULATION_KEYS,
@@ -36,17 +43,22 @@ _IN_A_FILE = {  # where a file has something else than the class
     "sections": "tables [mechanism.sections.NAME]",
     "links": "tables [[mechanism.links]], at least one",
     "joints": "tables [[mechanism.joints]]; each link is the child of exactly one that is not cut",
+    "springs": "tables [[mechanism.springs]], as well as those of [[mechanism.forces]]",
     "forces": "tables [[mechanism.forces]]",
     "section": "name of a table [mechanism.sections.NAME] (a rigid link needs it for its mass, unless it has a body)",
     "material": 'name of a table [mechanism.materials.NAME]; none with a section of shape "given"',
     "body": "table {mass = ..., centre = ..., inertia = ...} in the place of section and material; the link is rigid",
     "point_masses": "list of tables, [{mass = ..., position = ...}, ...]",
     "compliance": "table { radial = ..., axial = ..., ... }; none: rigid",
+    "stiffness": "table by direction, in the place of compliance: { radial = ..., axial = ..., tilt = ... }",
+    "damping": "table by direction, beside stiffness",
+    "spring": "table { stiffness = ..., ... } of a free motion, or a list of them; the spring is named JOINT_spring",
+    "friction": "table { constant = ..., ... } of a free motion, or a list of them; it is named JOINT_friction",
     "cases": "tables [[cases]]; none means one case without errors",
     "mechanism": "the table [mechanism]",
     "simulation": "the table [simulation]",
     "drive": "the table [drive]; none means no drive",
-    "drives": "tables [[drives]] in the place of [drive], for several drives at once",
+    "drives": "tables [[drives]] beside [drive] or in its place, for several drives at once",
     "tolerances": "the table [tolerances]",
     "bounds": "the table [allocation.bounds]: ERROR = [smallest, largest half-width]",
     "cost": "the table [allocation.cost]: its keys for all errors, ERROR = { ... } for one",
@@ -85,14 +97,9 @@ def key_tables() -> list[KeyTable]:
         ("[[mechanism.links]]", Link),
         ("point_masses of [[mechanism.links]]", PointMass),
         ("body of [[mechanism.links]]", RigidBody),
-        ("[[mechanism.joints]]", Joint),
-        ("compliance of [[mechanism.joints]]", Compliance),
     ):
         tables.append(_table(header, kind, *keys_of(kind), _IN_A_FILE))
-    for name, kind in FORCES.items():
-        required, optional = keys_of(kind, omit=FUNCTION_KEYS)
-        header, own = f'[[mechanism.forces]] of kind "{name}"', {"kind": f'"{name}"'}
-        tables.append(_table(header, kind, ("kind", *required), optional, own))
+    tables += [*_joint_tables(), *_force_tables()]
     for name, (kind, required, optional) in DRIVES.items():
         header, own = f'[drive] or [[drives]] of kind "{name}"', {"kind": f'"{name}"'}
         tables.append(_table(header, kind, ("joint", "kind", *required), (*optional, "motion"), own))
@@ -124,6 +131,35 @@ def argument_meanings(kind: type) -> dict[str, str]:
         else:
             meanings |= {name: f"{meanings[name]} {line.strip()}" for name in names}
     return meanings
+
+
+def _joint_tables() -> list[KeyTable]:
+    """Joints, and the tables that may stand in them."""
+    required, optional = keys_of(Joint)
+    tables = [_table("[[mechanism.joints]]", Joint, required, (*optional, *JOINT_KEYS), _IN_A_FILE)]
+    tables.append(_table("compliance of [[mechanism.joints]]", Compliance, *keys_of(Compliance), _IN_A_FILE))
+    meanings = argument_meanings(Compliance)
+    for key, ending in (("stiffness", ""), ("damping", "_damping")):
+        own = {one: meanings[name + ending] for one, name in TablesByDirection.keys().items()}
+        tables.append(_table(f"{key} of [[mechanism.joints]]", TablesByDirection, (), [*own], own))
+    for key, kind in IN_JOINTS.items():
+        required, optional = keys_of(kind, omit=OF_ITS_JOINT)
+        several = {"motion": f"{argument_meanings(kind)['motion']} Needed in a list of several."}
+        tables.append(_table(f"{key} of [[mechanism.joints]]", kind, required, optional, several))
+    return tables
+
+
+def _force_tables() -> list[KeyTable]:
+    """Springs and forces of all kinds."""
+    tables = []
+    for name in SPRINGS:
+        tables.append(_table(f"[[mechanism.springs]] {spring_place(name)}", FORCES[name], *keys_of(FORCES[name])))
+    for name, kind in FORCES.items():
+        required, optional = force_keys(name)
+        left_out = "" if "kind" in required else ", which may be left out"
+        own = {"kind": f'"{name}"{left_out}', "frame": "another name of `axes`"}
+        tables.append(_table(f'[[mechanism.forces]] of kind "{name}"', kind, required, optional, own))
+    return tables
 
 
 def _simulation_tables() -> list[KeyTable]:

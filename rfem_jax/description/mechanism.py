@@ -19,6 +19,7 @@ from rfem_jax.description.forces import Force, JointForce, JointFriction
 from rfem_jax.description.joint_kinds import KINDS, joint_errors
 from rfem_jax.description.joints import Joint
 from rfem_jax.description.links import Link
+from rfem_jax.description.notebook_tables import mechanism_html
 from rfem_jax.description.point_forces import PointLoad
 from rfem_jax.description.units import vector
 
@@ -58,6 +59,9 @@ class Mechanism(ChecksItself):
     driven_joint: str | tuple[str, ...] | None = None
     elements: str = "linear"
     forces: tuple[Force, ...] = ()
+
+    def _repr_html_(self) -> str:
+        return mechanism_html(self)
 
     def _check_fields(self, checks: Checks) -> None:
         checks.convert("links", _unique, Link, "links")

@@ -24,6 +24,7 @@ from rfem_jax.description.error_catalogue import error_dimension
 from rfem_jax.description.errors import ABSENT, Checks, ChecksItself, InputError, Problems, located, suggestion
 from rfem_jax.description.mechanism import Mechanism
 from rfem_jax.description.methods import Method
+from rfem_jax.description.notebook_tables import study_html
 from rfem_jax.description.study_reader import read_drive, read_drives, read_mechanism, read_simulation
 from rfem_jax.description.tables import checked_list, checked_table, named_place, read_toml
 from rfem_jax.description.tasks.study_tasks import Tasks, read_tasks
@@ -90,6 +91,9 @@ class Study(ChecksItself):
     note: str = ""
     tasks: Tasks = field(default_factory=Tasks)
     asked_method: Method | None = None
+
+    def _repr_html_(self) -> str:
+        return study_html(self)
 
     def _check_fields(self, checks: Checks) -> None:
         kinds = {"title": str, "note": str, "mechanism": Mechanism}
@@ -255,9 +259,8 @@ def _read_study(content: dict[str, Any], path: Path) -> Study:
             with problems.noted():
                 parts[name] = read(there[name]) if name in there else ABSENT
     if "drives" in parts:
-        with problems.noted():
-            _refuse_both(content)
-        parts["drive"] = parts.pop("drives")
+        drive, drives = parts["drive"], parts.pop("drives")
+        parts["drive"] = ABSENT if ABSENT in (drive, drives) else (*each_drive(drive), *drives)
     parts["tasks"] = ABSENT
     with problems.noted():
         tasks = read_tasks(there)
@@ -271,14 +274,6 @@ def _read_study(content: dict[str, Any], path: Path) -> Study:
     problems.refuse()
     assert study is not None, "what is missing has been noted"
     return study
-
-
-def _refuse_both(content: dict[str, Any]) -> None:
-    if "drive" in content:
-        raise InputError(
-            "The top level must have either [drive] or [[drives]], but has both; move the drive into a table "
-            "[[drives]] of its own."
-        )
 
 
 def _read_cases(entries: object) -> tuple[Case, ...]:

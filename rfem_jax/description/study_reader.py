@@ -1,8 +1,8 @@
 """From the tables of a study file to the objects of this package: mechanism, drive, method.
 
 Place in the pipeline: called by `study.load_study`; each function takes one table of the TOML.
-The keys are the names of the arguments of Material, Link, Joint, ...; "shape" chooses the class of
-a section, "kind" that of a drive.
+The keys are the names of the arguments of Material, Link, ...; "shape" chooses the class of a section, "kind" that of a
+drive. Joints, springs and forces are read by `force_reader`.
 """
 
 from collections.abc import Callable, Collection, Mapping
@@ -10,7 +10,6 @@ from dataclasses import fields
 from functools import partial
 from typing import Any, TypeVar
 
-from rfem_jax.description.compliance import Compliance
 from rfem_jax.description.driven_motions import AnyDrive
 from rfem_jax.description.drives import (
     MomentRamp,
@@ -20,16 +19,14 @@ from rfem_jax.description.drives import (
     PrescribedTable,
 )
 from rfem_jax.description.errors import ABSENT, InputError, Problems, located, require_choice, require_name
-from rfem_jax.description.forces import Force, JointForceTable, JointFriction, JointSpring
-from rfem_jax.description.joints import Joint
+from rfem_jax.description.force_reader import read_force, read_joint, read_spring
 from rfem_jax.description.links import Link, PointMass
 from rfem_jax.description.materials import Material
 from rfem_jax.description.mechanism import Mechanism
 from rfem_jax.description.methods import Method, setting_names
-from rfem_jax.description.point_forces import PointForce, PointMoment, PointSpring, PointSpringTable
 from rfem_jax.description.rigid_bodies import RigidBody
 from rfem_jax.description.sections import Circle, GivenSection, Rectangle, Section, Tube
-from rfem_jax.description.tables import build, build_by_trial, checked_list, checked_table, keys_of, named_place
+from rfem_jax.description.tables import build, build_by_trial, checked_table, keys_of, keys_of_kind, kind_of, read_list
 from rfem_jax.description.translation_drives import (
     ForceRamp,
     ForceTable,
@@ -54,18 +51,8 @@ DRIVES = {
     "prescribed_run_up": (PrescribedRunUp, ("speed", "rise_time"), ()),
     "prescribed_displacements": (PrescribedDisplacements, ("times", "displacements"), ()),
 }
-FORCES = {
-    "joint_spring": JointSpring,
-    "joint_table": JointForceTable,
-    "friction": JointFriction,
-    "point_spring": PointSpring,
-    "point_spring_table": PointSpringTable,
-    "point_force": PointForce,
-    "point_moment": PointMoment,
-}
-FUNCTION_KEYS = ("breakpoints",)  # of functions, which a file cannot hold
 _MECHANISM_OPTIONS = ("gravity", "redundant_reactions", "elements")
-MECHANISM_KEYS = (("links", "joints"), ("materials", "sections", "forces", *_MECHANISM_OPTIONS))
+MECHANISM_KEYS = (("links", "joints"), ("materials", "sections", "springs", "forces", *_MECHANISM_OPTIONS))
 SIMULATION_KEYS = (("duration",), ("method", "save_every"))  # and the settings of the method
 
 
@@ -79,13 +66,20 @@ def read_mechanism(table: object) -> Mechanism:
     parts = {key: content[key] for key in _MECHANISM_OPTIONS if key in content} | {"links": ABSENT, "joints": ABSENT}
     if content["links"] is not ABSENT:
         with problems.noted():
-            parts["links"] = _read_list(content["links"], "[[mechanism.links]]", _read_link, materials, sections)
+            parts["links"] = read_list(content["links"], "[[mechanism.links]]", _read_link, materials, sections)
+    in_joints = ABSENT
     if content["joints"] is not ABSENT:
         with problems.noted():
-            parts["joints"] = _read_list(content["joints"], "[[mechanism.joints]]", _read_joint)
-    parts["forces"] = ABSENT
-    with problems.noted():
-        parts["forces"] = _read_list(content.get("forces", []), "[[mechanism.forces]]", _read_force)
+            joints = read_list(content["joints"], "[[mechanism.joints]]", read_joint)
+            parts["joints"] = [joint for joint, _ in joints]
+            in_joints = [force for _, forces in joints for force in forces]
+    given = [in_joints]
+    for key, read in (("springs", read_spring), ("forces", read_force)):
+        given.append(ABSENT)
+        if content.get(key, []) is not ABSENT:
+            with problems.noted():
+                given[-1] = read_list(content.get(key, []), f"[[mechanism.{key}]]", read)
+    parts["forces"] = ABSENT if ABSENT in given else [force for forces in given for force in forces]
     return build(Mechanism, parts, place, problems)
 
 
@@ -94,16 +88,16 @@ def read_drive(table: object, place: str = "[drive]") -> AnyDrive:
     problems = Problems()
     keys = {key for _, required, optional in DRIVES.values() for key in (*required, *optional)}
     content = problems.usable(lambda: checked_table(table, place, ("kind",), ("joint", "motion", *sorted(keys))))
-    kind = _kind_of(content, DRIVES, "kind", place, problems)
+    kind = kind_of(content, DRIVES, "kind", place, problems)
     make, required, optional = DRIVES[kind]
     optional = (*optional, "motion")
-    settings = _of_kind(content, f'{place} of kind "{kind}"', ("joint", "kind", *required), optional, problems)
+    settings = keys_of_kind(content, f'{place} of kind "{kind}"', ("joint", "kind", *required), optional, problems)
     return build(make, {name: value for name, value in settings.items() if name != "kind"}, place, problems)
 
 
 def read_drives(entries: object) -> tuple[AnyDrive, ...]:
     """Return the drives of the tables [[drives]]."""
-    return tuple(_read_list(entries, "[[drives]]", read_drive))
+    return tuple(read_list(entries, "[[drives]]", read_drive))
 
 
 def read_simulation(table: object) -> tuple[Any, Method, Any]:
@@ -122,26 +116,6 @@ def read_simulation(table: object) -> tuple[Any, Method, Any]:
     problems.refuse()
     assert method is not None, "what is missing has been noted"
     return content["duration"], method, content.get("save_every")
-
-
-def _kind_of(content: dict[str, Any], known: Mapping[str, object], key: str, place: str, problems: Problems) -> str:
-    """The kind of a table, without which its other keys cannot be judged."""
-    kind = ABSENT
-    if content[key] is not ABSENT:
-        with problems.noted():
-            kind = _choice(content[key], known, key, place)
-    if kind is ABSENT:
-        problems.refuse()
-    return kind
-
-
-def _of_kind(
-    content: dict[str, Any], place: str, required: Collection[str], optional: Collection[str], problems: Problems
-) -> dict[str, Any]:
-    """The keys that the kind of a table has, of one with the keys of all kinds."""
-    known = (*required, *optional)
-    written = {name: value for name, value in content.items() if value is not ABSENT or name in known}
-    return problems.usable(lambda: checked_table(written, place, required, optional))
 
 
 def _choice(value: object, known: Mapping[str, object], key: str, place: str) -> str:
@@ -178,16 +152,6 @@ def _own_keys(table: object) -> Collection[str]:
     return table if isinstance(table, dict) else ()
 
 
-def _read_list(entries: object, header: str, read: Callable[..., Part], *known: Any) -> list[Part]:
-    """Read tables [[header]] by read(table, place, *known)."""
-    found, problems = [], Problems()
-    for number, entry in enumerate(checked_list(entries, header), start=1):
-        with problems.noted():
-            found.append(read(entry, named_place(header, entry, number), *known))
-    problems.refuse()
-    return found
-
-
 def _read_material(name: str, table: object, place: str) -> Material:
     problems = Problems()
     settings = problems.usable(lambda: checked_table(table, place, *keys_of(Material, omit=("name",))))
@@ -200,9 +164,9 @@ def _read_section(name: str, table: object, place: str) -> Section:
         require_name(name, "`name` of a section")
     keys = {field.name for kind in SHAPES.values() for field in fields(kind)}
     content = problems.usable(lambda: checked_table(table, place, ("shape",), sorted(keys)))
-    shape = _kind_of(content, SHAPES, "shape", place, problems)
+    shape = kind_of(content, SHAPES, "shape", place, problems)
     required, optional = keys_of(SHAPES[shape])
-    settings = _of_kind(content, f'{place} of shape "{shape}"', ("shape", *required), optional, problems)
+    settings = keys_of_kind(content, f'{place} of shape "{shape}"', ("shape", *required), optional, problems)
     settings = {name: value for name, value in settings.items() if name != "shape"}
     return build(SHAPES[shape], settings, place, problems)
 
@@ -223,9 +187,8 @@ def _read_link(
         if known is None:
             continue
         with problems.noted():
-            settings[key] = known[_choice(name, known, key, place)]
-        if settings[key] is None:
-            raise InputError(*problems.found)  # the mistake in that table is noted: the link is not judged
+            part = known[_choice(name, known, key, place)]
+            settings[key] = ABSENT if part is None else part  # the mistake in that table is noted
     if settings.get("rigid") is True and settings.get("rfes", 1) != 1:
         problems.found.append(
             f"{place}: Argument `rfes` must be left out where rigid = true, but was "
@@ -236,7 +199,7 @@ def _read_link(
     if masses is not ABSENT:
         settings["point_masses"] = ABSENT
         with problems.noted():
-            settings["point_masses"] = tuple(_read_list(masses, f"{place} point_masses", _read_point_mass))
+            settings["point_masses"] = tuple(read_list(masses, f"{place} point_masses", _read_point_mass))
     if "body" in settings and settings["body"] is not ABSENT:
         body, settings["body"] = settings["body"], ABSENT
         with problems.noted():
@@ -254,24 +217,3 @@ def _read_point_mass(table: object, place: str) -> PointMass:
     problems = Problems()
     settings = problems.usable(lambda: checked_table(table, place, *keys_of(PointMass)))
     return build(PointMass, settings, place, problems)
-
-
-def _read_joint(table: object, place: str) -> Joint:
-    problems = Problems()
-    settings = dict(problems.usable(lambda: checked_table(table, place, *keys_of(Joint))))
-    given = settings.get("compliance", ABSENT)
-    if given is not ABSENT:
-        header, settings["compliance"] = f"{place} compliance", ABSENT
-        with problems.noted():
-            settings["compliance"] = Compliance(**checked_table(given, header, *keys_of(Compliance)))
-    return build(Joint, settings, place, problems)
-
-
-def _read_force(table: object, place: str) -> Force:
-    problems = Problems()
-    keys = {field.name for kind in FORCES.values() for field in fields(kind)} - {*FUNCTION_KEYS}
-    content = problems.usable(lambda: checked_table(table, place, ("kind",), sorted(keys)))
-    kind = _kind_of(content, FORCES, "kind", place, problems)
-    required, optional = keys_of(FORCES[kind], omit=FUNCTION_KEYS)
-    settings = _of_kind(content, f'{place} of kind "{kind}"', ("kind", *required), optional, problems)
-    return build(FORCES[kind], {name: value for name, value in settings.items() if name != "kind"}, place, problems)

@@ -6,7 +6,7 @@ no key is ever ignored.
 
 import re
 import tomllib
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Any, TypeVar
@@ -19,6 +19,7 @@ from rfem_jax.description.errors import (
     WrongKeys,
     located,
     nearest,
+    require_choice,
     suggestion,
 )
 
@@ -158,3 +159,37 @@ def named_place(header: str, entry: dict[str, Any], number: int) -> str:
     """Return the header of one table of a list with its name, or its number without one."""
     name = entry.get("name")
     return f"{header} `{name}`" if isinstance(name, str) else f"{header} number {number}"
+
+
+def kind_of(content: dict[str, Any], known: Mapping[str, object], key: str, place: str, problems: Problems) -> str:
+    """Return the kind of a table, content[key], without which its other keys cannot be judged.
+
+    Args: problems, what is known to be wrong with the table.
+    Raises: InputError with `problems` where the kind is absent or unknown.
+    """
+    kind = ABSENT
+    if content[key] is not ABSENT:
+        with problems.noted(), located(place):
+            kind = require_choice(content[key], tuple(known), key)
+    if kind is ABSENT:
+        problems.refuse()
+    return kind
+
+
+def keys_of_kind(
+    content: dict[str, Any], place: str, required: Collection[str], optional: Collection[str], problems: Problems
+) -> dict[str, Any]:
+    """Return the keys that the kind of a table has, of one with the keys of all kinds; note those that it has not."""
+    known = (*required, *optional)
+    written = {name: value for name, value in content.items() if value is not ABSENT or name in known}
+    return problems.usable(lambda: checked_table(written, place, required, optional))
+
+
+def read_list(entries: object, header: str, read: Callable[..., Part], *known: Any) -> list[Part]:
+    """Return what read(table, place, *known) makes of the tables [[header]]; raise InputError with all mistakes."""
+    found, problems = [], Problems()
+    for number, entry in enumerate(checked_list(entries, header), start=1):
+        with problems.noted():
+            found.append(read(entry, named_place(header, entry, number), *known))
+    problems.refuse()
+    return found

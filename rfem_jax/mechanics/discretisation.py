@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from rfem_jax.description.errors import InputError, require_choice
 from rfem_jax.description.mechanism import ELEMENTS, Mechanism
+from rfem_jax.description.precision import require_float64
 from rfem_jax.mechanics.cut_joints import RANK_TOLERANCE
 from rfem_jax.mechanics.joint_laws import holds
 from rfem_jax.mechanics.model import BASE, Model, Topology
@@ -32,7 +33,7 @@ from rfem_jax.mechanics.normal_loads import require_unique_normal_loads
 from rfem_jax.mechanics.point_laws import PointLaw
 
 # Of the longest link.  Overconstrained loops close only as well as their numbers were typed: with angles of six
-# decimals a Bennett linkage stays open by 2e-7.  Flexible links take up the rest in the static start.
+# decimals a Bennett linkage stays open by 2e-7.  Flexible links close the remaining gap in the static start.
 CLOSING_TOLERANCE = 1e-6
 SMALLEST_DISTANCE = 1e-9  # of two points with a force between them, of the longest link
 IDLE_TOLERANCE = 1e-3  # of a motion of size one
@@ -73,7 +74,7 @@ def discretise(mechanism: Mechanism, rfes: int | None = None, elements: str | No
     the given lengths and start angles, or if the reactions are not unique and the mechanism does
     not ask for the minimum-norm ones.
     """
-    require_double_precision()
+    require_float64()
     if rfes is not None and (rfes != int(rfes) or rfes < 2):
         raise InputError(f"Argument `rfes` must be a whole number of at least 2, but is {rfes}.")
     elements = mechanism.elements if elements is None else elements
@@ -125,15 +126,6 @@ def _places(geometry: NominalGeometry, placed: Placed, law: PointLaw) -> list[np
     """The two points of a force, in global axes."""
     frames = [(node_place(geometry, placed, end.node), end) for end in (law.parent, law.child)]
     return [point + rotation @ np.asarray(end.position) for (rotation, point), end in frames]
-
-
-def require_double_precision() -> None:
-    """Refuse to go on in float32."""
-    if jnp.result_type(float) != jnp.float64:
-        raise InputError(
-            "Argument `jax_enable_x64` must be True, but JAX computes in float32; put "
-            '`jax.config.update("jax_enable_x64", True)` before the first call.'
-        )
 
 
 def describe(model: Model) -> Structure:

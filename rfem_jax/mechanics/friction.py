@@ -151,8 +151,8 @@ def friction_tangent(actual: ModelWithErrors, found: Found, v_factor: Scalar, se
     tangent = FrictionTangent({}, {})
     for name, law in _laws(actual):
         one = found[name]
-        slope = law.secant(one.rate, one.normal) if secant else jnp.maximum(law.slope(one.rate, one.normal), 0.0)
-        value = slope * v_factor
+        derivative = law.secant(one.rate, one.normal) if secant else jnp.maximum(law.tangent(one.rate, one.normal), 0.0)
+        value = derivative * v_factor
         if (k := law.coordinate) is not None:
             tangent.tree[k] = tangent.tree[k] + value if k in tangent.tree else value
         else:

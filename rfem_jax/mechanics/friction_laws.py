@@ -87,12 +87,12 @@ class Friction(eqx.Module):
             return -sliding * jnp.tanh(x) - self.viscous * rate
         return -sliding * jnp.tanh(4.0 * x) - more * x / (0.25 * x**2 + 0.75) ** 2 - self.viscous * rate
 
-    def slope(self, rate: Float[Array, ""], normal: Float[Array, ""] | None) -> Float[Array, ""]:
+    def tangent(self, rate: Float[Array, ""], normal: Float[Array, ""] | None) -> Float[Array, ""]:
         """Minus the derivative of the force with respect to the rate."""
         return -jax.grad(lambda rate: self.force(0.0, rate, normal))(rate)
 
     def secant(self, rate: Float[Array, ""], normal: Float[Array, ""] | None) -> Float[Array, ""]:
-        """Minus the force over the rate: at least the slope, so that iterations with it cannot overshoot."""
+        """Minus the force over the rate: at least the tangent, so that iterations with it cannot overshoot."""
         sliding, more = self._limits(normal)
         x = rate / self.sliding_rate
         if self.law == "tanh":

@@ -108,7 +108,7 @@ def joint_law(force: JointForce, coordinate: int, place: int) -> JointLaw:
     raise TypeError(f"{type(force).__name__} is no force that this model knows.")
 
 
-def law_slopes(
+def law_derivatives(
     law: JointLaw | Friction, position: ArrayLike, rate: ArrayLike
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
     """Derivatives of a force with respect to position and rate."""

@@ -107,7 +107,7 @@ class CompliantSpring(eqx.Module):
         """Force and its integral from zero, linear between rows and beyond them."""
         assert self.positions is not None and self.forces is not None
         x, f = self.positions, self.forces
-        slope = (f[1:] - f[:-1]) / (x[1:] - x[:-1])
+        stiffness = (f[1:] - f[:-1]) / (x[1:] - x[:-1])
         before = jnp.concatenate([jnp.zeros((1,)), jnp.cumsum(0.5 * (f[1:] + f[:-1]) * (x[1:] - x[:-1]))])[:-1]
 
         def at(value):
@@ -115,7 +115,7 @@ class CompliantSpring(eqx.Module):
             last = x.shape[0] - 2
             row = jnp.clip(jnp.sum(value >= x) - 1, 0, last) == jnp.arange(last + 1)
             step = value - x[:-1]
-            force = f[:-1] + slope * step
+            force = f[:-1] + stiffness * step
             energy = before + 0.5 * (f[:-1] + force) * step
             return jnp.sum(jnp.where(row, force, 0.0)), jnp.sum(jnp.where(row, energy, 0.0))
 

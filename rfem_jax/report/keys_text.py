@@ -17,6 +17,11 @@ def reference_text(word: str | None = None) -> str:
 
     Raises: InputError for a word that is in no header.
     """
+    return "\n\n".join(_table_text(table) for table in chosen_tables(word))
+
+
+def chosen_tables(word: str | None = None) -> list[KeyTable]:
+    """The tables with `word` in their header, all of them without one. Raises: InputError where there is none."""
     tables = key_tables()
     chosen = [table for table in tables if word is None or word in table.header]
     if not chosen:
@@ -24,7 +29,7 @@ def reference_text(word: str | None = None) -> str:
             f"Argument `WORD` must be in the header of a table, but `{word}` is in none; "
             f"{suggestion(word, [table.header for table in tables])}"
         )
-    return "\n\n".join(_table_text(table) for table in chosen)
+    return chosen
 
 
 def _table_text(table: KeyTable) -> str:

@@ -1,8 +1,8 @@
 """How files are written: whole or not at all, without NaN, with the versions that made them.
 
-Place in the pipeline: used by every module of this package that writes, and by the studies' scripts.
-A file is written beside its final place and then renamed.  JSON has no NaN; a value that does not
-exist is null, in CSV an empty cell.
+Place in the pipeline: `whole_files` -> **output** -> every module of this package that writes, and the studies'
+scripts.  JSON has no NaN; a value that does not exist is null, in CSV an empty cell.
+Texts in CSV files that begin as a formula (=, +, -, @) have an apostrophe before them.
 
 Columns of CSV files are named with their units (`quantities.column_name`): `time_s`, `D.d_y_m`. Where the unit changes
 from row to row, it stands in a column of its own: `gradient_unit` is that of `gradient`, `unit` that of all others. A
@@ -13,10 +13,8 @@ import csv
 import io
 import json
 import math
-import os
 import platform
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -24,20 +22,9 @@ from typing import Any
 import numpy as np
 
 from rfem_jax.report.annotations import Figure
+from rfem_jax.whole_files import replacing
 
 _PACKAGES = ("rfem_jax", "jax", "jaxlib", "diffrax", "equinox", "optimistix", "lineax", "numpy")
-
-
-@contextmanager
-def replacing(path: str | Path) -> Iterator[Path]:
-    """Give a temporary path beside `path`; rename it to `path` when the block ends well."""
-    path = Path(path)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        yield temporary
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def without_nan(value: Any) -> Any:
@@ -49,6 +36,17 @@ def without_nan(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
+
+
+def plain(value: Any) -> Any:
+    """NumPy arrays and scalars of nested dicts and lists as Python's own."""
+    if isinstance(value, dict):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(item) for item in value]
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    return value.item() if isinstance(value, np.generic) else value
 
 
 def versions() -> dict[str, str | None]:
@@ -73,19 +71,22 @@ def write_json(path: str | Path, content: dict[str, Any]) -> Path:
 def write_csv(path: str | Path, rows: Sequence[Mapping[str, Any]]) -> Path:
     """Write rows (dicts with the same keys) as CSV; NaN is an empty cell."""
     text = io.StringIO()
-    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
-    writer.writeheader()
+    names = list(rows[0])
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow([csv_cell(name) for name in names])
     for row in rows:
-        writer.writerow({key: _cell(value) for key, value in row.items()})
+        writer.writerow([csv_cell(row[name]) for name in names])
     with replacing(path) as temporary:
         temporary.write_text(text.getvalue(), encoding="utf-8")
     return Path(path)
 
 
-def _cell(value: Any) -> Any:
+def csv_cell(value: Any) -> Any:
+    """What stands in a cell of a CSV file for a value."""
     if isinstance(value, (float, np.floating)):
         return "" if np.isnan(value) else f"{value:.12g}"
-    return value
+    # A spreadsheet takes such a text for a formula: with an apostrophe before it it is a text.
+    return f"'{value}" if isinstance(value, str) and value.startswith(("=", "+", "-", "@")) else value
 
 
 def write_pictures(folder: str | Path, figures: Mapping[str, Figure]) -> list[Path]:

@@ -4,7 +4,10 @@ Place in the pipeline: `rfem_jax.compilation.stages` -> **progress line** -> the
 
 On a terminal one line that is rewritten every second, with the time that the stage takes and, where it is known,
 what remains; elsewhere plain lines: a stage that takes longer than a moment, then every quarter of it and twice a
-minute.  What is printed by `show` and `say` meanwhile takes the place of the line, which comes back below.
+minute.  What is printed by `show`, `note` and `say` meanwhile takes the place of the line, which comes back below.
+
+Within `speaking(document=True)` standard output is for one JSON document alone: results are not printed, remarks go to
+standard error; within `speaking(quiet=True)` there are neither remarks nor progress.
 """
 
 import os
@@ -12,7 +15,9 @@ import shutil
 import sys
 import threading
 import time
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from typing import TextIO
 
 PATIENCE = 0.5  # s that a stage takes before it is worth a line of its own in a log
@@ -21,6 +26,26 @@ SILENCE = 30.0  # s in a log, at most
 SURE = 0.02  # of a stage done before the remaining time can be told
 
 _lines: list["ProgressLine"] = []
+
+
+@dataclass(frozen=True)
+class _Manner:
+    document: bool = False
+    quiet: bool = False
+
+
+_manner = _Manner()
+
+
+@contextmanager
+def speaking(document: bool = False, quiet: bool = False) -> Iterator[None]:
+    """In which results are not printed as text, as a `document` follows, or remarks and progress are left out."""
+    global _manner
+    before, _manner = _manner, _Manner(document, quiet)
+    try:
+        yield
+    finally:
+        _manner = before
 
 
 class ProgressLine:
@@ -33,6 +58,7 @@ class ProgressLine:
     def __init__(self, stream, patience: float = PATIENCE):
         self.stream, self.patience = stream, patience
         self.live = stream.isatty()
+        self.quiet = _manner.quiet
         self.stage, self.done, self.shown = None, None, True
         self.began = time.monotonic()
         self.first = (self.began, 0.0)
@@ -56,6 +82,8 @@ class ProgressLine:
 
     def __call__(self, stage: str, done: float | None = None) -> None:
         """A stage begins, or a fraction `done` of it is."""
+        if self.quiet:
+            return
         with self.lock:
             if stage != self.stage:
                 self.stage, self.done, self.shown = stage, None, False
@@ -132,13 +160,32 @@ def discard(stream: TextIO) -> None:
 
 
 def show(text: str = "", end: str = "\n") -> None:
-    """Print a result on standard output, above the progress line. Raises: ClosedPipe."""
-    _print(text, end, sys.stdout)
+    """Print a result on standard output, above the progress line, unless a document has it. Raises: ClosedPipe."""
+    if not _manner.document:
+        _print(text, end, sys.stdout)
+
+
+def note(text: str) -> None:
+    """Print a remark on the results beside them; on standard error where standard output is a document's.
+    Raises: ClosedPipe."""
+    if not _manner.quiet:
+        _print(text, "\n", sys.stderr if _manner.document else sys.stdout)
+
+
+def remark(text: str) -> None:
+    """Print a remark on standard error, above the progress line. Raises: ClosedPipe."""
+    if not _manner.quiet:
+        say(text)
 
 
 def say(text: str) -> None:
-    """Print a remark on standard error, above the progress line. Raises: ClosedPipe."""
+    """Print on standard error, above the progress line, what must be known. Raises: ClosedPipe."""
     _print(text, "\n", sys.stderr)
+
+
+def print_document(text: str) -> None:
+    """Print the one document that standard output is for. Raises: ClosedPipe."""
+    _print(text, "\n", sys.stdout)
 
 
 def _print(text, end, stream):

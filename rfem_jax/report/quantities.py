@@ -5,8 +5,9 @@ called the same, and has the same unit, in the terminal, in `results.json`, in t
 in the pictures. SI units and radians throughout.
 """
 
-import re
 from dataclasses import dataclass
+
+from rfem_jax.labelled_data import column_name as column_name
 
 
 @dataclass(frozen=True)
@@ -81,16 +82,6 @@ ENERGIES = (
     Quantity("work", "J", "Work of the drive", "and of forces from outside, done since the start"),
     Quantity("dissipation", "J", "Dissipated energy", "lost in material damping, dampers and friction since the start"),
 )
-
-
-def column_name(name: str, unit: str) -> str:
-    """Name of a column of a CSV file: with its unit, "time_s", "rate_rad_s", "D.mean_square_moment_N2m2"; without one
-    where it has none."""
-    while (power := re.search(r"\(([^()]*)\)\^(\d+)", unit)) is not None:
-        factors = " ".join(f"{factor}^{power[2]}" for factor in power[1].split())
-        unit = f"{unit[: power.start()]}{factors}{unit[power.end() :]}"
-    suffix = unit.replace(" ", "").replace("^", "").replace("/", "_")
-    return f"{name}_{suffix}" if suffix else name
 
 
 def units() -> dict[str, str]:

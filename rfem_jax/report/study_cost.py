@@ -7,6 +7,7 @@ import math
 
 from rfem_jax.description.study import Study
 from rfem_jax.task_kinds import task_kinds
+from rfem_jax.text_layout import wrap_lines
 
 SAVED_BY_DEFAULT = 500  # intervals, as `rfem_jax.simulation.time_grid` has them
 BYTES = 8  # of a number in double precision
@@ -25,7 +26,6 @@ def cost_text(study: Study) -> str:
     if study.tasks.declared:
         # Takes seconds: only where there is something to count.
         from rfem_jax.report.tasks.task_report import report_on
-        from rfem_jax.tolerancing.layout import wrap_lines
 
         for name in study.tasks.declared:
             told = report_on(study, name).simulations() or ["not known beforehand"]

@@ -16,27 +16,18 @@ from rfem_jax.report.annotations import Summaries
 from rfem_jax.report.driven_motions_report import drive_quantities, has_driven_joint
 from rfem_jax.report.quantities import BALANCES, DRIVEN_JOINT, JOINT_METRICS, Quantity
 from rfem_jax.report.summary import joint_names, study_note
+from rfem_jax.text_layout import align_columns
 
 _WIDTH = 96
 
 
 def format_table(header: Sequence[str], rows: Iterable[Sequence[str]], words: Collection[int] = (0,)) -> str:
-    """Align columns under `header`: columns of words to the left, of numbers to the right.
+    """Columns under `header`, however wide: those of words to the left, of numbers to the right.
 
     Arguments: header, a sequence of strings; rows, sequences of as many strings; words, the
     indices of the columns of words.
     """
-    table = [tuple(header), *(tuple(row) for row in rows)]
-    widths = [max(len(row[column]) for row in table) for column in range(len(header))]
-    lines = []
-    for row in table:
-        cells = [
-            cell.ljust(width) if column in words else cell.rjust(width)
-            for column, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ]
-        lines.append("  ".join(cells).rstrip())
-    lines.insert(1, "-" * (sum(widths) + 2 * (len(widths) - 1)))
-    return "\n".join(lines)
+    return align_columns(header, rows, words, width=math.inf)
 
 
 def format_numbers(values: Sequence[float], digits: int = 6) -> list[str]:

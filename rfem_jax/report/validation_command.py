@@ -1,6 +1,6 @@
 """What the command `validate` does: compute the published benchmarks, print the table, write files.
 
-Place in the pipeline: called by `command_line`; `validation` computes, `validation_tables` and
+Place in the pipeline: called by `commands.validate`; `validation` computes, `validation_tables` and
 `validation_figures` show.
 """
 
@@ -9,11 +9,10 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
-from rfem_jax.report.progress_line import say, show
+from rfem_jax.report.progress_line import note, remark, show
 from rfem_jax.report.summary import PLOTS_HINT
 from rfem_jax.report.validation_tables import (
     benchmark_text,
-    has_failed,
     verdict_text,
     write_validation,
 )
@@ -23,12 +22,12 @@ from rfem_jax.validation.lines import Benchmark, Line, Picture
 
 def validate(
     names: Sequence[str] | None, full: bool, folder: Path | None, announce: Callable[..., None]
-) -> tuple[bool, list[Path]]:
+) -> tuple[list[Line], list[Path]]:
     """Compute the chosen benchmarks, print each as soon as it is there, write everything.
 
     Arguments: names of benchmarks (None: all); full: the lines that take long too; folder for the
     files (None: none); announce: called with what is computed and the fraction of it that is done.
-    Returns: whether no line failed, and the files written.
+    Returns: all lines, and the files written.
     Raises: InputError for an unknown name; OSError for files that cannot be written.
     """
     started = time.perf_counter()
@@ -49,19 +48,19 @@ def validate(
         pictures += outcome.pictures
     show(verdict_text(lines))
     seconds = time.perf_counter() - started
-    say(f"Validation done after {seconds:.0f} s.")
+    remark(f"Validation done after {seconds:.0f} s.")
     if folder is None:
-        return not has_failed(lines), []
+        return lines, []
     settings = {"benchmarks": [one.name for one in benchmarks], "full": full, "seconds": seconds}
     written = write_validation(folder, lines, settings)
-    return not has_failed(lines), written + _draw(folder, pictures)
+    return lines, written + _draw(folder, pictures)
 
 
 def _draw(folder: Path, pictures: list[Picture]) -> list[Path]:
     try:
         import matplotlib  # noqa: F401
     except ImportError:
-        show(PLOTS_HINT)
+        note(PLOTS_HINT)
         return []
     from rfem_jax.report.validation_figures import write_validation_figures
 

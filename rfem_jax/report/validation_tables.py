@@ -9,9 +9,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from rfem_jax.report.output import replacing, write_csv, write_json
+from rfem_jax.report.output import write_csv, write_json
 from rfem_jax.report.tables import format_table
 from rfem_jax.validation.lines import FAIL, Line
+from rfem_jax.whole_files import replacing
 
 HEADER = ("checked", "ours", "reference", "difference", "allowed", "verdict", "source")
 
@@ -99,6 +100,11 @@ def _difference(line: Line, value: float, form: str) -> str:
     return f"{100.0 * value:{sign}.2g} %"
 
 
+def line_rows(lines: list[Line]) -> list[dict[str, Any]]:
+    """A dict per line, as the files have it."""
+    return [{**asdict(line), "difference_unit": line.difference_unit, "verdict": line.verdict} for line in lines]
+
+
 def write_validation(folder: str | Path, lines: list[Line], settings: dict[str, Any]) -> list[Path]:
     """Write validation.json, validation.csv and validation.md; returns their paths. In the CSV `unit` is that of value
     and reference, `difference_unit` that of difference and allowed.
@@ -106,7 +112,7 @@ def write_validation(folder: str | Path, lines: list[Line], settings: dict[str, 
     Arguments: settings, what the command was asked for (names of benchmarks, full) and took.
     """
     folder = Path(folder)
-    rows = [{**asdict(line), "difference_unit": line.difference_unit, "verdict": line.verdict} for line in lines]
+    rows = line_rows(lines)
     written = [
         write_json(folder / "validation.json", {**settings, "lines": rows}),
         write_csv(folder / "validation.csv", rows),

@@ -12,10 +12,11 @@ import numpy as np
 
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.study import Study
+from rfem_jax.labelled_data import DataFrame, Dataset, frame
 from rfem_jax.mechanics.discretisation import discretise
 from rfem_jax.mechanics.model import Model
 from rfem_jax.mechanics.model_with_errors import assembly_errors
-from rfem_jax.simulation import integration
+from rfem_jax.simulation import integration, labelled_runs
 from rfem_jax.simulation.accuracy import choose_method
 from rfem_jax.simulation.driving import require_driven
 from rfem_jax.simulation.run import Run, of_model, one_of
@@ -24,9 +25,32 @@ from rfem_jax.simulation.time_grid import TimeGrid
 PIECES = 20
 
 
+class Runs(dict[str, Run]):
+    """The runs of a study by case, with what shows and hands on all of them."""
+
+    def to_xarray(self) -> Dataset:
+        """An `xarray.Dataset` as `Run.to_xarray` makes it, with the dimension `case`.
+
+        **Raises:** ModuleNotFoundError without the extra `xarray`.
+        """
+        stacked = jax.tree.map(lambda *leaves: np.stack([np.asarray(leaf) for leaf in leaves]), *self.values())
+        return labelled_runs.run_dataset(stacked, tuple(self))
+
+    def to_pandas(self) -> DataFrame:
+        """A `pandas.DataFrame` with a row per case and joint: metrics and preload.
+
+        **Raises:** ModuleNotFoundError without the extra `xarray`.
+        """
+        rows = [row for case, run in self.items() for row in labelled_runs.joint_rows(run, case)]
+        return frame(rows, ["case", "joint"])
+
+    def _repr_html_(self) -> str:
+        return labelled_runs.runs_html(self)
+
+
 def run_cases(
     study: Study, progress: Callable[[float], None] | None = None, model: Model | None = None
-) -> tuple[Model, dict[str, Run]]:
+) -> tuple[Model, Runs]:
     """Simulate all cases of a study as one batch.
 
     **Arguments:** `progress` is called with the fraction of simulated time; `model`: the study's mechanism if it is
@@ -54,7 +78,7 @@ def run_cases(
     ends = jax.tree.map(lambda *parts: np.concatenate(parts, axis=1)[:, :count], *ends)
     runs = _conclude(model, prepared, study.drive, carry, ends, grid, method, steps)
     found = (of_model(one_of(runs, i), model, one) for i, one in enumerate(each))
-    return model, {case.name: run for case, run in zip(study.cases, found)}
+    return model, Runs({case.name: run for case, run in zip(study.cases, found)})
 
 
 def _pieces(grid: TimeGrid):

@@ -21,9 +21,9 @@ from rfem_jax.compilation.program import Program
 from rfem_jax.description.driven_motions import Drive
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.methods import Method
+from rfem_jax.description.precision import require_float64
 from rfem_jax.mechanics import loads
 from rfem_jax.mechanics.centre_lines import link_lines
-from rfem_jax.mechanics.discretisation import require_double_precision
 from rfem_jax.mechanics.model import Model, State
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors, ModelWithErrors, apply_errors, assembly_errors
 from rfem_jax.mechanics.orientations import angles_of
@@ -55,6 +55,7 @@ from rfem_jax.simulation.run import (
     DrivenJoint,
     Energy,
     LoadIntegrals,
+    Loads,
     Metrics,
     Run,
     of_model,
@@ -109,7 +110,7 @@ def simulate(
     **Raises:** `InputError` for arguments that cannot be used, such as a drive of another joint than the driven one.  A
     run that fails says so in its status.
     """
-    require_double_precision()
+    require_float64()
     require_driven(model, drive)
     grid, steps = grid_for(drive, duration, method, save_every, model)
     errors = assembly_errors(model) if errors is None else errors
@@ -287,7 +288,7 @@ def conclude(
         drives=drives,
         angles=_coordinates(model, record, rotation=True),
         displacements=_coordinates(model, record, rotation=False),
-        loads={name: Load(record.loads.force[:, :, j], record.loads.moment[:, :, j]) for name, j in _joints(model)},
+        loads=Loads({name: Load(*(part[:, :, j] for part in record.loads)) for name, j in _joints(model)}),
         preload=named(model, prepared.preload),
         energy=energy,
         metrics=metrics_of(model, carry, times[-1]),

@@ -3,6 +3,7 @@
 Place in the pipeline: integration -> **run** -> tolerancing, report.
 """
 
+from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from rfem_jax.labelled_data import DataFrame, Dataset
 from rfem_jax.mechanics.model import Coordinates, Model
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors
 from rfem_jax.mechanics.statics.assembly import Load
@@ -74,6 +76,39 @@ class WindowLoads(eqx.Module):
         return {name: safe_sqrt(value) for name, value in self.mean_square_moment.items()}
 
 
+@jax.tree_util.register_pytree_with_keys_class
+class Loads(dict[str, Load]):
+    """Loads by joint, `loads["A"].force` (times, 3), and those of all joints in one array with a joint axis.
+
+    Joints are in the order of their names, as in every dict that has been through JAX.
+    """
+
+    def tree_flatten_with_keys(self):
+        """As JAX has it for dicts: sorted by name."""
+        names = tuple(sorted(self))
+        return tuple((jax.tree_util.DictKey(name), self[name]) for name in names), names
+
+    @classmethod
+    def tree_unflatten(cls, names, loads):
+        """The loads of these joints."""
+        return cls(zip(names, loads, strict=True))
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names along the joint axis."""
+        return tuple(self)
+
+    @property
+    def force(self) -> Float[Array, "*batch times joints 3"]:
+        """Forces [N] of all joints, each in its frame H."""
+        return jnp.stack([jnp.asarray(one.force) for one in self.values()], axis=-2)
+
+    @property
+    def moment(self) -> Float[Array, "*batch times joints 3"]:
+        """Moments [N m] of all joints, each in its frame H."""
+        return jnp.stack([jnp.asarray(one.moment) for one in self.values()], axis=-2)
+
+
 class DriveHistory(eqx.Module):
     """A driven coordinate at the saved times: position [rad, m], rate [rad/s, m/s], and the moment [N m] or force [N]
     of its drive, given or that which enforces the motion (zero without a drive)."""
@@ -117,7 +152,8 @@ class Run(eqx.Module):
     times [s], the saved times; drives: `DriveHistory` of every driven coordinate, by joint ("A") or joint and motion
     ("C.T_y"); angle, rate, drive_moment: those of the first one [rad, rad/s, N m; m, m/s, N]; angles [rad],
     displacements [m]: coordinates of the tree joints that have any, (times, k) where a joint has k > 1; loads,
-    preload: `Load`s by joint, in hinge frames; energy; metrics; driven_joint.
+    preload: `Load`s by joint, in hinge frames (`loads.force` and `loads.moment`: of all joints, (times, joints, 3));
+    energy; metrics; driven_joint.
 
     Checks, each of which can fail: energy_balance_error, relative to the largest energy; closure_drift [m],
     closure_drift_angle [rad]; momentum_balance_error and hinge_moment_error, relative to the largest load;
@@ -144,7 +180,7 @@ class Run(eqx.Module):
     drives: dict[str, DriveHistory]
     angles: dict[str, Float[Array, " times *k"]]
     displacements: dict[str, Float[Array, " times *k"]]
-    loads: dict[str, Load]
+    loads: Loads
     preload: dict[str, Load]
     energy: Energy
     metrics: Metrics
@@ -216,6 +252,31 @@ class Run(eqx.Module):
 
     def __str__(self) -> str:
         return self.summary()
+
+    def to_xarray(self, cases: Sequence[str] | None = None) -> Dataset:
+        """An `xarray.Dataset` of everything, with units and long names, which `to_netcdf` can write.
+
+        **Arguments:** `cases`: the names along the dimension `case` of a batch; None numbers them.
+
+        **Raises:** `InputError` for a batch with several axes; ModuleNotFoundError without the extra `xarray`.
+        """
+        from rfem_jax.simulation.labelled_runs import run_dataset
+
+        return run_dataset(self, cases)
+
+    def to_pandas(self) -> DataFrame:
+        """A `pandas.DataFrame` of one run with a row per joint: its metrics and preload.
+
+        **Raises:** `InputError` for a batch; ModuleNotFoundError without the extra `xarray`.
+        """
+        from rfem_jax.simulation.labelled_runs import run_frame
+
+        return run_frame(self)
+
+    def _repr_html_(self) -> str:
+        from rfem_jax.simulation.labelled_runs import run_html
+
+        return run_html(self)
 
 
 def derivative_residual(change: Run) -> Float[Array, "*directions"]:

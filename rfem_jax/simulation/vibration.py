@@ -32,7 +32,7 @@ from rfem_jax.description.joint_kinds import JointKind
 from rfem_jax.mechanics.cut_joints import RANK_TOLERANCE
 from rfem_jax.mechanics.frame_forces import START, FrameForce, Pose
 from rfem_jax.mechanics.friction_laws import Friction
-from rfem_jax.mechanics.joint_laws import JointLaw, law_slopes
+from rfem_jax.mechanics.joint_laws import JointLaw, law_derivatives
 from rfem_jax.mechanics.joint_springs import CompliantSpring, diagonal_tangent
 from rfem_jax.mechanics.model import BASE, Model
 from rfem_jax.mechanics.nominal_geometry import (
@@ -140,15 +140,15 @@ class Vibration:
         the velocities L^T w of all nodes, stiffness and damping at a position, zero where they are negative."""
         laws = list(self.forces.values())
         readers = [self._reader(law, placed) for law in laws]
-        slopes = [-np.array(law_slopes(law, _position(law, joints), 0.0), float) for law in laws]
+        tangents = [-np.array(law_derivatives(law, _position(law, joints), 0.0), float) for law in laws]
         for spring in self.bearings:
             readers += [self._coordinate_reader(k, placed) for k in spring.coordinates]
             readers += [self._closure_reader(k, placed) for k in spring.rows]
-            slopes += self._slopes(spring)
-        stiffness, damping = np.maximum(np.array(slopes, float).reshape(-1, 2).T, 0.0)
+            tangents += self._tangents(spring)
+        stiffness, damping = np.maximum(np.array(tangents, float).reshape(-1, 2).T, 0.0)
         return self._relative_rates(placed, readers) @ self.inverse_root, stiffness, damping
 
-    def _slopes(self, spring: CompliantSpring) -> list[np.ndarray]:
+    def _tangents(self, spring: CompliantSpring) -> list[np.ndarray]:
         """Stiffness and damping of the coordinates, or rows [m], of a compliant joint's spring without load."""
         zeros = jnp.zeros(len(spring.coordinates) or len(spring.rows))
         exerted = spring.along

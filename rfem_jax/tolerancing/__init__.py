@@ -9,6 +9,7 @@ Every study takes a `problem(errors) -> (values, status)`: the simulator (`Probl
     optimisation    optimisers under bounds and constraints
     worst_cases     the largest value within the tolerances
     allocation      the cheapest tolerances that keep the limits
+    robust_design   dimensions and tolerances together
 """
 
 from rfem_jax.tolerancing.allocation.allocation_study import allocate
@@ -25,6 +26,8 @@ from rfem_jax.tolerancing.problems.metrics import metric, register_metric
 from rfem_jax.tolerancing.problems.problem import FunctionProblem, Metric
 from rfem_jax.tolerancing.problems.quadratic_model import QuadraticModel, expand
 from rfem_jax.tolerancing.problems.simulated_problem import Problem
+from rfem_jax.tolerancing.robust_design.front import pareto_front
+from rfem_jax.tolerancing.robust_design.optimisation import optimise
 from rfem_jax.tolerancing.sampling.monte_carlo_study import monte_carlo
 from rfem_jax.tolerancing.sensitivities import sensitivity
 from rfem_jax.tolerancing.worst_cases import worst_case
@@ -47,6 +50,8 @@ __all__ = [
     "expand",
     "metric",
     "monte_carlo",
+    "optimise",
+    "pareto_front",
     "register_metric",
     "sensitivity",
     "worst_case",

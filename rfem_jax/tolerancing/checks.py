@@ -1,4 +1,4 @@
-"""Checks of arguments that all tolerance studies share: precision, names, limits, numbers with units.
+"""Checks of arguments that all tolerance studies share: names, limits, numbers with units.
 
 Place in the pipeline: the first thing that a study does; refuses bad input before anything is compiled or run.
 """
@@ -6,7 +6,6 @@ Place in the pipeline: the first thing that a study does; refuses bad input befo
 from collections.abc import Collection, Iterable, Mapping
 from typing import Any, SupportsFloat
 
-import jax
 import numpy as np
 
 from rfem_jax.description.errors import InputError, suggestion
@@ -16,15 +15,6 @@ DIMENSIONS = {"rad": "angle", "m": "length"}  # by the units that errors have
 
 ErrorValue = SupportsFloat | str  # a number in rad or m, or a string with a unit
 ErrorValues = Mapping[str, ErrorValue]  # by the names of the errors
-
-
-def require_float64() -> None:
-    """Raise InputError if JAX works in single precision."""
-    if not jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue] - JAX adds settings at run time
-        raise InputError(
-            "Argument `jax_enable_x64` must be on, but JAX works in 32 bits; "
-            'put jax.config.update("jax_enable_x64", True) before the first array.'
-        )
 
 
 def check_known(names: Iterable[str], known: Collection[str], what: str) -> None:

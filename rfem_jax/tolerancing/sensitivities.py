@@ -25,8 +25,10 @@ from jaxtyping import Bool, Float
 
 from rfem_jax.description.error_catalogue import as_specified
 from rfem_jax.description.errors import InputError
+from rfem_jax.text_layout import align_columns, wrap_lines
 from rfem_jax.tolerancing.checks import ErrorValues, check_known
-from rfem_jax.tolerancing.layout import align_columns, show_error, show_number, without_rounding, wrap_lines
+from rfem_jax.tolerancing.labelled_results import LabelledSensitivities
+from rfem_jax.tolerancing.layout import show_error, show_number, without_rounding
 from rfem_jax.tolerancing.problems.distributions import Tolerances
 from rfem_jax.tolerancing.problems.evaluation import describe_status, read_point, select_half_widths
 from rfem_jax.tolerancing.problems.problem import Metric, ToleranceProblem
@@ -40,7 +42,7 @@ ZERO_VALUE = 1e-9  # value below this part of (1/2 tolerances x Hessian x tolera
 
 
 @dataclass(frozen=True, eq=False)
-class Sensitivities:
+class Sensitivities(LabelledSensitivities):
     """Derivatives of m metrics by k errors; NaN where there is no derivative.
 
     names, error_units (k); metrics, metric_units, labels (m); at {name: value} of the point [rad, m]; scale (k,)
@@ -311,10 +313,10 @@ def _classify(problem, value, g, h) -> tuple[tuple[str, ...], np.ndarray]:
             vanishing[m] = even
             words.append("even" if even else "slope")
         else:
-            influence, slope = np.sum(np.abs(h[m]), axis=1), np.abs(g[m])
-            without = np.maximum(influence, slope) <= ROUNDING * max(np.max(influence), np.max(slope))
+            influence, gradient = np.sum(np.abs(h[m]), axis=1), np.abs(g[m])
+            without = np.maximum(influence, gradient) <= ROUNDING * max(np.max(influence), np.max(gradient))
             influence = np.where(without, 0.0, influence)
-            small = without | (slope <= VANISHING * influence)
+            small = without | (gradient <= VANISHING * influence)
             vanishing[m] = small & (influence > 0)
             words.append(_character(value[m], h[m], small, influence))
     return tuple(words), vanishing

@@ -23,8 +23,11 @@ import numpy as np
 from jaxtyping import Float
 
 from rfem_jax.description.errors import InputError
-from rfem_jax.tolerancing.checks import ErrorValues, require_float64
-from rfem_jax.tolerancing.layout import align_columns, show_error, show_number, wrap_lines
+from rfem_jax.description.precision import require_float64
+from rfem_jax.text_layout import align_columns, wrap_lines
+from rfem_jax.tolerancing.checks import ErrorValues
+from rfem_jax.tolerancing.labelled_results import LabelledWorstCase
+from rfem_jax.tolerancing.layout import show_error, show_number
 from rfem_jax.tolerancing.optimisation.projected_gradient import Search, climb_together
 from rfem_jax.tolerancing.optimisation.starting_points import (
     EXHAUSTIVE,
@@ -72,7 +75,7 @@ class Corners:
 
 
 @dataclass(frozen=True, eq=False)
-class WorstCase:
+class WorstCase(LabelledWorstCase):
     """The worst point found and how far to trust it; errors are {name: rad or m}.
 
     status "ok", "not_converged" (the best search did not reach its tolerance) or "failed" (no start could be

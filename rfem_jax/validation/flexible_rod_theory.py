@@ -116,12 +116,12 @@ class Rod:
         ])  # fmt: skip
         # The end, with the slider: derivatives of its place (x, y), and what its acceleration has beside them.
         reach, size = self.length + q_u[-1], position.shape[0]
-        slopes = jnp.zeros((2, size)).at[:, 0].set(reach * across).at[:, -1].set(along)
+        rows = jnp.zeros((2, size)).at[:, 0].set(reach * across).at[:, -1].set(along)
         rest = pin + 2.0 * spin * v_u[-1] * across - spin**2 * reach * along
-        mass = mass + self.slider * jnp.outer(slopes[0], slopes[0])
-        load = load - self.slider * slopes[0] * rest[0]
-        held = jnp.append(slopes[1], 0.0)
-        system = jnp.concatenate([jnp.concatenate([mass, slopes[1][:, None]], axis=1), held[None]])
+        mass = mass + self.slider * jnp.outer(rows[0], rows[0])
+        load = load - self.slider * rows[0] * rest[0]
+        held = jnp.append(rows[1], 0.0)
+        system = jnp.concatenate([jnp.concatenate([mass, rows[1][:, None]], axis=1), held[None]])
         return jnp.linalg.solve(system, jnp.append(load, -rest[1]))[:size]
 
     @cached_property
@@ -136,15 +136,15 @@ class Rod:
         each interval."""
         size, h = len(position), duration / (saved * steps)
 
-        def slope(t, y):
+        def derivative(t, y):
             return jnp.concatenate([y[size:], self.acceleration(t, y[:size], y[size:])])
 
         def step(i, carry):
             t, y = carry
-            a = slope(t, y)
-            b = slope(t + 0.5 * h, y + 0.5 * h * a)
-            c = slope(t + 0.5 * h, y + 0.5 * h * b)
-            d = slope(t + h, y + h * c)
+            a = derivative(t, y)
+            b = derivative(t + 0.5 * h, y + 0.5 * h * a)
+            c = derivative(t + 0.5 * h, y + 0.5 * h * b)
+            d = derivative(t + h, y + h * c)
             return t + h, y + h / 6.0 * (a + 2.0 * b + 2.0 * c + d)
 
         def interval(carry, _):

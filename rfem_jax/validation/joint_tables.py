@@ -98,10 +98,10 @@ def observed(kind: str, run: Run) -> dict[str, Float[np.ndarray, "times 3"]]:
     moved = displacement @ seat.T
     position = np.array(case.place) + moved + rotation @ np.array(case.centre)
     step = float(run.times[1] - run.times[0])
-    slope = (
+    derivative = (
         8.0 * (np.roll(rotation, -1, 0) - np.roll(rotation, 1, 0)) - np.roll(rotation, -2, 0) + np.roll(rotation, 2, 0)
     ) / (12.0 * step)
-    spin = slope @ np.swapaxes(rotation, 1, 2)
+    spin = derivative @ np.swapaxes(rotation, 1, 2)
     rate = np.stack([spin[:, 2, 1], spin[:, 0, 2], spin[:, 1, 0]], axis=1)
     load = {name: np.asarray(getattr(run.loads["J"], name)) for name in ("force", "moment")}
     to_global = seat @ relative
@@ -154,22 +154,22 @@ def lagrange_angles(times: Float[np.ndarray, " times"]) -> Float[np.ndarray, "ti
         return seat @ first @ second @ of_body.T
 
     def lagrangian(q, rate):
-        turned, slope = jax.jvp(rotation, (q,), (rate,))
-        spin = turned.T @ slope
+        turned, derivative = jax.jvp(rotation, (q,), (rate,))
+        spin = turned.T @ derivative
         w = jnp.stack([spin[2, 1], spin[0, 2], spin[1, 0]])
-        velocity = slope @ centre
+        velocity = derivative @ centre
         return 0.5 * (MASS * velocity @ velocity + w @ (inertia * w)) + MASS * (turned @ centre) @ jnp.array(GRAVITY)
 
     @jax.jit
-    def slope(y):
+    def derivative(y):
         q, rate = y[:2], y[2:]
         by_rate = jax.grad(lagrangian, 1)
         mass = jax.jacfwd(by_rate, 1)(q, rate)
         force = jax.grad(lagrangian, 0)(q, rate) - jax.jvp(lambda p: by_rate(p, rate), (q,), (rate,))[1]
         return jnp.concatenate([rate, jnp.linalg.solve(mass, force)])
 
-    solved = solve_ivp(lambda _, y: np.asarray(slope(jnp.asarray(y))), (0.0, times[-1]), np.zeros(4), method="DOP853",
-                       t_eval=times, rtol=1e-11, atol=1e-12)  # fmt: skip
+    solved = solve_ivp(lambda _, y: np.asarray(derivative(jnp.asarray(y))), (0.0, times[-1]), np.zeros(4),
+                       method="DOP853", t_eval=times, rtol=1e-11, atol=1e-12)  # fmt: skip
     return solved.y[:2].T
 
 

@@ -25,8 +25,8 @@ PRINCETON = read_reference("princeton_beam")
 PRINCETON_SHARE = 0.01  # of a value, within which another geometrically exact code agrees with the table
 THICK = read_reference("thick_cantilever")
 TABLE_OFF = (
-    "the rod equations with the stated data, solved independently, are as far from the table, and "
-    "our values agree with them (next group); with a torsion stiffness 10 % larger than stated "
+    "the rod equations with the published data, solved independently, are as far from the table, and "
+    "our values agree with them (next group); with a torsion stiffness 10 % larger than published "
     "they meet the table within 0.1 %"
 )
 

@@ -86,11 +86,11 @@ def sweep(model: Model, errors: AssemblyErrors, powers: Sequence[float]) -> tupl
     """
     count = len(model.springs)
     loads = [preload(model, errors, np.full(count, 10.0**power)) for power in powers]
-    slopes = [
+    derivatives = [
         np.log(preload(model, errors, np.exp(step)) / preload(model, errors, np.exp(-step))) / (2.0 * STEP)
         for step in STEP * np.eye(count)
     ]
-    return np.stack(loads), np.stack(slopes, axis=-1)
+    return np.stack(loads), np.stack(derivatives, axis=-1)
 
 
 def load_columns(joints: Sequence[str], loads: np.ndarray) -> dict[str, float]:
@@ -138,11 +138,11 @@ def direction_rows(joints, springs, values: dict[str, np.ndarray]) -> list[dict]
 def compute(study, size: Size, progress: Callable[[str], None]) -> tuple[tuple[str, ...], dict[str, list[dict]]]:
     """Joints, and tables by name."""
     misaligned = next(case for case in study.cases if case.name == CASE).errors
-    found, slopes = {}, {}
+    found, derivatives = {}, {}
     for name, rfes in (("rigid", None), ("flexible", size.rfes)):
         progress(f"{name} links")
         model = discretise(variant(study.mechanism, rfes))
-        found[name], slopes[name] = sweep(model, assembly_errors(model, misaligned), size.powers)
+        found[name], derivatives[name] = sweep(model, assembly_errors(model, misaligned), size.powers)
     usual = {name: float(spring.stiffness) for name, spring in model.springs.items()}
     progress("ideal joints")
     model = discretise(variant(study.mechanism, size.rfes, ideal=True))
@@ -155,7 +155,7 @@ def compute(study, size: Size, progress: Callable[[str], None]) -> tuple[tuple[s
         "sweep": sweep_rows(joints, radial, tilt, found),
         "ideal": [load_columns(joints, limit)],
         "distance": distance_rows(joints, radial, found["flexible"], limit),
-        "directions": direction_rows(joints, tuple(usual), slopes),
+        "directions": direction_rows(joints, tuple(usual), derivatives),
     }
 
 

@@ -61,6 +61,11 @@ CASES = {
         },
         "name lenght rfes section material mass position length rfes rigid",
     ),
+    "a link of a material and a section with mistakes": (
+        TEXT,
+        {"density": "densty", 'width = "10 mm"': "width = -1", "rfes = 5": "rfes = 0", "rigid = true": "rigid = 1"},
+        "densty width rigid rfes",
+    ),
     "joint": (
         FULL,
         {

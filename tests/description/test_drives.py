@@ -168,8 +168,8 @@ def test_values_are_differentiable_and_new_ones_do_not_compile_anew():
     for peak in (1.5, 2.5):
         found = float(moment(MomentRamp("A", peak, 0.1), jnp.asarray(0.05)))
         assert found == pytest.approx(peak / 2)
-    slope = jax.grad(lambda peak: MomentRamp("A", peak, 0.1).moment_at(0.05, 0))(2.0)
-    assert float(slope) == pytest.approx(0.5)
+    derivative = jax.grad(lambda peak: MomentRamp("A", peak, 0.1).moment_at(0.05, 0))(2.0)
+    assert float(derivative) == pytest.approx(0.5)
     weights = jax.grad(lambda m: MomentTable("A", [0, 1], m).moment_at(0.25, 0))(jnp.ones(2))
     np.testing.assert_allclose(weights, [0.75, 0.25])
     angle = jax.grad(lambda rate: PrescribedRate("A", rate, 0.4).motion_at(0.4, 1)[0])(2.0)
@@ -184,8 +184,8 @@ def test_a_function_may_be_a_module_with_parameters():
             return self.amplitude * jnp.sin(t)
 
     drive = MomentFunction("A", Sine(jnp.asarray(2.0)))
-    slope = jax.grad(lambda drive: drive.moment_at(0.5, 0))(drive)
-    assert float(slope.function.amplitude) == pytest.approx(np.sin(0.5))
+    derivative = jax.grad(lambda drive: drive.moment_at(0.5, 0))(drive)
+    assert float(derivative.function.amplitude) == pytest.approx(np.sin(0.5))
 
 
 def test_single_precision_is_refused_with_the_line_to_paste(refused):

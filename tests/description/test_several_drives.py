@@ -63,7 +63,7 @@ duration = 0.5
 step = 1e-4
 """
 PUSH = '[[drives]]\njoint = "C"\nmotion = "T_y"\nkind = "force_ramp"\nforce = "5 N"\nrise_time = 0.1\n'
-TURN = '[[drives]]\njoint = "C"\nmotion = "R_y"\nkind = "prescribed_rate"\nrate = "60 rpm"\n'
+ROTATION = '[[drives]]\njoint = "C"\nmotion = "R_y"\nkind = "prescribed_rate"\nrate = "60 rpm"\n'
 MOMENT = '[[drives]]\njoint = "A"\nkind = "moment_ramp"\nmoment = 1\nrise_time = 0.2\n'
 
 
@@ -101,12 +101,14 @@ def test_phases_of_several_drives():
 
 
 def test_a_study_file_with_several_drives(load):
-    study = load(PUSH + MOMENT + TURN)
+    study = load(PUSH + MOMENT + ROTATION)
     assert study.drive_labels == ("C.T_y", "A", "C.R_y")
     # Prescribed motions are held first.
     assert study.mechanism.driven_joint == ("C.R_y", "C.T_y", "A")
     assert study.drive_jumps == (0.1, 0.2)
     assert study.drives[0].force == 5.0 and float(study.drives[2].rate) == pytest.approx(2.0 * np.pi)
+    beside = load(MOMENT.replace("[[drives]]", "[drive]") + PUSH + ROTATION)
+    assert beside.drive_labels == ("A", "C.T_y", "C.R_y"), "that of [drive] is the first"
     alone = load(PUSH)
     assert isinstance(alone.drive, ForceRamp) and alone.mechanism.driven_joint == "C.T_y"
 
@@ -121,7 +123,7 @@ def test_a_study_file_with_several_drives(load):
         (PUSH.replace('"T_y"', '"T_q"'), ("`motion` of the drive", "T_q")),
         (PUSH + "moment = 1\n", ('number 1 of kind "force_ramp"', "`moment`")),
         (PUSH + PUSH, ("each motion once", "T_y of joint `C` twice")),
-        (MOMENT.replace("[[drives]]", "[drive]") + PUSH, ("either [drive] or [[drives]]", "has both")),
+        (MOMENT.replace("[[drives]]", "[drive]") + MOMENT, ("each motion once", "R_y of joint `A` twice")),
         ("[drives]\n" + PUSH.partition("\n")[2], ("[[drives]]", "must be a list of tables")),
         (
             '[[drives]]\njoint = "A"\nkind = "prescribed_table"\ntimes = [0, 0.1]\nangles = [0, 1]\n' + PUSH,

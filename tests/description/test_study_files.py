@@ -382,9 +382,10 @@ def test_mistakes_of_the_mechanism_are_reported_together(load):
     text = text.replace("length = 0.12", "length = -0.12", 1).replace("cut = true", "cut = 1", 1)
     with pytest.raises(InputError) as caught:
         load(text)
-    # Links of a section with a mistake are not judged: they say nothing.
+    # Links of a section with a mistake tell their own mistakes only.
     places = [line.split(": ")[1] for line in caught.value.problems]
-    assert places == ["[mechanism.materials.steel]", "[mechanism.sections.bar]", "[[mechanism.joints]] `C`"]
+    links = ["[[mechanism.links]] `crank`", "[[mechanism.joints]] `C`"]
+    assert places == ["[mechanism.materials.steel]", "[mechanism.sections.bar]", *links]
     with pytest.raises(InputError) as caught:
         load(changed("length = 0.12", "length = -0.12").replace("rfes = 5", "rfes = 0", 2))
     assert [line.split(": ")[1].split("`")[1] for line in caught.value.problems] == ["crank", "coupler", "rocker"]

@@ -5,11 +5,12 @@ import tomllib
 
 import pytest
 
-from rfem_jax.description import load_study, study, study_reader, tolerances
+from rfem_jax.description import force_reader, load_study, study, study_reader, tables, tolerances
 from rfem_jax.description.key_reference import NEEDED, argument_meanings, key_tables
 from rfem_jax.description.tasks import allocation, task
 
 from .test_compliance import COMPLIANCE
+from .test_force_reader import IN_JOINTS, SPRINGS
 from .test_forces import FORCES
 from .test_point_forces import FORCES as POINT_FORCES
 from .test_study_files import FULL
@@ -70,7 +71,7 @@ def header_of(place):
     """The header in the reference of a place that the reader names."""
     place = re.sub(r"^The top level$", "top level", place)
     place = re.sub(r"^\[\[mechanism\.links\]\] .* point_masses.*", "point_masses of [[mechanism.links]]", place)
-    place = re.sub(r"^\[\[mechanism\.joints\]\] .* compliance$", "compliance of [[mechanism.joints]]", place)
+    place = re.sub(r"^\[\[mechanism\.joints\]\] `\w+` (\w+)$", r"\1 of [[mechanism.joints]]", place)
     place = re.sub(r"^\[\[mechanism\.links\]\] .* body$", "body of [[mechanism.links]]", place)
     place = re.sub(r"\[mechanism\.(materials|sections)\.\w+\]", r"[mechanism.\1.NAME]", place)
     place = re.sub(r"^(\[\[[\w.]+\]\]) (`[^`]+`|number \d+)", r"\1", place)
@@ -91,14 +92,15 @@ def asked(tmp_path, monkeypatch):
 
         return check
 
-    for module in (study, study_reader, tolerances, task, allocation):
+    for module in (study, study_reader, force_reader, tables, tolerances, task, allocation):
         monkeypatch.setattr(module, "checked_table", recorded(module.checked_table))
     full = FULL.replace("[mechanism.sections.round]", f"{RECTANGLE}[mechanism.sections.round]")
     full = full.replace('name = "A"\n', f'name = "A"\n{COMPLIANCE}', 1)
+    full = full.replace('name = "B"\n', f'name = "B"\n{IN_JOINTS}', 1)
     start, end = full.index("[drive]"), full.index("[simulation]")
     for drive in [full[start:end], *(f"[drive]{part}" for part in DRIVES.split("[drive]")[1:])]:
         path = tmp_path / "study.toml"
-        path.write_text(full[:start] + FORCES + POINT_FORCES + drive + full[end:] + TASKS, encoding="utf-8")
+        path.write_text(full[:start] + FORCES + POINT_FORCES + SPRINGS + drive + full[end:] + TASKS, encoding="utf-8")
         load_study(path)
         full = full.replace('section = "own"\n', "body = {mass = 1, centre = [0, 0, 0], inertia = [1, 1, 1]}\n")
         start, end = full.index("[drive]"), full.index("[simulation]")
@@ -117,6 +119,7 @@ def test_the_reference_holds_what_the_reader_asks_for(asked):
     for place in (
         "[mechanism.sections.NAME]",
         "[drive] or [[drives]]",
+        "[[mechanism.springs]]",
         "[[mechanism.forces]]",
         "[mechanism.materials]",
         "[mechanism.sections]",

@@ -49,11 +49,11 @@ class TestLaws:
     def test_the_chord_from_rest(self, settings):
         made = law(constant=2.0, sliding_rate=0.1, viscous=0.4, **settings)
         for rate in map(jnp.asarray, (-3.0, 1e-2, 1e-6, 0.0)):
-            chord, slope = made.secant(rate, None), made.slope(rate, None)
+            chord, derivative = made.secant(rate, None), made.tangent(rate, None)
             if float(rate):
                 np.testing.assert_allclose(chord, -made.force(0.0, rate) / rate, rtol=1e-9)
-            assert float(chord) >= float(slope) * (1.0 - 1e-12)
-        np.testing.assert_allclose(chord, slope, rtol=1e-12)
+            assert float(chord) >= float(derivative) * (1.0 - 1e-12)
+        np.testing.assert_allclose(chord, derivative, rtol=1e-12)
 
     def test_moments_press_the_ends_of_a_bearing(self):
         normal = law(coefficient=0.1, radius=0.01, length=0.05, sliding_rate=1.0).load.size

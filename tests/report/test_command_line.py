@@ -2,6 +2,7 @@
 
 import ast
 import io
+import json
 import os
 import subprocess
 import sys
@@ -13,11 +14,13 @@ from types import ModuleType, SimpleNamespace
 import pytest
 
 import rfem_jax
+from rfem_jax import task_kinds
 from rfem_jax.compilation.options import user_cache_folder
 from rfem_jax.compilation.stages import listening, on_stage
 from rfem_jax.description import InputError
 from rfem_jax.report import command_line
 from rfem_jax.report.command_line import main
+from rfem_jax.report.commands.catalogue import all_commands
 from rfem_jax.report.process import require_platform
 from rfem_jax.report.progress_line import ProgressLine, show
 
@@ -223,7 +226,9 @@ def test_without_matplotlib_the_rest_is_written(packages, study_file, tmp_path, 
     assert 'pip install "rfem_jax[plots]"' in capsys.readouterr().out
 
 
+COMMANDS = Path(rfem_jax.__file__).parent / "report" / "commands"
 LIGHT = {"report.annotations", "report.process", "report.progress_line", "task_kinds"}
+LIGHT |= {f"report.commands.{path.stem}" for path in COMMANDS.glob("*.py") if path.stem != "__init__"}
 
 
 @pytest.mark.parametrize("module", ["report.command_line", *sorted(LIGHT)])
@@ -236,6 +241,54 @@ def test_the_command_imports_nothing_heavy_at_its_top(module):
         elif isinstance(node, ast.ImportFrom) and node.module.removeprefix("rfem_jax.") not in LIGHT:
             names.add(node.module.split(".")[0])
     assert names <= set(sys.stdlib_module_names)
+
+
+def test_every_file_of_a_command_is_in_the_list():
+    shared = {"__init__", "catalogue", "command", "folders", "steps", "tasks"}
+    assert {path.stem.replace("_", "-") for path in COMMANDS.glob("*.py") if path.stem not in shared} == set(
+        task_kinds.COMMANDS
+    )
+    commands = all_commands()
+    assert [one.name for one in commands][: 1 + len(task_kinds.task_kinds())] == [
+        *("run", "sensitivity", "monte-carlo", "worst-case", "allocate")
+    ]
+    assert all(one.purpose and one.description.endswith(".") for one in commands)
+
+
+def answer_of(capsys, *arguments):
+    """Exit code, document on standard output, standard error."""
+    code = main([*arguments, "--json"])
+    captured = capsys.readouterr()
+    found = json.loads(captured.out)
+    assert (found["command"], found["exit_code"]) == (arguments[0], code)
+    return code, found, captured.err
+
+
+def test_an_answer_for_machines(packages, runs, study_file, tmp_path, capsys):
+    """One document and nothing else on standard output, of every command."""
+    runs["P2"].status = 3
+    code, found, said = answer_of(capsys, "run", str(study_file), "--out", str(tmp_path / "out"))
+    assert (code, found["problems"], found["folder"]) == (3, [], str(tmp_path / "out"))
+    assert found["results.json"] == json.loads((tmp_path / "out" / "results.json").read_text(encoding="utf-8"))
+    assert len(found["files"]) == 19 and all(Path(one).exists() for one in found["files"])
+    assert "Simulating 3 cases: 100 %" in said
+    code, found, _ = answer_of(capsys, "check", str(study_file))
+    assert (code, found["structure"]["mobility"], found["largest_stable_step"]) == (0, 46, 1.94e-5)
+    assert found["cases"]["P3"] == {"D.d_y": 5e-4, "coupler.length": -1e-4}
+    code, found, said = answer_of(capsys, "keys", "cases")
+    assert (code, said, [one["header"] for one in found["tables"]]) == (0, "", ["[[cases]]"])
+    code, found, said = answer_of(capsys, "check", str(tmp_path / "missing.toml"))
+    assert code == 2 and "missing.toml" in found["problems"][0] and said == found["problems"][0] + "\n"
+
+
+def test_quiet(packages, study_file, tmp_path, capsys):
+    assert main(["run", str(study_file), "--out", str(tmp_path / "out"), "--quiet"]) == 0
+    captured = capsys.readouterr()
+    assert captured.err == "" and "RMS resultant force, N" in captured.out
+    assert main(["run", str(study_file), "--out", str(tmp_path / "out"), "--quiet", "--json"]) == 0
+    assert capsys.readouterr().err == ""
+    assert main(["check", str(tmp_path / "missing.toml"), "--quiet"]) == 2
+    assert "missing.toml" in one_sentence(capsys)
 
 
 def settings_in_a_new_process(tmp_path, arguments="", **environment):

@@ -1,4 +1,4 @@
-"""A method of integration from outside the package: stated in a study file, run by the command."""
+"""A method of integration from outside the package: named in a study file, run by the command."""
 
 import json
 from dataclasses import dataclass

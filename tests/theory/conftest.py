@@ -105,9 +105,9 @@ class ExactFourBar:
         curve = self.accelerations(angles, unit, 0.0)
         v, dv = self.centres(angles, unit, curve)
         inertia = np.sum(self.masses * np.sum(v * v, axis=1) + self.inertias * unit**2)
-        half_slope = np.sum(self.masses * np.sum(v * dv, axis=1) + self.inertias * unit * curve)
+        half_derivative = np.sum(self.masses * np.sum(v * dv, axis=1) + self.inertias * unit * curve)
         gravity = np.sum(self.masses * (v @ GRAVITY))
-        return (moment + gravity - half_slope * rate**2) / inertia
+        return (moment + gravity - half_derivative * rate**2) / inertia
 
     def motion(self, moment, pieces, times):
         """Crank angle and rate (2, times) from rest; `pieces` are the ends of the smooth pieces."""

@@ -81,7 +81,7 @@ def flexibility(start, end, points, weights):
 def gap(name):
     """(u_Y, turn about X, about Z) at C of the coupler's end minus the rocker's, for a unit error.
 
-    Errors are stated in the axes of the base (D), crank (B) and the link that they sit on.
+    Errors are in the axes of the base (D), crank (B) and the link that they sit on.
     """
     joint, kind = name.split(".")[0], name.split(".")[-1]
     if kind == "twist":

@@ -139,8 +139,8 @@ class TestFourBarOnBushings:
         np.testing.assert_allclose(backward, forward, rtol=1e-8)
         for n in range(5):
             step = jnp.where(jnp.arange(5) == n, 1e-4 * at, 0.0)
-            slope = (loads(at + step) - loads(at - step)) / (2.0 * step[n])
-            np.testing.assert_allclose(forward[:, n], slope, rtol=1e-5)
+            derivative = (loads(at + step) - loads(at - step)) / (2.0 * step[n])
+            np.testing.assert_allclose(forward[:, n], derivative, rtol=1e-5)
 
     def test_in_motion(self, bushed):
         method = Method("rk4", step=1e-5)
@@ -345,5 +345,5 @@ def test_derivatives_of_a_motion_with_respect_to_error_and_stiffness():
     derivatives = jax.jacrev(end)(at)
     for n in range(3):
         step = jnp.where(jnp.arange(3) == n, 1e-4 * at, 0.0)
-        slope = (end(at + step) - end(at - step)) / (2.0 * step[n])
-        np.testing.assert_allclose(derivatives[:, n], slope, rtol=2e-4)
+        derivative = (end(at + step) - end(at - step)) / (2.0 * step[n])
+        np.testing.assert_allclose(derivatives[:, n], derivative, rtol=2e-4)

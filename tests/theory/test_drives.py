@@ -229,7 +229,7 @@ def derivative(function, order):
     return function
 
 
-TURN = PrescribedFunction("R", lambda t: Arm.angle(t) - Arm.ANGLE)
+ROTATION = PrescribedFunction("R", lambda t: Arm.angle(t) - Arm.ANGLE)
 SLIDE = PrescribedFunction("P", lambda t: Arm.reach(t) - Arm.REACH)
 PUSH = ForceFunction("P", lambda t, phase: Arm.forces(t)[1])
 
@@ -238,7 +238,7 @@ class TestArm:
     """Two drives at once on an open chain: its inverse dynamics in closed form."""
 
     @pytest.mark.parametrize(
-        ("drives", "method"), [([SLIDE, TURN], EXPLICIT), ([TURN, PUSH], IMPLICIT)], ids=["prescribed", "mixed"]
+        ("drives", "method"), [([SLIDE, ROTATION], EXPLICIT), ([ROTATION, PUSH], IMPLICIT)], ids=["prescribed", "mixed"]
     )
     def test_motion_and_forces(self, drives, method):
         run = simulate(Arm.model(), drive=drives, duration=0.1, method=method, save_every=0.02)
@@ -272,7 +272,7 @@ class TestArm:
         np.testing.assert_allclose(forward, np.array(differences).T, rtol=1e-6)
 
     def test_auto_and_the_largest_step(self):
-        drives = [TURN, PUSH]
+        drives = [ROTATION, PUSH]
         assert check_step(Arm.model(), EXPLICIT, drives) > EXPLICIT.step
         assert choose_method(Arm.model(), Method("auto", accuracy=0.05), drives, 0.02).step <= 0.02
 

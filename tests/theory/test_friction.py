@@ -185,10 +185,10 @@ class TestInclinedGuide:
         force = self.COEFFICIENT * normal
         acceleration = 9.81 * np.sin(self.SLOPE) - force / (self.MASS + 1e-10)
         along = self.START * run.times + 0.5 * acceleration * run.times**2
-        found, slope = ((x.displacements["F"][:, 0] if cut else x.displacements["G"]) for x in (run, change))
+        found, derivative = ((x.displacements["F"][:, 0] if cut else x.displacements["G"]) for x in (run, change))
         np.testing.assert_allclose(found, along, rtol=1e-7, atol=1e-12)
         by_coefficient = -0.5 * normal / (self.MASS + 1e-10) * run.times**2
-        np.testing.assert_allclose(slope, by_coefficient, rtol=1e-6, atol=1e-12)
+        np.testing.assert_allclose(derivative, by_coefficient, rtol=1e-6, atol=1e-12)
         np.testing.assert_allclose(run.loads["G"].force[:, 0], -force, rtol=1e-7)
         np.testing.assert_allclose(run.friction_losses["shoe"], force * along, rtol=1e-6)
         assert float(run.energy_balance_error) < 1e-7 and float(run.momentum_balance_error) < 1e-9
@@ -205,7 +205,7 @@ class TestPendulum:
         arm, sliding, viscous, constant = numbers
         inertia, g = self.INERTIA + self.MASS * self.LENGTH**2, 9.81
 
-        def slope(y):
+        def derivative(y):
             angle, rate = y
             # Force of the bearing along the rod; the one across it depends on the acceleration, and so on friction.
             radial = self.MASS * (self.LENGTH * rate**2 + g * np.sin(angle))
@@ -218,10 +218,10 @@ class TestPendulum:
 
         h, y = self.DURATION / steps, np.array([self.START, -6.0])
         for _ in range(steps):
-            a = slope(y)
-            b = slope(y + h / 2 * a)
-            c = slope(y + h / 2 * b)
-            y = y + h / 6 * (a + 2 * b + 2 * c + slope(y + h * c))
+            a = derivative(y)
+            b = derivative(y + h / 2 * a)
+            c = derivative(y + h / 2 * b)
+            y = y + h / 6 * (a + 2 * b + 2 * c + derivative(y + h * c))
         kinetic, weight = 0.5 * inertia * y[1] ** 2, self.MASS * g * self.LENGTH
         start = 0.5 * inertia * 36.0 - weight * np.sin(self.START)
         return np.array([y[0], kinetic, start - (kinetic - weight * np.sin(y[0]))])

@@ -158,15 +158,15 @@ class TestLaws:
         model = slider(JointForceFunction("cubic", "G", Cubic(jnp.asarray(900.0))))
 
         def reference(stiffness):
-            def slope(y):
+            def derivative(y):
                 return jnp.stack([y[1], (-stiffness * y[0] ** 3 - 0.5 * y[1]) / (MASS + 1e-10)])
 
             def step(y, _):
                 h = 1e-4
-                a = slope(y)
-                b = slope(y + h / 2 * a)
-                c = slope(y + h / 2 * b)
-                return y + h / 6 * (a + 2 * b + 2 * c + slope(y + h * c)), None
+                a = derivative(y)
+                b = derivative(y + h / 2 * a)
+                c = derivative(y + h / 2 * b)
+                return y + h / 6 * (a + 2 * b + 2 * c + derivative(y + h * c)), None
 
             return jax.lax.scan(step, jnp.array([START, 0.0]), length=1000)[0][0]
 
@@ -229,11 +229,11 @@ def test_a_spring_in_a_loop_at_rest(elements):
         rocker = assembled.state.position.joints[model.topology.joints.index("D")]
         return energy, (assembled.preload["A"].moment[1], assembled.preload["D"].moment[1], rocker, assembled.status)
 
-    (energy, (moment, of_spring, rocker, status)), slope = jax.value_and_grad(at, has_aux=True)(-1.4)
+    (energy, (moment, of_spring, rocker, status)), derivative = jax.value_and_grad(at, has_aux=True)(-1.4)
     assert int(status) == 0 and float(energy) > 1.0
     np.testing.assert_allclose(of_spring, -50.0 * (rocker + 1.0), rtol=1e-9)
     assert abs(float(moment)) > 1.0
-    np.testing.assert_allclose(moment, slope, rtol=1e-8)
+    np.testing.assert_allclose(moment, derivative, rtol=1e-8)
 
 
 def test_a_prescribed_drive_works_against_the_spring():

@@ -286,8 +286,8 @@ class TestCantilever:
         angle_of = lambda load: bent(model, load[0], load[1])[0][4]  # noqa: E731
         forward, backward = jax.jit(jax.jacfwd(angle_of))(loads_[2]), jax.jit(jax.jacrev(angle_of))(loads_[2])
         np.testing.assert_allclose(forward, backward, rtol=1e-9)
-        slope = jax.jacfwd(lambda load: polygon(load[0], load[1])[0])(jnp.asarray(loads_[2]))
-        np.testing.assert_allclose(forward, slope, rtol=1e-5)
+        derivative = jax.jacfwd(lambda load: polygon(load[0], load[1])[0])(jnp.asarray(loads_[2]))
+        np.testing.assert_allclose(forward, derivative, rtol=1e-5)
 
     def test_end_force_and_moment_on_linear_elements(self):
         forces = [PointForce("tip", "beam", LENGTH, (0, 0, 1)), PointMoment("twist", "beam", LENGTH, (0, 1, 0))]

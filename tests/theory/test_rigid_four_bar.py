@@ -114,8 +114,8 @@ def test_prescribed_crank(four_bar, exact_four_bar, four_bar_loads, rise_time):
     smooth = RATE * rise_time * (x**3 - x**4 / 2.0), RATE * (3.0 * x**2 - 2.0 * x**3)
     turned = np.where(x < 1.0, smooth[0], RATE * (t - rise_time / 2.0))
     rate = np.where(x < 1.0, smooth[1], RATE)
-    slope = 6.0 * RATE * (x - x**2) / rise_time if rise_time else np.zeros_like(t)
-    acceleration = np.where(x < 1.0, slope, 0.0)
+    rise = 6.0 * RATE * (x - x**2) / rise_time if rise_time else np.zeros_like(t)
+    acceleration = np.where(x < 1.0, rise, 0.0)
     assert run.status == 0
     np.testing.assert_allclose(run.angle, -np.pi / 2.0 + turned, atol=1e-12)
     np.testing.assert_allclose(run.rate, rate, atol=1e-12)

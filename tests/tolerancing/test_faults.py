@@ -189,7 +189,7 @@ def test_full_disk_ends_clearly_and_keeps_finished_chunks(tmp_path, reference, m
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         original(descriptor)
 
-    monkeypatch.setattr(results_store.os, "fsync", fsync)
+    monkeypatch.setattr(os, "fsync", fsync)
     with pytest.raises(ChunkWriteError, match="No space left.* finished chunks are kept") as caught:
         run(tmp_path)
     assert caught.value.errno == errno.ENOSPC

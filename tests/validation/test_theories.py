@@ -62,8 +62,8 @@ def test_rotation_stiffens():
 
 def angular_velocity(rotations, step):
     """In the body's axes at the middle of five rotations."""
-    slope = (8.0 * (rotations[3] - rotations[1]) - (rotations[4] - rotations[0])) / (12.0 * step)
-    spin = rotations[2].T @ slope
+    derivative = (8.0 * (rotations[3] - rotations[1]) - (rotations[4] - rotations[0])) / (12.0 * step)
+    spin = rotations[2].T @ derivative
     return np.array([spin[2, 1], spin[0, 2], spin[1, 0]])
 
 

@@ -19,8 +19,8 @@ import numpy as np
 from jaxtyping import Float
 
 from rfem_jax.report.annotations import Run
-from rfem_jax.report.output import replacing
 from rfem_jax.report.page.packing import Packed, pack_integers, some_rows
+from rfem_jax.whole_files import replacing
 
 FILE = "animation.npz"
 MOST_FRAMES = 251  # of a case

@@ -16,7 +16,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from rfem_jax.report.output import replacing, without_nan
+from rfem_jax.report.output import without_nan
+from rfem_jax.whole_files import replacing
 
 ASSETS = Path(__file__).parent / "assets"
 LIBRARY = "vendor/uPlot.iife.min.js"

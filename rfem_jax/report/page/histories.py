@@ -28,7 +28,7 @@ def read_table(path: Path) -> Columns | None:
         if path.stat().st_size > LARGEST:
             return None
         with open(path, encoding="utf-8") as file:
-            names = file.readline().rstrip("\n").split(",")
+            names = [name.removeprefix("'") for name in file.readline().rstrip("\n").split(",")]
             values = np.loadtxt(file, delimiter=",", ndmin=2, converters=_number)
     except (OSError, ValueError, UnicodeDecodeError):
         return None

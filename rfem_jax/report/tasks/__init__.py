@@ -5,5 +5,5 @@
     task_files      what their JSON files have in common
     sensitivity, monte_carlo, worst_case, allocation
 
-Place in the pipeline: `command_line` does the tasks that a study declares; `rfem_jax.task_kinds` lists the kinds.
+Place in the pipeline: `report.commands` does the tasks that a study declares; `rfem_jax.task_kinds` lists the kinds.
 """

@@ -27,10 +27,10 @@ from rfem_jax.report.style import CASE_COLOURS, MARKERS, add_titles, new_figure
 from rfem_jax.report.tasks import study_problem
 from rfem_jax.report.tasks.task_files import write_task_json
 from rfem_jax.report.tasks.task_report import TaskReport
+from rfem_jax.text_layout import align_columns
 from rfem_jax.tolerancing import Exponential, Reciprocal, ReciprocalSquared, allocate
 from rfem_jax.tolerancing.allocation.allocation_study import Allocation, LimitCheck
 from rfem_jax.tolerancing.allocation.cost_models import total_cost
-from rfem_jax.tolerancing.layout import align_columns
 from rfem_jax.tolerancing.problems.distributions import DISTRIBUTIONS
 from rfem_jax.tolerancing.problems.quadratic_model import choose_mode, expand_by_differences
 

@@ -22,7 +22,6 @@ from rfem_jax.description.study import Study
 from rfem_jax.description.tasks.monte_carlo import MonteCarloTask
 from rfem_jax.report.annotations import Axes, Figure
 from rfem_jax.report.output import write_csv
-from rfem_jax.report.quantities import column_name
 from rfem_jax.report.style import (
     BAR_COLOURS,
     CASE_COLOURS,
@@ -122,7 +121,7 @@ class MonteCarloReport(TaskReport[MonteCarloTask, MonteCarloResult]):
         }
         return [
             write_task_json(folder / "monte_carlo.json", self.study, self.name, content),
-            write_csv(folder / "monte_carlo.csv", sample_rows(result)),
+            write_csv(folder / "monte_carlo.csv", result.rows()),
         ]
 
     def simulations(self) -> list[str]:
@@ -153,19 +152,6 @@ def describe_study(study: Study) -> dict[str, str]:
         with suppress(keys.NotDigestible):
             found[name] = keys.digest_value(part)
     return found
-
-
-def sample_rows(result: MonteCarloResult) -> list[dict[str, Any]]:
-    """One row per sample: its number, status, errors [rad, m] and metrics, {column with unit: value}."""
-    errors = [column_name(*named) for named in zip(result.names, result.error_units, strict=True)]
-    metrics = [column_name(*named) for named in zip(result.metrics, result.metric_units, strict=True)]
-    rows: list[dict[str, Any]] = []
-    for index in range(result.samples):
-        row = {"sample": index, "status": int(result.status[index])}
-        row |= dict(zip(errors, result.errors[index], strict=True))
-        row |= dict(zip(metrics, result.values[index], strict=True))
-        rows.append(row)
-    return rows
 
 
 def _estimate(estimate: Estimate) -> dict[str, float]:
@@ -309,8 +295,8 @@ def _most_felt(errors: Float[np.ndarray, "samples errors"], values: Float[np.nda
         spread = columns.std(axis=0)
         return (columns - columns.mean(axis=0)) / np.where(spread > 0.0, spread, 1.0)
 
-    felt = [np.abs(standard(of).T @ standard(values)).max(axis=1) for of in (centred, centred**2)]
-    return sorted(np.argsort(-np.max(felt, axis=0), kind="stable")[:MOST_EACH].tolist())
+    influence = [np.abs(standard(of).T @ standard(values)).max(axis=1) for of in (centred, centred**2)]
+    return sorted(np.argsort(-np.max(influence, axis=0), kind="stable")[:MOST_EACH].tolist())
 
 
 def _order(result: MonteCarloResult, i: int) -> tuple[bool, int, int]:

@@ -23,9 +23,9 @@ from rfem_jax.report.style import BAR_COLOURS, HATCHES, add_titles, new_figure, 
 from rfem_jax.report.tasks import study_problem
 from rfem_jax.report.tasks.task_files import metric_units, write_task_json
 from rfem_jax.report.tasks.task_report import TaskReport
+from rfem_jax.text_layout import align_columns, wrap_lines
 from rfem_jax.tolerancing import Tolerances
 from rfem_jax.tolerancing import sensitivity as differentiate
-from rfem_jax.tolerancing.layout import align_columns, wrap_lines
 from rfem_jax.tolerancing.sensitivities import Sensitivities
 
 UNDAMPED = (

@@ -10,22 +10,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from rfem_jax.description.study import Study
-from rfem_jax.report.output import write_json
+from rfem_jax.report.output import plain, write_json
 from rfem_jax.report.summary import study_note
-
-
-def _plain(value: Any) -> Any:
-    """NumPy arrays and scalars of nested dicts and lists as Python's own."""
-    if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    if isinstance(value, np.ndarray):
-        return value.tolist()
-    return value.item() if isinstance(value, np.generic) else value
 
 
 def metric_units(metrics: Sequence[str], units: Sequence[str]) -> dict[str, str]:
@@ -46,4 +33,4 @@ def write_task_json(path: Path, study: Study, name: str, result: dict[str, Any])
         **result,
         "units": {"duration": "s", "error": "rad or m", **result.get("units", {})},
     }
-    return write_json(path, _plain(content))
+    return write_json(path, plain(content))

@@ -9,6 +9,7 @@ from rfem_jax.description.tolerances import SpecifiedTolerances
 from rfem_jax.report.overview import format_error
 from rfem_jax.report.tables import format_table
 from rfem_jax.task_kinds import task_kinds
+from rfem_jax.text_layout import wrap_lines
 
 
 def tasks_text(study: Study) -> str:
@@ -18,7 +19,6 @@ def tasks_text(study: Study) -> str:
     if tasks.declared:
         # Takes seconds: only where there is something to show.
         from rfem_jax.report.tasks.task_report import report_on
-        from rfem_jax.tolerancing.layout import wrap_lines
 
         for name, task in tasks.asked.items():
             metrics = getattr(task, "metrics", ())

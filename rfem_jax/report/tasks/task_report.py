@@ -1,6 +1,6 @@
 """The base of all reports on tasks, and what the commands for tasks do.
 
-Place in the pipeline: called by `command_line` with a study as loaded; each task is computed, printed, written and
+Place in the pipeline: called by `report.commands` with a study as loaded; each task is computed, printed, written and
 drawn. A kind of task from outside the package begins here too (`rfem_jax.task_kinds`).
 """
 
@@ -22,7 +22,7 @@ from rfem_jax.description.tolerances import SpecifiedTolerances
 from rfem_jax.report.annotations import Figure
 from rfem_jax.report.output import write_pictures
 from rfem_jax.report.overview import format_error
-from rfem_jax.report.progress_line import say, show
+from rfem_jax.report.progress_line import note, remark, show
 from rfem_jax.report.style import SETTINGS
 from rfem_jax.report.summary import PLOTS_HINT
 from rfem_jax.report.tables import title_text
@@ -130,7 +130,7 @@ class TaskReport(abc.ABC, Generic[Asked, Result]):
         try:
             import matplotlib  # noqa: F401
         except ImportError:
-            show(PLOTS_HINT)
+            note(PLOTS_HINT)
             return []
         on_stage("Drawing pictures")
         return write_pictures(folder, self.pictures(result))
@@ -167,5 +167,5 @@ def do_task(study: Study, name: str, folder: str | Path) -> tuple[bool, list[Pat
     require_task(study, name)
     started = time.perf_counter()
     good, written = report_on(study, name).do(Path(folder))
-    say(f"{name.replace('_', ' ').capitalize()} done after {time.perf_counter() - started:.1f} s.")
+    remark(f"{name.replace('_', ' ').capitalize()} done after {time.perf_counter() - started:.1f} s.")
     return good, written

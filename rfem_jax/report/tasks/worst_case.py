@@ -15,7 +15,6 @@ from rfem_jax.description.study import Study
 from rfem_jax.description.tasks.worst_case import WorstCaseTask
 from rfem_jax.report.annotations import Figure
 from rfem_jax.report.output import write_csv
-from rfem_jax.report.quantities import column_name
 from rfem_jax.report.style import CASE_COLOURS, MARKERS, add_titles, new_figure
 from rfem_jax.report.tasks import study_problem
 from rfem_jax.report.tasks.task_files import write_task_json
@@ -64,7 +63,6 @@ class WorstCaseReport(TaskReport[WorstCaseTask, dict[str, WorstCase]]):
     def write(self, folder: Path, result: dict[str, WorstCase]) -> list[Path]:
         """Write worst_case.json and worst_case.csv (per metric: found, corners, quadratic, nominal; `unit` is
         that of `value`)."""
-        unit_of = self.study.mechanism.error_unit
         metrics, rows = {}, []
         for name, one in result.items():
             corners = None
@@ -79,15 +77,7 @@ class WorstCaseReport(TaskReport[WorstCaseTask, dict[str, WorstCase]]):
                     *("quadratic_errors", "quadratic_bound", "hessian_error", "region", "sense"),
                 )
             } | {"corners": corners}
-            columns = {error: column_name(error, unit_of(error)) for error in one.names}
-            kinds = [("found", one.value, one.errors)]
-            if one.corners is not None:
-                kinds.append(("best_corner", one.corners.value, one.corners.errors))
-            kinds.append(("quadratic_model", one.quadratic_value, one.quadratic_errors))
-            kinds.append(("nominal", one.nominal, {}))
-            for kind, value, errors in kinds:
-                row = {"metric": name, "unit": one.unit or "1", "kind": kind, "value": value}
-                rows.append(row | {columns[error]: errors.get(error, float("nan")) for error in one.names})
+            rows += one.rows()
         units = {name: one.unit or "1" for name, one in result.items()}
         content = {"metrics": metrics, "units": units}
         return [

@@ -23,13 +23,16 @@ import jax
 import numpy as np
 
 from rfem_jax.description.errors import InputError, require_choice
+from rfem_jax.description.precision import require_float64
+from rfem_jax.text_layout import align_columns, wrap_lines
 from rfem_jax.tolerancing.allocation.cost_models import CostModel
 from rfem_jax.tolerancing.allocation.models import Answer, Verified
 from rfem_jax.tolerancing.allocation.request import Request, check_request
 from rfem_jax.tolerancing.allocation.statistical_criteria import StatisticalCriterion
 from rfem_jax.tolerancing.allocation.worst_case_criterion import WorstCaseCriterion
-from rfem_jax.tolerancing.checks import ErrorValues, require_float64
-from rfem_jax.tolerancing.layout import align_columns, show_error, show_number, wrap_lines
+from rfem_jax.tolerancing.checks import ErrorValues
+from rfem_jax.tolerancing.labelled_results import LabelledAllocation
+from rfem_jax.tolerancing.layout import show_error, show_number
 from rfem_jax.tolerancing.problems.distributions import Normal, Tolerance
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem
 from rfem_jax.tolerancing.problems.quadratic_model import QuadraticModel
@@ -69,7 +72,7 @@ class LimitCheck:
 
 
 @dataclass(frozen=True, eq=False)
-class Allocation:
+class Allocation(LabelledAllocation):
     """The answer of an allocation.
 
     status: "ok" (found, and the fresh run agrees), "not_verified" (found, but the fresh run violates a limit beyond

@@ -31,9 +31,10 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from rfem_jax.description.errors import InputError
+from rfem_jax.description.precision import require_float64
 from rfem_jax.description.study import Study
 from rfem_jax.description.tolerances import SpecifiedTolerances
-from rfem_jax.tolerancing.checks import DIMENSIONS, check_known, parse_error, require_float64
+from rfem_jax.tolerancing.checks import DIMENSIONS, check_known, parse_error
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem
 
 

@@ -30,7 +30,8 @@ from jaxtyping import Array, Float, Int
 
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.errors import InputError
-from rfem_jax.tolerancing.checks import ErrorValues, check_known, require_float64
+from rfem_jax.description.precision import require_float64
+from rfem_jax.tolerancing.checks import ErrorValues, check_known
 from rfem_jax.tolerancing.problems.distributions import Tolerances
 from rfem_jax.tolerancing.problems.evaluation import (
     Base,

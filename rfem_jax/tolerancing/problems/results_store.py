@@ -16,7 +16,6 @@ import hashlib
 import io
 import json
 import os
-import secrets
 import warnings
 from collections.abc import Collection, Mapping
 from pathlib import Path
@@ -25,6 +24,7 @@ from typing import Any
 import numpy as np
 
 from rfem_jax.description.errors import InputError
+from rfem_jax.whole_files import UNFINISHED, write_whole
 
 MANIFEST, DESCRIPTION = "manifest.json", "description"
 
@@ -101,7 +101,7 @@ class ResultsStore:
         named = {"checksum": np.array(self._checksum(index, arrays)), **arrays}
         np.savez(buffer, **named)  # pyright: ignore[reportArgumentType] - the stub takes names for `allow_pickle`
         try:
-            for stale in self.folder.glob(f"{self.path(index).name}.*.tmp"):
+            for stale in self.folder.glob(f"{self.path(index).name}.*{UNFINISHED}"):
                 stale.unlink(missing_ok=True)  # a run that was killed left it
             write_whole(self.path(index), buffer.getvalue())
         except OSError as error:
@@ -203,33 +203,6 @@ def _require_same(folder: Path, found: dict[str, Any], study: dict[str, Any], ig
             f"`{folder}` is of another: it differs in {'; '.join(differing)}",
             "name a new folder, or specify the same study",
         )
-
-
-def write_whole(path: Path, payload: bytes) -> None:
-    """Write bytes so that `path` either does not change or holds all of them. Raises OSError."""
-    temporary = path.with_name(f"{path.name}.{secrets.token_hex(4)}.tmp")
-    try:
-        with open(temporary, "wb") as file:
-            file.write(payload)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-    except OSError:
-        temporary.unlink(missing_ok=True)
-        raise
-    _synchronise_folder(path.parent)
-
-
-def _synchronise_folder(folder: Path) -> None:
-    """Make a rename durable; systems that cannot open folders do without."""
-    try:
-        descriptor = os.open(folder, os.O_RDONLY)
-    except OSError:
-        return
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
 
 
 def _brief(value: Any) -> str:

@@ -11,7 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from rfem_jax.tolerancing.layout import align_columns, show_number, wrap_lines
+from rfem_jax.text_layout import align_columns, wrap_lines
+from rfem_jax.tolerancing.labelled_results import LabelledMonteCarlo
+from rfem_jax.tolerancing.layout import show_number
 from rfem_jax.tolerancing.sampling.statistics import ControlledMean, Estimate, SobolIndices
 
 NOT_FINITE = -1  # status of a sample of status 0 with a value that is not finite
@@ -37,7 +39,7 @@ class Yield:
 
 
 @dataclass(frozen=True, eq=False)
-class MonteCarloResult:
+class MonteCarloResult(LabelledMonteCarlo):
     """Result of a Monte Carlo study.
 
     names, error_units (d) and metrics, metric_units, labels (m): of the errors that vary and of the metrics;

@@ -22,9 +22,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from rfem_jax.description.errors import InputError, require_flag
+from rfem_jax.description.precision import require_float64
 from rfem_jax.description.study import Study
 from rfem_jax.description.tasks.settings import whole_number
-from rfem_jax.tolerancing.checks import check_known, read_limits, require_float64
+from rfem_jax.tolerancing.checks import check_known, read_limits
 from rfem_jax.tolerancing.problems.distributions import Tolerances, distributions_of
 from rfem_jax.tolerancing.problems.evaluation import describe_status
 from rfem_jax.tolerancing.problems.execution import Arrays, default_lanes, run_chunks

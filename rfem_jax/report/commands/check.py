@@ -1,0 +1,80 @@
+"""`rfem-jax check`: what a study says, and what it costs, without simulating.
+
+Place in the pipeline: `load_study` (description) -> `describe` (mechanics), `check_step` (simulation) -> `overview`,
+`tasks.task_overview`, `study_cost`.
+"""
+
+import argparse
+from typing import Any
+
+from rfem_jax.report.annotations import Study
+from rfem_jax.report.commands.command import Answer, Command, add_cache, add_study
+from rfem_jax.report.commands.steps import announce, discretise_study, read_study, settle_method
+from rfem_jax.report.progress_line import show
+
+STRUCTURE = ("coordinates", "constraints", "rank", "mobility", "rigid_mobility", "redundant", "gap", "idle")
+
+
+def command() -> Command:
+    """The subcommand."""
+    return Command(
+        name="check",
+        purpose="validate a study and print what was understood",
+        description="Validate a study file and print what was understood (links, joints, "
+        "coordinates, mobility, rank, largest stable step, cases, tasks, what they cost) without simulating.",
+        add_arguments=_add_arguments,
+        act=act,
+    )
+
+
+def _add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_study(parser)
+    add_cache(parser)
+
+
+def act(arguments: argparse.Namespace) -> Answer:
+    """Read, describe, look for the largest stable step. Raises InputError."""
+    study = read_study(arguments.study)
+
+    from rfem_jax.mechanics import describe
+    from rfem_jax.report.overview import study_text
+    from rfem_jax.report.study_cost import cost_text
+    from rfem_jax.report.tasks.task_overview import tasks_text
+    from rfem_jax.simulation import check_step
+
+    model = discretise_study(study)
+    structure = describe(model)
+    show(study_text(study, structure), end="\n\n")
+    if text := tasks_text(study):
+        show(text, end="\n\n")
+    show(cost_text(study), end="\n\n")
+    if study.method.name == "auto":
+        return Answer(document=_document(settle_method(study), structure, None))
+    announce("Looking for the largest stable step")
+    step = check_step(model, study.method, study.drive)
+    found = "any, chosen by the method, or not known" if step is None else f"{float(step):.3g} s"
+    show(f"Largest stable step of {study.method.name}: {found}.")
+    return Answer(document=_document(study, structure, step))
+
+
+def _document(study: Study, structure: Any, step: float | None) -> dict[str, Any]:
+    from dataclasses import asdict
+
+    mechanism = study.mechanism
+    joints = [
+        {"name": one.name, "kind": one.kind, "parent": one.parent, "child": one.child, "cut": one.cut}
+        for one in mechanism.joints
+    ]
+    found = {name: getattr(structure, name) for name in STRUCTURE}
+    return {
+        "title": study.title,
+        "links": [{"name": one.name, "length": one.length, "mass": one.mass} for one in mechanism.links],
+        "joints": joints,
+        "structure": found,
+        "duration": study.duration,
+        "method": asdict(study.method),
+        "largest_stable_step": None if step is None else float(step),
+        "cases": {case.name: {error: float(value) for error, value in case.errors.items()} for case in study.cases},
+        "tasks": list(study.tasks.declared),
+        "units": {"length": "m", "mass": "kg", "gap": "m", "duration": "s", "largest_stable_step": "s"},
+    }

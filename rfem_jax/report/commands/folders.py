@@ -1,0 +1,47 @@
+"""Folders for results: refused before anything is computed where they cannot be written.
+
+Place in the pipeline: used by the subcommands that write.
+"""
+
+import os
+from pathlib import Path
+
+
+def require_folder(out: str | Path) -> None:
+    """See that a folder for the results can be made, without making it. Raises InputError."""
+    if not str(out).strip():
+        from rfem_jax.description.errors import InputError
+
+        raise InputError("Argument `--out` must name a folder, but is empty; write . for the current one.")
+    folder = Path(out).absolute()
+    existing = next(path for path in (folder, *folder.parents) if path.exists())
+    if not existing.is_dir():
+        raise cannot_write(folder, NotADirectoryError(20, f"{existing} is a file"))
+    if not os.access(existing, os.W_OK | os.X_OK):
+        raise cannot_write(folder, PermissionError(13, "permission denied"))
+
+
+def open_folder(out: str | Path) -> Path:
+    """Make the folder for the results and see that files can be written into it.
+
+    Raises InputError before anything is simulated, not after.
+    """
+    folder = Path(out)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        probe = folder / f".{os.getpid()}.part"
+        probe.touch()
+        probe.unlink()
+    except OSError as problem:
+        raise cannot_write(folder, problem) from problem
+    return folder
+
+
+def cannot_write(folder: str | Path, problem: OSError) -> ValueError:
+    """The InputError for a folder into which the results cannot be written."""
+    from rfem_jax.description.errors import InputError
+
+    return InputError(
+        f"Argument `--out` must be a folder that can be written, but {folder} is not "
+        f"({problem.strerror or problem}); choose another one or free some space."
+    )

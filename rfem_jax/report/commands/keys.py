@@ -1,0 +1,38 @@
+"""`rfem-jax keys`: all keys of study files.
+
+Place in the pipeline: `rfem_jax.description.key_reference` -> `keys_text` -> **keys**.
+"""
+
+import argparse
+
+from rfem_jax.report.commands.command import Answer, Command
+from rfem_jax.report.progress_line import show
+
+
+def command() -> Command:
+    """The subcommand."""
+    return Command(
+        name="keys",
+        purpose="print all keys of study files",
+        description="Print all tables and keys that a study file may have, their defaults, and what they mean. "
+        'Numbers are in SI units and radians, or strings with a unit such as "0.5 deg".',
+        add_arguments=_add_arguments,
+        act=act,
+        computes=False,
+    )
+
+
+def _add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "table", metavar="WORD", nargs="?", help='tables with this word in their header, such as "joints"'
+    )
+
+
+def act(arguments: argparse.Namespace) -> Answer:
+    """Print the reference. Raises InputError."""
+    from dataclasses import asdict
+
+    from rfem_jax.report.keys_text import chosen_tables, reference_text
+
+    show(reference_text(arguments.table))
+    return Answer(document={"tables": [asdict(table) for table in chosen_tables(arguments.table)]})

@@ -1,0 +1,94 @@
+"""What several subcommands do: read a study, settle its method, say what begins, do a task, list the files.
+
+Place in the pipeline: used by the subcommands; imports what it needs when it is called.
+"""
+
+import json
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+from rfem_jax.report.annotations import Model, Study
+from rfem_jax.report.commands.folders import cannot_write
+from rfem_jax.report.progress_line import note
+
+
+def announce(stage: str, done: float | None = None) -> None:
+    """Tell the progress line what begins, or how much of it is done."""
+    from rfem_jax.compilation.stages import on_stage
+
+    on_stage(stage, done)
+
+
+def read_study(path: str) -> Study:
+    """The study of a file. Raises InputError."""
+    from rfem_jax.description import load_study
+
+    announce(f"Reading {path}")
+    return load_study(path)
+
+
+def discretise_study(study: Study) -> Model:
+    """The model of the study's mechanism; what is wrong with it is said with the file's name."""
+    from rfem_jax.description.errors import located
+    from rfem_jax.mechanics import discretise
+
+    with located(f"Study file `{study.path}`"):
+        return discretise(study.mechanism)
+
+
+def settle_method(study: Study) -> Study:
+    """The study with a method whose step is known to be stable; says what "auto" stands for."""
+    from rfem_jax.simulation import check_step
+
+    model = discretise_study(study)
+    if study.method.name != "auto":
+        announce("Looking for the largest stable step")
+        check_step(model, study.method, study.drive)
+        return study
+    from dataclasses import replace
+
+    from rfem_jax.simulation import choose_method
+
+    announce("Choosing the method and its step")
+    method = choose_method(model, study.method, study.drive, study.duration, save_every=study.save_every)
+    note(f"Method auto: {method.name} with a step of {method.step:.3g} s.")
+    return replace(study, method=method, asked_method=study.method)
+
+
+def write_task(study: Study, task: str, folder: Path) -> tuple[bool, list[Path]]:
+    """Do a task of a study; returns whether it succeeded, and the files written. Raises InputError."""
+    from rfem_jax.report.tasks.task_report import do_task
+
+    try:
+        return do_task(study, task, folder)
+    except OSError as problem:
+        raise cannot_write(folder, problem) from problem
+
+
+def write_page(folder: Path) -> list[Path]:
+    """Write the page of all results that the folder has. Raises InputError."""
+    from rfem_jax.report.page.document import write_folder
+
+    announce("Writing report.html")
+    try:
+        return [write_folder(folder)]
+    except OSError as problem:
+        raise cannot_write(folder, problem) from problem
+
+
+def require_task_folders(study: Study, tasks: Sequence[str], out: str | Path) -> None:
+    """See that the folder can hold what these tasks keep there, before anything is computed."""
+    if not tasks:
+        return
+    from rfem_jax.report.tasks.task_report import report_on
+
+    for task in tasks:
+        report_on(study, task).require_folder(Path(out))
+
+
+def files_document(folder: Path | None, files: Iterable[Path]) -> dict[str, Any]:
+    """Part of an answer: the folder, the files written, and what the JSON files among them say, by their names."""
+    files = list(files)
+    contents = {one.name: json.loads(one.read_text(encoding="utf-8")) for one in files if one.suffix == ".json"}
+    return {"folder": None if folder is None else str(folder), "files": [str(one) for one in files]} | contents

@@ -1,0 +1,69 @@
+"""`rfem-jax sensitivity`, `monte-carlo`, ...: one subcommand for every kind of task.
+
+Place in the pipeline: `rfem_jax.task_kinds` -> **tasks** -> the reports on tasks.
+"""
+
+import argparse
+import time
+
+from rfem_jax.report.commands.command import (
+    CASE_FAILED,
+    DONE,
+    Answer,
+    Command,
+    add_processes,
+    add_study_and_folder,
+)
+from rfem_jax.report.commands.folders import open_folder, require_folder
+from rfem_jax.report.commands.steps import (
+    files_document,
+    read_study,
+    require_task_folders,
+    settle_method,
+    write_page,
+    write_task,
+)
+from rfem_jax.report.progress_line import show
+from rfem_jax.task_kinds import TaskKind, task_kinds
+
+
+def task_commands() -> list[Command]:
+    """The subcommands of all kinds of tasks that are known."""
+    return [_command_of(kind) for kind in task_kinds().values()]
+
+
+def _command_of(kind: TaskKind) -> Command:
+    def add_arguments(parser: argparse.ArgumentParser) -> None:
+        add_study_and_folder(parser)
+        if kind.many_processes:
+            add_processes(parser)
+
+    return Command(
+        name=kind.command or kind.name,
+        purpose=kind.purpose,
+        description=f"Do the task of the study's table [{kind.name}]: {kind.purpose}. Writes JSON, CSV "
+        f"and pictures: {kind.results}.",
+        add_arguments=add_arguments,
+        act=lambda arguments: _do(kind.name, arguments),
+        kept=kind.kept,
+    )
+
+
+def _do(task: str, arguments: argparse.Namespace) -> Answer:
+    started = time.perf_counter()
+    study = read_study(arguments.study)
+
+    from rfem_jax.report.tasks.task_report import require_task
+
+    require_task(study, task)
+    require_folder(arguments.out)
+    require_task_folders(study, (task,), arguments.out)
+    study = settle_method(study)
+    folder = open_folder(arguments.out)
+    good, written = write_task(study, task, folder)
+    if written:  # not by the helpers of process 0
+        written += write_page(folder)
+    seconds = time.perf_counter() - started
+    if written:
+        show(f"{len(written)} files written to {folder} ({seconds:.1f} s in all).")
+    return Answer(DONE if good else CASE_FAILED, files_document(folder, written))

@@ -1,0 +1,267 @@
+"""Runs as labelled data: an xarray Dataset, a table of the joints, HTML for notebooks.
+
+Place in the pipeline: `Run.to_xarray`, `Run.to_pandas` and `Run._repr_html_`, and those of the runs of a study
+(`cases.Runs`), call these.
+
+Dimensions: `case` (of a batch), `time`, `joint`, `component` (x, y, z of the joint's frame H, of global axes for link
+ends and forces at points); `rotation` and `translation` for driven coordinates, `angle` and `displacement` for the
+coordinates of the tree joints, `link`, `point`, `cut_joint`, `friction`, `force_at_points`. What a mechanism does not
+have is left out.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from rfem_jax import rich_text
+from rfem_jax.description.errors import InputError
+from rfem_jax.labelled_data import COMPONENTS, DataFrame, Dataset, Labelled, column_name, dataset, frame
+from rfem_jax.mechanics.status import STATUS
+
+Run = Any  # `rfem_jax.simulation.run.Run`, which imports this module
+
+METRICS = {
+    "mean_square_force": ("N^2", "mean square of the resultant force over the run"),
+    "mean_square_moment": ("(N m)^2", "mean square of the resultant moment over the run"),
+    "rms_force": ("N", "RMS resultant force"),
+    "rms_moment": ("N m", "RMS resultant moment"),
+    "max_axial_force": ("N", "largest absolute force along the joint's axis"),
+    "max_normal_force": ("N", "largest resultant force across the joint's axis"),
+}
+ENERGIES = {
+    "kinetic": "kinetic energy",
+    "elastic": "elastic energy",
+    "gravity": "potential energy of the weight",
+    "total": "mechanical energy",
+    "work": "work of the drives since the start",
+    "dissipation": "energy dissipated since the start",
+}
+CHECKS = {
+    "energy_balance_error": ("1", "energy balance, relative to the largest energy"),
+    "closure_drift": ("m", "largest distance of the two centres of a cut joint"),
+    "closure_drift_angle": ("rad", "largest residual of the axis equations of a cut joint"),
+    "momentum_balance_error": ("1", "balance of joint loads against the rate of momentum, relative"),
+    "hinge_moment_error": ("1", "moment about free axes beyond the forces in the joints, relative"),
+    "stabilisation_share": ("1", "largest stabilising multiplier over the largest multiplier"),
+    "solution_residual": ("1", "largest residual of an implicit step over the largest joint force"),
+}
+
+
+def run_dataset(run: Run, cases: Sequence[str] | None = None) -> Dataset:
+    """Everything that a run has, with named dimensions, units and long names.
+
+    Args: run, one or a batch with one leading axis; cases, the names along it (None: their numbers).
+    Raises: InputError for a batch with several axes; ModuleNotFoundError without xarray.
+    """
+    axes = np.ndim(run.status)
+    if axes > 1:
+        raise InputError(
+            f"A batch of runs must have one axis to be labelled, but has the shape {np.shape(run.status)}; flatten it."
+        )
+    before = ("case",) * axes
+    joints = tuple(run.loads)
+    times = np.asarray(run.times)
+    coordinates: dict[str, Any] = {
+        # All runs of a batch have the same saved times.
+        "time": Labelled(("time",), times[0] if axes else times, "s", "time"),
+        "joint": joints,
+        "component": COMPONENTS,
+    }
+    if axes:
+        count = len(np.asarray(run.status))
+        names = [str(number) for number in range(count)] if cases is None else cases
+        coordinates["case"] = names
+    variables: dict[str, Labelled] = {}
+    _add_loads(variables, run, joints, before)
+    _add_motion(variables, coordinates, run, before)
+    _add_energies(variables, coordinates, run, before)
+    _add_points(variables, coordinates, run, before)
+    _add_lines(variables, coordinates, run, before)
+    for name, (unit, meaning) in CHECKS.items():
+        variables[name] = Labelled(before, getattr(run, name), unit, meaning)
+    codes = {"flag_values": np.arange(len(STATUS)), "flag_meanings": " ".join(one.name for one in STATUS)}
+    variables["status"] = Labelled(before, run.status, "1", "what happened to the run", codes)
+    return dataset(variables, coordinates, {"title": "rfem_jax: simulated loads and motion"})
+
+
+def _stack(values: Sequence[Any], axis: int) -> np.ndarray:
+    return np.stack([np.asarray(one) for one in values], axis=axis)
+
+
+def _add_loads(variables, run, joints, before) -> None:
+    """Loads over time, preloads, integrals and metrics by joint."""
+    at = len(before)
+    for what, unit in (("force", "N"), ("moment", "N m")):
+        over_time = _stack([getattr(run.loads[name], what) for name in joints], at + 1)
+        variables[what] = Labelled((*before, "time", "joint", "component"), over_time, unit, f"joint {what}, frame H")
+        start = _stack([getattr(run.preload[name], what) for name in joints], at)
+        variables[f"preload_{what}"] = Labelled(
+            (*before, "joint", "component"), start, unit, f"joint {what} at the start, frame H"
+        )
+        squared = {"force": "N^2 s", "moment": "(N m)^2 s"}[what]
+        sums = getattr(run.integrals, f"{what}_square")
+        variables[f"{what}_square_integral"] = Labelled(
+            (*before, "time", "joint"), _stack([sums[name] for name in joints], at + 1), squared,
+            f"integral of the squared resultant {what} since the start",
+        )  # fmt: skip
+    for name, (unit, meaning) in METRICS.items():
+        by_joint = getattr(run.metrics, name)
+        variables[name] = Labelled((*before, "joint"), _stack([by_joint[one] for one in joints], at), unit, meaning)
+
+
+def _add_motion(variables, coordinates, run, before) -> None:
+    """Driven coordinates and those of the tree joints, rotations and translations apart as their units differ."""
+    turning = [name for name in run.drives if _turns(run, name)]
+    kinds = (
+        ("rotation", turning, ("drive_angle", "rad"), ("drive_rate", "rad/s"), ("drive_moment", "N m")),
+        (
+            "translation", [name for name in run.drives if name not in turning],
+            ("drive_displacement", "m"), ("drive_speed", "m/s"), ("drive_force", "N"),
+        ),
+    )  # fmt: skip
+    at = len(before) + 1
+    for dimension, labels, *columns in kinds:
+        if not labels:
+            continue
+        coordinates[dimension] = labels
+        for (name, unit), field in zip(columns, ("position", "rate", "force"), strict=True):
+            values = _stack([getattr(run.drives[label], field) for label in labels], at)
+            meaning = f"{name.replace('drive_', '')} of the driven coordinate"
+            variables[name] = Labelled((*before, "time", dimension), values, unit, meaning)
+    for dimension, unit, by_joint in (("angle", "rad", run.angles), ("displacement", "m", run.displacements)):
+        columns = dict(_coordinates(by_joint, at))
+        if columns:
+            coordinates[dimension] = list(columns)
+            values = _stack(list(columns.values()), at)
+            meaning = f"{dimension} of a joint of the tree"
+            variables[f"joint_{dimension}"] = Labelled((*before, "time", dimension), values, unit, meaning)
+
+
+def _turns(run, label: str) -> bool:
+    """Whether a driven coordinate, "A" or "C.T_y", is an angle."""
+    joint, _, motion = label.partition(".")
+    return motion.startswith("R") if motion else joint in run.angles
+
+
+def _coordinates(by_joint: Mapping[str, Any], axes: int):
+    """(label, values over time): "B", or "S_1", "S_2" where a joint has several."""
+    for name, values in by_joint.items():
+        values = np.asarray(values)
+        if values.ndim == axes:
+            yield name, values
+        else:
+            yield from ((f"{name}_{number}", values[..., number - 1]) for number in range(1, values.shape[-1] + 1))
+
+
+def _add_energies(variables, coordinates, run, before) -> None:
+    for name, meaning in ENERGIES.items():
+        variables[f"{name}_energy" if name != "work" else name] = Labelled(
+            (*before, "time"), getattr(run.energy, name), "J", meaning
+        )
+    if run.friction_losses:
+        coordinates["friction"] = list(run.friction_losses)
+        values = _stack(list(run.friction_losses.values()), len(before) + 1)
+        meaning = "energy that a friction has dissipated since the start"
+        variables["friction_loss"] = Labelled((*before, "time", "friction"), values, "J", meaning)
+    if run.branch:
+        coordinates["cut_joint"] = list(run.branch)
+        values = _stack(list(run.branch.values()), len(before) + 1)
+        variables["branch"] = Labelled((*before, "time", "cut_joint"), values, "1", "assembly mode, +1 or -1")
+
+
+def _add_points(variables, coordinates, run, before) -> None:
+    """Forces at points of links and between them, in global axes."""
+    if not run.forces:
+        return
+    coordinates["force_at_points"] = list(run.forces)
+    fields = (
+        ("force", "N", "force at a point"),
+        ("moment", "N m", "moment on the second point"),
+        ("place", "m", "position of the second point"),
+        ("first_place", "m", "position of the first point"),
+    )
+    for field, unit, meaning in fields:
+        values = _stack([getattr(one, field) for one in run.forces.values()], len(before) + 1)
+        dims = (*before, "time", "force_at_points", "component")
+        variables[f"point_{field}"] = Labelled(dims, values, unit, f"{meaning}, global axes")
+
+
+def _add_lines(variables, coordinates, run, before) -> None:
+    """Positions of the far ends of the links over time; centre lines as assembled, filled up with NaN."""
+    if not run.ends:
+        return
+    links = list(run.ends)
+    coordinates["link"] = links
+    at = len(before)
+    ends = _stack(list(run.ends.values()), at + 1)
+    dims = (*before, "time", "link", "component")
+    variables["link_end"] = Labelled(dims, ends, "m", "position of the far end of a link, global axes")
+    for name, lines in (("centre_line", run.centre_lines), ("nominal_line", run.nominal_lines)):
+        points = [np.asarray(lines[link]) for link in links]
+        most = max(one.shape[at] for one in points)
+        filled = [
+            np.pad(one, [(0, 0)] * at + [(0, most - one.shape[at]), (0, 0)], constant_values=np.nan) for one in points
+        ]
+        meaning = "points along a link as assembled" if name == "centre_line" else "points along a link, no errors"
+        dims = (*before, "link", "point", "component")
+        variables[name] = Labelled(dims, _stack(filled, at), "m", f"{meaning}, global axes")
+
+
+def joint_rows(run: Run, case: str | None = None) -> list[dict[str, Any]]:
+    """A row per joint of one run: its metrics and preload, named with their units."""
+    rows = []
+    for joint in run.loads:
+        row: dict[str, Any] = {} if case is None else {"case": case}
+        row["joint"] = joint
+        for name, (unit, _) in METRICS.items():
+            row[column_name(name, unit)] = float(getattr(run.metrics, name)[joint])
+        for what, unit in (("force", "N"), ("moment", "N m")):
+            values = np.asarray(getattr(run.preload[joint], what))
+            row |= {column_name(f"preload_{what}_{x}", unit): float(v) for x, v in zip(COMPONENTS, values, strict=True)}
+        rows.append(row)
+    return rows
+
+
+def require_one(run: Run) -> None:
+    """Raise InputError for a batch."""
+    if np.ndim(run.status) != 0:
+        raise InputError(
+            f"A table of joints must be of one run, but this is a batch of {np.shape(run.status)} runs; take one of "
+            "them, or use to_xarray()."
+        )
+
+
+def run_frame(run: Run) -> DataFrame:
+    """`joint_rows` as a DataFrame, by joint. Raises: InputError for a batch; ModuleNotFoundError without pandas."""
+    require_one(run)
+    return frame(joint_rows(run), ["joint"])
+
+
+SHOWN = ("rms_force", "rms_moment", "max_axial_force", "max_normal_force")
+
+
+def run_html(run: Run) -> str:
+    """Status, loads and balances of one run; a batch says its size."""
+    if np.ndim(run.status) != 0:
+        return rich_text.document("Run", rich_text.paragraph(run.summary()))
+    rows = [[joint, *(float(getattr(run.metrics, name)[joint]) for name in SHOWN)] for joint in run.loads]
+    header = ["joint", *(f"{METRICS[name][1]}, {METRICS[name][0]}" for name in SHOWN)]
+    status = STATUS[int(run.status)]
+    title = f"Run of {float(run.times[-1]):g} s, status {status.name}"
+    checks = [[meaning, float(getattr(run, name)), unit] for name, (unit, meaning) in CHECKS.items()]
+    parts = [rich_text.table(header, rows), rich_text.table(["check", "value", "unit"], checks, (0, 2))]
+    if status.name != "ok":
+        parts.insert(0, rich_text.paragraph(status.message))
+    return rich_text.document(title, *parts)
+
+
+def runs_html(runs: Mapping[str, Run]) -> str:
+    """Loads of all cases, a row per case and joint, and their status."""
+    rows = [
+        [case, joint, *(float(getattr(run.metrics, name)[joint]) for name in SHOWN), STATUS[int(run.status)].name]
+        for case, run in runs.items()
+        for joint in run.loads
+    ]
+    header = ["case", "joint", *(f"{METRICS[name][1]}, {METRICS[name][0]}" for name in SHOWN), "status"]
+    return rich_text.document(f"Runs of {len(runs)} cases", rich_text.table(header, rows, (0, 1, len(header) - 1)))

@@ -1,0 +1,253 @@
+"""When limits hold: at the perfect mechanism, everywhere within the tolerances, by root sum of squares, at a yield.
+
+Place in the pipeline: variables, observations -> **criteria** -> search.
+
+A criterion has standard points z (n, k), where the problem is observed, and makes constraints g(y) <= 0 of what was
+observed there, with their derivatives.  The first standard point is zero: the perfect mechanism, of which the objective
+is a function.
+
+    nominal     g_l = h_l(0)
+    worst_case  g_j = h_l(z_j) for the worst points z_j of limit l found so far (theory (10.15)); `extend` finds more
+    rss         g_l = mean + c deviations of h_l over a fixed sample, in the mean square the root sum of squares
+    yield       g = quantile of max_l h_l over a fixed sample (Harrell and Davis, theory (10.17))
+
+Symbols: y (p,) variables; h (n, l) normalised limits, at most 0 where they hold; dh (n, l, p) their derivatives.
+"""
+
+import abc
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from rfem_jax.tolerancing.allocation.models import quantile_weights
+from rfem_jax.tolerancing.optimisation.projected_gradient import climb_together
+from rfem_jax.tolerancing.optimisation.starting_points import (
+    box_corners,
+    distinct,
+    projection,
+    sobol_units,
+)
+from rfem_jax.tolerancing.problems.distributions import Tolerance
+from rfem_jax.tolerancing.robust_design.observations import Observed, Observer
+from rfem_jax.tolerancing.sampling.sequences import RandomKey
+
+CORNERS = 4  # of so many errors the corners of the box are among the starts of a search for the worst point
+SEARCH_STEPS = 40
+NEW_POINT = 1e-3  # points nearer than this are one
+FAILED = 1e3  # a constraint whose sample failed: far from holding
+
+
+class NormalisedLimit(NamedTuple):
+    """One end of a limit: metric's name, unit and position, sign (1 upper, -1 lower), bound, and scale [unit] by which
+    distances from it are divided."""
+
+    metric: str
+    unit: str
+    position: int
+    sign: float
+    bound: float
+    scale: float
+
+    def normalise(self, values: Float[np.ndarray, "*n m"]) -> Float[np.ndarray, "*n"]:
+        """h from the values of all metrics."""
+        return self.sign * (values[..., self.position] - self.bound) / self.scale
+
+    def restore(self, h: float) -> float:
+        """The metric's value of a normalised h."""
+        return self.bound + self.sign * self.scale * h
+
+
+class Constrained(NamedTuple):
+    """Constraints (c,), at most 0 where they hold, their derivatives (c, p), and the limit (c,) of each (-1: all)."""
+
+    value: Float[np.ndarray, " c"]
+    derivative: Float[np.ndarray, "c p"]
+    limit: tuple[int, ...]
+
+
+class Criterion(abc.ABC):
+    """See the module's docstring.
+
+    Arguments: observer; limits (l); points (n, k), standard points, the first of which is zero.
+    """
+
+    def __init__(
+        self, observer: Observer, limits: Sequence[NormalisedLimit], points: Float[np.ndarray, "n k"] | None = None
+    ):
+        self.observer, self.limits = observer, tuple(limits)
+        origin = np.zeros((1, len(observer.variables.errors)))
+        self.points = origin if points is None else np.concatenate([origin, points])
+
+    def observe(self, y: Float[np.ndarray, " p"]) -> Observed:
+        """The problem at all standard points."""
+        return self.observer.observe(y, self.points)
+
+    def constraints(self, y: Float[np.ndarray, " p"]) -> Constrained:
+        """Constraints at y, with derivatives."""
+        seen = self.observe(y)
+        back = self.observer.variables.pull_back(y, self.points, seen.jacobian)
+        h = np.stack([limit.normalise(seen.values) for limit in self.limits], axis=1)
+        factors = np.array([limit.sign / limit.scale for limit in self.limits])
+        dh = back[:, [limit.position for limit in self.limits]] * factors[:, None]
+        return self.reduce(h, dh)
+
+    @abc.abstractmethod
+    def reduce(self, h: Float[np.ndarray, "n l"], dh: Float[np.ndarray, "n l p"]) -> Constrained:
+        """Constraints from the normalised limits at all standard points."""
+
+    def extend(self, y: Float[np.ndarray, " p"], key: RandomKey) -> bool:
+        """Add standard points that the constraints at y lack; returns whether there were any."""
+        del y, key
+        return False
+
+    def tighten(self, shortfall: float) -> None:
+        """Aim higher after a fresh run fell short."""
+        del shortfall
+
+
+class NominalCriterion(Criterion):
+    """Limits hold at the perfect mechanism."""
+
+    def reduce(self, h: Float[np.ndarray, "n l"], dh: Float[np.ndarray, "n l p"]) -> Constrained:
+        """As `Criterion.reduce`."""
+        return _constrained(h[0], dh[0], range(len(self.limits)))
+
+
+class WorstCaseCriterion(Criterion):
+    """Limits hold everywhere in the box of the tolerances: at all worst points that were found."""
+
+    def __init__(self, observer: Observer, limits: Sequence[NormalisedLimit], key: RandomKey):
+        super().__init__(observer, limits)
+        self.owner = [*range(len(self.limits))]  # every limit at the centre, until worse points are found
+        self.row = [0] * len(self.limits)
+        self.key = key
+
+    def reduce(self, h: Float[np.ndarray, "n l"], dh: Float[np.ndarray, "n l p"]) -> Constrained:
+        """As `Criterion.reduce`."""
+        return _constrained(h[self.row, self.owner], dh[self.row, self.owner], self.owner)
+
+    def extend(self, y: Float[np.ndarray, " p"], key: RandomKey) -> bool:
+        """Add the worst points of the limits at y, where they are worse than those known; returns whether any is."""
+        before = self.constraints(y).value
+        starts = search_starts(len(self.observer.variables.errors), key)
+        added = False
+        for number in range(len(self.limits)):
+            known = max(g for g, owner in zip(before, self.owner, strict=True) if owner == number)
+            points, heights = worst_points(self.observer, self.limits[number], y, starts)
+            for z, height in zip(points[:2], heights[:2], strict=True):
+                new = np.max(np.abs(self.points - z), axis=1).min() > NEW_POINT
+                if height > max(known, 0.0) + NEW_POINT**2 and new:
+                    self.points = np.concatenate([self.points, z[None]])
+                    self.owner.append(number)
+                    self.row.append(len(self.points) - 1)
+                    added = True
+        return added
+
+
+class SampleCriterion(Criterion):
+    """Limits hold for a fixed sample of a distribution: by root sum of squares, or at a yield.
+
+    Arguments: kind "rss" or "yield"; level, of a yield; coverage, deviations of "rss"; distribution, a callable
+    half-width -> Tolerance; samples, number of standard points.
+    """
+
+    def __init__(
+        self,
+        observer: Observer,
+        limits: Sequence[NormalisedLimit],
+        key: RandomKey,
+        *,
+        kind: str,
+        level: float,
+        coverage: float,
+        distribution: Callable[[float], Tolerance],
+        samples: int,
+    ):
+        units = sobol_units(len(observer.variables.errors), samples, key)
+        super().__init__(observer, limits, standard_points(distribution, units))
+        self.kind, self.aim, self.coverage = kind, level, coverage
+        self.extra = 0.0
+
+    def reduce(self, h: Float[np.ndarray, "n l"], dh: Float[np.ndarray, "n l p"]) -> Constrained:
+        """As `Criterion.reduce`; failed samples are left out of "rss", and count as bad for a yield."""
+        h, dh = h[1:], dh[1:]
+        good = np.isfinite(h).all(axis=1) & np.isfinite(dh).all(axis=(1, 2))
+        count, limits = len(h), range(len(self.limits))
+        if not good.any() or (self.kind == "yield" and np.mean(good) <= self.aim):
+            return _failed(len(self.limits), dh.shape[2], limits)
+        h, dh = h[good], dh[good]
+        if self.kind == "rss":
+            mean, slope = h.mean(axis=0), dh.mean(axis=0)
+            away = h - mean
+            deviation = np.sqrt((away**2).sum(axis=0) / max(len(h) - 1, 1))
+            along = np.einsum("nl,nlp->lp", away, dh - slope) / max(len(h) - 1, 1)
+            safe = np.where(deviation > 0.0, deviation, 1.0)
+            value = mean + self.coverage * deviation + self.extra
+            return _constrained(value, slope + self.coverage * along / safe[:, None], limits)
+        worst = np.argmax(h, axis=1)
+        rows = np.arange(len(h))
+        order = np.argsort(h[rows, worst], kind="stable")
+        weights = quantile_weights(len(h), min(self.aim * count / len(h), 1.0))
+        return _constrained(
+            np.array([weights @ h[rows, worst][order]]), (weights @ dh[rows, worst][order])[None], (-1,)
+        )
+
+    def tighten(self, shortfall: float) -> None:
+        """Aim higher after a fresh run fell short: of a yield by the fraction, of "rss" by the normalised limit."""
+        if self.kind == "rss":
+            self.extra += shortfall
+        else:
+            self.aim += min(shortfall, 0.5 * (1.0 - self.aim))
+
+
+def standard_points(
+    distribution: Callable[[float], Tolerance], units: Float[np.ndarray, "n k"]
+) -> Float[np.ndarray, "n k"]:
+    """Errors for half-widths of one at points of the unit cube."""
+    return np.asarray(distribution(1.0).quantile(jnp.asarray(units)))
+
+
+def search_starts(k: int, key: RandomKey) -> Float[np.ndarray, "starts k"]:
+    """Where searches for a worst point in the box of k errors begin: corners, where they are few, and Sobol' points."""
+    spread = 2.0 * sobol_units(k, 8, key) - 1.0
+    return np.concatenate([box_corners(k), spread]) if k <= CORNERS else spread
+
+
+def worst_points(
+    observer: Observer, limit: NormalisedLimit, y: Float[np.ndarray, " p"], starts: Float[np.ndarray, "starts k"]
+) -> tuple[Float[np.ndarray, "n k"], Float[np.ndarray, " n"]]:
+    """The distinct local maxima of a normalised limit over the box of the tolerances at y, the worst first."""
+
+    def function(z: Float[np.ndarray, "n k"]) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n k"]]:
+        seen = observer.observe(y, z)
+        slopes = observer.variables.by_errors(y, seen.jacobian)[:, limit.position] * (limit.sign / limit.scale)
+        return limit.normalise(seen.values), slopes
+
+    search = climb_together(function, projection("box"), starts, evaluations=SEARCH_STEPS, tolerance=1e-6)
+    points, heights = np.asarray(search.point), np.asarray(search.value)
+    kept = distinct(points, heights, NEW_POINT)
+    return points[kept], heights[kept]
+
+
+def _constrained(
+    value: Float[np.ndarray, " c"], derivative: Float[np.ndarray, "c p"], limits: Sequence[int]
+) -> Constrained:
+    """Constraints, those of failed samples far from holding."""
+    good = np.isfinite(value) & np.isfinite(derivative).all(axis=1)
+    return Constrained(np.where(good, value, FAILED), np.where(good[:, None], derivative, 0.0), tuple(limits))
+
+
+def _failed(count: int, variables: int, limits: Sequence[int]) -> Constrained:
+    return Constrained(np.full(count, FAILED), np.zeros((count, variables)), tuple(limits))
+
+
+CRITERIA: dict[str, Callable[..., Criterion]] = {
+    "nominal": lambda observer, limits, key, **_: NominalCriterion(observer, limits),
+    "worst_case": lambda observer, limits, key, **_: WorstCaseCriterion(observer, limits, key),
+    "rss": partial(SampleCriterion, kind="rss"),
+    "yield": partial(SampleCriterion, kind="yield"),
+}

@@ -1,0 +1,110 @@
+"""Values and derivatives of a problem at many errors, each computed once and kept for an interrupted search.
+
+Place in the pipeline: variables, problem -> **observations** -> criteria, search.
+
+A search is deterministic: started again with the same folder, it asks for the same points in the same order, and those
+that are kept there are not computed again.
+
+Symbols: y (p,) variables; z (n, k) standard points; m metrics; values (n, m), NaN where a sample failed.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from rfem_jax.tolerancing.problems.evaluation import Base, evaluate_points
+from rfem_jax.tolerancing.problems.problem import ToleranceProblem
+from rfem_jax.tolerancing.problems.quadratic_model import linearise_points
+from rfem_jax.tolerancing.problems.results_store import ResultsStore
+from rfem_jax.tolerancing.robust_design.variables import Variables
+
+
+class Observed(NamedTuple):
+    """Values (n, m) of all metrics and their derivatives by the deviations (n, m, names) at n standard points; both
+    NaN where a sample failed."""
+
+    values: Float[np.ndarray, "n m"]
+    jacobian: Float[np.ndarray, "n m names"]
+
+    @property
+    def good(self) -> Bool[np.ndarray, " n"]:
+        """Which samples did not fail."""
+        return np.all(np.isfinite(self.values), axis=1) & np.all(np.isfinite(self.jacobian), axis=(1, 2))
+
+
+@dataclass(eq=False)
+class Observer:
+    """Evaluates a problem at variables and standard points.
+
+    Attributes: base, errors with fixed values; mode and batch as of `linearise_points`; store, where evaluations are
+    kept (None: nowhere); told, is called with the number of simulations after every evaluation; simulations, failed:
+    their numbers so far.
+    """
+
+    problem: ToleranceProblem
+    variables: Variables
+    base: Base
+    mode: str
+    batch: int
+    store: ResultsStore | None = None
+    told: Callable[[int], object] | None = None
+    simulations: int = 0
+    failed: int = 0
+    _asked: int = 0
+    _last: dict[bytes, Observed] = field(default_factory=dict)
+    _known: dict[bytes, Observed] = field(default_factory=dict)
+
+    def observe(self, y: Float[np.ndarray, " p"], z: Float[np.ndarray, "n k"]) -> Observed:
+        """Values and derivatives at variables y and standard points z."""
+        return self.observe_points(self.variables.deviations(y, z))
+
+    def observe_points(self, points: Float[np.ndarray, "n names"]) -> Observed:
+        """Values and derivatives at deviations."""
+        key = points.tobytes()
+        if key in self._known:
+            return self._known[key]
+        if key not in self._last:
+            found = self._kept(points)
+            self.simulations += len(points)
+            self.failed += int(np.sum(~found.good))
+            if self.told is not None:
+                self.told(self.simulations)
+            # Searches ask again for the points of the last few steps at most.
+            if len(self._last) > 16:
+                self._last.pop(next(iter(self._last)))
+            self._last[key] = found
+        return self._last[key]
+
+    def learn(self, groups: Sequence[Float[np.ndarray, "n names"]]) -> None:
+        """Observe several groups of deviations at once; each is known by itself afterwards."""
+        together = self.observe_points(np.concatenate(groups))
+        stop = 0
+        for points in groups:
+            start, stop = stop, stop + len(points)
+            self._known[points.tobytes()] = Observed(together.values[start:stop], together.jacobian[start:stop])
+
+    def values(self, y: Float[np.ndarray, " p"], z: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n m"]:
+        """Values alone, by a program without derivatives; NaN where a sample failed."""
+        points = self.variables.deviations(y, z)
+        self.simulations += len(points)
+        return evaluate_points(self.problem, self.variables.names, self.base, points, self.batch)[0]
+
+    def _kept(self, points) -> Observed:
+        index, self._asked = self._asked, self._asked + 1
+        if self.store is None:
+            return self._compute(points)
+        found = self.store.read(index)
+        if found is None or not np.array_equal(found["points"], points):
+            observed = self._compute(points)
+            self.store.write(index, {"points": points, **observed._asdict()})
+            return observed
+        return Observed(found["values"], found["jacobian"])
+
+    def _compute(self, points) -> Observed:
+        values, jacobian, _ = linearise_points(
+            self.problem, self.variables.names, self.base, points, mode=self.mode, batch=self.batch
+        )
+        return Observed(values, jacobian)

@@ -1,0 +1,105 @@
+"""The best point of a smooth objective under constraints in the unit cube, and how well it is one.
+
+Place in the pipeline: criteria -> **search** -> optimisation.
+
+Sequential quadratic programming (SciPy's SLSQP: D. Kraft, A software package for sequential quadratic programming,
+DFVLR-FB 88-28, 1988) with exact derivatives.  The multipliers come afterwards from the conditions of Karush, Kuhn and
+Tucker, by least squares without negative ones; what is left of the conditions is the residual.
+
+Symbols: y (p,) variables; c objective, of the order of one; g (q,) constraints, at most 0.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy.optimize import minimize, nnls
+
+ACTIVE = 1e-5  # a constraint nearer to its limit than this is active
+HOLDS = 1e-6  # a constraint above this does not hold
+
+Evaluation = tuple[float, Float[np.ndarray, " p"], Float[np.ndarray, " q"], Float[np.ndarray, "q p"]]
+
+
+class Found(NamedTuple):
+    """The end of a search: y (p,), objective, constraints (q,), their multipliers (q,), the KKT residual |grad L|_inf
+    (that of bounds included), and the number of steps."""
+
+    y: Float[np.ndarray, " p"]
+    objective: float
+    constraints: Float[np.ndarray, " q"]
+    multipliers: Float[np.ndarray, " q"]
+    residual: float
+    steps: int
+
+    @property
+    def violation(self) -> float:
+        """The largest constraint, 0 if all hold."""
+        return float(np.max(self.constraints, initial=0.0))
+
+    @property
+    def feasible(self) -> bool:
+        """Whether all constraints hold."""
+        return self.violation <= HOLDS
+
+
+def minimise_within(
+    function: Callable[[Float[np.ndarray, " p"]], Evaluation], start: Float[np.ndarray, " p"], *, most: int = 100
+) -> Found:
+    """Minimise an objective under constraints in the unit cube.
+
+    Arguments: function, y -> (objective, its gradient, constraints, their derivatives), cheap where it is asked again
+    for the last y; start; most, number of steps.
+    """
+    solved = minimize(
+        lambda y: function(y)[0],
+        start,
+        jac=lambda y: function(y)[1],
+        bounds=[(0.0, 1.0)] * len(start),
+        constraints={"type": "ineq", "fun": lambda y: -function(y)[2], "jac": lambda y: -function(y)[3]},
+        method="SLSQP",
+        options={"maxiter": most, "ftol": 1e-12},
+    )
+    y = np.clip(solved.x, 0.0, 1.0)
+    objective, gradient, constraints, derivatives = function(y)
+    multipliers, residual = _multipliers(y, gradient, constraints, derivatives)
+    return Found(y, float(objective), constraints, multipliers, residual, int(solved.nit))
+
+
+def least_violation(
+    function: Callable[[Float[np.ndarray, " p"]], Evaluation], start: Float[np.ndarray, " p"], *, most: int = 100
+) -> Found:
+    """The point whose largest constraint is least: how near an infeasible request comes to its limits."""
+    worst = float(np.max(function(start)[2]))
+    span = max(2.0 * abs(worst), 1.0)
+
+    def relaxed(x: Float[np.ndarray, " r"]) -> Evaluation:
+        # The last variable is the violation that is allowed, from -span to span.
+        _, gradient, constraints, derivatives = function(x[:-1])
+        allowed = span * (2.0 * x[-1] - 1.0)
+        along = np.concatenate([derivatives, np.full((len(constraints), 1), -2.0 * span)], axis=1)
+        slope = np.append(np.zeros_like(gradient), 2.0)
+        return 2.0 * x[-1] - 1.0, slope, constraints - allowed, along
+
+    begin = np.append(start, np.clip(0.5 + 0.5 * worst / span, 0.0, 1.0))
+    found = minimise_within(relaxed, begin, most=most)
+    return found._replace(y=found.y[:-1], constraints=function(found.y[:-1])[2])
+
+
+def _multipliers(
+    y: Float[np.ndarray, " p"],
+    gradient: Float[np.ndarray, " p"],
+    constraints: Float[np.ndarray, " q"],
+    derivatives: Float[np.ndarray, "q p"],
+) -> tuple[Float[np.ndarray, " q"], float]:
+    """Multipliers of the constraints, and what is left of grad c + sum mu grad g + those of bounds = 0."""
+    active = np.flatnonzero(constraints >= -ACTIVE)
+    unit = np.eye(len(y))
+    columns = np.concatenate([derivatives[active], unit[y >= 1.0 - ACTIVE], -unit[y <= ACTIVE]]).T
+    found = np.zeros(len(constraints))
+    if columns.shape[1] == 0:
+        return found, float(np.max(np.abs(gradient), initial=0.0))
+    solution, _ = nnls(columns, -gradient)
+    found[active] = solution[: len(active)]
+    return found, float(np.max(np.abs(gradient + columns @ solution)))

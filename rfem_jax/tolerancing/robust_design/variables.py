@@ -1,0 +1,150 @@
+"""What an optimisation of a design may change: dimensions and tolerances, scaled to the unit cube.
+
+Place in the pipeline: first step of `optimise`; knows names and numbers, not the problem.
+
+A problem takes deviations {name: number}: of an error from zero, of a parameter from its value in the description.  A
+dimension d is set by the deviation d - nominal; an error scatters as t z about it, with the half-width t of its
+tolerance and a standard point z.  A dimension may scatter, too.
+
+Symbols: d designs, k errors that scatter, p = d plus the tolerances to be found; y (p,) in the unit cube: designs in
+proportion, tolerances by their logarithm; t (k,) half-widths [unit of the error]; z (n, k) standard points.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from rfem_jax.description.errors import InputError
+
+
+@dataclass(frozen=True, eq=False)
+class Variables:
+    """The variables of an optimisation.
+
+    Attributes: designs (d names) between design_lower and design_upper, with their nominal values; errors (k names)
+    with half_widths, of which those at the places `free` are found between width_lower and width_upper.
+    """
+
+    designs: tuple[str, ...]
+    design_lower: Float[np.ndarray, " d"]
+    design_upper: Float[np.ndarray, " d"]
+    nominal: Float[np.ndarray, " d"]
+    errors: tuple[str, ...]
+    half_widths: Float[np.ndarray, " k"]
+    free: tuple[int, ...]
+    width_lower: Float[np.ndarray, " free"]
+    width_upper: Float[np.ndarray, " free"]
+
+    def __post_init__(self):
+        for name, low, high in zip(self.designs, self.design_lower, self.design_upper, strict=True):
+            _require_order(name, low, high, "designs")
+        for i, low, high in zip(self.free, self.width_lower, self.width_upper, strict=True):
+            _require_order(self.errors[i], low, high, "tolerances")
+            if low <= 0.0:
+                raise InputError(
+                    f"Argument `tolerances` must give positive half-widths, but the smallest of `{self.errors[i]}` is "
+                    f"{low:g}; no cost is finite there."
+                )
+
+    @property
+    def size(self) -> int:
+        """Number of variables p."""
+        return len(self.designs) + len(self.free)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names by which the problem is differentiated: designs, then errors that are no designs."""
+        return (*self.designs, *(name for name in self.errors if name not in self.designs))
+
+    @property
+    def start(self) -> Float[np.ndarray, " p"]:
+        """The nominal design, as far as it is within the bounds, with tolerances in the middle of theirs."""
+        span = self.design_upper - self.design_lower
+        inside = np.clip((self.nominal - self.design_lower) / span, 0.0, 1.0)
+        return np.concatenate([inside, np.full(len(self.free), 0.5)])
+
+    def values(self, y: Float[np.ndarray, " p"]) -> Float[np.ndarray, " d"]:
+        """The designs at y."""
+        return self.design_lower + y[: len(self.designs)] * (self.design_upper - self.design_lower)
+
+    def widths(self, y: Float[np.ndarray, " p"]) -> Float[np.ndarray, " k"]:
+        """The half-widths of all errors at y."""
+        found = self.half_widths.copy()
+        ratio = self.width_upper / self.width_lower
+        found[list(self.free)] = self.width_lower * ratio ** y[len(self.designs) :]
+        return found
+
+    def width_slopes(self, y: Float[np.ndarray, " p"]) -> Float[np.ndarray, " free"]:
+        """Derivatives of the half-widths to be found by their own variables."""
+        return self.widths(y)[list(self.free)] * np.log(self.width_upper / self.width_lower)
+
+    def deviations(self, y: Float[np.ndarray, " p"], z: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n names"]:
+        """Deviations that the problem takes, in the order of `names`."""
+        points = np.zeros((len(z), len(self.names)))
+        points[:, : len(self.designs)] = self.values(y) - self.nominal
+        points[:, self._columns()] += z * self.widths(y)  # no error occurs twice
+        return points
+
+    def pull_back(
+        self, y: Float[np.ndarray, " p"], z: Float[np.ndarray, "n k"], jacobian: Float[np.ndarray, "n m names"]
+    ) -> Float[np.ndarray, "n m p"]:
+        """Derivatives by y from those by the deviations, at standard points z."""
+        d = len(self.designs)
+        found = np.empty((*jacobian.shape[:2], self.size))
+        found[:, :, :d] = jacobian[:, :, :d] * (self.design_upper - self.design_lower)
+        free, columns = list(self.free), np.array(self._columns(), dtype=int)[list(self.free)]
+        found[:, :, d:] = jacobian[:, :, columns] * z[:, None, free] * self.width_slopes(y)
+        return found
+
+    def by_errors(
+        self, y: Float[np.ndarray, " p"], jacobian: Float[np.ndarray, "n m names"]
+    ) -> Float[np.ndarray, "n m k"]:
+        """Derivatives by the standard points from those by the deviations."""
+        return jacobian[:, :, self._columns()] * self.widths(y)
+
+    def _columns(self) -> list[int]:
+        """Place of every error among `names`."""
+        return [self.names.index(name) for name in self.errors]
+
+    def named_values(self, y: Float[np.ndarray, " p"]) -> dict[str, float]:
+        """{design: value} at y."""
+        return dict(zip(self.designs, map(float, self.values(y)), strict=True))
+
+    def named_widths(self, y: Float[np.ndarray, " p"]) -> dict[str, float]:
+        """{error: half-width} at y, of all errors that scatter."""
+        return dict(zip(self.errors, map(float, self.widths(y)), strict=True))
+
+    def at_bounds(self, y: Float[np.ndarray, " p"], tolerance: float = 1e-6) -> dict[str, str]:
+        """{design or error: "smallest" | "largest"} of the variables that are at a bound; a tolerance of a design is
+        called "tolerance of NAME"."""
+        free = [self.errors[i] for i in self.free]
+        labels = (*self.designs, *(f"tolerance of {name}" if name in self.designs else name for name in free))
+        ends = {label: "smallest" for label, value in zip(labels, y, strict=True) if value <= tolerance}
+        return ends | {label: "largest" for label, value in zip(labels, y, strict=True) if value >= 1.0 - tolerance}
+
+
+def separate_widths(
+    widths: Mapping[str, float | tuple[float, float]],
+) -> tuple[Float[np.ndarray, " k"], tuple[int, ...], Float[np.ndarray, " free"], Float[np.ndarray, " free"]]:
+    """Half-widths (k,), the places of those to be found, and their smallest and largest values, from {error:
+    half-width, or (smallest, largest)}; a half-width to be found begins in the middle of its bounds."""
+    values, free, bounds = [], [], []
+    for i, width in enumerate(widths.values()):
+        if isinstance(width, tuple):
+            free.append(i)
+            bounds.append(width)
+            values.append(float(np.sqrt(abs(width[0] * width[1]))))
+        else:
+            values.append(width)
+    lower, upper = np.array(bounds).reshape(-1, 2).T
+    return np.array(values, dtype=float), tuple(free), lower, upper
+
+
+def _require_order(name: str, low: float, high: float, where: str) -> None:
+    if not (np.isfinite(low) and np.isfinite(high) and low < high):
+        raise InputError(
+            f"Argument `{where}` must give (lowest, highest) of finite numbers in this order, but `{name}` has "
+            f"({low:g}, {high:g}); exchange them, or leave out what must not change."
+        )

@@ -1,0 +1,67 @@
+"""`rfem-jax init`: studies to start from, which are understood and simulated."""
+
+import json
+import sys
+import tomllib
+
+import pytest
+
+from rfem_jax.description import load_study
+from rfem_jax.mechanics import describe, discretise
+from rfem_jax.report import command_line
+from rfem_jax.report.command_line import main
+from rfem_jax.report.commands.init import KINDS
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_study_that_closes_at_its_start(kind, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["init", "mine", "--kind", kind]) == 0
+    said = capsys.readouterr()
+    assert "rfem-jax check mine.toml" in said.out and said.err == ""
+    study = load_study("mine.toml")
+    assert study.title == f"My {kind}" and len(study.cases) == 3
+    found = describe(discretise(study.mechanism))
+    assert (found.rigid_mobility, found.redundant, found.idle) == (1, False, ())
+    assert found.gap < 1e-3 and len(study.mechanism.cut_joints) == (2 if kind == "six-bar" else 1)
+
+
+def test_nothing_is_overwritten(tmp_path, capsys):
+    path = tmp_path / "mine.toml"
+    path.write_text("precious", encoding="utf-8")
+    assert main(["init", str(path)]) == 2
+    assert "exists; choose another name" in capsys.readouterr().err
+    assert path.read_text(encoding="utf-8") == "precious"
+    assert main(["init", str(tmp_path / "none" / "mine")]) == 2
+    assert "cannot (No such file" in capsys.readouterr().err
+    assert main(["init", str(tmp_path / "new"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["files"] == [str(tmp_path / "new.toml")]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_its_tasks_are_understood_where_they_are_taken_in(kind, tmp_path):
+    path = tmp_path / "mine.toml"
+    assert main(["init", str(path), "--kind", kind]) == 0
+    before, _, tasks = path.read_text(encoding="utf-8").partition("# [tolerances]")
+    text = before + "\n".join(line.removeprefix("# ") for line in f"# [tolerances]{tasks}".splitlines())
+    assert {"tolerances", "sensitivity", "monte_carlo"} <= tomllib.loads(text).keys()
+    path.write_text(text, encoding="utf-8")
+    assert load_study(path).tasks.declared == ("sensitivity", "monte_carlo")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
+def test_it_runs(kind, tmp_path, monkeypatch, quick_compilation):
+    """With fewer rfes, two steps and without pictures, as compilation is all that takes time."""
+    monkeypatch.setattr(command_line, "set_up_jax", lambda *_: None)
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    path, out = tmp_path / "mine.toml", tmp_path / "out"
+    assert main(["init", str(path), "--kind", kind]) == 0
+    text = path.read_text(encoding="utf-8").replace("rfes = 5", "rfes = 2").replace("rfes = 3", "rfes = 2")
+    simulation = '[simulation]\nduration = 2e-3\nmethod = "generalised_alpha"\nstep = 1e-3\nsave_every = 1e-3\n'
+    before, _, after = text.partition("[simulation]")
+    path.write_text(before + simulation + after[after.index("\n# Errors") :], encoding="utf-8")
+    assert main(["check", str(path)]) == 0
+    assert main(["run", str(path), "--out", str(out)]) == 0
+    cases = json.loads((out / "results.json").read_text(encoding="utf-8"))["cases"]
+    assert [case["status"] for case in cases.values()] == ["ok"] * 3

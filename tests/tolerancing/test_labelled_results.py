@@ -1,0 +1,132 @@
+"""Results of tolerance studies as labelled data, of a quadratic whose derivatives and extremes are known."""
+
+import jax
+import numpy as np
+import pytest
+
+from rfem_jax.tolerancing import (
+    FunctionProblem,
+    Metric,
+    Reciprocal,
+    Tolerances,
+    Uniform,
+    allocate,
+    monte_carlo,
+    sensitivity,
+    worst_case,
+)
+
+HOSTILE = '<img src=x onerror="alert(1)">'
+NAMES = ("a", HOSTILE)
+METRICS = (Metric("square", "N^2", "a square"), Metric(HOSTILE, "N", "a sum"))
+WIDTHS = {"a": 0.1, HOSTILE: 0.2}
+KEY = jax.random.key(1)
+
+
+def values(errors):
+    a, b = errors["a"], errors[HOSTILE]
+    return {"square": 3.0 + 2.0 * a**2 + a * b, HOSTILE: 5.0 + a - 2.0 * b}
+
+
+@pytest.fixture(scope="module")
+def problem():
+    return FunctionProblem(values, NAMES, METRICS, error_units={HOSTILE: "m"})
+
+
+@pytest.fixture(scope="module")
+def results(problem):
+    """{kind: result}"""
+    tolerances = Tolerances({name: Uniform(width) for name, width in WIDTHS.items()})
+    asked = {"limits": {"square": 3.02}, "sobol_indices": True, "control_variate": True}
+    bounds = {name: (0.01 * width, 10.0 * width) for name, width in WIDTHS.items()}
+    return {
+        "sensitivity": sensitivity(problem, scale=tolerances),
+        "monte_carlo": monte_carlo(problem, tolerances, 64, KEY, batch=64, **asked),
+        "worst_case": worst_case(problem, tolerances, HOSTILE, key=KEY),
+        "allocation": allocate(problem, {HOSTILE: 5.5}, Reciprocal(1.0), bounds, key=KEY),
+    }
+
+
+def test_a_dataset_of_sensitivities(results):
+    pytest.importorskip("xarray", reason="the extra xarray is not installed")
+    found, result = results["sensitivity"].to_xarray(), results["sensitivity"]
+    np.testing.assert_allclose(found.gradient.sel(metric=HOSTILE), [1.0, -2.0], atol=1e-12)
+    assert float(found.hessian.sel(metric="square", error="a", error_2=HOSTILE)) == pytest.approx(1.0)
+    assert str(found.metric_unit.sel(metric="square").values) == "N^2"
+    assert [str(unit) for unit in found.error_unit.values] == ["rad", "m"]
+    np.testing.assert_array_equal(found.effect, result.effects)
+    np.testing.assert_array_equal(found.principal_direction[0], result.directions[0])
+    assert found.attrs["status"] == "ok"
+
+
+def test_a_dataset_of_samples(results):
+    pytest.importorskip("xarray", reason="the extra xarray is not installed")
+    found, result = results["monte_carlo"].to_xarray(), results["monte_carlo"]
+    assert dict(found.value.sizes) == {"sample": 64 * 4, "metric": 2}
+    a, b = (found.error_value.sel(error=name) for name in NAMES)
+    np.testing.assert_allclose(found.value.sel(metric=HOSTILE), 5.0 + a - 2.0 * b)
+    mean = found["mean"].sel(metric="square")
+    assert [float(one) for one in mean] == [
+        getattr(result.statistics["square"].mean, end) for end in ("value", "low", "high")
+    ]
+    median = found.quantiles.sel(metric=HOSTILE, quantile=0.5, estimate="value")
+    assert float(median) == result.statistics[HOSTILE].quantiles[0.5].value
+    passed = found.yield_of_all.sel(metric="square", estimate="value")
+    assert float(passed) == result.yields["square"].of_all.value
+    assert np.isnan(found.yield_of_all.sel(metric=HOSTILE)).all() and float(found.upper_limit[0]) == 3.02
+    assert float(found.total_index.sel(metric=HOSTILE, factor="a", estimate="value")) == pytest.approx(1 / 17, abs=0.03)
+    assert float(found.controlled_mean.sel(metric="square", estimate="value")) == pytest.approx(3.0 + 2e-2 / 3.0)
+
+
+def test_a_dataset_of_a_worst_case(results):
+    pytest.importorskip("xarray", reason="the extra xarray is not installed")
+    found = results["worst_case"].to_xarray()
+    assert float(found.value) == pytest.approx(5.5) and found.value.attrs["units"] == "N"
+    np.testing.assert_allclose(found.worst_error, [0.1, -0.2])
+    np.testing.assert_allclose(np.sort(found.corner_value), [4.5, 4.7, 5.3, 5.5])
+
+
+def test_a_dataset_of_an_allocation(results):
+    pytest.importorskip("xarray", reason="the extra xarray is not installed")
+    found = results["allocation"].to_xarray()
+    # min 1/t1 + 1/t2 with t1 + 2 t2 = 1/2: t1 = sqrt(2) t2
+    second = 0.5 / (2.0 + np.sqrt(2.0))
+    np.testing.assert_allclose(found.tolerance, [np.sqrt(2.0) * second, second], rtol=2e-3)
+    assert float(found.limit[0]) == 5.5 and str(found.side.values[0]) == "upper"
+    assert str(found.limit_unit.values[0]) == "N" and found.attrs["status"] == "ok"
+
+
+@pytest.mark.parametrize("kind", ["sensitivity", "monte_carlo", "worst_case", "allocation"])
+def test_netcdf_keeps_everything(results, tmp_path, kind):
+    xarray = pytest.importorskip("xarray", reason="the extra xarray is not installed")
+    found = results[kind].to_xarray()
+    found.to_netcdf(tmp_path / "result.nc", engine="scipy")
+    with xarray.open_dataset(tmp_path / "result.nc", engine="scipy") as read:
+        assert set(read.variables) == set(found.variables)
+        for name, variable in found.variables.items():
+            expected = variable.values
+            if expected.dtype.kind == "U":
+                assert [str(one) for one in read[name].values] == expected.tolist()
+            else:
+                np.testing.assert_array_equal(read[name].values, expected, err_msg=name)
+
+
+def test_tables(results):
+    pytest.importorskip("pandas", reason="the extra xarray is not installed")
+    ranked = results["sensitivity"].to_pandas()
+    assert ranked.loc[(HOSTILE, HOSTILE), "gradient"] == pytest.approx(-2.0)
+    samples = results["monte_carlo"].to_pandas()
+    assert list(samples.columns) == ["status", "a_rad", f"{HOSTILE}_m", "square_N2", f"{HOSTILE}_N"]
+    assert len(samples) == results["monte_carlo"].samples
+    points = results["worst_case"].to_pandas()
+    assert points.loc[(HOSTILE, "nominal"), "value"] == pytest.approx(5.0)
+    assert points.loc[(HOSTILE, "best_corner"), "a_rad"] == pytest.approx(0.1)
+    answer = results["allocation"]
+    assert answer.to_pandas().loc["a", "tolerance"] == answer.tolerances["a"]
+    assert answer.to_pandas(limits=True).loc[(HOSTILE, "upper"), "verified"] == answer.limits[0].verified
+
+
+@pytest.mark.parametrize("kind", ["sensitivity", "monte_carlo", "worst_case", "allocation"])
+def test_html_is_escaped(results, kind):
+    text = results[kind]._repr_html_()
+    assert "<img" not in text and "&lt;img src=x onerror=&quot;" in text and text.count("<table>") >= 1
