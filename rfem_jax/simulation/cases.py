@@ -5,6 +5,7 @@ Place in the pipeline: study -> **cases** -> report.
 
 import functools
 from collections.abc import Callable
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -21,6 +22,7 @@ from rfem_jax.simulation.accuracy import choose_method
 from rfem_jax.simulation.driving import require_driven
 from rfem_jax.simulation.run import Run, of_model, one_of
 from rfem_jax.simulation.time_grid import TimeGrid
+from rfem_jax.simulation.unfinished import Unfinished
 
 PIECES = 20
 
@@ -49,12 +51,16 @@ class Runs(dict[str, Run]):
 
 
 def run_cases(
-    study: Study, progress: Callable[[float], None] | None = None, model: Model | None = None
+    study: Study,
+    progress: Callable[[float], None] | None = None,
+    model: Model | None = None,
+    keep: Path | None = None,
 ) -> tuple[Model, Runs]:
     """Simulate all cases of a study as one batch.
 
     **Arguments:** `progress` is called with the fraction of simulated time; `model`: the study's mechanism if it is
-    discretised already.
+    discretised already; `keep`: file in which an interruption (KeyboardInterrupt) leaves what is done, and from which
+    the same call goes on, to the same numbers; None keeps nothing.
 
     **Returns:** the model, and a run of NumPy arrays for every case by its name.
 
@@ -68,17 +74,35 @@ def run_cases(
     grid, steps = integration.grid_for(study.drive, study.duration, method, study.save_every, model)
     _compile_ahead(model, errors, study.drive, grid, method, steps)
     prepared, carry = _prepare(model, errors, study.drive, method)
-    ends = []
-    for piece in _pieces(grid):
-        carry, reached = _advance(model, prepared.actual, study.drive, carry, piece, method, steps)
-        ends.append(jax.tree.map(np.asarray, reached))
-        if progress is not None:
-            progress(float((piece.starts + piece.lengths)[-1] / study.duration))
-    count = len(grid.starts)
-    ends = jax.tree.map(lambda *parts: np.concatenate(parts, axis=1)[:, :count], *ends)
-    runs = _conclude(model, prepared, study.drive, carry, ends, grid, method, steps)
+    unfinished = Unfinished(keep, (model, errors, study.drive, study.duration, method, study.save_every))
+    try:
+        carry, ends = _advance_all(model, prepared, study, carry, grid, method, steps, unfinished, progress)
+        runs = _conclude(model, prepared, study.drive, carry, ends, grid, method, steps)
+    except KeyboardInterrupt:
+        unfinished.write()
+        raise
+    unfinished.remove()
     found = (of_model(one_of(runs, i), model, one) for i, one in enumerate(each))
     return model, Runs({case.name: run for case, run in zip(study.cases, found)})
+
+
+def _advance_all(model, prepared, study: Study, carry, grid: TimeGrid, method, steps, unfinished: Unfinished, progress):
+    """The integrator's state at the end, and what it has recorded at the saved times; from where `unfinished` says."""
+    pieces = list(_pieces(grid))
+    first, carry, parts = unfinished.restore(carry)
+    tree = None
+    for number, piece in enumerate(pieces[first:], first + 1):
+        carry, reached = _advance(model, prepared.actual, study.drive, carry, piece, method, steps)
+        leaves, tree = jax.tree.flatten(jax.tree.map(np.asarray, reached))
+        parts.append(leaves)
+        if number < len(pieces):  # the last piece gives the tree of all, and is computed again
+            unfinished.reach(number, carry, parts)
+        if progress is not None:
+            progress(float((piece.starts + piece.lengths)[-1] / study.duration))
+    assert tree is not None
+    count = len(grid.starts)
+    ends = [np.concatenate(leaves, axis=1)[:, :count] for leaves in zip(*parts, strict=True)]
+    return carry, jax.tree.unflatten(tree, ends)
 
 
 def _pieces(grid: TimeGrid):

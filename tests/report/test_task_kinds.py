@@ -135,7 +135,7 @@ def test_its_picture_shows_its_numbers(registered, path):
 
 
 def test_run_and_check_and_help_follow(registered, path, tmp_path, capsys, monkeypatch, runs):
-    monkeypatch.setattr(rfem_jax.simulation, "run_cases", lambda study, progress: (None, runs))
+    monkeypatch.setattr(rfem_jax.simulation, "run_cases", lambda study, **_: (None, runs))
     assert main(["run", str(path), "--out", str(tmp_path / "out")]) == 0
     assert (tmp_path / "out" / "lever_arms_bars.png").exists()
     assert main(["check", str(path)]) == 0

@@ -285,7 +285,7 @@ def test_a_request_that_cannot_be_met_is_exit_code_3_and_is_written(task_file, t
 
 
 def test_run_does_the_cases_and_then_every_task(task_file, tmp_path, capsys, monkeypatch, runs):
-    monkeypatch.setattr(rfem_jax.simulation, "run_cases", lambda study, progress: (None, runs))
+    monkeypatch.setattr(rfem_jax.simulation, "run_cases", lambda study, **_: (None, runs))
     done = []
 
     def do_task(study, name, folder):

@@ -43,9 +43,10 @@ def _command_of(kind: TaskKind) -> Command:
         purpose=kind.purpose,
         description=f"Do the task of the study's table [{kind.name}]: {kind.purpose}. Writes JSON, CSV "
         f"and pictures: {kind.results}.",
+        epilog=f"An interruption (Ctrl-C) leaves {kind.kept or 'the evaluations that are done'}, and the same command "
+        "goes on from there.",
         add_arguments=add_arguments,
         act=lambda arguments: _do(kind.name, arguments),
-        kept=kind.kept,
     )
 
 

@@ -94,6 +94,10 @@ class MonteCarloReport(TaskReport[MonteCarloTask, MonteCarloResult]):
                 f"remove `{folder / self.name}` and its samples."
             ) from None
 
+    def left(self, folder: Path) -> str:
+        count = len(list((folder / self.name).glob("chunk-*.npz")))
+        return f"{count} chunks of samples are kept in {folder / self.name}" if count else super().left(folder)
+
     def succeeded(self, result: MonteCarloResult) -> bool:
         return result.good > 0
 

@@ -27,6 +27,7 @@ from rfem_jax.report.style import SETTINGS
 from rfem_jax.report.summary import PLOTS_HINT
 from rfem_jax.report.tables import title_text
 from rfem_jax.task_kinds import task_kinds
+from rfem_jax.tolerancing.problems.kept_evaluations import count_kept, kept_in
 
 Asked = TypeVar("Asked", bound=Task)
 Result = TypeVar("Result")
@@ -116,9 +117,19 @@ class TaskReport(abc.ABC, Generic[Asked, Result]):
         with rc_context(SETTINGS):
             return {f"{self.name}_{what}": figure for what, figure in self.draw(result).items()}
 
+    def unfinished(self, folder: Path) -> Path:
+        """Where the evaluations of an interrupted run are kept."""
+        return folder / f"{self.name}.unfinished"
+
+    def left(self, folder: Path) -> str:
+        """What an interrupted run has left for the next one, in words; "" for nothing."""
+        count = count_kept(self.unfinished(folder))
+        return f"{count} evaluations are kept in {self.unfinished(folder)}" if count else ""
+
     def do(self, folder: Path) -> tuple[bool, list[Path]]:
         """Compute, print, write and draw; returns whether it succeeded, and the files written."""
-        result = self.run(folder)
+        with kept_in(self.unfinished(folder)):
+            result = self.run(folder)
         good = self.succeeded(result)
         if jax.process_index() != 0:
             show(self.text_of_helper(result))
