@@ -26,7 +26,7 @@ from rfem_jax.description.point_forces import AtPoint
 from rfem_jax.description.study import Study
 from rfem_jax.report.annotations import Run, Summaries
 from rfem_jax.report.driven_motions_report import drive_quantities, has_driven_joint
-from rfem_jax.report.output import write_json
+from rfem_jax.report.output import csv_cell, write_json
 from rfem_jax.report.quantities import ENERGIES, column_name, units
 from rfem_jax.report.summary import joint_names, study_note, total_energy
 from rfem_jax.whole_files import replacing
@@ -115,7 +115,7 @@ def write_history(path: str | Path, study: Study, run: Run) -> Path:
     columns = history_columns(study, run)
     table = np.stack(list(columns.values()), axis=1)
     with replacing(path) as temporary:
-        np.savetxt(temporary, table, fmt="%.12g", delimiter=",", header=",".join(columns), comments="")
+        np.savetxt(temporary, table, fmt="%.12g", delimiter=",", header=",".join(map(csv_cell, columns)), comments="")
     return Path(path)
 
 

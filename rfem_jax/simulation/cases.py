@@ -25,7 +25,7 @@ from rfem_jax.simulation import integration, labelled_runs
 from rfem_jax.simulation.accuracy import choose_method
 from rfem_jax.simulation.driving import require_driven
 from rfem_jax.simulation.records import require_records
-from rfem_jax.simulation.run import Run, one_of
+from rfem_jax.simulation.run import Run, of_model, one_of
 from rfem_jax.simulation.time_grid import TimeGrid
 from rfem_jax.simulation.unfinished import Unfinished
 
@@ -74,7 +74,8 @@ def run_cases(
     model = model_of_study(study) if model is None else model
     drive = study.designed_drive
     require_driven(model, drive)
-    errors = _errors_of_cases(study, model)
+    each = _errors_of_cases(study, model)
+    errors = jax.tree.map(lambda *leaves: jnp.stack(leaves), *each)
     plain = dataclasses.replace(errors, parameters=None)
     method = choose_method(model, study.method, drive, study.duration, plain, study.save_every)
     grid, steps = integration.grid_for(drive, study.duration, method, study.save_every, model)
@@ -92,15 +93,15 @@ def run_cases(
         unfinished.write()
         raise
     unfinished.remove()
-    return model, Runs({case.name: one_of(runs, i) for i, case in enumerate(study.cases)})
+    found = (of_model(one_of(runs, i), model, one) for i, one in enumerate(each))
+    return model, Runs({case.name: run for case, run in zip(study.cases, found)})
 
 
-def _errors_of_cases(study: Study, model: Model) -> AssemblyErrors:
-    """The errors of all cases, side by side; parameters that deviate in any case do so by zero in the others."""
+def _errors_of_cases(study: Study, model: Model) -> list[AssemblyErrors]:
+    """The errors of every case; parameters that deviate in any case do so by zero in the others."""
     names = {name for case in study.cases for name in case.errors if name not in model.topology.error_names}
     zeros = dict.fromkeys(sorted(names), 0.0)
-    errors = [assembly_errors(model, zeros | case.errors) for case in study.cases]
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *errors)
+    return [assembly_errors(model, zeros | case.errors) for case in study.cases]
 
 
 def _run_with_parameters(

@@ -61,6 +61,7 @@ from rfem_jax.simulation.run import (
     Loads,
     Metrics,
     Run,
+    of_model,
 )
 from rfem_jax.simulation.solvers.catalogue import observed_solver
 from rfem_jax.simulation.solvers.implicit_step import SOLUTION, Memory
@@ -123,7 +124,8 @@ def simulate(
     drive = drive if design is None else drive_of_design(model, drive, design)
     made = designed(model, design, errors)
     asked = require_records(made.model, record)
-    return with_status(_simulate(made.model, made.errors, drive, grid, start, method, steps, adjoint, asked), made)
+    run = _simulate(made.model, made.errors, drive, grid, start, method, steps, adjoint, asked)
+    return with_status(of_model(run, made.model, made.errors), made)
 
 
 def grid_for(
@@ -324,6 +326,7 @@ def conclude(
         nominal_lines=link_lines(model, apply_errors(model, assembly_errors(model)), model.start_coordinates()),
         friction_losses=_by_friction(model, record.friction_losses),
         recorded=finished_records(model, prepared.actual, record.asked, record.friction_losses, asked),
+        positions=jax.tree.map(lambda x: x[grid.saved], ends.trajectory.position),
     )
 
 

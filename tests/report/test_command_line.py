@@ -67,7 +67,7 @@ def test_run_prints_and_writes_everything(packages, runs, study_file, tmp_path, 
     assert {"angle.png", "assembly.png"} <= names
     captured = capsys.readouterr()
     assert "RMS resultant force, N" in captured.out
-    assert "18 files written" in captured.out
+    assert "report.html" in names and "19 files written" in captured.out
     assert "Simulating 3 cases: 100 %" in captured.err
 
 
@@ -222,7 +222,7 @@ def test_without_matplotlib_the_rest_is_written(packages, study_file, tmp_path, 
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     assert main(["run", str(study_file), "--out", str(out)]) == 0
     names = sorted(path.name for path in out.iterdir())
-    assert names == ["P1.csv", "P2.csv", "P3.csv", "results.json"]
+    assert names == ["P1.csv", "P2.csv", "P3.csv", "report.html", "results.json"]
     assert 'pip install "rfem_jax[plots]"' in capsys.readouterr().out
 
 
@@ -269,7 +269,7 @@ def test_an_answer_for_machines(packages, runs, study_file, tmp_path, capsys):
     code, found, said = answer_of(capsys, "run", str(study_file), "--out", str(tmp_path / "out"))
     assert (code, found["problems"], found["folder"]) == (3, [], str(tmp_path / "out"))
     assert found["results.json"] == json.loads((tmp_path / "out" / "results.json").read_text(encoding="utf-8"))
-    assert len(found["files"]) == 18 and all(Path(one).exists() for one in found["files"])
+    assert len(found["files"]) == 19 and all(Path(one).exists() for one in found["files"])
     assert "Simulating 3 cases: 100 %" in said
     code, found, _ = answer_of(capsys, "check", str(study_file))
     assert (code, found["structure"]["mobility"], found["largest_stable_step"]) == (0, 46, 1.94e-5)

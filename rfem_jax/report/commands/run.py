@@ -20,6 +20,7 @@ from rfem_jax.report.commands.steps import (
     require_task_folders,
     settle_method,
     timed,
+    write_page,
     write_task,
 )
 from rfem_jax.report.progress_line import note, paint, remark, show
@@ -34,7 +35,7 @@ def command() -> Command:
         name="run",
         purpose="simulate all cases of a study, then do every task that it declares",
         description="Simulate all cases of a study together, print the loads in all joints and "
-        "write results.json, one CSV of time histories per case, and pictures; then do every task "
+        "write results.json, one CSV of time histories per case, pictures and report.html; then do every task "
         f"that the study declares ({', '.join(f'[{name}]' for name in task_kinds())}).",
         epilog="Pictures need the extra `plots`. Compiled programs are kept in the user's cache "
         "folder, so that the next run starts at once.",
@@ -65,6 +66,7 @@ def act(arguments: argparse.Namespace) -> Answer:
     try:
         written += write_files(folder, study, runs, summaries)
         written += write_run_pictures(folder, study, runs, summaries)
+        written += _write_animation(folder, runs)
     except OSError as problem:
         raise cannot_write(folder, problem) from problem
     except KeyboardInterrupt:
@@ -76,6 +78,7 @@ def act(arguments: argparse.Namespace) -> Answer:
     good = not failed
     done, files = _do_tasks(study, folder, arguments, written)
     good, written = good and done, written + files
+    written += write_page(folder)
     seconds = time.perf_counter() - started
     show(f"{len(written)} files written to {folder} ({seconds:.1f} s in all).")
     return Answer(DONE if good else CASE_FAILED, files_document(folder, written))
@@ -150,3 +153,10 @@ def write_run_pictures(folder: Path, study: Study, runs: dict[str, Run], summari
     from rfem_jax.report.figures import write_figures
 
     return write_figures(folder, study, runs, summaries)
+
+
+def _write_animation(folder: Path, runs: dict[str, Run]) -> list[Path]:
+    from rfem_jax.report.page.animation import write_animation
+
+    announce("Tracing where the mechanism is")
+    return write_animation(folder, runs)

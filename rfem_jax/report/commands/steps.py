@@ -100,6 +100,17 @@ def timed(study: Study, task: str = "", left: str = "") -> Iterator[None]:
         timings.record(key, time.perf_counter() - started, samples, keeping.statistics.traced > traced)
 
 
+def write_page(folder: Path) -> list[Path]:
+    """Write the page of all results that the folder has. Raises InputError."""
+    from rfem_jax.report.page.document import write_folder
+
+    announce("Writing report.html")
+    try:
+        return [write_folder(folder)]
+    except OSError as problem:
+        raise cannot_write(folder, problem) from problem
+
+
 def require_task_folders(study: Study, tasks: Sequence[str], out: str | Path) -> None:
     """See that the folder can hold what these tasks keep there, before anything is computed."""
     if not tasks:
