@@ -125,7 +125,7 @@ def simulate(
     made = designed(model, design, errors)
     asked = require_records(made.model, record)
     run = _simulate(made.model, made.errors, drive, grid, start, method, steps, adjoint, asked)
-    return with_status(of_model(run, made.model, made.errors), made)
+    return with_status(of_model(run, made.model, errors if made.errors is None else made.errors), made)
 
 
 def grid_for(
