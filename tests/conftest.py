@@ -33,6 +33,16 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 
 
+def pytest_ignore_collect(collection_path, config):
+    """Tests that need a browser are for who asks for them by the name of their folder."""
+    asked = any("browser" in str(argument) for argument in config.invocation_params.args)
+    return True if collection_path.name == "browser" and not asked else None
+
+
+def pytest_report_header():
+    return "tests/browser: only by its name, as in `python -m pytest -n0 tests/browser` (needs Chromium)"
+
+
 def pytest_collection_modifyitems(items):
     """The checker is faster than the messages of functions that are given a value of a wrong type."""
     for item in items:

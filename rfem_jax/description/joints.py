@@ -12,9 +12,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from rfem_jax.description.bearings import Bearing, bearing_of
 from rfem_jax.description.compliance import Compliance, SprungDirection
 from rfem_jax.description.errors import Checks, ChecksItself, InputError, require_flag, require_name
 from rfem_jax.description.joint_kinds import DEFAULT, KINDS, JointKind, require_kind
+from rfem_jax.description.numbers import Number
 from rfem_jax.description.units import quantity, vector
 
 
@@ -43,6 +45,7 @@ class Joint(ChecksItself):
             R_z R_y R_x; free: x, y, z and these angles); None means zeros.
         compliance: springs and dampers in directions that the kind holds, a `Compliance`; None = rigid. All
             start values, errors and angles are those of the kind without springs.
+        bearing: what it carries, a `Bearing`, for metrics of life and of loads against capacities; None = unknown.
     Raises:
         InputError: a value is out of range or of the wrong kind.
     """
@@ -60,6 +63,7 @@ class Joint(ChecksItself):
     displacement: float | None = None
     start: tuple[float, ...] | None = None
     compliance: Compliance | None = None
+    bearing: Bearing | None = None
 
     def _check_fields(self, checks: Checks) -> None:
         checks.convert("name", require_name, "`name` of a joint")
@@ -80,6 +84,8 @@ class Joint(ChecksItself):
         if self.compliance is not None:
             checks.convert("compliance", _compliance, f"`compliance` {of}")
             checks.relation(("kind", "cut", "compliance"), lambda: self.springs)
+        if self.bearing is not None:
+            checks.convert("bearing", bearing_of, f"`bearing` {of}")
 
     @property
     def springs(self) -> tuple[SprungDirection, ...]:
@@ -108,11 +114,12 @@ class Joint(ChecksItself):
             )
 
     @property
-    def start_values(self) -> tuple[float, ...]:
+    def start_values(self) -> tuple[Number, ...]:
         """Approximate start values of all coordinates of a joint of the tree, in the order of its motions."""
         kind = KINDS[self.kind]
         if _has_names(kind):
-            return tuple(float((self.angle if one.rotation else self.displacement) or 0.0) for one in kind.freedoms)
+            given = [self.angle if one.rotation else self.displacement for one in kind.freedoms]
+            return tuple(0.0 if value is None else value for value in given)
         return self.start or (0.0,) * len(kind.freedoms)
 
     def _set_start(self, checks: Checks, of: str) -> None:

@@ -1,36 +1,75 @@
-"""Centre lines of the links in space, and where their far ends are.
+"""Centre lines of the links in space, where their far ends are, and the frames of the joints.
 
 Place in the pipeline: model with errors + coordinates -> **centre lines** -> simulation, report.
 """
 
+import functools
+from typing import NamedTuple
+
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jaxtyping import Float
 
-from rfem_jax.mechanics import loads
-from rfem_jax.mechanics.kinematics import Motion, all_frames, motion_of
+from rfem_jax.compilation.program import Program
+from rfem_jax.mechanics import algebra, loads
+from rfem_jax.mechanics.kinematics import Motion, all_frames, motion_of, node_frames
 from rfem_jax.mechanics.model import Coordinates, Model
-from rfem_jax.mechanics.model_with_errors import ModelWithErrors
+from rfem_jax.mechanics.model_with_errors import AssemblyErrors, ModelWithErrors, apply_errors
 
 
 def link_lines(model: Model, actual: ModelWithErrors, position: Coordinates) -> dict[str, Float[Array, "_ 3"]]:
     """Points (P, 3) [m] in global axes along every link: its origin, the middles of its rfes, its
     end."""
     topology = actual.topology
-    rotation, point = all_frames(topology, motion_of(actual, loads.static_state(topology, position)))
-    lines = {}
-    for l, (name, (a, b)) in enumerate(zip(topology.links, topology.ranges)):
+    return dict(zip(topology.links, _lines(actual, motion_of(actual, loads.static_state(topology, position)))))
+
+
+def _lines(actual: ModelWithErrors, motion: Motion) -> list[Float[Array, "_ 3"]]:
+    topology, lines = actual.topology, []
+    rotation, point = all_frames(topology, motion)
+    for l, (a, b) in enumerate(topology.ranges):
         first, last = topology.n_links + a, topology.n_links + b
         if a == b:
             end = point[:, l] + 2.0 * actual.beam_middle[l] * rotation[:, 0, l]
-            lines[name] = jnp.stack([point[:, l], end])
+            lines.append(jnp.stack([point[:, l], end]))
             continue
         # From the middle of the last rfe, which is as long as rfe 0, to the link's end.
         tip = point[:, last - 1] + actual.beam_middle[l] * rotation[:, 0, last - 1]
         inner = point[:, first:last]
-        lines[name] = jnp.concatenate([point[:, l : l + 1], inner, tip[:, None]], axis=1).T
+        lines.append(jnp.concatenate([point[:, l : l + 1], inner, tip[:, None]], axis=1).T)
     return lines
+
+
+class Shape(NamedTuple):
+    """What of a mechanism is drawn: points [m] along its links, as of `link_lines`, link by link; of its joints the
+    frames that loads are in (H, at a cut joint L) and the centres on the child [m]; all in global axes."""
+
+    points: Float[Array, "*t points 3"]
+    rotation: Float[Array, "*t joints 3 3"]
+    centre: Float[Array, "*t joints 3"]
+
+
+@functools.partial(Program, quick=True)
+def trace_shapes(model: Model, errors: AssemblyErrors, positions: Coordinates) -> Shape:
+    """Shapes of a mechanism with its errors at many positions, whose arrays have a first axis of times."""
+    actual = apply_errors(model, errors)
+    return jax.vmap(lambda position: _shape(actual, position))(positions)
+
+
+def _shape(actual: ModelWithErrors, position: Coordinates) -> Shape:
+    topology = actual.topology
+    motion = motion_of(actual, loads.static_state(topology, position))
+    rotation, centre = motion.hinges
+    if topology.n_cuts:
+        n = topology.n_links
+        parents = node_frames(topology, motion, topology.parents[n:])
+        children = node_frames(topology, motion, topology.children[n:])
+        left = algebra.product(parents.rotation, actual.seat_rotation[:, :, n:])
+        right = children.point + algebra.apply(children.rotation, actual.bore_position[:, n:])
+        rotation, centre = jnp.concatenate([rotation, left], axis=2), jnp.concatenate([centre, right], axis=1)
+    return Shape(jnp.concatenate(_lines(actual, motion)), jnp.moveaxis(rotation, 2, 0), centre.T)
 
 
 def link_ends(actual: ModelWithErrors, motion: Motion) -> tuple[Float[Array, "3 links"], Float[Array, "3 3 links"]]:

@@ -5,7 +5,8 @@ Place in the pipeline: model -> **nominal_geometry** -> discretisation, the chec
 The questions before a simulation (does it close, what is its rank, which step is stable) concern rigid
 geometry and a few numbers, so they are answered on the host, and nothing of it is traced or compiled.
 
-Symbols: twists (angular, linear) at the global origin, in global axes; n_links L, nodes n, cut joints C.
+Symbols: twists (angular, linear) at the global origin, in global axes; n_links L, nodes n, cut joints C.  Where shapes
+have "*t", many positions are placed at once.
 """
 
 from typing import NamedTuple
@@ -35,22 +36,22 @@ class Placed(NamedTuple):
     joint frame G on the parent (J, 3, 3), without the joint's motion, and its centre (J, 3), and the frame on the
     child and its centre, likewise; twists (F, 6) of unit rates of the tree joints' coordinates."""
 
-    rotation: Float[np.ndarray, "links 3 3"]
-    origin: Float[np.ndarray, "links 3"]
-    joint_rotation: Float[np.ndarray, "joints 3 3"]
-    centre: Float[np.ndarray, "joints 3"]
-    child_rotation: Float[np.ndarray, "joints 3 3"]
-    child_centre: Float[np.ndarray, "joints 3"]
-    twists: Float[np.ndarray, "freedoms 6"]
+    rotation: Float[np.ndarray, "*t links 3 3"]
+    origin: Float[np.ndarray, "*t links 3"]
+    joint_rotation: Float[np.ndarray, "*t joints 3 3"]
+    centre: Float[np.ndarray, "*t joints 3"]
+    child_rotation: Float[np.ndarray, "*t joints 3 3"]
+    child_centre: Float[np.ndarray, "*t joints 3"]
+    twists: Float[np.ndarray, "*t freedoms 6"]
 
 
 class Gaps(NamedTuple):
     """How far the loops are open: residual, lengths over the longest link, alignment (C,) and angle (C,) [rad] as in
     `cut_joints.Closure`."""
 
-    residual: Float[np.ndarray, " constraints"]
-    alignment: Float[np.ndarray, " cuts"]
-    angle: Float[np.ndarray, " cuts"]
+    residual: Float[np.ndarray, "*t constraints"]
+    alignment: Float[np.ndarray, "*t cuts"]
+    angle: Float[np.ndarray, "*t cuts"]
 
 
 def geometry_of(model: Model) -> NominalGeometry:
@@ -69,105 +70,112 @@ def geometry_of(model: Model) -> NominalGeometry:
     )
 
 
-def place(geometry: NominalGeometry, coordinates: Float[np.ndarray, " numbers"]) -> Placed:
+def place(geometry: NominalGeometry, coordinates: Float[np.ndarray, "*t numbers"]) -> Placed:
     """Links and joints at the position of the tree joints (as `Coordinates.joints`), links undeformed."""
-    topology = geometry.topology
+    topology, batch = geometry.topology, coordinates.shape[:-1]
     n, joints = topology.n_links, len(topology.joints)
-    rotation, origin = np.empty((n, 3, 3)), np.empty((n, 3))
-    joint_rotation, centre = np.empty((joints, 3, 3)), np.empty((joints, 3))
-    child_rotation, child_centre = np.empty((joints, 3, 3)), np.empty((joints, 3))
-    twists = np.zeros((topology.n_freedoms, 6))
+    rotation, origin = np.empty((*batch, n, 3, 3)), np.empty((*batch, n, 3))
+    joint_rotation, centre = np.empty((*batch, joints, 3, 3)), np.empty((*batch, joints, 3))
+    child_rotation, child_centre = np.empty((*batch, joints, 3, 3)), np.empty((*batch, joints, 3))
+    twists = np.zeros((*batch, topology.n_freedoms, 6))
 
     def frame(node: int) -> tuple[np.ndarray, np.ndarray]:
         if node == BASE:
             return np.eye(3), np.zeros(3)
         link = topology.link_of(node)
         x = geometry.rest[node - n] if node >= n else 0.0
-        return rotation[link], origin[link] + rotation[link, :, 0] * x
+        return rotation[..., link, :, :], origin[..., link, :] + rotation[..., link, :, 0] * x
 
     for j in range(joints):
         parent_rotation, parent_point = frame(topology.parents[j])
-        joint_rotation[j] = parent_rotation @ geometry.seat_rotation[j]
-        centre[j] = parent_point + parent_rotation @ geometry.seat_position[j]
+        joint_rotation[..., j, :, :] = parent_rotation @ geometry.seat_rotation[j]
+        centre[..., j, :] = parent_point + parent_rotation @ geometry.seat_position[j]
         if j >= n:
             continue
-        child_rotation[j], child_centre[j] = joint_rotation[j], centre[j]
-        at, basis = topology.positions[j], child_rotation[j].copy()
+        turned, point = joint_rotation[..., j, :, :].copy(), centre[..., j, :].copy()
+        at, basis = topology.positions[j], turned
         for m, (k, freedom) in enumerate(zip(topology.coordinates[j], topology.kind(j).freedoms)):
             if freedom.first:
-                basis = child_rotation[j].copy()
-            direction = basis[:, freedom.axis]
+                basis = turned
+            direction = basis[..., freedom.axis]
             if not freedom.rotation:
-                twists[k, 3:] = direction
-                child_centre[j] += coordinates[at[m]] * direction
+                twists[..., k, 3:] = direction
+                point = point + coordinates[..., at[m], None] * direction
                 continue
-            twists[k] = np.concatenate([direction, np.cross(child_centre[j], direction)])
+            twists[..., k, :] = np.concatenate([direction, np.cross(point, direction)], axis=-1)
             if freedom.any_axis and freedom.first:
-                child_rotation[j] = basis @ _rotation_of(coordinates[at[m] : at[m] + 4])
+                turned = basis @ _rotation_of(coordinates[..., at[m] : at[m] + 4])
             elif not freedom.any_axis:
-                child_rotation[j] = basis @ _rotation_about(freedom.axis, coordinates[at[m]])
-        rotation[j] = child_rotation[j] @ geometry.bore_rotation[j].T
-        origin[j] = child_centre[j] - rotation[j] @ geometry.bore_position[j]
+                turned = turned @ _rotation_about(freedom.axis, coordinates[..., at[m]])
+        child_rotation[..., j, :, :], child_centre[..., j, :] = turned, point
+        rotation[..., j, :, :] = turned @ geometry.bore_rotation[j].T
+        origin[..., j, :] = point - rotation[..., j, :, :] @ geometry.bore_position[j]
     for j in topology.cuts:
         node_rotation, point = frame(topology.children[j])
-        child_rotation[j] = node_rotation @ geometry.bore_rotation[j]
-        child_centre[j] = point + node_rotation @ geometry.bore_position[j]
+        child_rotation[..., j, :, :] = node_rotation @ geometry.bore_rotation[j]
+        child_centre[..., j, :] = point + node_rotation @ geometry.bore_position[j]
     return Placed(rotation, origin, joint_rotation, centre, child_rotation, child_centre, twists)
 
 
-def _rotation_about(axis: int, angle: float) -> np.ndarray:
+def _rotation_about(axis: int, angle: Float[np.ndarray, "*t"]) -> Float[np.ndarray, "*t 3 3"]:
     c, s = np.cos(angle), np.sin(angle)
     i, j = (axis + 1) % 3, (axis + 2) % 3
-    matrix = np.eye(3)
-    matrix[i, i] = matrix[j, j] = c
-    matrix[i, j], matrix[j, i] = -s, s
+    matrix = np.zeros((*np.shape(angle), 3, 3))
+    matrix[..., axis, axis] = 1.0
+    matrix[..., i, i] = matrix[..., j, j] = c
+    matrix[..., i, j], matrix[..., j, i] = -s, s
     return matrix
 
 
-def _rotation_of(q: np.ndarray) -> np.ndarray:
+def _rotation_of(q: Float[np.ndarray, "*t 4"]) -> Float[np.ndarray, "*t 3 3"]:
     """Rotation of a quaternion."""
-    skew = cross_matrix(q[1:])
-    return np.eye(3) + 2.0 / (q @ q) * (q[0] * skew + skew @ skew)
+    skew = cross_matrix(q[..., 1:])
+    size = np.sum(q * q, axis=-1)[..., None, None]
+    return np.eye(3) + 2.0 / size * (q[..., :1, None] * skew + skew @ skew)
 
 
 def moved(
-    topology: Topology, position: Float[np.ndarray, " numbers"], change: Float[np.ndarray, " freedoms"]
-) -> Float[np.ndarray, " numbers"]:
+    topology: Topology, position: Float[np.ndarray, "*t numbers"], change: Float[np.ndarray, "*t freedoms"]
+) -> Float[np.ndarray, "*t numbers"]:
     """`orientations.moved` of the joints."""
     found = np.array(position, dtype=float)
     for l, (at, rates) in enumerate(zip(topology.positions, topology.coordinates, strict=True)):
         n = topology.plain(l)
-        found[at.start : at.start + n] += change[rates.start : rates.start + n]
+        found[..., at.start : at.start + n] += change[..., rates.start : rates.start + n]
         if topology.kind(l).ball:
-            theta, q = change[rates.start + n : rates.stop], found[at.start + n : at.stop]
-            half = 0.5 * np.linalg.norm(theta)
+            theta, q = change[..., rates.start + n : rates.stop], found[..., at.start + n : at.stop]
+            half = 0.5 * np.linalg.norm(theta, axis=-1, keepdims=True)
             w, v = np.cos(half), 0.5 * np.sinc(half / np.pi) * theta
-            turned = np.concatenate([[w * q[0] - v @ q[1:]], w * q[1:] + q[0] * v + np.cross(v, q[1:])])
-            found[at.start + n : at.stop] = turned / np.linalg.norm(turned)
+            scalar, vector = q[..., :1], q[..., 1:]
+            first = w * scalar - np.sum(v * vector, axis=-1, keepdims=True)
+            turned = np.concatenate([first, w * vector + scalar * v + np.cross(v, vector)], axis=-1)
+            found[..., at.start + n : at.stop] = turned / np.linalg.norm(turned, axis=-1, keepdims=True)
     return found
 
 
 def gaps(geometry: NominalGeometry, placed: Placed) -> Gaps:
     """The equations of all cut joints (`cut_joints`, theory (5.1), (5.14), (5.15)), of the kinds without springs."""
     topology, n = geometry.topology, geometry.topology.n_links
-    residual, alignment = [np.zeros(0)], []
-    for joint in topology.cuts:
-        kind, left, right = topology.kind(joint).nominal, placed.joint_rotation[joint], placed.child_rotation[joint]
-        apart = (placed.child_centre[joint] - placed.centre[joint]) / geometry.scale
-        products = np.einsum("ki,kj->ij", left, right)
-        residual.append(apart if kind.coincident else left[:, kind.across].T @ apart)
-        residual.append(np.array([products[pair] for pair in kind.perpendicular]))
-        alignment.append(_alignment(kind, products))
-    x = np.einsum("cij,ci->cj", placed.joint_rotation[n:], placed.child_rotation[n:, :, 0])
-    return Gaps(np.concatenate(residual), np.array(alignment), np.arctan2(-x[:, 2], x[:, 0]))
+    batch = placed.centre.shape[:-2]
+    residual, alignment = [np.zeros((*batch, 0))], np.zeros((*batch, topology.n_cuts))
+    for i, joint in enumerate(topology.cuts):
+        kind = topology.kind(joint).nominal
+        left, right = placed.joint_rotation[..., joint, :, :], placed.child_rotation[..., joint, :, :]
+        apart = (placed.child_centre[..., joint, :] - placed.centre[..., joint, :]) / geometry.scale
+        products = np.einsum("...ki,...kj->...ij", left, right)
+        residual.append(apart if kind.coincident else np.einsum("...ki,...k->...i", left[..., kind.across], apart))
+        residual += [products[..., i, j, None] for i, j in kind.perpendicular]
+        alignment[..., i] = _alignment(kind, products)
+    x = np.einsum("...cij,...ci->...cj", placed.joint_rotation[..., n:, :, :], placed.child_rotation[..., n:, :, 0])
+    return Gaps(np.concatenate(residual, axis=-1), alignment, np.arctan2(-x[..., 2], x[..., 0]))
 
 
-def _alignment(kind: JointKind, products: Float[np.ndarray, "3 3"]) -> float:
+def _alignment(kind: JointKind, products: Float[np.ndarray, "*t 3 3"]) -> Float[np.ndarray, "*t"]:
     """`cut_joints.Closure.alignment` from the products of the axes of L and P."""
     if kind.angles == 0:
-        return 0.5 * (np.trace(products) - 1.0)
+        return np.asarray(0.5 * (np.trace(products, axis1=-2, axis2=-1) - 1.0))
     axis = next(freedom.axis for freedom in kind.freedoms if freedom.rotation)
-    return 1.0 if kind.angles == 3 else products[axis, axis]
+    return np.ones(products.shape[:-2]) if kind.angles == 3 else products[..., axis, axis]
 
 
 def closure_rows(geometry: NominalGeometry, placed: Placed, rigid: bool = True) -> list[tuple[np.ndarray, np.ndarray]]:

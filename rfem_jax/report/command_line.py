@@ -20,9 +20,11 @@ from contextlib import contextmanager
 from typing import Any, NoReturn
 
 from rfem_jax.report.commands.catalogue import all_commands
-from rfem_jax.report.commands.command import EXIT_CODES, INTERRUPTED, UNREAD, WRONG_INPUT, Answer, Command
+from rfem_jax.report.commands.command import EXIT_CODES, INTERRUPTED, UNREAD, WRONG_INPUT, Answer, Command, Interrupted
 from rfem_jax.report.process import count_devices, join_processes, require_platform, set_up_jax
-from rfem_jax.report.progress_line import ClosedPipe, ProgressLine, discard, print_document, say, speaking
+from rfem_jax.report.progress_line import ClosedPipe, ProgressLine, discard, paint, print_document, say, speaking
+
+NOTHING_DONE = "nothing was done yet; start the same command again."
 
 
 class _Parser(argparse.ArgumentParser):
@@ -130,13 +132,13 @@ def _answer(arguments: argparse.Namespace) -> tuple[Answer, list[str]]:
             except InputError as problem:
                 problems = [" ".join(sentence.split()) for sentence in problem.problems]
                 for sentence in problems:
-                    say(sentence)
+                    say(paint(sentence, "red", sys.stderr))
                 return Answer(WRONG_INPUT), problems
-    except KeyboardInterrupt:
-        kept = f"; {command.kept} are kept, and the same command continues it" if command.kept else ""
-        sentence = f"Interrupted: the results of this study are not complete{kept}."
-        print(sentence, file=sys.stderr)
-        return Answer(INTERRUPTED), [sentence]
+    except KeyboardInterrupt as end:
+        interrupted = end if isinstance(end, Interrupted) else Interrupted(NOTHING_DONE)
+        sentence = f"Interrupted: {interrupted.sentence}"
+        print(paint(sentence, "yellow", sys.stderr), file=sys.stderr)
+        return Answer(INTERRUPTED, interrupted.document), [sentence]
 
 
 def _document(content: dict[str, Any]) -> str:

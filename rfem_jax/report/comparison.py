@@ -63,7 +63,7 @@ class Comparison:
     remarks: tuple[str, ...]
 
     def text(self, names: Sequence[str]) -> str:
-        """Tables by quantity, then the remarks and the largest difference; `names` of the two results."""
+        """Tables by quantity, then the remarks; `names` of the two results."""
         parts = [f"first: {names[0]}\nsecond: {names[1]}"]
         for quantity in (*JOINT_METRICS, *DRIVEN_JOINT):
             rows = [one for one in self.differences if one.quantity == quantity.name]
@@ -71,7 +71,7 @@ class Comparison:
                 parts.append(f"{quantity.title}\n{_table(rows)}")
         if self.remarks:
             parts.append("\n".join(self.remarks))
-        return "\n\n".join([*parts, self.largest()])
+        return "\n\n".join(parts)
 
     def largest(self) -> str:
         """One sentence on the largest relative difference."""
@@ -87,6 +87,7 @@ class Comparison:
 def read_results(folder: str | Path) -> dict[str, Any]:
     """The content of `results.json` in a folder, or of the file itself. Raises InputError."""
     path = Path(folder) / RESULTS if Path(folder).is_dir() else Path(folder)
+    content: dict[str, Any] = {}
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
         cases = content["cases"]
@@ -124,11 +125,11 @@ def compare_results(first: Mapping[str, Any], second: Mapping[str, Any]) -> Comp
                 remarks.append(f"Case {case}: {what} {one.get(what)} in the first, {other.get(what)} in the second.")
         for joint in _common(f"joints of case {case}", one["joints"], other["joints"], remarks):
             for quantity in JOINT_METRICS:
-                pair = [_number(of["joints"][joint], quantity.name) for of in (one, other)]
-                found.append((case, joint, quantity, *pair))
+                first_value, second_value = (_number(of["joints"][joint], quantity.name) for of in (one, other))
+                found.append((case, joint, quantity, first_value, second_value))
         for quantity in DRIVEN_JOINT:
-            pair = [_number(of.get("driven_joint"), quantity.name) for of in (one, other)]
-            found.append((case, OF_RUN, quantity, *pair))
+            first_value, second_value = (_number(of.get("driven_joint"), quantity.name) for of in (one, other))
+            found.append((case, OF_RUN, quantity, first_value, second_value))
     found = [one for one in found if not (math.isnan(one[3]) and math.isnan(one[4]))]
     for _, _, quantity, *pair in found:
         scales[quantity.name] = max(scales.get(quantity.name, 0.0), *(abs(x) for x in pair if math.isfinite(x)), 0.0)

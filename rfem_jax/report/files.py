@@ -21,11 +21,12 @@ from jaxtyping import Float
 
 from rfem_jax.compilation.keeping import state
 from rfem_jax.description.joint_kinds import KINDS
+from rfem_jax.description.metric_catalogue import unit_of
 from rfem_jax.description.point_forces import AtPoint
 from rfem_jax.description.study import Study
 from rfem_jax.report.annotations import Run, Summaries
 from rfem_jax.report.driven_motions_report import drive_quantities, has_driven_joint
-from rfem_jax.report.output import write_json
+from rfem_jax.report.output import csv_cell, write_json
 from rfem_jax.report.quantities import ENERGIES, column_name, units
 from rfem_jax.report.summary import joint_names, study_note, total_energy
 from rfem_jax.whole_files import replacing
@@ -40,10 +41,13 @@ def write_results(path: str | Path, study: Study, summaries: Summaries) -> Path:
         "duration": study.duration,
         "driven_joint": study.drives[0].joint if has_driven_joint(study) else None,
         "method": asdict(study.method),
+        **({"design": study.design_values} if study.design_values else {}),
         "cases": summaries,
         "compilation": state(),
         "units": {"duration": "s", **units(), **{one.end.name: one.end.unit for one in driven}},
     }
+    if study.metrics:
+        content["units"]["metrics"] = {name: unit_of(name) or "1" for name in study.metrics}
     if driven:
         content["drives"] = list(study.drive_labels)
     return write_json(path, content)
@@ -111,7 +115,7 @@ def write_history(path: str | Path, study: Study, run: Run) -> Path:
     columns = history_columns(study, run)
     table = np.stack(list(columns.values()), axis=1)
     with replacing(path) as temporary:
-        np.savetxt(temporary, table, fmt="%.12g", delimiter=",", header=",".join(columns), comments="")
+        np.savetxt(temporary, table, fmt="%.12g", delimiter=",", header=",".join(map(csv_cell, columns)), comments="")
     return Path(path)
 
 

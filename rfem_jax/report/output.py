@@ -2,6 +2,7 @@
 
 Place in the pipeline: `whole_files` -> **output** -> every module of this package that writes, and the studies'
 scripts.  JSON has no NaN; a value that does not exist is null, in CSV an empty cell.
+Texts in CSV files that begin as a formula (=, +, -, @) have an apostrophe before them.
 
 Columns of CSV files are named with their units (`quantities.column_name`): `time_s`, `D.d_y_m`. Where the unit changes
 from row to row, it stands in a column of its own: `gradient_unit` is that of `gradient`, `unit` that of all others. A
@@ -70,19 +71,22 @@ def write_json(path: str | Path, content: dict[str, Any]) -> Path:
 def write_csv(path: str | Path, rows: Sequence[Mapping[str, Any]]) -> Path:
     """Write rows (dicts with the same keys) as CSV; NaN is an empty cell."""
     text = io.StringIO()
-    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
-    writer.writeheader()
+    names = list(rows[0])
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow([csv_cell(name) for name in names])
     for row in rows:
-        writer.writerow({key: _cell(value) for key, value in row.items()})
+        writer.writerow([csv_cell(row[name]) for name in names])
     with replacing(path) as temporary:
         temporary.write_text(text.getvalue(), encoding="utf-8")
     return Path(path)
 
 
-def _cell(value: Any) -> Any:
+def csv_cell(value: Any) -> Any:
+    """What stands in a cell of a CSV file for a value."""
     if isinstance(value, (float, np.floating)):
         return "" if np.isnan(value) else f"{value:.12g}"
-    return value
+    # A spreadsheet takes such a text for a formula: with an apostrophe before it it is a text.
+    return f"'{value}" if isinstance(value, str) and value.startswith(("=", "+", "-", "@")) else value
 
 
 def write_pictures(folder: str | Path, figures: Mapping[str, Figure]) -> list[Path]:

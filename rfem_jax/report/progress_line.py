@@ -159,6 +159,17 @@ def discard(stream: TextIO) -> None:
         os.close(nowhere)
 
 
+COLOURS = {"red": "31", "yellow": "33", "bold": "1"}
+
+
+def paint(text: str, colour: str, stream: TextIO) -> str:
+    """Text in a colour where `stream` is a terminal, unless the environment has NO_COLOR (https://no-color.org) or
+    TERM=dumb."""
+    if not text or not stream.isatty() or os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb":
+        return text
+    return f"\033[{COLOURS[colour]}m{text}\033[0m"
+
+
 def show(text: str = "", end: str = "\n") -> None:
     """Print a result on standard output, above the progress line, unless a document has it. Raises: ClosedPipe."""
     if not _manner.document:

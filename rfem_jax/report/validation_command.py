@@ -20,6 +20,14 @@ from rfem_jax.validation.catalogue import chosen, compute
 from rfem_jax.validation.lines import Benchmark, Line, Picture
 
 
+class Stopped(KeyboardInterrupt):
+    """The validation was interrupted: number of benchmarks that are done and written, names of the others."""
+
+    def __init__(self, done: int, left: list[str]):
+        super().__init__()
+        self.done, self.left = done, left
+
+
 def validate(
     names: Sequence[str] | None, full: bool, folder: Path | None, announce: Callable[..., None]
 ) -> tuple[list[Line], list[Path]]:
@@ -28,7 +36,7 @@ def validate(
     Arguments: names of benchmarks (None: all); full: the lines that take long too; folder for the
     files (None: none); announce: called with what is computed and the fraction of it that is done.
     Returns: all lines, and the files written.
-    Raises: InputError for an unknown name; OSError for files that cannot be written.
+    Raises: InputError for an unknown name; OSError for files that cannot be written; Stopped.
     """
     started = time.perf_counter()
     benchmarks = chosen(names)
@@ -41,19 +49,29 @@ def validate(
         announce(stage)
         return partial(announce, stage)
 
-    for benchmark, outcome in compute(benchmarks, full, watched):
-        title = benchmark.title[0].upper() + benchmark.title[1:]
-        show(benchmark_text(title, outcome.lines), end="\n\n")
-        lines += outcome.lines
-        pictures += outcome.pictures
+    done = 0
+
+    def write(seconds: float) -> list[Path]:
+        if folder is None or not lines:
+            return []
+        settings = {"benchmarks": [one.name for one in benchmarks[:done]], "full": full, "seconds": seconds}
+        return write_validation(folder, lines, settings)
+
+    try:
+        for benchmark, outcome in compute(benchmarks, full, watched):
+            title = benchmark.title[0].upper() + benchmark.title[1:]
+            show(benchmark_text(title, outcome.lines), end="\n\n")
+            lines += outcome.lines
+            pictures += outcome.pictures
+            done += 1
+    except KeyboardInterrupt:
+        write(time.perf_counter() - started)
+        raise Stopped(done, [one.name for one in benchmarks[done:]]) from None
     show(verdict_text(lines))
     seconds = time.perf_counter() - started
     remark(f"Validation done after {seconds:.0f} s.")
-    if folder is None:
-        return lines, []
-    settings = {"benchmarks": [one.name for one in benchmarks], "full": full, "seconds": seconds}
-    written = write_validation(folder, lines, settings)
-    return lines, written + _draw(folder, pictures)
+    written = write(seconds)
+    return lines, written if folder is None else written + _draw(folder, pictures)
 
 
 def _draw(folder: Path, pictures: list[Picture]) -> list[Path]:

@@ -3,24 +3,31 @@
 Place in the pipeline: study -> **cases** -> report.
 """
 
+import dataclasses
 import functools
 from collections.abc import Callable
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from rfem_jax.compilation.program import Program
+from rfem_jax.description.driven_motions import Drive
+from rfem_jax.description.methods import Method
+from rfem_jax.description.metric_catalogue import records_for
 from rfem_jax.description.study import Study
 from rfem_jax.labelled_data import DataFrame, Dataset, frame
-from rfem_jax.mechanics.discretisation import discretise
+from rfem_jax.mechanics.designs import model_of_study
 from rfem_jax.mechanics.model import Model
-from rfem_jax.mechanics.model_with_errors import assembly_errors
+from rfem_jax.mechanics.model_with_errors import AssemblyErrors, assembly_errors
 from rfem_jax.simulation import integration, labelled_runs
 from rfem_jax.simulation.accuracy import choose_method
 from rfem_jax.simulation.driving import require_driven
-from rfem_jax.simulation.run import Run, one_of
+from rfem_jax.simulation.records import require_records
+from rfem_jax.simulation.run import Run, of_model, one_of
 from rfem_jax.simulation.time_grid import TimeGrid
+from rfem_jax.simulation.unfinished import Unfinished
 
 PIECES = 20
 
@@ -49,35 +56,90 @@ class Runs(dict[str, Run]):
 
 
 def run_cases(
-    study: Study, progress: Callable[[float], None] | None = None, model: Model | None = None
+    study: Study,
+    progress: Callable[[float], None] | None = None,
+    model: Model | None = None,
+    keep: Path | None = None,
 ) -> tuple[Model, Runs]:
     """Simulate all cases of a study as one batch.
 
     **Arguments:** `progress` is called with the fraction of simulated time; `model`: the study's mechanism if it is
-    discretised already.
+    discretised already; `keep`: file in which an interruption (KeyboardInterrupt) leaves what is done, and from which
+    the same call goes on, to the same numbers; None keeps nothing.
 
     **Returns:** the model, and a run of NumPy arrays for every case by its name.
 
     **Raises:** `InputError` as `choose_method`, and for a model whose driven joint is not that of the study's drive.
     """
-    model = discretise(study.mechanism) if model is None else model
-    require_driven(model, study.drive)
-    errors = [assembly_errors(model, case.errors) for case in study.cases]
-    errors = jax.tree.map(lambda *leaves: jnp.stack(leaves), *errors)
-    method = choose_method(model, study.method, study.drive, study.duration, errors, study.save_every)
-    grid, steps = integration.grid_for(study.drive, study.duration, method, study.save_every, model)
-    _compile_ahead(model, errors, study.drive, grid, method, steps)
-    prepared, carry = _prepare(model, errors, study.drive, method)
-    ends = []
-    for piece in _pieces(grid):
-        carry, reached = _advance(model, prepared.actual, study.drive, carry, piece, method, steps)
-        ends.append(jax.tree.map(np.asarray, reached))
+    model = model_of_study(study) if model is None else model
+    drive = study.designed_drive
+    require_driven(model, drive)
+    each = _errors_of_cases(study, model)
+    errors = jax.tree.map(lambda *leaves: jnp.stack(leaves), *each)
+    plain = dataclasses.replace(errors, parameters=None)
+    method = choose_method(model, study.method, drive, study.duration, plain, study.save_every)
+    grid, steps = integration.grid_for(drive, study.duration, method, study.save_every, model)
+    asked = require_records(model, records_for(study.metrics))
+    if errors.parameters is not None:
+        runs = _run_with_parameters(model, errors, drive, study, method, asked)
+        return model, Runs({case.name: one_of(runs, i) for i, case in enumerate(study.cases)})
+    _compile_ahead(model, errors, drive, grid, method, steps, asked)
+    prepared, carry = _prepare(model, errors, drive, method)
+    unfinished = Unfinished(keep, (model, errors, drive, study.duration, method, study.save_every))
+    try:
+        carry, ends = _advance_all(model, prepared, study, carry, grid, method, steps, unfinished, progress)
+        runs = _conclude(model, prepared, drive, carry, ends, grid, method, steps, asked)
+    except KeyboardInterrupt:
+        unfinished.write()
+        raise
+    unfinished.remove()
+    found = (of_model(one_of(runs, i), model, one) for i, one in enumerate(each))
+    return model, Runs({case.name: run for case, run in zip(study.cases, found)})
+
+
+def _errors_of_cases(study: Study, model: Model) -> list[AssemblyErrors]:
+    """The errors of every case; parameters that deviate in any case do so by zero in the others."""
+    names = {name for case in study.cases for name in case.errors if name not in model.topology.error_names}
+    zeros = dict.fromkeys(sorted(names), 0.0)
+    return [assembly_errors(model, zeros | case.errors) for case in study.cases]
+
+
+def _run_with_parameters(
+    model: Model, errors: AssemblyErrors, drive: Drive, study: Study, method: Method, asked: tuple[str, ...]
+) -> Run:
+    """Runs whose models differ, all at once."""
+
+    def simulate(errors):
+        return integration.simulate(
+            model,
+            errors,
+            drive=drive,
+            duration=study.duration,
+            method=method,
+            save_every=study.save_every,
+            record=asked,
+        )
+
+    return jax.tree.map(np.asarray, jax.vmap(simulate)(errors))
+
+
+def _advance_all(model, prepared, study: Study, carry, grid: TimeGrid, method, steps, unfinished: Unfinished, progress):
+    """The integrator's state at the end, and what it has recorded at the saved times; from where `unfinished` says."""
+    pieces = list(_pieces(grid))
+    first, carry, parts = unfinished.restore(carry)
+    tree = None
+    for number, piece in enumerate(pieces[first:], first + 1):
+        carry, reached = _advance(model, prepared.actual, study.designed_drive, carry, piece, method, steps)
+        leaves, tree = jax.tree.flatten(jax.tree.map(np.asarray, reached))
+        parts.append(leaves)
+        if number < len(pieces):  # the last piece gives the tree of all, and is computed again
+            unfinished.reach(number, carry, parts)
         if progress is not None:
             progress(float((piece.starts + piece.lengths)[-1] / study.duration))
+    assert tree is not None
     count = len(grid.starts)
-    ends = jax.tree.map(lambda *parts: np.concatenate(parts, axis=1)[:, :count], *ends)
-    runs = _conclude(model, prepared, study.drive, carry, ends, grid, method, steps)
-    return model, Runs({case.name: one_of(runs, i) for i, case in enumerate(study.cases)})
+    ends = [np.concatenate(leaves, axis=1)[:, :count] for leaves in zip(*parts, strict=True)]
+    return carry, jax.tree.unflatten(tree, ends)
 
 
 def _pieces(grid: TimeGrid):
@@ -88,7 +150,7 @@ def _pieces(grid: TimeGrid):
         yield grid.piece(first, size)
 
 
-def _compile_ahead(model, errors, drive, grid: TimeGrid, method, steps) -> None:
+def _compile_ahead(model, errors, drive, grid: TimeGrid, method, steps, asked) -> None:
     """Start to compile all programs, or to load them, side by side."""
     started = _prepare.ahead(model, errors, drive, method)
     if started is None:
@@ -101,7 +163,7 @@ def _compile_ahead(model, errors, drive, grid: TimeGrid, method, steps) -> None:
     carry, ends = advanced
     cases, count = len(jax.tree.leaves(errors)[0]), len(grid.starts)
     ends = jax.tree.map(lambda x: jax.ShapeDtypeStruct((cases, count, *x.shape[2:]), x.dtype), ends)
-    _conclude.ahead(model, prepared, drive, carry, ends, grid, method, steps)
+    _conclude.ahead(model, prepared, drive, carry, ends, grid, method, steps, asked)
 
 
 @functools.partial(Program, quick=True)
@@ -120,8 +182,8 @@ def _advance(model, actual, drive, carry, grid, method, steps):
 
 
 @functools.partial(Program, quick=True)
-def _conclude(model, prepared, drive, carry, ends, grid, method, steps):
+def _conclude(model, prepared, drive, carry, ends, grid, method, steps, asked):
     def one(prepared, carry, ends):
-        return integration.conclude(model, prepared, drive, carry, ends, grid, method, steps)
+        return integration.conclude(model, prepared, drive, carry, ends, grid, method, steps, asked)
 
     return jax.vmap(one)(prepared, carry, ends)

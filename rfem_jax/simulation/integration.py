@@ -10,6 +10,7 @@ With fixed steps all transforms of JAX apply (jit, vmap, forward and reverse mod
 checkpoint at the end of every interval.
 """
 
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import diffrax
@@ -24,6 +25,7 @@ from rfem_jax.description.methods import Method
 from rfem_jax.description.precision import require_float64
 from rfem_jax.mechanics import loads
 from rfem_jax.mechanics.centre_lines import link_lines
+from rfem_jax.mechanics.designs import Design, designed, with_status
 from rfem_jax.mechanics.model import Model, State
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors, ModelWithErrors, apply_errors, assembly_errors
 from rfem_jax.mechanics.orientations import angles_of
@@ -45,10 +47,11 @@ from rfem_jax.mechanics.status import (
     STEPS_EXHAUSTED,
 )
 from rfem_jax.simulation import equations
-from rfem_jax.simulation.driving import active_drives, all_jumps, require_driven
+from rfem_jax.simulation.driving import active_drives, all_jumps, drive_of_design, require_driven
 from rfem_jax.simulation.equations import Conditions, Scalar, Trajectory
 from rfem_jax.simulation.observation import Record, observe
 from rfem_jax.simulation.packing import pack, unpack
+from rfem_jax.simulation.records import finished_records, instant_records, require_records
 from rfem_jax.simulation.run import (
     RESIDUAL_LIMIT,
     DriveHistory,
@@ -58,6 +61,7 @@ from rfem_jax.simulation.run import (
     Loads,
     Metrics,
     Run,
+    of_model,
 )
 from rfem_jax.simulation.solvers.catalogue import observed_solver
 from rfem_jax.simulation.solvers.implicit_step import SOLUTION, Memory
@@ -94,6 +98,8 @@ def simulate(
     save_every: float | None = None,
     start: State | None = None,
     adjoint: diffrax.AbstractAdjoint | None = None,
+    record: str | Iterable[str] = (),
+    design: Design | None = None,
 ) -> Run:
     """Assemble a mechanism with its errors and simulate its motion.
 
@@ -101,7 +107,9 @@ def simulate(
     joint, its prescribed motion, a list of such drives on as many driven motions, or None; `duration` [s]; `method`;
     `save_every` [s]: interval of saved times (None: 500 intervals); `start`: replaces the static assembly (the preload
     is then unknown, NaN); `adjoint`: diffrax's adjoint, for adaptive methods only (None: forward mode; give
-    `diffrax.RecursiveCheckpointAdjoint()` for reverse mode).
+    `diffrax.RecursiveCheckpointAdjoint()` for reverse mode); `design`: from `rfem_jax.design`, other values for numbers
+    of the model and its drives; `record`: what the run records besides, such as "coupler.sections" (see
+    `simulation.records`), into `run.recorded`.
 
     **Returns:** `Run`.  Works under jit, vmap, jacfwd; with fixed-step methods also grad, jacrev and Hessians (memory
     in reverse mode: the state at the end of every interval, and the steps of one interval).
@@ -113,7 +121,11 @@ def simulate(
     require_driven(model, drive)
     grid, steps = grid_for(drive, duration, method, save_every, model)
     errors = assembly_errors(model) if errors is None else errors
-    return _simulate(model, errors, drive, grid, start, method, steps, adjoint)
+    drive = drive if design is None else drive_of_design(model, drive, design)
+    made = designed(model, design, errors)
+    asked = require_records(made.model, record)
+    run = _simulate(made.model, made.errors, drive, grid, start, method, steps, adjoint, asked)
+    return with_status(of_model(run, made.model, errors if made.errors is None else made.errors), made)
 
 
 def grid_for(
@@ -133,11 +145,11 @@ def grid_for(
 
 
 @Program
-def _simulate(model, errors, drive, grid, start, method, steps, adjoint):
+def _simulate(model, errors, drive, grid, start, method, steps, adjoint, record):
     prepared = prepare(model, errors, drive, start)
     carry = start_carry(model, prepared, drive, method)
     carry, ends = advance(model, prepared.actual, drive, carry, grid, method, steps, adjoint)
-    return conclude(model, prepared, drive, carry, ends, grid, method, steps)
+    return conclude(model, prepared, drive, carry, ends, grid, method, steps, record)
 
 
 def prepare(model: Model, errors: AssemblyErrors, drive: Drive, start: State | None) -> Prepared:
@@ -231,8 +243,9 @@ def observe_ends(
     grid: TimeGrid,
     method: Method,
     steps: int,
+    asked: Sequence[str] = (),
 ) -> Record:
-    """Records of the ends of intervals, with a first axis of intervals.
+    """Records of the ends of intervals, with a first axis of intervals; `asked`: names as in `simulation.records`.
 
     They have a loop of their own: XLA compiles two loops faster than one with the operations of both.
     """
@@ -246,7 +259,8 @@ def observe_ends(
         conditions = Conditions(actual, drives, phase, stabilisation)
         t, h = start + length, length / steps
         squares, state, now, instant = solver.instant(t, h, end.trajectory, end.memory, conditions)
-        return observe(actual, state, now, end.trajectory.integrals, instant, squares)
+        seen = observe(actual, state, now, end.trajectory.integrals, instant, squares)
+        return seen._replace(asked=instant_records(model, actual, state, instant, asked)) if asked else seen
 
     entries_and_ends = _entries(grid), ends
     form = jax.eval_shape(record, jax.tree.map(lambda x: x[0], entries_and_ends))
@@ -262,9 +276,10 @@ def conclude(
     grid: TimeGrid,
     method: Method,
     steps: int,
+    asked: Sequence[str] = (),
 ) -> Run:
-    """Loads, metrics, balances and status from the last carry and the ends of all intervals of the grid."""
-    record = observe_ends(model, prepared.actual, drive, ends, grid, method, steps)
+    """Loads, metrics, balances and status from the last carry and all ends of intervals; `asked`: as `observe_ends`."""
+    record = observe_ends(model, prepared.actual, drive, ends, grid, method, steps, asked)
     # The maxima are taken at the starts of steps: the last instant is still missing.
     carry = carry._replace(peaks=jnp.maximum(carry.peaks, jnp.max(record.squares, axis=0)))
     record = jax.tree.map(lambda x: x[grid.saved], record)
@@ -310,6 +325,8 @@ def conclude(
         centre_lines=link_lines(model, prepared.actual, prepared.state.position),
         nominal_lines=link_lines(model, apply_errors(model, assembly_errors(model)), model.start_coordinates()),
         friction_losses=_by_friction(model, record.friction_losses),
+        recorded=finished_records(model, prepared.actual, record.asked, record.friction_losses, asked),
+        positions=jax.tree.map(lambda x: x[grid.saved], ends.trajectory.position),
     )
 
 

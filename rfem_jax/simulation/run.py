@@ -4,6 +4,9 @@ Place in the pipeline: integration -> **run** -> tolerancing, report.
 """
 
 from collections.abc import Sequence
+from importlib import import_module
+from pathlib import Path
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -12,6 +15,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from rfem_jax.labelled_data import DataFrame, Dataset
+from rfem_jax.mechanics.model import Coordinates, Model
+from rfem_jax.mechanics.model_with_errors import AssemblyErrors
 from rfem_jax.mechanics.statics.assembly import Load
 from rfem_jax.mechanics.status import STATUS
 from rfem_jax.simulation.equations import Scalar, safe_sqrt
@@ -164,7 +169,10 @@ class Run(eqx.Module):
     every cut joint, +1 or -1 (0 where the joints' kinds tell none); a change of sign is a passage through a change
     point (theory (5.13)), after which derivatives, and averages with runs on the other branch, have no meaning.
     integrals: of squared loads, for `window`.  forces: `PointHistory` by the names of the forces at points of links and
-    between them.  friction_losses: energy (times,) [J] that every friction has dissipated, by its name.
+    between them.  friction_losses: energy (times,) [J] that every friction has dissipated, by its name.  recorded: what
+    `simulate` was asked to record, by the names of `simulation.records`.
+
+    positions: coordinates at the saved times; model, errors: what was simulated.
     """
 
     times: Float[Array, " times"]
@@ -195,6 +203,11 @@ class Run(eqx.Module):
     integrals: LoadIntegrals
     forces: dict[str, PointHistory]
     friction_losses: dict[str, Float[Array, " times"]] = eqx.field(default_factory=dict)
+    design_gap: Float[Array, ""] | None = None
+    recorded: dict[str, Any] = eqx.field(default_factory=dict)
+    positions: Coordinates | None = None
+    model: Model | None = None
+    errors: AssemblyErrors | None = None
 
     def window(self, start: Scalar, stop: Scalar) -> WindowLoads:
         """Loads over start <= t <= stop [s] of one run; use vmap for a batch.  Differentiable.
@@ -232,6 +245,14 @@ class Run(eqx.Module):
             f"{float(self.closure_drift):.1e} m"
         )
         return "\n".join(lines)
+
+    def report(self, path: str | Path) -> Path:
+        """Write this run, not a batch, as a page `report.html` for any browser; `path` is the file, or a folder.
+
+        **Returns:** the file.  **Raises:** `InputError` for a batch.
+        """
+        # By its name, since it is above this package in the pipeline.
+        return import_module("rfem_jax.report.page.run_page").write_run(self, path)
 
     def __str__(self) -> str:
         return self.summary()
@@ -283,6 +304,11 @@ def derivative_residual(change: Run) -> Float[Array, "*directions"]:
 
 def _at(time, times, values):
     return jnp.interp(jnp.asarray(time, jnp.float64), jnp.asarray(times), jnp.asarray(values))
+
+
+def of_model(run: Run, model: Model, errors: AssemblyErrors) -> Run:
+    """The run with what was simulated: it is put in here, not by the program, which would only copy it."""
+    return eqx.tree_at(lambda run: (run.model, run.errors), run, (model, errors), is_leaf=lambda x: x is None)
 
 
 def one_of(runs: Run, index: int) -> Run:

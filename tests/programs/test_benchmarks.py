@@ -146,3 +146,8 @@ def test_first_answer_of_exudyn(run_program, study, samples):
     numbers = [float(x) for x in re.findall(r"\d+\.\d+", said)]
     assert said.startswith({"run": "P1", "monte_carlo": "mean"}[study])
     assert len(numbers) >= 8 and max(numbers) < 100.0
+
+
+def test_page_frames_without_a_page(run_program, tmp_path):
+    """With one it needs a browser: `tests/browser`."""
+    assert "rfem-jax report" in run_program("benchmarks/page_frames.py", tmp_path, code=2)

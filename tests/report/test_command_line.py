@@ -22,7 +22,7 @@ from rfem_jax.report import command_line
 from rfem_jax.report.command_line import main
 from rfem_jax.report.commands.catalogue import all_commands
 from rfem_jax.report.process import require_platform
-from rfem_jax.report.progress_line import ProgressLine, show
+from rfem_jax.report.progress_line import ProgressLine, paint, show
 
 STATUS = {0: ("ok", "The run is complete."), 3: ("diverged", "The run diverged; reduce the step.")}
 
@@ -37,7 +37,7 @@ def packages(monkeypatch, runs):
     simulation.STATUS = STATUS
     simulation.check_step = lambda model, method, drive: 1.94e-5
 
-    def run_cases(study, progress):
+    def run_cases(study, progress, keep):
         progress(1.0)
         return None, {case.name: runs[case.name] for case in study.cases}
 
@@ -67,7 +67,7 @@ def test_run_prints_and_writes_everything(packages, runs, study_file, tmp_path, 
     assert {"angle.png", "assembly.png"} <= names
     captured = capsys.readouterr()
     assert "RMS resultant force, N" in captured.out
-    assert "18 files written" in captured.out
+    assert "report.html" in names and "19 files written" in captured.out
     assert "Simulating 3 cases: 100 %" in captured.err
 
 
@@ -140,14 +140,14 @@ def test_a_full_disk_is_one_sentence(packages, study_file, tmp_path, capsys, mon
 
 
 def test_an_interruption_is_130(packages, study_file, tmp_path, capsys):
-    def interrupt(study, progress):
+    def interrupt(study, progress, keep):
         raise KeyboardInterrupt
 
     packages.simulation.run_cases = interrupt
     assert main(["run", str(study_file), "--out", str(tmp_path)]) == 130
     error = capsys.readouterr().err
     assert error.splitlines()[-1].startswith("Interrupted")
-    assert "the same command continues it" in error
+    assert "nothing was done yet; start the same command again" in error
     assert "Traceback" not in error
 
 
@@ -222,7 +222,7 @@ def test_without_matplotlib_the_rest_is_written(packages, study_file, tmp_path, 
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     assert main(["run", str(study_file), "--out", str(out)]) == 0
     names = sorted(path.name for path in out.iterdir())
-    assert names == ["P1.csv", "P2.csv", "P3.csv", "results.json"]
+    assert names == ["P1.csv", "P2.csv", "P3.csv", "report.html", "results.json"]
     assert 'pip install "rfem_jax[plots]"' in capsys.readouterr().out
 
 
@@ -249,9 +249,8 @@ def test_every_file_of_a_command_is_in_the_list():
         task_kinds.COMMANDS
     )
     commands = all_commands()
-    assert [one.name for one in commands][: 1 + len(task_kinds.task_kinds())] == [
-        *("run", "sensitivity", "monte-carlo", "worst-case", "allocate")
-    ]
+    of_tasks = [kind.command for kind in task_kinds.task_kinds().values()]
+    assert [one.name for one in commands][: 2 + len(of_tasks)] == ["init", "run", *of_tasks]
     assert all(one.purpose and one.description.endswith(".") for one in commands)
 
 
@@ -270,7 +269,7 @@ def test_an_answer_for_machines(packages, runs, study_file, tmp_path, capsys):
     code, found, said = answer_of(capsys, "run", str(study_file), "--out", str(tmp_path / "out"))
     assert (code, found["problems"], found["folder"]) == (3, [], str(tmp_path / "out"))
     assert found["results.json"] == json.loads((tmp_path / "out" / "results.json").read_text(encoding="utf-8"))
-    assert len(found["files"]) == 18 and all(Path(one).exists() for one in found["files"])
+    assert len(found["files"]) == 19 and all(Path(one).exists() for one in found["files"])
     assert "Simulating 3 cases: 100 %" in said
     code, found, _ = answer_of(capsys, "check", str(study_file))
     assert (code, found["structure"]["mobility"], found["largest_stable_step"]) == (0, 46, 1.94e-5)
@@ -394,6 +393,20 @@ def test_a_check_loads_what_it_needs(tmp_path):
     )  # fmt: skip
     assert done.stdout.splitlines()[-1] == "[]"
     assert "Largest stable step of rk4: 1.94e-05 s." in done.stdout
+
+
+def test_colours_are_for_terminals(monkeypatch):
+    terminal, file = io.StringIO(), io.StringIO()
+    terminal.isatty = lambda: True
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    monkeypatch.setenv("TERM", "xterm")
+    assert paint("wrong", "red", terminal) == "\033[31mwrong\033[0m"
+    assert paint("wrong", "red", file) == "wrong"
+    monkeypatch.setenv("NO_COLOR", "1")
+    assert paint("wrong", "red", terminal) == "wrong"
+    monkeypatch.setenv("NO_COLOR", "")
+    monkeypatch.setenv("TERM", "dumb")
+    assert paint("wrong", "red", terminal) == "wrong"
 
 
 def test_stages_reach_listeners_and_only_while_they_listen():

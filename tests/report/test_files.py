@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from rfem_jax.report.files import history_columns, write_files
+from rfem_jax.report.output import write_csv
 from rfem_jax.report.quantities import column_name
 from rfem_jax.report.summary import reference_case, summarise
 from rfem_jax.whole_files import replacing
@@ -135,3 +136,9 @@ def test_the_reference_is_the_case_without_errors(study):
     assert reference_case(study) == "P1"
     object.__setattr__(study, "cases", study.cases[:2])
     assert reference_case(study) == "P3"
+
+
+def test_texts_that_begin_as_a_formula_are_texts_for_spreadsheets(tmp_path):
+    rows = [{"=name": "=1+1", "value": -1.5}, {"=name": "+x", "value": np.float64("nan")}, {"=name": "@y", "value": -2}]
+    path = write_csv(tmp_path / "table.csv", rows)
+    assert path.read_text(encoding="utf-8").splitlines() == ["'=name,value", "'=1+1,-1.5", "'+x,", "'@y,-2"]

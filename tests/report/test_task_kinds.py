@@ -116,13 +116,14 @@ def test_its_table_is_read_like_all_others(registered, path, refused):
 def test_its_command_prints_writes_and_draws(registered, path, tmp_path, capsys):
     out = tmp_path / "out"
     assert main(["arms", str(path), "--out", str(out)]) == 0
-    assert {one.name for one in out.iterdir()} == {"lever_arms.json", "lever_arms.csv", "lever_arms_bars.png"}
+    written = {"lever_arms.json", "lever_arms.csv", "lever_arms_bars.png", "report.html"}
+    assert {one.name for one in out.iterdir()} == written
     found = json.loads((out / "lever_arms.json").read_text(encoding="utf-8"))
     assert found["arms"] == {f"{joint}.rms_moment": 2.0 * (1 + i) for i, joint in enumerate("ABDC")}
     assert found["task"]["name"] == "lever_arms" and found["task"]["factor"] == 2.0
     captured = capsys.readouterr()
     assert "Test four-bar" in captured.out and "lever arm of D.rms_moment: 6 m" in captured.out
-    assert "3 files written" in captured.out
+    assert "4 files written" in captured.out
     path.write_text(path.read_text(encoding="utf-8").replace("factor = 2.0", "factor = 20.0"), encoding="utf-8")
     assert main(["arms", str(path), "--out", str(out)]) == 3
 
@@ -134,7 +135,7 @@ def test_its_picture_shows_its_numbers(registered, path):
 
 
 def test_run_and_check_and_help_follow(registered, path, tmp_path, capsys, monkeypatch, runs):
-    monkeypatch.setattr(rfem_jax.simulation, "run_cases", lambda study, progress: (None, runs))
+    monkeypatch.setattr(rfem_jax.simulation, "run_cases", lambda study, **_: (None, runs))
     assert main(["run", str(path), "--out", str(tmp_path / "out")]) == 0
     assert (tmp_path / "out" / "lever_arms_bars.png").exists()
     assert main(["check", str(path)]) == 0

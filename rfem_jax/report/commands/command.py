@@ -32,6 +32,15 @@ class Answer:
     document: Mapping[str, Any] = field(default_factory=dict)
 
 
+class Interrupted(KeyboardInterrupt):
+    """A subcommand was interrupted: `sentence` says what is done and kept, and how to go on; `document` as of an
+    answer."""
+
+    def __init__(self, sentence: str, document: Mapping[str, Any] | None = None):
+        super().__init__(sentence)
+        self.sentence, self.document = sentence, dict(document or {})
+
+
 @dataclass(frozen=True)
 class Command:
     """A subcommand.
@@ -42,8 +51,8 @@ class Command:
         description: sentences for `rfem-jax NAME --help`.
         act: does it, with the parsed arguments. What it raises: InputError for what the user has to change.
         add_arguments: gives the parser its arguments and options.
+            Interrupted where something is done when it is interrupted.
         epilog: what stands below the options in the help.
-        kept: what an interruption leaves for the same command to go on with; "" for nothing.
         computes: False if neither JAX nor a device is needed.
     """
 
@@ -53,7 +62,6 @@ class Command:
     act: Callable[[argparse.Namespace], Answer]
     add_arguments: Callable[[argparse.ArgumentParser], None] = lambda parser: None
     epilog: str | None = None
-    kept: str = ""
     computes: bool = True
 
 

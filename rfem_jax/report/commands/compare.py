@@ -4,11 +4,12 @@ Place in the pipeline: two folders that `rfem-jax run` has written -> `report.co
 """
 
 import argparse
+import sys
 from pathlib import Path
 
 from rfem_jax.report.commands.command import Answer, Command
 from rfem_jax.report.commands.folders import cannot_write, open_folder
-from rfem_jax.report.progress_line import show
+from rfem_jax.report.progress_line import paint, show
 
 
 def command() -> Command:
@@ -38,7 +39,8 @@ def act(arguments: argparse.Namespace) -> Answer:
     found = compare_results(*(read_results(one) for one in arguments.folders))
     rows = [one.row() for one in found.differences]
     document = {"folders": list(arguments.folders), "remarks": list(found.remarks), "differences": rows}
-    show(found.text(arguments.folders))
+    show(found.text(arguments.folders), end="\n\n")
+    show(paint(found.largest(), "bold", sys.stdout))
     if arguments.out is None:
         return Answer(document=document)
     folder = open_folder(arguments.out)

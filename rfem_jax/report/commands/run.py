@@ -5,11 +5,13 @@ pictures -> the reports on tasks.
 """
 
 import argparse
+import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 from rfem_jax.report.annotations import Run, Study, Summaries
-from rfem_jax.report.commands.command import CASE_FAILED, DONE, Answer, Command, add_study_and_folder
+from rfem_jax.report.commands.command import CASE_FAILED, DONE, Answer, Command, Interrupted, add_study_and_folder
 from rfem_jax.report.commands.folders import cannot_write, open_folder, require_folder
 from rfem_jax.report.commands.steps import (
     announce,
@@ -17,10 +19,14 @@ from rfem_jax.report.commands.steps import (
     read_study,
     require_task_folders,
     settle_method,
+    timed,
+    write_page,
     write_task,
 )
-from rfem_jax.report.progress_line import note, show
+from rfem_jax.report.progress_line import note, paint, remark, show
 from rfem_jax.task_kinds import task_kinds
+
+UNFINISHED = "unfinished_cases.npz"
 
 
 def command() -> Command:
@@ -29,13 +35,12 @@ def command() -> Command:
         name="run",
         purpose="simulate all cases of a study, then do every task that it declares",
         description="Simulate all cases of a study together, print the loads in all joints and "
-        "write results.json, one CSV of time histories per case, and pictures; then do every task "
+        "write results.json, one CSV of time histories per case, pictures and report.html; then do every task "
         f"that the study declares ({', '.join(f'[{name}]' for name in task_kinds())}).",
         epilog="Pictures need the extra `plots`. Compiled programs are kept in the user's cache "
         "folder, so that the next run starts at once.",
         add_arguments=add_study_and_folder,
         act=act,
-        kept=" and ".join(kind.kept for kind in task_kinds().values() if kind.kept),
     )
 
 
@@ -53,38 +58,90 @@ def act(arguments: argparse.Namespace) -> Answer:
     require_task_folders(study, study.tasks.declared, arguments.out)
     study = settle_method(study)
     folder = open_folder(arguments.out)
-    runs = _simulate(study)
+    runs = _simulate(study, folder)
     statuses = {name: STATUS[int(run.status)] for name, run in runs.items()}
     summaries = summarise(study, runs, statuses)
     show(results_text(study, summaries), end="\n\n")
+    written: list[Path] = []
     try:
-        written = write_files(folder, study, runs, summaries)
-        written += _write_pictures(folder, study, runs, summaries)
+        written += write_files(folder, study, runs, summaries)
+        written += write_run_pictures(folder, study, runs, summaries)
+        written += _write_animation(folder, runs)
     except OSError as problem:
         raise cannot_write(folder, problem) from problem
-    good = all(one["status"] == "ok" for one in summaries.values())
-    if study.tasks.declared:
-        show()
-    for task in study.tasks.declared:
-        done, files = write_task(study, task, folder)
-        good, written = good and done, written + files
+    except KeyboardInterrupt:
+        sentence = f"the cases are done; of their files these are in {folder}: {_names(written)}. {_go_on(arguments)}"
+        raise Interrupted(sentence, files_document(folder, written)) from None
+    failed = [name for name, one in summaries.items() if one["status"] != "ok"]
+    if failed:
+        remark(paint(f"Not every case is complete: {', '.join(failed)}.", "red", sys.stderr))
+    good = not failed
+    done, files = _do_tasks(study, folder, arguments, written)
+    good, written = good and done, written + files
+    written += write_page(folder)
     seconds = time.perf_counter() - started
     show(f"{len(written)} files written to {folder} ({seconds:.1f} s in all).")
     return Answer(DONE if good else CASE_FAILED, files_document(folder, written))
 
 
-def _simulate(study: Study) -> dict[str, Run]:
-    """All cases with their progress on standard error; returns {case: run}."""
+def _names(files: list[Path]) -> str:
+    return ", ".join(one.name for one in files) or "none"
+
+
+def _go_on(arguments: argparse.Namespace, tasks: Sequence[str] = ()) -> str:
+    """The commands that do the rest: of these tasks, or all again."""
+    kinds = task_kinds()
+    commands = [kinds[task].command for task in tasks] or ["run"]
+    written = " && ".join(f"rfem-jax {one} {arguments.study} --out {arguments.out}" for one in commands)
+    return f"Go on with: {written}"
+
+
+def _do_tasks(study: Study, folder: Path, arguments: argparse.Namespace, before: list[Path]) -> tuple[bool, list[Path]]:
+    """All tasks that the study declares. Raises: InputError; Interrupted, with the commands for the rest."""
+    if study.tasks.declared:
+        show()
+    good, written = True, []
+    for number, task in enumerate(study.tasks.declared):
+        try:
+            done, files = write_task(study, task, folder)
+        except Interrupted as end:
+            complete = ", ".join(("the cases", *(one.replace("_", " ") for one in study.tasks.declared[:number])))
+            kept = end.sentence.removesuffix("; the same command goes on from there.").removesuffix(".")
+            sentence = f"{complete} done, in {folder}; {kept}. {_go_on(arguments, study.tasks.declared[number:])}"
+            raise Interrupted(sentence, files_document(folder, before + written)) from None
+        good, written = good and done, written + files
+    return good, written
+
+
+def _simulate(study: Study, folder: Path) -> dict[str, Run]:
+    """All cases with their progress on standard error; returns {case: run}. Raises: Interrupted."""
     from rfem_jax.simulation import run_cases
 
     count = len(study.cases)
     stage = f"Simulating {count} case{'s' if count > 1 else ''}"
     announce(stage)
-    _, runs = run_cases(study, progress=lambda done: announce(stage, done))
+    reached, kept = 0.0, folder / UNFINISHED
+
+    def progress(done: float) -> None:
+        nonlocal reached
+        reached = done
+        announce(stage, done)
+
+    try:
+        with timed(study, left=UNFINISHED if kept.exists() else ""):
+            _, runs = run_cases(study, progress=progress, keep=kept)
+    except KeyboardInterrupt:
+        if not kept.exists():
+            raise
+        raise Interrupted(
+            f"the cases are simulated up to {reached * study.duration:.3g} s of {study.duration:g} s, which is kept in "
+            f"{kept}; the same command goes on from there."
+        ) from None
     return runs
 
 
-def _write_pictures(folder: Path, study: Study, runs: dict[str, Run], summaries: Summaries) -> list[Path]:
+def write_run_pictures(folder: Path, study: Study, runs: dict[str, Run], summaries: Summaries) -> list[Path]:
+    """Draw the pictures of a run, unless matplotlib is missing, which is said."""
     try:
         import matplotlib  # noqa: F401
     except ImportError:
@@ -96,3 +153,10 @@ def _write_pictures(folder: Path, study: Study, runs: dict[str, Run], summaries:
     from rfem_jax.report.figures import write_figures
 
     return write_figures(folder, study, runs, summaries)
+
+
+def _write_animation(folder: Path, runs: dict[str, Run]) -> list[Path]:
+    from rfem_jax.report.page.animation import write_animation
+
+    announce("Tracing where the mechanism is")
+    return write_animation(folder, runs)

@@ -4,13 +4,16 @@ Place in the pipeline: used by the subcommands; imports what it needs when it is
 """
 
 import json
-from collections.abc import Iterable, Sequence
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from rfem_jax.report.annotations import Model, Study
+from rfem_jax.report.commands.command import Interrupted
 from rfem_jax.report.commands.folders import cannot_write
-from rfem_jax.report.progress_line import note
+from rfem_jax.report.progress_line import note, remark
 
 
 def announce(stage: str, done: float | None = None) -> None:
@@ -31,10 +34,10 @@ def read_study(path: str) -> Study:
 def discretise_study(study: Study) -> Model:
     """The model of the study's mechanism; what is wrong with it is said with the file's name."""
     from rfem_jax.description.errors import located
-    from rfem_jax.mechanics import discretise
+    from rfem_jax.mechanics.designs import model_of_study
 
     with located(f"Study file `{study.path}`"):
-        return discretise(study.mechanism)
+        return model_of_study(study)
 
 
 def settle_method(study: Study) -> Study:
@@ -44,24 +47,66 @@ def settle_method(study: Study) -> Study:
     model = discretise_study(study)
     if study.method.name != "auto":
         announce("Looking for the largest stable step")
-        check_step(model, study.method, study.drive)
+        check_step(model, study.method, study.designed_drive)
         return study
     from dataclasses import replace
 
     from rfem_jax.simulation import choose_method
 
     announce("Choosing the method and its step")
-    method = choose_method(model, study.method, study.drive, study.duration, save_every=study.save_every)
+    method = choose_method(model, study.method, study.designed_drive, study.duration, save_every=study.save_every)
     note(f"Method auto: {method.name} with a step of {method.step:.3g} s.")
     return replace(study, method=method, asked_method=study.method)
 
 
 def write_task(study: Study, task: str, folder: Path) -> tuple[bool, list[Path]]:
-    """Do a task of a study; returns whether it succeeded, and the files written. Raises InputError."""
-    from rfem_jax.report.tasks.task_report import do_task
+    """Do a task of a study; returns whether it succeeded, and the files written. Raises: InputError; Interrupted."""
+    from rfem_jax.report.tasks.task_report import do_task, report_on
 
     try:
-        return do_task(study, task, folder)
+        with timed(study, task, report_on(study, task).left(folder)):
+            return do_task(study, task, folder)
+    except OSError as problem:
+        raise cannot_write(folder, problem) from problem
+    except KeyboardInterrupt:
+        left = report_on(study, task).left(folder)
+        going_on = f"{left}; the same command goes on from there." if left else "start it again from its beginning."
+        raise Interrupted(f"{task.replace('_', ' ')} is not complete: {going_on}") from None
+
+
+LONG = 5.0  # s from which the time of cases is told beforehand
+
+
+@contextmanager
+def timed(study: Study, task: str = "", left: str = "") -> Iterator[None]:
+    """In which a task of a study ("": its cases) is done: says before how long that will take, and records what it took
+    for the next time. `left`: what an interrupted run has left, with which it takes less."""
+    from rfem_jax.compilation import keeping
+    from rfem_jax.report import timings
+
+    key, samples = timings.key_of(study, task), timings.samples_of(study, task)
+    if task:
+        from rfem_jax.report.tasks.task_report import report_on
+        from rfem_jax.task_kinds import task_kinds
+
+        needed = "; ".join(report_on(study, task).simulations())
+        what = ": ".join(one for one in (task_kinds()[task].title, needed) if one)
+        remark(timings.estimate_text(what + (f"; {left}, and serve" if left else ""), key, samples))
+    elif (known := timings.estimate(key, samples)) is not None and known[0] > LONG:
+        remark(timings.estimate_text(f"{len(study.cases)} cases", key, samples))
+    started, traced = time.perf_counter(), keeping.statistics.traced
+    yield
+    if not left:
+        timings.record(key, time.perf_counter() - started, samples, keeping.statistics.traced > traced)
+
+
+def write_page(folder: Path) -> list[Path]:
+    """Write the page of all results that the folder has. Raises InputError."""
+    from rfem_jax.report.page.document import write_folder
+
+    announce("Writing report.html")
+    try:
+        return [write_folder(folder)]
     except OSError as problem:
         raise cannot_write(folder, problem) from problem
 

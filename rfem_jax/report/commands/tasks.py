@@ -20,6 +20,7 @@ from rfem_jax.report.commands.steps import (
     read_study,
     require_task_folders,
     settle_method,
+    write_page,
     write_task,
 )
 from rfem_jax.report.progress_line import show
@@ -42,9 +43,10 @@ def _command_of(kind: TaskKind) -> Command:
         purpose=kind.purpose,
         description=f"Do the task of the study's table [{kind.name}]: {kind.purpose}. Writes JSON, CSV "
         f"and pictures: {kind.results}.",
+        epilog=f"An interruption (Ctrl-C) leaves {kind.kept or 'the evaluations that are done'}, and the same command "
+        "goes on from there.",
         add_arguments=add_arguments,
         act=lambda arguments: _do(kind.name, arguments),
-        kept=kind.kept,
     )
 
 
@@ -60,6 +62,8 @@ def _do(task: str, arguments: argparse.Namespace) -> Answer:
     study = settle_method(study)
     folder = open_folder(arguments.out)
     good, written = write_task(study, task, folder)
+    if written:  # not by the helpers of process 0
+        written += write_page(folder)
     seconds = time.perf_counter() - started
     if written:
         show(f"{len(written)} files written to {folder} ({seconds:.1f} s in all).")

@@ -5,7 +5,7 @@ Place in the pipeline: `report.validation_command` computes and prints; **valida
 
 import argparse
 
-from rfem_jax.report.commands.command import CASE_FAILED, DONE, Answer, Command, add_cache
+from rfem_jax.report.commands.command import CASE_FAILED, DONE, Answer, Command, Interrupted, add_cache
 from rfem_jax.report.commands.folders import cannot_write, open_folder
 from rfem_jax.report.commands.steps import announce, files_document
 from rfem_jax.report.progress_line import show
@@ -32,7 +32,7 @@ def _add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def act(arguments: argparse.Namespace) -> Answer:
     """Compute, print, write. Raises InputError."""
-    from rfem_jax.report.validation_command import validate
+    from rfem_jax.report.validation_command import Stopped, validate
     from rfem_jax.report.validation_tables import has_failed, line_rows
 
     folder = None if arguments.out is None else open_folder(arguments.out)
@@ -42,6 +42,12 @@ def act(arguments: argparse.Namespace) -> Answer:
         if folder is None:
             raise
         raise cannot_write(folder, problem) from problem
+    except Stopped as end:
+        kept = f", in {folder}" if folder is not None and end.done else ""
+        out = "" if folder is None else f" --out {folder}_rest"
+        full = " --full" if arguments.full else ""
+        rest = f"rfem-jax validate{full} --only {' '.join(end.left)}{out}"
+        raise Interrupted(f"{end.done} benchmarks are done{kept}. Go on with: {rest}") from None
     if written:
         show(f"{len(written)} files written to {folder}.")
     code = CASE_FAILED if has_failed(lines) else DONE

@@ -95,6 +95,10 @@ class MonteCarloReport(TaskReport[MonteCarloTask, MonteCarloResult]):
                 f"remove `{folder / self.name}` and its samples."
             ) from None
 
+    def left(self, folder: Path) -> str:
+        count = len(list((folder / self.name).glob("chunk-*.npz")))
+        return f"{count} chunks of samples are kept in {folder / self.name}" if count else super().left(folder)
+
     def succeeded(self, result: MonteCarloResult) -> bool:
         return result.good > 0
 
@@ -140,7 +144,7 @@ class MonteCarloReport(TaskReport[MonteCarloTask, MonteCarloResult]):
     def _numbers(self) -> tuple[int, int]:
         """Simulations, and simulations with first derivatives."""
         specified = self.tolerances
-        factors = len(specified.independent) + len(specified.correlated)
+        factors = len(specified.independent) + len(specified.correlated) + len(specified.zones)
         count = self.task.n * (factors + 2) if self.task.sobol_indices else self.task.n
         return count, 1 + 4 * len(specified.names) if self.task.control_variate else 0
 

@@ -9,12 +9,14 @@ import math
 import time
 from collections.abc import Iterator
 from dataclasses import fields
+from functools import partial
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 import jax
 
 from rfem_jax.compilation.stages import on_stage
+from rfem_jax.description.deviations import deviation_unit
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.study import Study
 from rfem_jax.description.tasks.task import Task
@@ -27,6 +29,7 @@ from rfem_jax.report.style import SETTINGS
 from rfem_jax.report.summary import PLOTS_HINT
 from rfem_jax.report.tables import title_text
 from rfem_jax.task_kinds import task_kinds
+from rfem_jax.tolerancing.problems.kept_evaluations import count_kept, kept_in
 
 GRADIENT = 3.0  # simulations that one with first derivatives takes (benchmarks/gradients.py)
 
@@ -97,7 +100,7 @@ class TaskReport(abc.ABC, Generic[Asked, Result]):
         if name == "limits":
             return ", ".join(_limit(*item) for item in value.items())
         if name == "at":
-            unit = self.study.mechanism.error_unit
+            unit = partial(deviation_unit, self.study.mechanism)
             return ", ".join(format_error(error, one, unit(error)) for error, one in value.items())
         if isinstance(value, dict):
             return ", ".join(f"{key} {item}" for key, item in value.items())
@@ -122,9 +125,19 @@ class TaskReport(abc.ABC, Generic[Asked, Result]):
         with rc_context(SETTINGS):
             return {f"{self.name}_{what}": figure for what, figure in self.draw(result).items()}
 
+    def unfinished(self, folder: Path) -> Path:
+        """Where the evaluations of an interrupted run are kept."""
+        return folder / f"{self.name}.unfinished"
+
+    def left(self, folder: Path) -> str:
+        """What an interrupted run has left for the next one, in words; "" for nothing."""
+        count = count_kept(self.unfinished(folder))
+        return f"{count} evaluations are kept in {self.unfinished(folder)}" if count else ""
+
     def do(self, folder: Path) -> tuple[bool, list[Path]]:
         """Compute, print, write and draw; returns whether it succeeded, and the files written."""
-        result = self.run(folder)
+        with kept_in(self.unfinished(folder)):
+            result = self.run(folder)
         good = self.succeeded(result)
         if jax.process_index() != 0:
             show(self.text_of_helper(result))

@@ -25,6 +25,7 @@ from rfem_jax.description.errors import InputError
 from rfem_jax.tolerancing.checks import ErrorValues, check_known, error_value
 from rfem_jax.tolerancing.problems.distributions import Tolerances
 from rfem_jax.tolerancing.problems.execution import default_lanes
+from rfem_jax.tolerancing.problems.kept_evaluations import remembered
 from rfem_jax.tolerancing.problems.problem import Metric, Status, ToleranceProblem
 
 Base = dict[str, Float[Array, ""]]
@@ -117,19 +118,24 @@ def map_chunks(function: Callable[[Array], Any], rows: Shaped[Array, "n ..."], b
 
 
 def run_in_chunks(
-    program: Callable[..., tuple[Array, ...]], width: int, *rows: Shaped[np.ndarray, "n ..."]
+    program: Callable[..., tuple[Array, ...]],
+    width: int,
+    *rows: Shaped[np.ndarray, "n ..."],
+    of: tuple[ToleranceProblem, Any],
 ) -> tuple[np.ndarray, ...]:
     """Run a program on arrays of n rows, `width` rows at a time, from the host.
 
-    Args: program takes arrays of `width` rows and returns a tuple of arrays with as many.
+    Args: program takes arrays of `width` rows and returns a tuple of arrays with as many; of, its problem and what else
+        its results depend on beside the rows (`kept_evaluations.remembered`).
     Returns: the program's results for all n rows.
     """
+    problem, inputs = of
     parts = []
     for first in range(0, len(rows[0]), width):
         chunk = [np.asarray(array)[first : first + width] for array in rows]
         used = len(chunk[0])
         filled = [np.concatenate([c, np.repeat(c[:1], width - used, axis=0)]) for c in chunk]
-        results = program(*map(jnp.asarray, filled))
+        results = remembered(problem, (inputs, *filled), lambda: program(*map(jnp.asarray, filled)))
         parts.append([np.asarray(result)[:used] for result in results])
     return tuple(np.concatenate(part) for part in zip(*parts, strict=True))
 
@@ -154,8 +160,9 @@ def evaluate_points(
     """
     points = np.asarray(points, dtype=np.float64)
     values, statuses = run_in_chunks(
-        lambda chunk: _evaluate_chunk(problem, names, base, chunk), min(batch, default_lanes()), points
-    )
+        lambda chunk: _evaluate_chunk(problem, names, base, chunk), min(batch, default_lanes()), points,
+        of=(problem, ("values", tuple(names), base)),
+    )  # fmt: skip
     return np.where((statuses == 0)[:, None], values, np.nan), statuses
 
 

@@ -42,6 +42,7 @@ from rfem_jax.tolerancing.problems.evaluation import (
     stack_metrics,
 )
 from rfem_jax.tolerancing.problems.execution import default_lanes
+from rfem_jax.tolerancing.problems.kept_evaluations import remembered
 from rfem_jax.tolerancing.problems.problem import ImplicitProblem, Status, ToleranceProblem
 from rfem_jax.tolerancing.progress import ProgressBar, ProgressOption
 
@@ -246,8 +247,13 @@ def expand_point(
         directions = np.eye(k)[start : start + width]
         used = len(directions)
         directions = np.concatenate([directions, np.repeat(directions[:1], width - used, axis=0)])
-        part = _differentiate_along(problem, tuple(names), base, x, jnp.asarray(directions), order, mode, batch)
-        parts.append(jax.device_get(part))
+        settings = order, mode, batch
+
+        def compute():
+            found = _differentiate_along(problem, tuple(names), base, x, jnp.asarray(directions), *settings)
+            return jax.device_get(found)
+
+        parts.append(remembered(problem, ("directions", tuple(names), base, x, directions, *settings), compute))
         advance(used)
     (value, jacobian, _, status), count = parts[0], _sums(problem, mode)
     hessian = asymmetry = residual_changes = force_changes = None
@@ -364,7 +370,8 @@ def linearise_points(
         width = max(1, min(width, POINTS_WITH_TANGENTS * default_lanes() // k))
 
     def run(points, weights):
-        return run_in_chunks(lambda x, w: _linearise(problem, names, base, x, w, mode), width, points, weights)
+        of = problem, ("derivatives", tuple(names), base, mode)
+        return run_in_chunks(lambda x, w: _linearise(problem, names, base, x, w, mode), width, points, weights, of=of)
 
     if mode == "forward":
         values, jacobians, status = run(points, np.zeros((n, m)))

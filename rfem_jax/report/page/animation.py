@@ -1,0 +1,188 @@
+"""What is needed to draw the moving mechanism: `animation.npz` in the folder of a study.
+
+Place in the pipeline: after `rfem_jax.simulation.run_cases`; `folder` reads it for the page.
+
+The file has, for case number i, arrays named "i_...": times [s]; points (times, P, 3) [m] along the links, link by
+link; rotation (times, J, 3, 3) of the frames in which joint loads are, centre (times, J, 3) [m]; the same with
+"nominal_" of the perfect, rigid mechanism whose driven joints stand as those of the case do (`nominal_path`), and of
+that seat_rotation, seat_centre, bore_rotation: the frames of the joints on parent and child. "description" is a JSON
+text: names of cases, links and joints.
+"""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from rfem_jax.report.annotations import Run
+from rfem_jax.report.page.packing import Packed, pack_integers, some_rows
+from rfem_jax.whole_files import replacing
+
+FILE = "animation.npz"
+MOST_FRAMES = 251  # of a case
+MOST_NUMBERS = 4_000_000  # of the file, or 16 MB
+MOST_PACKED = 500_000  # numbers in the page, two bytes each
+PARTS = ("points", "rotation", "centre")
+ALL_PARTS = (
+    *("times", *PARTS, *(f"nominal_{part}" for part in PARTS)),
+    *("seat_rotation", "seat_centre", "bore_rotation"),
+)
+LARGEST = 200_000_000  # bytes of a file that is read
+
+Arrays = dict[str, np.ndarray]
+
+
+def record_animation(runs: Mapping[str, Run]) -> tuple[dict[str, Any], list[Arrays]] | None:
+    """Description and arrays of every case; None where the runs do not say where the mechanism is."""
+    known = [run for run in runs.values() if getattr(run, "positions", None) is not None]
+    if len(known) < len(runs) or not known or known[0].model is None:
+        return None
+    topology = known[0].model.topology
+    counts = [2 if n == 1 else n + 1 for n in topology.elements]
+    per_time = 6 * sum(counts) + 39 * len(topology.joints)
+    most = max(2, min(MOST_FRAMES, MOST_NUMBERS // (per_time * len(runs))))
+    description = {
+        "cases": list(runs),
+        "links": [{"name": name, "points": n} for name, n in zip(topology.links, counts, strict=True)],
+        "joints": _joints(topology),
+    }
+    return description, [_arrays(run, most) for run in runs.values()]
+
+
+def _joints(topology: Any) -> list[dict[str, Any]]:
+    """Of every joint in the order of the arrays: name, kind, links on both sides, place in the description."""
+
+    def owner(node: int) -> str:
+        return "base" if node < 0 else topology.links[topology.link_of(node)]
+
+    sides = zip(topology.joints, topology.kinds, topology.parents, topology.children, strict=True)
+    return [
+        {"name": name, "kind": kind, "parent": owner(parent), "child": owner(child), "cut": j >= topology.n_links}
+        for j, (name, kind, parent, child) in enumerate(sides)
+    ]
+
+
+def _arrays(run: Run, most: int) -> Arrays:
+    from rfem_jax.mechanics.centre_lines import trace_shapes
+    from rfem_jax.mechanics.nominal_path import nominal_shapes
+
+    model, errors, positions = run.model, run.errors, run.positions
+    assert model is not None and errors is not None and positions is not None
+    rows = some_rows(len(run.times), most)
+    shown = jax.tree.map(lambda x: np.asarray(x)[rows], positions)
+    real = trace_shapes(model, errors, shown)
+    nominal = nominal_shapes(model, shown.joints)
+    found = {"times": np.asarray(run.times)[rows]}
+    found |= {part: np.asarray(getattr(real, part)) for part in PARTS}
+    found |= {f"nominal_{part}": getattr(nominal, part) for part in PARTS}
+    return found | {part: getattr(nominal, part) for part in ALL_PARTS[-3:]}
+
+
+def write_animation(folder: str | Path, runs: Mapping[str, Run]) -> list[Path]:
+    """Write `animation.npz`; returns its path, or nothing where the runs do not say where the mechanism is."""
+    recorded = record_animation(runs)
+    if recorded is None:
+        return []
+    return [write_arrays(folder, *recorded)]
+
+
+def write_arrays(folder: str | Path, description: dict[str, Any], cases: list[Arrays]) -> Path:
+    """Write what `record_animation` returns; deviations of micrometres beside places of metres need doubles."""
+    arrays = {f"{i}_{part}": values for i, case in enumerate(cases) for part, values in case.items()}
+    path = Path(folder) / FILE
+    with replacing(path) as temporary, open(temporary, "wb") as file:
+        np.savez_compressed(file, description=np.array(json.dumps(description)), **arrays)  # pyright: ignore[reportArgumentType]
+    return path
+
+
+def read_animation(folder: str | Path) -> tuple[dict[str, Any], list[Arrays]] | None:
+    """What `write_animation` has written; None where there is no such file, or another one.
+
+    Nothing in the file is executed: arrays of objects are refused.
+    """
+    path = Path(folder) / FILE
+    try:
+        if path.stat().st_size > LARGEST:
+            return None
+        with np.load(path, allow_pickle=False) as file:
+            description = json.loads(str(file["description"]))
+            cases = [{part: file[f"{i}_{part}"] for part in ALL_PARTS} for i in range(len(description["cases"]))]
+    except (OSError, ValueError, KeyError, TypeError, EOFError):
+        return None
+    return (description, cases) if _fits(description, cases) else None
+
+
+def _fits(description: Any, cases: list[Arrays]) -> bool:
+    """Whether arrays have the shapes that the description says."""
+    try:
+        links, joints = description["links"], len(description["joints"])
+        points = sum(link["points"] for link in links)
+        names = all(isinstance(one["name"], str) for part in ("links", "joints") for one in description[part])
+        names = names and all(isinstance(link["points"], int) and link["points"] > 1 for link in links)
+    except (TypeError, KeyError):
+        return False
+    shapes = {"points": (points, 3), "centre": (joints, 3), "rotation": (joints, 3, 3)}
+    return names and all(
+        values.shape == (len(case["times"]), *shapes.get(part.rpartition("_")[2], ()))
+        and np.issubdtype(values.dtype, np.floating)
+        for case in cases
+        for part, values in case.items()
+    )
+
+
+def pack_animation(description: dict[str, Any], cases: list[Arrays]) -> dict[str, Any]:
+    """The animation as the page holds it: places of the perfect mechanism and deviations from them, frames as
+    quaternions (w, x, y, z), deviations of frames as rotation vectors [rad]."""
+    per_time = 6 * sum(link["points"] for link in description["links"]) + 26 * len(description["joints"])
+    most = max(2, MOST_PACKED // (per_time * max(len(cases), 1)))
+    found = [_packed(case, most) for case in cases]
+    return {**description, "motions": found}
+
+
+def _packed(case: Arrays, most: int) -> dict[str, Packed]:
+    rows = some_rows(len(case["times"]), most)
+    case = {part: values[rows] for part, values in case.items()}
+    turned = np.einsum("tjik,tjlk->tjil", case["rotation"], case["nominal_rotation"])
+    quaternions = {part: quaternions_of(case[part]) for part in ("rotation", "seat_rotation", "bore_rotation")}
+    packed = {
+        "nominal": case["nominal_points"],
+        "deviation": case["points"] - case["nominal_points"],
+        "nominal_centre": case["nominal_centre"],
+        "deviation_centre": case["centre"] - case["nominal_centre"],
+        "deviation_rotation": rotation_vectors(quaternions_of(turned)),
+        "seat_centre": case["seat_centre"],
+        **quaternions,
+    }
+    return {"times": pack_integers(case["times"]), **{name: pack_integers(x) for name, x in packed.items()}}
+
+
+def quaternions_of(rotation: Float[np.ndarray, "*n 3 3"]) -> Float[np.ndarray, "*n 4"]:
+    """Unit quaternions (w, x, y, z), w >= 0, of rotations, as eigenvectors (I. Y. Bar-Itzhack, J. Guid. Control Dyn. 23
+    (2000) 1085-1087)."""
+    m = np.nan_to_num(rotation)
+    xx, yy, zz = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
+    xy, xz, yz = (m[..., i, j] + m[..., j, i] for i, j in ((0, 1), (0, 2), (1, 2)))
+    wx, wy, wz = (m[..., i, j] - m[..., j, i] for i, j in ((2, 1), (0, 2), (1, 0)))
+    rows = [
+        [xx - yy - zz, xy, xz, wx],
+        [xy, yy - xx - zz, yz, wy],
+        [xz, yz, zz - xx - yy, wz],
+        [wx, wy, wz, xx + yy + zz],
+    ]
+    _, vectors = np.linalg.eigh(np.stack([np.stack(row, axis=-1) for row in rows], axis=-2))
+    x, y, z, w = np.moveaxis(vectors[..., -1], -1, 0)
+    found = np.stack([w, x, y, z], axis=-1) * np.where(w < 0.0, -1.0, 1.0)[..., None]
+    known = np.all(np.isfinite(rotation), axis=(-2, -1), keepdims=True)[..., 0]
+    return np.where(known, found, np.nan)
+
+
+def rotation_vectors(quaternions: Float[np.ndarray, "*n 4"]) -> Float[np.ndarray, "*n 3"]:
+    """Rotation vectors [rad] of unit quaternions with w >= 0."""
+    vector = quaternions[..., 1:]
+    size = np.linalg.norm(vector, axis=-1, keepdims=True)
+    angle = 2.0 * np.arctan2(size, quaternions[..., :1])
+    return vector * np.where(size > 0.0, angle / np.where(size > 0.0, size, 1.0), 2.0)

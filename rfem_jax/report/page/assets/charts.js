@@ -1,0 +1,123 @@
+// Charts of results that do not move, as SVG: sharp in print, and read out by what its title says.
+function scale(low, high, from, to) {
+  const span = high - low || 1;
+  const map = (value) => from + ((value - low) / span) * (to - from);
+  map.back = (place) => low + ((place - from) / (to - from || 1)) * span;
+  return map;
+}
+
+function chart(width, height, title, attributes = {}) {
+  const box = { viewBox: `0 0 ${width} ${height}`, width, height, class: "chart", role: "img", "aria-label": title };
+  return draw("svg", { ...box, ...attributes }, draw("title", {}, title));
+}
+
+function label(x, y, text, attributes = {}) {
+  return draw("text", { x, y, ...attributes }, text);
+}
+
+// A horizontal axis with its numbers and its title.
+function axisBelow(x, y, values, title, top = null) {
+  const parts = values.flatMap((value) => [
+    top === null ? null : draw("line", { x1: x(value), x2: x(value), y1: top, y2: y, class: "grid" }),
+    label(x(value), y + 15, showNumber(value, 3), { "text-anchor": "middle", class: "tick" }),
+  ]);
+  const middle = (x(values[0]) + x(values[values.length - 1])) / 2;
+  return draw("g", {}, parts, label(middle, y + 32, title, { "text-anchor": "middle", class: "title" }));
+}
+
+function axisLeft(x, y, values, title, right = null) {
+  const parts = values.flatMap((value) => [
+    right === null ? null : draw("line", { x1: x, x2: right, y1: y(value), y2: y(value), class: "grid" }),
+    label(x - 6, y(value) + 4, showNumber(value, 3), { "text-anchor": "end", class: "tick" }),
+  ]);
+  return draw("g", {}, parts, label(x, Math.min(...values.map(y)) - 10, title, { "text-anchor": "start", class: "title" }));
+}
+
+// A mark of a case: its shape tells it apart without colour.
+function caseMark(index, x, y, size = 5) {
+  const shapes = [
+    () => draw("circle", { cx: x, cy: y, r: size }),
+    () => draw("rect", { x: x - size, y: y - size, width: 2 * size, height: 2 * size }),
+    () => polygon(x, y, size * 1.25, 3, -90),
+    () => polygon(x, y, size * 1.25, 4, 0),
+    () => polygon(x, y, size * 1.25, 3, 90),
+    () => polygon(x, y, size * 1.15, 5, -90),
+    () => polygon(x, y, size * 1.15, 6, 0),
+  ];
+  const mark = shapes[index % shapes.length]();
+  mark.setAttribute("class", `case-${index % shapes.length}`);
+  return mark;
+}
+
+function polygon(x, y, size, corners, from) {
+  const points = Array.from({ length: corners }, (_, i) => {
+    const angle = ((from + (360 * i) / corners) * Math.PI) / 180;
+    return `${(x + size * Math.cos(angle)).toFixed(2)},${(y + size * Math.sin(angle)).toFixed(2)}`;
+  });
+  return draw("polygon", { points: points.join(" ") });
+}
+
+// Rows of marks on one axis: rows [{label, marks: [{index, value, title}]}].
+function dotChart(rows, unitText, title, reference) {
+  const width = 460;
+  const left = 16 + 7.5 * Math.min(Math.max(2, ...rows.map((row) => row.label.length)), 16);
+  const step = 34;
+  const height = rows.length * step + 56;
+  const highest = Math.max(1e-300, ...rows.flatMap((row) => row.marks.map((mark) => mark.value)).filter(Number.isFinite));
+  const marks = ticks(0, highest * 1.02, 5);
+  const x = scale(0, Math.max(highest * 1.04, marks[marks.length - 1]), left, width - 22);
+  const svg = chart(width, height, title);
+  svg.append(axisBelow(x, rows.length * step + 10, marks, unitText, 6));
+  rows.forEach((row, i) => {
+    const y = 24 + i * step;
+    const known = row.marks.filter((mark) => Number.isFinite(mark.value));
+    const base = known.find((mark) => mark.index === reference);
+    svg.append(label(left - 12, y + 5, row.label, { "text-anchor": "end", class: "name" }));
+    if (known.length > 1) {
+      const [low, high] = finiteRange(known.map((mark) => mark.value));
+      svg.append(draw("line", { x1: x(low), x2: x(high), y1: y, y2: y, class: "span" }));
+    }
+    if (base) svg.append(draw("line", { x1: x(base.value), x2: x(base.value), y1: y - 10, y2: y + 10, class: "base" }));
+    known.forEach((mark) => {
+      const one = caseMark(mark.index, x(mark.value), y);
+      one.append(draw("title", {}, mark.title));
+      svg.append(one);
+    });
+    if (!known.length) svg.append(label(x(0), y + 4, "n/a", { class: "tick" }));
+  });
+  return svg;
+}
+
+// Curves over a common axis: series [{x, y, class, band: [low, high]}], marks at points if `points`.
+function lineChart(series, xTitle, yTitle, title, options = {}) {
+  const width = options.width || 520;
+  const height = options.height || 300;
+  const [x0, x1] = options.xRange || finiteRange(series.flatMap((one) => Array.from(one.x)));
+  const heights = series.flatMap((one) => [...one.y, ...(one.band ? one.band.flatMap((side) => [...side]) : [])]);
+  const found = finiteRange([...heights, ...(options.lines || []).map((one) => one.value)].filter(Number.isFinite));
+  const [y0, y1] = options.yRange || [found[0] - 0.06 * (found[1] - found[0]), found[1] + 0.06 * (found[1] - found[0])];
+  const x = scale(x0, x1, 62, width - 20);
+  const y = scale(y0, y1, height - 46, 30);
+  const svg = chart(width, height, title);
+  svg.append(axisBelow(x, height - 42, ticks(x0, x1, 5), xTitle, 26), axisLeft(56, y, ticks(y0, y1, 5), yTitle, width - 20));
+  const path = (xs, ys) => Array.from(xs, (value, i) => `${x(value).toFixed(1)},${y(ys[i]).toFixed(1)}`);
+  for (const line of options.lines || []) {
+    svg.append(draw("line", { x1: x(x0), x2: x(x1), y1: y(line.value), y2: y(line.value), class: "mark" }),
+      label(width - 24, y(line.value) - 5, line.label, { "text-anchor": "end", class: "tick" }));
+  }
+  for (const one of series) {
+    if (one.band) {
+      const points = [...path(one.x, one.band[0]), ...path(one.x, one.band[1]).reverse()];
+      svg.append(draw("polygon", { points: points.join(" "), class: "band" }));
+    }
+    svg.append(draw("polyline", { points: path(one.x, one.y).join(" "), class: one.class || "curve" }));
+    if (options.points) {
+      path(one.x, one.y).forEach((place, i) => {
+        const mark = caseMark(one.mark || 0, ...place.split(",").map(Number));
+        mark.append(draw("title", {}, `${one.name || yTitle}: ${showNumber(one.y[i])} at ${showNumber(one.x[i])}`));
+        svg.append(mark);
+      });
+    }
+  }
+  return svg;
+}

@@ -1,0 +1,108 @@
+// A sensitivity study: heat map of every error's effect on every metric, tornado chart of one metric.
+function asEntries(value) {
+  return value && typeof value === "object" && !Array.isArray(value) ? Object.entries(value) : [];
+}
+
+// Unit of a metric, "" where it has none.
+function metricUnit(result, name) {
+  const found = (result.units || {})[name];
+  return !found || found === "1" ? "" : String(found);
+}
+
+function splitMetric(name) {
+  const at = name.lastIndexOf(".");
+  return at < 0 ? ["-", name] : [name.slice(0, at), name.slice(at + 1)];
+}
+
+function errorUnit(name) {
+  return /(^|\.)(delta_[xyz]|pin_tilt_[xz]|twist)$/.test(name) ? "rad" : "m";
+}
+
+function sensitivityPage(task) {
+  const { result } = task;
+  const metrics = asEntries(result.metrics);
+  const errors = Array.isArray(result.errors) ? result.errors : [];
+  if (!metrics.length || !errors.length) return null;
+  const kinds = new Map();
+  metrics.forEach(([name, values]) => {
+    const key = splitMetric(name)[1];
+    kinds.set(key, [...(kinds.get(key) || []), [name, values]]);
+  });
+  const maps = [...kinds].map(([kind, entries]) => heatMap(kind, entries, errors, result));
+  const holder = make("div", { id: "tornado" });
+  const show = (name) => clear(holder).append(tornado(name, result.metrics[name], errors, result));
+  show(metrics[0][0]);
+  const select = choice("Metric", metrics.map(([name]) => [name, name]), metrics[0][0], show, { id: "tornado-metric" });
+  return [
+    section("Effect of each error alone", make("p", { class: "hint" }, "Largest change of a metric while one error is anywhere within its tolerance; the darker, the larger."), ...maps),
+    section("Both ends of every tolerance", select, holder),
+  ];
+}
+
+function toleranceText(result, error) {
+  const width = (result.half_widths || {})[error];
+  return typeof width === "number" ? `+-${showError(width, errorUnit(error))}` : "";
+}
+
+function heatMap(kind, entries, errors, result) {
+  const unitName = metricUnit(result, entries[0][0]);
+  const effects = entries.map(([, one]) => errors.map((error) => (one.effects || {})[error]));
+  const largest = Math.max(1e-300, ...effects.flat().filter(Number.isFinite));
+  const title = `Change of ${kind.replace(/_/g, " ")}${unitName ? `, ${unitName}` : ""}`;
+  const columns = [
+    { label: "joint", value: (row) => row.joint },
+    ...errors.map((error, i) => ({
+      label: `${error} ${toleranceText(result, error)}`, value: (row) => row.effects && row.effects[i],
+      show: (value) => (Number.isFinite(value) && value < 1e-6 * largest ? "0" : showNumber(value, 3)),
+    })),
+  ];
+  const rows = entries.map(([name], i) => ({ joint: splitMetric(name)[0], effects: effects[i] }));
+  const table = sortableTable(title, columns, rows, { class: "tabled heat" });
+  const shade = () => table.querySelectorAll("tbody tr").forEach((line) => {
+    [...line.cells].slice(1).forEach((cell) => {
+      const share = Math.min(Math.max(Number(cell.textContent) / largest, 0), 1) || 0;
+      cell.style.setProperty("--share", `${Math.round(100 * share)}%`);
+      cell.classList.toggle("strong", share > 0.6);
+    });
+  });
+  shade();
+  table.addEventListener("click", shade);
+  return table;
+}
+
+// Changes at the lower and the upper end of a tolerance by the quadratic model.
+function endChanges(one, errors, result) {
+  return errors.map((error, i) => {
+    const width = numberOr((result.half_widths || {})[error], 0);
+    const slope = numberOr((one.gradient || {})[error], 0) * width;
+    const row = Array.isArray(one.hessian) && Array.isArray(one.hessian[i]) ? one.hessian[i] : [];
+    const curved = 0.5 * numberOr(row[i], 0) * width * width;
+    return { error, low: curved - slope, high: curved + slope };
+  }).sort((a, b) => Math.max(Math.abs(b.low), Math.abs(b.high)) - Math.max(Math.abs(a.low), Math.abs(a.high)));
+}
+
+function tornado(name, one, errors, result) {
+  const rows = endChanges(one, errors, result);
+  const unitName = metricUnit(result, name);
+  const [low, high] = finiteRange([0, ...rows.flatMap((row) => [row.low, row.high])]);
+  const [width, left, step] = [640, 150, 40];
+  const bottom = rows.length * step + 12;
+  const marks = ticks(low, high, 6);
+  const x = scale(Math.min(low, marks[0]), Math.max(high, marks[marks.length - 1]), left, width - 30);
+  const start = one.character === "kink" ? 0 : one.value;
+  const svg = chart(width, bottom + 44, `${name} at both ends of every tolerance`);
+  svg.append(axisBelow(x, bottom, marks, `change of ${name} from ${withUnit(start, unitName)}${unitName ? `, ${unitName}` : ""}`, 4));
+  rows.forEach((row, i) => {
+    const y = 10 + i * step;
+    svg.append(label(left - 10, y + 20, row.error, { "text-anchor": "end", class: "name" }));
+    [["low", "lower"], ["high", "upper"]].forEach(([key, words], k) => {
+      const [from, to] = [x(0), x(row[key])].sort((a, b) => a - b);
+      const bar = draw("rect", { x: from, y: y + 14 * k, width: Math.max(to - from, 1), height: 13, class: `bar-${key}` },
+        draw("title", {}, `${row.error}, ${words} end of the tolerance: ${withUnit(row[key], unitName)}`));
+      svg.append(bar);
+    });
+  });
+  svg.append(draw("line", { x1: x(0), x2: x(0), y1: 4, y2: bottom, class: "zero" }));
+  const legend = make("p", { class: "legend" }, make("span", { class: "swatch low" }), " lower end ", make("span", { class: "swatch high" }), " upper end of the tolerance");
+  return make("div", {}, svg, legend);
+}

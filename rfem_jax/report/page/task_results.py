@@ -1,0 +1,94 @@
+"""Results of tasks for the page: the JSON of each task, and the samples of a Monte Carlo study.
+
+Place in the pipeline: files of `report.tasks` -> **task_results** -> folder.
+"""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rfem_jax.report.output import without_nan
+from rfem_jax.report.page.histories import read_table
+from rfem_jax.report.page.packing import pack_floats, some_rows
+from rfem_jax.task_kinds import task_kinds
+
+MOST_SAMPLES = 5000
+MOST_NUMBERS = 80_000  # of the samples, four bytes each
+MOST_TEXT = 400_000  # characters of one task's JSON
+MOST_LIST = 4096  # entries of a list of it
+LARGEST = 50_000_000  # bytes of a file that is read
+
+
+def read_json(path: Path) -> dict[str, Any] | None:
+    """A JSON object without NaN; None where there is no such file, or it holds something else."""
+    try:
+        if path.stat().st_size > LARGEST:
+            return None
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return None
+    return without_nan(found) if isinstance(found, dict) else None
+
+
+def read_tasks(folder: Path) -> list[dict[str, Any]]:
+    """{name, title, result} of every task that has a JSON file in the folder; of a Monte Carlo study also samples."""
+    found = []
+    for kind in task_kinds().values():
+        result = read_json(folder / f"{kind.name}.json")
+        if result is None:
+            continue
+        one = {"name": kind.name, "title": kind.title, "result": _shortened(result)}
+        if len(json.dumps(one)) > MOST_TEXT:
+            one["result"] = {key: value for key, value in result.items() if not isinstance(value, (dict, list))}
+            one["left_out"] = f"{kind.name}.json is too large to be shown here"
+        if kind.name == "monte_carlo":
+            one["samples"] = _samples(folder / "monte_carlo.csv", result)
+        found.append(one)
+    return found
+
+
+def _shortened(value: Any) -> Any:
+    """Every k-th entry of lists that are too long to be shown, such as the corners of a box of many errors."""
+    if isinstance(value, dict):
+        return {key: _shortened(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_shortened(value[i]) for i in some_rows(len(value), MOST_LIST)]
+    return value
+
+
+def _samples(path: Path, result: dict[str, Any]) -> dict[str, Any] | None:
+    """Names and units of errors and metrics, and their values in the samples, a row each."""
+    table = read_table(path)
+    if table is None or not {"sample", "status"} <= set(table):
+        return None
+    metrics = result.get("metrics") if isinstance(result.get("metrics"), dict) else {}
+    columns = [name for name in table if name not in ("sample", "status")]
+    errors = columns[: max(len(columns) - len(metrics or {}), 0)]
+    most = min(MOST_SAMPLES, MOST_NUMBERS // max(len(columns), 1))
+    rows = some_rows(len(table["status"]), most)
+    values = np.stack([table[name][rows] for name in columns]) if columns else np.zeros((0, len(rows)))
+    return {
+        "errors": [_error(name) for name in errors],
+        "metrics": _metrics(columns[len(errors) :], list(metrics or {}), result.get("units")),
+        "number": pack_floats(table["sample"][rows]),
+        "status": pack_floats(table["status"][rows]),
+        "values": pack_floats(values),
+        "all": len(table["status"]),
+    }
+
+
+def _error(column: str) -> dict[str, Any]:
+    for suffix, unit in (("_rad", "rad"), ("_m", "m")):
+        if column.endswith(suffix):
+            return {"name": column.removesuffix(suffix), "unit": unit}
+    return {"name": column, "unit": ""}
+
+
+def _metrics(columns: Sequence[str], names: Sequence[str], units: Any) -> list[dict[str, Any]]:
+    """The metrics by the names of `monte_carlo.json`, whose order is that of the columns."""
+    known = units if isinstance(units, dict) else {}
+    matched = [name if column.startswith(name) else column for name, column in zip(names, columns, strict=True)]
+    return [{"name": name, "unit": "" if known.get(name) == "1" else str(known.get(name, ""))} for name in matched]

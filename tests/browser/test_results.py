@@ -1,0 +1,183 @@
+"""Tables, tasks and checks in a browser: their numbers are those of the files."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+
+
+def shown_number(value):
+    """A number as the page writes it."""
+    return f"{float(f'{value:.4g}'):g}"
+
+
+def table(page, selector):
+    """Head and rows of a table as texts."""
+    rows = page.run(
+        "return [...document.querySelectorAll(arguments[0] + ' tr')]"
+        ".map((row) => [...row.cells].map((one) => one.textContent))",
+        selector,
+    )
+    return rows[0], rows[1:]
+
+
+def test_the_table_of_loads_is_that_of_the_results(page, results):
+    head, rows = table(page, "#loads-table")
+    assert head == [
+        "case", "joint", "kind", "RMS resultant force, N", "RMS resultant moment, N m", "Maximum axial force, N",
+        "Maximum normal force, N", "Preload force, N", "Preload moment, N m",
+    ]  # fmt: skip
+    assert len(rows) == 12
+    for row in rows:
+        found = results["cases"][row[0]]["joints"][row[1]]
+        wanted = [found[key] for key in ("rms_force", "rms_moment", "max_axial_force", "max_normal_force")]
+        wanted += [np.linalg.norm(found[key]) for key in ("preload_force", "preload_moment")]
+        assert row[2] == found["kind"]
+        np.testing.assert_allclose([float(cell) for cell in row[3:]], wanted, rtol=1e-4)
+
+
+def test_tables_sort_up_and_down(page):
+    page.tab("Tables")
+
+    def column(at):
+        return [row[at] for row in table(page, "#loads-table")[1]]
+
+    page.run("document.querySelectorAll('#loads-table th button')[3].click()")
+    down = [float(cell) for cell in column(3)]
+    assert down == sorted(down, reverse=True) and down[0] > down[-1]
+    page.run("document.querySelectorAll('#loads-table th button')[3].click()")
+    assert [float(cell) for cell in column(3)] == down[::-1]
+    page.run("document.querySelectorAll('#loads-table th button')[1].click()")
+    assert column(1) == sorted(column(1))
+    assert page.run("return document.querySelectorAll('#loads-table th[aria-sort=ascending]').length") == 1
+
+
+def test_tables_are_copied_with_tabs_and_full_digits(page, results):
+    page.tab("Tables")
+    page.run("navigator.clipboard.writeText = (text) => { window.copied = text; return Promise.resolve(); }")
+    page.click("#loads-table .copy")
+    lines = [line.split("\t") for line in page.wait("return window.copied").split("\n")]
+    assert lines[0][3] == "RMS resultant force, N" and len(lines) == 13
+    for line in lines[1:]:
+        assert float(line[3]) == results["cases"][line[0]]["joints"][line[1]]["rms_force"]
+
+
+def test_checks(page, results):
+    head, rows = table(page, "#balances")
+    assert head[:4] == ["case", "status", "what it means", "Energy balance"]
+    for row in rows:
+        found = results["cases"][row[0]]
+        assert row[1] == "ok" and row[2] == found["message"]
+        assert float(row[3]) == pytest.approx(found["energy_balance_error"], rel=1e-2)
+        assert float(row[6]) == pytest.approx(found["momentum_balance_error"], rel=1e-2)
+    text = page.text("#page-checks")
+    assert results["versions"]["jax"] in text and "rk4" in text
+
+
+def task_tab(page, title):
+    page.tab(title)
+    return "main > .page:not(.hidden)"
+
+
+def test_heat_map_and_tornado(page, folder):
+    found = json.loads((folder / "sensitivity.json").read_text(encoding="utf-8"))
+    shown = task_tab(page, "Sensitivity")
+    effects = found["metrics"]["D.mean_square_moment"]["effects"]
+    head, rows = table(page, f"{shown} .heat:first-of-type")
+    assert [cell.split()[0] for cell in head[1:]] == found["errors"] and "+-0.25 deg" in head[1]
+    row = next(row for row in rows if row[0] == "D")
+    np.testing.assert_allclose(
+        [float(cell) for cell in row[1:]], [effects[e] for e in found["errors"]], rtol=5e-3, atol=1e-6
+    )
+    shares = page.run(
+        "return [...document.querySelectorAll(arguments[0] + ' .heat td.number')]"
+        ".map((one) => one.style.getPropertyValue('--share'))",
+        shown,
+    )
+    assert "100%" in shares
+    page.choose("#tornado-metric", "A.mean_square_force")
+    bars = page.run("return [...document.querySelectorAll('#tornado rect title')].map((one) => one.textContent)")
+    # 900 + 30 z0 + 5 z1^2: changes of +-30, and of 5 at both ends.
+    assert "D.delta_x, lower end of the tolerance: -30 N^2" in bars
+    assert "D.delta_x, upper end of the tolerance: 30 N^2" in bars
+    assert "D.delta_z, lower end of the tolerance: 5 N^2" in bars
+
+
+def samples(folder):
+    with open(folder / "monte_carlo.csv", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def test_samples_are_picked_in_the_scatter_plot_and_their_errors_listed(page, folder):
+    rows = samples(folder)
+    task_tab(page, "Monte Carlo")
+    before = page.picture("#scatter"), page.picture("#histogram")
+    page.drag("#scatter", (0.02, 0.02), (0.98, 0.95))
+    head, picked = table(page, "#picked")
+    assert len(picked) == len(rows) == 32
+    assert head[:4] == ["sample", "D.delta_x, deg", "D.delta_z, deg", "D.d_y, mm"]
+    for row in picked:
+        sample = rows[int(row[0])]
+        errors = [np.degrees(float(sample[f"D.delta_{axis}_rad"])) for axis in "xz"] + [1e3 * float(sample["D.d_y_m"])]
+        np.testing.assert_allclose([float(cell) for cell in row[1:4]], errors, rtol=1e-4)
+    assert page.picture("#scatter") != before[0] and page.picture("#histogram") != before[1]
+    page.click("#let-go")
+    assert (page.picture("#scatter"), page.picture("#histogram")) == before and not page.all("#picked table")
+
+
+def test_a_part_of_the_scatter_plot_and_of_a_histogram(page, folder):
+    rows = samples(folder)
+    task_tab(page, "Monte Carlo")
+    page.choose("#scatter-x", "0")
+    page.drag("#scatter", (0.02, 0.02), (0.5, 0.95))
+    picked = {int(row[0]) for row in table(page, "#picked")[1]}
+    delta = np.array([float(row["D.delta_x_rad"]) for row in rows])
+    assert 0 < len(picked) < 32
+    assert delta[list(picked)].max() < delta[[i for i in range(32) if i not in picked]].min()
+    page.run("document.dispatchEvent(new KeyboardEvent('keydown', {key: 'Escape'}))")
+    assert not page.all("#picked table")
+    page.choose("#histogram-of", "2")
+    page.drag("#histogram", (0.5, 0.3), (0.99, 0.5))
+    picked = {int(row[0]) for row in table(page, "#picked")[1]}
+    shift = np.array([float(row["D.d_y_m"]) for row in rows])
+    assert 0 < len(picked) < 32
+    assert shift[list(picked)].min() > shift[[i for i in range(32) if i not in picked]].max()
+
+
+def test_statistics_and_yield_are_those_of_the_file(page, folder):
+    found = json.loads((folder / "monte_carlo.json").read_text(encoding="utf-8"))
+    task_tab(page, "Monte Carlo")
+    rows = {row[0]: row for row in table(page, "#statistics")[1]}
+    for name, one in found["metrics"].items():
+        assert rows[name][2].startswith(f"{one['mean']['value']:.4g}")
+    share = 100.0 * found["metrics"]["D.mean_square_moment"]["yield_of_all"]["value"]
+    words = page.text("#yield").split("In the end ")[1].split()
+    assert float(words[0]) == pytest.approx(share, rel=1e-3) and words[1:5] == ["%,", "by", "32", "samples;"]
+
+
+def test_worst_cases(page, folder):
+    found = json.loads((folder / "worst_case.json").read_text(encoding="utf-8"))["metrics"]
+    shown = task_tab(page, "Worst case")
+    rows = {row[0]: row for row in table(page, shown)[1]}
+    assert set(rows) == set(found)
+    for name, one in found.items():
+        assert float(rows[name][3]) == pytest.approx(one["value"], rel=1e-4)
+        assert f"{np.degrees(one['errors']['D.delta_x']):.4g} deg" in rows[name]
+    points = page.run("return document.querySelectorAll(arguments[0] + ' .chart .case-2').length", shown)
+    assert points == sum(len(one["corners"]["values"]) for one in found.values())
+
+
+def test_allocation_and_cost_against_the_limit(page, folder):
+    found = json.loads((folder / "allocation.json").read_text(encoding="utf-8"))
+    shown = task_tab(page, "Allocation")
+    assert f"Cost {found['cost']:.4g}" in page.text(shown)
+    rows = {row[0]: row for row in table(page, "#tolerances")[1]}
+    for name, value in found["tolerances"].items():
+        unit, factor = ("mm", 1e3) if name.endswith("d_y") else ("deg", np.degrees(1.0))
+        assert rows[name][2] == f"{shown_number(factor * value)} {unit}"
+    titles = page.run(
+        "return [...document.querySelectorAll(arguments[0] + ' .chart title')].map((one) => one.textContent)", shown
+    )
+    for one in found["front"]:
+        assert f"cost: {shown_number(one['cost'])} at {shown_number(one['limits'][0]['limit'])}" in titles
