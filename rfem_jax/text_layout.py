@@ -49,12 +49,12 @@ def wrap_lines(text: str, indent: int = 2, width: int = WIDTH) -> str:
     )
 
 
-def size_text(number: float) -> str:
+def size_text(number: int | float) -> str:
     """A number of bytes."""
     return f"{number / 1e6:.2g} MB" if number < 1e9 else f"{number / 1e9:.2g} GB"
 
 
-def time_text(seconds: float) -> str:
+def time_text(seconds: int | float) -> str:
     """A rough time, one digit in the unit that suits it."""
     for unit, length in (("day", 86400.0), ("hour", 3600.0), ("minute", 60.0)):
         if seconds >= length:
