@@ -31,7 +31,10 @@ _PACKAGES = {
         "PrescribedDisplacements PrescribedFunction PrescribedRate PrescribedRunUp PrescribedSpeed "
         "PrescribedSpinUp PrescribedTable Rectangle RigidBody Study Tube load_study"
     ),
-    "mechanics": ("AssemblyErrors Coordinates Model State STATUS assemble assembly_errors describe discretise"),
+    "mechanics": (
+        "AssemblyErrors Coordinates Design Model State STATUS assemble assembly_errors describe design designed "
+        "discretise parameters"
+    ),
     "tolerancing": (
         "CorrelatedNormal Exponential FunctionProblem Metric Normal Problem Reciprocal "
         "ReciprocalSquared Tolerances Triangular TruncatedNormal Uniform allocate expand metric "

@@ -60,9 +60,9 @@ class TaskKind:
 
 
 # Names that study files and the command line use for something else.
-RESERVED_TABLES = ("title", "note", "mechanism", "drive", "drives", "simulation", "cases", "tolerances")
+RESERVED_TABLES = ("title", "note", "mechanism", "drive", "drives", "design", "simulation", "cases", "tolerances")
 # Subcommands that are no tasks, in the order of `--help`: each is a file of `rfem_jax.report.commands` of that name.
-COMMANDS = ("init", "run", "check", "compare", "keys", "report", "validate")
+COMMANDS = ("init", "run", "check", "compare", "keys", "parameters", "report", "validate")
 
 _kinds: dict[str, TaskKind] = {}
 

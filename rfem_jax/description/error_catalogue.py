@@ -10,6 +10,10 @@ depends on its kind (`joint_kinds`). Source: theory (2.3) to (2.5), (2.17).
 """
 
 import math
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
+from types import MappingProxyType
 
 from rfem_jax.description.errors import InputError, suggestion
 from rfem_jax.description.joint_kinds import KINDS, joint_errors
@@ -17,15 +21,20 @@ from rfem_jax.description.joint_kinds import KINDS, joint_errors
 JOINT_ERRORS = {name: dimension for kind in KINDS.values() for name, dimension in joint_errors(kind).items()}
 LINK_ERRORS = {"length": "length", "twist": "angle"}
 _KNOWN = {**JOINT_ERRORS, **LINK_ERRORS}
+_parameters: ContextVar[Mapping[str, str]] = ContextVar("parameters", default=MappingProxyType({}))
 
 
 def error_dimension(name: object) -> str:
-    """Return "angle" or "length" for the error `name`, such as "D.delta_x" or "coupler.length".
+    """Return "angle" or "length" for the error `name`, such as "D.delta_x" or "coupler.length", and the dimension of
+    a parameter while a study with it is read (`reading_parameters`).
 
     Raises:
         InputError: the part after the joint's or link's name is no error's name.
     """
+    parameters = _parameters.get()
     owner, dot, component = str(name).partition(".")
+    if component not in _KNOWN and str(name) in parameters:
+        return parameters[str(name)]
     if not (owner and dot):
         raise InputError(
             "Argument `name` of an error must be a joint or a link, a dot and the kind of error, "
@@ -34,14 +43,31 @@ def error_dimension(name: object) -> str:
     if component not in _KNOWN:
         raise InputError(
             "Argument `name` of an error must end in a known kind of error, but "
-            f"`{component}` in `{name}` is none; {suggestion(component, _KNOWN)}"
+            f"`{component}` in `{name}` is none; {_nearest(str(name), component, parameters)}"
         )
     return _KNOWN[component]
 
 
+def _nearest(name: str, component: str, parameters: Mapping[str, str]) -> str:
+    """The nearest parameter or kind of error."""
+    close = suggestion(component, _KNOWN)
+    return close if close.startswith("did you mean") or not parameters else suggestion(name, (*parameters, *_KNOWN))
+
+
+@contextmanager
+def reading_parameters(dimensions: Mapping[str, str]) -> Iterator[None]:
+    """Within the block `error_dimension` knows the dimensions {name: dimension} of a mechanism's parameters, too: what
+    a study file gives deviations to."""
+    before = _parameters.set(dimensions)
+    try:
+        yield
+    finally:
+        _parameters.reset(before)
+
+
 def as_specified(unit: str) -> tuple[str, float]:
-    """Unit in which users write an error of the SI unit "rad" or "m", and the factor to it."""
-    return {"rad": ("deg", math.degrees(1.0)), "m": ("mm", 1e3)}[unit]
+    """Unit in which users write an error of the SI unit "rad" or "m", and the factor to it; other units stay."""
+    return {"rad": ("deg", math.degrees(1.0)), "m": ("mm", 1e3)}.get(unit, (unit, 1.0))
 
 
 def error_unit(name: str) -> str:

@@ -119,7 +119,7 @@ def read_force(table: object, place: str) -> Force:
     problems = Problems()
     known = [*_keys_of_all(FORCES), "frame"]
     at_point = next((kind for key, kind in AT_POINTS.items() if isinstance(table, dict) and key in table), None)
-    needed = () if at_point and "kind" not in table else ("kind",)
+    needed = () if at_point and isinstance(table, dict) and "kind" not in table else ("kind",)
     content = dict(problems.usable(lambda: checked_table(table, place, needed, [*known, "kind"])))
     content.setdefault("kind", at_point)
     kind = kind_of(content, FORCES, "kind", place, problems)

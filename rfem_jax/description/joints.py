@@ -15,6 +15,7 @@ from typing import Any
 from rfem_jax.description.compliance import Compliance, SprungDirection
 from rfem_jax.description.errors import Checks, ChecksItself, InputError, require_flag, require_name
 from rfem_jax.description.joint_kinds import DEFAULT, KINDS, JointKind, require_kind
+from rfem_jax.description.numbers import Number
 from rfem_jax.description.units import quantity, vector
 
 
@@ -108,11 +109,12 @@ class Joint(ChecksItself):
             )
 
     @property
-    def start_values(self) -> tuple[float, ...]:
+    def start_values(self) -> tuple[Number, ...]:
         """Approximate start values of all coordinates of a joint of the tree, in the order of its motions."""
         kind = KINDS[self.kind]
         if _has_names(kind):
-            return tuple(float((self.angle if one.rotation else self.displacement) or 0.0) for one in kind.freedoms)
+            given = [self.angle if one.rotation else self.displacement for one in kind.freedoms]
+            return tuple(0.0 if value is None else value for value in given)
         return self.start or (0.0,) * len(kind.freedoms)
 
     def _set_start(self, checks: Checks, of: str) -> None:

@@ -90,7 +90,7 @@ def key_tables() -> list[KeyTable]:
     tables = [top, _table("[mechanism]", Mechanism, *MECHANISM_KEYS, _IN_A_FILE)]
     tables.append(_table("[mechanism.materials.NAME]", Material, *keys_of(Material, omit=("name",))))
     for shape, kind in SHAPES.items():
-        required, optional = keys_of(kind)
+        required, optional = keys_of(kind, omit=("name",))
         header, own = f'[mechanism.sections.NAME] of shape "{shape}"', {"shape": f'"{shape}"'}
         tables.append(_table(header, kind, ["shape", *required], optional, own))
     for header, kind in (

@@ -14,6 +14,7 @@ import numpy as np
 
 from rfem_jax.description.errors import Checks, ChecksItself, InputError, require_flag, require_name
 from rfem_jax.description.materials import Material
+from rfem_jax.description.numbers import Number
 from rfem_jax.description.rigid_bodies import RigidBody
 from rfem_jax.description.sections import (
     Circle,
@@ -159,7 +160,7 @@ class Link(ChecksItself):
         return self.section.properties(self.material)
 
     @property
-    def mass(self) -> float:
+    def mass(self) -> Number:
         """All mass [kg], that of point masses included."""
         own = self.properties.line_density * self.length if self.body is None else self.body.mass
         return own + sum(point.mass for point in self.point_masses)

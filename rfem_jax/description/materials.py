@@ -10,6 +10,7 @@ Source: theory (1.1), (1.7).
 from dataclasses import dataclass
 
 from rfem_jax.description.errors import Checks, ChecksItself, InputError, require_name
+from rfem_jax.description.numbers import Number
 from rfem_jax.description.units import Quantity, non_negative_quantity, positive_quantity, quantity
 
 
@@ -53,7 +54,7 @@ class Material(ChecksItself):
             checks.convert("poisson_ratio", _poisson_ratio, f"`poisson_ratio` {where}")
 
     @property
-    def modulus_of_rigidity(self) -> float:
+    def modulus_of_rigidity(self) -> Number:
         """G [Pa], as given or from E and nu."""
         if self.shear_modulus is not None:
             return self.shear_modulus

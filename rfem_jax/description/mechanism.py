@@ -7,13 +7,12 @@ Symbols: gravity [m/s^2] in the global frame, whose X-Z plane is the plane of th
 Source: docs/theory/1_discretisation.md, docs/theory/2_frames_and_errors.md.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from rfem_jax.description.driven_motions import plain_motion
-from rfem_jax.description.error_catalogue import LINK_ERRORS, error_dimension, error_unit
+from rfem_jax.description.error_catalogue import LINK_ERRORS, error_unit
 from rfem_jax.description.errors import Checks, ChecksItself, InputError, Problems, require_choice, subject, suggestion
 from rfem_jax.description.forces import Force, JointForce, JointFriction
 from rfem_jax.description.joint_kinds import KINDS, joint_errors
@@ -137,22 +136,6 @@ class Mechanism(ChecksItself):
                 f"{subject(where)} must be an error of this mechanism, but `{name}` is none; "
                 f"{suggestion(name, self.error_names)}"
             )
-
-    def require_sizes(self, sizes: dict[str, float], where: str) -> None:
-        """Raise InputError unless `sizes` {error: magnitude [rad or m]} are errors of this mechanism and none turns
-        anything by a right angle or shifts it by the length of the longest link."""
-        longest = max(link.length for link in self.links)
-        problems = Problems()
-        for name, size in sizes.items():
-            with problems.noted():
-                self.require_error(name, where)
-                most, unit = (0.5 * math.pi, "rad") if error_dimension(name) == "angle" else (longest, "m")
-                if not size <= most:
-                    raise InputError(
-                        f"{subject(where)} must be less than {most:.4g} {unit} (a right angle, or the longest link), "
-                        f"but `{name}` has {size:g} {unit}; check the number and its unit."
-                    )
-        problems.refuse()
 
     def _parent_joints(self) -> dict[str, Joint]:
         return {joint.child: joint for joint in self.joints if not joint.cut}

@@ -9,9 +9,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from rfem_jax.description.errors import Checks, ChecksItself, InputError
+from rfem_jax.description.numbers import array_of, rotation_of_angles
 from rfem_jax.description.sections import require_triangle
 from rfem_jax.description.units import positive_quantity, vector
 
@@ -62,19 +63,15 @@ class RigidBody(ChecksItself):
         require_triangle((first, second, third), where)
 
     @property
-    def tensor(self) -> Float[np.ndarray, "3 3"]:
+    def tensor(self) -> Float[np.ndarray, "3 3"] | Float[Array, "3 3"]:
         """J [kg m^2] about the mass centre in the axes of the link."""
-        (cx, cy, cz), (sx, sy, sz) = np.cos(self.orientation), np.sin(self.orientation)
-        rx = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
-        ry = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
-        rz = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
-        rotation = rz @ ry @ rx
+        rotation = rotation_of_angles(self.orientation)
         return rotation @ _as_tensor(self.inertia) @ rotation.T
 
 
-def _as_tensor(inertia: Any) -> Float[np.ndarray, "3 3"]:
-    given = np.array(inertia, dtype=float)
-    return np.diag(given) if given.ndim == 1 else given
+def _as_tensor(inertia: Any) -> Any:
+    given = array_of(inertia)
+    return given[:, None] * np.eye(3) if given.ndim == 1 else given
 
 
 def _inertia(inertia: Any) -> Any:

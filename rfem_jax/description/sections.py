@@ -5,16 +5,18 @@ Place in the pipeline: links hold a section and a material; `mechanics` reads `S
 Axes of a section: y along the hinge axis, z in the plane of motion. Symbols: A [m^2] area; I_y
 [m^4] second moment for bending in the plane of motion (about y), I_z out of it (about z); J_t [m^4]
 torsion constant; kappa [1] shear factor (effective shear stiffness = G A / kappa).
+The formulas take floats, and traced numbers of a design alike.
 Source: theory (1.1), (1.2); G. R. Cowper, J. Appl. Mech. 33 (1966) 335-340 (tube, nu = 0).
 """
 
 import abc
 import math
 from collections.abc import Callable, Collection
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field
 
-from rfem_jax.description.errors import Checks, ChecksItself, InputError
+from rfem_jax.description.errors import Checks, ChecksItself, InputError, require_name
 from rfem_jax.description.materials import Material
+from rfem_jax.description.numbers import Number, larger, smaller
 from rfem_jax.description.units import DERIVED, non_negative_quantity, positive_quantity
 
 
@@ -27,17 +29,17 @@ class SectionProperties:
     rho (I_y + I_z), rho I_y, rho I_z [kg m]; damping eta [s].
     """
 
-    axial: float
-    shear_y: float
-    shear_z: float
-    torsion: float
-    bending_y: float
-    bending_z: float
-    line_density: float
-    rotary_x: float
-    rotary_y: float
-    rotary_z: float
-    damping: float
+    axial: Number
+    shear_y: Number
+    shear_z: Number
+    torsion: Number
+    bending_y: Number
+    bending_z: Number
+    line_density: Number
+    rotary_x: Number
+    rotary_y: Number
+    rotary_z: Number
+    damping: Number
 
 
 class _Shape(abc.ABC, ChecksItself):
@@ -46,23 +48,28 @@ class _Shape(abc.ABC, ChecksItself):
     shear_factor: float
 
     @property
+    def kappa(self) -> Number:
+        """Shear factor [1]."""
+        return self.shear_factor
+
+    @property
     @abc.abstractmethod
-    def area(self) -> float:
+    def area(self) -> Number:
         """A [m^2]."""
 
     @property
     @abc.abstractmethod
-    def second_moment_y(self) -> float:
+    def second_moment_y(self) -> Number:
         """I_y [m^4]."""
 
     @property
     @abc.abstractmethod
-    def second_moment_z(self) -> float:
+    def second_moment_z(self) -> Number:
         """I_z [m^4]."""
 
     @property
     @abc.abstractmethod
-    def torsion_constant(self) -> float:
+    def torsion_constant(self) -> Number:
         """J_t [m^4]."""
 
     def properties(self, material: Material | None) -> SectionProperties:
@@ -75,7 +82,7 @@ class _Shape(abc.ABC, ChecksItself):
             )
         stiffness, rigidity = material.youngs_modulus, material.modulus_of_rigidity
         density = material.density
-        shear = rigidity * self.area / self.shear_factor
+        shear = rigidity * self.area / self.kappa
         return SectionProperties(
             axial=stiffness * self.area,
             shear_y=shear,
@@ -99,36 +106,39 @@ class Rectangle(_Shape):
         width: b [m], along y (the hinge axis), > 0.
         height: h [m], along z (in the plane of motion), > 0.
         shear_factor: kappa [1], > 0; 1.2 is the static value.
+        name: a word, by which parameters of the section are named; None = they are named by the link.
     """
 
     width: float
     height: float
     shear_factor: float = 1.2
+    name: str | None = field(default=None, kw_only=True, compare=False)
 
     def _check_fields(self, checks: Checks) -> None:
         _convert(checks, ("width", "height"), positive_quantity, "length")
         _convert(checks, ("shear_factor",), positive_quantity, "none")
 
     @property
-    def area(self) -> float:
+    def area(self) -> Number:
         return self.width * self.height
 
     @property
-    def second_moment_y(self) -> float:
+    def second_moment_y(self) -> Number:
         return self.width * self.height**3 / 12.0
 
     @property
-    def second_moment_z(self) -> float:
+    def second_moment_z(self) -> Number:
         return self.height * self.width**3 / 12.0
 
     @property
-    def torsion_constant(self) -> float:
+    def torsion_constant(self) -> Number:
         """J_t = a c^3 (1/3 - 0.21 (c/a) (1 - c^4 / (12 a^4))), a >= c [m^4].
 
         Against the exact series: 0.2 % for a square and for a >= 1.5 c, 0.5 % in between (at
-        a = 1.14 c); a GivenSection may use the series.
+        a = 1.14 c); a GivenSection may use the series.  The derivatives of a square with respect to both of its sides
+        are alike, the means of those to either side.
         """
-        long, short = max(self.width, self.height), min(self.width, self.height)
+        long, short = larger(self.width, self.height), smaller(self.width, self.height)
         ratio = short / long
         return long * short**3 * (1.0 / 3.0 - 0.21 * ratio * (1.0 - ratio**4 / 12.0))
 
@@ -140,29 +150,31 @@ class Circle(_Shape):
     Args:
         diameter: [m], > 0.
         shear_factor: kappa [1], > 0; 10/9 is the static value.
+        name: a word, by which parameters of the section are named; None = they are named by the link.
     """
 
     diameter: float
     shear_factor: float = 10.0 / 9.0
+    name: str | None = field(default=None, kw_only=True, compare=False)
 
     def _check_fields(self, checks: Checks) -> None:
         _convert(checks, ("diameter",), positive_quantity, "length")
         _convert(checks, ("shear_factor",), positive_quantity, "none")
 
     @property
-    def area(self) -> float:
+    def area(self) -> Number:
         return math.pi * self.diameter**2 / 4.0
 
     @property
-    def second_moment_y(self) -> float:
+    def second_moment_y(self) -> Number:
         return math.pi * self.diameter**4 / 64.0
 
     @property
-    def second_moment_z(self) -> float:
+    def second_moment_z(self) -> Number:
         return self.second_moment_y
 
     @property
-    def torsion_constant(self) -> float:
+    def torsion_constant(self) -> Number:
         return 2.0 * self.second_moment_y
 
 
@@ -175,11 +187,13 @@ class Tube(_Shape):
         wall: thickness [m], > 0 and less than half of the outer diameter.
         shear_factor: kappa [1], > 0; None = Cowper's value for nu = 0,
             7/6 + (10/3) r^2 / (1 + r^2)^2 with r = inner / outer diameter (2 for a thin wall).
+        name: a word, by which parameters of the section are named; None = they are named by the link.
     """
 
     outer_diameter: float
     wall: float
     shear_factor: float = DERIVED
+    name: str | None = field(default=None, kw_only=True, compare=False)
 
     def _check_fields(self, checks: Checks) -> None:
         _convert(checks, ("outer_diameter", "wall"), positive_quantity, "length")
@@ -187,9 +201,7 @@ class Tube(_Shape):
         if self.shear_factor is not None:
             _convert(checks, ("shear_factor",), positive_quantity, "none")
         elif checks.passed("outer_diameter", "wall"):
-            square = (self.inner_diameter / self.outer_diameter) ** 2
-            factor = 7.0 / 6.0 + (10.0 / 3.0) * square / (1.0 + square) ** 2
-            object.__setattr__(self, "shear_factor", factor)
+            object.__setattr__(self, "shear_factor", self.derived_factor)
 
     def _check_wall(self) -> None:
         if self.wall >= self.outer_diameter / 2.0:
@@ -199,23 +211,33 @@ class Tube(_Shape):
             )
 
     @property
-    def inner_diameter(self) -> float:
+    def derived_factor(self) -> Number:
+        """Cowper's shear factor [1]."""
+        square = (self.inner_diameter / self.outer_diameter) ** 2
+        return 7.0 / 6.0 + (10.0 / 3.0) * square / (1.0 + square) ** 2
+
+    @property
+    def kappa(self) -> Number:
+        return self.derived_factor if self.shear_factor is None else self.shear_factor
+
+    @property
+    def inner_diameter(self) -> Number:
         return self.outer_diameter - 2.0 * self.wall
 
     @property
-    def area(self) -> float:
+    def area(self) -> Number:
         return math.pi * self.wall * (self.outer_diameter - self.wall)
 
     @property
-    def second_moment_y(self) -> float:
+    def second_moment_y(self) -> Number:
         return self.area * (self.outer_diameter**2 + self.inner_diameter**2) / 16.0
 
     @property
-    def second_moment_z(self) -> float:
+    def second_moment_z(self) -> Number:
         return self.second_moment_y
 
     @property
-    def torsion_constant(self) -> float:
+    def torsion_constant(self) -> Number:
         return 2.0 * self.second_moment_y
 
 
@@ -232,6 +254,7 @@ class GivenSection(ChecksItself):
         rotary_inertia_x, rotary_inertia_y, rotary_inertia_z: rho I [kg m] about the axes; for a
             real section x = y + z.
         damping: eta [s], >= 0.
+        name: a word, by which parameters of the section are named; None = they are named by the link.
     Raises:
         InputError: a value is out of range, or the rotary inertias belong to no body.
     """
@@ -247,6 +270,7 @@ class GivenSection(ChecksItself):
     rotary_inertia_y: float
     rotary_inertia_z: float
     damping: float = 0.0
+    name: str | None = field(default=None, kw_only=True, compare=False)
 
     def _check_fields(self, checks: Checks) -> None:
         stiffnesses = ("axial_stiffness", "shear_stiffness_y", "shear_stiffness_z")
@@ -267,8 +291,14 @@ class GivenSection(ChecksItself):
                 "Argument `material` must be left out for a section of given stiffnesses, "
                 f"but was {material!r}; remove it (the section holds the density and the damping)."
             )
-        return SectionProperties(*(getattr(self, field.name) for field in fields(self)))
+        return SectionProperties(*(getattr(self, name) for name in _GIVEN))
 
+
+# In the order of the fields of SectionProperties.
+_GIVEN = (
+    "axial_stiffness", "shear_stiffness_y", "shear_stiffness_z", "torsion_stiffness", "bending_stiffness_y",
+    "bending_stiffness_z", "line_density", "rotary_inertia_x", "rotary_inertia_y", "rotary_inertia_z", "damping",
+)  # fmt: skip
 
 Section = Rectangle | Circle | Tube | GivenSection
 
@@ -286,5 +316,7 @@ def require_triangle(inertias: tuple[float, float, float], where: str) -> None:
 def _convert(
     checks: Checks, names: Collection[str], convert: Callable[[float, str, str], float], dimension: str
 ) -> None:
+    if checks.owner.name is not None:
+        checks.convert("name", require_name, "`name` of a section")
     for name in names:
         checks.convert(name, convert, dimension, f"`{name}` of {type(checks.owner).__name__}")

@@ -12,6 +12,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from rfem_jax.description.design_table import read_design
+from rfem_jax.description.deviations import known_while_reading, require_sizes
+from rfem_jax.description.drive_numbers import drives_with
 from rfem_jax.description.driven_motions import (
     AnyDrive,
     all_breakpoints,
@@ -36,7 +39,7 @@ from rfem_jax.task_kinds import task_kinds
 MOST_STEPS, MOST_SAVED = 1e9, 1e6
 LONGEST_NAME = 100
 # And those of tasks.
-STUDY_KEYS = (("mechanism", "simulation"), ("title", "note", "drive", "drives", "cases", "tolerances"))
+STUDY_KEYS = (("mechanism", "simulation"), ("title", "note", "drive", "drives", "design", "cases", "tolerances"))
 CASE_KEYS = (("name",), ("errors",))
 _ROUNDING = 1.0 + 1e-9  # 0.5 / 1e-3 and the like must not fail by rounding
 
@@ -76,6 +79,8 @@ class Study(ChecksItself):
         note: what a reader of the results must know; shown with every table and picture.
         tasks: tolerances of the errors and the tolerance studies to do.
         asked_method: the Method that was asked for, where `method` was chosen for it; None = `method`.
+        design: {parameter: value, or (lowest, highest)}, in SI units or strings with a unit: values replace those of
+            the mechanism and its drives, pairs are bounds for `optimise`.
     Raises:
         InputError: parts do not fit each other.
     """
@@ -91,6 +96,7 @@ class Study(ChecksItself):
     note: str = ""
     tasks: Tasks = field(default_factory=Tasks)
     asked_method: Method | None = None
+    design: dict[str, Any] = field(default_factory=dict)
 
     def _repr_html_(self) -> str:
         return study_html(self)
@@ -107,6 +113,7 @@ class Study(ChecksItself):
             checks.convert("save_every", positive_quantity, "time", "save_every")
         checks.relation(("duration", "method", "save_every"), self._check_times)
         checks.relation(("mechanism", "drive"), self._check_driven_joints)
+        checks.relation(("mechanism", "drive"), self._check_design)
         checks.relation(("drive", "duration"), self._check_drive_end)
         checks.relation(("mechanism", "cases"), self._check_cases)
         checks.relation(("mechanism", "tasks"), self._check_tasks)
@@ -197,6 +204,28 @@ class Study(ChecksItself):
         driven = replace(self.mechanism, driven_joint=labels[0] if len(labels) == 1 else labels)
         object.__setattr__(self, "mechanism", driven)
 
+    def _check_design(self) -> None:
+        found = read_design(self.design, self.mechanism, self.drives, self.drive_labels)
+        object.__setattr__(self, "design", found)
+
+    @property
+    def design_values(self) -> dict[str, float]:
+        """Values [SI units] that the design sets."""
+        return {name: value for name, value in self.design.items() if not isinstance(value, tuple)}
+
+    @property
+    def designed_drive(self) -> AnyDrive | tuple[AnyDrive, ...] | None:
+        """The drive, with the numbers that the design sets."""
+        numbers = {name: value for name, value in self.design_values.items() if name.startswith("drive.")}
+        if not numbers:
+            return self.drive
+        return _drives(drives_with(self.drives, self.drive_labels, numbers))
+
+    @property
+    def design_bounds(self) -> dict[str, tuple[float, float]]:
+        """Bounds [SI units] of the numbers that an optimisation may change."""
+        return {name: value for name, value in self.design.items() if isinstance(value, tuple)}
+
     def _check_drive_end(self) -> None:
         for one in self.drives:
             end = one.end if isinstance(one, (PrescribedTable, PrescribedDisplacements)) else self.duration
@@ -219,7 +248,7 @@ class Study(ChecksItself):
                     )
                 seen.add(case.name.lower())
                 sizes = {name: abs(value) for name, value in case.errors.items()}
-                self.mechanism.require_sizes(sizes, f"`errors` of case `{case.name}`")
+                require_sizes(self.mechanism, sizes, f"`errors` of case `{case.name}`")
         problems.refuse()
 
     def _check_tasks(self) -> None:
@@ -256,13 +285,15 @@ def _read_study(content: dict[str, Any], path: Path) -> Study:
     for name, read in readers.items():
         if name in content:
             parts[name] = ABSENT
-            with problems.noted():
+            with problems.noted(), known_while_reading(parts.get("mechanism")):
                 parts[name] = read(there[name]) if name in there else ABSENT
+    if "design" in content:
+        parts["design"] = there.get("design", ABSENT)
     if "drives" in parts:
         drive, drives = parts["drive"], parts.pop("drives")
         parts["drive"] = ABSENT if ABSENT in (drive, drives) else (*each_drive(drive), *drives)
     parts["tasks"] = ABSENT
-    with problems.noted():
+    with problems.noted(), known_while_reading(parts["mechanism"]):
         tasks = read_tasks(there)
         parts["tasks"] = ABSENT if content.get("tolerances") is ABSENT else tasks
     times = ("duration", "method", "save_every")

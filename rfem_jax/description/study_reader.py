@@ -162,13 +162,13 @@ def _read_section(name: str, table: object, place: str) -> Section:
     problems = Problems()
     with problems.noted(), located(place):
         require_name(name, "`name` of a section")
-    keys = {field.name for kind in SHAPES.values() for field in fields(kind)}
+    keys = {field.name for kind in SHAPES.values() for field in fields(kind)} - {"name"}
     content = problems.usable(lambda: checked_table(table, place, ("shape",), sorted(keys)))
     shape = kind_of(content, SHAPES, "shape", place, problems)
-    required, optional = keys_of(SHAPES[shape])
+    required, optional = keys_of(SHAPES[shape], omit=("name",))
     settings = keys_of_kind(content, f'{place} of shape "{shape}"', ("shape", *required), optional, problems)
-    settings = {name: value for name, value in settings.items() if name != "shape"}
-    return build(SHAPES[shape], settings, place, problems)
+    settings = {key: value for key, value in settings.items() if key != "shape"}
+    return build(SHAPES[shape], {**settings, "name": name}, place, problems)
 
 
 def _read_link(

@@ -5,6 +5,7 @@ discretisation              its loops closed at the start, rank and mobility
 nominal_geometry            the perfect mechanism in NumPy: does it close, rank, mobility
 model_with_errors           + AssemblyErrors -> constants of the equations of motion
 kinematics                  + State -> positions and velocities
+sources, designs            the numbers that a model was made of, and other ones; start_closure: its loops closed anew
 centre_lines                where the links are in space
 elements                    forces of the sdes, linear and geometrically exact
 cut_joints                  constraints of the cut joints
@@ -22,6 +23,7 @@ status                      what can happen to an assembly or a run
 algebra, reordering         vectors, rotations, spatial vectors; permutations of rows
 """
 
+from rfem_jax.mechanics.designs import Design, design, designed, parameters
 from rfem_jax.mechanics.discretisation import Structure, describe, discretise
 from rfem_jax.mechanics.model import Coordinates, Model, State
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors, assembly_errors
@@ -33,6 +35,7 @@ __all__ = [
     "Assembled",
     "AssemblyErrors",
     "Coordinates",
+    "Design",
     "Load",
     "Model",
     "State",
@@ -40,5 +43,8 @@ __all__ = [
     "assemble",
     "assembly_errors",
     "describe",
+    "design",
+    "designed",
     "discretise",
+    "parameters",
 ]

@@ -31,10 +31,8 @@ from rfem_jax.mechanics.nominal_geometry import (
 )
 from rfem_jax.mechanics.normal_loads import require_unique_normal_loads
 from rfem_jax.mechanics.point_laws import PointLaw
+from rfem_jax.mechanics.sources import CLOSING_TOLERANCE
 
-# Of the longest link.  Overconstrained loops close only as well as their numbers were typed: with angles of six
-# decimals a Bennett linkage stays open by 2e-7.  Flexible links close the remaining gap in the static start.
-CLOSING_TOLERANCE = 1e-6
 SMALLEST_DISTANCE = 1e-9  # of two points with a force between them, of the longest link
 IDLE_TOLERANCE = 1e-3  # of a motion of size one
 RIGID_CLOSING_TOLERANCE = 1e-9  # where reactions are redundant, nothing gives way
@@ -101,7 +99,14 @@ def discretise(mechanism: Mechanism, rfes: int | None = None, elements: str | No
             "which no link can take up; give angles and positions with more decimals, or make a link of each loop "
             "flexible."
         )
-    return model
+    return _with_tolerance(model, RIGID_CLOSING_TOLERANCE) if structure.redundant else model
+
+
+def _with_tolerance(model: Model, closing: float) -> Model:
+    """The model of which designs must close within a share of the longest link."""
+    assert model.source is not None, "discretised models have one"
+    blueprint = dataclasses.replace(model.source.blueprint, closing_tolerance=closing)
+    return dataclasses.replace(model, source=dataclasses.replace(model.source, blueprint=blueprint))
 
 
 def _require_apart(model: Model) -> None:

@@ -20,6 +20,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -32,6 +33,7 @@ from rfem_jax.mechanics.frame_forces import FrameForce
 from rfem_jax.mechanics.friction_laws import Friction
 from rfem_jax.mechanics.joint_laws import JointLaw
 from rfem_jax.mechanics.joint_springs import CompliantSpring
+from rfem_jax.mechanics.sources import Source
 
 BASE = -1
 
@@ -331,11 +333,10 @@ class Model(eqx.Module):
     by their names, None without any; frame_forces: elements between frames on nodes, likewise; springs: of compliant
     joints, by the names of joint and direction as "A.radial", likewise.
 
-    `equinox.tree_at` may replace what leaves the geometry as it is, also by traced values to differentiate by:
-    section, point masses, gravity, the numbers of forces and springs.  With another length or joint frame the start
-    angles no longer close the loops, and another length does not move the joints on the link either, so that results
-    and derivatives are wrong without a sign of it: use the length errors of `assembly_errors`, or describe and
-    discretise anew.
+    Numbers of the description change by a `rfem_jax.design`, from which all arrays follow.  `equinox.tree_at` may
+    replace what is no number of a description and leaves the geometry as it is, such as the stiffnesses of one link of
+    several that share a section; a design knows nothing of that.  source: the numbers that the arrays were made of,
+    None of a model that only programs see.
     """
 
     topology: Topology = eqx.field(static=True)
@@ -356,6 +357,7 @@ class Model(eqx.Module):
     frame_forces: dict[str, FrameForce] | None = None
     friction: dict[str, Friction] | None = None
     springs: dict[str, CompliantSpring] | None = None
+    source: Source | None = None
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -377,6 +379,11 @@ class Model(eqx.Module):
         """Nominal start: closed geometry, undeformed links."""
         elastic = jnp.zeros((6, self.topology.n_rfes))
         return Coordinates(self.start_joints, elastic)
+
+
+def length_scale(model: Model) -> Float[Array, ""]:
+    """The longest nominal link [m]: a scale, on which no result depends."""
+    return jax.lax.stop_gradient(jnp.max(model.length))
 
 
 def rfe_fractions(elements: int) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:

@@ -4,6 +4,7 @@ Place in the pipeline: description -> **model_building** -> discretisation.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -11,12 +12,14 @@ import numpy as np
 from jax import Array
 
 from rfem_jax.description.errors import InputError
-from rfem_jax.description.forces import JointFriction
+from rfem_jax.description.forces import JointForce, JointFriction
 from rfem_jax.description.joint_kinds import KINDS, JointKind, compliant
 from rfem_jax.description.joints import Joint
 from rfem_jax.description.links import Link
 from rfem_jax.description.mechanism import Mechanism
-from rfem_jax.description.point_forces import AtPoint, BetweenPoints
+from rfem_jax.description.numbers import Number, array_of, rotation_of_angles, traced
+from rfem_jax.description.parts import Parts, parts_of
+from rfem_jax.description.point_forces import AtPoint, BetweenPoints, PointLoad
 from rfem_jax.mechanics.frame_forces import FrameForce, NodeFrame
 from rfem_jax.mechanics.friction_laws import Friction, friction_law
 from rfem_jax.mechanics.joint_laws import JointLaw, joint_law
@@ -24,6 +27,7 @@ from rfem_jax.mechanics.joint_springs import CompliantSpring, compliant_spring
 from rfem_jax.mechanics.model import BASE, Model, Sections, Topology, rfe_fractions
 from rfem_jax.mechanics.orientations import quaternion_of_angles
 from rfem_jax.mechanics.point_laws import load_at, spring_between
+from rfem_jax.mechanics.sources import ForceNodes, source_of
 
 
 def build_model(mechanism: Mechanism, elements: dict[str, int], exact: bool = False) -> Model:
@@ -33,16 +37,32 @@ def build_model(mechanism: Mechanism, elements: dict[str, int], exact: bool = Fa
 
     **Raises:** `InputError` if a tree joint does not lie on the first rfe of its link.
     """
+    parts = parts_of(mechanism)
+    structure = _structure_of(mechanism, parts, elements, exact)
+    model = arrays_of(parts, structure)
+    return replace(model, source=source_of(parts, mechanism.driven_motions, structure.points, structure.products))
+
+
+class PartStructure(NamedTuple):
+    """What of a mechanism does not change with its numbers: topology; points: nodes of the ends of the forces at
+    points, by their names; products: whether point masses may have products of inertia."""
+
+    topology: Topology
+    points: ForceNodes
+    products: bool
+
+
+def _structure_of(mechanism: Mechanism, parts: Parts, elements: dict[str, int], exact: bool) -> PartStructure:
+    """Which rigid bodies there are and what is on each."""
     links = _links_in_tree_order(mechanism)
     discretised = _Links(tuple(links), tuple(elements[link.name] for link in links))
-    tree = {joint.child: joint for joint in mechanism.joints if not joint.cut}
-    joints = [tree[link.name] for link in links] + [j for j in mechanism.joints if j.cut]
+    tree = {joint.child: joint for joint in parts.joints if not joint.cut}
+    joints = [tree[link.name] for link in links] + [j for j in parts.joints if j.cut]
     parents = [discretised.attach(j.parent, j.position, True) for j in joints]
     children = [discretised.attach(j.child, j.child_position, j.cut) for j in joints]
     _require_first_rfes(joints[: len(links)], children)
     masses = [(i, mass) for i, link in enumerate(links) for mass in _masses_of(link)]
-    located = [discretised.locate(i, mass.position) for i, mass in masses]
-    elements_between = _frame_forces(mechanism, discretised)
+    points = _force_nodes(mechanism, discretised)
     topology = Topology(
         links=tuple(link.name for link in links),
         joints=tuple(j.name for j in joints),
@@ -55,33 +75,44 @@ def build_model(mechanism: Mechanism, elements: dict[str, int], exact: bool = Fa
         child_at_end=tuple(c.at_end for c in children),
         elements=discretised.elements,
         drives=tuple(_coordinate(joints, *motion) for motion in mechanism.driven_motions),
-        masses=tuple(node for node, _ in located),
+        masses=tuple(discretised.node(i, float(mass.position[0])) for i, mass in masses),
         minimum_norm=mechanism.redundant_reactions == "minimum_norm",
         exact=exact,
-        holders=_holders(elements_between, len(links)),
+        holders=tuple(sorted({node for _, nodes in points for node in nodes if node >= len(links)})),
         sprung=tuple(j.sprung for j in joints) if any(j.compliance for j in joints) else (),
     )
+    return PartStructure(topology, points, any(any(mass.products) for _, mass in masses))
+
+
+def arrays_of(parts: Parts, structure: PartStructure) -> Model:
+    """The arrays of parts whose numbers may be traced, in a structure that was found with other numbers."""
+    topology, points, products = structure
+    links = [parts.link(name) for name in topology.links]
+    joints = [parts.joint(name) for name in topology.joints]
+    seats = zip(joints, topology.parents, strict=True)
+    bores = zip(joints, topology.children, strict=True)
+    masses = [mass for link in links for mass in _masses_of(link)]
+    held = zip(topology.masses, masses, strict=True)
+    start = [_start(j, topology.kind(l)) for l, j in enumerate(joints[: len(links)])]
     return Model(
         topology=topology,
-        length=jnp.asarray([link.length for link in links]),
+        length=_array([link.length for link in links]),
         section=_sections(links),
         parent_rotation=_rotations([j.orientation for j in joints]),
-        parent_position=_columns([p.position for p in parents]),
+        parent_position=_columns([_in_node(topology, links, node, j.position, True) for j, node in seats]),
         child_rotation=_rotations([j.child_orientation for j in joints]),
-        child_position=_columns([c.position for c in children]),
-        point_mass=jnp.asarray(np.array([mass.mass for _, mass in masses], dtype=float)),
-        point_position=_columns([position for _, position in located]),
-        point_inertia=_columns([mass.inertia for _, mass in masses]),
-        start_joints=jnp.asarray(
-            np.concatenate([_start(j, topology.kind(l)) for l, j in enumerate(joints[: len(links)])])
-        ),
+        child_position=_columns([_in_node(topology, links, node, j.child_position, j.cut) for j, node in bores]),
+        point_mass=_array([mass.mass for mass in masses]),
+        point_position=_columns([_in_node(topology, links, node, mass.position, False) for node, mass in held]),
+        point_inertia=_columns([mass.inertia for mass in masses]),
+        start_joints=_array([value for values in start for value in values]),
         cut_angles=jnp.zeros(len(joints) - len(links)),
-        gravity=jnp.asarray(mechanism.gravity, dtype=float),
-        forces=_joint_laws(mechanism, topology) or None,
-        point_products=_products([mass for _, mass in masses]),
-        frame_forces=elements_between or None,
-        friction=_frictions(mechanism, topology) or None,
-        springs=_springs(joints, topology) if topology.sprung else None,
+        gravity=_array(parts.gravity),
+        forces=_joint_laws(parts, topology) or None,
+        point_products=_columns([mass.products for mass in masses]) if products else None,
+        frame_forces=_frame_forces(parts, topology, links, points) or None,
+        friction=_frictions(parts, topology) or None,
+        springs=_springs(parts, topology) if topology.sprung else None,
     )
 
 
@@ -89,10 +120,10 @@ class _Mass(NamedTuple):
     """A point mass, or a body: mass [kg], its centre [m] in the link frame, principal moments and products of inertia
     (J_xy, J_xz, J_yz) [kg m^2]."""
 
-    mass: float
-    position: Sequence[float]
-    inertia: Sequence[float]
-    products: Sequence[float] = (0.0, 0.0, 0.0)
+    mass: Number
+    position: Sequence[Number]
+    inertia: Sequence[Number]
+    products: Sequence[Number] = (0.0, 0.0, 0.0)
 
 
 def _masses_of(link: Link) -> list[_Mass]:
@@ -102,12 +133,7 @@ def _masses_of(link: Link) -> list[_Mass]:
         return found
     tensor = link.body.tensor
     products = (tensor[0, 1], tensor[0, 2], tensor[1, 2])
-    return [_Mass(link.body.mass, link.body.centre, np.diag(tensor).tolist(), products), *found]
-
-
-def _products(masses: Sequence[_Mass]) -> Array | None:
-    """Products of inertia (3, masses), None where all are zero."""
-    return _columns([mass.products for mass in masses]) if any(any(mass.products) for mass in masses) else None
+    return [_Mass(link.body.mass, link.body.centre, [tensor[i, i] for i in range(3)], products), *found]
 
 
 def _coordinate(joints: Sequence[Joint], joint: str, motion: str) -> int:
@@ -118,24 +144,24 @@ def _coordinate(joints: Sequence[Joint], joint: str, motion: str) -> int:
     return sum(len(kind.freedoms) for kind in kinds[:index]) + kinds[index].motions.index(motion)
 
 
-def _joint_laws(mechanism: Mechanism, topology: Topology) -> dict[str, JointLaw]:
+def _joint_laws(parts: Parts, topology: Topology) -> dict[str, JointLaw]:
     """The forces along joint coordinates, by their names."""
     found = {}
-    for force in mechanism.joint_forces:
-        if isinstance(force, JointFriction):
+    for force in parts.forces:
+        if isinstance(force, JointFriction) or not isinstance(force, JointForce):
             continue
         joint = topology.joints.index(force.joint)
-        n = force.coordinate(mechanism.joint(force.joint))
+        n = force.coordinate(parts.joint(force.joint))
         found[force.name] = joint_law(force, topology.own_coordinates[joint][n], topology.own_positions[joint][n])
     return found
 
 
-def _frictions(mechanism: Mechanism, topology: Topology) -> dict[str, Friction]:
+def _frictions(parts: Parts, topology: Topology) -> dict[str, Friction]:
     """Friction in joints, by its names."""
     found = {}
-    for force in mechanism.forces:
+    for force in parts.forces:
         if isinstance(force, JointFriction):
-            joint, described = topology.joints.index(force.joint), mechanism.joint(force.joint)
+            joint, described = topology.joints.index(force.joint), parts.joint(force.joint)
             n, places = force.coordinate(described), (None, None)
             if not described.cut:
                 places = topology.own_coordinates[joint][n], topology.own_positions[joint][n]
@@ -143,11 +169,11 @@ def _frictions(mechanism: Mechanism, topology: Topology) -> dict[str, Friction]:
     return found
 
 
-def _springs(joints: Sequence[Joint], topology: Topology) -> dict[str, CompliantSpring]:
+def _springs(parts: Parts, topology: Topology) -> dict[str, CompliantSpring]:
     """The springs of compliant joints by names as "A.radial"."""
     found = {}
-    for j, joint in enumerate(joints):
-        for spring in joint.springs:
+    for j, joint in enumerate(topology.joints):
+        for spring in parts.springs_of(joint):
             if j < topology.n_links:
                 named = list(enumerate(topology.kind(j).freedoms))
                 at = [n for n, one in named if f"{'TR'[one.rotation]}_{'xyz'[one.axis]}" in spring.motions]
@@ -155,7 +181,7 @@ def _springs(joints: Sequence[Joint], topology: Topology) -> dict[str, Compliant
                 made = compliant_spring(spring, tuple(rates[n] for n in at), tuple(numbers[n] for n in at), ())
             else:
                 made = compliant_spring(spring, (), (), _rows_of(topology, j, spring.motions))
-            found[f"{joint.name}.{spring.name}"] = made
+            found[f"{joint}.{spring.name}"] = made
     return found
 
 
@@ -168,38 +194,58 @@ def _rows_of(topology: Topology, cut: int, motions: Sequence[str]) -> tuple[int,
     return tuple(k for k, axis in zip(of_centre, nominal.across) if f"T_{'xyz'[axis]}" in motions)
 
 
-def _frame_forces(mechanism: Mechanism, links: "_Links") -> dict[str, FrameForce]:
-    """The forces at points and between them, by their names."""
-    found: dict[str, FrameForce] = {}
+def _force_nodes(mechanism: Mechanism, links: "_Links") -> ForceNodes:
+    """The nodes of the ends of all forces at points and between them, by the names of the forces."""
+    found = []
     for force in mechanism.point_forces:
-        frames = []
-        for name, place in force.ends():
-            node, position, _ = links.attach(name, place, False)
-            frames.append(NodeFrame(node, jnp.eye(3), jnp.asarray(position, float)))
-        if not isinstance(force, BetweenPoints):
-            assert isinstance(force, AtPoint)
-            found[force.name] = load_at(force, NodeFrame(BASE, jnp.eye(3), jnp.zeros(3)), frames[0])
-            continue
-        if frames[0].node == frames[1].node:
+        nodes = tuple(links.attach(name, place, False).node for name, place in force.ends())
+        if isinstance(force, BetweenPoints) and nodes[0] == nodes[1]:
             raise InputError(
                 f"Argument `points` of force `{force.name}` must move against each other, but both lie on one rigid "
                 f"finite element of link `{force.links[0]}`; move them apart, or divide the link more finely."
             )
-        found[force.name] = spring_between(force, *frames)
+        found.append((force.name, nodes))
+    return tuple(found)
+
+
+def _frame_forces(parts: Parts, topology: Topology, links: Sequence[Link], points: ForceNodes) -> dict[str, FrameForce]:
+    """The forces at points and between them, by their names."""
+    found: dict[str, FrameForce] = {}
+    nodes = dict(points)
+    for force in parts.forces:
+        if not isinstance(force, PointLoad):
+            continue
+        frames = []
+        for node, (_, place) in zip(nodes[force.name], force.ends(), strict=True):
+            position = jnp.asarray(array_of(_in_node(topology, links, node, place, False)))
+            frames.append(NodeFrame(node, jnp.eye(3), position))
+        if isinstance(force, BetweenPoints):
+            found[force.name] = spring_between(force, *frames)
+        else:
+            assert isinstance(force, AtPoint)
+            found[force.name] = load_at(force, NodeFrame(BASE, jnp.eye(3), jnp.zeros(3)), frames[0])
     return found
 
 
-def _holders(elements: dict[str, FrameForce], n_links: int) -> tuple[int, ...]:
-    """The free rfes that elements act on."""
-    nodes = {end.node for element in elements.values() for end in (element.parent, element.child)}
-    return tuple(sorted(node for node in nodes if node >= n_links))
+def _in_node(
+    topology: Topology, links: Sequence[Link], node: int, position: Sequence[Number] | None, at_end: bool
+) -> list[Number]:
+    """A place in the frame of the node that holds it [m]; None: the end of its link (`at_end`) or its start."""
+    if node == BASE:
+        return [0.0, 0.0, 0.0] if position is None else list(position)
+    index = topology.link_of(node)
+    x, y, z = (links[index].length if at_end else 0.0, 0.0, 0.0) if position is None else position
+    if node < topology.n_links:
+        return [x, y, z]
+    first = topology.ranges[index][0]
+    middle = rfe_fractions(topology.elements[index])[1][node - topology.n_links - first + 1]
+    return [x - float(middle) * links[index].length, y, z]
 
 
 class _Attachment(NamedTuple):
-    """One side of a joint: its node, its place in the node's frame [m], whether that is the far end of a link."""
+    """One side of a joint: its node, and whether that is the far end of a link."""
 
     node: int
-    position: np.ndarray
     at_end: bool
 
 
@@ -209,33 +255,29 @@ class _Links(NamedTuple):
     links: tuple[Link, ...]
     elements: tuple[int, ...]
 
-    def locate(self, index: int, position: Sequence[float]) -> tuple[int, np.ndarray]:
-        """Node that holds a point of a link, and the point in the node's frame."""
+    def node(self, index: int, x: float) -> int:
+        """Node that holds a point of a link."""
         link, n = self.links[index], self.elements[index]
-        _, middles = rfe_fractions(n)
-        edge = np.clip(position[0] / link.length * (n - 1) + 0.5, 0, n - 1)
+        edge = np.clip(x / link.length * (n - 1) + 0.5, 0, n - 1)
         i = 0 if n == 1 else int(min(edge, n - 1))
         if i == 0:
-            return index, np.asarray(position)
-        before = sum(n - 1 for n in self.elements[:index])
-        return len(self.links) + before + i - 1, np.asarray(position) - [middles[i] * link.length, 0.0, 0.0]
+            return index
+        return len(self.links) + sum(n - 1 for n in self.elements[:index]) + i - 1
 
     def attach(self, owner: str, position: Sequence[float] | None, at_end: bool) -> _Attachment:
         """One side of a joint; without a position it is at the link's end (`at_end`) or its start."""
         if owner == "base":
-            return _Attachment(BASE, np.asarray((0.0, 0.0, 0.0) if position is None else position), False)
+            return _Attachment(BASE, False)
         index = [link.name for link in self.links].index(owner)
         link = self.links[index]
-        if position is None:
-            position = (link.length if at_end else 0.0, 0.0, 0.0)
-        ends_there = abs(position[0] - link.length) <= 1e-12 * link.length
-        return _Attachment(*self.locate(index, position), ends_there)
+        x = (link.length if at_end else 0.0) if position is None else position[0]
+        return _Attachment(self.node(index, x), abs(x - link.length) <= 1e-12 * link.length)
 
 
 def _require_first_rfes(joints: Sequence[Joint], children: Sequence[_Attachment]) -> None:
     """Raise InputError for the first tree joint that does not lie on rfe 0 of its link."""
-    for joint, (node, _, _) in zip(joints, children):
-        if node >= len(joints):
+    for joint, child in zip(joints, children):
+        if child.node >= len(joints):
             raise InputError(
                 f"Argument `child_position` of joint {joint.name!r} must lie on the first rigid "
                 f"finite element of link {joint.child!r}, but is {joint.child_position}: a tree "
@@ -243,14 +285,16 @@ def _require_first_rfes(joints: Sequence[Joint], children: Sequence[_Attachment]
             )
 
 
-def _start(joint: Joint, kind: JointKind) -> np.ndarray:
+def _start(joint: Joint, kind: JointKind) -> list[Number]:
     """Start of a tree joint as numbers of the position, zero along springs: its three angles as a quaternion if it
     turns about any axis."""
-    values = np.zeros(len(kind.freedoms))
-    values[list(kind.own)] = joint.start_values
+    values: list[Number] = [0.0] * len(kind.freedoms)
+    for n, value in zip(kind.own, joint.start_values, strict=True):
+        values[n] = value
     if not kind.ball:
         return values
-    return np.concatenate([values[:-3], quaternion_of_angles(values[-3:])])
+    # No drive holds these angles: they are numbers of the description, not of a design.
+    return [*values[:-3], *quaternion_of_angles(np.array(values[-3:], dtype=float)).tolist()]
 
 
 def _links_in_tree_order(mechanism: Mechanism) -> list[Link]:
@@ -268,7 +312,7 @@ def _sections(links: Sequence[Link]) -> Sections:
     properties = [link.properties for link in links]
 
     def rows(*names: str) -> Array:
-        return jnp.asarray(np.array([[getattr(p, name) for p in properties] for name in names], dtype=float))
+        return jnp.asarray(array_of([[getattr(p, name) for p in properties] for name in names]))
 
     return Sections(
         stiffness=rows("axial", "shear_y", "shear_z", "torsion", "bending_y", "bending_z"),
@@ -278,21 +322,19 @@ def _sections(links: Sequence[Link]) -> Sections:
     )
 
 
-def _orientation(angles: Sequence[float]) -> np.ndarray:
-    """R = R_z R_y R_x of three angles about x, y, z."""
-    cx, cy, cz = np.cos(angles)
-    sx, sy, sz = np.sin(angles)
-    rx = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
-    ry = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
-    rz = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
-    return rz @ ry @ rx
+def _array(values: Sequence[Number]) -> Array:
+    """Numbers (n,)."""
+    return jnp.asarray(array_of(list(values)))
 
 
-def _columns(rows: Sequence[Sequence[float] | np.ndarray]) -> Array:
+def _columns(rows: Sequence[Sequence[Number]]) -> Array:
     """Vectors (3, n)."""
-    return jnp.asarray(np.array(rows, dtype=float).reshape(-1, 3).T)
+    return jnp.asarray(array_of([list(row) for row in rows]).reshape(-1, 3).T)
 
 
-def _rotations(orientations: Sequence[Sequence[float]]) -> Array:
+def _rotations(orientations: Sequence[Sequence[Number]]) -> Array:
     """Rotations (3, 3, n) by angles about x, y, z."""
-    return jnp.asarray(np.stack([_orientation(o) for o in orientations], axis=-1))
+    rotations = [rotation_of_angles(angles) for angles in orientations]
+    if traced(rotations):
+        return jnp.stack([jnp.asarray(rotation) for rotation in rotations], axis=-1)
+    return jnp.asarray(np.stack(rotations, axis=-1))

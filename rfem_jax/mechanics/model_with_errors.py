@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.core import Tracer
-from jaxtyping import ArrayLike, Float, PyTree
+from jaxtyping import ArrayLike, Float, Int, PyTree
 
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.error_catalogue import error_dimension
@@ -36,7 +36,8 @@ class AssemblyErrors(eqx.Module):
 
     seat, bore: (delta_x, delta_z [rad], d_x, d_y, d_z [m]) of every joint in its parent and child, and delta_y
     [rad] last where any joint may have it (`Topology.error_components`); pin: tilts [rad] about x and z of a crooked
-    pin, on both sides at once; length [m] and twist [rad] of every link.
+    pin, on both sides at once; length [m] and twist [rad] of every link; parameters: deviations of numbers of the
+    description from their values [SI units], by their full names, which `designed` adds to these; None without any.
     """
 
     seat: Float[Array, "components joints"]
@@ -44,13 +45,15 @@ class AssemblyErrors(eqx.Module):
     pin: Float[Array, "2 joints"]
     length: Float[Array, " links"]
     twist: Float[Array, " links"]
+    parameters: dict[str, Float[Array, ""]] | None = None
 
 
 def assembly_errors(model: Model, values: Mapping[str, ArrayLike | str] | None = None) -> AssemblyErrors:
     """The errors with the given names, every other one zero.
 
     **Arguments:** `values`: name -> number in rad or m, array scalar (traced or not), or a string
-    with a unit; names as "D.delta_x", "D.d_y", "C.child.delta_z", "C.pin_tilt_x", "coupler.length".
+    with a unit; names as "D.delta_x", "D.d_y", "C.child.delta_z", "C.pin_tilt_x", "coupler.length", or of any other
+    parameter of the model (`rfem_jax.parameters`), which then deviates from its value by a number in its unit.
 
     **Raises:** `InputError` for a name that the model does not have.
     """
@@ -63,8 +66,13 @@ def assembly_errors(model: Model, values: Mapping[str, ArrayLike | str] | None =
         "length": np.zeros(n_links),
         "twist": np.zeros(n_links),
     }
-    traced = []
+    traced, deviations = [], {}
     for name, value in (values or {}).items():
+        if name not in topology.error_names and model.source is not None and name in model.source.blueprint.names:
+            parameter = model.source.blueprint.names[name]
+            number = quantity(value, parameter.dimension, f"error {name!r}") if isinstance(value, str) else value
+            deviations[parameter.full] = jnp.asarray(number, jnp.float64)
+            continue
         part, place = _locate(topology, name)
         if isinstance(value, str):
             value = quantity(value, error_dimension(name), f"error {name!r}")
@@ -72,8 +80,10 @@ def assembly_errors(model: Model, values: Mapping[str, ArrayLike | str] | None =
             traced.append((part, place, value))
         else:
             parts[part][place] = value
-    errors = AssemblyErrors(**{part: jnp.asarray(values) for part, values in parts.items()})
-    return _insert(errors, *zip(*traced)) if traced else errors
+    arrays = {part: jnp.asarray(values) for part, values in parts.items()}
+    errors = AssemblyErrors(arrays["seat"], arrays["bore"], arrays["pin"], arrays["length"], arrays["twist"])
+    errors = _insert(errors, *zip(*traced)) if traced else errors
+    return dataclasses.replace(errors, parameters=deviations) if deviations else errors
 
 
 @Program
@@ -148,7 +158,8 @@ class ModelWithErrors(eqx.Module):
 
 
 def apply_errors(model: Model, errors: AssemblyErrors) -> ModelWithErrors:
-    """Apply the errors to the model."""
+    """Apply the errors to the model; deviations of parameters are applied before, by `designed`."""
+    assert not errors.parameters, "`designed` has not been called"
     with jax.named_scope("apply_errors"):
         topology = model.topology
         length = model.length + errors.length
@@ -257,9 +268,9 @@ def _side(
     """Frames of all joints on one side: nominal frame, stretched and twisted link, error."""
     link = np.array([0 if node < 0 else topology.link_of(node) for node in nodes])
     on_link = np.array([node >= 0 for node in nodes])
-    stretch = jnp.where(on_link, scale[link], 1.0)
+    stretch = jnp.where(on_link, _at_links(scale, link), 1.0)
     position = jnp.concatenate([position[:1] * stretch[None], position[1:]])
-    twisted = algebra.rotation_x(jnp.where(on_link & np.array(at_end), twist[link], 0.0))
+    twisted = algebra.rotation_x(jnp.where(on_link & np.array(at_end), _at_links(twist, link), 0.0))
     rotation = algebra.product(twisted, rotation)
     tilt = algebra.rotation_x(error[0])
     if "delta_y" in topology.error_components:
@@ -275,18 +286,19 @@ def _bodies(
     topology = model.topology
     n_links, nodes = topology.n_links, topology.n_links + topology.n_rfes
     link, share, middle = _node_fractions(topology)
-    extent = share * length[link]
-    density, rotary = model.section.line_density[link], model.section.rotary[:, link]
+    lengths = _at_links(length, link)
+    extent = share * lengths
+    density, rotary = _at_links(model.section.line_density, link), _at_links(model.section.rotary, link)
     mass = density * extent
     slender = jnp.asarray(np.array([0.0, 1.0, 1.0]))[:, None] * (mass * extent**2 / 12.0)[None]
     principal = slender + rotary * extent[None]
     is_root = np.arange(nodes) < n_links
-    axial = jnp.where(is_root, middle * length[link], 0.0)
+    axial = jnp.where(is_root, middle * lengths, 0.0)
     beam_centre = _along_x(axial)
 
     holder = np.array(topology.masses, dtype=int)
     holder_link = np.array([topology.link_of(node) for node in topology.masses], dtype=int)
-    point = jnp.concatenate([model.point_position[:1] * scale[holder_link][None], model.point_position[1:]])
+    point = jnp.concatenate([model.point_position[:1] * _at_links(scale, holder_link)[None], model.point_position[1:]])
     # Sums at the nodes that hold them, by products: additions at places would be scatters (`compilation.options`).
     onto = (holder[:, None] == np.arange(nodes)).astype(float)
     total = mass + model.point_mass @ onto
@@ -334,14 +346,20 @@ def _spring_damping_elements(model: Model, length: Array) -> dict[str, Array]:
     left = np.concatenate([x[:-1] for x in middles]) if middles else np.zeros(0)
     right = np.concatenate([x[1:] for x in middles]) if middles else np.zeros(0)
     place = (index + 0.5) / np.maximum(count, 1.0)
-    extent = length[link]
+    extent = _at_links(length, link)
     return {
         "rest": jnp.asarray(right) * extent,
-        "stiffness": model.section.stiffness[:, link] * (count / extent)[None],
-        "damping": model.section.damping[link],
+        "stiffness": _at_links(model.section.stiffness, link) * (count / extent)[None],
+        "damping": _at_links(model.section.damping, link),
         "lever_left": jnp.asarray(place - left) * extent,
         "lever_right": jnp.asarray(place - right) * extent,
     }
+
+
+def _at_links(values: Float[Array, "*k links"], links: Int[np.ndarray, " n"]) -> Float[Array, "*k n"]:
+    """Values of given links, by a product: the transpose of an index would be an addition at places
+    (`compilation.options`)."""
+    return values @ (np.arange(values.shape[-1])[:, None] == links).astype(float)
 
 
 def _along_x(values: Array) -> Array:

@@ -17,6 +17,7 @@ class Status(NamedTuple):
 
 
 OK, NOT_ASSEMBLED, WRONG_SIDE, DIVERGED, DRIFTED, STEPS_EXHAUSTED, OUT_OF_RANGE, NOT_CONVERGED = range(8)
+NOT_CLOSED, DESIGN_OUT_OF_RANGE = 8, 9
 
 STATUS: tuple[Status, ...] = (
     Status("ok", "The run is complete and passed its checks."),
@@ -59,5 +60,16 @@ STATUS: tuple[Status, ...] = (
         "The residual of the equations of motion after an implicit step exceeded a twentieth of the "
         "largest joint force. Usually the step is too large for the motion, or the method's "
         "`corrections` are too few; links that bend far do the same.",
+    ),
+    Status(
+        "not_closed",
+        "The loops of the design cannot be closed at the start with every link rigid: they stay open by what the run "
+        "says. Usually a length or a joint is too far from the others; the nominal mechanism was computed instead.",
+    ),
+    Status(
+        "design_out_of_range",
+        "A number of the design cannot be (a length or a stiffness that is not positive), or a joint, a mass or a "
+        "force lies further from the rigid finite element that holds it than half of one; describe the mechanism anew. "
+        "The nominal one was computed instead.",
     ),
 )

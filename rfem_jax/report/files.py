@@ -40,6 +40,7 @@ def write_results(path: str | Path, study: Study, summaries: Summaries) -> Path:
         "duration": study.duration,
         "driven_joint": study.drives[0].joint if has_driven_joint(study) else None,
         "method": asdict(study.method),
+        **({"design": study.design_values} if study.design_values else {}),
         "cases": summaries,
         "compilation": state(),
         "units": {"duration": "s", **units(), **{one.end.name: one.end.unit for one in driven}},

@@ -15,7 +15,7 @@ from rfem_jax.description.forces import JointForce, JointForceTable, JointSpring
 from rfem_jax.description.joint_kinds import KINDS
 from rfem_jax.description.joints import Joint
 from rfem_jax.description.mechanism import Mechanism
-from rfem_jax.report.annotations import Axes3D, Run
+from rfem_jax.report.annotations import Axes3D, Model, Run
 
 Point = Float[np.ndarray, " 3"]
 
@@ -48,12 +48,12 @@ class Seat(NamedTuple):
     child_centre: Point
 
 
-def joint_seats(mechanism: Mechanism) -> dict[str, Seat]:
-    """The seats of all joints of the perfect mechanism at the start."""
+def joint_seats(mechanism: Mechanism, model: Model | None = None) -> dict[str, Seat]:
+    """The seats of all joints of the perfect mechanism at the start; `model`: where it was discretised already."""
     from rfem_jax.mechanics.discretisation import discretise
     from rfem_jax.mechanics.nominal_geometry import geometry_of, place
 
-    model = discretise(mechanism)
+    model = discretise(mechanism) if model is None else model
     placed = place(geometry_of(model), np.asarray(model.start_joints))
     frames = zip(model.topology.joints, placed.joint_rotation, placed.centre, placed.child_centre, strict=True)
     return {name: Seat(rotation, centre, child) for name, rotation, centre, child in frames}

@@ -9,11 +9,16 @@ import re
 from dataclasses import fields
 from typing import Any
 
+from rfem_jax.description.deviations import deviation_unit
+from rfem_jax.description.drive_numbers import drive_number_names, drive_number_unit, drive_number_value
 from rfem_jax.description.driven_motions import AnyDrive
+from rfem_jax.description.error_catalogue import as_specified
 from rfem_jax.description.forces import Force, JointForce, JointForceTable, JointFriction
 from rfem_jax.description.joint_kinds import KINDS
 from rfem_jax.description.joints import Joint
 from rfem_jax.description.mechanism import Mechanism
+from rfem_jax.description.parameters import parameters_of
+from rfem_jax.description.parts import parts_of
 from rfem_jax.description.point_forces import AtPoint, PointLoad
 from rfem_jax.description.sections import Section
 from rfem_jax.description.study import Case, Study
@@ -22,14 +27,27 @@ from rfem_jax.report.tables import format_table, title_text
 
 
 def format_error(name: str, value: float, unit: str) -> str:
-    """One assembly error as users write it, "D.delta_x = 0.5 deg"; `unit` is "rad" or "m"."""
-    if unit == "rad":
-        return f"{name} = {math.degrees(value):.6g} deg"
-    return f"{name} = {1e3 * value:.6g} mm"
+    """One deviation as users write it, "D.delta_x = 0.5 deg"; `unit` is its SI unit."""
+    specified, factor = as_specified(unit)
+    return f"{name} = {factor * value:.6g} {specified}".removesuffix(" 1")
+
+
+def design_text(study: Study) -> str:
+    """What the design of a study sets, and between which bounds numbers may change; "" without one."""
+    names, drives = parameters_of(study.mechanism), drive_number_names(study.drives, study.drive_labels)
+    rows = []
+    for name, value in study.design.items():
+        unit = drive_number_unit(name) if name in drives else names[name].unit
+        before = drive_number_value(study.drives[drives[name][0]]) if name in drives else None
+        if before is None:
+            before = names[name].value_in(parts_of(study.mechanism))
+        new = " to ".join(f"{end:.6g}" for end in value) if isinstance(value, tuple) else f"{value:.6g}"
+        rows.append([name, new, f"{before:.6g}", unit])
+    return f"Design\n{format_table(['parameter', 'value', 'before', 'unit'], rows)}" if rows else ""
 
 
 def _errors_text(mechanism: Mechanism, case: Case) -> str:
-    errors = [format_error(name, value, mechanism.error_unit(name)) for name, value in case.errors.items()]
+    errors = [format_error(name, value, deviation_unit(mechanism, name)) for name, value in case.errors.items()]
     return "; ".join(errors) or "none"
 
 
@@ -41,7 +59,7 @@ def section_text(section: Section) -> str:
     sizes = [
         f"{field.name.replace('_', ' ')} {1e3 * getattr(section, field.name):.6g} mm"
         for field in fields(section)
-        if field.name != "shear_factor"
+        if field.name not in ("shear_factor", "name")
     ]
     return ", ".join([shape.lower(), *sizes])
 

@@ -222,7 +222,10 @@ def assembly_figure(study: Study, runs: Mapping[str, Run], places: Mapping[str, 
     All panels have the same factor, which the title names. Of more than six cases those with the
     largest deflections are shown. `places`: seats of the joints, of the mechanism if left out.
     """
-    places = joint_seats(study.mechanism) if places is None else places
+    if places is None:
+        from rfem_jax.mechanics.designs import model_of_study
+
+        places = joint_seats(study.mechanism, model_of_study(study))
     deflections = {name: np.nan_to_num(largest_deflection(run)) for name, run in runs.items()}
     kept = sorted(deflections, key=lambda name: deflections[name], reverse=True)[:_MOST_PANELS]
     shown = {name: runs[name] for name in runs if name in kept}

@@ -3,6 +3,7 @@
 Place in the pipeline: study -> **cases** -> report.
 """
 
+import dataclasses
 import functools
 from collections.abc import Callable
 from pathlib import Path
@@ -12,11 +13,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from rfem_jax.compilation.program import Program
+from rfem_jax.description.driven_motions import Drive
+from rfem_jax.description.methods import Method
 from rfem_jax.description.study import Study
 from rfem_jax.labelled_data import DataFrame, Dataset, frame
-from rfem_jax.mechanics.discretisation import discretise
+from rfem_jax.mechanics.designs import model_of_study
 from rfem_jax.mechanics.model import Model
-from rfem_jax.mechanics.model_with_errors import assembly_errors
+from rfem_jax.mechanics.model_with_errors import AssemblyErrors, assembly_errors
 from rfem_jax.simulation import integration, labelled_runs
 from rfem_jax.simulation.accuracy import choose_method
 from rfem_jax.simulation.driving import require_driven
@@ -66,24 +69,48 @@ def run_cases(
 
     **Raises:** `InputError` as `choose_method`, and for a model whose driven joint is not that of the study's drive.
     """
-    model = discretise(study.mechanism) if model is None else model
-    require_driven(model, study.drive)
-    each = [assembly_errors(model, case.errors) for case in study.cases]
-    errors = jax.tree.map(lambda *leaves: jnp.stack(leaves), *each)
-    method = choose_method(model, study.method, study.drive, study.duration, errors, study.save_every)
-    grid, steps = integration.grid_for(study.drive, study.duration, method, study.save_every, model)
-    _compile_ahead(model, errors, study.drive, grid, method, steps)
-    prepared, carry = _prepare(model, errors, study.drive, method)
-    unfinished = Unfinished(keep, (model, errors, study.drive, study.duration, method, study.save_every))
+    model = model_of_study(study) if model is None else model
+    drive = study.designed_drive
+    require_driven(model, drive)
+    errors = _errors_of_cases(study, model)
+    plain = dataclasses.replace(errors, parameters=None)
+    method = choose_method(model, study.method, drive, study.duration, plain, study.save_every)
+    grid, steps = integration.grid_for(drive, study.duration, method, study.save_every, model)
+    if errors.parameters is not None:
+        runs = _run_with_parameters(model, errors, drive, study, method)
+        return model, Runs({case.name: one_of(runs, i) for i, case in enumerate(study.cases)})
+    _compile_ahead(model, errors, drive, grid, method, steps)
+    prepared, carry = _prepare(model, errors, drive, method)
+    unfinished = Unfinished(keep, (model, errors, drive, study.duration, method, study.save_every))
     try:
         carry, ends = _advance_all(model, prepared, study, carry, grid, method, steps, unfinished, progress)
-        runs = _conclude(model, prepared, study.drive, carry, ends, grid, method, steps)
+        runs = _conclude(model, prepared, drive, carry, ends, grid, method, steps)
     except KeyboardInterrupt:
         unfinished.write()
         raise
     unfinished.remove()
+    each = (jax.tree.map(lambda x: x[i], errors) for i in range(len(study.cases)))
     found = (of_model(one_of(runs, i), model, one) for i, one in enumerate(each))
     return model, Runs({case.name: run for case, run in zip(study.cases, found)})
+
+
+def _errors_of_cases(study: Study, model: Model) -> AssemblyErrors:
+    """The errors of all cases, side by side; parameters that deviate in any case do so by zero in the others."""
+    names = {name for case in study.cases for name in case.errors if name not in model.topology.error_names}
+    zeros = dict.fromkeys(sorted(names), 0.0)
+    errors = [assembly_errors(model, zeros | case.errors) for case in study.cases]
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *errors)
+
+
+def _run_with_parameters(model: Model, errors: AssemblyErrors, drive: Drive, study: Study, method: Method) -> Run:
+    """Runs whose models differ, all at once."""
+
+    def simulate(errors):
+        return integration.simulate(
+            model, errors, drive=drive, duration=study.duration, method=method, save_every=study.save_every
+        )
+
+    return jax.tree.map(np.asarray, jax.vmap(simulate)(errors))
 
 
 def _advance_all(model, prepared, study: Study, carry, grid: TimeGrid, method, steps, unfinished: Unfinished, progress):
@@ -92,7 +119,7 @@ def _advance_all(model, prepared, study: Study, carry, grid: TimeGrid, method, s
     first, carry, parts = unfinished.restore(carry)
     tree = None
     for number, piece in enumerate(pieces[first:], first + 1):
-        carry, reached = _advance(model, prepared.actual, study.drive, carry, piece, method, steps)
+        carry, reached = _advance(model, prepared.actual, study.designed_drive, carry, piece, method, steps)
         leaves, tree = jax.tree.flatten(jax.tree.map(np.asarray, reached))
         parts.append(leaves)
         if number < len(pieces):  # the last piece gives the tree of all, and is computed again

@@ -10,6 +10,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from rfem_jax.description.drive_numbers import drives_with
 from rfem_jax.description.driven_motions import (
     AnyDrive,
     Drive,
@@ -21,6 +22,7 @@ from rfem_jax.description.driven_motions import (
 )
 from rfem_jax.description.drives import GivenDrive, PrescribedDrive, Time
 from rfem_jax.description.errors import InputError, suggestion
+from rfem_jax.mechanics.designs import Design
 from rfem_jax.mechanics.frame_forces import Time as Instant
 from rfem_jax.mechanics.inputs import DriveInput
 from rfem_jax.mechanics.model import Model, Topology
@@ -124,6 +126,17 @@ def require_driven(model: Model, drive: Drive) -> None:
 def _label(topology: Topology, drive: AnyDrive) -> str:
     kind = topology.kinds[topology.joints.index(drive.joint)]
     return motion_label(drive.joint, kind, driven_motion(drive, kind))
+
+
+def drive_of_design(model: Model, drive: Drive, design: Design) -> Drive:
+    """The drives with the numbers of a design.
+
+    **Raises:** `InputError` for numbers that they do not have.
+    """
+    if not design.drives:
+        return drive
+    drives = each_drive(drive)
+    return drives_with(drives, [_label(model.topology, one) for one in drives], design.drives)
 
 
 def _require_joint(model: Model, drive: AnyDrive) -> None:

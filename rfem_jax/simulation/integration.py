@@ -24,6 +24,7 @@ from rfem_jax.description.methods import Method
 from rfem_jax.description.precision import require_float64
 from rfem_jax.mechanics import loads
 from rfem_jax.mechanics.centre_lines import link_lines
+from rfem_jax.mechanics.designs import Design, designed, with_status
 from rfem_jax.mechanics.model import Model, State
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors, ModelWithErrors, apply_errors, assembly_errors
 from rfem_jax.mechanics.orientations import angles_of
@@ -45,7 +46,7 @@ from rfem_jax.mechanics.status import (
     STEPS_EXHAUSTED,
 )
 from rfem_jax.simulation import equations
-from rfem_jax.simulation.driving import active_drives, all_jumps, require_driven
+from rfem_jax.simulation.driving import active_drives, all_jumps, drive_of_design, require_driven
 from rfem_jax.simulation.equations import Conditions, Scalar, Trajectory
 from rfem_jax.simulation.observation import Record, observe
 from rfem_jax.simulation.packing import pack, unpack
@@ -95,6 +96,7 @@ def simulate(
     save_every: float | None = None,
     start: State | None = None,
     adjoint: diffrax.AbstractAdjoint | None = None,
+    design: Design | None = None,
 ) -> Run:
     """Assemble a mechanism with its errors and simulate its motion.
 
@@ -102,7 +104,8 @@ def simulate(
     joint, its prescribed motion, a list of such drives on as many driven motions, or None; `duration` [s]; `method`;
     `save_every` [s]: interval of saved times (None: 500 intervals); `start`: replaces the static assembly (the preload
     is then unknown, NaN); `adjoint`: diffrax's adjoint, for adaptive methods only (None: forward mode; give
-    `diffrax.RecursiveCheckpointAdjoint()` for reverse mode).
+    `diffrax.RecursiveCheckpointAdjoint()` for reverse mode); `design`: from `rfem_jax.design`, other values for numbers
+    of the model and its drives.
 
     **Returns:** `Run`.  Works under jit, vmap, jacfwd; with fixed-step methods also grad, jacrev and Hessians (memory
     in reverse mode: the state at the end of every interval, and the steps of one interval).
@@ -114,8 +117,10 @@ def simulate(
     require_driven(model, drive)
     grid, steps = grid_for(drive, duration, method, save_every, model)
     errors = assembly_errors(model) if errors is None else errors
-    run = _simulate(model, errors, drive, grid, start, method, steps, adjoint)
-    return of_model(run, model, errors)
+    drive = drive if design is None else drive_of_design(model, drive, design)
+    made = designed(model, design, errors)
+    run = _simulate(made.model, made.errors, drive, grid, start, method, steps, adjoint)
+    return of_model(with_status(run, made), made.model, made.errors)
 
 
 def grid_for(

@@ -9,9 +9,12 @@ from typing import Any, SupportsFloat
 import numpy as np
 
 from rfem_jax.description.errors import InputError, suggestion
+from rfem_jax.description.units import DIMENSIONS as ALL_DIMENSIONS
 from rfem_jax.description.units import quantity
 
-DIMENSIONS = {"rad": "angle", "m": "length"}  # by the units that errors have
+# Dimensions by SI units: angles and lengths of errors first, then those of parameters.
+DIMENSIONS = {"rad": "angle", "m": "length"}
+DIMENSIONS |= {unit: name for name, (_, unit, _) in reversed(ALL_DIMENSIONS.items()) if unit not in DIMENSIONS}
 
 ErrorValue = SupportsFloat | str  # a number in rad or m, or a string with a unit
 ErrorValues = Mapping[str, ErrorValue]  # by the names of the errors
@@ -73,7 +76,7 @@ def read_limits(limits: Any, metrics: Collection[str], needed: bool = False) -> 
 
 
 def error_value(value: ErrorValue, unit: str, where: str) -> float:
-    """An error or a half-width in `unit`, "rad" or "m", from a number in it or a string with a unit ("0.25 deg").
+    """A deviation or a half-width in its SI `unit`, from a number in it or a string with a unit ("0.25 deg").
 
     Raises: InputError for a string that is no such quantity; `where` names it.
     """
@@ -81,9 +84,9 @@ def error_value(value: ErrorValue, unit: str, where: str) -> float:
 
 
 def parse_error(text: str, where: str) -> tuple[float, str]:
-    """Number [rad or m] and unit, "rad" or "m", of a string such as "0.25 deg" or "0.1 mm".
+    """Number in SI units, and this unit, of a string such as "0.25 deg" or "0.1 mm".
 
-    Raises: InputError for a string that is neither an angle nor a length; `where` names it.
+    Raises: InputError for a string that is no quantity; `where` names it.
     """
     for unit, dimension in DIMENSIONS.items():
         try:
@@ -91,6 +94,6 @@ def parse_error(text: str, where: str) -> tuple[float, str]:
         except InputError:
             continue
     raise InputError(
-        f"Argument `{where}` must be an angle or a length, but it is {text!r}; "
+        f"Argument `{where}` must be an angle, a length or another quantity with a unit, but it is {text!r}; "
         'write for example "0.25 deg" or "0.1 mm".'
     )

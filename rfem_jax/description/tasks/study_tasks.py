@@ -7,6 +7,7 @@ its mechanism, `rfem_jax.report.tasks` does them. The kinds are those of `rfem_j
 from dataclasses import dataclass
 from typing import Any
 
+from rfem_jax.description.deviations import require_sizes
 from rfem_jax.description.errors import ChecksItself, InputError, Problems, suggestion
 from rfem_jax.description.mechanism import Mechanism
 from rfem_jax.description.tasks.task import Task
@@ -63,7 +64,7 @@ class Tasks(ChecksItself):
         found, problems = {}, Problems()
         with problems.noted():
             if self.tolerances is not None:
-                mechanism.require_sizes(self.tolerances.reaches(), "`tolerances`")
+                require_sizes(mechanism, self.tolerances.reaches(), "`tolerances`")
         for name, task in self.asked.items():
             with problems.noted():
                 if self.tolerances is None and task.needs_tolerances:

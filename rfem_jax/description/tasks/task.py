@@ -8,6 +8,7 @@ from collections.abc import Collection, Iterable
 from dataclasses import dataclass, fields, replace
 from typing import Any, ClassVar
 
+from rfem_jax.description.deviations import require_deviation
 from rfem_jax.description.errors import ChecksItself, InputError, Problems, suggestion
 from rfem_jax.description.joint_kinds import KINDS
 from rfem_jax.description.joints import Joint
@@ -51,7 +52,7 @@ class Task(ChecksItself):
         problems = Problems()
         for error in (*getattr(self, "at", ()), *getattr(self, "bounds", ())):
             with problems.noted():
-                mechanism.require_error(error, f"`{name}`")
+                require_deviation(mechanism, error, f"`{name}`")
         own = {one.name: getattr(self, one.name) for one in fields(self)}
         patterns = (*own.get("limits", ()), *own.get("metrics", ()))
         metrics: dict[str, list[str]] = {}

@@ -26,13 +26,14 @@ from rfem_jax.description.errors import InputError, suggestion
 from rfem_jax.mechanics import loads
 from rfem_jax.mechanics.algebra import Scalar, apply_transposed, cross, dot
 from rfem_jax.mechanics.cut_joints import closure, spring_residual, spring_row_tangent
+from rfem_jax.mechanics.designs import Design, designed, with_status
 from rfem_jax.mechanics.element_loads import element_tangents, frame_loads
 from rfem_jax.mechanics.elements import elasticity
 from rfem_jax.mechanics.implicit.residual import Residual
 from rfem_jax.mechanics.inputs import DriveInput
 from rfem_jax.mechanics.joint_forces import about_parents_axes, applied_forces, by_coordinate, law_forces, law_tangent
 from rfem_jax.mechanics.kinematics import by_freedom, motion_of, range_used
-from rfem_jax.mechanics.model import Coordinates, Model, State, Topology
+from rfem_jax.mechanics.model import Coordinates, Model, State, Topology, length_scale
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors, ModelWithErrors, apply_errors, assembly_errors
 from rfem_jax.mechanics.orientations import moved, rates_of
 from rfem_jax.mechanics.statics.search import (
@@ -57,28 +58,37 @@ class Load(NamedTuple):
 
 
 class Assembled(NamedTuple):
-    """An assembled mechanism: state at rest, preload of every joint, status code."""
+    """An assembled mechanism: state at rest, preload of every joint, status code; design_gap [m]: what the loops of a
+    design stay open by at the start, None without one."""
 
     state: State
     preload: dict[str, Load]
     status: Int[Array, ""]
+    design_gap: Float[Array, ""] | None = None
 
 
-def assemble(model: Model, errors: AssemblyErrors, hold: Mapping[str, ArrayLike] | None = None) -> Assembled:
+def assemble(
+    model: Model,
+    errors: AssemblyErrors,
+    hold: Mapping[str, ArrayLike] | None = None,
+    *,
+    design: Design | None = None,
+) -> Assembled:
     """Assemble the mechanism: static equilibrium with some joints held.
 
     **Arguments:** `hold`: name of a joint with one coordinate -> its angle [rad] or displacement [m]; None holds
-    the coordinates that drives act on at their start, {} holds nothing.
+    the coordinates that drives act on at their start, {} holds nothing; `design`: from `rfem_jax.design`.
 
     **Returns:** state (velocities zero), preload (gravity and holding moment included) and status
-    (0 = ok; see `STATUS`). Differentiable with respect to errors and held angles.
+    (0 = ok; see `STATUS`). Differentiable with respect to errors, held angles and the numbers of the design.
 
     **Raises:** `InputError` if `hold` names a joint that is not a joint of the tree or has not one coordinate.
     """
     if hold is not None:
         _require_tree_joints(model, hold)
         hold = {name: jnp.asarray(angle, jnp.float64) for name, angle in hold.items()}
-    return _assemble(model, errors, hold)
+    made = designed(model, design, errors)
+    return with_status(_assemble(made.model, made.errors, hold), made)
 
 
 @Program
@@ -409,11 +419,6 @@ def quasi_static_rates(
     values = {k: jnp.asarray(held[k]) for k in rates}
     position, derivative = jax.jvp(at_values, (values,), ({k: jnp.asarray(rate) for k, rate in rates.items()},))
     return rates_of(model.topology, position, derivative)
-
-
-def length_scale(model: Model) -> Float[Array, ""]:
-    """The longest nominal link [m]."""
-    return jnp.max(model.length)
 
 
 def _force_scale(model: Model, actual: ModelWithErrors) -> Array:

@@ -37,7 +37,7 @@ def act(arguments: argparse.Namespace) -> Answer:
     study = read_study(arguments.study)
 
     from rfem_jax.mechanics import describe
-    from rfem_jax.report.overview import study_text
+    from rfem_jax.report.overview import design_text, study_text
     from rfem_jax.report.study_cost import cost_text
     from rfem_jax.report.tasks.task_overview import tasks_text
     from rfem_jax.simulation import check_step
@@ -45,6 +45,8 @@ def act(arguments: argparse.Namespace) -> Answer:
     model = discretise_study(study)
     structure = describe(model)
     show(study_text(study, structure), end="\n\n")
+    if text := design_text(study):
+        show(text, end="\n\n")
     if text := tasks_text(study):
         show(text, end="\n\n")
     show(cost_text(study), end="\n\n")
@@ -74,6 +76,7 @@ def _document(study: Study, structure: Any, step: float | None) -> dict[str, Any
         "duration": study.duration,
         "method": asdict(study.method),
         "largest_stable_step": None if step is None else float(step),
+        "design": study.design,
         "cases": {case.name: {error: float(value) for error, value in case.errors.items()} for case in study.cases},
         "tasks": list(study.tasks.declared),
         "units": {"length": "m", "mass": "kg", "gap": "m", "duration": "s", "largest_stable_step": "s"},

@@ -34,10 +34,10 @@ def read_study(path: str) -> Study:
 def discretise_study(study: Study) -> Model:
     """The model of the study's mechanism; what is wrong with it is said with the file's name."""
     from rfem_jax.description.errors import located
-    from rfem_jax.mechanics import discretise
+    from rfem_jax.mechanics.designs import model_of_study
 
     with located(f"Study file `{study.path}`"):
-        return discretise(study.mechanism)
+        return model_of_study(study)
 
 
 def settle_method(study: Study) -> Study:
@@ -47,14 +47,14 @@ def settle_method(study: Study) -> Study:
     model = discretise_study(study)
     if study.method.name != "auto":
         announce("Looking for the largest stable step")
-        check_step(model, study.method, study.drive)
+        check_step(model, study.method, study.designed_drive)
         return study
     from dataclasses import replace
 
     from rfem_jax.simulation import choose_method
 
     announce("Choosing the method and its step")
-    method = choose_method(model, study.method, study.drive, study.duration, save_every=study.save_every)
+    method = choose_method(model, study.method, study.designed_drive, study.duration, save_every=study.save_every)
     note(f"Method auto: {method.name} with a step of {method.step:.3g} s.")
     return replace(study, method=method, asked_method=study.method)
 

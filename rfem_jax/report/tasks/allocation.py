@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rfem_jax.compilation.stages import on_stage
+from rfem_jax.description.deviations import deviation_unit
 from rfem_jax.description.error_catalogue import as_specified
 from rfem_jax.description.study import Study
 from rfem_jax.description.tasks.allocation import AllocationTask, ErrorCost
@@ -145,7 +146,7 @@ class AllocationReport(TaskReport[AllocationTask, AllocationStudy]):
 
     def setting_text(self, name: str, value: Any) -> str:
         """Bounds and costs too in deg and mm."""
-        unit = self.study.mechanism.error_unit
+        unit = partial(deviation_unit, self.study.mechanism)
         if name == "bounds":
             return ", ".join(_bound(error, pair, unit(error)) for error, pair in value.items())
         if name == "costs":

@@ -6,12 +6,12 @@ Place in the pipeline: study as loaded -> **study_problem** -> the reports on ta
 from collections.abc import Sequence
 
 from rfem_jax.description.study import Study
-from rfem_jax.mechanics import discretise
+from rfem_jax.mechanics.designs import model_of_study
 from rfem_jax.mechanics.model import Model
 from rfem_jax.tolerancing import Problem
 
 
 def build_problem(study: Study, metrics: Sequence[str], model: Model | None = None) -> Problem:
     """The study's mechanism, drive and method as a function of its errors."""
-    model = discretise(study.mechanism) if model is None else model
-    return Problem(model, study.drive, study.duration, metrics, study.method, save_every=study.save_every)
+    model = model_of_study(study) if model is None else model
+    return Problem(model, study.designed_drive, study.duration, metrics, study.method, save_every=study.save_every)

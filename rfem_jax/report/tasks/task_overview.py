@@ -4,6 +4,7 @@ Place in the pipeline: after `load_study`; computes nothing. Errors in degrees a
 users write them; limits in units of their metrics.
 """
 
+from rfem_jax.description.deviations import deviation_unit
 from rfem_jax.description.study import Study
 from rfem_jax.description.tolerances import SpecifiedTolerances
 from rfem_jax.report.overview import format_error
@@ -31,7 +32,7 @@ def tasks_text(study: Study) -> str:
 def _tolerances_text(study: Study, tolerances: SpecifiedTolerances) -> str:
     rows = []
     for one in tolerances.independent:
-        unit = study.mechanism.error_unit(one.error)
+        unit = deviation_unit(study.mechanism, one.error)
         low, high = (format_error("", end, unit).removeprefix(" = ") for end in one.interval)
         shape = one.distribution.replace("_", " ")
         if one.deviations is not None:
@@ -39,7 +40,7 @@ def _tolerances_text(study: Study, tolerances: SpecifiedTolerances) -> str:
         rows.append([one.error, low, high, shape])
     for number, group in enumerate(tolerances.correlated, start=1):
         for error, width in group.half_widths.items():
-            unit = study.mechanism.error_unit(error)
+            unit = deviation_unit(study.mechanism, error)
             low, high = (format_error("", end, unit).removeprefix(" = ") for end in (-width, width))
             rows.append([error, low, high, f"normal, correlated in group {number}"])
     return format_table(["tolerance", "from", "to", "distribution"], rows, words=(0, 3))

@@ -9,12 +9,14 @@ import math
 import time
 from collections.abc import Iterator
 from dataclasses import fields
+from functools import partial
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 import jax
 
 from rfem_jax.compilation.stages import on_stage
+from rfem_jax.description.deviations import deviation_unit
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.study import Study
 from rfem_jax.description.tasks.task import Task
@@ -96,7 +98,7 @@ class TaskReport(abc.ABC, Generic[Asked, Result]):
         if name == "limits":
             return ", ".join(_limit(*item) for item in value.items())
         if name == "at":
-            unit = self.study.mechanism.error_unit
+            unit = partial(deviation_unit, self.study.mechanism)
             return ", ".join(format_error(error, one, unit(error)) for error, one in value.items())
         if isinstance(value, dict):
             return ", ".join(f"{key} {item}" for key, item in value.items())

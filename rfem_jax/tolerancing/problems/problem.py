@@ -8,7 +8,7 @@ A problem is any object that satisfies the protocol `ToleranceProblem`:
     problem(errors) -> (values, status)   pure JAX: works under jit, vmap, jacfwd, grad and for Hessians
     problem.metrics                       tuple of `Metric`
     problem.error_names                   tuple of the names of the errors that it accepts
-    problem.error_unit(name)              "rad" or "m"
+    problem.error_unit(name)              its SI unit: "rad" or "m", of a parameter also others
     problem.describe_status(code)         the meaning of a status code; 0 is "ok"
 
 Symbols: errors {name: scalar} [rad or m], where a missing name means zero; values {metric name: scalar} in the units
@@ -25,9 +25,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
 from rfem_jax.description.errors import InputError
-from rfem_jax.tolerancing.checks import check_distinct, check_known
-
-UNITS = ("rad", "m")
+from rfem_jax.tolerancing.checks import DIMENSIONS, check_distinct, check_known
 
 Values = dict[str, Float[Array, ""]]
 Status = Int[Array, ""]
@@ -154,10 +152,10 @@ class FunctionProblem(eqx.Module):
         error_units = dict(error_units or {})
         check_known(error_units, self.error_names, "error_units")
         for name, unit in error_units.items():
-            if unit not in UNITS:
+            if unit not in DIMENSIONS:
                 raise InputError(
-                    f"Argument `error_units` must give `rad` or `m`, but `{name}` has {unit!r}; "
-                    "convert the error to SI units."
+                    f"Argument `error_units` must give SI units, `rad` or `m` for errors, but `{name}` has {unit!r}; "
+                    "convert the error."
                 )
         self.units = tuple(error_units.get(name, "rad") for name in self.error_names)
         self.statuses = tuple((int(code), str(text)) for code, text in (statuses or {}).items())

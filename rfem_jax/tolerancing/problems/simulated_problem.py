@@ -18,6 +18,7 @@ from rfem_jax.description.error_catalogue import error_unit
 from rfem_jax.description.errors import InputError, suggestion
 from rfem_jax.description.methods import Method
 from rfem_jax.description.metric_catalogue import has_metric
+from rfem_jax.mechanics.designs import Design, NamedValue, parameters
 from rfem_jax.mechanics.model import Model
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors, assembly_errors
 from rfem_jax.mechanics.status import STATUS
@@ -49,6 +50,7 @@ class Problem(eqx.Module):
         metrics: `Metric`s with functions, or names ("A.rms_force", "end_energy"; see `register_metric`).
         method: a `Method`.
         save_every: [s], interval of the balances and checkpoints, and of the times that p-norms see.
+        design: from `rfem_jax.design`; deviations of parameters are from its values.
     Raises: InputError for unknown and repeated metrics, metrics without a function and of joints that do not exist.
     """
 
@@ -58,6 +60,7 @@ class Problem(eqx.Module):
     metrics: tuple[Metric, ...] = eqx.field(static=True)
     method: Method = eqx.field(static=True)
     save_every: float | None = eqx.field(static=True)
+    design: Design | None = None
 
     def __init__(
         self,
@@ -67,8 +70,9 @@ class Problem(eqx.Module):
         metrics: str | Metric | Iterable[str | Metric],
         method: Method,
         save_every: float | int | None = None,
+        design: Design | None = None,
     ):
-        self.model, self.drive = model, drive
+        self.model, self.drive, self.design = model, drive, design
         metrics = (metrics,) if isinstance(metrics, (str, Metric)) else metrics
         self.metrics = tuple(_known_metric(model, m) for m in metrics)
         check_distinct((m.name for m in self.metrics), "metrics")
@@ -85,13 +89,30 @@ class Problem(eqx.Module):
 
     @property
     def error_names(self) -> tuple[str, ...]:
-        """Names of all errors that it accepts."""
-        return self.model.topology.error_names
+        """Names of all errors that it accepts, and of the parameters of the description, which may deviate, too."""
+        errors = self.model.topology.error_names
+        return (*errors, *(name for name in self._parameters if name not in errors))
+
+    @property
+    def _parameters(self) -> dict[str, NamedValue]:
+        return {} if self.model.source is None else parameters(self.model)
 
     def error_unit(self, name: str) -> str:
-        """Unit of an error, "rad" or "m". Raises InputError for an unknown name."""
+        """SI unit of an error or of a parameter. Raises InputError for an unknown name."""
         check_known((name,), self.error_names, "name")
-        return error_unit(name)
+        return error_unit(name) if name in self.model.topology.error_names else self._parameters[name].unit
+
+    def nominal_value(self, name: str) -> float:
+        """What a deviation of zero means: the value of a parameter in the design or the description, 0 for an error.
+
+        Raises InputError for an unknown name.
+        """
+        check_known((name,), self.error_names, "name")
+        known = self._parameters.get(name)
+        if known is None:
+            return 0.0
+        set_to = {} if self.design is None else self.design.values
+        return float(set_to.get(known.full, known.value))
 
     def describe_status(self, code: int) -> str:
         """Short name of a status code; "ok" for 0."""
@@ -106,7 +127,7 @@ class Problem(eqx.Module):
 
     def with_method(self, method: Method) -> "Problem":
         """The same problem by another method, for example with a finer step."""
-        return Problem(self.model, self.drive, self.duration, self.metrics, method, self.save_every)
+        return Problem(self.model, self.drive, self.duration, self.metrics, method, self.save_every, self.design)
 
     @property
     def derivative_limit(self) -> float | None:
@@ -133,6 +154,7 @@ class Problem(eqx.Module):
             duration=self.duration,
             method=self.method,
             save_every=self.save_every,
+            design=self.design,
         )
         forces = jnp.stack([load.force for load in run.loads.values()])
         values = {m.name: jnp.asarray(m(run)) for m in self.metrics}

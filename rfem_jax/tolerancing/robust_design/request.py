@@ -11,9 +11,8 @@ import numpy as np
 from jaxtyping import Float
 
 from rfem_jax.description.errors import InputError
-from rfem_jax.description.units import quantity
 from rfem_jax.tolerancing.allocation.cost_models import CostModel, assign_costs
-from rfem_jax.tolerancing.checks import DIMENSIONS, ErrorValue, check_known, error_value, read_limits
+from rfem_jax.tolerancing.checks import ErrorValue, check_known, error_value, read_limits
 from rfem_jax.tolerancing.problems.distributions import Tolerances
 from rfem_jax.tolerancing.problems.evaluation import Base, metric_index, split_errors
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem
@@ -139,11 +138,7 @@ def _pair(problem, name, pair, where) -> tuple[float, float]:
 
 def _number(problem, name, value, where) -> float:
     """A number in the unit of an error or a parameter, or a string with a unit."""
-    unit = problem.error_unit(name)
-    if isinstance(value, str) and unit not in DIMENSIONS:
-        dimension = getattr(problem, "error_dimension", lambda _: "none")(name)
-        return quantity(value, dimension, f"`{name}` of `{where}`")
-    return error_value(value, unit, f"`{name}` of `{where}`")
+    return error_value(value, problem.error_unit(name), f"`{name}` of `{where}`")
 
 
 def _weights(problem, objective) -> dict[str, float]:

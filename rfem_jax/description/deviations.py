@@ -1,0 +1,72 @@
+"""Deviations that cases, tolerances and tasks give numbers to: assembly errors, and parameters of a mechanism.
+
+Place in the pipeline: mechanism, parameters -> **deviations** -> study, tasks, reports.
+
+An error deviates from zero, a parameter from its value in the description or in a design. A name that both have, as
+"coupler.length", is the error, which means the same.
+"""
+
+import math
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+
+from rfem_jax.description.error_catalogue import error_dimension, reading_parameters
+from rfem_jax.description.errors import InputError, Problems, subject, suggestion
+from rfem_jax.description.mechanism import Mechanism
+from rfem_jax.description.parameters import parameters_of
+from rfem_jax.description.units import DIMENSIONS
+
+
+def require_deviation(mechanism: Mechanism, name: str, where: str = "name") -> None:
+    """Raise InputError with the nearest name unless `name` is an error or a parameter of the mechanism."""
+    if name in mechanism.error_names:
+        return
+    known = parameters_of(mechanism)
+    if name not in known:
+        raise InputError(
+            f"{subject(where)} must be an error or a parameter of this mechanism, but `{name}` is none; "
+            f"{suggestion(name, (*mechanism.error_names, *known))}"
+        )
+
+
+def deviation_dimension(mechanism: Mechanism, name: str) -> str:
+    """Dimension of a deviation, a key of `units.DIMENSIONS`; raises as `require_deviation`."""
+    require_deviation(mechanism, name)
+    return error_dimension(name) if name in mechanism.error_names else parameters_of(mechanism)[name].dimension
+
+
+def deviation_unit(mechanism: Mechanism, name: str) -> str:
+    """SI unit of a deviation; raises as `require_deviation`."""
+    return DIMENSIONS[deviation_dimension(mechanism, name)][1]
+
+
+def require_sizes(mechanism: Mechanism, sizes: Mapping[str, float], where: str) -> None:
+    """Raise InputError unless `sizes` {deviation: magnitude [SI units]} are of this mechanism and no error turns
+    anything by a right angle or shifts it by the length of the longest link."""
+    longest = max(link.length for link in mechanism.links)
+    problems = Problems()
+    for name, size in sizes.items():
+        with problems.noted():
+            require_deviation(mechanism, name, where)
+            if name not in mechanism.error_names:
+                continue
+            most, unit = (0.5 * math.pi, "rad") if error_dimension(name) == "angle" else (longest, "m")
+            if not size <= most:
+                raise InputError(
+                    f"{subject(where)} must be less than {most:.4g} {unit} (a right angle, or the longest link), "
+                    f"but `{name}` has {size:g} {unit}; check the number and its unit."
+                )
+    problems.refuse()
+
+
+@contextmanager
+def known_while_reading(mechanism: object) -> Iterator[None]:
+    """Within the block names of the parameters of a mechanism have dimensions wherever names of errors do; nothing
+    happens for what is no mechanism."""
+    if not isinstance(mechanism, Mechanism):
+        yield
+        return
+    named = parameters_of(mechanism)
+    dimensions = {name: one.dimension for one in named.all for name in (one.short, one.full) if name is not None}
+    with reading_parameters(dimensions):
+        yield

@@ -1,0 +1,98 @@
+"""The parts of a mechanism whose numbers make the arrays of a model, with numbers put in other numbers' places.
+
+Place in the pipeline: mechanism -> **parts** -> parameters, and the mechanics' `model_building`.
+
+A place in the parts is a path: names of fields, keys of tables and indices, as ("links", 0, "section", "height").
+"""
+
+import copy
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from rfem_jax.description.compliance import SprungDirection
+from rfem_jax.description.forces import Force
+from rfem_jax.description.joints import Joint
+from rfem_jax.description.links import Link
+from rfem_jax.description.mechanism import Mechanism
+from rfem_jax.description.numbers import Number
+
+Path = tuple[str | int, ...]
+
+
+@dataclass(frozen=True)
+class Parts:
+    """Links, joints, springs of each joint, forces and gravity [m/s^2], in the order of the mechanism.
+
+    Numbers may be traced: nothing here is checked, unlike in what a user makes.
+    """
+
+    links: tuple[Link, ...]
+    joints: tuple[Joint, ...]
+    springs: tuple[tuple[SprungDirection, ...], ...]
+    forces: tuple[Force, ...]
+    gravity: tuple[Number, Number, Number]
+
+    def link(self, name: str) -> Link:
+        """The link of a name."""
+        return next(link for link in self.links if link.name == name)
+
+    def joint(self, name: str) -> Joint:
+        """The joint of a name."""
+        return next(joint for joint in self.joints if joint.name == name)
+
+    def springs_of(self, name: str) -> tuple[SprungDirection, ...]:
+        """The springs of the joint of a name."""
+        return self.springs[[joint.name for joint in self.joints].index(name)]
+
+
+def parts_of(mechanism: Mechanism) -> Parts:
+    """The parts of a mechanism, with zeros for positions that are left out at the origin of a base or a child."""
+    return Parts(
+        links=tuple(mechanism.links),
+        joints=tuple(_with_positions(joint) for joint in mechanism.joints),
+        springs=tuple(joint.springs for joint in mechanism.joints),
+        forces=tuple(mechanism.forces),
+        gravity=mechanism.gravity,
+    )
+
+
+def _with_positions(joint: Joint) -> Joint:
+    origin = 0.0, 0.0, 0.0
+    if joint.position is None and joint.parent == "base":
+        joint = replace(joint, position=origin)
+    if joint.child_position is None and not joint.cut:
+        joint = replace(joint, child_position=origin)
+    return joint
+
+
+def number_at(whole: Any, path: Path) -> Any:
+    """What stands at a path."""
+    for step in path:
+        whole = getattr(whole, str(step)) if _is_field(whole, step) else whole[step]
+    return whole
+
+
+def with_number(whole: Any, path: Path, value: Any) -> Any:
+    """A copy of parts with something else at a path; nothing is checked."""
+    step, rest = path[0], path[1:]
+    inside = number_at(whole, path[:1])
+    new = with_number(inside, rest, value) if rest else value
+    if isinstance(whole, Mapping):
+        return {**whole, step: new}
+    if isinstance(whole, Sequence):
+        return tuple(new if i == step else one for i, one in enumerate(whole))
+    other = copy.copy(whole)
+    object.__setattr__(other, str(step), new)
+    return other
+
+
+def _is_field(whole: Any, step: str | int) -> bool:
+    return isinstance(step, str) and not isinstance(whole, Mapping)
+
+
+def scaled(values: Any, factor: Number) -> Any:
+    """Numbers of nested tables times a factor."""
+    if values is None or isinstance(values, (tuple, list)):
+        return None if values is None else tuple(scaled(one, factor) for one in values)
+    return values * factor

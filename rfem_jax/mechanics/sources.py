@@ -1,0 +1,102 @@
+"""The numbers that the arrays of a model were made of, by which a design makes them anew.
+
+Place in the pipeline: parts, parameters -> **sources** -> model, designs.
+
+All numbers that are parameters are one array, which programs take as an input. The rest of the description is static,
+with nothing in the places of these numbers: models of other numbers are the same programs.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from rfem_jax.compilation import keys
+from rfem_jax.description.numbers import Number
+from rfem_jax.description.parameters import ParameterNames, named_parameters
+from rfem_jax.description.parts import Parts, number_at, scaled, with_number
+from rfem_jax.description.sections import Tube
+
+ForceNodes = tuple[tuple[str, tuple[int, ...]], ...]
+# Of the longest link.  Overconstrained loops close only as well as their numbers were typed: with angles of six
+# decimals a Bennett linkage stays open by 2e-7.  flexible links close the remaining gap in the static start.
+CLOSING_TOLERANCE = 1e-6
+NOTHING = float("nan")
+
+
+@dataclass(frozen=True, eq=False)
+class Blueprint:
+    """What of a description is no number that may change; equal to others of equal content.
+
+    parts: with nothing in the places of the parameters; names: of all parameters, in the order of the numbers; points:
+    nodes of the ends of the forces at points, by their names; products: whether point masses have products of inertia;
+    closing_tolerance: what the loops may stay open by at the start, over the longest link.
+    """
+
+    parts: Parts
+    names: ParameterNames
+    points: ForceNodes
+    products: bool
+    closing_tolerance: float
+
+    @cached_property
+    def key(self) -> str:
+        """Of its content; of itself where that is not known, because it holds a function of the user."""
+        content = self.parts, self.names.all, self.points, self.products, self.closing_tolerance
+        try:
+            return keys.digest_value(content)
+        except keys.NotDigestible:
+            return str(id(self))
+
+    def __eq__(self, other: object) -> bool:
+        return self is other or (isinstance(other, Blueprint) and self.key == other.key)
+
+    def __hash__(self) -> int:
+        return hash(self.key)
+
+    def filled(self, numbers: Sequence[Number]) -> Parts:
+        """The parts with numbers, one for each parameter, in their places."""
+        whole = self.parts
+        for parameter, number in zip(self.names.all, numbers, strict=True):
+            for path in parameter.paths:
+                value: Any = scaled(number_at(whole, path), number) if parameter.factor else number
+                whole = with_number(whole, path, value)
+        return whole
+
+
+class Source(eqx.Module):
+    """The numbers of a description [SI units], one for each parameter of its blueprint."""
+
+    numbers: Float[Array, " parameters"]
+    blueprint: Blueprint = eqx.field(static=True)
+
+
+def source_of(parts: Parts, held: Sequence[tuple[str, str]], points: ForceNodes, products: bool) -> Source:
+    """The numbers of parts, and what is left of these without them."""
+    names = named_parameters(parts, held)
+    numbers = [parameter.value_in(parts) for parameter in names.all]
+    blank = _without_results(parts)
+    for parameter in names.all:
+        for path in () if parameter.factor else parameter.paths:
+            blank = with_number(blank, path, NOTHING)
+    return Source(jnp.array(numbers, float), Blueprint(blank, names, points, products, CLOSING_TOLERANCE))
+
+
+def _without_results(parts: Parts) -> Parts:
+    """Without numbers that follow from others: derived shear factors, and start values, which loops or drives set."""
+    links, joints = [], []
+    for link in parts.links:
+        if isinstance(link.section, Tube) and link.section.shear_factor == link.section.derived_factor:
+            link = with_number(link, ("section", "shear_factor"), None)
+        links.append(link)
+    for joint in parts.joints:
+        for name, zero in (("angle", 0.0), ("displacement", 0.0), ("start", scaled(joint.start, 0.0))):
+            if getattr(joint, name) is not None:
+                joint = with_number(joint, (name,), zero)
+        # Its springs are parts of their own.
+        joints.append(with_number(joint, ("compliance",), None))
+    return replace(parts, links=tuple(links), joints=tuple(joints))
