@@ -25,9 +25,9 @@ _options.offer()
 
 _PACKAGES = {
     "description": (
-        "Case Circle Compliance ForceFunction ForceRamp ForceTable GivenSection InputError Joint JointForceFunction "
-        "JointForceTable JointFriction JointSpring Link Material Mechanism Method MomentFunction MomentRamp "
-        "MomentTable PointForce PointMass PointMoment PointSpring PointSpringFunction PointSpringTable "
+        "Bearing Case Circle Compliance ForceFunction ForceRamp ForceTable GivenSection InputError Joint "
+        "JointForceFunction JointForceTable JointFriction JointSpring Link Material Mechanism Method MomentFunction "
+        "MomentRamp MomentTable PointForce PointMass PointMoment PointSpring PointSpringFunction PointSpringTable "
         "PrescribedDisplacements PrescribedFunction PrescribedRate PrescribedRunUp PrescribedSpeed "
         "PrescribedSpinUp PrescribedTable Rectangle RigidBody Study Tube load_study"
     ),
@@ -36,14 +36,15 @@ _PACKAGES = {
         "discretise parameters"
     ),
     "tolerancing": (
-        "CorrelatedNormal Exponential FunctionProblem Metric Normal Problem Reciprocal "
-        "ReciprocalSquared Tolerances Triangular TruncatedNormal Uniform allocate expand metric "
-        "monte_carlo optimise pareto_front sensitivity worst_case"
+        "CorrelatedNormal Exponential FunctionProblem Metric Normal Problem ProcessNormal Reciprocal "
+        "ReciprocalSquared Tolerances Triangular TruncatedNormal Uniform Zone allocate expand fit_response_surface "
+        "metric monte_carlo optimise pareto_front process_capability reliability sensitivity sweep worst_case"
     ),
     "compilation.keeping": "keep_programs",
     "task_kinds": "TaskKind register_task",
     "simulation": (
-        "Run check_step choose_method derivative_residual largest_stable_step register_method run_cases simulate"
+        "Run check_step choose_method derivative_residual kinetostatic_turn largest_stable_step natural_frequencies "
+        "register_method run_cases simulate steady_cycle"
     ),
 }
 _PACKAGE_OF = {name: package for package, names in _PACKAGES.items() for name in names.split()}

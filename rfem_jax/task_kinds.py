@@ -62,7 +62,7 @@ class TaskKind:
 # Names that study files and the command line use for something else.
 RESERVED_TABLES = ("title", "note", "mechanism", "drive", "drives", "design", "simulation", "cases", "tolerances")
 # Subcommands that are no tasks, in the order of `--help`: each is a file of `rfem_jax.report.commands` of that name.
-COMMANDS = ("init", "run", "check", "compare", "keys", "parameters", "report", "validate")
+COMMANDS = ("init", "run", "modes", "turn", "cycle", "check", "compare", "keys", "parameters", "report", "validate")
 
 _kinds: dict[str, TaskKind] = {}
 
@@ -136,5 +136,35 @@ register_task(
         command="allocate",
         purpose="the cheapest tolerances that keep limits on loads",
         results="tolerances before and after, verified margins, cost against limits",
+    )
+)
+register_task(
+    TaskKind(
+        "sweep",
+        asks="rfem_jax.description.tasks.sweep:SweepTask",
+        reports="rfem_jax.report.tasks.sweep:SweepReport",
+        purpose="metrics over ranges of the errors, and the surface through them; continues an interrupted run",
+        results="all points, the response surface with its error, responses, contours; chunks of points in DIR/sweep",
+        many_processes=True,
+        kept="finished chunks of a sweep",
+    )
+)
+register_task(
+    TaskKind(
+        "reliability",
+        asks="rfem_jax.description.tasks.reliability:ReliabilityTask",
+        reports="rfem_jax.report.tasks.reliability:ReliabilityReport",
+        purpose="probabilities that limits are broken, however small (FORM, importance sampling)",
+        results="probabilities with intervals, the most probable failures, what errors contribute to them",
+    )
+)
+register_task(
+    TaskKind(
+        "optimise",
+        asks="rfem_jax.description.tasks.optimise:OptimiseTask",
+        reports="rfem_jax.report.tasks.optimise:OptimiseReport",
+        purpose="the best dimensions and tolerances that keep limits",
+        results="dimensions and tolerances before and after, verified margins, Pareto front",
+        kept="evaluations of an optimisation",
     )
 )

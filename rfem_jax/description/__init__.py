@@ -4,6 +4,8 @@ Place in the pipeline: the first package; imports nothing of the others. Everyth
 enters and converted to SI floats.
 """
 
+from rfem_jax.description import design_metrics as design_metrics  # they register themselves
+from rfem_jax.description.bearings import Bearing
 from rfem_jax.description.compliance import Compliance
 from rfem_jax.description.drives import (
     GivenDrive,
@@ -60,6 +62,7 @@ from rfem_jax.description.units import quantity
 
 __all__ = [
     "AutomaticMethod",
+    "Bearing",
     "Case",
     "Circle",
     "Compliance",

@@ -12,6 +12,7 @@ from collections.abc import Collection
 from dataclasses import fields
 from typing import Any
 
+from rfem_jax.description.bearings import Bearing
 from rfem_jax.description.compliance import Compliance, TablesByDirection
 from rfem_jax.description.errors import ABSENT, InputError, Problems, located, require_choice
 from rfem_jax.description.forces import Force, JointForce, JointForceTable, JointFriction, JointSpring
@@ -47,6 +48,11 @@ def read_joint(table: object, place: str) -> tuple[Joint, list[JointForce]]:
         settings["compliance"] = ABSENT
         with problems.noted():
             settings["compliance"] = Compliance(**checked_table(given, f"{place} compliance", *keys_of(Compliance)))
+    given = settings.get("bearing", ABSENT)
+    if given is not ABSENT:
+        settings["bearing"] = ABSENT
+        with problems.noted():
+            settings["bearing"] = _read_bearing(given, f"{place} bearing")
     if not {"stiffness", "damping"}.isdisjoint(of_joint):
         written = "compliance" in settings
         settings["compliance"] = ABSENT
@@ -57,6 +63,12 @@ def read_joint(table: object, place: str) -> tuple[Joint, list[JointForce]]:
         with problems.noted():
             forces += _forces_in_joint(of_joint.get(key, []), key, settings["name"], place)
     return build(Joint, settings, place, problems), forces
+
+
+def _read_bearing(table: object, place: str) -> Bearing:
+    problems = Problems()
+    settings = problems.usable(lambda: checked_table(table, place, *keys_of(Bearing)))
+    return build(Bearing, settings, place, problems)
 
 
 def _by_direction(of_joint: dict[str, Any], has_compliance: bool, place: str) -> TablesByDirection:

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from rfem_jax.description.bearings import Bearing, bearing_of
 from rfem_jax.description.compliance import Compliance, SprungDirection
 from rfem_jax.description.errors import Checks, ChecksItself, InputError, require_flag, require_name
 from rfem_jax.description.joint_kinds import DEFAULT, KINDS, JointKind, require_kind
@@ -44,6 +45,7 @@ class Joint(ChecksItself):
             R_z R_y R_x; free: x, y, z and these angles); None means zeros.
         compliance: springs and dampers in directions that the kind holds, a `Compliance`; None = rigid. All
             start values, errors and angles are those of the kind without springs.
+        bearing: what it carries, a `Bearing`, for metrics of life and of loads against capacities; None = unknown.
     Raises:
         InputError: a value is out of range or of the wrong kind.
     """
@@ -61,6 +63,7 @@ class Joint(ChecksItself):
     displacement: float | None = None
     start: tuple[float, ...] | None = None
     compliance: Compliance | None = None
+    bearing: Bearing | None = None
 
     def _check_fields(self, checks: Checks) -> None:
         checks.convert("name", require_name, "`name` of a joint")
@@ -81,6 +84,8 @@ class Joint(ChecksItself):
         if self.compliance is not None:
             checks.convert("compliance", _compliance, f"`compliance` {of}")
             checks.relation(("kind", "cut", "compliance"), lambda: self.springs)
+        if self.bearing is not None:
+            checks.convert("bearing", bearing_of, f"`bearing` {of}")
 
     @property
     def springs(self) -> tuple[SprungDirection, ...]:

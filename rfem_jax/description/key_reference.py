@@ -10,6 +10,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from typing import Any
 
+from rfem_jax.description.bearings import Bearing
 from rfem_jax.description.compliance import Compliance, TablesByDirection
 from rfem_jax.description.force_reader import (
     FORCES,
@@ -35,6 +36,7 @@ from rfem_jax.description.study_reader import (
 )
 from rfem_jax.description.tables import keys_of
 from rfem_jax.description.tolerances import CorrelatedTolerances, SpecifiedTolerance
+from rfem_jax.description.zones import SpecifiedZone
 from rfem_jax.task_kinds import task_kinds
 
 NEEDED = "needed"
@@ -50,6 +52,7 @@ _IN_A_FILE = {  # where a file has something else than the class
     "body": "table {mass = ..., centre = ..., inertia = ...} in the place of section and material; the link is rigid",
     "point_masses": "list of tables, [{mass = ..., position = ...}, ...]",
     "compliance": "table { radial = ..., axial = ..., ... }; none: rigid",
+    "bearing": "table { dynamic_capacity = ..., static_capacity = ..., ... }; none: unknown",
     "stiffness": "table by direction, in the place of compliance: { radial = ..., axial = ..., tilt = ... }",
     "damping": "table by direction, beside stiffness",
     "spring": "table { stiffness = ..., ... } of a free motion, or a list of them; the spring is named JOINT_spring",
@@ -108,6 +111,9 @@ def key_tables() -> list[KeyTable]:
     tolerance = _table("[tolerances] ERROR", SpecifiedTolerance, *keys_of(SpecifiedTolerance, omit=("error",)))
     either = Key("ERROR = ...", "-", "a half-width alone, or a table { ... } of the keys below")
     tables.append(KeyTable(tolerance.header, (either, *tolerance.keys)))
+    zone = _table("[tolerances] JOINT.position", SpecifiedZone, *keys_of(SpecifiedZone, omit=("name",)))
+    either = Key("JOINT.position = ...", "-", "or coaxiality, parallelism, perpendicularity: a diameter, or a table")
+    tables.append(KeyTable(zone.header, (either, *zone.keys)))
     tables.append(_table("[[tolerances.correlated]]", CorrelatedTolerances, *keys_of(CorrelatedTolerances)))
     for name, kind in task_kinds().items():
         for header, described, required, optional in kind.asked_class().tables(f"[{name}]"):
@@ -138,6 +144,7 @@ def _joint_tables() -> list[KeyTable]:
     required, optional = keys_of(Joint)
     tables = [_table("[[mechanism.joints]]", Joint, required, (*optional, *JOINT_KEYS), _IN_A_FILE)]
     tables.append(_table("compliance of [[mechanism.joints]]", Compliance, *keys_of(Compliance), _IN_A_FILE))
+    tables.append(_table("bearing of [[mechanism.joints]]", Bearing, *keys_of(Bearing), _IN_A_FILE))
     meanings = argument_meanings(Compliance)
     for key, ending in (("stiffness", ""), ("damping", "_damping")):
         own = {one: meanings[name + ending] for one, name in TablesByDirection.keys().items()}

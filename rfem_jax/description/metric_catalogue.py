@@ -3,9 +3,11 @@
 Place in the pipeline: `tasks.settings` checks the names in a study file against this catalogue before anything is
 simulated; `tolerancing.metrics` makes metrics of a run of its entries.
 
-A metric of a joint is named "JOINT.KIND" ("A.rms_force"), a metric of the whole run by its kind ("end_energy").
-An entry holds everything about its kind, so that a new metric is one call of `register_metric`, here or in a program
-of the user. The functions read attributes of a run (`rfem_jax.simulation.Run`); nothing is imported from there.
+A metric of a joint is named "JOINT.KIND" ("A.rms_force"), a metric of a link "LINK.KIND" ("coupler.peak_stress"; of a
+point of it "LINK@FRACTION.KIND", as "coupler@0.5.peak_deflection" in its middle), a metric of the whole run by its kind
+("end_energy"). An entry holds everything about its kind, so that a new metric is one call of `register_metric`, here,
+in `design_metrics` or in a program of the user. The functions read attributes of a run (`rfem_jax.simulation.Run`);
+nothing is imported from there. What a run records for a metric alone is said by `records`: no other run has it.
 
 A joint of the tree with one angle, or one displacement, has its value at the end and its range over the saved times,
 the swing of a rocker or the stroke of a slider.
@@ -14,7 +16,7 @@ Mean squares are smooth. RMS values are their square roots and have a kink where
 (9.5)). The peak of a load is a p-norm over the saved times, a smooth approximation of the maximum (theory (8.7)).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,26 +29,35 @@ from rfem_jax.description.joint_kinds import JointKind
 PEAK_POWER = 16  # of the p-norm
 
 
+Refusal = Callable[[Any], str | None]
+
+
 @dataclass(frozen=True)
 class MetricKind:
-    """An entry of the catalogue, with the arguments of `register_metric`."""
+    """An entry of the catalogue, with the arguments of `register_metric`; `of` is "run", "joint" or "link"; `refusal`:
+    of a `JointSubject`, `LinkSubject` or `MetricSubjects` why it has no such metric and what to do, None if it has."""
 
     name: str
     unit: str
     function: Callable[..., Any]
     label: str
     even: bool | None
-    of_joints: bool
+    of: str
     nonnegative: bool
     had_by: Callable[[JointKind, bool], bool] | None = None
+    records: tuple[str, ...] = ()
+    description: str = ""
+    refusal: Refusal | None = None
 
-    def is_had_by(self, kind: JointKind, cut: bool) -> bool:
-        """Whether a joint of a kind, cut or not, has this metric."""
-        return self.had_by is None or self.had_by(kind, cut)
+    def recorded_for(self, owner: str) -> tuple[str, ...]:
+        """What a run has to record for this metric of a joint, a link or a point of a link."""
+        return tuple(name.replace("{owner}", owner) for name in self.records)
 
 
 JOINT_METRICS: dict[str, MetricKind] = {}
+LINK_METRICS: dict[str, MetricKind] = {}
 RUN_METRICS: dict[str, MetricKind] = {}
+_CATALOGUES = {"joint": JOINT_METRICS, "link": LINK_METRICS, "run": RUN_METRICS}
 
 
 def register_metric(
@@ -57,8 +68,11 @@ def register_metric(
     label: str = "",
     even: bool | None = None,
     of_joints: bool = False,
+    of_links: bool = False,
     nonnegative: bool = False,
     had_by: Callable[[JointKind, bool], bool] | None = None,
+    records: tuple[str, ...] = (),
+    description: str = "",
     replace: bool = False,
 ) -> None:
     """Add a metric to the catalogue. From then on its name is known everywhere: in `Problem`, in all tolerance
@@ -70,18 +84,23 @@ def register_metric(
         problem = Problem(model, drive, duration, ("swing", "A.end_force"), method)
 
     Args:
-        name: letters, digits, "_" and "-"; a metric of joints is then named "JOINT.name".
+        name: letters, digits, "_" and "-"; a metric of joints is then named "JOINT.name", one of links "LINK.name".
         unit: of the value, such as "N" or "rad"; "" for a plain number.
-        function: `function(run)`, or with `of_joints` `function(run, joint)`, returns a scalar in that unit. It is
-            traced and differentiated: write it with `jax.numpy`.
-        label: for tables and pictures; "{joint}" stands for the joint's name. Made of the name if left out.
+        function: `function(run)`, or with `of_joints` and `of_links` `function(run, name)` with the name of the joint
+            or the link, returns a scalar in that unit. It is traced and differentiated: write it with `jax.numpy`.
+        label: for tables and pictures; "{joint}" ("{link}") stands for the name. Made of the name if left out.
         even: True if the value does not change when all out-of-plane errors of a planar mechanism change sign
             (theory (9.3)), None if unknown.
         of_joints: True for a metric that every joint has.
+        of_links: True for a metric that every link has.
         nonnegative: True if the value is never negative; a limit in a study file must then be positive.
         had_by: `had_by(kind, cut)`, whether a joint of a kind, cut or not, has this metric of joints; all if left out.
+        records: what the function reads of `run.recorded`, as `simulate` names it ("{owner}" stands for the joint or
+            the link), as ("{owner}.sections",); runs for other metrics do not record it.
+        description: a sentence about what it is.
         replace: True to replace a metric of the same name.
-    Raises: InputError for a name that is no plain word or is taken, and for a function that cannot be called.
+    Raises: InputError for a name that is no plain word or is taken, for a function that cannot be called, and for a
+        metric that is of joints and of links.
     """
     require_name(name, "name")
     if not callable(function):
@@ -89,38 +108,70 @@ def register_metric(
             f"Argument `function` of the metric `{name}` must be a function of a run, but is {function!r}; "
             "write for example `lambda run: run.angle[-1]`."
         )
-    taken = name in JOINT_METRICS or name in RUN_METRICS
-    if taken and not replace:
+    if of_joints and of_links:
+        raise InputError(
+            f"Argument `of_links` of the metric `{name}` must be left out for a metric of joints, but both are true; "
+            "register two metrics."
+        )
+    if not replace:
+        _require_new(name)
+    of = "joint" if of_joints else "link" if of_links else "run"
+    label = label or name.replace("_", " ") + ("" if of == "run" else f" in {{{of}}}")
+    for catalogue in _CATALOGUES.values():
+        catalogue.pop(name, None)
+    add_metric(MetricKind(name, unit, function, label, even, of, nonnegative, had_by, tuple(records), description))
+
+
+def _require_new(name: str) -> None:
+    """Raise InputError for a name that is taken."""
+    if any(name in catalogue for catalogue in _CATALOGUES.values()):
         raise InputError(
             f"Argument `name` of a metric must be a new one, but `{name}` is registered already; "
             "choose another name, or pass replace=True."
         )
-    label = label or name.replace("_", " ") + (" in {joint}" if of_joints else "")
-    for catalogue in (JOINT_METRICS, RUN_METRICS):
-        catalogue.pop(name, None)
-    kind = MetricKind(name, unit, function, label, even, of_joints, nonnegative, had_by)
-    (JOINT_METRICS if of_joints else RUN_METRICS)[name] = kind
+
+
+def add_metric(kind: MetricKind) -> None:
+    """Put an entry into the catalogue; one of the whole run may have the name of one of joints or links."""
+    _CATALOGUES[kind.of][kind.name] = kind
+
+
+def kind_and_owner(name: str) -> tuple[MetricKind | None, str]:
+    """The kind of a metric and what it is of, as "A" of "A.rms_force", "" of the whole run; None of an unknown one."""
+    owner, _, kind = name.rpartition(".")
+    if not owner:
+        return RUN_METRICS.get(name), ""
+    return JOINT_METRICS.get(kind) or LINK_METRICS.get(kind), owner
+
+
+def records_for(names: Iterable[str]) -> tuple[str, ...]:
+    """What a run has to record for metrics of the catalogue, by their names."""
+    pairs = [kind_and_owner(name) for name in names]
+    return tuple(dict.fromkeys(one for kind, owner in pairs if kind is not None for one in kind.recorded_for(owner)))
+
+
+def metric_of(run: Any, name: str) -> Any:
+    """The value of a metric of the catalogue, by its name, in a run."""
+    kind, owner = kind_and_owner(name)
+    assert kind is not None, "names of metrics are checked where they enter"
+    return kind.function(run, owner) if owner else kind.function(run)
+
+
+def known_names(owner: str) -> list[str]:
+    """Names of all metrics, those of joints and links with an owner as "A" or "*"."""
+    return [f"{owner}.{kind}" for kind in (*JOINT_METRICS, *LINK_METRICS)] + list(RUN_METRICS)
 
 
 def never_negative(name: str) -> bool:
     """Whether the metric `name`, as "A.rms_force", is never negative."""
-    kind = _kind_of(name)
+    kind = kind_and_owner(name)[0]
     return kind is not None and kind.nonnegative
 
 
 def unit_of(name: str) -> str | None:
     """Unit of the metric `name`, as "A.rms_force"; None for an unknown one."""
-    kind = _kind_of(name)
+    kind = kind_and_owner(name)[0]
     return None if kind is None else kind.unit
-
-
-def _kind_of(name: str) -> MetricKind | None:
-    return JOINT_METRICS.get(name.rpartition(".")[2]) or RUN_METRICS.get(name)
-
-
-def has_metric(name: str, kind: JointKind, cut: bool) -> bool:
-    """Whether a joint of a kind, cut or not, has the metric `name` of joints, as "end_angle"."""
-    return name not in JOINT_METRICS or JOINT_METRICS[name].is_had_by(kind, cut)
 
 
 def p_norm(vectors: Float[Array, "times 3"], power: int = PEAK_POWER) -> Float[Array, ""]:
@@ -128,11 +179,19 @@ def p_norm(vectors: Float[Array, "times 3"], power: int = PEAK_POWER) -> Float[A
 
     With N vectors, p-norm <= largest length <= N^(1/p) p-norm.
     """
-    square = jnp.sum(vectors**2, axis=1)
-    largest = jnp.max(square)
+    return norm_of_squares(jnp.sum(vectors**2, axis=1), vectors.shape[0], power)
+
+
+def norm_of_squares(squares: Float[Array, "..."], count: int, power: int = PEAK_POWER) -> Float[Array, ""]:
+    """Smooth maximum of the roots of squares, (sum of squares^(p/2) / count)^(1/p), with p even; its derivative is zero
+    where all vanish.
+
+    With N squares, count^(-1/p) times the largest root <= norm <= (N / count)^(1/p) times it (theory (8.12)).
+    """
+    largest = jnp.max(squares)
     vanish = largest <= 0.0
     safe = jnp.where(vanish, 1.0, largest)  # a root of zero has no derivative
-    mean = jnp.where(vanish, 1.0, jnp.mean((square / safe) ** (power // 2)))
+    mean = jnp.where(vanish, 1.0, jnp.sum((squares / safe) ** (power // 2)) / count)
     return jnp.where(vanish, 0.0, jnp.sqrt(safe)) * mean ** (1.0 / power)
 
 

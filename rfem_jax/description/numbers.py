@@ -12,7 +12,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 Number = float | Float[np.ndarray, ""] | Float[Array, ""]
 
@@ -41,6 +41,11 @@ def larger(one: Number, other: Number) -> Number:
 def smaller(one: Number, other: Number) -> Number:
     """The smaller of two numbers."""
     return jnp.minimum(one, other) if traced((one, other)) else np.minimum(one, other)
+
+
+def chosen(condition: bool | Bool[np.ndarray, ""] | Bool[Array, ""], one: Number, other: Number) -> Number:
+    """The first number where a condition holds, else the second one."""
+    return jnp.where(condition, one, other) if traced((condition, one, other)) else one if condition else other
 
 
 def rotation_of_angles(angles: Sequence[Number]) -> Float[np.ndarray, "3 3"] | Float[Array, "3 3"]:

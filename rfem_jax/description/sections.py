@@ -6,7 +6,9 @@ Axes of a section: y along the hinge axis, z in the plane of motion. Symbols: A 
 [m^4] second moment for bending in the plane of motion (about y), I_z out of it (about z); J_t [m^4]
 torsion constant; kappa [1] shear factor (effective shear stiffness = G A / kappa).
 The formulas take floats, and traced numbers of a design alike.
-Source: theory (1.1), (1.2); G. R. Cowper, J. Appl. Mech. 33 (1966) 335-340 (tube, nu = 0).
+Source: theory (1.1), (1.2); G. R. Cowper, J. Appl. Mech. 33 (1966) 335-340 (tube, nu = 0). Stresses at the edge of
+a section: theory (8.11); torsion of a rectangle: W. C. Young, R. G. Budynas, Roark's Formulas for Stress and Strain,
+7th ed. (2002), table 10.1, and the series of S. Timoshenko, J. N. Goodier, Theory of Elasticity (1970), section 109.
 """
 
 import abc
@@ -16,8 +18,14 @@ from dataclasses import dataclass, field
 
 from rfem_jax.description.errors import Checks, ChecksItself, InputError, require_name
 from rfem_jax.description.materials import Material
-from rfem_jax.description.numbers import Number, larger, smaller
+from rfem_jax.description.numbers import Number, chosen, larger, smaller
 from rfem_jax.description.units import DERIVED, non_negative_quantity, positive_quantity
+
+ROUND_POINTS = 32  # at the edge of a round section: the largest stress is found to within 0.5 %
+
+# Stresses at a point of the edge per unit of axial force [1/m^2], of bending moment about y and z, and of torque
+# [1/m^3].
+EdgePoint = tuple[Number, Number, Number, Number]
 
 
 @dataclass(frozen=True)
@@ -71,6 +79,18 @@ class _Shape(abc.ABC, ChecksItself):
     @abc.abstractmethod
     def torsion_constant(self) -> Number:
         """J_t [m^4]."""
+
+    @abc.abstractmethod
+    def edge_stresses(self) -> tuple[EdgePoint, ...]:
+        """Stresses at points of the edge per unit of axial force, bending moments about y and z, and torque."""
+
+    def _edge_point(self, y: Number, z: Number, by_torque: Number) -> EdgePoint:
+        return 1.0 / self.area, z / self.second_moment_y, -y / self.second_moment_z, by_torque
+
+    def _round_edge(self, radius: Number) -> tuple[EdgePoint, ...]:
+        angles = [2.0 * math.pi * n / ROUND_POINTS for n in range(ROUND_POINTS)]
+        by_torque = radius / self.torsion_constant
+        return tuple(self._edge_point(radius * math.sin(a), radius * math.cos(a), by_torque) for a in angles)
 
     def properties(self, material: Material | None) -> SectionProperties:
         """Return the properties per unit length of this section made of `material`."""
@@ -142,6 +162,23 @@ class Rectangle(_Shape):
         ratio = short / long
         return long * short**3 * (1.0 / 3.0 - 0.21 * ratio * (1.0 - ratio**4 / 12.0))
 
+    def edge_stresses(self) -> tuple[EdgePoint, ...]:
+        """At the corners, where torsion has no shear stress, and at the middles of the sides.
+
+        Shear stress of a torque in the middle of a long side against the exact series: within 0.3 %; that of a short
+        side over it, a polynomial fitted to the series: within 0.4 %.
+        """
+        y, z = self.width / 2.0, self.height / 2.0
+        long, short = larger(self.width, self.height), smaller(self.width, self.height)
+        r = short / long
+        on_long = 3.0 / (long * short**2) * (1.0 + r * (0.6095 + r * (0.8865 + r * (-1.8023 + 0.91 * r))))
+        on_short = on_long * (0.746045 + r * (-0.065367 + r * (0.099597 + r * (0.689470 - 0.472976 * r))))
+        across_y = chosen(self.height >= self.width, on_long, on_short)
+        across_z = chosen(self.height >= self.width, on_short, on_long)
+        corners = tuple(self._edge_point(y * a, z * b, 0.0) for a in (1.0, -1.0) for b in (1.0, -1.0))
+        sides = tuple(self._edge_point(y * a, 0.0, across_y) for a in (1.0, -1.0))
+        return corners + sides + tuple(self._edge_point(0.0, z * a, across_z) for a in (1.0, -1.0))
+
 
 @dataclass(frozen=True)
 class Circle(_Shape):
@@ -164,6 +201,10 @@ class Circle(_Shape):
     @property
     def area(self) -> Number:
         return math.pi * self.diameter**2 / 4.0
+
+    def edge_stresses(self) -> tuple[EdgePoint, ...]:
+        """At points around the circle."""
+        return self._round_edge(self.diameter / 2.0)
 
     @property
     def second_moment_y(self) -> Number:
@@ -224,6 +265,10 @@ class Tube(_Shape):
     def inner_diameter(self) -> Number:
         return self.outer_diameter - 2.0 * self.wall
 
+    def edge_stresses(self) -> tuple[EdgePoint, ...]:
+        """At points around the outer circle."""
+        return self._round_edge(self.outer_diameter / 2.0)
+
     @property
     def area(self) -> Number:
         return math.pi * self.wall * (self.outer_diameter - self.wall)
@@ -254,9 +299,12 @@ class GivenSection(ChecksItself):
         rotary_inertia_x, rotary_inertia_y, rotary_inertia_z: rho I [kg m] about the axes; for a
             real section x = y + z.
         damping: eta [s], >= 0.
+        edge_y, edge_z: largest distances [m] of the edge from the section's axes, for stresses.
+        edge_modulus: Young's modulus [Pa] at the edge, for stresses.
+        torsion_modulus: torque over the largest shear stress of torsion [m^3], for stresses; these four all or none.
         name: a word, by which parameters of the section are named; None = they are named by the link.
     Raises:
-        InputError: a value is out of range, or the rotary inertias belong to no body.
+        InputError: a value is out of range, the rotary inertias belong to no body, or some of the edge is missing.
     """
 
     axial_stiffness: float
@@ -270,6 +318,10 @@ class GivenSection(ChecksItself):
     rotary_inertia_y: float
     rotary_inertia_z: float
     damping: float = 0.0
+    edge_y: float | None = None
+    edge_z: float | None = None
+    edge_modulus: float | None = None
+    torsion_modulus: float | None = None
     name: str | None = field(default=None, kw_only=True, compare=False)
 
     def _check_fields(self, checks: Checks) -> None:
@@ -283,6 +335,29 @@ class GivenSection(ChecksItself):
         _convert(checks, ("damping",), non_negative_quantity, "time")
         where = "`rotary_inertia_x`, `_y` and `_z` of GivenSection"
         checks.relation(inertias, require_triangle, tuple(getattr(self, one) for one in inertias), where)
+        for name, dimension in _EDGE.items():
+            if getattr(self, name) is not None:
+                checks.convert(name, positive_quantity, dimension, f"`{name}` of GivenSection")
+        checks.relation(tuple(_EDGE), self._check_edge)
+
+    def _check_edge(self) -> None:
+        missing = [name for name in _EDGE if getattr(self, name) is None]
+        if missing and len(missing) < len(_EDGE):
+            raise InputError(
+                f"Argument `{missing[0]}` of GivenSection must be given where the edge of the section is, but is "
+                f"missing; give {', '.join(_EDGE)}, or none of these."
+            )
+
+    def edge_stresses(self) -> tuple[EdgePoint, ...]:
+        """At the corners of the rectangle around the section, together with the largest shear stress of torsion; none
+        if the edge is not given."""
+        if self.edge_y is None or self.edge_z is None or self.edge_modulus is None or self.torsion_modulus is None:
+            return ()
+        modulus = self.edge_modulus
+        along, by_torque = modulus / self.axial_stiffness, 1.0 / self.torsion_modulus
+        about_y = modulus * self.edge_z / self.bending_stiffness_y
+        about_z = modulus * self.edge_y / self.bending_stiffness_z
+        return tuple((along, a * about_y, b * about_z, by_torque) for a in (1.0, -1.0) for b in (1.0, -1.0))
 
     def properties(self, material: Material | None = None) -> SectionProperties:
         """Return the given values; `material` must be None."""
@@ -299,6 +374,7 @@ _GIVEN = (
     "axial_stiffness", "shear_stiffness_y", "shear_stiffness_z", "torsion_stiffness", "bending_stiffness_y",
     "bending_stiffness_z", "line_density", "rotary_inertia_x", "rotary_inertia_y", "rotary_inertia_z", "damping",
 )  # fmt: skip
+_EDGE = {"edge_y": "length", "edge_z": "length", "edge_modulus": "pressure", "torsion_modulus": "section_modulus"}
 
 Section = Rectangle | Circle | Tube | GivenSection
 

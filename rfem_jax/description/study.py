@@ -27,9 +27,11 @@ from rfem_jax.description.error_catalogue import error_dimension
 from rfem_jax.description.errors import ABSENT, Checks, ChecksItself, InputError, Problems, located, suggestion
 from rfem_jax.description.mechanism import Mechanism
 from rfem_jax.description.methods import Method
+from rfem_jax.description.metric_subjects import require_metric, subjects_of
 from rfem_jax.description.notebook_tables import study_html
 from rfem_jax.description.study_reader import read_drive, read_drives, read_mechanism, read_simulation
 from rfem_jax.description.tables import checked_list, checked_table, named_place, read_toml
+from rfem_jax.description.tasks.settings import metric_names
 from rfem_jax.description.tasks.study_tasks import Tasks, read_tasks
 from rfem_jax.description.tolerances import SpecifiedTolerances
 from rfem_jax.description.translation_drives import PrescribedDisplacements
@@ -39,7 +41,10 @@ from rfem_jax.task_kinds import task_kinds
 MOST_STEPS, MOST_SAVED = 1e9, 1e6
 LONGEST_NAME = 100
 # And those of tasks.
-STUDY_KEYS = (("mechanism", "simulation"), ("title", "note", "drive", "drives", "design", "cases", "tolerances"))
+STUDY_KEYS = (
+    ("mechanism", "simulation"),
+    ("title", "note", "drive", "drives", "design", "cases", "tolerances", "metrics"),
+)
 CASE_KEYS = (("name",), ("errors",))
 _ROUNDING = 1.0 + 1e-9  # 0.5 / 1e-3 and the like must not fail by rounding
 
@@ -81,6 +86,8 @@ class Study(ChecksItself):
         asked_method: the Method that was asked for, where `method` was chosen for it; None = `method`.
         design: {parameter: value, or (lowest, highest)}, in SI units or strings with a unit: values replace those of
             the mechanism and its drives, pairs are bounds for `optimise`.
+        metrics: names of metrics that every case is reported with besides its joint loads, as "coupler.peak_stress"
+            or "*.peak_stress" for all links that have it.
     Raises:
         InputError: parts do not fit each other.
     """
@@ -97,6 +104,7 @@ class Study(ChecksItself):
     tasks: Tasks = field(default_factory=Tasks)
     asked_method: Method | None = None
     design: dict[str, Any] = field(default_factory=dict)
+    metrics: tuple[str, ...] = ()
 
     def _repr_html_(self) -> str:
         return study_html(self)
@@ -117,6 +125,9 @@ class Study(ChecksItself):
         checks.relation(("drive", "duration"), self._check_drive_end)
         checks.relation(("mechanism", "cases"), self._check_cases)
         checks.relation(("mechanism", "tasks"), self._check_tasks)
+        if self.metrics:
+            checks.convert("metrics", metric_names)
+            checks.relation(("mechanism", "drive", "metrics"), self._resolve_metrics)
 
     @property
     def tolerances(self) -> SpecifiedTolerances | None:
@@ -205,6 +216,8 @@ class Study(ChecksItself):
         object.__setattr__(self, "mechanism", driven)
 
     def _check_design(self) -> None:
+        if self.design == {}:
+            return
         found = read_design(self.design, self.mechanism, self.drives, self.drive_labels)
         object.__setattr__(self, "design", found)
 
@@ -254,6 +267,11 @@ class Study(ChecksItself):
     def _check_tasks(self) -> None:
         object.__setattr__(self, "tasks", self.tasks.resolved(self.mechanism))
 
+    def _resolve_metrics(self) -> None:
+        subjects = subjects_of(self.mechanism)
+        found = [one for name in self.metrics for one in require_metric(name, subjects, "mechanism")]
+        object.__setattr__(self, "metrics", tuple(dict.fromkeys(found)))
+
 
 def load_study(path: str | Path) -> Study:
     """Read a study file.
@@ -276,7 +294,7 @@ def _read_study(content: dict[str, Any], path: Path) -> Study:
     required, optional = STUDY_KEYS
     content = problems.usable(lambda: checked_table(content, "The top level", required, (*optional, *task_kinds())))
     parts: dict[str, Any] = {"title": path.stem, "drive": None, "path": path}
-    parts |= {name: content[name] for name in ("title", "note") if name in content}
+    parts |= {name: content[name] for name in ("title", "note", "metrics") if name in content}
     readers: dict[str, Callable[[Any], Any]] = {
         "mechanism": read_mechanism, "drive": read_drive, "drives": read_drives, "simulation": read_simulation,
         "cases": _read_cases,

@@ -15,8 +15,10 @@ from jaxtyping import Float
 
 from rfem_jax.description.error_catalogue import error_dimension
 from rfem_jax.description.errors import ABSENT, Checks, ChecksItself, InputError, Problems, located, require_choice
+from rfem_jax.description.iso_fits import deviations as deviations_of_code
 from rfem_jax.description.tables import build, checked_list, checked_table, keys_of
 from rfem_jax.description.units import DERIVED, Quantity, positive_quantity, quantity
+from rfem_jax.description.zones import SpecifiedZone, is_zone
 
 DISTRIBUTIONS = ("uniform", "triangular", "normal", "truncated_normal")
 NORMAL = ("normal", "truncated_normal")
@@ -32,6 +34,10 @@ class SpecifiedTolerance(ChecksItself):
         distribution: "uniform", "triangular", "normal" or "truncated_normal".
         interval: (low, high) [rad or m].
         deviations: k, standard deviations in a half-width of the normal ones; None = 3.
+        iso: size in mm and ISO code of a length, as "20 h9", which gives the interval.
+        cp: process capability, the interval's width over 6 standard deviations; the distribution is normal.
+        cpk: the same of the limit that the mean is nearer to, at most cp; None = cp, a mean in the middle.
+        side: "upper" or "lower", the limit that the mean is nearer to; None = "upper".
     Raises: InputError for names, numbers or settings that are out of range or do not fit each other.
     """
 
@@ -40,31 +46,76 @@ class SpecifiedTolerance(ChecksItself):
     distribution: str = "uniform"
     interval: tuple[float, float] = DERIVED
     deviations: float | None = None
+    iso: str | None = None
+    cp: float | None = None
+    cpk: float | None = None
+    side: str | None = None
 
     def _check_fields(self, checks: Checks) -> None:
         where = f"of the tolerance `{self.error}`"
         checks.convert("distribution", require_choice, DISTRIBUTIONS, f"`distribution` {where}")
-        if (self.half_width is None) == (self.interval is None):
-            found = "neither is" if self.interval is None else "both are"
+        given = [one for one in (self.half_width, self.interval, self.iso) if one is not None]
+        if len(given) != 1:
+            found = ("neither is", "", "both are", "all are")[len(given)]
             checks.found.append(
-                f"Argument `half_width` {where} must be given or else `interval`, but {found}; keep one of them."
+                f"Argument `half_width` {where} must be given or else `interval` or `iso`, but {found}; keep one of "
+                "them."
             )
         if self.half_width is not None:
             checks.convert("half_width", _half_width, self.error, f"`half_width` {where}")
         if self.interval is not None:
             checks.convert("interval", _interval, self.error, where)
+        if self.iso is not None:
+            checks.relation(("iso",), self._interval_of_code, where)
         checks.relation(("distribution",), self._check_deviations, where)
+        for name in ("cp", "cpk"):
+            if getattr(self, name) is not None:
+                checks.convert(name, positive_quantity, "none", f"`{name}` {where}")
+        if self.side is not None:
+            checks.convert("side", require_choice, ("upper", "lower"), f"`side` {where}")
+        checks.relation(("cp", "cpk", "distribution"), self._check_capability, where)
         if self.deviations is not None:
             checks.convert("deviations", positive_quantity, "none", f"`deviations` {where}")
         checks.refuse()
+        if self.cp is not None:
+            object.__setattr__(self, "distribution", "normal")
+            object.__setattr__(self, "deviations", 3.0 * self.cp)
         if self.deviations is None and self.distribution in NORMAL:
             object.__setattr__(self, "deviations", 3.0)
         ends = (-self.half_width, self.half_width) if self.interval is None else self.interval
         object.__setattr__(self, "interval", ends)
         object.__setattr__(self, "half_width", 0.5 * (ends[1] - ends[0]))
 
+    def _interval_of_code(self, where: str) -> None:
+        with located("[tolerances]"):
+            dimension = error_dimension(self.error)
+        if dimension != "length":
+            raise InputError(f"Argument `iso` {where} must be of a length, but this is an angle; give `half_width`.")
+        ends = deviations_of_code(self.iso or "", f"iso` {where[:-1]}")
+        if self.interval is None:
+            object.__setattr__(self, "interval", ends)
+
+    def _check_capability(self, where: str) -> None:
+        """See that a capability is given whole and alone; a study that was read has its distribution by it."""
+        if self.cp is None and (self.cpk is not None or self.side is not None):
+            raise InputError(
+                f"Argument `cp` {where} must be given with `cpk` and `side`, but is not; add it, as the standard "
+                "deviation follows from it."
+            )
+        if self.cp is None:
+            return
+        if self.cpk is not None and self.cpk > self.cp:
+            raise InputError(
+                f"Argument `cpk` {where} must be at most cp, but is {self.cpk:g} with cp = {self.cp:g}; swap them."
+            )
+        if self.distribution not in ("uniform", "normal") or self.deviations not in (None, 3.0 * self.cp):
+            raise InputError(
+                f"Argument `cp` {where} must stand without `distribution` and `deviations`, which follow from it, but "
+                "one is given; remove it."
+            )
+
     def _check_deviations(self, where: str) -> None:
-        if self.deviations is not None and self.distribution not in NORMAL:
+        if self.deviations is not None and self.distribution not in NORMAL and self.cp is None:
             raise InputError(
                 f"Argument `deviations` {where} must be left out unless the distribution is "
                 f'normal, but it is "{self.distribution}"; remove it.'
@@ -125,6 +176,7 @@ class SpecifiedTolerances(ChecksItself):
 
     independent: tuple[SpecifiedTolerance, ...] = ()
     correlated: tuple[CorrelatedTolerances, ...] = ()
+    zones: tuple[SpecifiedZone, ...] = ()
 
     def _check_fields(self, checks: Checks) -> None:
         names = self.names
@@ -132,20 +184,23 @@ class SpecifiedTolerances(ChecksItself):
         for found in [f"`{name}` occurs twice" for name in twice] if names else ["there is none"]:
             checks.found.append(
                 f"Argument `tolerances` must name every error once, but {found}; "
-                "give each error one tolerance, alone or in one group."
+                "give each error one tolerance, alone, in one group or in one zone."
             )
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the errors: the independent ones, then the groups'."""
+        """Names of the errors: the independent ones, then the groups', then the zones'."""
         alone = tuple(one.error for one in self.independent)
-        return alone + tuple(name for group in self.correlated for name in group.half_widths)
+        groups = tuple(name for group in self.correlated for name in group.half_widths)
+        return alone + groups + tuple(name for zone in self.zones for name in zone.errors)
 
     def half_widths(self) -> dict[str, float]:
         """{error: half-width [rad or m]}."""
         widths = {one.error: one.half_width for one in self.independent}
         for group in self.correlated:
             widths |= group.half_widths
+        for zone in self.zones:
+            widths |= zone.half_widths()
         return widths
 
     def reaches(self) -> dict[str, float]:
@@ -158,12 +213,18 @@ def read_tolerances(table: object) -> SpecifiedTolerances:
     """The tolerances of the table [tolerances]. Raises: InputError for unknown keys and bad values."""
     place = "[tolerances]"
     checked = checked_table(table, place, optional=table if isinstance(table, dict) else ())
-    alone, groups, problems = [], [], Problems()
-    for error, entry in checked.items():
-        if error == "correlated":
+    alone: list[SpecifiedTolerance] = []
+    groups: list[CorrelatedTolerances] = []
+    zones: list[SpecifiedZone] = []
+    problems = Problems()
+    for name, entry in checked.items():
+        if name == "correlated":
             continue
         with problems.noted():
-            alone.append(_read_tolerance(error, entry, place))
+            if is_zone(name):
+                zones.append(_read_zone(name, entry, place))
+            else:
+                alone.append(_read_tolerance(name, entry, place))
     header = "[[tolerances.correlated]]"
     with problems.noted():
         for entry in checked_list(checked.get("correlated", []), header):
@@ -171,7 +232,7 @@ def read_tolerances(table: object) -> SpecifiedTolerances:
                 groups.append(_read_group(entry, header))
     problems.refuse()
     with located(place):
-        return SpecifiedTolerances(tuple(alone), tuple(groups))
+        return SpecifiedTolerances(tuple(alone), tuple(groups), tuple(zones))
 
 
 def _read_tolerance(error: str, entry: object, place: str) -> SpecifiedTolerance:
@@ -185,6 +246,13 @@ def _read_tolerance(error: str, entry: object, place: str) -> SpecifiedTolerance
     if not known:  # nor the unit of its values
         settings = settings | {key: ABSENT for key in ("half_width", "interval") if key in settings}
     return build(SpecifiedTolerance, {"error": error, **settings}, place, problems)
+
+
+def _read_zone(name: str, entry: object, place: str) -> SpecifiedZone:
+    problems = Problems()
+    settings = entry if isinstance(entry, dict) else {"diameter": entry}
+    settings = problems.usable(lambda: checked_table(settings, f"{place} `{name}`", *keys_of(SpecifiedZone, ("name",))))
+    return build(SpecifiedZone, {"name": name, **settings}, place, problems)
 
 
 def _read_group(entry: object, header: str) -> CorrelatedTolerances:

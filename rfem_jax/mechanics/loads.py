@@ -113,12 +113,18 @@ def chain_loads(
 ) -> tuple[JointLoads, Float[Array, "6"]]:
     """Loads of all joints by the recursive Newton-Euler algorithm over all rfes, for accelerations of the
     nodes in link axes, and the wrench at the origin that the base exerts."""
+    wrenches = moving_wrenches(actual, result, angular, linear)
+    return loads_of_wrenches(actual.topology, result, wrenches, drive), base_wrench(actual.topology, wrenches)
+
+
+def moving_wrenches(
+    actual: ModelWithErrors, result: Solved, angular: Float[Array, "3 nodes"], linear: Float[Array, "3 nodes"]
+) -> list[Float[Array, "6"]]:
+    """The wrenches of `chain_wrenches` for accelerations of the nodes in link axes."""
     with jax.named_scope("chain_loads"):
         inertial = beyond_elements(inertial_loads(actual, result.motion, angular, linear), result.frame_loads)
         at_cuts = None if result.laws is None else result.laws.cuts
-        wrenches = chain_wrenches(actual, result.motion, result.closure, result.multipliers, inertial, at_cuts)
-        loads = loads_of_wrenches(actual.topology, result, wrenches, drive)
-        return loads, base_wrench(actual.topology, wrenches)
+        return chain_wrenches(actual, result.motion, result.closure, result.multipliers, inertial, at_cuts)
 
 
 def loads_of_wrenches(

@@ -29,6 +29,7 @@ from jaxtyping import Float, Int
 from rfem_jax.description.driven_motions import motion_label
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.joint_kinds import COMPONENTS, KINDS, Freedom, JointKind, compliant
+from rfem_jax.mechanics.bearings import BearingCapacity
 from rfem_jax.mechanics.frame_forces import FrameForce
 from rfem_jax.mechanics.friction_laws import Friction
 from rfem_jax.mechanics.joint_laws import JointLaw
@@ -308,12 +309,15 @@ class Sections(eqx.Module):
     line_density: rho A [kg/m].
     rotary: rho I_x, rho I_y, rho I_z [kg m].
     damping: time constant eta of the stiffness-proportional damping [s].
+    edges: of each link the stresses at points of its section's edge per unit of axial force [1/m^2], of bending moment
+        about y and z, and of torque [1/m^3]; None where the edge is not known.
     """
 
     stiffness: Float[Array, "6 links"]
     line_density: Float[Array, " links"]
     rotary: Float[Array, "3 links"]
     damping: Float[Array, " links"]
+    edges: tuple[Float[Array, "4 points"] | None, ...] = ()
 
     @property
     def bending(self) -> Float[Array, " links"]:
@@ -331,7 +335,7 @@ class Model(eqx.Module):
     J_yz [kg m^2], None where all are zero; start_joints: coordinates of the tree joints at the closed start [rad, m];
     cut_angles: angles of the cut joints there [rad]; gravity [m/s^2] in global axes; forces: along joint coordinates,
     by their names, None without any; frame_forces: elements between frames on nodes, likewise; springs: of compliant
-    joints, by the names of joint and direction as "A.radial", likewise.
+    joints, by the names of joint and direction as "A.radial", likewise; bearings: what they carry, by joint, likewise.
 
     Numbers of the description change by a `rfem_jax.design`, from which all arrays follow.  `equinox.tree_at` may
     replace what is no number of a description and leaves the geometry as it is, such as the stiffnesses of one link of
@@ -358,6 +362,7 @@ class Model(eqx.Module):
     friction: dict[str, Friction] | None = None
     springs: dict[str, CompliantSpring] | None = None
     source: Source | None = None
+    bearings: dict[str, BearingCapacity] | None = None
 
     @property
     def joint_names(self) -> tuple[str, ...]:

@@ -20,6 +20,7 @@ from rfem_jax.description.mechanism import Mechanism
 from rfem_jax.description.numbers import Number, array_of, rotation_of_angles, traced
 from rfem_jax.description.parts import Parts, parts_of
 from rfem_jax.description.point_forces import AtPoint, BetweenPoints, PointLoad
+from rfem_jax.mechanics.bearings import bearing_capacities
 from rfem_jax.mechanics.frame_forces import FrameForce, NodeFrame
 from rfem_jax.mechanics.friction_laws import Friction, friction_law
 from rfem_jax.mechanics.joint_laws import JointLaw, joint_law
@@ -113,6 +114,7 @@ def arrays_of(parts: Parts, structure: PartStructure) -> Model:
         frame_forces=_frame_forces(parts, topology, links, points) or None,
         friction=_frictions(parts, topology) or None,
         springs=_springs(parts, topology) if topology.sprung else None,
+        bearings=bearing_capacities(joints) or None,
     )
 
 
@@ -319,12 +321,19 @@ def _sections(links: Sequence[Link]) -> Sections:
         line_density=rows("line_density")[0],
         rotary=rows("rotary_x", "rotary_y", "rotary_z"),
         damping=rows("damping")[0],
+        edges=tuple(_edge(link) for link in links),
     )
 
 
 def _array(values: Sequence[Number]) -> Array:
     """Numbers (n,)."""
     return jnp.asarray(array_of(list(values)))
+
+
+def _edge(link: Link) -> Array | None:
+    """Stresses at the edge of a link's section per unit of its loads; None where the edge is not known."""
+    points = () if link.section is None else link.section.edge_stresses()
+    return jnp.asarray(array_of([list(point) for point in points]).T) if points else None
 
 
 def _columns(rows: Sequence[Sequence[Number]]) -> Array:

@@ -21,6 +21,7 @@ from jaxtyping import Float
 
 from rfem_jax.compilation.keeping import state
 from rfem_jax.description.joint_kinds import KINDS
+from rfem_jax.description.metric_catalogue import unit_of
 from rfem_jax.description.point_forces import AtPoint
 from rfem_jax.description.study import Study
 from rfem_jax.report.annotations import Run, Summaries
@@ -45,6 +46,8 @@ def write_results(path: str | Path, study: Study, summaries: Summaries) -> Path:
         "compilation": state(),
         "units": {"duration": "s", **units(), **{one.end.name: one.end.unit for one in driven}},
     }
+    if study.metrics:
+        content["units"]["metrics"] = {name: unit_of(name) or "1" for name in study.metrics}
     if driven:
         content["drives"] = list(study.drive_labels)
     return write_json(path, content)

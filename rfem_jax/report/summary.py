@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from rfem_jax.description.metric_catalogue import metric_of
 from rfem_jax.description.study import Study
 from rfem_jax.report.annotations import Run, Summaries
 from rfem_jax.report.driven_motions_report import drive_quantities, has_driven_joint
@@ -50,6 +51,8 @@ def summarise_run(study: Study, run: Run) -> dict[str, Any]:
     losses = {name: float(np.asarray(values)[-1]) for name, values in run.friction_losses.items()}
     friction = {FRICTION_LOSS.name: losses} if losses else {}
     summary = {"joints": joints, "driven_joint": ends, **friction, **balances, "branch": branches(run)}
+    if study.metrics:
+        summary["metrics"] = {name: float(metric_of(run, name)) for name in study.metrics}
     for one in drive_quantities(study):
         of_drive = summary.setdefault("drives", {}).setdefault(one.label, {})
         of_drive[one.end.name] = float(one.values(run)[-1])

@@ -11,6 +11,7 @@ from functools import reduce
 from operator import getitem
 
 from rfem_jax.description.error_catalogue import as_specified
+from rfem_jax.description.metric_catalogue import unit_of
 from rfem_jax.description.study import Study
 from rfem_jax.report.annotations import Summaries
 from rfem_jax.report.driven_motions_report import drive_quantities, has_driven_joint
@@ -106,6 +107,15 @@ def _exponent(value: float) -> str:
     return f"{value:.1e}" if math.isfinite(value) else "-"
 
 
+def _metrics_table(study: Study, summaries: Summaries) -> str:
+    """The metrics that the study asks for: a row per metric, a column per case."""
+    rows = []
+    for name in study.metrics:
+        values = [one["metrics"][name] for one in summaries.values()]
+        rows.append([name, unit_of(name) or "1", *(f"{x:.5g}" if math.isfinite(x) else "-" for x in values)])
+    return "Metrics\n" + format_table(["metric", "unit", *summaries], rows, (0, 1))
+
+
 def results_text(study: Study, summaries: Summaries) -> str:
     """Everything the command `run` prints about its results.
 
@@ -114,6 +124,8 @@ def results_text(study: Study, summaries: Summaries) -> str:
     names = joint_names(study)
     parts = [title_text(study)]
     parts += [joint_table(summaries, names, quantity) for quantity in JOINT_METRICS]
+    if study.metrics:
+        parts.append(_metrics_table(study, summaries))
     parts += [balance_table(summaries), driven_joint_table(study, summaries)]
     failed = [f"Case {case}: {one['message']}" for case, one in summaries.items() if one["status"] != "ok"]
     if failed:

@@ -5,6 +5,7 @@
     equations            the first-order system that is integrated
     stabilisation        Baumgarte's gains
     observation          what is recorded of an instant
+    records              what is recorded beside it where a metric asks for it
     batches, packing     arrays in the forms that JAX's transforms and XLA's loops need
     implicit_step        one implicit step as a differentiable function
     generalised_alpha    the implicit method as a diffrax solver
@@ -13,7 +14,10 @@
     stepping             one interval by any method
     integration          prepare -> advance -> conclude
     cases                all cases of a study as one batch
-    vibration            modes at rest
+    vibration            modes of the perfect mechanism at rest, for limits of the step
+    modes                natural frequencies about assembled configurations, differentiable
+    turn                 the mechanism held at positions of its drive
+    cycle                the motion that repeats with every revolution of a drive
     stability            the largest stable step
     accuracy             the method that "auto" stands for
     run                  the result
@@ -26,11 +30,14 @@ from importlib import import_module
 _MODULES = {
     "accuracy": "choose_method",
     "cases": "run_cases",
+    "cycle": "Cycle steady_cycle",
     "integration": "simulate",
+    "modes": "NaturalModes natural_frequencies",
     "run": "STATUS Run derivative_residual one_of",
     "solvers.catalogue": "register_method",
     "solvers.explicit": "Leapfrog PeakTracking RungeKutta4",
     "stability": "check_step largest_stable_step",
+    "turn": "Turn kinetostatic_turn",
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names.split()}
 

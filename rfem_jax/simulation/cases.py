@@ -15,6 +15,7 @@ import numpy as np
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.driven_motions import Drive
 from rfem_jax.description.methods import Method
+from rfem_jax.description.metric_catalogue import records_for
 from rfem_jax.description.study import Study
 from rfem_jax.labelled_data import DataFrame, Dataset, frame
 from rfem_jax.mechanics.designs import model_of_study
@@ -23,6 +24,7 @@ from rfem_jax.mechanics.model_with_errors import AssemblyErrors, assembly_errors
 from rfem_jax.simulation import integration, labelled_runs
 from rfem_jax.simulation.accuracy import choose_method
 from rfem_jax.simulation.driving import require_driven
+from rfem_jax.simulation.records import require_records
 from rfem_jax.simulation.run import Run, of_model, one_of
 from rfem_jax.simulation.time_grid import TimeGrid
 from rfem_jax.simulation.unfinished import Unfinished
@@ -72,42 +74,50 @@ def run_cases(
     model = model_of_study(study) if model is None else model
     drive = study.designed_drive
     require_driven(model, drive)
-    errors = _errors_of_cases(study, model)
+    each = _errors_of_cases(study, model)
+    errors = jax.tree.map(lambda *leaves: jnp.stack(leaves), *each)
     plain = dataclasses.replace(errors, parameters=None)
     method = choose_method(model, study.method, drive, study.duration, plain, study.save_every)
     grid, steps = integration.grid_for(drive, study.duration, method, study.save_every, model)
+    asked = require_records(model, records_for(study.metrics))
     if errors.parameters is not None:
-        runs = _run_with_parameters(model, errors, drive, study, method)
+        runs = _run_with_parameters(model, errors, drive, study, method, asked)
         return model, Runs({case.name: one_of(runs, i) for i, case in enumerate(study.cases)})
-    _compile_ahead(model, errors, drive, grid, method, steps)
+    _compile_ahead(model, errors, drive, grid, method, steps, asked)
     prepared, carry = _prepare(model, errors, drive, method)
     unfinished = Unfinished(keep, (model, errors, drive, study.duration, method, study.save_every))
     try:
         carry, ends = _advance_all(model, prepared, study, carry, grid, method, steps, unfinished, progress)
-        runs = _conclude(model, prepared, drive, carry, ends, grid, method, steps)
+        runs = _conclude(model, prepared, drive, carry, ends, grid, method, steps, asked)
     except KeyboardInterrupt:
         unfinished.write()
         raise
     unfinished.remove()
-    each = (jax.tree.map(lambda x: x[i], errors) for i in range(len(study.cases)))
     found = (of_model(one_of(runs, i), model, one) for i, one in enumerate(each))
     return model, Runs({case.name: run for case, run in zip(study.cases, found)})
 
 
-def _errors_of_cases(study: Study, model: Model) -> AssemblyErrors:
-    """The errors of all cases, side by side; parameters that deviate in any case do so by zero in the others."""
+def _errors_of_cases(study: Study, model: Model) -> list[AssemblyErrors]:
+    """The errors of every case; parameters that deviate in any case do so by zero in the others."""
     names = {name for case in study.cases for name in case.errors if name not in model.topology.error_names}
     zeros = dict.fromkeys(sorted(names), 0.0)
-    errors = [assembly_errors(model, zeros | case.errors) for case in study.cases]
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *errors)
+    return [assembly_errors(model, zeros | case.errors) for case in study.cases]
 
 
-def _run_with_parameters(model: Model, errors: AssemblyErrors, drive: Drive, study: Study, method: Method) -> Run:
+def _run_with_parameters(
+    model: Model, errors: AssemblyErrors, drive: Drive, study: Study, method: Method, asked: tuple[str, ...]
+) -> Run:
     """Runs whose models differ, all at once."""
 
     def simulate(errors):
         return integration.simulate(
-            model, errors, drive=drive, duration=study.duration, method=method, save_every=study.save_every
+            model,
+            errors,
+            drive=drive,
+            duration=study.duration,
+            method=method,
+            save_every=study.save_every,
+            record=asked,
         )
 
     return jax.tree.map(np.asarray, jax.vmap(simulate)(errors))
@@ -140,7 +150,7 @@ def _pieces(grid: TimeGrid):
         yield grid.piece(first, size)
 
 
-def _compile_ahead(model, errors, drive, grid: TimeGrid, method, steps) -> None:
+def _compile_ahead(model, errors, drive, grid: TimeGrid, method, steps, asked) -> None:
     """Start to compile all programs, or to load them, side by side."""
     started = _prepare.ahead(model, errors, drive, method)
     if started is None:
@@ -153,7 +163,7 @@ def _compile_ahead(model, errors, drive, grid: TimeGrid, method, steps) -> None:
     carry, ends = advanced
     cases, count = len(jax.tree.leaves(errors)[0]), len(grid.starts)
     ends = jax.tree.map(lambda x: jax.ShapeDtypeStruct((cases, count, *x.shape[2:]), x.dtype), ends)
-    _conclude.ahead(model, prepared, drive, carry, ends, grid, method, steps)
+    _conclude.ahead(model, prepared, drive, carry, ends, grid, method, steps, asked)
 
 
 @functools.partial(Program, quick=True)
@@ -172,8 +182,8 @@ def _advance(model, actual, drive, carry, grid, method, steps):
 
 
 @functools.partial(Program, quick=True)
-def _conclude(model, prepared, drive, carry, ends, grid, method, steps):
+def _conclude(model, prepared, drive, carry, ends, grid, method, steps, asked):
     def one(prepared, carry, ends):
-        return integration.conclude(model, prepared, drive, carry, ends, grid, method, steps)
+        return integration.conclude(model, prepared, drive, carry, ends, grid, method, steps, asked)
 
     return jax.vmap(one)(prepared, carry, ends)

@@ -10,6 +10,7 @@ With fixed steps all transforms of JAX apply (jit, vmap, forward and reverse mod
 checkpoint at the end of every interval.
 """
 
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import diffrax
@@ -50,6 +51,7 @@ from rfem_jax.simulation.driving import active_drives, all_jumps, drive_of_desig
 from rfem_jax.simulation.equations import Conditions, Scalar, Trajectory
 from rfem_jax.simulation.observation import Record, observe
 from rfem_jax.simulation.packing import pack, unpack
+from rfem_jax.simulation.records import finished_records, instant_records, require_records
 from rfem_jax.simulation.run import (
     RESIDUAL_LIMIT,
     DriveHistory,
@@ -96,6 +98,7 @@ def simulate(
     save_every: float | None = None,
     start: State | None = None,
     adjoint: diffrax.AbstractAdjoint | None = None,
+    record: str | Iterable[str] = (),
     design: Design | None = None,
 ) -> Run:
     """Assemble a mechanism with its errors and simulate its motion.
@@ -105,7 +108,8 @@ def simulate(
     `save_every` [s]: interval of saved times (None: 500 intervals); `start`: replaces the static assembly (the preload
     is then unknown, NaN); `adjoint`: diffrax's adjoint, for adaptive methods only (None: forward mode; give
     `diffrax.RecursiveCheckpointAdjoint()` for reverse mode); `design`: from `rfem_jax.design`, other values for numbers
-    of the model and its drives.
+    of the model and its drives; `record`: what the run records besides, such as "coupler.sections" (see
+    `simulation.records`), into `run.recorded`.
 
     **Returns:** `Run`.  Works under jit, vmap, jacfwd; with fixed-step methods also grad, jacrev and Hessians (memory
     in reverse mode: the state at the end of every interval, and the steps of one interval).
@@ -119,8 +123,9 @@ def simulate(
     errors = assembly_errors(model) if errors is None else errors
     drive = drive if design is None else drive_of_design(model, drive, design)
     made = designed(model, design, errors)
-    run = _simulate(made.model, made.errors, drive, grid, start, method, steps, adjoint)
-    return of_model(with_status(run, made), made.model, made.errors)
+    asked = require_records(made.model, record)
+    run = _simulate(made.model, made.errors, drive, grid, start, method, steps, adjoint, asked)
+    return with_status(of_model(run, made.model, made.errors), made)
 
 
 def grid_for(
@@ -140,11 +145,11 @@ def grid_for(
 
 
 @Program
-def _simulate(model, errors, drive, grid, start, method, steps, adjoint):
+def _simulate(model, errors, drive, grid, start, method, steps, adjoint, record):
     prepared = prepare(model, errors, drive, start)
     carry = start_carry(model, prepared, drive, method)
     carry, ends = advance(model, prepared.actual, drive, carry, grid, method, steps, adjoint)
-    return conclude(model, prepared, drive, carry, ends, grid, method, steps)
+    return conclude(model, prepared, drive, carry, ends, grid, method, steps, record)
 
 
 def prepare(model: Model, errors: AssemblyErrors, drive: Drive, start: State | None) -> Prepared:
@@ -238,8 +243,9 @@ def observe_ends(
     grid: TimeGrid,
     method: Method,
     steps: int,
+    asked: Sequence[str] = (),
 ) -> Record:
-    """Records of the ends of intervals, with a first axis of intervals.
+    """Records of the ends of intervals, with a first axis of intervals; `asked`: names as in `simulation.records`.
 
     They have a loop of their own: XLA compiles two loops faster than one with the operations of both.
     """
@@ -253,7 +259,8 @@ def observe_ends(
         conditions = Conditions(actual, drives, phase, stabilisation)
         t, h = start + length, length / steps
         squares, state, now, instant = solver.instant(t, h, end.trajectory, end.memory, conditions)
-        return observe(actual, state, now, end.trajectory.integrals, instant, squares)
+        seen = observe(actual, state, now, end.trajectory.integrals, instant, squares)
+        return seen._replace(asked=instant_records(model, actual, state, instant, asked)) if asked else seen
 
     entries_and_ends = _entries(grid), ends
     form = jax.eval_shape(record, jax.tree.map(lambda x: x[0], entries_and_ends))
@@ -269,9 +276,10 @@ def conclude(
     grid: TimeGrid,
     method: Method,
     steps: int,
+    asked: Sequence[str] = (),
 ) -> Run:
-    """Loads, metrics, balances and status from the last carry and the ends of all intervals of the grid."""
-    record = observe_ends(model, prepared.actual, drive, ends, grid, method, steps)
+    """Loads, metrics, balances and status from the last carry and all ends of intervals; `asked`: as `observe_ends`."""
+    record = observe_ends(model, prepared.actual, drive, ends, grid, method, steps, asked)
     # The maxima are taken at the starts of steps: the last instant is still missing.
     carry = carry._replace(peaks=jnp.maximum(carry.peaks, jnp.max(record.squares, axis=0)))
     record = jax.tree.map(lambda x: x[grid.saved], record)
@@ -282,9 +290,8 @@ def conclude(
     drift = jnp.max(record.drift)
     residual = carry.residual / _safe(_force_scale(model, carry, energy, times))
     relative = jnp.max(record.momentum_residual, axis=0) / _safe(jnp.max(record.largest_load, axis=0))
-    zeros = jnp.zeros_like(times)
     drives = _histories(model, record)
-    first = next(iter(drives.values()), DriveHistory(zeros, zeros, record.drive_forces[0]))
+    first = next(iter(drives.values()), DriveHistory(0.0 * times, 0.0 * times, record.drive_forces[0]))
     return Run(
         times=times,
         angle=first.position,
@@ -317,6 +324,7 @@ def conclude(
         centre_lines=link_lines(model, prepared.actual, prepared.state.position),
         nominal_lines=link_lines(model, apply_errors(model, assembly_errors(model)), model.start_coordinates()),
         friction_losses=_by_friction(model, record.friction_losses),
+        recorded=finished_records(model, prepared.actual, record.asked, record.friction_losses, asked),
         positions=jax.tree.map(lambda x: x[grid.saved], ends.trajectory.position),
     )
 

@@ -3,7 +3,7 @@
 Place in the pipeline: equations, generalised_alpha -> **observation** -> integration.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -34,7 +34,8 @@ class Instant(NamedTuple):
     stabilising, multiplier [N]: largest part of a multiplier due to Baumgarte's terms, and largest multiplier;
     residual [N]: of the equations of motion as forces, none (n = 0) where these were solved for the accelerations;
     motion, closure: kinematics of the instant; laws: forces of springs and laws along joint coordinates; frame_loads:
-    what force elements exert.
+    what force elements exert; wrenches: of all joints at the global origin; angular, linear (3, nodes): accelerations
+    of the nodes in link axes.
     """
 
     loads: loads.JointLoads
@@ -50,6 +51,9 @@ class Instant(NamedTuple):
     closure: Closure | None
     laws: LawForces | None
     frame_loads: FrameLoads | None
+    wrenches: list[Float[Array, "6"]]
+    angular: Float[Array, "3 nodes"]
+    linear: Float[Array, "3 nodes"]
 
 
 class Record(NamedTuple):
@@ -61,7 +65,7 @@ class Record(NamedTuple):
     they are divided by; hinge_residual [N m]: largest load along a free motion of a joint beyond that of its springs,
     which should be zero (forces times `Instant.arm`); range_used: as `kinematics.range_used`; square_integrals: of the
     resultant force and moment [N^2 s, (N m)^2 s]; squares: of the axial and the normal force [N^2]; friction_losses
-    [J]: energy that every friction has dissipated, None without any.
+    [J]: energy that every friction has dissipated, None without any; asked: by the names of `records`.
     """
 
     joints: Float[Array, " numbers"]
@@ -84,15 +88,16 @@ class Record(NamedTuple):
     squares: Float[Array, "2 joints"]
     forces: dict[str, PointHistory]
     friction_losses: Float[Array, " frictions"] | None
+    asked: dict[str, Any]
 
 
 def solved_instant(actual: ModelWithErrors, result: Accelerations, drive: DriveInput, scale: algebra.Scalar) -> Instant:
     """An instant whose equations of motion were solved for the accelerations; `scale` [m] as in `closure`."""
-    joint, base = loads.chain_loads(actual, result, result.angular, result.linear, drive)
+    wrenches = loads.moving_wrenches(actual, result, result.angular, result.linear)
     drift, drift_angle = cut_drift(result.closure, scale)
     return Instant(
-        loads=joint,
-        base=base,
+        loads=loads.loads_of_wrenches(actual.topology, result, wrenches, drive),
+        base=loads.base_wrench(actual.topology, wrenches),
         accelerations=result.coordinates,
         drift=drift,
         drift_angle=drift_angle,
@@ -104,6 +109,9 @@ def solved_instant(actual: ModelWithErrors, result: Accelerations, drive: DriveI
         closure=result.closure,
         laws=result.laws,
         frame_loads=result.frame_loads,
+        wrenches=wrenches,
+        angular=result.angular,
+        linear=result.linear,
     )
 
 
@@ -135,6 +143,9 @@ def evaluated_instant(
         closure=evaluation.closure,
         laws=evaluation.laws,
         frame_loads=evaluation.frame_loads,
+        wrenches=evaluation.wrenches,
+        angular=evaluation.angular,
+        linear=evaluation.linear,
     )
 
 
@@ -176,6 +187,7 @@ def observe(
             squares=squares,
             forces=_point_histories(instant.frame_loads),
             friction_losses=integrals.friction,
+            asked={},
         )
 
 

@@ -7,6 +7,7 @@ import dataclasses
 from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -169,7 +170,8 @@ class Run(eqx.Module):
     every cut joint, +1 or -1 (0 where the joints' kinds tell none); a change of sign is a passage through a change
     point (theory (5.13)), after which derivatives, and averages with runs on the other branch, have no meaning.
     integrals: of squared loads, for `window`.  forces: `PointHistory` by the names of the forces at points of links and
-    between them.  friction_losses: energy (times,) [J] that every friction has dissipated, by its name.
+    between them.  friction_losses: energy (times,) [J] that every friction has dissipated, by its name.  recorded: what
+    `simulate` was asked to record, by the names of `simulation.records`.
 
     positions: coordinates at the saved times; model, errors: what was simulated.
     """
@@ -203,6 +205,7 @@ class Run(eqx.Module):
     forces: dict[str, PointHistory]
     friction_losses: dict[str, Float[Array, " times"]] = eqx.field(default_factory=dict)
     design_gap: Float[Array, ""] | None = None
+    recorded: dict[str, Any] = eqx.field(default_factory=dict)
     positions: Coordinates | None = None
     model: Model | None = None
     errors: AssemblyErrors | None = None

@@ -17,7 +17,7 @@ Hessian t H t, the combinations of errors with the largest effect (theory (10.4)
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -27,6 +27,7 @@ from rfem_jax.description.error_catalogue import as_specified
 from rfem_jax.description.errors import InputError
 from rfem_jax.text_layout import align_columns, wrap_lines
 from rfem_jax.tolerancing.checks import ErrorValues, check_known
+from rfem_jax.tolerancing.contributions import VarianceShares, variance_shares
 from rfem_jax.tolerancing.labelled_results import LabelledSensitivities
 from rfem_jax.tolerancing.layout import show_error, show_number, without_rounding
 from rfem_jax.tolerancing.problems.distributions import Tolerances
@@ -64,7 +65,9 @@ class Sensitivities(LabelledSensitivities):
         error and to the largest |H|; None without one;
     derivative_residual: residual of the differentiated equations relative to the change of the joint forces, an
         estimate (None for a problem without a residual); above the problem's limit the status is
-        "derivative_not_converged".
+        "derivative_not_converged";
+    shares: what each error contributes to the variance of the metrics, by the quadratic model; None where `scale` was
+        no Tolerances collection, or not all of its errors were asked for.
     """
 
     names: tuple[str, ...]
@@ -93,6 +96,7 @@ class Sensitivities(LabelledSensitivities):
     gradient_change: Float[np.ndarray, "m k"] | None = field(default=None)
     hessian_change: Float[np.ndarray, " m"] | None = field(default=None)
     derivative_residual: float | None = field(default=None)
+    shares: VarianceShares | None = field(default=None)
 
     def _row(self, metric: str | Metric) -> int:
         name = metric.name if isinstance(metric, Metric) else metric
@@ -144,8 +148,34 @@ class Sensitivities(LabelledSensitivities):
                     row |= {"curvature_per_tolerance": float(self.hessian_scaled[m, i, i])}
                 row |= {"effect": float(self.effects[m, i])}
                 row |= {"vanishes_by_symmetry": bool(self.vanishing[m, i])}
-                out.append(row)
+                out.append(row | self._shares_of(m, self.names[i]))
         return out
+
+    def _shares_of(self, m, name) -> dict[str, Any]:
+        """Columns with the contributions of an error, or of the group that it belongs to."""
+        if self.shares is None:
+            return {}
+        i = self.shares.of_error(name)
+        found: dict[str, Any] = {"factor": "+".join(self.shares.factors[i])}
+        for word, parts in (
+            ("linear", self.shares.linear), ("first_order", self.shares.first_order), ("total", self.shares.total),
+        ):  # fmt: skip
+            found[f"variance_{word}_percent"] = 100.0 * float(parts[m, i])
+        return found
+
+    def shares_table(self) -> str:
+        """Contributions to the variance of every metric in percent as text, "" where there are none."""
+        if self.shares is None:
+            return ""
+        rows = []
+        for m, metric in enumerate(self.metrics):
+            order = np.argsort(-np.nan_to_num(self.shares.total[m], nan=-1.0), kind="stable")
+            for i in order:
+                parts = (self.shares.linear, self.shares.first_order, self.shares.total)
+                numbers = [show_number(100.0 * part[m, i], 4, scale=100.0) for part in parts]
+                rows.append([metric, "+".join(self.shares.factors[i]), *numbers])
+        header = ["metric", "error", "linear", "first order", "total"]
+        return f"Contributions to the variance in percent (quadratic model)\n{align_columns(header, rows)}"
 
     def table(self, metric: str | Metric | None = None, top: int = 8) -> str:
         """Ranking table as text, of one metric or of all; the `top` errors of each."""
@@ -240,7 +270,10 @@ def sensitivity(
     with Progress(progress, len(problems) * len(names), unit="direction") as bar:
         model, *finer = [expand_point(one, at, names, order, mode, int(batch), bar.advance) for one in problems]
     point = read_point(problem, at)
-    return _report(problem, model, finer[0] if finer else None, widths, point, scale is not None, order)
+    found = _report(problem, model, finer[0] if finer else None, widths, point, scale is not None, order)
+    if isinstance(scale, Tolerances) and names == scale.names:
+        found = replace(found, shares=variance_shares(model, scale))
+    return found
 
 
 def _report(

@@ -2,7 +2,7 @@
 
 Place in the pipeline: after a problem and tolerances; an allocation is built on it and verified by it.
 
-    max f(centre + M z)  over |z_i| <= 1 (box) or |z| <= 1 (ellipsoid)
+    max f(centre + M z)  over |z_i| <= 1 (box), |z| <= 1 (ellipsoid), or |z_b| <= 1 for the zones in a box
 
 The search is a spectral projected gradient from several starts in one batch (see starting_points.py). Every corner of
 the box is evaluated where there are few, and the prediction and the bound of the quadratic model are reported beside
@@ -32,12 +32,14 @@ from rfem_jax.tolerancing.optimisation.projected_gradient import Search, climb_t
 from rfem_jax.tolerancing.optimisation.starting_points import (
     EXHAUSTIVE,
     Expansion,
+    Region,
     box_corners,
     distinct,
     maximise_quadratic,
     projection,
     quadratic_bound,
     region_matrix,
+    region_of,
     start_points,
 )
 from rfem_jax.tolerancing.problems.distributions import Tolerances, distributions_of
@@ -83,7 +85,8 @@ class WorstCase(LabelledWorstCase):
     value, errors: the worst point over searches and corners; found_by "search", "mirror" or "corners";
     maximisers: every distinct point that ties with it (e and -e of an even metric), itself included; nominal: the
     metric at the centre; slopes {name: df per tolerance}: the gradient at the worst point; kkt_residual (module
-    docstring); active {name: "lower" | "upper"}: bounds of the box, or {"ellipsoid": "surface"};
+    docstring); active {name: "lower" | "upper"}: bounds of the box, {"ellipsoid": "surface"} or {"zone 1":
+    "surface"}, zones counted ball by ball;
     evaluations: simulations by the searches (value with gradient) and of corners and starts (value alone);
     failed: samples that failed among the starts, corners and centre;
     starts, ends (n, k) in tolerances, end_values, residuals (n,): of every search;
@@ -190,23 +193,25 @@ def worst_case(
     _check_options(region, sense, corners)
     names, half_widths = select_half_widths(problem, tolerances)
     index, matrix = metric_index(problem, metric), region_matrix(region, tolerances, half_widths)
-    means = tolerances.means() if isinstance(tolerances, Tolerances) else {}
-    at = {**{name: float(mean) for name, mean in means.items()}, **(at or {})}
+    searched = region_of(region, tolerances)
+    _check_corners(corners, searched)
+    centres = tolerances.centres() if isinstance(tolerances, Tolerances) else {}
+    at = {**{name: float(centre) for name, centre in centres.items()}, **(at or {})}
     mode = choose_mode(mode, len(names), 1)
     if model is None:
         widths = dict(zip(names, map(float, half_widths), strict=True))
         model = expand_by_differences(problem, at, widths, mode=mode, batch=batch)
     base, centre = split_errors(problem, at, names)
-    frame = _Frame(problem, names, base, np.asarray(centre), index, matrix, region, sense, mode, batch)
+    frame = _Frame(problem, names, base, np.asarray(centre), index, matrix, searched, sense, mode, batch)
     scaled = None if model is False else frame.scale_model(model)
     error = np.nan if model is False or model.hessian_error is None else float(model.hessian_error[index])
     keys = jax.random.split(key)
-    z0 = start_points(starts, scaled, region, len(names), keys[0])
+    z0 = start_points(starts, scaled, searched, len(names), keys[0])
     first = frame.values(np.concatenate([np.zeros((1, len(names))), z0]))
     spread = float(np.nanmax(first) - np.nanmin(first)) if np.any(np.isfinite(first)) else 0.0
     scale = spread if spread > 0 else 1.0
     search = climb_together(
-        lambda z: frame.linearise(z, scale), projection(region), z0, evaluations=evaluations, tolerance=tolerance
+        lambda z: frame.linearise(z, scale), projection(searched), z0, evaluations=evaluations, tolerance=tolerance
     )
     candidates = _collect(search, scale, frame, corners)
     common = _describe(frame, candidates, z0, first, search, scale)
@@ -224,6 +229,13 @@ def _check_options(region, sense, corners) -> None:
         )
 
 
+def _check_corners(corners, region: Region) -> None:
+    if corners is True and isinstance(region, tuple):
+        raise InputError(
+            "Argument `corners` must be 'auto' or False for tolerances with zones, which have no corners, but is True."
+        )
+
+
 @dataclass(frozen=True, eq=False)
 class _Frame:
     """The metric as a function to be maximised of z: e = centre + M z, with the sign of `sense`."""
@@ -234,7 +246,7 @@ class _Frame:
     centre: Float[np.ndarray, " k"]
     index: int
     matrix: Float[np.ndarray, "k k"]
-    region: str
+    region: Region
     sense: str
     mode: str
     batch: int
@@ -322,7 +334,7 @@ def _describe(frame, candidates, z0, first, search, scale) -> dict[str, Any]:
     return {
         "metric": metric.name,
         "unit": metric.unit,
-        "region": frame.region,
+        "region": "box with zones" if isinstance(frame.region, tuple) else frame.region,
         "sense": frame.sense,
         "names": frame.names,
         "error_units": tuple(frame.problem.error_unit(name) for name in frame.names),
@@ -374,6 +386,12 @@ def _ties(points, values, spread) -> np.ndarray:
 
 
 def _active(z, names, region) -> dict[str, str]:
+    if isinstance(region, tuple):
+        parts = np.split(z, np.cumsum(region)[:-1])
+        alone = region.count(1)  # they come first
+        balls = enumerate(parts[alone:], start=1)
+        found = {f"zone {number}": "surface" for number, part in balls if np.linalg.norm(part) >= 1 - ON_BOUND}
+        return _active(z[:alone], names[:alone], "box") | found
     if region == "ellipsoid":
         return {"ellipsoid": "surface"} if np.linalg.norm(z) >= 1 - ON_BOUND else {}
     return {name: "upper" if x > 0 else "lower" for name, x in zip(names, z, strict=True) if abs(x) >= 1 - ON_BOUND}

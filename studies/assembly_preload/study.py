@@ -3,8 +3,8 @@
     python studies/assembly_preload/study.py --out results/assembly_preload [--quick]
 
 The main study's four-bar (studies/four_bar/study.toml, a substitute for the paper's lost data) in static equilibrium
-at every crank angle, the crank held: no dynamics (theory (6.1)).  Equilibria come from
-`assemble(model, errors, hold={"A": angle})`, started from the closed perfect mechanism there.
+at every crank angle, the crank held: no dynamics (theory (6.1)).  Equilibria are those of the kinetostatic turn
+(`rfem_jax.simulation.turn`; `rfem-jax turn STUDY.toml` for any mechanism), from the closed perfect mechanism there.
 
     derivatives  of the preload of every joint by every error, at zero error (jacfwd)
     differences  preload with an error of 1 deg or 1 mm minus that of the perfect mechanism
@@ -39,17 +39,16 @@ from jax import Array  # noqa: E402
 
 from rfem_jax import (  # noqa: E402
     AssemblyErrors,
+    InputError,
     Model,
     Study,
-    assemble,
     assembly_errors,
     discretise,
     load_study,
 )
-from rfem_jax.mechanics.discretisation import close_at  # noqa: E402
-from rfem_jax.mechanics.loads import energies  # noqa: E402
-from rfem_jax.mechanics.model_with_errors import apply_errors, error_dimension  # noqa: E402
+from rfem_jax.mechanics.model_with_errors import error_dimension  # noqa: E402
 from rfem_jax.report.output import write_csv, write_json  # noqa: E402
+from rfem_jax.simulation.turn import ClosedPose, closed_poses, held_at  # noqa: E402
 
 
 class Size(NamedTuple):
@@ -84,46 +83,33 @@ def unit_error(name: str) -> float:
     return UNIT[error_dimension(name)]
 
 
-def poses_over_revolution(model: Model, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Angles (angles, links) and cut angles (angles, cuts) [rad] of the perfect rigid mechanism.
+def poses_over_revolution(model: Model, angles: np.ndarray) -> ClosedPose:
+    """The closed perfect rigid mechanism at all crank angles [rad].
 
     Raises: SystemExit where it cannot close (a crank that cannot make a full revolution).
     """
-    driven, pose, poses = model.topology.driven, np.asarray(model.start_joints), []
-    for angle in angles:
-        guess = np.array(pose)
-        guess[driven] = angle
-        pose, residual, alignment, cut = close_at(model, guess)
-        if np.abs(residual).max() > 1e-9 or (alignment < 0.0).any():
-            raise SystemExit(f"The mechanism does not close at a crank angle of {angle:.4f} rad.")
-        poses.append((pose, cut))
-    return tuple(np.stack(part) for part in zip(*poses))
+    try:
+        return closed_poses(model, angles)
+    except InputError as problem:
+        raise SystemExit(str(problem)) from None
 
 
-def held(model: Model, start_joints: Array, cut_angles: Array, errors: AssemblyErrors) -> tuple[Array, Array, Array]:
-    """Preload (joints by name, force and moment, 3) [N, N m], potential energy [J], status.
-
-    The crank is held at `start_joints`, those of the closed perfect mechanism, from which Newton's method starts.
-    """
-    placed = eqx.tree_at(lambda m: (m.start_joints, m.cut_angles), model, (start_joints, cut_angles))
-    driven = model.topology.driven
-    hold = {model.topology.joints[driven]: start_joints[driven]}
-    assembled = assemble(placed, errors, hold=hold)
-    energy = energies(apply_errors(placed, errors), assembled.state)
-    preload = [jnp.stack(assembled.preload[name]) for name in sorted(model.joint_names)]
-    return jnp.stack(preload), energy.elastic + energy.gravity, assembled.status
+def held(model: Model, pose: ClosedPose, errors: AssemblyErrors) -> tuple[Array, Array, Array]:
+    """Preload (joints by name, force and moment, 3) [N, N m], potential energy [J], status, the crank held."""
+    found = held_at(model, errors, pose, stresses=False)
+    preload = [jnp.stack([found.loads[name].force, found.loads[name].moment]) for name in sorted(model.joint_names)]
+    return jnp.stack(preload), found.energy, found.status
 
 
 @eqx.filter_jit
 def equilibria(model, poses, values):
     """`held` at all poses (axis 0) for every row of error values of the names SHOWN (axis 1)."""
 
-    def one(start_joints, cut_angles, row):
-        errors = assembly_errors(model, dict(zip(SHOWN, row)))
-        return held(model, start_joints, cut_angles, errors)
+    def one(pose, row):
+        return held(model, pose, assembly_errors(model, dict(zip(SHOWN, row))))
 
-    along_errors = jax.vmap(one, in_axes=(None, None, 0))
-    return jax.lax.map(lambda pose: along_errors(*pose, values), poses)
+    along_errors = jax.vmap(one, in_axes=(None, 0))
+    return jax.lax.map(lambda pose: along_errors(pose, values), poses)
 
 
 @eqx.filter_jit
@@ -132,8 +118,7 @@ def derivatives(model, names, poses):
 
     def one(pose):
         def preload(values):
-            errors = assembly_errors(model, dict(zip(names, values)))
-            return held(model, *pose, errors)[0]
+            return held(model, pose, assembly_errors(model, dict(zip(names, values))))[0]
 
         return jax.jacfwd(preload)(jnp.zeros(len(names)))
 
@@ -245,7 +230,7 @@ def discretisation_rows(study, joints, names, usual, size: Size) -> list[dict]:
             values = usual[0]
         else:
             model = discretise(study.mechanism, rfes=rfes)
-            pose = (model.start_joints[None], model.cut_angles[None])
+            pose = ClosedPose(model.start_joints[None], model.cut_angles[None])
             values = np.asarray(derivatives(model, names, pose))[0] * units
         sizes = resultants(values, 2)
         for name in SHOWN[:3]:
@@ -299,7 +284,7 @@ def compute(study: Study, size: Size, progress: Callable[[str], None]):
     rotation = 2.0 * np.pi * np.arange(size.angles) / size.angles
     angles = float(model.start_joints[model.topology.driven]) + rotation
     degrees = np.round(np.rad2deg(angles), 9)
-    poses = tuple(jnp.asarray(part) for part in poses_over_revolution(model, angles))
+    poses = poses_over_revolution(model, angles)
 
     progress("derivatives by all errors over the revolution")
     names = tuple(name for name in model.topology.error_names if "pin_tilt" not in name)

@@ -7,8 +7,9 @@ import pytest
 
 from rfem_jax.description import force_reader, load_study, study, study_reader, tables, tolerances
 from rfem_jax.description.key_reference import NEEDED, argument_meanings, key_tables
-from rfem_jax.description.tasks import allocation, task
+from rfem_jax.description.tasks import costs, task
 
+from .test_bearings import BEARING
 from .test_compliance import COMPLIANCE
 from .test_force_reader import IN_JOINTS, SPRINGS
 from .test_forces import FORCES
@@ -64,7 +65,27 @@ kind = "prescribed_displacements"
 times = [0, 1]
 displacements = [0, 1]
 """
+OPTIMISE = """
+[optimise]
+objective = { cost = 1, end_energy = 1 }
+[optimise.bounds]
+"D.delta_x" = ["0.05 deg", "1 deg"]
+"B.d_x" = ["0.05 mm", "1 mm"]
+"C.d_x" = [1e-5, 1e-3]
+[optimise.cost]
+"D.delta_x" = { at = "0.2 deg" }
+"""
 RECTANGLE = '[mechanism.sections.flat]\nshape = "rectangle"\nwidth = 1e-2\nheight = 1e-2\n'
+
+
+ZONE = '"A.position" = { diameter = "0.1 mm" }\n'
+MORE_TASKS = """
+[sweep]
+metrics = ["*.rms_moment"]
+[reliability]
+limits = { "D.mean_square_moment" = 20.0 }
+"""
+ALL_TASKS = TASKS.replace("[[tolerances.correlated]]", f"{ZONE}[[tolerances.correlated]]") + MORE_TASKS
 
 
 def header_of(place):
@@ -76,8 +97,9 @@ def header_of(place):
     place = re.sub(r"\[mechanism\.(materials|sections)\.\w+\]", r"[mechanism.\1.NAME]", place)
     place = re.sub(r"^(\[\[[\w.]+\]\]) (`[^`]+`|number \d+)", r"\1", place)
     place = re.sub(r"^(\[drive\]|\[\[drives\]\])", "[drive] or [[drives]]", place)
+    place = re.sub(r"^\[tolerances\] `\w+\.position`$", "[tolerances] JOINT.position", place)
     place = re.sub(r"^\[tolerances\] `.*", "[tolerances] ERROR", place)
-    return re.sub(r"^\[allocation\.cost\] `.*", "[allocation.cost]", place)
+    return re.sub(r"^\[(allocation|optimise)\.cost\] `.*", r"[\1.cost]", place)
 
 
 @pytest.fixture
@@ -92,15 +114,17 @@ def asked(tmp_path, monkeypatch):
 
         return check
 
-    for module in (study, study_reader, force_reader, tables, tolerances, task, allocation):
+    for module in (study, study_reader, force_reader, tables, tolerances, task, costs):
         monkeypatch.setattr(module, "checked_table", recorded(module.checked_table))
     full = FULL.replace("[mechanism.sections.round]", f"{RECTANGLE}[mechanism.sections.round]")
-    full = full.replace('name = "A"\n', f'name = "A"\n{COMPLIANCE}', 1)
+    full = full.replace('name = "A"\n', f'name = "A"\n{COMPLIANCE}{BEARING}', 1)
     full = full.replace('name = "B"\n', f'name = "B"\n{IN_JOINTS}', 1)
     start, end = full.index("[drive]"), full.index("[simulation]")
     for drive in [full[start:end], *(f"[drive]{part}" for part in DRIVES.split("[drive]")[1:])]:
         path = tmp_path / "study.toml"
-        path.write_text(full[:start] + FORCES + POINT_FORCES + SPRINGS + drive + full[end:] + TASKS, encoding="utf-8")
+        path.write_text(
+            full[:start] + FORCES + POINT_FORCES + SPRINGS + drive + full[end:] + ALL_TASKS + OPTIMISE, encoding="utf-8"
+        )
         load_study(path)
         full = full.replace('section = "own"\n', "body = {mass = 1, centre = [0, 0, 0], inertia = [1, 1, 1]}\n")
         start, end = full.index("[drive]"), full.index("[simulation]")
@@ -113,7 +137,7 @@ def test_the_reference_holds_what_the_reader_asks_for(asked):
     for table in key_tables():
         # The reader asks at once for the settings of all methods.
         reference.setdefault(table.header.partition(", settings of the method")[0], {}).update(
-            {key.name: key.default for key in table.keys if not key.name.startswith("ERROR")}
+            {key.name: key.default for key in table.keys if not key.name.startswith(("ERROR", "JOINT"))}
         )
     # Asked before the shape and the kind are known, or by names of the user.
     for place in (

@@ -95,7 +95,11 @@ def test_sensitivity(task_file, tmp_path, capsys):
     out = tmp_path / "out"
     assert call("sensitivity", task_file, out) == 0
     names = {"sensitivity.json", "sensitivity.csv"}
-    assert names_in(out) == names | {"sensitivity_heat_map.png", "sensitivity_tornado.png"}
+    assert names_in(out) == names | {
+        "sensitivity_heat_map.png",
+        "sensitivity_tornado.png",
+        "sensitivity_contributions.png",
+    }
     found = read(out / "sensitivity.json")
     assert (found["status"], found["undamped"]) == ("ok", False)
     moment, force = found["metrics"][MOMENT], found["metrics"][FORCE]
@@ -117,6 +121,10 @@ def test_sensitivity(task_file, tmp_path, capsys):
         *("metric", "error", "rank", "character", "unit", "value", "gradient", "gradient_unit"),
         *("gradient_per_tolerance", "curvature", "curvature_unit", "curvature_per_tolerance", "effect"),
         "vanishes_by_symmetry",
+        "factor",
+        "variance_linear_percent",
+        "variance_first_order_percent",
+        "variance_total_percent",
     ]
     units = {(row["metric"], row["error"]): [row[key] for key in rows[0] if key.endswith("unit")] for row in rows}
     assert units[MOMENT, "D.delta_x"] == ["(N m)^2", "(N m)^2/rad", "(N m)^2/rad^2"]

@@ -195,9 +195,8 @@ def test_crooked_pins_follow_from_seat_and_bore(study_script):
     the crank turns; at the start they stress nothing."""
     model = discretise(study_mechanism(), rfes=3)
     start = float(model.start_joints[0])
-    turned, cut = study_script.poses_over_revolution(model, [start, start + 0.7, start + 1.4])
+    poses = study_script.poses_over_revolution(model, [start, start + 0.7, start + 1.4])
     names = tuple(name for name in model.topology.error_names if "pin_tilt" not in name)
-    poses = (jnp.asarray(turned), jnp.asarray(cut))
     values = np.asarray(study_script.derivatives(model, names, poses))
     more, values = study_script.with_crooked_pins(model, names, values)
     pins = [i for i, name in enumerate(more) if "pin_tilt" in name]
@@ -207,8 +206,8 @@ def test_crooked_pins_follow_from_seat_and_bore(study_script):
 
     def preload(tilt):
         actual = apply_errors(model, assembly_errors(model, {"C.pin_tilt_x": tilt}))
-        guess = dataclasses.replace(model, start_joints=poses[0][2], cut_angles=poses[1][2])
-        position, multipliers, _ = equilibrium(guess, actual, {0: poses[0][2][0]})
+        guess = dataclasses.replace(model, start_joints=poses.start_joints[2], cut_angles=poses.cut_angles[2])
+        position, multipliers, _ = equilibrium(guess, actual, {0: poses.start_joints[2][0]})
         loads = named(guess, static_loads(guess, actual, static_state(model.topology, position), multipliers))
         return jnp.stack([jnp.stack(loads[name]) for name in sorted(model.joint_names)])
 

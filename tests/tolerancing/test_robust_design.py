@@ -9,6 +9,7 @@ import pytest
 from jax.scipy.stats import norm
 
 from rfem_jax import FunctionProblem, InputError, Metric, Reciprocal, ReciprocalSquared
+from rfem_jax.tolerancing.problems.kept_evaluations import kept_in
 from rfem_jax.tolerancing.robust_design.front import pareto_front
 from rfem_jax.tolerancing.robust_design.optimisation import optimise
 
@@ -31,6 +32,9 @@ def cantilever(errors):
 
 class Beam(FunctionProblem):
     """The cantilever, whose parameters have values."""
+
+    def fingerprint(self):
+        return "beam"
 
     def nominal_value(self, name):
         return {"bar.width": WIDTH, "bar.height": HEIGHT}.get(name, 0.0)
@@ -151,22 +155,22 @@ def test_a_dimension_may_scatter_too(beam):
 
 def test_an_interrupted_search_continues(beam, tmp_path):
     told = []
-    settings = {"robust": "nominal", "key": KEY, "folder": tmp_path / "kept"}
-    first = optimise(beam, DESIGNS, None, "mass", {"deflection": 2e-3}, progress=told.append, **settings)
-    chunks = sorted((tmp_path / "kept").glob("chunk-*.npz"))
-    assert told and told == sorted(told) and len(chunks) > 3
-    for chunk in chunks[3:]:
-        chunk.unlink()
-    calls = []
 
-    class Counted(Beam):
-        def __call__(self, errors):
-            calls.append(1)
-            return super().__call__(errors)
+    def interrupt(count):
+        told.append(count)
+        if len(told) == 5:
+            raise KeyboardInterrupt
 
-    again = optimise(beam, DESIGNS, None, "mass", {"deflection": 2e-3}, **settings)
-    assert again.designs == first.designs and again.history == first.history
-    assert len(sorted((tmp_path / "kept").glob("chunk-*.npz"))) == len(chunks)
+    def find(progress=None):
+        return optimise(beam, DESIGNS, None, "mass", {"deflection": 2e-3}, robust="nominal", key=KEY, progress=progress)
+
+    whole = find()
+    with pytest.raises(KeyboardInterrupt), kept_in(tmp_path / "kept"):
+        find(interrupt)
+    with kept_in(tmp_path / "kept") as kept:
+        again = find()
+    assert told == sorted(told) and kept.read == 5 < kept.count
+    assert again.designs == whole.designs and again.history == whole.history
 
 
 @pytest.mark.parametrize(

@@ -8,12 +8,12 @@ metric's own unit.
 """
 
 from collections.abc import Collection
-from dataclasses import MISSING, Field, dataclass, field, fields, replace
+from dataclasses import MISSING, Field, dataclass, field, fields
 from typing import Any, ClassVar
 
-from rfem_jax.description.error_catalogue import error_dimension
-from rfem_jax.description.errors import ABSENT, Checks, ChecksItself, InputError, Problems, located, require_choice
-from rfem_jax.description.tables import build, checked_table, keys_of
+from rfem_jax.description.errors import Checks, InputError, require_choice
+from rfem_jax.description.tables import keys_of
+from rfem_jax.description.tasks.costs import ErrorCost, complete_costs, half_width_bounds, read_with_costs
 from rfem_jax.description.tasks.settings import (
     MODES,
     STARTS,
@@ -25,35 +25,8 @@ from rfem_jax.description.tasks.settings import (
     whole_number,
 )
 from rfem_jax.description.tasks.task import Task
-from rfem_jax.description.tolerances import SpecifiedTolerances, error_quantities
-from rfem_jax.description.units import DERIVED, positive_quantity, quantity
-
-COST_MODELS = ("reciprocal", "reciprocal_squared", "exponential")
-
-
-@dataclass(frozen=True)
-class ErrorCost(ChecksItself):
-    """What a tolerance t of one error costs.
-
-    Args:
-        model: "reciprocal" fixed + price at/t, "reciprocal_squared" fixed + price (at/t)^2, or
-            "exponential" fixed + price exp(-t/at).
-        price: in any currency, > 0.
-        at: scale of the half-width t [rad or m]; None = the largest bound of the error (in a study file: its
-            tolerance, where it has one).
-        fixed: in the same currency.
-    """
-
-    model: str = "reciprocal"
-    price: float = 1.0
-    at: float = DERIVED
-    fixed: float = 0.0
-
-    def _check_fields(self, checks: Checks) -> None:
-        checks.convert("model", require_choice, COST_MODELS, "`model` of a cost")
-        checks.convert("price", positive_quantity, "none", "`price` of a cost")
-        checks.convert("fixed", quantity, "none", "`fixed` of a cost")
-
+from rfem_jax.description.tolerances import SpecifiedTolerances
+from rfem_jax.description.units import positive_quantity
 
 # Settings that count for some criteria only.
 _CRITERIA_OF = {
@@ -123,7 +96,7 @@ class AllocationTask(Task):
         convert_all(checks, ("seed",), whole_number, 0)
         checks.convert("scales", _scales)
         checks.convert("limits", limits_of, True)
-        checks.convert("bounds", _bounds)
+        checks.convert("bounds", half_width_bounds)
         convert_all(checks, ("target",), fraction)
         checks.convert("coverage", positive_quantity, "none", "coverage")
         checks.convert("accuracy", positive_quantity, "none", "accuracy")
@@ -144,15 +117,7 @@ class AllocationTask(Task):
             )
 
     def _complete_costs(self) -> None:
-        """Every error with bounds has a cost, whose scale is the largest bound where none is given."""
-        missing = [name for name in self.bounds if name not in self.costs]
-        if missing:
-            raise InputError(
-                f"Argument `costs` must have a cost for every error with bounds, but `{missing[0]}` has none; add it."
-            )
-        given = {name: self.costs[name] for name in self.bounds}
-        complete = {name: replace(one, at=self.bounds[name][1]) for name, one in given.items() if one.at is None}
-        set_fields(self, costs={**self.costs, **complete})
+        set_fields(self, costs=complete_costs(self.bounds, self.costs))
 
     @classmethod
     def tables(cls, header: str) -> list[tuple[str, type, Collection[str], Collection[str]]]:
@@ -163,44 +128,13 @@ class AllocationTask(Task):
     @classmethod
     def read(cls, table: object, place: str, tolerances: SpecifiedTolerances | None) -> "AllocationTask":
         """As `Task.read`; the tolerances serve as scales of the costs."""
-        (_, _, required, optional), _ = cls.tables(place)
-        problems = Problems()
-        settings = problems.usable(lambda: dict(checked_table(table, place, required, optional)))
-        bounds, cost = settings["bounds"], settings.pop("cost", {})
-        if not isinstance(bounds, dict):  # then any error may have a cost
-            bounds = {name: None for name in cost if "." in name} if isinstance(cost, dict) else {}
-        widths = {} if tolerances is None else tolerances.half_widths()
-        costs: Any = ABSENT
-        if cost is not ABSENT:
-            with problems.noted():
-                costs = _read_costs(cost, bounds, widths)
-        return build(cls, {"costs": costs, **settings}, place, problems)
+        (_, _, *keys), _ = cls.tables(place)
+        return read_with_costs(cls, (keys[0], keys[1]), table, place, tolerances)
 
     @property
     def metrics(self) -> tuple[str, ...]:
         """The metrics that have limits."""
         return tuple(self.limits)
-
-
-def _bounds(bounds: object) -> dict[str, tuple[float, float]]:
-    if not isinstance(bounds, dict) or not bounds:
-        raise InputError(
-            f"Argument `bounds` must be a table of errors and their smallest and largest "
-            f'half-width, but was {bounds!r}; write {{ "D.delta_x" = ["0.05 deg", "1 deg"] }}.'
-        )
-    complete, problems = {}, Problems()
-    for name, pair in bounds.items():
-        with problems.noted():
-            ends = pair if isinstance(pair, (list, tuple)) and len(pair) == 2 else (0.0, 0.0)
-            low, high = (error_quantities({name: end}, "bounds")[name] for end in ends)
-            if not 0.0 < low < high:
-                raise InputError(
-                    f"Argument `bounds` must give [smallest, largest] half-widths above 0, but "
-                    f'`{name}` has {pair!r}; write for example ["0.05 deg", "1 deg"].'
-                )
-            complete[name] = (low, high)
-    problems.refuse()
-    return complete
 
 
 def _scales(scales: object) -> tuple[float, ...]:
@@ -211,37 +145,3 @@ def _scales(scales: object) -> tuple[float, ...]:
 
 def _default(one: Field[Any]) -> Any:
     return one.default if one.default_factory is MISSING else one.default_factory()
-
-
-def _read_costs(table: object, bounds: dict[str, Any], widths: dict[str, float]) -> dict[str, ErrorCost]:
-    """The cost of every error of `bounds`; keys that are no errors are the same for all.
-
-    `at` that is not given is the error's tolerance in [tolerances], else its largest bound.
-    """
-    place = "[allocation.cost]"
-    required, optional = keys_of(ErrorCost)
-    common = tuple(key for key in (*required, *optional) if key != "at")
-    problems = Problems()
-    checked = problems.usable(lambda: checked_table(table, place, optional=(*common, *bounds)))
-    shared = {key: value for key, value in checked.items() if key in common}
-    costs = {}
-    for name, pair in bounds.items():
-        with problems.noted():
-            own = checked.get(name, {})
-            if own is not ABSENT:
-                default = widths.get(name, pair[-1] if isinstance(pair, list) and pair else 1.0)
-                costs[name] = _read_cost(name, own, shared, default)
-    problems.refuse()
-    return costs
-
-
-def _read_cost(name: str, table: object, shared: dict[str, Any], default: Any) -> ErrorCost:
-    """The cost of one error; `default` is its scale where its table has none."""
-    place, problems = "[allocation.cost]", Problems()
-    own = problems.usable(lambda: checked_table(table, f"{place} `{name}`", *keys_of(ErrorCost)))
-    at = own.get("at", default)
-    with problems.noted(), located(place):
-        dimension = error_dimension(name)
-        if at is not ABSENT:
-            at = positive_quantity(at, dimension, f"`at` of the cost of `{name}`")
-    return build(ErrorCost, {**shared, **own, "at": at}, place, problems)

@@ -2,7 +2,7 @@
 
 Place in the pipeline: units, errors -> **settings** -> the tasks.
 
-Metrics are named as `metric_catalogue` says, or "*.KIND" for all joints; limits are in the metric's own unit.
+Metrics are named as `metric_catalogue` says, or "*.KIND" for all joints or links; limits are in the metric's own unit.
 """
 
 from collections.abc import Callable, Collection
@@ -10,7 +10,7 @@ from dataclasses import fields
 from typing import Any
 
 from rfem_jax.description.errors import Checks, InputError, Problems, require_choice, suggestion
-from rfem_jax.description.metric_catalogue import JOINT_METRICS, RUN_METRICS, never_negative, unit_of
+from rfem_jax.description.metric_catalogue import kind_and_owner, known_names, never_negative, unit_of
 from rfem_jax.description.units import DIMENSIONS, Quantity, quantity, short
 
 MOST = 10**9  # of whole numbers without a bound of their own
@@ -31,10 +31,10 @@ def metric_names(names: object) -> tuple[str, ...]:
         )
     problems = []
     for name in names:
-        joint, dot, kind = name.rpartition(".") if isinstance(name, str) else ("", "", "")
-        if isinstance(name, str) and (name in RUN_METRICS or (joint and dot and kind in JOINT_METRICS)):
+        kind, owner = kind_and_owner(name) if isinstance(name, str) else (None, "")
+        if kind is not None:
             continue
-        known = [f"{joint or '*'}.{kind}" for kind in JOINT_METRICS] + list(RUN_METRICS)
+        known = known_names(owner or "*")
         problems.append(
             f"Argument `metrics` must hold names of metrics, but {name!r} is none; {suggestion(name, known)}"
         )
@@ -70,7 +70,7 @@ def _limit(name: Any, limit: Any) -> tuple[float, float]:
         raise InputError(
             f"Argument `limits` must give a largest value or [low, high], but `{name}` has "
             f"{short(repr(limit))}; write a number in the metric's unit (inf and -inf are open ends), or a string with "
-            'a unit for an angle, a length, a force or a moment, as "30 deg".'
+            'a unit for an angle, a length, a force or the like, as "30 deg".'
         )
     if isinstance(name, str) and never_negative(name) and pair[1] <= 0.0:
         raise InputError(
@@ -87,7 +87,7 @@ def _in_metrics_unit(name: Any, limit: str) -> Any:
     return limit if dimension is None else quantity(limit, dimension, f"`limits` of `{name}`")
 
 
-_DIMENSIONS = {DIMENSIONS[name][1]: name for name in ("angle", "length", "force", "moment")}
+_DIMENSIONS = {DIMENSIONS[name][1]: name for name in ("angle", "length", "force", "moment", "mass", "pressure", "time")}
 
 
 def starts_of(starts: object) -> dict[str, int]:

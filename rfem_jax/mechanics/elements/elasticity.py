@@ -20,7 +20,7 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float
 
-from rfem_jax.mechanics.algebra import apply_transposed
+from rfem_jax.mechanics.algebra import apply_transposed, invert_block
 from rfem_jax.mechanics.elements import exact_elements
 from rfem_jax.mechanics.elements.exact_elements import SpringBlocks, from_left, spring_blocks, to_left
 from rfem_jax.mechanics.kinematics import RelativeMotion, relative_motion
@@ -82,6 +82,28 @@ def deflections(actual: ModelWithErrors, state: State) -> tuple[Float[Array, "6 
     relative = relative_motion(actual, state.position, state.velocity)
     deflected = exact_elements.deflections(actual, state.position.elastic[:3], relative)
     return deflected.stretch, deflected.rate
+
+
+def section_loads(actual: ModelWithErrors, state: State, relative: RelativeMotion) -> Float[Array, "6 rfes"]:
+    """Force [N] and moment [N m] that the right side of every sde exerts on its left one, in the element's own axes
+    (linear elements: those of the link)."""
+    if actual.topology.exact:
+        deflected = exact_elements.deflections(actual, state.position.elastic[:3], relative)
+        return exact_elements.section_loads(actual, deflected)
+    stretch, rate = _linear_deflections(actual, state)
+    return actual.stiffness * (stretch + actual.damping[None] * rate)
+
+
+def wrenches_of_left(
+    actual: ModelWithErrors, state: State, relative: RelativeMotion
+) -> tuple[Float[Array, "3 rfes"], Float[Array, "3 rfes"]]:
+    """Force [N] and moment [N m] that the sde on the left of every free rfe exerts on its middle, in link axes."""
+    if actual.topology.exact:
+        deflected = exact_elements.deflections(actual, state.position.elastic[:3], relative)
+        force, moments = exact_elements.on_both_rfes(actual, deflected)
+        return -force, moments[:, 0]
+    on_right = -_face_transposed(section_loads(actual, state, relative), actual.lever_right)
+    return on_right[:3], apply_transposed(invert_block(relative.rate_matrix), on_right[3:])
 
 
 def elastic_energy(actual: ModelWithErrors, position: Coordinates) -> Float[Array, ""]:

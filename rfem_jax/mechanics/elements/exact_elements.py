@@ -144,17 +144,37 @@ def wrenches(
 ) -> tuple[Float[Array, "3 rfes"], Float[Array, "3 rfes"]]:
     """Force [N] and moment [N m] of springs and dampers on the free rfes, at their middles in link axes:
     the stresses under the transposed Jacobian of the deflections."""
+    force, moments = on_both_rfes(actual, deflected)
+    on_left = to_left(actual, jnp.concatenate([force, moments[:, 1]]))
+    return on_left[:3] - force, on_left[3:] + moments[:, 0]
+
+
+def on_both_rfes(
+    actual: ModelWithErrors, deflected: ExactDeflections
+) -> tuple[Float[Array, "3 rfes"], Float[Array, "3 2 rfes"]]:
+    """Of every sde the force [N] on its left rfe, minus that on its right one, and the moments [N m] on the right and
+    the left one at their middles, in link axes."""
+    force, couple, shared = _midway_loads(actual, deflected)
+    in_link = jnp.stack([force, -couple - shared, couple - shared], axis=1)
+    in_link = product(transpose(deflected.midway), in_link)
+    force = in_link[:, 0]
+    return force, in_link[:, 1:] - cross(deflected.arms, jnp.stack([force, -force], axis=1))
+
+
+def section_loads(actual: ModelWithErrors, deflected: ExactDeflections) -> Float[Array, "6 rfes"]:
+    """Force [N] and moment [N m] that the right side of every sde exerts on its left one, about the middle of both
+    faces and in the axes of M."""
+    force, couple, _ = _midway_loads(actual, deflected)
+    return jnp.concatenate([force, couple])
+
+
+def _midway_loads(actual: ModelWithErrors, deflected: ExactDeflections) -> tuple[Array, Array, Array]:
+    """Force and moment of every sde in the axes of M, and the moment of the force about either face."""
     stress = actual.stiffness * (deflected.stretch + actual.damping[None] * deflected.rate)
     force, gap = stress[:3], deflected.stretch[:3]
     couple = _tangent(deflected.half, deflected.f, deflected.g, stress[3:])
     shared = 0.5 * cross(force, gap)  # by the rotation of the midway frame, which is half that of either side
-    couple = couple + cross(deflected.quarter, shared)
-    in_link = jnp.stack([force, -couple - shared, couple - shared], axis=1)
-    in_link = product(transpose(deflected.midway), in_link)
-    force = in_link[:, 0]
-    moments = in_link[:, 1:] - cross(deflected.arms, jnp.stack([force, -force], axis=1))
-    on_left = to_left(actual, jnp.concatenate([force, moments[:, 1]]))
-    return on_left[:3] - force, on_left[3:] + moments[:, 0]
+    return force, couple + cross(deflected.quarter, shared), shared
 
 
 def from_left(actual: ModelWithErrors, values: Float[Array, "k rfes"]) -> Float[Array, "k rfes"]:

@@ -393,12 +393,18 @@ def static_loads(
     model: Model, actual: ModelWithErrors, state: State, multipliers: Float[Array, " constraints"]
 ) -> loads.JointLoads:
     """Joint loads at rest, the moment that holds a joint included."""
-    motion = motion_of(actual, state)
     at_rest = jnp.zeros((3, actual.mass.shape[0]))
-    cuts = closure(actual, motion, length_scale(model))
-    at_nodes = frame_loads(actual, motion, None)
-    resting = loads.Resting(motion, cuts, multipliers, law_forces(actual, state), at_nodes)
+    resting = closed_at_rest(model, actual, state, multipliers)
     return loads.chain_loads(actual, resting, at_rest, at_rest, DriveInput())[0]
+
+
+def closed_at_rest(
+    model: Model, actual: ModelWithErrors, state: State, multipliers: Float[Array, " constraints"]
+) -> loads.Resting:
+    """What the loads of a mechanism at rest follow from."""
+    motion = motion_of(actual, state)
+    cuts, at_nodes = closure(actual, motion, length_scale(model)), frame_loads(actual, motion, None)
+    return loads.Resting(motion, cuts, multipliers, law_forces(actual, state), at_nodes)
 
 
 def named(model: Model, joint_loads: loads.JointLoads) -> dict[str, Load]:

@@ -65,7 +65,7 @@ def act(arguments: argparse.Namespace) -> Answer:
     written: list[Path] = []
     try:
         written += write_files(folder, study, runs, summaries)
-        written += _write_pictures(folder, study, runs, summaries)
+        written += write_run_pictures(folder, study, runs, summaries)
         written += _write_animation(folder, runs)
     except OSError as problem:
         raise cannot_write(folder, problem) from problem
@@ -140,7 +140,8 @@ def _simulate(study: Study, folder: Path) -> dict[str, Run]:
     return runs
 
 
-def _write_pictures(folder: Path, study: Study, runs: dict[str, Run], summaries: Summaries) -> list[Path]:
+def write_run_pictures(folder: Path, study: Study, runs: dict[str, Run], summaries: Summaries) -> list[Path]:
+    """Draw the pictures of a run, unless matplotlib is missing, which is said."""
     try:
         import matplotlib  # noqa: F401
     except ImportError:

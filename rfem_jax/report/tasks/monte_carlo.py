@@ -130,7 +130,7 @@ class MonteCarloReport(TaskReport[MonteCarloTask, MonteCarloResult]):
 
     def simulations(self) -> list[str]:
         n, specified, chunk = self.task.n, self.tolerances, self.task.batch
-        factors = len(specified.independent) + len(specified.correlated)
+        factors = len(specified.independent) + len(specified.correlated) + len(specified.zones)
         count = n * (factors + 2) if self.task.sobol_indices else n
         told = [f"{count} simulations in chunks of {min(chunk, count)}"]
         if self.task.control_variate:

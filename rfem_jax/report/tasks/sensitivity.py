@@ -26,6 +26,7 @@ from rfem_jax.report.tasks.task_report import TaskReport
 from rfem_jax.text_layout import align_columns, wrap_lines
 from rfem_jax.tolerancing import Tolerances
 from rfem_jax.tolerancing import sensitivity as differentiate
+from rfem_jax.tolerancing.contributions import VarianceShares
 from rfem_jax.tolerancing.sensitivities import Sensitivities
 
 UNDAMPED = (
@@ -92,10 +93,13 @@ class SensitivityReport(TaskReport[SensitivityTask, Derivatives]):
         return [f"1 simulation with {order} derivatives by {len(self.tolerances.names)} errors{twice}"]
 
     def draw(self, result: Derivatives) -> dict[str, Figure]:
-        return {
+        figures = {
             "heat_map": heat_map_figure(self.study, result.found),
             "tornado": tornado_figure(self.study, result.found),
         }
+        if result.found.shares is not None:
+            figures["contributions"] = contributions_figure(self.study, result.found, result.found.shares)
+        return figures
 
 
 def finer_method(method: Method) -> Method:
@@ -120,6 +124,8 @@ def sensitivity_text(result: Sensitivities, undamped: bool) -> str:
         head = "Combination of errors (in tolerances) that raises each metric most: the first "
         head += "principal direction"
         parts.append("\n".join([head, *lines]))
+    if result.shares is not None:
+        parts.append(result.shares_table())
     if result.gradient_change is not None:
         header = ["metric", "largest change of a gradient", "change of the Hessian"]
         changes = [np.nan] * len(result.metrics)
@@ -144,6 +150,12 @@ def _metric_content(result: Sensitivities, m: int) -> dict[str, Any]:
         "gradient": dict(zip(result.names, result.gradient[m], strict=True)),
         "effects": {row["error"]: row["effect"] for row in rows},
     }
+    if result.shares is not None:
+        labels = ["+".join(factor) for factor in result.shares.factors]
+        one["standard_deviation"] = result.shares.std[m]
+        for word in ("linear", "first_order", "total"):
+            parts = getattr(result.shares, word)[m]
+            one[f"variance_{word}_percent"] = dict(zip(labels, 100.0 * parts, strict=True))
     if result.hessian is not None:
         pairs = result.principal_directions(metric)
         one["hessian"] = result.hessian[m]
@@ -235,6 +247,36 @@ def tornado_figure(study: Study, result: Sensitivities) -> Figure:
     heading = "Change by each error alone at the ends of its tolerance (quadratic model)"
     if left_out > 0:
         heading += f"; {left_out} more metrics are in the tables"
+    add_titles(figure, heading, study)
+    return figure
+
+
+def contributions_figure(study: Study, result: Sensitivities, shares: VarianceShares) -> Figure:
+    """Part of every error in the variance of each metric: by gradients alone, alone, and with all others."""
+    shown = min(len(result.metrics), MOST_PANELS)
+    labels = ["\n".join(factor) for factor in shares.factors]
+    lines = sum(0.3 + 0.12 * len(factor) for factor in shares.factors)
+    figure = new_figure(8.4, -(-shown // 2) * (lines + 1.25) + 1.6)
+    panels, add_shared_legend = panel_grid(figure, shown)
+    kinds = ((shares.linear, "by gradients alone"), (shares.first_order, "first order"), (shares.total, "total"))
+    for metric, axes in enumerate(panels):
+        order = np.argsort(np.nan_to_num(shares.total[metric]), kind="stable")
+        places = np.arange(len(order))
+        for index, (parts, word) in enumerate(kinds):
+            axes.barh(
+                places + 0.26 * (1 - index), 100.0 * parts[metric][order], 0.26, color=BAR_COLOURS[index],
+                hatch=HATCHES[index], edgecolor="black", linewidth=0.6, label=word,
+            )  # fmt: skip
+        axes.set_yticks(places, [labels[i] for i in order])
+        axes.tick_params(axis="y", length=0)
+        axes.grid(visible=False, axis="y")
+        axes.set_xlim(0.0, 100.0)
+        axes.set_title(result.labels[metric], loc="left")
+        axes.set_xlabel("part of the variance, %")
+    add_shared_legend(*panels[0].get_legend_handles_labels())
+    left_out = len(result.metrics) - shown
+    heading = "What each error contributes to the variance within the tolerances (quadratic model)"
+    heading += f"; {left_out} more metrics are in the tables" if left_out else ""
     add_titles(figure, heading, study)
     return figure
 

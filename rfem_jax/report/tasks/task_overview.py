@@ -37,10 +37,17 @@ def _tolerances_text(study: Study, tolerances: SpecifiedTolerances) -> str:
         shape = one.distribution.replace("_", " ")
         if one.deviations is not None:
             shape += f", {one.deviations:g} deviations in the half-width"
+        if one.cpk is not None:
+            shape += f", cpk {one.cpk:g} at the {one.side or 'upper'} limit"
         rows.append([one.error, low, high, shape])
     for number, group in enumerate(tolerances.correlated, start=1):
         for error, width in group.half_widths.items():
             unit = deviation_unit(study.mechanism, error)
             low, high = (format_error("", end, unit).removeprefix(" = ") for end in (-width, width))
             rows.append([error, low, high, f"normal, correlated in group {number}"])
+    for zone in tolerances.zones:
+        for error, width in zone.half_widths().items():
+            unit = study.mechanism.error_unit(error)
+            low, high = (format_error("", end, unit).removeprefix(" = ") for end in (-width, width))
+            rows.append([error, low, high, f"zone {zone.name}, {zone.zone} of {1e3 * zone.diameter:g} mm"])
     return format_table(["tolerance", "from", "to", "distribution"], rows, words=(0, 3))

@@ -39,7 +39,7 @@ class WorstCaseReport(TaskReport[WorstCaseTask, dict[str, WorstCase]]):
         tolerances = Tolerances.of(self.study)
         keys = jax.random.split(jax.random.key(task.seed), len(task.metrics))
         on_stage("Expanding to second order")
-        centre = {name: float(mean) for name, mean in tolerances.means().items()}
+        centre = {name: float(mean) for name, mean in tolerances.centres().items()}
         mode = choose_mode(task.mode, len(tolerances.names), 1)  # that of the searches: one program
         model = expand_by_differences(problem, centre, tolerances, mode=mode, batch=task.batch)
         corners: Any = "auto" if task.corners is None else task.corners
@@ -88,7 +88,11 @@ class WorstCaseReport(TaskReport[WorstCaseTask, dict[str, WorstCase]]):
     def simulations(self) -> list[str]:
         task, errors = self.task, len(self.tolerances.names)
         starts = sum(task.starts.values())
-        every = task.region == "box" and (errors <= EXHAUSTIVE if task.corners is None else task.corners)
+        every = (
+            task.region == "box"
+            and not self.tolerances.zones
+            and (errors <= EXHAUSTIVE if task.corners is None else task.corners)
+        )
         corners = f" and {2**errors} corners" if every else ""
         return [
             f"{1 + 4 * errors} simulations with first derivatives by {errors} errors, for the quadratic model",

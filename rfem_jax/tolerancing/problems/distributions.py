@@ -8,7 +8,8 @@ function, which is differentiable in the half-width t.
     Triangular       e = c + t s (1 - sqrt(1 - |2u - 1|)), s = sign(2u-1)  variance t^2/6
     Normal           e = c + sigma z(u),  sigma = t/k                     variance sigma^2
     TruncatedNormal  the same cut off at c +- t                           variance < sigma^2
-    CorrelatedNormal e = mean + L z(u),   L L^T = covariance S            several errors at once
+    ProcessNormal    the same with a mean off the middle and sigma by the capability of a process
+    CorrelatedNormal, Zone   several errors at once, see `joint_distributions`
 
 Symbols: t half-width [rad or m], c centre of the interval [rad or m], k standard deviations within the half-width (3
 unless given: 99.73 % of a normal error lies inside), z(u) standard normal quantile, u (d,) point of the unit cube,
@@ -26,15 +27,19 @@ import jax.core
 import jax.numpy as jnp
 import jax.scipy.linalg
 import numpy as np
-from jax.scipy.special import ndtr, ndtri
+from jax.scipy.special import erf, ndtr, ndtri
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.precision import require_float64
 from rfem_jax.description.study import Study
-from rfem_jax.description.tolerances import SpecifiedTolerances
+from rfem_jax.description.tolerances import SpecifiedTolerance, SpecifiedTolerances
 from rfem_jax.tolerancing.checks import DIMENSIONS, check_known, parse_error
+from rfem_jax.tolerancing.problems.capability import mean_shift
+from rfem_jax.tolerancing.problems.joint_distributions import CorrelatedNormal as CorrelatedNormal
+from rfem_jax.tolerancing.problems.joint_distributions import Zone as Zone
+from rfem_jax.tolerancing.problems.joint_distributions import checked_number
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem
 
 
@@ -67,7 +72,19 @@ class Tolerance(eqx.Module):
         """Variance of the error [rad^2 or m^2]."""
         return self.tolerance**2 * self._unit_variance()
 
+    @property
+    def mean(self) -> Float[Array, ""]:
+        """Mean error [rad or m]."""
+        return self.centre
+
+    def from_normal(self, w: Float[Array, "*shape"] | float) -> Float[Array, "*shape"]:
+        """The errors [rad or m] of standard normal numbers w: those of `quantile` at u = N(w), exact far out too."""
+        return self.centre + self.tolerance * self._unit_from_normal(w)
+
     def _unit_quantile(self, u):
+        raise NotImplementedError
+
+    def _unit_from_normal(self, w):
         raise NotImplementedError
 
     def _unit_variance(self):
@@ -80,6 +97,9 @@ class Uniform(Tolerance):
     def _unit_quantile(self, u):
         return 2.0 * u - 1.0
 
+    def _unit_from_normal(self, w):
+        return erf(w / jnp.sqrt(2.0))
+
     def _unit_variance(self):
         return 1.0 / 3.0
 
@@ -90,6 +110,9 @@ class Triangular(Tolerance):
     def _unit_quantile(self, u):
         v = 2.0 * u - 1.0
         return jnp.sign(v) * (1.0 - jnp.sqrt(1.0 - jnp.abs(v)))
+
+    def _unit_from_normal(self, w):
+        return _odd(w, lambda x: 1.0 - jnp.sqrt(2.0 * ndtr(-x)))
 
     def _unit_variance(self):
         return 1.0 / 6.0
@@ -108,10 +131,13 @@ class Normal(Tolerance):
         deviations: ArrayLike = 3.0,
     ):
         super().__init__(tolerance, interval=interval)
-        self.deviations = _number(deviations, "deviations", positive=True)
+        self.deviations = checked_number(deviations, "deviations", positive=True)
 
     def _unit_quantile(self, u):
         return ndtri(u) / self.deviations
+
+    def _unit_from_normal(self, w):
+        return w / self.deviations
 
     def _unit_variance(self):
         return 1.0 / self.deviations**2
@@ -125,77 +151,67 @@ class TruncatedNormal(Normal):
         inside = below + jnp.asarray(u) * (1.0 - 2.0 * below)
         return jnp.clip(ndtri(inside) / self.deviations, -1.0, 1.0)
 
+    def _unit_from_normal(self, w):
+        below = ndtr(-self.deviations)
+        return _odd(w, lambda x: -ndtri(below + ndtr(-x) * (1.0 - 2.0 * below)) / self.deviations)
+
     def _unit_variance(self):
         k = self.deviations
         density = jnp.exp(-0.5 * k**2) / jnp.sqrt(2.0 * jnp.pi)
         return (1.0 - 2.0 * k * density / (1.0 - 2.0 * ndtr(-k))) / k**2
 
 
-# By their names in study files.
-DISTRIBUTIONS = {"uniform": Uniform, "triangular": Triangular, "normal": Normal, "truncated_normal": TruncatedNormal}
+class ProcessNormal(Normal):
+    """Normal, as a process of known capability makes the error; the interval is that of the drawing.
 
-
-class CorrelatedNormal(eqx.Module):
-    """Several normal errors with a covariance.
-
-    Args: names (d) of the errors; covariance S (d, d), symmetric positive definite [rad^2, m^2, rad m]; mean (d,)
-        [rad or m], zero unless given; deviations k that count as the half-width.
-    Raises: InputError for repeated names, wrong shapes, and an S that is not positive definite.
+    Args: cp, width of the interval / 6 sigma; cpk, the distance of the mean to the nearer end / 3 sigma, cp (a centred
+        process) unless given; side "upper" or "lower", the end that the mean is nearer to.
+    Raises: InputError for a cpk above cp, and for what `Normal` refuses.
     """
 
-    names: tuple[str, ...] = eqx.field(static=True)
-    covariance: Float[Array, "d d"]
-    mean: Float[Array, " d"]
-    deviations: Float[Array, ""]
+    shift: Float[Array, ""]
 
     def __init__(
         self,
-        names: Iterable[str],
-        covariance: ArrayLike | Sequence[Sequence[float | int]],
+        tolerance: ArrayLike | str | None = None,
         *,
-        mean: ArrayLike | Sequence[float | int] | None = None,
-        deviations: ArrayLike = 3.0,
+        interval: Sequence[ArrayLike | str] | None = None,
+        cp: ArrayLike,
+        cpk: ArrayLike | None = None,
+        side: str = "upper",
     ):
-        require_float64()
-        self.names = tuple(names)
-        d = len(self.names)
-        self.covariance = jnp.asarray(covariance, jnp.float64)
-        self.mean = jnp.zeros(d) if mean is None else jnp.asarray(mean, jnp.float64)
-        self.deviations = _number(deviations, "deviations", positive=True)
-        if len(set(self.names)) != d:
-            raise InputError(f"Argument `names` must not repeat a name, but it is {self.names}; merge the rows.")
-        for what, array, shape in (
-            ("covariance", self.covariance, (d, d)),
-            ("mean", self.mean, (d,)),
-        ):
-            if array.shape != shape:
-                raise InputError(
-                    f"Argument `{what}` must have the shape {shape} of its {d} names, but it has "
-                    f"{array.shape}; give one row per name."
-                )
-        if not isinstance(self.covariance, jax.core.Tracer):
-            _check_covariance(np.asarray(self.covariance))
+        ratio = checked_number(cp, "cp", positive=True)
+        nearer = ratio if cpk is None else checked_number(cpk, "cpk")
+        super().__init__(tolerance, interval=interval, deviations=3.0 * ratio)
+        self.shift = mean_shift(ratio, nearer, side)
 
-    def quantile(self, u: Float[Array, " d"]) -> Float[Array, " d"]:
-        """Errors (d,) [rad or m] of a point u (d,) of the unit cube."""
-        return self.mean + jnp.linalg.cholesky(self.covariance) @ ndtri(u)
+    @property
+    def mean(self) -> Float[Array, ""]:
+        return self.centre + self.tolerance * self.shift
 
-    def half_widths(self) -> Float[Array, " d"]:
-        """k standard deviations of each error (d,) [rad or m]."""
-        return self.deviations * jnp.sqrt(jnp.diagonal(self.covariance))
+    def _unit_quantile(self, u):
+        return self.shift + super()._unit_quantile(u)
+
+    def _unit_from_normal(self, w):
+        return self.shift + super()._unit_from_normal(w)
+
+
+# By their names in study files.
+DISTRIBUTIONS = {"uniform": Uniform, "triangular": Triangular, "normal": Normal, "truncated_normal": TruncatedNormal}
 
 
 class Tolerances(eqx.Module):
     """Named tolerances: the box, the distribution and the covariance of all errors of a study.
 
-    Args: tolerances {error name: Uniform, Triangular, Normal or TruncatedNormal}; correlated, a sequence of
-        CorrelatedNormal groups. Names and coordinates of the unit cube have the order of the mapping, then of the
-        groups. Different entries are independent of each other.
+    Args: tolerances {error name: Uniform, Triangular, Normal, ProcessNormal or TruncatedNormal}; correlated, a sequence
+        of CorrelatedNormal groups; zones, of Zone groups. Names and coordinates of the unit cube have the order of the
+        mapping, then of the groups. Different entries are independent of each other.
     Raises: InputError for repeated names, for no name at all, and for objects of another kind.
     """
 
     independent: dict[str, Tolerance]
     correlated: tuple[CorrelatedNormal, ...]
+    zones: tuple[Zone, ...]
     names: tuple[str, ...] = eqx.field(static=True)
 
     def __init__(
@@ -203,23 +219,29 @@ class Tolerances(eqx.Module):
         tolerances: Mapping[str, Tolerance] | None = None,
         *,
         correlated: CorrelatedNormal | Iterable[CorrelatedNormal] = (),
+        zones: Zone | Iterable[Zone] = (),
     ):
         self.independent = dict(tolerances or {})
         self.correlated = (correlated,) if isinstance(correlated, CorrelatedNormal) else tuple(correlated)
+        self.zones = (zones,) if isinstance(zones, Zone) else tuple(zones)
         for name, tolerance in self.independent.items():
             if not isinstance(tolerance, Tolerance):
                 raise InputError(
                     f"Argument `tolerances` must map names to tolerances, but `{name}` is "
                     f"{tolerance!r}; write for example Uniform({tolerance!r})."
                 )
-        for group in self.correlated:
-            if not isinstance(group, CorrelatedNormal):
+        for what, groups, kind, example in (
+            ("correlated", self.correlated, CorrelatedNormal, "CorrelatedNormal(names, covariance)"),
+            ("zones", self.zones, Zone, "Zone(names, matrix, balls)"),
+        ):
+            wrong = [group for group in groups if not isinstance(group, kind)]
+            if wrong:
                 raise InputError(
-                    "Argument `correlated` must hold CorrelatedNormal groups, but one entry is "
-                    f"{group!r}; write CorrelatedNormal(names, covariance)."
+                    f"Argument `{what}` must hold {kind.__name__} groups, but one entry is {wrong[0]!r}; "
+                    f"write {example}."
                 )
         # A dict is a pytree with sorted keys; the order of the names is the user's.
-        self.names = (*self.independent, *(n for g in self.correlated for n in g.names))
+        self.names = (*self.independent, *(n for g in self.groups for n in g.names))
         repeated = next((n for i, n in enumerate(self.names) if n in self.names[:i]), None)
         if repeated is not None or not self.names:
             found = "it names none" if repeated is None else f"`{repeated}` occurs twice"
@@ -242,21 +264,24 @@ class Tolerances(eqx.Module):
                 f"Argument `study` must be a study with tolerances, but {found}; add a table [tolerances], or write "
                 "Tolerances({...})."
             )
-        independent = {}
-        for one in specified.independent:
-            settings = {} if one.deviations is None else {"deviations": one.deviations}
-            independent[one.error] = DISTRIBUTIONS[one.distribution](interval=one.interval, **settings)
+        independent = {one.error: _distribution(one) for one in specified.independent}
         groups = [
             CorrelatedNormal(group.half_widths, group.covariance(), deviations=group.deviations)
             for group in specified.correlated
         ]
-        return cls(independent, correlated=groups)
+        zones = [Zone(zone.errors, zone.matrix(), zone.balls) for zone in specified.zones]
+        return cls(independent, correlated=groups, zones=zones)
+
+    @property
+    def groups(self) -> tuple[CorrelatedNormal | Zone, ...]:
+        """The groups of errors that vary together, in the order of `names`."""
+        return (*self.correlated, *self.zones)
 
     @property
     def factors(self) -> tuple[tuple[str, ...], ...]:
         """Independent sources of scatter, each a tuple of names: single errors, then correlated groups."""
         single = tuple((name,) for name, _ in self._single())
-        return single + tuple(group.names for group in self.correlated)
+        return single + tuple(group.names for group in self.groups)
 
     def _single(self):
         """(name, tolerance) of the errors outside of groups, in the order of `names`."""
@@ -266,57 +291,68 @@ class Tolerances(eqx.Module):
         """{name: error [rad or m]} of one point (d,) of the unit cube."""
         single = self._single()
         errors = {name: tol.quantile(point[i]) for i, (name, tol) in enumerate(single)}
-        position = len(single)
-        for group in self.correlated:
-            drawn = group.quantile(point[position : position + len(group.names)])
+        return errors | self._of_groups(point, lambda group, part: group.quantile(part))
+
+    def from_normal(self, w: Float[Array, " d"]) -> dict[str, Float[Array, ""]]:
+        """{name: error [rad or m]} of standard normal numbers w (d,): `errors` at N(w), exact far out too."""
+        errors = {name: tol.from_normal(w[i]) for i, (name, tol) in enumerate(self._single())}
+        return errors | self._of_groups(w, lambda group, part: group.from_normal(part))
+
+    def _of_groups(self, point, draw):
+        errors, position = {}, len(self.independent)
+        for group in self.groups:
+            drawn = draw(group, point[position : position + len(group.names)])
             errors |= {name: drawn[i] for i, name in enumerate(group.names)}
             position += len(group.names)
         return errors
 
     def half_widths(self) -> dict[str, Float[Array, ""]]:
-        """{name: half-width [rad or m]}; for a correlated error k standard deviations."""
+        """{name: half-width [rad or m]}; for a correlated error k standard deviations, for one of a zone its reach."""
         widths = {name: tol.tolerance for name, tol in self._single()}
-        for group in self.correlated:
+        for group in self.groups:
             widths |= dict(zip(group.names, group.half_widths(), strict=True))
         return widths
 
     def intervals(self) -> dict[str, tuple[Float[Array, ""], Float[Array, ""]]]:
         """{name: (low, high) [rad or m]}, the box; normal errors lie outside of it now and then."""
-        means, widths = self.means(), self.half_widths()
-        return {n: (means[n] - widths[n], means[n] + widths[n]) for n in self.names}
+        centres, widths = self.centres(), self.half_widths()
+        return {n: (centres[n] - widths[n], centres[n] + widths[n]) for n in self.names}
+
+    def centres(self) -> dict[str, Float[Array, ""]]:
+        """{name: middle of the interval [rad or m]}, which is the mean but for a `ProcessNormal` off its middle."""
+        return self.means() | {name: tol.centre for name, tol in self._single()}
 
     def means(self) -> dict[str, Float[Array, ""]]:
-        """{name: mean error [rad or m]}; zero where the interval is symmetric about zero."""
-        means = {name: tol.centre for name, tol in self._single()}
-        for group in self.correlated:
+        """{name: mean error [rad or m]}."""
+        means = {name: tol.mean for name, tol in self._single()}
+        for group in self.groups:
             means |= dict(zip(group.names, group.mean, strict=True))
         return means
 
     def covariance(self) -> Float[Array, "d d"]:
         """Covariance (d, d) of the errors [rad^2, m^2, rad m], in the order of `names`."""
         blocks = [tol.variance()[None, None] for _, tol in self._single()]
-        blocks += [group.covariance for group in self.correlated]
+        blocks += [group.covariance for group in self.groups]
         return jax.scipy.linalg.block_diag(*blocks)
 
     def with_half_widths(self, half_widths: Mapping[str, ArrayLike]) -> "Tolerances":
         """The same distributions about the same centres with new half-widths {name: [rad or m]}.
 
-        A correlated group keeps its correlations. Names that are missing keep their width.
+        A correlated group keeps its correlations, a zone its shape. Names that are missing keep their width.
         Raises: InputError for unknown names.
         """
         check_known(half_widths, self.names, "half_widths")
         independent = {}
         for name, tol in self._single():
-            width = _number(half_widths.get(name, tol.tolerance), "half_widths")
+            width = checked_number(half_widths.get(name, tol.tolerance), "half_widths")
             independent[name] = eqx.tree_at(lambda t: t.tolerance, tol, width)
         groups = []
-        for group in self.correlated:
+        for group in self.groups:
             old = dict(zip(group.names, group.half_widths(), strict=True))
             new = [jnp.asarray(half_widths.get(name, old[name])) for name in group.names]
-            scale = jnp.stack(new) / group.half_widths()
-            covariance = group.covariance * jnp.outer(scale, scale)
-            groups.append(eqx.tree_at(lambda g: g.covariance, group, covariance))
-        return Tolerances(independent, correlated=groups)
+            groups.append(group.scaled(jnp.stack(new) / group.half_widths()))
+        number = len(self.correlated)
+        return Tolerances(independent, correlated=groups[:number], zones=groups[number:])
 
     def require_units(self, problem: ToleranceProblem) -> None:
         """Raise InputError for an angle with a tolerance given as a length, or the other way round."""
@@ -329,26 +365,22 @@ class Tolerances(eqx.Module):
                 )
 
 
+def _distribution(one: SpecifiedTolerance) -> Tolerance:
+    """The distribution of one error on its own."""
+    if one.cp is not None:
+        return ProcessNormal(interval=one.interval, cp=one.cp, cpk=one.cpk, side=one.side or "upper")
+    settings = {} if one.deviations is None else {"deviations": one.deviations}
+    return DISTRIBUTIONS[one.distribution](interval=one.interval, **settings)
+
+
+def _odd(w, half):
+    """The odd function of w that is half(w) for w >= 0."""
+    return jnp.where(w >= 0.0, half(jnp.abs(w)), -half(jnp.abs(w)))
+
+
 def distributions_of(tolerances: Any) -> Any:
     """`Tolerances` of a study or of what it specifies; anything else as it is."""
     return Tolerances.of(tolerances) if isinstance(tolerances, (Study, SpecifiedTolerances)) else tolerances
-
-
-def _number(value, what: str, positive: bool = False) -> Float[Array, ""]:
-    """`value` as a float64 scalar; traced values pass unchecked. Raises InputError."""
-    require_float64()
-    try:
-        number = jnp.asarray(value, jnp.float64)
-    except (TypeError, ValueError):
-        number = None
-    if number is None or number.ndim:
-        raise InputError(f"Argument `{what}` must be one number, but it is {value!r}.")
-    if not isinstance(number, jax.core.Tracer):
-        if not (np.isfinite(number) and (number > 0 if positive else number >= 0)):
-            bound = "positive" if positive else "zero or positive"
-            fix = "3 is usual" if positive else "give a half-width in rad or m"
-            raise InputError(f"Argument `{what}` must be {bound} and finite, but it is {value}; {fix}.")
-    return number
 
 
 def _half_width_and_centre(tolerance, interval) -> tuple[Float[Array, ""], Float[Array, ""], str | None]:
@@ -361,7 +393,7 @@ def _half_width_and_centre(tolerance, interval) -> tuple[Float[Array, ""], Float
         )
     if interval is None:
         value, unit = _parsed(tolerance, "tolerance")
-        return _number(value, "tolerance"), jnp.zeros((), jnp.float64), unit
+        return checked_number(value, "tolerance"), jnp.zeros((), jnp.float64), unit
     if len(interval) != 2:
         raise InputError(f"Argument `interval` must be a pair (low, high), but it is {interval!r}.")
     require_float64()
@@ -383,18 +415,3 @@ def _half_width_and_centre(tolerance, interval) -> tuple[Float[Array, ""], Float
 def _parsed(value, what: str):
     """(number, unit) of a string, (value, None) of anything else."""
     return parse_error(value, what) if isinstance(value, str) else (value, None)
-
-
-def _check_covariance(covariance: Float[np.ndarray, "d d"]) -> None:
-    scale = np.sqrt(np.abs(np.outer(np.diag(covariance), np.diag(covariance))))
-    symmetric = np.all(np.abs(covariance - covariance.T) <= 1e-12 * scale)
-    positive = False
-    if symmetric and np.all(np.isfinite(covariance)) and np.all(np.diag(covariance) > 0):
-        deviation = np.sqrt(np.diag(covariance))
-        positive = np.linalg.eigvalsh(covariance / np.outer(deviation, deviation))[0] > 1e-14
-    if not positive:
-        found = "has an eigenvalue that is not" if symmetric else "is not symmetric"
-        raise InputError(
-            f"Argument `covariance` must be symmetric and positive definite, but it {found}; "
-            "leave out errors that follow from the others."
-        )

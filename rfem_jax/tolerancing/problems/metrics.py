@@ -7,18 +7,20 @@ imported from there, adds a kind of your own; a metric that needs no name of its
 a function.
 """
 
+from rfem_jax.description.design_metrics import STRESS_POWER
+from rfem_jax.description.design_metrics import peak_stress as stress_norm
 from rfem_jax.description.errors import InputError, suggestion
 from rfem_jax.description.metric_catalogue import (
-    JOINT_METRICS,
     PEAK_POWER,
-    RUN_METRICS,
     MetricKind,
+    kind_and_owner,
+    known_names,
     p_norm,
     register_metric,
 )
 from rfem_jax.tolerancing.problems.problem import Metric
 
-__all__ = ["Metric", "end_angle", "joint_of", "metric", "peak_force", "peak_moment", "register_metric"]
+__all__ = ["Metric", "end_angle", "metric", "peak_force", "peak_moment", "peak_stress", "register_metric"]
 
 _made: dict[str, tuple[MetricKind, Metric]] = {}
 
@@ -29,21 +31,14 @@ def metric(name: str) -> Metric:
 
     Raises: InputError for an unknown name, with the nearest.
     """
-    joint, _, kind = name.rpartition(".")
-    entry = JOINT_METRICS.get(kind) if joint else RUN_METRICS.get(name)
+    entry, owner = kind_and_owner(name)
     if entry is None:
-        known = [f"{joint or 'A'}.{kind}" for kind in JOINT_METRICS] + list(RUN_METRICS)
+        known = known_names(owner or "A")
         raise InputError(f"Argument `metrics` must name metrics, but {name!r} is none; {suggestion(name, known)}")
     # A kind that was replaced is another entry.
     if name not in _made or _made[name][0] is not entry:
-        _made[name] = entry, _of_joint(entry, joint) if joint else _of_run(entry)
+        _made[name] = entry, _made_of(entry, owner)
     return _made[name][1]
-
-
-def joint_of(one: Metric) -> str | None:
-    """The joint that a metric of the catalogue is of; None for a metric of the whole run and one of the user."""
-    joint, _, kind = one.name.rpartition(".")
-    return joint if joint and kind in JOINT_METRICS else None
 
 
 def peak_force(joint: str, power: int = PEAK_POWER) -> Metric:
@@ -83,10 +78,24 @@ def end_angle(reference: float = 0.0) -> Metric:
     )
 
 
-def _of_joint(kind: MetricKind, joint: str) -> Metric:
-    label = kind.label.replace("{joint}", joint)
-    return Metric(f"{joint}.{kind.name}", kind.unit, label, kind.even, function=lambda run: kind.function(run, joint))
+def peak_stress(link: str, power: int = STRESS_POWER) -> Metric:
+    """Smooth maximum of the von Mises stress [Pa] in a link, with the given even power (theory (8.13))."""
+    return Metric(
+        f"{link}.peak_stress",
+        "Pa",
+        f"{power}-norm of the stress in {link}",
+        even=True,
+        function=lambda run: stress_norm(run, link, power),
+        records=(f"{link}.sections",),
+    )
 
 
-def _of_run(kind: MetricKind) -> Metric:
-    return Metric(kind.name, kind.unit, kind.label, kind.even, function=kind.function)
+def _made_of(kind: MetricKind, owner: str) -> Metric:
+    """The metric of a kind, of a joint or link, or "" for the whole run."""
+    label = kind.label.replace("{joint}", owner).replace("{link}", owner)
+    function = kind.function if kind.of == "run" else lambda run: kind.function(run, owner)
+    records = kind.recorded_for(owner)
+    return Metric(
+        kind.name if not owner else f"{owner}.{kind.name}", kind.unit, label, kind.even, function=function,
+        records=records, description=kind.description,
+    )  # fmt: skip

@@ -39,6 +39,8 @@ class Metric:
 
     `even`: True if the value does not change when all out-of-plane errors of a planar mechanism change sign
     (theory (9.3)), None if unknown. `function`: Run -> scalar; the simulator needs it, a `FunctionProblem` does not.
+    `records`: what the function reads of `run.recorded`, by the names of `simulation.records`; `description`: what it
+    is, in a sentence.
     Raises: InputError for a name that is no word and a function that cannot be called.
     """
 
@@ -47,6 +49,8 @@ class Metric:
     label: str = ""
     even: bool | None = None
     function: Callable[[Any], ArrayLike] | None = field(default=None, kw_only=True)
+    records: tuple[str, ...] = field(default=(), kw_only=True)
+    description: str = field(default="", kw_only=True)
 
     def __post_init__(self):
         if not isinstance(self.name, str) or not self.name:

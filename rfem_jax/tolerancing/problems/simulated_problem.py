@@ -15,9 +15,10 @@ from jaxtyping import Array, Float
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.driven_motions import Drive
 from rfem_jax.description.error_catalogue import error_unit
-from rfem_jax.description.errors import InputError, suggestion
+from rfem_jax.description.errors import InputError
 from rfem_jax.description.methods import Method
-from rfem_jax.description.metric_catalogue import has_metric
+from rfem_jax.description.metric_catalogue import kind_and_owner
+from rfem_jax.description.metric_subjects import JointSubject, LinkSubject, MetricSubjects, require_metric
 from rfem_jax.mechanics.designs import Design, NamedValue, parameters
 from rfem_jax.mechanics.model import Model
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors, assembly_errors
@@ -26,7 +27,7 @@ from rfem_jax.simulation.accuracy import choose_method
 from rfem_jax.simulation.integration import simulate
 from rfem_jax.simulation.run import RESIDUAL_LIMIT
 from rfem_jax.tolerancing.checks import check_distinct, check_known
-from rfem_jax.tolerancing.problems.metrics import joint_of, metric
+from rfem_jax.tolerancing.problems.metrics import metric
 from rfem_jax.tolerancing.problems.problem import Metric, Status, Values
 
 Errors = Mapping[str, ArrayLike | str] | AssemblyErrors
@@ -114,6 +115,11 @@ class Problem(eqx.Module):
         set_to = {} if self.design is None else self.design.values
         return float(set_to.get(known.full, known.value))
 
+    @property
+    def records(self) -> tuple[str, ...]:
+        """What runs record beside their loads, because a metric reads it."""
+        return tuple(dict.fromkeys(name for one in self.metrics for name in one.records))
+
     def describe_status(self, code: int) -> str:
         """Short name of a status code; "ok" for 0."""
         return STATUS[int(code)].name
@@ -155,6 +161,7 @@ class Problem(eqx.Module):
             method=self.method,
             save_every=self.save_every,
             design=self.design,
+            record=self.records,
         )
         forces = jnp.stack([load.force for load in run.loads.values()])
         values = {m.name: jnp.asarray(m(run)) for m in self.metrics}
@@ -182,17 +189,8 @@ def _check_angle(model: Model, metrics: Iterable[Metric]) -> None:
 def _known_metric(model: Model, asked: str | Metric) -> Metric:
     """The metric of a name, or the one given, if the simulator can compute it. Raises InputError."""
     one = metric(asked) if isinstance(asked, str) else asked
-    joint = joint_of(one)
-    if joint is not None and joint not in model.joint_names:
-        raise InputError(
-            f"Argument `metrics` must be of joints of the model, but {one.name!r} is not; "
-            f"{suggestion(joint, model.joint_names)}"
-        )
-    if joint is not None and not _has(model, joint, one.name.rpartition(".")[2]):
-        raise InputError(
-            f"Argument `metrics` must be of joints that have them, but {one.name!r} is not: a cut joint has no "
-            "coordinate, and one of another kind not this one; take another joint."
-        )
+    if kind_and_owner(one.name)[0] is not None:
+        require_metric(one.name, _subjects_of(model), "model")
     if one.function is None:
         raise InputError(
             f"Argument `metrics` must hold metrics with a function of a run, but {one.name!r} has none; write for "
@@ -201,7 +199,20 @@ def _known_metric(model: Model, asked: str | Metric) -> Metric:
     return one
 
 
-def _has(model: Model, joint: str, metric: str) -> bool:
-    topology = model.topology
-    j = topology.joints.index(joint)
-    return has_metric(metric, topology.kind(j).nominal, j in topology.cuts)
+def _subjects_of(model: Model) -> MetricSubjects:
+    """What the metrics of a model can be of."""
+    topology, edges = model.topology, model.section.edges
+    with_friction = {law.joint for law in (model.friction or {}).values()}
+    driven, bearings = {topology.link_of_freedom[k] for k in topology.drives}, model.bearings or {}
+    joints = {
+        name: JointSubject(
+            topology.kind(j).nominal,
+            j in topology.cuts,
+            j in driven,
+            j in with_friction,
+            bearings[name].given if name in bearings else (),
+        )
+        for name, j in ((name, topology.joints.index(name)) for name in model.joint_names)
+    }
+    links = {name: LinkSubject(bool(edges) and edges[l] is not None) for l, name in enumerate(topology.links)}
+    return MetricSubjects(joints, links)

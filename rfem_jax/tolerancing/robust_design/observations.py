@@ -1,9 +1,6 @@
-"""Values and derivatives of a problem at many errors, each computed once and kept for an interrupted search.
+"""Values and derivatives of a problem at many errors, each computed once.
 
 Place in the pipeline: variables, problem -> **observations** -> criteria, search.
-
-A search is deterministic: started again with the same folder, it asks for the same points in the same order, and those
-that are kept there are not computed again.
 
 Symbols: y (p,) variables; z (n, k) standard points; m metrics; values (n, m), NaN where a sample failed.
 """
@@ -18,7 +15,6 @@ from jaxtyping import Bool, Float
 from rfem_jax.tolerancing.problems.evaluation import Base, evaluate_points
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem
 from rfem_jax.tolerancing.problems.quadratic_model import linearise_points
-from rfem_jax.tolerancing.problems.results_store import ResultsStore
 from rfem_jax.tolerancing.robust_design.variables import Variables
 
 
@@ -39,9 +35,8 @@ class Observed(NamedTuple):
 class Observer:
     """Evaluates a problem at variables and standard points.
 
-    Attributes: base, errors with fixed values; mode and batch as of `linearise_points`; store, where evaluations are
-    kept (None: nowhere); told, is called with the number of simulations after every evaluation; simulations, failed:
-    their numbers so far.
+    Attributes: base, errors with fixed values; mode and batch as of `linearise_points`; told, is called with the
+    number of simulations after every evaluation; simulations, failed: their numbers so far.
     """
 
     problem: ToleranceProblem
@@ -49,11 +44,9 @@ class Observer:
     base: Base
     mode: str
     batch: int
-    store: ResultsStore | None = None
     told: Callable[[int], object] | None = None
     simulations: int = 0
     failed: int = 0
-    _asked: int = 0
     _last: dict[bytes, Observed] = field(default_factory=dict)
     _known: dict[bytes, Observed] = field(default_factory=dict)
 
@@ -67,7 +60,7 @@ class Observer:
         if key in self._known:
             return self._known[key]
         if key not in self._last:
-            found = self._kept(points)
+            found = self._compute(points)
             self.simulations += len(points)
             self.failed += int(np.sum(~found.good))
             if self.told is not None:
@@ -91,17 +84,6 @@ class Observer:
         points = self.variables.deviations(y, z)
         self.simulations += len(points)
         return evaluate_points(self.problem, self.variables.names, self.base, points, self.batch)[0]
-
-    def _kept(self, points) -> Observed:
-        index, self._asked = self._asked, self._asked + 1
-        if self.store is None:
-            return self._compute(points)
-        found = self.store.read(index)
-        if found is None or not np.array_equal(found["points"], points):
-            observed = self._compute(points)
-            self.store.write(index, {"points": points, **observed._asdict()})
-            return observed
-        return Observed(found["values"], found["jacobian"])
 
     def _compute(self, points) -> Observed:
         values, jacobian, _ = linearise_points(

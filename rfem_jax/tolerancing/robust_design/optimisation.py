@@ -14,7 +14,6 @@ J. E. Falk, J. Optim. Theory Appl. 19 (1976) 261-281 (exchange of worst points).
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -29,10 +28,8 @@ from rfem_jax.tolerancing.checks import ErrorValue
 from rfem_jax.tolerancing.layout import show_number
 from rfem_jax.tolerancing.optimisation.starting_points import sobol_units
 from rfem_jax.tolerancing.problems.distributions import Normal, Tolerance, Tolerances
-from rfem_jax.tolerancing.problems.execution import fingerprint_problem
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem
 from rfem_jax.tolerancing.problems.quadratic_model import choose_mode
-from rfem_jax.tolerancing.problems.results_store import ResultsStore
 from rfem_jax.tolerancing.robust_design.criteria import CRITERIA, FAILED, Criterion
 from rfem_jax.tolerancing.robust_design.observations import Observer
 from rfem_jax.tolerancing.robust_design.request import COST, Bounds, Request, Widths, check_request
@@ -50,7 +47,7 @@ from rfem_jax.tolerancing.robust_design.verification import (
     verify_sample,
     verify_worst_case,
 )
-from rfem_jax.tolerancing.sampling.sequences import RandomKey, key_words
+from rfem_jax.tolerancing.sampling.sequences import RandomKey
 
 EXCHANGES = 12  # of worst points, at most
 ATTEMPTS = 3  # searches, each after a fresh run that fell short
@@ -58,7 +55,6 @@ STATIONARY = 1e-4  # KKT residual of a search that has converged, of the objecti
 AGREES = 1e-3  # of a limit: how far a fresh worst case may exceed it
 TIED = 1e-4  # constraints that differ by this share of the largest stand against each other
 PENALTY = 10.0  # of a violated constraint, where starts are compared
-FORMAT = 1  # of what is kept of a search
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +90,6 @@ def optimise(
     steps: int = 60,
     mode: str = "auto",
     batch: int = 64,
-    folder: str | Path | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> DesignOptimum:
     """Find the dimensions and tolerances that make an objective least while limits hold.
@@ -106,8 +101,8 @@ def optimise(
     deviations) or "yield" (fraction `target` of mechanisms holds all limits); cost, as of `allocate`; key, a JAX key;
     at {error: value} with fixed values; distribution, a callable half-width -> Tolerance, samples and verify_samples,
     of "rss" and "yield"; starts, number of points compared at first, and searches, of the best of them; steps of a
-    search; mode and batch as of `allocate`; folder, where evaluations are kept, so that an interrupted call continues;
-    progress, is called with the number of simulations.
+    search; mode and batch as of `allocate`; progress, is called with the number of simulations.  An interrupted call
+    continues within `kept_evaluations.kept_in(folder)`.
 
     Returns: DesignOptimum; "infeasible" says which limit is in the way.
 
@@ -123,8 +118,7 @@ def optimise(
     request = check_request(problem, designs, tolerances, objective, limits, cost, at, robust)
     settings = _Settings(robust, target, coverage, distribution, samples, verify_samples)
     mode = choose_mode(mode, len(request.variables.names), len(problem.metrics))
-    store = None if folder is None else _store(folder, request, settings, key, mode, batch)
-    observer = Observer(problem, request.variables, request.base, mode, batch, store, progress)
+    observer = Observer(problem, request.variables, request.base, mode, batch, progress)
     keys = jax.random.split(key, 4)
     criterion = CRITERIA[robust](
         observer, request.limits, keys[0], level=target, coverage=coverage, distribution=distribution, samples=samples
@@ -363,28 +357,3 @@ class _Study:
                 )
             )
         return tuple(checks)
-
-
-def _store(folder, request: Request, settings: _Settings, key, mode: str, batch: int) -> ResultsStore:
-    """Where evaluations are kept. Raises StudyFolderError for a folder of another optimisation."""
-    variables = request.variables
-    identity = {
-        "study": "optimise",
-        "format": FORMAT,
-        "problem": fingerprint_problem(request.problem),
-        "designs": {name: [float(low), float(high)] for name, low, high in
-                    zip(variables.designs, variables.design_lower, variables.design_upper, strict=True)},
-        "tolerances": {name: float(width) for name, width in zip(variables.errors, variables.half_widths, strict=True)},
-        "bounds": [[float(low), float(high)] for low, high in
-                   zip(variables.width_lower, variables.width_upper, strict=True)],
-        "base": {name: float(value) for name, value in request.base.items()},
-        "objective": request.weights,
-        "costs": [repr(model) for model in request.costs],
-        "limits": [list(limit) for limit in request.limits],
-        "robust": [settings.robust, settings.level, settings.coverage, settings.samples],
-        "distribution": repr(settings.distribution(1.0)),
-        "key": key_words(key),
-        "mode": mode,
-        "batch": batch,
-    }  # fmt: skip
-    return ResultsStore(folder, identity)

@@ -101,4 +101,5 @@ def _tolerance_table(tolerances: Tolerances) -> dict[str, Any]:
         [list(group.names), np.asarray(group.covariance).tolist(), np.asarray(group.mean).tolist()]
         for group in tolerances.correlated
     ]
-    return {"independent": single, "correlated": groups}
+    zones = [[list(zone.names), np.asarray(zone.matrix).tolist(), list(zone.balls)] for zone in tolerances.zones]
+    return {"independent": single, "correlated": groups} | ({"zones": zones} if zones else {})

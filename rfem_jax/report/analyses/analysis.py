@@ -1,0 +1,46 @@
+"""What the reports on analyses have in common: the cases of a study, and their files.
+
+Place in the pipeline: study -> **analysis** -> modes_report, turn_report.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from rfem_jax.description.study import Study
+from rfem_jax.mechanics.model import Model
+from rfem_jax.mechanics.model_with_errors import AssemblyErrors, assembly_errors
+from rfem_jax.report.annotations import Figure
+from rfem_jax.report.output import write_json, write_pictures
+from rfem_jax.report.summary import PLOTS_HINT, study_note
+
+
+def errors_of_cases(study: Study, model: Model) -> AssemblyErrors:
+    """The errors of all cases of a study, along a first axis."""
+    every = [assembly_errors(model, case.errors) for case in study.cases]
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *every)
+
+
+def error_names(study: Study) -> tuple[str, ...]:
+    """Errors that derivatives are wanted by: those of the tolerances, and those that cases have."""
+    tolerances = study.tasks.tolerances
+    names = [] if tolerances is None else list(tolerances.names)
+    return tuple(dict.fromkeys([*names, *(name for case in study.cases for name in case.errors)]))
+
+
+def write_analysis(path: Path, study: Study, name: str, result: dict[str, Any]) -> Path:
+    """Write the JSON file of an analysis (SI units, radians)."""
+    content = {"title": study.title, "note": study_note(study) or None, "analysis": name, **result}
+    return write_json(path, content)
+
+
+def draw(folder: Path, figures: Any) -> tuple[list[Path], str]:
+    """Write the pictures that `figures()` makes, {name: figure}; the paths, and what is to be said without any."""
+    try:
+        import matplotlib  # noqa: F401
+    except ImportError:
+        return [], PLOTS_HINT
+    made: dict[str, Figure] = figures()
+    return write_pictures(folder, made), ""

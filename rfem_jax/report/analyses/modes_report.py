@@ -1,0 +1,186 @@
+"""Natural frequencies of the cases of a study: computed, printed, written and drawn.
+
+Place in the pipeline: study, model -> `simulation.modes` -> **modes_report** -> files.
+"""
+
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from rfem_jax.compilation.program import Program
+from rfem_jax.description.error_catalogue import error_unit
+from rfem_jax.description.study import Study
+from rfem_jax.mechanics.centre_lines import link_lines
+from rfem_jax.mechanics.model import Coordinates, Model
+from rfem_jax.mechanics.model_with_errors import AssemblyErrors, apply_errors, assembly_errors
+from rfem_jax.mechanics.orientations import moved
+from rfem_jax.mechanics.status import STATUS
+from rfem_jax.report.analyses.analysis import draw, error_names, errors_of_cases, write_analysis
+from rfem_jax.report.annotations import Figure
+from rfem_jax.report.output import write_csv
+from rfem_jax.report.style import add_titles, new_figure
+from rfem_jax.report.tables import format_table, title_text
+from rfem_jax.simulation.modes import REPEATED, NaturalModes, natural_frequencies
+
+AMPLITUDE = 0.1  # of a drawn mode, over the size of the mechanism
+ROUNDING = 1e-12  # of a frequency, in its derivative by the unit of an error
+SHOWN_UNIT = {"rad": (np.pi / 180.0, "deg"), "m": (1e-3, "mm")}
+
+
+class ModesResult(NamedTuple):
+    """Modes of all cases (first axis), and derivatives (cases, modes, errors) [Hz/rad, Hz/m] of the frequencies by the
+    errors `names`, NaN of repeated ones."""
+
+    modes: NaturalModes
+    names: tuple[str, ...]
+    derivatives: Float[np.ndarray, "cases modes errors"]
+
+
+def compute_modes(study: Study, model: Model, count: int, locked: bool) -> ModesResult:
+    """Modes of all cases of a study, and derivatives of their frequencies."""
+    names = error_names(study)
+    modes, derivatives = _of_cases(model, errors_of_cases(study, model), names, count, locked)
+    modes = jax.tree.map(np.asarray, modes)
+    derivatives = np.where((modes.repeated > 0)[..., None], np.nan, np.asarray(derivatives))
+    return ModesResult(modes, names, derivatives)
+
+
+@partial(Program, quick=True)
+def _of_cases(
+    model: Model, errors: AssemblyErrors, names: tuple[str, ...], count: int, locked: bool
+) -> tuple[NaturalModes, Float[Array, "cases modes errors"]]:
+    def one(errors):
+        def frequencies(values):
+            more = assembly_errors(model, dict(zip(names, values, strict=True)))
+            modes = natural_frequencies(model, jax.tree.map(jnp.add, errors, more), count=count, locked=locked)
+            return modes.frequency, modes
+
+        zeros = jnp.zeros(len(names))
+        if not names:
+            frequency, modes = frequencies(zeros)
+            return modes, jnp.zeros((frequency.shape[0], 0))
+        derivatives, modes = jax.jacfwd(frequencies, has_aux=True)(zeros)
+        return modes, derivatives
+
+    return jax.vmap(one)(errors)
+
+
+def modes_text(study: Study, result: ModesResult) -> str:
+    """Tables of frequencies, and of their derivatives in the first case."""
+    modes, cases = result.modes, [case.name for case in study.cases]
+    rows = []
+    for m in range(modes.frequency.shape[1]):
+        frequencies = [f"{value:.6g}" for value in modes.frequency[:, m]]
+        rows.append([str(m + 1), *frequencies, f"{modes.damping[0, m]:.3g}", _remark(modes, m)])
+    header = ["mode", *(f"{name}, Hz" for name in cases), "damping ratio", "remark"]
+    parts = [title_text(study), "Natural frequencies\n" + format_table(header, rows, (0, len(header) - 1))]
+    parts += [_derivatives_text(result, c, name) for c, name in enumerate(cases) if result.names]
+    if modes.repeated.any():
+        parts.append(
+            f"A frequency is repeated where its square is within {REPEATED:g} of another one: its derivative does not "
+            "exist (-)."
+        )
+    if modes.asymmetry.max() > 1e-6:
+        parts.append("Forces that have no potential act: the symmetric part of the stiffness was taken.")
+    return "\n\n".join(parts)
+
+
+def _derivatives_text(result: ModesResult, c: int, case: str) -> str:
+    """Table of the derivatives in one case."""
+    frequency, rows = result.modes.frequency[c], []
+    for e, name in enumerate(result.names):
+        size, unit = SHOWN_UNIT[error_unit(name)]
+        derivatives = result.derivatives[c, :, e] * size
+        # Symmetry makes many of them zero, up to rounding.
+        derivatives = np.where(np.abs(derivatives) < ROUNDING * frequency, 0.0, derivatives)
+        rows.append([name, unit, *("-" if np.isnan(value) else f"{value:.4g}" for value in derivatives)])
+    header = ["error", "per", *(f"mode {m + 1}, Hz" for m in range(len(frequency)))]
+    return f"Derivatives of the frequencies of case {case}\n" + format_table(header, rows, (0, 1))
+
+
+def _remark(modes: NaturalModes, m: int) -> str:
+    if (modes.square[:, m] < 0.0).any():
+        return "unstable or a free motion"
+    return "repeated" if modes.repeated[:, m].any() else ""
+
+
+def statuses(result: ModesResult) -> list[str]:
+    """Status of the assembly of every case."""
+    return [STATUS[int(code)].name for code in result.modes.status]
+
+
+def write_modes(folder: Path, study: Study, result: ModesResult) -> list[Path]:
+    """Write modes.json and modes.csv."""
+    modes, rows, cases = result.modes, [], {}
+    for c, case in enumerate(study.cases):
+        listed = []
+        for m in range(modes.frequency.shape[1]):
+            derivatives = {name: float(result.derivatives[c, m, e]) for e, name in enumerate(result.names)}
+            one = {
+                "frequency": float(modes.frequency[c, m]),
+                "damping_ratio": float(modes.damping[c, m]),
+                "repeated": bool(modes.repeated[c, m]),
+                "stable": bool(modes.square[c, m] >= 0.0),
+            }
+            listed.append({**one, "derivatives": derivatives})
+            row: dict[str, Any] = {"case": case.name, "mode": m + 1, "frequency_Hz": one["frequency"]}
+            row |= {key: one[key] for key in ("damping_ratio", "repeated", "stable")}
+            rows.append(row | {f"by_{name}_Hz_{error_unit(name)}": value for name, value in derivatives.items()})
+        cases[case.name] = {"status": statuses(result)[c], "modes": listed}
+    units = {"frequency": "Hz", "derivatives": "Hz/rad or Hz/m", "damping_ratio": "1"}
+    written = write_analysis(folder / "modes.json", study, "modes", {"cases": cases, "units": units})
+    return [written, write_csv(folder / "modes.csv", rows)]
+
+
+def draw_modes(folder: Path, study: Study, model: Model, result: ModesResult) -> tuple[list[Path], str]:
+    """Draw the modes of the first case; the picture's path, and what is to be said without one."""
+    return draw(folder, lambda: {"modes": modes_figure(study, model, result)})
+
+
+@partial(Program, quick=True)
+def _shapes(model: Model, errors: AssemblyErrors, modes: NaturalModes):
+    """Lines of the links at the equilibrium, and their displacements in every mode."""
+    actual = apply_errors(model, errors)
+
+    def lines(change):
+        return link_lines(model, actual, moved(model.topology, modes.position, change))
+
+    zeros = jax.tree.map(lambda x: jnp.zeros_like(x[0]), Coordinates(modes.joints, modes.elastic))
+    return jax.vmap(lambda shape: jax.jvp(lines, (zeros,), (shape,)))(Coordinates(modes.joints, modes.elastic))
+
+
+def modes_figure(study: Study, model: Model, result: ModesResult) -> Figure:
+    """The modes of the first case: links at rest and at both ends of their swing, from the side or from above."""
+    first = jax.tree.map(lambda x: jnp.asarray(x[0]), result.modes)
+    errors = jax.tree.map(lambda x: x[0], errors_of_cases(study, model))
+    lines, moves = jax.tree.map(np.asarray, _shapes(model, errors, first))
+    count = result.modes.frequency.shape[1]
+    columns = min(count, 3)
+    figure = new_figure(7.6, 0.8 + 2.4 * -(-count // columns))
+    panels = np.atleast_1d(figure.subplots(-(-count // columns), columns)).reshape(-1)
+    for m, axes in enumerate(panels):
+        if m >= count:
+            axes.set_axis_off()
+            continue
+        at = {name: line[m] for name, line in lines.items()}
+        shape = {name: move[m] for name, move in moves.items()}
+        every, moved_by = np.concatenate([*at.values()]), np.concatenate([*shape.values()])
+        above = np.abs(moved_by[:, 1]).max() > np.abs(moved_by[:, [0, 2]]).max()
+        pick = [0, 1] if above else [0, 2]
+        factor = AMPLITUDE * np.ptp(every, axis=0).max() / max(np.abs(moved_by).max(), 1e-300)
+        for sign, style in ((0.0, "-"), (1.0, "--"), (-1.0, ":")):
+            for name, line in at.items():
+                points = line + sign * factor * shape[name]
+                colour = "#000000" if sign == 0.0 else "#D55E00"
+                axes.plot(points[:, pick[0]], points[:, pick[1]], style, color=colour, linewidth=1.6 - 0.6 * abs(sign))
+        view = "from above (x, y)" if above else "from the side (x, z)"
+        axes.set_title(f"mode {m + 1}: {result.modes.frequency[0, m]:.5g} Hz\n{view}, m", loc="left", fontsize=8.5)
+        axes.set_aspect("equal", adjustable="datalim")
+        axes.tick_params(labelsize=7)
+    add_titles(figure, f"Natural modes of case {study.cases[0].name} (amplitude arbitrary)", study)
+    return figure

@@ -1,0 +1,163 @@
+"""The kinetostatic turn of the cases of a study: computed, printed, written and drawn.
+
+Place in the pipeline: study, model -> `simulation.turn` -> **turn_report** -> files.
+"""
+
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from rfem_jax.compilation.program import Program
+from rfem_jax.description.study import Study
+from rfem_jax.mechanics.model import Model
+from rfem_jax.mechanics.model_with_errors import AssemblyErrors
+from rfem_jax.mechanics.status import STATUS
+from rfem_jax.report.analyses.analysis import draw, errors_of_cases, write_analysis
+from rfem_jax.report.annotations import Figure
+from rfem_jax.report.output import write_csv
+from rfem_jax.report.style import add_titles, line_style, new_figure
+from rfem_jax.report.summary import joint_names
+from rfem_jax.report.tables import format_table, title_text
+from rfem_jax.simulation.turn import ClosedPose, Turn, closed_poses, turn_over
+
+
+def compute_turn(study: Study, model: Model, positions: Float[np.ndarray, " positions"]) -> Turn:
+    """The turn of all cases, which are the first axis."""
+    return jax.tree.map(np.asarray, _of_cases(model, errors_of_cases(study, model), closed_poses(model, positions)))
+
+
+@partial(Program, quick=True)
+def _of_cases(model: Model, errors: AssemblyErrors, poses: ClosedPose) -> Turn:
+    return jax.vmap(lambda one: turn_over(model, one, poses))(errors)
+
+
+def statuses(turn: Turn) -> list[str]:
+    """Status of every case: ok, or that of the first position that was not assembled."""
+    return [STATUS[int(codes[codes != 0][0]) if (codes != 0).any() else 0].name for codes in turn.status]
+
+
+def _slides(model: Model) -> bool:
+    driven = model.topology.driven_coordinate
+    return driven is not None and bool(model.topology.slides[driven])
+
+
+def _peaks(study: Study, turn: Turn, c: int) -> dict[str, Any]:
+    """Largest resultants of one case over its assembled positions, and where they are."""
+    good = turn.status[c] == 0
+    found: dict[str, Any] = {"joints": {}, "stress": {}}
+
+    def largest(values):
+        values = np.where(good, np.abs(values), -np.inf)
+        at = int(values.argmax())
+        return (float(values[at]), float(turn.position[c, at])) if good.any() else (float("nan"),) * 2
+
+    for name in joint_names(study):
+        force, where = largest(np.linalg.norm(turn.loads[name].force[c], axis=-1))
+        moment, there = largest(np.linalg.norm(turn.loads[name].moment[c], axis=-1))
+        found["joints"][name] = {
+            "max_force": force, "max_force_at": where, "max_moment": moment, "max_moment_at": there,
+        }  # fmt: skip
+    for name, values in turn.stress.items():
+        stress, where = largest(values[c])
+        found["stress"][name] = {"max_stress": stress, "max_stress_at": where}
+    held = turn.holding[c][good]
+    found["holding"] = {"min": float(held.min()), "max": float(held.max())} if good.any() else None
+    return found
+
+
+def turn_text(study: Study, model: Model, turn: Turn) -> str:
+    """Tables of the largest loads of every case."""
+    unit = "m" if _slides(model) else "deg"
+    scale = 1.0 if _slides(model) else 180.0 / np.pi
+    parts = [title_text(study)]
+    for c, case in enumerate(study.cases):
+        peaks = _peaks(study, turn, c)
+        rows = [
+            [
+                name,
+                f"{one['max_force']:.5g}",
+                f"{scale * one['max_force_at']:.5g}",
+                f"{one['max_moment']:.5g}",
+                f"{scale * one['max_moment_at']:.5g}",
+            ]
+            for name, one in peaks["joints"].items()
+        ]
+        header = ["joint", "max force, N", f"at, {unit}", "max moment, N m", f"at, {unit}"]
+        text = f"Case {case.name}: largest loads of the mechanism held still\n{format_table(header, rows)}"
+        if peaks["stress"]:
+            rows = [
+                [name, f"{one['max_stress'] / 1e6:.5g}", f"{scale * one['max_stress_at']:.5g}"]
+                for name, one in peaks["stress"].items()
+            ]
+            text += "\n\n" + format_table(["link", "max stress, MPa", f"at, {unit}"], rows)
+        if peaks["holding"] is not None:
+            force = "N" if _slides(model) else "N m"
+            low, high = peaks["holding"]["min"], peaks["holding"]["max"]
+            text += f"\n\nThe drive holds with {low:.5g} to {high:.5g} {force}."
+        failed = int((turn.status[c] != 0).sum())
+        if failed:
+            text += f"\n{failed} of {turn.status.shape[1]} positions were not assembled ({statuses(turn)[c]})."
+        parts.append(text)
+    return "\n\n".join(parts)
+
+
+def write_turn(folder: Path, study: Study, model: Model, turn: Turn) -> list[Path]:
+    """Write turn.json (largest loads) and turn.csv (all positions)."""
+    unit, force = ("m", "N") if _slides(model) else ("rad", "Nm")
+    rows, cases = [], {}
+    for c, case in enumerate(study.cases):
+        cases[case.name] = {"status": statuses(turn)[c], **_peaks(study, turn, c)}
+        for i, position in enumerate(turn.position[c]):
+            row: dict[str, Any] = {"case": case.name, f"position_{unit}": float(position)}
+            row |= {"status": STATUS[int(turn.status[c, i])].name, f"holding_{force}": float(turn.holding[c, i])}
+            row["energy_J"] = float(turn.energy[c, i])
+            for name in joint_names(study):
+                for load, of in (("force", "N"), ("moment", "Nm")):
+                    values = getattr(turn.loads[name], load)[c, i]
+                    row |= {f"{name}_{load}_{axis}_{of}": float(v) for axis, v in zip("xyz", values, strict=True)}
+            row |= {f"{name}_stress_Pa": float(values[c, i]) for name, values in turn.stress.items()}
+            rows.append(row)
+    units = {
+        "max_force": "N", "max_moment": "N m", "max_stress": "Pa", "max_force_at": unit, "max_moment_at": unit,
+        "max_stress_at": unit, "holding": "N" if force == "N" else "N m",
+    }  # fmt: skip
+    written = write_analysis(folder / "turn.json", study, "turn", {"cases": cases, "units": units})
+    return [written, write_csv(folder / "turn.csv", rows)]
+
+
+def draw_turn(folder: Path, study: Study, model: Model, turn: Turn) -> tuple[list[Path], str]:
+    """Draw the loads over the positions; the pictures' paths, and what is to be said without any."""
+    return draw(folder, lambda: {"turn": turn_figure(study, model, turn)})
+
+
+def turn_figure(study: Study, model: Model, turn: Turn) -> Figure:
+    """Resultant force and moment of every joint, holding moment and stresses over the drive's position, a column of
+    panels a quantity with the joints as curves, a row a case."""
+    scale, unit = (1.0, "m") if _slides(model) else (180.0 / np.pi, "deg")
+    count = len(study.cases)
+    figure = new_figure(9.6, 0.9 + 2.5 * count)
+    panels = np.asarray(figure.subplots(count, 3, squeeze=False, sharex=True))
+    names = joint_names(study)
+    for c, case in enumerate(study.cases):
+        x = scale * turn.position[c]
+        good = np.where(turn.status[c] == 0, 1.0, np.nan)
+        for axes, load, label in ((panels[c, 0], "force", "force, N"), (panels[c, 1], "moment", "moment, N m")):
+            for k, name in enumerate(names):
+                size = np.linalg.norm(getattr(turn.loads[name], load)[c], axis=-1)
+                axes.plot(x, size * good, label=name, **line_style(k, len(x)))
+            axes.set_ylabel(label)
+        panels[c, 0].set_title(f"case {case.name}", loc="left")
+        panels[c, 2].plot(x, turn.holding[c] * good, **line_style(0, len(x)))
+        panels[c, 2].set_ylabel("holding force, N" if _slides(model) else "holding moment, N m")
+    panels[0, 2].legend(
+        *panels[0, 0].get_legend_handles_labels(), title="joint", fontsize=7.5, ncols=4, frameon=False,
+        loc="lower right", bbox_to_anchor=(1.0, 1.0),
+    )  # fmt: skip
+    for axes in panels[-1]:
+        axes.set_xlabel(f"position of {model.topology.drive_labels[0]}, {unit}")
+    add_titles(figure, "Mechanism held still over the range of its drive: resultant loads of all joints", study)
+    return figure

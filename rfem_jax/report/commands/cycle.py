@@ -1,0 +1,104 @@
+"""`rfem-jax cycle`: loads over one revolution of the steady cycle of a driven mechanism, without a start-up.
+
+Place in the pipeline: `load_study` (description) -> `steady_cycle` (simulation) -> summary, tables, files, pictures,
+all as those of `rfem-jax run`.
+"""
+
+import argparse
+import time
+from dataclasses import replace
+
+from rfem_jax.report.annotations import Run, Study
+from rfem_jax.report.commands.command import CASE_FAILED, DONE, Answer, Command, add_study_and_folder
+from rfem_jax.report.commands.folders import cannot_write, open_folder, require_folder
+from rfem_jax.report.commands.run import write_run_pictures
+from rfem_jax.report.commands.steps import announce, discretise_study, files_document, read_study, settle_method
+from rfem_jax.report.progress_line import note, show
+
+
+def command() -> Command:
+    """The subcommand."""
+    return Command(
+        name="cycle",
+        purpose="loads over one revolution of the steady cycle, without a start-up",
+        description="Simulate every case, driven at the constant rate of its prescribed_rate drive, until the motion "
+        "repeats with every revolution; print and write the loads of one revolution in the files of `rfem-jax run`.",
+        add_arguments=_add_arguments,
+        act=act,
+    )
+
+
+def _add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_study_and_folder(parser)
+    parser.add_argument("--tolerance", metavar="X", type=float, default=1e-6, help="of the motion (default: 1e-6)")
+    parser.add_argument("--most", metavar="N", type=int, default=200, help="revolutions at most (default: 200)")
+
+
+def act(arguments: argparse.Namespace) -> Answer:
+    """Find the cycles, print, write, draw. Raises InputError."""
+    started = time.perf_counter()
+    study = _of_one_revolution(read_study(arguments.study))
+
+    from rfem_jax.report.files import write_files
+    from rfem_jax.report.summary import summarise
+    from rfem_jax.report.tables import results_text
+    from rfem_jax.simulation import STATUS
+
+    require_folder(arguments.out)
+    study = settle_method(study)
+    folder = open_folder(arguments.out)
+    runs, good = _cycles(study, arguments.tolerance, arguments.most)
+    statuses = {name: STATUS[int(run.status)] for name, run in runs.items()}
+    summaries = summarise(study, runs, statuses)
+    show(results_text(study, summaries), end="\n\n")
+    try:
+        written = write_files(folder, study, runs, summaries)
+        written += write_run_pictures(folder, study, runs, summaries)
+    except OSError as problem:
+        raise cannot_write(folder, problem) from problem
+    show(f"{len(written)} files written to {folder} ({time.perf_counter() - started:.1f} s in all).")
+    good = good and all(one["status"] == "ok" for one in summaries.values())
+    return Answer(DONE if good else CASE_FAILED, files_document(folder, written))
+
+
+def _of_one_revolution(study: Study) -> Study:
+    """The study with the constant rate of its drive, over one revolution. Raises InputError."""
+    import math
+
+    from rfem_jax.description.drives import PrescribedRate
+    from rfem_jax.description.errors import InputError
+
+    drive = study.drives[0] if len(study.drives) == 1 else None
+    if not isinstance(drive, PrescribedRate) or float(drive.rate) == 0.0:
+        raise InputError(
+            "Argument `drive` of a cycle must be one drive of the kind prescribed_rate that turns, but the study has "
+            "another; give the constant rate."
+        )
+    period = 2.0 * math.pi / abs(float(drive.rate))
+    constant = PrescribedRate(drive.joint, float(drive.rate), motion=drive.motion)
+    saving = None if study.save_every is None else min(study.save_every, period)
+    return replace(study, drive=constant, duration=period, save_every=saving)
+
+
+def _cycles(study: Study, tolerance: float, most: int) -> tuple[dict[str, Run], bool]:
+    """One revolution of the cycle of every case, and whether all have converged."""
+    import jax
+    import numpy as np
+
+    from rfem_jax.description.drives import PrescribedRate
+    from rfem_jax.description.metric_catalogue import records_for
+    from rfem_jax.mechanics.model_with_errors import assembly_errors
+    from rfem_jax.simulation.cycle import steady_cycle
+
+    model, drive, runs, good = discretise_study(study), study.drives[0], {}, True
+    assert isinstance(drive, PrescribedRate), "_of_one_revolution has seen to it"
+    for case in study.cases:
+        announce(f"Finding the cycle of case {case.name}")
+        cycle = steady_cycle(
+            model, assembly_errors(model, case.errors), drive=drive, method=study.method,
+            save_every=study.save_every, tolerance=tolerance, most=most, record=records_for(study.metrics),
+        )  # fmt: skip
+        runs[case.name], good = jax.tree.map(np.asarray, cycle.run), good and cycle.converged
+        state = "repeats" if cycle.converged else "does not yet repeat"
+        note(f"Case {case.name} {state} after {cycle.revolutions} revolutions, to {cycle.residual:.1e}.")
+    return runs, good

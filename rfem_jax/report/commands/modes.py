@@ -1,0 +1,58 @@
+"""`rfem-jax modes`: natural frequencies and modes of the assembled mechanism.
+
+Place in the pipeline: `load_study` (description) -> `analyses.modes_report` -> tables, files, a picture.
+"""
+
+import argparse
+import time
+
+from rfem_jax.report.commands.command import CASE_FAILED, DONE, Answer, Command, add_study_and_folder
+from rfem_jax.report.commands.folders import cannot_write, open_folder, require_folder
+from rfem_jax.report.commands.steps import announce, discretise_study, files_document, read_study
+from rfem_jax.report.progress_line import note, show
+
+
+def command() -> Command:
+    """The subcommand."""
+    return Command(
+        name="modes",
+        purpose="natural frequencies and modes of the assembled mechanism",
+        description="Natural frequencies and modes of every case about its assembled start, with its preload and "
+        "weight, and their derivatives by the errors of [tolerances] and of the cases. Writes modes.json, modes.csv "
+        "and a picture.",
+        add_arguments=_add_arguments,
+        act=act,
+    )
+
+
+def _add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_study_and_folder(parser)
+    parser.add_argument("--count", metavar="N", type=int, default=6, help="number of modes (default: 6)")
+    parser.add_argument("--free", action="store_true", help="the drive does not lock its joint")
+
+
+def act(arguments: argparse.Namespace) -> Answer:
+    """Assemble, find the modes, print, write, draw. Raises InputError."""
+    started = time.perf_counter()
+    study = read_study(arguments.study)
+
+    from rfem_jax.report.analyses import modes_report as report
+
+    require_folder(arguments.out)
+    model = discretise_study(study)
+    announce("Finding natural frequencies")
+    result = report.compute_modes(study, model, arguments.count, not arguments.free)
+    folder = open_folder(arguments.out)
+    show(report.modes_text(study, result), end="\n\n")
+    try:
+        written = report.write_modes(folder, study, result)
+        announce("Drawing pictures")
+        pictures, hint = report.draw_modes(folder, study, model, result)
+    except OSError as problem:
+        raise cannot_write(folder, problem) from problem
+    if hint:
+        note(hint)
+    written += pictures
+    show(f"{len(written)} files written to {folder} ({time.perf_counter() - started:.1f} s in all).")
+    good = set(report.statuses(result)) == {"ok"}
+    return Answer(DONE if good else CASE_FAILED, files_document(folder, written))

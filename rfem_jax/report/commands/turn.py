@@ -1,0 +1,78 @@
+"""`rfem-jax turn`: the mechanism held still at one position of its drive after another.
+
+Place in the pipeline: `load_study` (description) -> `analyses.turn_report` -> tables, files, a picture.
+"""
+
+import argparse
+import time
+from typing import Any
+
+from rfem_jax.report.annotations import Model
+from rfem_jax.report.commands.command import CASE_FAILED, DONE, Answer, Command, add_study_and_folder
+from rfem_jax.report.commands.folders import cannot_write, open_folder, require_folder
+from rfem_jax.report.commands.steps import announce, discretise_study, files_document, read_study
+from rfem_jax.report.progress_line import note, show
+
+
+def command() -> Command:
+    """The subcommand."""
+    return Command(
+        name="turn",
+        purpose="loads of the mechanism held still over the range of its drive",
+        description="The kinetostatic turn: the mechanism of every case held still at positions of its first drive. "
+        "Preload of all joints, holding moment, stresses. Writes turn.json, turn.csv and a picture.",
+        add_arguments=_add_arguments,
+        act=act,
+    )
+
+
+def _add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_study_and_folder(parser)
+    parser.add_argument("--positions", metavar="N", type=int, default=72, help="number of positions (default: 72)")
+    parser.add_argument("--from", dest="start", metavar="X", help='first position, as "30 deg" (default: the start)')
+    parser.add_argument("--to", dest="stop", metavar="X", help="last position (default: over a revolution)")
+
+
+def act(arguments: argparse.Namespace) -> Answer:
+    """Assemble at all positions, print, write, draw. Raises InputError."""
+    started = time.perf_counter()
+    study = read_study(arguments.study)
+
+    from rfem_jax.report.analyses import turn_report as report
+    from rfem_jax.simulation.turn import turn_positions
+
+    require_folder(arguments.out)
+    model = discretise_study(study)
+    start, stop = (_position(getattr(arguments, name), name, model) for name in ("start", "stop"))
+    positions = turn_positions(model, arguments.positions, start, stop)
+    announce(f"Finding equilibria at {len(positions)} positions")
+    turn = report.compute_turn(study, model, positions)
+    folder = open_folder(arguments.out)
+    show(report.turn_text(study, model, turn), end="\n\n")
+    try:
+        written = report.write_turn(folder, study, model, turn)
+        announce("Drawing pictures")
+        pictures, hint = report.draw_turn(folder, study, model, turn)
+    except OSError as problem:
+        raise cannot_write(folder, problem) from problem
+    if hint:
+        note(hint)
+    written += pictures
+    show(f"{len(written)} files written to {folder} ({time.perf_counter() - started:.1f} s in all).")
+    good = set(report.statuses(turn)) == {"ok"}
+    return Answer(DONE if good else CASE_FAILED, files_document(folder, written))
+
+
+def _position(text: str | None, name: str, model: Model) -> float | None:
+    """A position of the first drive in rad or m, of a number or a string with a unit."""
+    from rfem_jax.description.units import quantity
+
+    if text is None:
+        return None
+    driven = model.topology.driven_coordinate
+    dimension = "length" if driven is not None and model.topology.slides[driven] else "angle"
+    try:
+        value: Any = float(text)
+    except ValueError:
+        value = text
+    return quantity(value, dimension, {"start": "--from", "stop": "--to"}[name])

@@ -1,0 +1,163 @@
+"""The steady cycle of a mechanism whose drive turns at a constant rate: a motion that repeats with every revolution.
+
+Place in the pipeline: integration -> **cycle**.
+
+A revolution maps the state at its start to that at its end; the cycle is a fixed point of this map, with angles counted
+modulo a revolution. Material damping makes the map a contraction in all but its slowest modes, so that revolutions one
+after another converge; Anderson's acceleration (theory (11.18); D. G. Anderson, J. ACM 12 (1965) 547-560) takes out
+the slow ones.
+"""
+
+from collections.abc import Iterable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from rfem_jax.compilation.program import Program
+from rfem_jax.description.drives import PrescribedRate
+from rfem_jax.description.errors import InputError
+from rfem_jax.description.methods import Method
+from rfem_jax.description.precision import require_float64
+from rfem_jax.mechanics.model import Model, State, Topology
+from rfem_jax.mechanics.model_with_errors import AssemblyErrors, assembly_errors
+from rfem_jax.mechanics.point_laws import changing
+from rfem_jax.simulation import integration
+from rfem_jax.simulation.driving import require_driven
+from rfem_jax.simulation.records import require_records
+from rfem_jax.simulation.run import Run
+from rfem_jax.simulation.time_grid import TimeGrid
+
+MEMORY = 6  # revolutions that the next start is made of
+
+
+class Cycle(eqx.Module):
+    """A steady cycle.
+
+    run: one revolution of it, whose metrics are without a start-up; start: its state; residual: largest change over the
+    revolution of the links' deflections and of their rates, each relative to the largest of its kind; revolutions that
+    were simulated; converged: whether the residual is within the tolerance.
+    """
+
+    run: Run
+    start: State
+    residual: float
+    revolutions: int
+    converged: bool
+
+
+def steady_cycle(
+    model: Model,
+    errors: AssemblyErrors | None = None,
+    *,
+    drive: PrescribedRate,
+    method: Method,
+    save_every: float | None = None,
+    tolerance: float = 1e-6,
+    most: int = 200,
+    record: str | Iterable[str] = (),
+) -> Cycle:
+    """The steady cycle of a mechanism that is driven at a constant rate.
+
+    **Arguments:** `drive`: a `PrescribedRate` about a hinge, without a rise; `method` with a step; `tolerance` of the
+    residual; `most`: revolutions that are simulated at most; `record`: as of `simulate`. Not differentiable.
+
+    **Raises:** `InputError` for another drive, for forces that are functions of time, and for joints of the tree that
+    turn about any axis.
+    """
+    require_float64()
+    _require_constant_rate(model, drive)
+    period = abs(2.0 * np.pi / float(drive.rate))
+    grid, steps = integration.grid_for(drive, period, method, save_every, model)
+    errors = assembly_errors(model) if errors is None else errors
+    asked = require_records(model, record)
+    state, run = _revolution(model, errors, drive, grid, None, method, steps, asked)
+    start, found = state, []
+    residual, done = np.inf, 1
+    while done < most:
+        state, run = _revolution(model, errors, drive, grid, start, method, steps, asked)
+        done += 1
+        before = _numbers(start)
+        after = _numbers(_turned_back(model.topology, start, state))
+        residual = _residual(model.topology, start, state)
+        if not np.isfinite(residual) or residual <= tolerance:
+            break
+        found = [*found, (before, after)][-MEMORY:]
+        start = _state(start, _mixed(found))
+    return Cycle(run, start, float(residual), done, bool(residual <= tolerance))
+
+
+def _require_constant_rate(model: Model, drive: PrescribedRate) -> None:
+    if not isinstance(drive, PrescribedRate) or drive.rise_time > 0.0:
+        raise InputError(
+            f"Argument `drive` of a cycle must be a PrescribedRate without a rise time, but is {drive!r}; give the "
+            "constant rate alone."
+        )
+    require_driven(model, drive)
+    if changing(model.frame_forces):
+        raise InputError(
+            "Argument `model` of a cycle must have forces that do not depend on time, but one does; leave it out, or "
+            "simulate several revolutions."
+        )
+    if model.topology.balls:
+        raise InputError(
+            "Argument `model` of a cycle must have joints with angles and displacements in the tree, but one turns "
+            "about any axis; cut that joint."
+        )
+
+
+@Program
+def _revolution(model, errors, drive, grid: TimeGrid, start: State | None, method, steps, asked) -> tuple[State, Run]:
+    prepared = integration.prepare(model, errors, drive, start)
+    carry = integration.start_carry(model, prepared, drive, method)
+    carry, ends = integration.advance(model, prepared.actual, drive, carry, grid, method, steps, None)
+    run = integration.conclude(model, prepared, drive, carry, ends, grid, method, steps, asked)
+    return State(carry.trajectory.position, carry.trajectory.velocity), run
+
+
+def _turned_back(topology: Topology, start: State, end: State) -> State:
+    """The end of a revolution with angles less whole revolutions."""
+    angles = ~np.array(topology.slides, dtype=bool)
+    change = np.asarray(end.position.joints) - np.asarray(start.position.joints)
+    whole = np.where(angles, 2.0 * np.pi * np.round(change / (2.0 * np.pi)), 0.0)
+    return eqx.tree_at(lambda s: s.position.joints, end, end.position.joints - whole)
+
+
+def _residual(topology: Topology, start: State, end: State) -> float:
+    """Largest change of displacements, angles and their rates over a revolution, each over the largest of its kind; of
+    joints where no link is flexible."""
+    end = _turned_back(topology, start, end)
+
+    def parts(state: State):
+        both = state.position, state.velocity
+        if topology.n_rfes == 0:
+            return [np.asarray(one.joints) for one in both]
+        return [np.asarray(rows) for one in both for rows in (one.elastic[:3], one.elastic[3:])]
+
+    pairs = zip(parts(start), parts(end), strict=True)
+    return max(float(np.abs(b - a).max() / max(np.abs(b).max(), 1e-300)) for a, b in pairs)
+
+
+def _numbers(state: State) -> Float[np.ndarray, " n"]:
+    return np.concatenate([np.ravel(part) for part in jax.tree.leaves(state)])
+
+
+def _state(like: State, numbers: Float[np.ndarray, " n"]) -> State:
+    leaves, tree = jax.tree.flatten(like)
+    parts = np.split(numbers, np.cumsum([leaf.size for leaf in leaves])[:-1])
+    made = [jnp.asarray(part.reshape(leaf.shape)) for part, leaf in zip(parts, leaves, strict=True)]
+    return jax.tree.unflatten(tree, made)
+
+
+def _mixed(found: list[tuple[np.ndarray, np.ndarray]]) -> Float[np.ndarray, " n"]:
+    """The next start by Anderson's acceleration of starts and ends of the last revolutions."""
+    starts, ends = (np.array(part) for part in zip(*found, strict=True))
+    if len(found) == 1:
+        return ends[-1]
+    # Entries relative to their size: rates are larger than deflections by the frequency.
+    size = np.maximum(np.abs(ends).max(axis=0), 1e-12 * np.abs(ends).max())
+    residuals = (ends - starts) / size
+    weights = np.linalg.lstsq(np.diff(residuals, axis=0).T, residuals[-1], rcond=1e-10)[0]
+    return ends[-1] - weights @ np.diff(ends, axis=0)

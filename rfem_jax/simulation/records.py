@@ -1,0 +1,185 @@
+"""What a run records beside its loads when it is asked to: for metrics that need it, and for no other run.
+
+Place in the pipeline: section_loads, observation -> **records** -> integration; Problem asks for what its metrics read.
+
+    LINK.sections           internal forces and moments along a link, and stresses: `SectionHistory`
+    LINK.deflection         displacement (times, 3) [m] of its far end from its place on the undeformed link, in the
+                            link's frame; LINK@FRACTION.deflection of the point at a fraction of the length
+    JOINT.turning           rate (times,) [rad/s] of the child against the parent about the joint's axis, of a joint
+                            that turns about several axes its size
+    JOINT.friction_loss     energy (times,) [J] that friction in a joint has dissipated
+    JOINT.bearing           its capacities, a `BearingCapacity`
+    masses                  {link: mass with point masses [kg]}
+"""
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Float
+
+from rfem_jax.description.errors import InputError, suggestion
+from rfem_jax.description.metric_subjects import divided
+from rfem_jax.mechanics.algebra import dot
+from rfem_jax.mechanics.loads import velocities
+from rfem_jax.mechanics.model import BASE, Model, State, Topology, rfe_fractions
+from rfem_jax.mechanics.model_with_errors import ModelWithErrors
+from rfem_jax.mechanics.section_loads import loads_of_sections, stress_squares
+from rfem_jax.simulation.equations import safe_sqrt
+from rfem_jax.simulation.observation import Instant
+
+OF_LINKS, OF_JOINTS, OF_RUNS = ("sections", "deflection"), ("turning", "friction_loss", "bearing"), ("masses",)
+
+
+class SectionHistory(eqx.Module):
+    """Sections of a link at the saved times: place (sections,) [m] along the link; resultants (times, 6, sections):
+    axial and shear forces N, Q_y, Q_z [N], torque T and bending moments M_y, M_z [N m], which the part with the larger
+    x exerts; edge: stresses at points of the section's edge per unit of N, M_y, M_z and T, None if not known."""
+
+    place: Float[Array, "*times sections"]
+    resultants: Float[Array, "*times 6 sections"]
+    edge: Float[Array, "4 points"] | None
+
+    @property
+    def stress_squares(self) -> Float[Array, "*times points sections"]:
+        """Squares of the von Mises stress [Pa^2] of axial force, bending and torsion at points of the edge."""
+        if self.edge is None:
+            raise InputError(
+                "Argument `edge` of a section must be given for stresses, but is not; write `edge_y`, `edge_z`, "
+                "`edge_modulus` and `torsion_modulus` into the section."
+            )
+        return stress_squares(jnp.asarray(self.edge), jnp.asarray(self.resultants))
+
+    @property
+    def stress(self) -> Float[Array, "*times sections"]:
+        """Largest von Mises stress [Pa] at the edge of every section."""
+        return safe_sqrt(jnp.max(self.stress_squares, axis=-2))
+
+
+def require_records(model: Model, names: str | Iterable[str]) -> tuple[str, ...]:
+    """The names of records, each once. Raises InputError for one that the model has not."""
+    names = tuple(dict.fromkeys((names,) if isinstance(names, str) else names))
+    for name in names:
+        _require_record(model, name)
+    return names
+
+
+def _require_record(model: Model, name: str) -> None:
+    owner, _, kind = name.rpartition(".")
+    known = {
+        **dict.fromkeys(OF_LINKS, model.link_names),
+        **dict.fromkeys(OF_JOINTS, model.joint_names),
+        "bearing": tuple(model.bearings or {}),
+        "friction_loss": tuple({model.topology.joints[law.joint] for law in (model.friction or {}).values()}),
+    }
+    if not owner and name in OF_RUNS:
+        return
+    if not owner or kind not in known:
+        every = [f"{(known[one] or ('A',))[0]}.{one}" for one in known] + [*OF_RUNS]
+        raise InputError(f"Argument `record` must name records, but {name!r} is none; {suggestion(name, every)}")
+    of = divided(owner)[0] if kind == "deflection" else owner
+    if of not in known[kind]:
+        special = {"bearing": "joints with a `bearing`", "friction_loss": "joints with friction"}
+        whose = special.get(kind, "joints" if kind in OF_JOINTS else "links")
+        raise InputError(
+            f"Argument `record` must be of {whose} of the model, but {name!r} is not; {suggestion(of, known[kind])}"
+        )
+
+
+def instant_records(
+    model: Model, actual: ModelWithErrors, state: State, instant: Instant, names: Sequence[str]
+) -> dict[str, Any]:
+    """The records of one instant."""
+    found: dict[str, Any] = {}
+    for name in names:
+        owner, _, kind = name.rpartition(".")
+        if kind == "sections":
+            found[name] = loads_of_sections(model, actual, state, instant, actual.topology.links.index(owner))
+        if kind == "deflection":
+            found[name] = deflection(actual, instant, *divided(owner))
+        if kind == "turning":
+            found[name] = _turning(actual, instant, actual.topology.joints.index(owner))
+    return found
+
+
+def finished_records(
+    model: Model,
+    actual: ModelWithErrors,
+    saved: dict[str, Any],
+    friction_losses: Float[Array, "times frictions"] | None,
+    names: Sequence[str],
+) -> dict[str, Any]:
+    """The records of a run, of those of all saved times and of constants."""
+    found: dict[str, Any] = {}
+    for name in names:
+        owner, _, kind = name.rpartition(".")
+        if kind == "sections":
+            edges = model.section.edges
+            edge = edges[model.topology.links.index(owner)] if edges else None
+            found[name] = SectionHistory(saved[name].place[0], saved[name].resultants, edge)
+        elif kind == "friction_loss":
+            joint = model.topology.joints.index(owner)
+            laws = sorted((model.friction or {}).items())
+            wanted = [friction_losses[:, i] for i, (_, law) in enumerate(laws) if law.joint == joint]  # pyright: ignore[reportOptionalSubscript] # there is friction
+            found[name] = sum(wanted, jnp.zeros(()))
+        elif kind == "bearing":
+            found[name] = (model.bearings or {})[owner]
+        elif name == "masses":
+            found[name] = masses(actual)
+        else:
+            found[name] = saved[name]
+    return found
+
+
+def masses(actual: ModelWithErrors) -> dict[str, Float[Array, ""]]:
+    """Masses [kg] of the links with their point masses and bodies."""
+    topology, found = actual.topology, {}
+    for l, (name, (a, b)) in enumerate(zip(topology.links, topology.ranges, strict=True)):
+        found[name] = actual.mass[l] + jnp.sum(actual.mass[topology.n_links + a : topology.n_links + b])
+    return found
+
+
+def deflection(actual: ModelWithErrors, instant: Instant, name: str, fraction: float) -> Float[Array, "3"]:
+    """Displacement [m] of the point at a fraction of a link's length from its place on the undeformed link, in the
+    link's frame."""
+    topology, relative = actual.topology, instant.motion.relative
+    link = topology.links.index(name)
+    n, (first, _) = topology.elements[link], topology.ranges[link]
+    lengths, middles = rfe_fractions(n)
+    rfe = int(np.searchsorted(np.cumsum(lengths)[:-1], fraction, side="right"))
+    if rfe == 0:
+        return jnp.zeros(3)
+    k = first + rfe - 1
+    arm = (fraction - middles[rfe]) * actual.beam_middle[link] / middles[0]
+    along = jnp.asarray(np.eye(3)[0])
+    moved = relative.position[:, k] - along * actual.rest[k]
+    return moved + (relative.rotation[:, 0, k] - along) * arm
+
+
+def _turning(actual: ModelWithErrors, instant: Instant, joint: int) -> Float[Array, ""]:
+    """Rate [rad/s] of the child against the parent about the axis of a joint, its size where there is no axis."""
+    topology = actual.topology
+    spins = _node_spins(actual, instant)
+    sides = topology.parents[joint], topology.children[joint]
+    parent, child = (jnp.zeros(3) if node == BASE else spins[:, node] for node in sides)
+    relative = child - parent
+    kind = topology.kind(joint).nominal
+    if kind.axis is None:
+        return safe_sqrt(dot(relative, relative))
+    return dot(_joint_axes(topology, instant, joint)[:, kind.axis], relative)
+
+
+def _node_spins(actual: ModelWithErrors, instant: Instant) -> Float[Array, "3 nodes"]:
+    """Angular velocities [rad/s] of all nodes in global axes."""
+    return velocities(actual, instant.motion)[3]
+
+
+def _joint_axes(topology: Topology, instant: Instant, joint: int) -> Float[Array, "3 3"]:
+    """Axes of a joint's frame H, of a cut joint those of L."""
+    if joint < topology.n_links:
+        return instant.motion.hinges.rotation[:, :, joint]
+    assert instant.closure is not None, "cut joints have closure equations"
+    return instant.closure.rotation[:, :, joint - topology.n_links]

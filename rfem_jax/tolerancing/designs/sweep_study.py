@@ -1,0 +1,286 @@
+"""Sweeps: all metrics on a grid or at Sobol' points over ranges of the errors.
+
+Place in the pipeline: problem + ranges -> samples (`execution`, kept in a folder as those of Monte Carlo) -> response
+surface -> result.
+
+Symbols: N points, k errors that vary, m metrics; errors (N, k) [rad or m], values (N, m) [units of the metrics].
+Source: theory (10.25); Sobol' points: see `sampling.sequences`.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from jaxtyping import Float, Int
+
+from rfem_jax.description.errors import InputError, require_choice
+from rfem_jax.description.precision import require_float64
+from rfem_jax.description.tasks.settings import MOST_SAMPLES, whole_number
+from rfem_jax.labelled_data import DataFrame, column_name, frame
+from rfem_jax.text_layout import align_columns, wrap_lines
+from rfem_jax.tolerancing.checks import ErrorValue, ErrorValues, check_known, error_value
+from rfem_jax.tolerancing.designs.response_surface import ResponseSurface, fit_response_surface
+from rfem_jax.tolerancing.layout import show_error, show_number
+from rfem_jax.tolerancing.problems.distributions import DISTRIBUTIONS, Tolerances
+from rfem_jax.tolerancing.problems.evaluation import read_point
+from rfem_jax.tolerancing.problems.execution import default_lanes, fingerprint_problem, run_chunks
+from rfem_jax.tolerancing.problems.problem import ToleranceProblem
+from rfem_jax.tolerancing.problems.results_store import ResultsStore, require_study
+from rfem_jax.tolerancing.progress import ProgressOption
+from rfem_jax.tolerancing.sampling.sequences import RandomKey, unit_points
+from rfem_jax.tolerancing.sampling.study_identity import identify_request
+
+DESIGNS = ("grid", "sobol")
+Bounds = Mapping[str, tuple[ErrorValue, ErrorValue]]
+
+
+@dataclass(frozen=True, eq=False)
+class SweepResult:
+    """Metrics over ranges of errors.
+
+    names, error_units, bounds (k): of the errors that vary, "rad" or "m", (low, high); metrics, metric_units, labels
+    (m); at {name: value}: errors held fixed, [rad or m];
+    errors (N, k), values (N, m), NaN where a sample failed, status (N,), 0 good;
+    design "grid" (with `levels` of each error, the last one fastest) or "sobol";
+    surface: the response surface, None where the design does not determine one, for the reason `surface_note`.
+    """
+
+    names: tuple[str, ...]
+    error_units: tuple[str, ...]
+    bounds: tuple[tuple[float, float], ...]
+    metrics: tuple[str, ...]
+    metric_units: tuple[str, ...]
+    labels: tuple[str, ...]
+    at: dict[str, float]
+    errors: Float[np.ndarray, "N k"]
+    values: Float[np.ndarray, "N m"]
+    status: Int[np.ndarray, " N"]
+    design: str
+    levels: int
+    surface: ResponseSurface | None
+    surface_note: str
+    chunks_computed: int
+
+    @property
+    def good(self) -> int:
+        """Number of points that did not fail."""
+        return int(np.sum(self.status == 0))
+
+    def rows(self) -> list[dict[str, Any]]:
+        """A row per point: status, errors and metrics, with their units in the names of the columns; with a response
+        surface also its value at every point."""
+        fitted = None if self.surface is None else self.surface(self.errors)
+        out = []
+        for i in range(len(self.status)):
+            row: dict[str, Any] = {"point": i, "status": int(self.status[i])}
+            for j, (name, unit) in enumerate(zip(self.names, self.error_units, strict=True)):
+                row[column_name(name, unit)] = float(self.errors[i, j])
+            for j, (name, unit) in enumerate(zip(self.metrics, self.metric_units, strict=True)):
+                row[column_name(name, unit)] = float(self.values[i, j])
+                if fitted is not None:
+                    row[column_name(f"{name}_surface", unit)] = float(fitted[i, j])
+            out.append(row)
+        return out
+
+    def to_pandas(self) -> DataFrame:
+        """These rows as a `pandas.DataFrame`. Raises: ModuleNotFoundError without the extra `xarray`."""
+        return frame(self.rows(), ["point"])
+
+    def __str__(self) -> str:
+        size = f"{self.levels} levels of each error" if self.design == "grid" else "Sobol' points"
+        head = f"Sweep over {len(self.names)} errors: {len(self.status)} points ({size}), "
+        head += f"{len(self.status) - self.good} failed"
+        lines = [wrap_lines(head), self._ranges(), "", self._extremes()]
+        if self.surface is not None:
+            lines += ["", "Response surface (quadratic)", self._surface_table(self.surface)]
+        else:
+            lines += ["", wrap_lines(f"No response surface: {self.surface_note}")]
+        return "\n".join(lines)
+
+    def _ranges(self) -> str:
+        ends = zip(self.names, self.error_units, self.bounds, strict=True)
+        return align_columns(
+            ["error", "from", "to"], [[name, *(show_error(end, unit) for end in pair)] for name, unit, pair in ends]
+        )
+
+    def _extremes(self) -> str:
+        rows = []
+        for j, (metric, unit) in enumerate(zip(self.metrics, self.metric_units, strict=True)):
+            column = self.values[:, j]
+            for word, find in (("smallest", np.nanargmin), ("largest", np.nanargmax)):
+                if np.any(np.isfinite(column)):
+                    i = int(find(column))
+                    pairs = zip(self.errors[i], self.error_units, strict=True)
+                    where = [show_error(e, of, 4) for e, of in pairs]
+                    rows.append([f"{metric} [{unit or 1}]", word, show_number(column[i]), *where])
+        return align_columns(["metric", "", "value", *self.names], rows)
+
+    def _surface_table(self, surface: ResponseSurface) -> str:
+        effects = surface.effects()
+        rows = [
+            [
+                f"{metric} [{unit or 1}]",
+                show_number(surface.cross_validated[j], 3),
+                f"{100 * surface.explained[j]:.4g} %",
+                *(show_number(effect, 4, scale=np.max(effects[j])) for effect in effects[j]),
+            ]
+            for j, (metric, unit) in enumerate(zip(self.metrics, self.metric_units, strict=True))
+        ]
+        return align_columns(
+            ["metric", "cross-validated error", "explained", *(f"effect of {name}" for name in self.names)], rows
+        )
+
+
+def sweep(
+    problem: ToleranceProblem,
+    bounds: Bounds,
+    *,
+    design: str = "grid",
+    levels: int = 5,
+    n: int = 128,
+    key: RandomKey | None = None,
+    at: ErrorValues | None = None,
+    batch: int = 64,
+    lanes: int | None = None,
+    resume: str | Path | None = None,
+    progress: ProgressOption = False,
+    description: Mapping[str, str] | None = None,
+) -> SweepResult:
+    """Run `problem` at points all over ranges of its errors.
+
+    Args:
+        bounds: {error: (low, high)} in rad or m, or strings with a unit.
+        design: "grid", all combinations of `levels` values of each error, or "sobol", `n` scrambled Sobol' points.
+        key: JAX random key of the Sobol' points; None for jax.random.key(0).
+        at: {error: value} of errors held fixed; all others are zero.
+        batch, lanes, resume, progress, description: as of `monte_carlo`; an interrupted sweep continues in its folder.
+    Raises: InputError for unknown names and bad numbers, and a folder of another study; ChunkWriteError.
+    """
+    require_float64()
+    names, ends = _read_bounds(problem, bounds)
+    fixed = _read_fixed(problem, at, names)
+    for what, number, least in (("levels", levels, 2), ("n", n, 2), ("batch", batch, 1)):
+        whole_number(number, what, least)
+    key = jax.random.key(0) if key is None else key
+    points = design_of(design, len(names), levels, n, key)
+    tolerances = ranges(dict(zip(names, ends, strict=True)), fixed)
+    complete = np.concatenate([points, np.full((len(points), len(fixed)), 0.5)], axis=1)
+    lanes = default_lanes() if lanes is None else whole_number(lanes, "lanes", 1)
+    metrics = tuple(metric.name for metric in problem.metrics)
+    store = None
+    if resume is not None:
+        identity = _identity(metrics, tolerances, key, design, levels, batch, lanes)
+        identity |= {"problem": fingerprint_problem(problem)}
+        store = ResultsStore(resume, identity, {"n": len(points)}, description)
+    samples, computed = run_chunks(
+        problem, tolerances, complete, batch=batch, lanes=lanes, store=store, progress=progress
+    )
+    return _result(problem, names, ends, fixed, samples, design, levels, computed)
+
+
+def _result(problem, names, ends, fixed, samples, design, levels, computed) -> SweepResult:
+    metrics = tuple(metric.name for metric in problem.metrics)
+    finite = np.all(np.isfinite(samples["values"]), axis=1)
+    status = np.where((samples["status"] == 0) & ~finite, -1, samples["status"])
+    values = np.where((status == 0)[:, None], samples["values"], np.nan)
+    errors = samples["errors"][:, : len(names)]
+    surface, note = None, ""
+    try:
+        surface = fit_response_surface(names, metrics, errors, values)
+    except InputError as problem_of_fit:
+        note = str(problem_of_fit)
+    return SweepResult(
+        names=names,
+        error_units=tuple(problem.error_unit(name) for name in names),
+        bounds=tuple(ends),
+        metrics=metrics,
+        metric_units=tuple(metric.unit for metric in problem.metrics),
+        labels=tuple(metric.label for metric in problem.metrics),
+        at=fixed,
+        errors=errors,
+        values=values,
+        status=status,
+        design=design,
+        levels=levels,
+        surface=surface,
+        surface_note=note,
+        chunks_computed=computed,
+    )  # fmt: skip
+
+
+def design_of(design: str, k: int, levels: int, n: int, key: RandomKey) -> Float[np.ndarray, "N k"]:
+    """Points (N, k) of the unit cube, ends included on a grid. Raises: InputError for another design, or too many."""
+    require_choice(design, DESIGNS, "design")
+    if design == "sobol":
+        return unit_points(key, n, k, "sobol")
+    if levels**k > MOST_SAMPLES:
+        raise InputError(
+            f"Argument `levels` must give a grid of at most {MOST_SAMPLES} points, but {levels} levels of {k} errors "
+            f'are more; take fewer, or the design "sobol".'
+        )
+    axes = [np.linspace(0.0, 1.0, levels)] * k
+    return np.stack([axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")], axis=1)
+
+
+def ranges(bounds: Mapping[str, tuple[float, float]], fixed: Mapping[str, float]) -> Tolerances:
+    """Errors uniform between bounds [rad or m], and fixed ones as ranges without width."""
+    uniform = DISTRIBUTIONS["uniform"]
+    varying = {name: uniform(interval=pair) for name, pair in bounds.items()}
+    return Tolerances(varying | {name: uniform(interval=(value, value)) for name, value in fixed.items()})
+
+
+def require_sweep_folder(
+    folder: str | Path,
+    metrics: Sequence[str],
+    tolerances: Tolerances,
+    key: RandomKey,
+    *,
+    design: str,
+    levels: int,
+    batch: int,
+    lanes: int | None,
+    description: Mapping[str, str] | None = None,
+) -> None:
+    """See that a sweep can start or continue in `folder`, without its problem and without writing anything.
+
+    Args: metrics, names; tolerances, as `ranges` gives them; the others as of `sweep`.
+    Raises: StudyFolderError for a folder of another study, one that holds other files, and one that cannot be written.
+    """
+    lanes = default_lanes() if lanes is None else lanes
+    require_study(folder, _identity(metrics, tolerances, key, design, levels, batch, lanes), description)
+
+
+def _identity(metrics, tolerances, key, design, levels, batch, lanes) -> dict[str, Any]:
+    request = identify_request(metrics, tolerances, key, batch=batch, lanes=lanes, sampling=design, sobol_indices=False)
+    return request | {"study": "sweep", "levels": levels if design == "grid" else None}
+
+
+def _read_fixed(problem: ToleranceProblem, at: ErrorValues | None, names: tuple[str, ...]) -> dict[str, float]:
+    fixed = read_point(problem, at)
+    for name in names:
+        if name in fixed:
+            raise InputError(f"Argument `at` must hold errors that do not vary, but `{name}` does; remove it there.")
+    return fixed
+
+
+def _read_bounds(problem: ToleranceProblem, bounds: Bounds) -> tuple[tuple[str, ...], list[tuple[float, float]]]:
+    if not isinstance(bounds, Mapping) or not bounds:
+        raise InputError(
+            f"Argument `bounds` must map errors to (low, high), but it is {bounds!r}; "
+            'write {"D.delta_x": ("-0.5 deg", "0.5 deg")}.'
+        )
+    check_known(bounds, problem.error_names, "bounds")
+    ends = []
+    for name, pair in bounds.items():
+        if not isinstance(pair, (tuple, list)) or len(pair) != 2:
+            raise InputError(f"Argument `bounds` must have pairs (low, high), but `{name}` has {pair!r}; write both.")
+        low, high = (error_value(end, problem.error_unit(name), f"`{name}` of `bounds`") for end in pair)
+        if not (np.isfinite(low) and np.isfinite(high) and low < high):
+            raise InputError(
+                f"Argument `bounds` must rise from low to high, but `{name}` has {pair!r}; swap or correct its ends."
+            )
+        ends.append((low, high))
+    return tuple(bounds), ends

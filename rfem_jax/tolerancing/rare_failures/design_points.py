@@ -1,0 +1,208 @@
+"""Design points: the most probable errors at which a limit fails, by the first-order reliability method (FORM).
+
+Place in the pipeline: problem, tolerances, limits -> **design_points** -> importance sampling.
+
+    min |w|  subject to  G(w) = +-(limit - f(e(w)))/scale = 0,        w independent standard normal numbers
+    HL-RF:  d = (G'.w - G) G'/|G'|^2 - w,   w <- w + s d,   s halved until |w|^2/2 + c |G| falls (Armijo)
+
+All searches of all limits take their steps together, in one batch of simulations with gradients. Metrics that are even
+in the errors have two design points, w and -w, and a gradient that vanishes at w = 0: searches start on a sphere, in
+pairs of opposite directions.
+
+Symbols: w (k,) standard normal coordinates of the errors (`Tolerances.from_normal`), G limit state, positive where the
+limit holds, beta = |w| of a design point with the sign of G(0) [1].
+Source: theory (10.21), (10.22); R. Rackwitz, B. Fiessler, Computers and Structures 9 (1978) 489-494 (HL-RF);
+Y. Zhang, A. Der Kiureghian, in: Reliability and Optimization of Structural Systems (1995) 297-304 (step by a merit
+function); A. Der Kiureghian, T. Dakessian, Structural Safety 20 (1998) 37-49 (several design points).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float
+
+from rfem_jax.compilation.program import Program
+from rfem_jax.tolerancing.optimisation.starting_points import sobol_units, spread_points
+from rfem_jax.tolerancing.problems.distributions import Tolerances
+from rfem_jax.tolerancing.problems.evaluation import evaluate_points
+from rfem_jax.tolerancing.problems.problem import ToleranceProblem
+from rfem_jax.tolerancing.problems.quadratic_model import linearise_points
+from rfem_jax.tolerancing.sampling.sequences import RandomKey
+
+RADIUS = 2.0  # of the sphere on which searches start
+FARTHEST = 37.0  # |w| beyond which a probability is below the smallest float64
+LARGEST_STEP = 3.0  # of |w| in one step
+SHORTEST = 2.0**-12  # share of a step that is still tried
+ARMIJO = 1e-4
+SAME = 0.05  # design points nearer to each other than this are one
+FAR_BEHIND = 3.0  # |w| beyond that of the nearest design point: of no weight
+
+
+@dataclass(frozen=True)
+class LimitState:
+    """One end of a limit: index of its metric, its sign (+1 upper, -1 lower), and the limit in the metric's unit."""
+
+    index: int
+    sign: float
+    limit: float
+
+    def of(self, values: Float[np.ndarray, "n m"]) -> Float[np.ndarray, " n"]:
+        """Distance (n,) of values (n, m) to the limit [metric unit], positive where it holds."""
+        return self.sign * (self.limit - values[:, self.index])
+
+
+@dataclass(frozen=True, eq=False)
+class DesignPoints:
+    """Design points (p, k) of one limit state in w, nearest first; nominal G at w = 0 [metric unit]; directions (p, k),
+    unit vectors of -G'; simulations with gradients used."""
+
+    points: Float[np.ndarray, "p k"]
+    directions: Float[np.ndarray, "p k"]
+    nominal: float
+
+    @property
+    def beta(self) -> Float[np.ndarray, " p"]:
+        """Reliability index of each point, negative where the limit fails at w = 0."""
+        return np.copysign(1.0, self.nominal) * np.linalg.norm(self.points, axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class NormalSpace:
+    """A problem in standard normal coordinates of its errors."""
+
+    problem: ToleranceProblem
+    tolerances: Tolerances
+    mode: str
+    batch: int
+
+    def errors(self, w: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
+        """Errors (n, k) [rad, m] of points w (n, k)."""
+        return np.asarray(_errors(self.tolerances, jnp.asarray(w))[0])
+
+    def values(self, w: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n m"]:
+        """Metrics (n, m) at points w (n, k); NaN where a sample failed."""
+        return evaluate_points(self.problem, self.tolerances.names, {}, self.errors(w), self.batch)[0]
+
+    def linearise(
+        self, w: Float[np.ndarray, "n k"], states: Sequence[LimitState]
+    ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n k"]]:
+        """G (n,) [metric unit] and its gradients (n, k) by w, each of its own limit state."""
+        errors, jacobians = map(np.asarray, _errors(self.tolerances, jnp.asarray(w)))
+        indices = np.array([state.index for state in states])
+        values, gradients, _ = linearise_points(
+            self.problem, self.tolerances.names, {}, errors, metric=indices, mode=self.mode, batch=self.batch
+        )
+        signs = np.array([state.sign for state in states])
+        limits = np.array([state.limit for state in states])
+        distances = signs * (limits - values[np.arange(len(w)), indices])
+        return distances, -signs[:, None] * np.einsum("ne,new->nw", gradients, jacobians)
+
+
+@Program
+def _errors(tolerances, w):
+    """Errors (n, k) and their Jacobians (n, k, k) by w (n, k)."""
+
+    def one(point):
+        errors = tolerances.from_normal(point)
+        return jnp.stack([errors[name] for name in tolerances.names])
+
+    return jax.vmap(one)(w), jax.vmap(jax.jacfwd(one))(w)
+
+
+def find_design_points(
+    space: NormalSpace,
+    states: Sequence[LimitState],
+    key: RandomKey,
+    *,
+    starts: int = 16,
+    rounds: int = 60,
+    accuracy: float = 1e-4,
+) -> list[DesignPoints]:
+    """The design points of every limit state; none where no search reached the limit.
+
+    Args: key of the directions in which searches start; starts, searches for each limit; rounds, the most evaluations
+        with gradients of a search; accuracy of |G| relative to its value at w = 0, and of the direction of w.
+    """
+    k = len(space.tolerances.names)
+    nominal = np.array([state.of(values)[0] for values in [space.values(np.zeros((1, k)))] for state in states])
+    half = spread_points(sobol_units(k + 1, -(-starts // 2), key), "ellipsoid")
+    half *= RADIUS / np.linalg.norm(half, axis=1, keepdims=True)
+    directions = np.concatenate([half, -half])[:starts]
+    owners = np.repeat(np.arange(len(states)), starts)
+    scale = np.where(np.isfinite(nominal) & (nominal != 0.0), np.abs(nominal), 1.0)[owners]
+    of_points = [state for state in states for _ in range(starts)]
+    points, slopes, reached = _search(space, of_points, np.tile(directions, (len(states), 1)), scale, rounds, accuracy)
+    found = []
+    for i, value in enumerate(nominal):
+        mine = (owners == i) & reached
+        found.append(_distinct(points[mine], slopes[mine], float(value)))
+    return found
+
+
+def _search(
+    space: NormalSpace, states: list[LimitState], w: np.ndarray, scale: np.ndarray, rounds: int, accuracy: float
+) -> tuple[Float[np.ndarray, "n k"], Float[np.ndarray, "n k"], Bool[np.ndarray, " n"]]:
+    """Last points (n, k), gradients there (n, k), and which are design points (n,)."""
+    value, slope = _scaled(space, states, w, scale)
+    step, direction, penalty = np.ones(len(w)), *_direction(w, value, slope)
+    active = np.isfinite(value) & np.all(np.isfinite(slope), axis=1)
+    done = np.zeros(len(w), dtype=bool)
+    for _ in range(rounds):
+        done |= active & _converged(w, value, slope, accuracy)
+        active &= ~done & (step >= SHORTEST) & (np.linalg.norm(w, axis=1) < FARTHEST)
+        rows = np.flatnonzero(active)
+        if not len(rows):
+            break
+        trial = w[rows] + step[rows, None] * direction[rows]
+        found, slopes = _scaled(space, [states[i] for i in rows], trial, scale[rows])
+        before = 0.5 * np.sum(w[rows] ** 2, axis=1) + penalty[rows] * np.abs(value[rows])
+        after = 0.5 * np.sum(trial**2, axis=1) + penalty[rows] * np.abs(found)
+        fall = np.sum(w[rows] * direction[rows], axis=1) - penalty[rows] * np.abs(value[rows])
+        with np.errstate(invalid="ignore"):
+            good = np.isfinite(found) & np.all(np.isfinite(slopes), axis=1)
+            good &= after <= before + ARMIJO * step[rows] * np.minimum(fall, 0.0) + 1e-14
+        taken, kept = rows[good], rows[~good]
+        w[taken], value[taken], slope[taken] = trial[good], found[good], slopes[good]
+        direction[taken], penalty[taken] = _direction(w[taken], value[taken], slope[taken])
+        step[taken] = 1.0
+        step[kept] *= 0.5
+    return w, slope, done
+
+
+def _scaled(space, states, w, scale):
+    value, slope = space.linearise(w, states)
+    return value / scale, slope / scale[:, None]
+
+
+def _direction(w, value, slope) -> tuple[Float[np.ndarray, "n k"], Float[np.ndarray, " n"]]:
+    """Steps (n, k) of HL-RF, and penalties (n,) with which they lower the merit function."""
+    square = np.maximum(np.sum(slope**2, axis=1), 1e-300)
+    step = ((np.sum(slope * w, axis=1) - value) / square)[:, None] * slope - w
+    length = np.linalg.norm(step, axis=1)
+    step *= np.minimum(1.0, LARGEST_STEP / np.maximum(length, 1e-300))[:, None]
+    # Twice |w|/|G'|, and enough that a step from inside, which lengthens w, still lowers the merit.
+    penalty = 2.0 * np.maximum(np.linalg.norm(w, axis=1), np.linalg.norm(w + step, axis=1)) / np.sqrt(square)
+    return step, np.maximum(penalty, 1e-12)
+
+
+def _converged(w, value, slope, accuracy) -> Bool[np.ndarray, " n"]:
+    """Where the limit is met and w stands normal to it."""
+    square = np.maximum(np.sum(slope**2, axis=1), 1e-300)
+    across = w - (np.sum(slope * w, axis=1) / square)[:, None] * slope
+    length = np.maximum(np.linalg.norm(w, axis=1), 1.0)
+    return (np.abs(value) <= accuracy) & (np.linalg.norm(across, axis=1) <= accuracy * length)
+
+
+def _distinct(points: np.ndarray, slopes: np.ndarray, nominal: float) -> DesignPoints:
+    """The design points that differ, nearest first, without those far behind the first."""
+    lengths = np.linalg.norm(points, axis=1)
+    kept: list[int] = []
+    for i in np.argsort(lengths, kind="stable").tolist():
+        near = not kept or lengths[i] <= lengths[kept[0]] + FAR_BEHIND
+        if near and all(np.linalg.norm(points[i] - points[j]) > SAME for j in kept):
+            kept.append(i)
+    unit = slopes[kept] / np.maximum(np.linalg.norm(slopes[kept], axis=1, keepdims=True), 1e-300)
+    return DesignPoints(points[kept], -unit, nominal)

@@ -1,0 +1,156 @@
+"""The commands for natural modes and for the kinetostatic turn, from a study file to tables and files."""
+
+import csv
+import json
+import math
+
+import pytest
+
+from rfem_jax.report import command_line
+from rfem_jax.report.command_line import main
+
+STUDY = """
+title = "Arm"
+[mechanism.materials.steel]
+youngs_modulus = "210 GPa"
+poisson_ratio = 0.3
+density = 7850
+[mechanism.sections.bar]
+shape = "rectangle"
+width = "8 mm"
+height = "12 mm"
+[[mechanism.links]]
+name = "arm"
+length = 0.4
+section = "bar"
+material = "steel"
+rfes = 2
+[[mechanism.joints]]
+name = "A"
+parent = "base"
+child = "arm"
+angle = "90 deg"
+[drive]
+joint = "A"
+kind = "prescribed_rate"
+rate = 1
+[simulation]
+duration = 0.1
+step = 1e-6
+[[cases]]
+name = "nominal"
+[[cases]]
+name = "longer"
+errors = { "arm.length" = "2 mm" }
+"""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _quick(quick_compilation):
+    yield
+
+
+@pytest.fixture(autouse=True)
+def _settled(monkeypatch):
+    """JAX is set up already."""
+    monkeypatch.setattr(command_line, "set_up_jax", lambda *_: None)
+
+
+@pytest.fixture
+def study(tmp_path):
+    path = tmp_path / "study.toml"
+    path.write_text(STUDY, encoding="utf-8")
+    return path
+
+
+def test_modes_of_all_cases_with_derivatives(study, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert main(["modes", str(study), "--out", str(out), "--count", "2"]) == 0
+    text = capsys.readouterr().out
+    assert "nominal, Hz" in text and "arm.length" in text and "3 files written" in text
+    content = json.loads((out / "modes.json").read_text(encoding="utf-8"))
+    assert content["units"]["frequency"] == "Hz" and content["analysis"] == "modes"
+    first, longer = (content["cases"][name] for name in ("nominal", "longer"))
+    assert first["status"] == longer["status"] == "ok"
+    difference = (longer["modes"][0]["frequency"] - first["modes"][0]["frequency"]) / 2e-3
+    mean = (first["modes"][0]["derivatives"]["arm.length"] + longer["modes"][0]["derivatives"]["arm.length"]) / 2
+    assert difference == pytest.approx(mean, rel=1e-3)
+    rows = list(csv.DictReader((out / "modes.csv").read_text(encoding="utf-8").splitlines()))
+    assert len(rows) == 4 and float(rows[0]["by_arm.length_Hz_m"]) < 0
+    assert (out / "modes.png").stat().st_size > 1000
+
+
+def test_a_turn_over_a_range_of_all_cases(study, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert main(["turn", str(study), "--out", str(out), "--positions", "3", "--from", "0 deg", "--to", "90 deg"]) == 0
+    text = capsys.readouterr().out
+    assert "Case longer" in text and "max stress, MPa" in text and "The drive holds with" in text
+    content = json.loads((out / "turn.json").read_text(encoding="utf-8"))
+    weight = 7850 * 0.008 * 0.012 * 0.4 * 9.81
+    joint = content["cases"]["nominal"]["joints"]["A"]
+    assert joint["max_force"] == pytest.approx(weight, rel=1e-9)
+    assert joint["max_moment"] == pytest.approx(weight * 0.2, rel=1e-4) and abs(joint["max_moment_at"]) < 1e-12
+    stress = content["cases"]["nominal"]["stress"]["arm"]
+    assert stress["max_stress"] == pytest.approx(weight * 0.2 * 6 / (0.008 * 0.012**2), rel=1e-3)
+    rows = list(csv.DictReader((out / "turn.csv").read_text(encoding="utf-8").splitlines()))
+    assert len(rows) == 6 and float(rows[2]["position_rad"]) == pytest.approx(math.pi / 2)
+    assert abs(float(rows[2]["holding_Nm"])) < 1e-9 and rows[2]["status"] == "ok"
+    assert (out / "turn.png").stat().st_size > 1000
+
+
+def test_what_cannot_be_asked_is_said(study, tmp_path, capsys):
+    for arguments, words in (
+        (["modes", "--count", "0"], "`count`"),
+        (["turn", "--from", "3 mm"], "--from"),
+        (["turn", "--positions", "0"], "`positions`"),
+    ):
+        assert main([arguments[0], str(study), "--out", str(tmp_path / "no"), *arguments[1:]]) == 2
+        assert words in capsys.readouterr().err
+
+
+def test_metrics_of_all_cases_of_a_run(tmp_path, capsys):
+    text = STUDY.replace("rfes = 2", "rigid = true").replace("duration = 0.1", "duration = 1e-3\nsave_every = 5e-4")
+    text = text.replace("step = 1e-6", "step = 1e-4").replace(
+        'title = "Arm"', 'title = "Arm"\nmetrics = ["*.max_stress", "mass", "peak_drive_power"]'
+    )
+    path, out = tmp_path / "study.toml", tmp_path / "out"
+    path.write_text(text, encoding="utf-8")
+    assert main(["run", str(path), "--out", str(out)]) == 0
+    assert "arm.max_stress" in capsys.readouterr().out
+    content = json.loads((out / "results.json").read_text(encoding="utf-8"))
+    assert content["units"]["metrics"] == {"arm.max_stress": "Pa", "mass": "kg", "peak_drive_power": "W"}
+    nominal, longer = (content["cases"][name]["metrics"] for name in ("nominal", "longer"))
+    weight = 7850 * 0.008 * 0.012 * 9.81
+    assert nominal["mass"] == pytest.approx(weight * 0.4 / 9.81) and longer["mass"] == pytest.approx(
+        weight * 0.402 / 9.81
+    )
+    # The arm hangs and turns by a milliradian: weight and centrifugal force pull at the hinge, and the weight bends.
+    pull = weight * 0.4 + weight / 9.81 * 0.4 * 0.2
+    bending = weight * 0.4 * 0.2 * 1e-3 * 6 / (0.008 * 0.012**2)
+    assert nominal["arm.max_stress"] == pytest.approx(pull / (0.008 * 0.012) + bending, rel=1e-4)
+    assert 0 < nominal["peak_drive_power"] < weight * 0.4 * 0.2 * 1e-3
+    path.write_text(text.replace('"mass"', '"mas"'), encoding="utf-8")
+    assert main(["run", str(path), "--out", str(out)]) == 2
+    assert "did you mean `mass`" in capsys.readouterr().err
+
+
+def test_a_cycle_is_reported_as_a_run_of_one_revolution(tmp_path, capsys):
+    text = STUDY.replace("rfes = 2", "rigid = true").replace("duration = 0.1", "duration = 1.0\nsave_every = 0.5")
+    text = text.replace("step = 1e-6", "step = 0.05").replace("rate = 1\n", "rate = 2\nrise_time = 0.1\n")
+    path, out = tmp_path / "study.toml", tmp_path / "out"
+    path.write_text(text, encoding="utf-8")
+    assert main(["cycle", str(path), "--out", str(out)]) == 0
+    assert "repeats after 2 revolutions" in capsys.readouterr().out
+    content = json.loads((out / "results.json").read_text(encoding="utf-8"))
+    assert content["duration"] == pytest.approx(math.pi)
+    mass = 7850 * 0.008 * 0.012 * 0.4
+    # Weight and centrifugal force, over a revolution at right angles in the mean.
+    rms = mass * math.hypot(9.81, 0.2 * 2.0**2)
+    assert content["cases"]["nominal"]["joints"]["A"]["rms_force"] == pytest.approx(rms, rel=1e-6)
+    path.write_text(
+        text.replace(
+            'kind = "prescribed_rate"\nrate = 2\nrise_time = 0.1', 'kind = "moment_ramp"\nmoment = 1\nrise_time = 0.1'
+        )
+    )
+    assert main(["cycle", str(path), "--out", str(out)]) == 2
+    assert "prescribed_rate" in capsys.readouterr().err

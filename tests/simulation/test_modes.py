@@ -1,0 +1,113 @@
+"""Natural frequencies about assembled configurations: closed forms, the independent modes of the perfect mechanism, and
+derivatives in both modes."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from rfem_jax import InputError, Joint, Link, Mechanism, PrescribedRate, assembly_errors, discretise
+from rfem_jax.simulation.modes import REPEATED, natural_frequencies
+from rfem_jax.simulation.stability import eigenvalues
+from rfem_jax.simulation.vibration import Vibration
+from tests.mechanisms import BAR, STEEL, compliant_four_bar, four_bar, link
+from tests.numpy_evaluation import by_numpy
+
+LENGTH = 0.4
+
+
+def weightless(model):
+    return eqx.tree_at(lambda m: m.gravity, model, jnp.zeros(3))
+
+
+@pytest.mark.parametrize("locked", [True, False])
+def test_modes_of_a_perfect_four_bar_are_those_of_its_vibration(locked):
+    """Which `vibration` finds from the velocities of free bodies; without weight, which it neglects."""
+    model = weightless(discretise(four_bar(2)))
+    found = by_numpy(lambda: natural_frequencies(model, locked=locked, count=8))()
+    other = eigenvalues(model, PrescribedRate("A", 0.0) if locked else None)
+    expected = np.sort(np.abs(other))[::2][:8] / (2 * np.pi)  # undamped: moduli of the pairs
+    first = 0 if locked else 1
+    np.testing.assert_allclose(found.frequency[first:], expected[first:], rtol=1e-6)
+    assert not found.repeated.any() and float(found.asymmetry) < 1e-8 and int(found.status) == 0
+    if not locked:  # the crank turns freely
+        assert abs(found.square[0]) < 1e-3
+    # Damping of the material alone: eta omega / 2.
+    np.testing.assert_allclose(found.damping[first:], 0.5e-5 * 2 * np.pi * found.frequency[first:], rtol=1e-6)
+
+
+def test_springs_of_cut_joints_are_in_the_stiffness():
+    model = weightless(discretise(compliant_four_bar()))
+    found = by_numpy(lambda: natural_frequencies(model, locked=False, count=6))()
+    squares = np.sort(Vibration(model).modes(np.asarray(model.start_joints)).squares)[:6]
+    assert abs(found.square[0]) < 1e-2
+    np.testing.assert_allclose(found.square[1:], squares[1:], rtol=1e-6)
+
+
+def cantilever(rfes=9):
+    bar = Link("bar", LENGTH, BAR, STEEL, rfes=rfes)
+    return weightless(discretise(Mechanism([bar], [Joint("A", "base", "bar")], driven_joint="A")))
+
+
+def test_a_square_cantilever_has_its_frequencies_in_pairs_with_closed_form_derivatives():
+    """Slender beam: f = 1.8751^2 / (2 pi L^2) sqrt(EI / rho A), of segments and with shear within a percent; twice,
+    along both axes of the square."""
+    model = cantilever()
+
+    def frequencies(length):
+        return natural_frequencies(model, assembly_errors(model, {"bar.length": length}), count=3)
+
+    found = by_numpy(lambda: frequencies(jnp.zeros(())))()
+    beam = 1.875104**2 / (2 * np.pi * LENGTH**2) * np.sqrt(STEEL.youngs_modulus * 0.01**2 / 12 / STEEL.density)
+    np.testing.assert_allclose(found.frequency[:2], beam, rtol=0.01)
+    assert found.frequency[2] > 5 * beam
+    np.testing.assert_array_equal(found.repeated, [1.0, 1.0, found.separation[2] < REPEATED])
+
+
+def test_derivatives_are_those_of_differences_and_closed_forms():
+    """A bar that is held against turning about its hinge has one frequency in the plane; a longer bar is slower by the
+    square of its length."""
+    bar = Link("bar", LENGTH, type(BAR)(0.01, 0.02), STEEL, rfes=4)
+    model = weightless(discretise(Mechanism([bar], [Joint("A", "base", "bar")], driven_joint="A")))
+
+    def frequencies(length):
+        return natural_frequencies(model, assembly_errors(model, {"bar.length": length}), count=3).frequency
+
+    zero, step = jnp.zeros(()), 1e-5
+    at = by_numpy(jax.vmap(frequencies))(jnp.asarray([0.0, step, -step, 1e-3, -1e-3]))
+    difference = (at[1] - at[2]) / (2 * step)
+    forward = by_numpy(jax.jacfwd(frequencies))(zero)
+    np.testing.assert_allclose(forward, difference, rtol=1e-6)
+    np.testing.assert_allclose(forward[:2], -2 * at[0, :2] / LENGTH, rtol=0.02)
+    backward = by_numpy(jax.grad(lambda x: frequencies(x) @ jnp.asarray([1.0, 2.0, 3.0])))(zero)
+    assert float(backward) == pytest.approx(float(forward @ [1.0, 2.0, 3.0]), rel=1e-8)
+    curvature = by_numpy(jax.jacfwd(jax.jacfwd(frequencies)))(zero)
+    np.testing.assert_allclose(curvature, (at[3] + at[4] - 2 * at[0]) / 1e-6, rtol=1e-3)
+
+
+def test_preload_by_errors_moves_frequencies_as_their_derivatives_say():
+    model = discretise(four_bar(2))
+
+    def frequencies(tilt):
+        return natural_frequencies(model, assembly_errors(model, {"D.delta_x": tilt}), count=4).frequency
+
+    # Even in a tilt out of the plane: derivatives at half a degree.
+    tilt, step = jnp.asarray(np.radians(0.5)), 1e-4
+    at = by_numpy(jax.vmap(frequencies))(tilt + jnp.asarray([step, -step]))
+    forward = by_numpy(jax.jacfwd(frequencies))(tilt)
+    np.testing.assert_allclose(forward, (at[0] - at[1]) / (2 * step), rtol=1e-4, atol=1e-5 * np.abs(forward).max())
+
+
+@pytest.mark.parametrize(("angle", "sign"), [(np.pi / 2, 1.0), (-np.pi / 2, -1.0)])
+def test_a_pendulum_swings_below_and_falls_from_above(angle, sign):
+    """y of the hinge and x of the arm: at +90 deg the arm hangs."""
+    length = 0.3
+    model = discretise(Mechanism([link("arm", length)], [Joint("A", "base", "arm", angle=angle)], driven_joint="A"))
+    found = by_numpy(lambda: natural_frequencies(model, locked=False, count=3))()
+    assert found.square.shape == (1,)
+    square = 9.81 * (length / 2) / (length**2 / 3 + (0.01**2 / 12))
+    assert float(found.square[0]) == pytest.approx(sign * square, rel=1e-9)
+    assert float(found.frequency[0]) == pytest.approx(np.sqrt(square) / (2 * np.pi) if sign > 0 else 0.0, rel=1e-9)
+    with pytest.raises(InputError, match="`count` must be a whole number"):
+        natural_frequencies(model, count=0)

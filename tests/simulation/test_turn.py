@@ -1,0 +1,66 @@
+"""The kinetostatic turn: closed forms of an arm, the derivative of the energy, and the assembly at one angle."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from rfem_jax import InputError, Joint, Mechanism, assemble, assembly_errors, discretise
+from rfem_jax.simulation.turn import closed_poses, kinetostatic_turn, turn_over, turn_positions
+from tests.mechanisms import BAR, STEEL, four_bar, link
+from tests.numpy_evaluation import by_numpy
+
+
+def test_an_arm_is_held_against_its_weight_over_a_revolution():
+    length, gravity = 0.3, 9.81
+    model = discretise(Mechanism([link("arm", length)], [Joint("A", "base", "arm", angle=0.2)], driven_joint="A"))
+    positions = turn_positions(model, 8)
+    turn = by_numpy(lambda: kinetostatic_turn(model, positions=positions))()
+    np.testing.assert_allclose(turn.position, 0.2 + np.arange(8) * np.pi / 4)
+    mass = STEEL.density * BAR.area * length
+    # The arm's x axis turns about y: at an angle a its end is at L (cos a, 0, -sin a).
+    np.testing.assert_allclose(turn.holding, -mass * gravity * length / 2 * np.cos(turn.position), atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(turn.loads["A"].force, axis=1), mass * gravity)
+    np.testing.assert_allclose(turn.energy, -mass * gravity * length / 2 * np.sin(turn.position), atol=1e-12)
+    bending = mass * gravity * length / 2 * np.abs(np.cos(turn.position)) * 6 / 0.01**3
+    axial = mass * gravity * np.abs(np.sin(turn.position)) / 0.01**2
+    np.testing.assert_allclose(turn.stress["arm"], bending + axial, rtol=1e-6)
+    assert not turn.status.any()
+
+
+def test_a_turn_is_the_assembly_at_its_angles_and_its_moment_the_derivative_of_the_energy():
+    model = discretise(four_bar(2))
+    errors = assembly_errors(model, {"D.delta_x": "0.5 deg", "coupler.length": "0.1 mm"})
+    step, middle = 1e-3, -np.pi / 2 + 0.05
+    positions = turn_positions(model, 3, middle - step, middle + step)
+    poses = closed_poses(model, positions)
+
+    def turned(size):
+        return turn_over(model, jax.tree.map(lambda x: size * x, errors), poses)
+
+    turn = by_numpy(turned)(jnp.ones(()))
+    assert not turn.status.any()
+    derivative = (turn.energy[2] - turn.energy[0]) / (2 * step)
+    assert float(turn.holding[1]) == pytest.approx(float(derivative), rel=1e-4)
+    other = by_numpy(lambda: assemble(model, errors, hold={"A": middle}))()
+    assert int(other.status) == 0
+    for name, load in other.preload.items():
+        np.testing.assert_allclose(turn.loads[name].force[1], load.force, rtol=1e-7, atol=1e-6)
+        np.testing.assert_allclose(turn.loads[name].moment[1], load.moment, rtol=1e-7, atol=1e-6)
+    change = by_numpy(jax.jacfwd(lambda size: turned(size).holding))(jnp.ones(()))
+    high, low = (by_numpy(turned)(jnp.asarray(1 + h)).holding for h in (1e-4, -1e-4))
+    np.testing.assert_allclose(change, (high - low) / 2e-4, rtol=1e-5)
+
+
+def test_turns_that_cannot_be_are_refused():
+    model = discretise(four_bar(2))
+    rocker = discretise(Mechanism(four_bar(2).links, four_bar(2).joints, driven_joint="D"))
+    with pytest.raises(InputError, match="the last position that closes"):
+        kinetostatic_turn(rocker)
+    with pytest.raises(InputError, match="`positions` must be a whole number"):
+        turn_positions(model, 0)
+    with pytest.raises(InputError, match="`stop` of a turn"):
+        turn_positions(model, 3, 0.1)
+    free = discretise(Mechanism([link("arm", 0.3)], [Joint("A", "base", "arm")]))
+    with pytest.raises(InputError, match="must have a driven joint"):
+        kinetostatic_turn(free)
