@@ -6,6 +6,7 @@ Place in the pipeline: after `load_study`; computes nothing.
 
 import math
 
+from rfem_jax.description.joint_kinds import KINDS
 from rfem_jax.description.study import Study
 from rfem_jax.task_kinds import task_kinds
 from rfem_jax.text_layout import size_text, time_text, wrap_lines
@@ -79,8 +80,10 @@ def numbers_saved(study: Study) -> int:
     # coordinates of the tree; ends of the links; assembly modes.
     explicit = 4 + 3 * len(study.drives) + 5 + 8 * joints + coordinates + 3 * links + len(mechanism.cut_joints)
     explicit += 12 * len(mechanism.point_forces)  # their forces, moments and points
+    elastic = 6 * sum(link.elements - 1 for link in mechanism.links)
+    explicit += coordinates + sum(KINDS[joint.kind].ball for joint in mechanism.tree_joints) + elastic  # positions
     if study.method.implicit or study.method.name == "auto":  # which may choose an implicit one
-        return explicit + coordinates + 6 * sum(link.elements - 1 for link in mechanism.links)  # residuals
+        return explicit + coordinates + elastic  # residuals
     return explicit
 
 
