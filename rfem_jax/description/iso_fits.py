@@ -108,7 +108,7 @@ def _deviations(size: float, letters: str, grade: int, code: str, where: str) ->
     return low * MICROMETRE, (low + width) * MICROMETRE
 
 
-def _lower(letters: str, grade: int, column: int, width: int, table: dict[str, Any]) -> float:
+def _lower(letters: str, grade: int, column: int, width: int, table: dict[str, Any]) -> int | float:
     """Lower deviation [um] of a hole or a shaft."""
     small = letters.lower()
     if small == "js":
@@ -123,7 +123,7 @@ def _lower(letters: str, grade: int, column: int, width: int, table: dict[str, A
     return _upper_of_tight_hole(letters, grade, column, of_shaft, table) - width
 
 
-def _upper_of_tight_hole(letters: str, grade: int, column: int, of_shaft: int, table: dict[str, Any]) -> float:
+def _upper_of_tight_hole(letters: str, grade: int, column: int, of_shaft: int, table: dict[str, Any]) -> int | float:
     """ES [um] of a hole K, N or P."""
     smallest = column == 0
     if letters == "N" and grade > 8 and not smallest:
