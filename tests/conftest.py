@@ -51,8 +51,8 @@ def pytest_collection_modifyitems(items):
             item.add_marker(pytest.mark.skip(reason="types are checked at run time"))
 
 
-# Nor what costs more time in XLA than it saves in a program that runs a few times: what is known of which arrays overlap,
-# kernels made by way of MLIR (a choice of JAX before 0.12), and the check of XLA's own passes.
+# What costs more time in XLA than it saves in a program that runs a few times: notes on which arrays may overlap, a
+# fine analysis of copies, and kernels made by way of MLIR (a choice only before JAX 0.12).
 QUICK_OPTIONS = {
     "xla_llvm_enable_noalias_metadata": False,
     "xla_llvm_enable_alias_scope_metadata": False,
@@ -63,12 +63,15 @@ QUICK_OPTIONS = {
 
 
 @pytest.fixture(scope="module", autouse=True)
-def quick_compilation(request):
-    """Programs of tests run a few times: they are compiled without most optimisations, unless their module says
-    `COMPILED_AS_SHIPPED`, because compiled programs are its subject or because its programs run long."""
-    if getattr(request.module, "COMPILED_AS_SHIPPED", False):
-        yield
-        return
+def _compilation(request):
+    """Quick, unless the module says `COMPILED_AS_SHIPPED`, because compiled programs are its subject or run long."""
+    if not getattr(request.module, "COMPILED_AS_SHIPPED", False):
+        request.getfixturevalue("quick_compilation")
+
+
+@pytest.fixture(scope="module")
+def quick_compilation():
+    """For many programs that run a few times each: compile without most optimisations."""
     before, made = jax.config.read("jax_disable_most_optimizations"), compiler.get_compile_options
 
     def quick(*args, **kwargs):
