@@ -85,11 +85,13 @@ def discretise(mechanism: Mechanism, rfes: int | None = None, elements: str | No
         idle = tuple(sorted(_idle_coordinates(model)))
         model = dataclasses.replace(model, topology=model.topology._replace(idle=idle))
     if structure.redundant and not model.topology.minimum_norm:
+        locks = "" if structure.rigid_mobility else " Nothing moves: with rigid links its joints lock (mobility 0)."
         raise InputError(
             f"Argument `mechanism` must have unique joint reactions, but its "
             f"{structure.constraints} closure equations have rank {structure.rank}: rigid loops with "
             "parallel axes or slides are statically indeterminate. Make one link of each loop flexible, give joints of "
             'each loop a compliance, or set redundant_reactions = "minimum_norm" to get the reactions of least norm.'
+            + locks
         )
     if structure.redundant:
         require_unique_normal_loads(model)

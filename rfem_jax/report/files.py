@@ -25,7 +25,7 @@ from rfem_jax.description.metric_catalogue import unit_of
 from rfem_jax.description.point_forces import AtPoint
 from rfem_jax.description.study import Study
 from rfem_jax.report.annotations import Run, Summaries
-from rfem_jax.report.driven_motions_report import drive_quantities, has_driven_joint
+from rfem_jax.report.driven_motions_report import drive_quantities
 from rfem_jax.report.output import csv_cell, write_json
 from rfem_jax.report.quantities import ENERGIES, column_name, units
 from rfem_jax.report.summary import joint_names, study_note, total_energy
@@ -39,7 +39,7 @@ def write_results(path: str | Path, study: Study, summaries: Summaries) -> Path:
         "title": study.title,
         "note": study_note(study) or None,
         "duration": study.duration,
-        "driven_joint": study.drives[0].joint if has_driven_joint(study) else None,
+        "driven_joint": study.drives[0].joint if study.drives else None,
         "method": asdict(study.method),
         **({"design": study.design_values} if study.design_values else {}),
         "cases": summaries,

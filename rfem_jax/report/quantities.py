@@ -41,6 +41,8 @@ PRELOADS = (PRELOAD_FORCE, PRELOAD_MOMENT)
 
 ANGLE_END = Quantity("angle_end", "rad", "Angle at end", "the driven joint's own coordinate")
 RATE_END = Quantity("rate_end", "rad/s", "Rate at end", "rate of the driven joint's coordinate")
+POSITION_END = Quantity("position_end", "m", "Position at end", "displacement of a driven joint")
+RMS_COMPONENTS = "rms_components"  # of force and moment, x y z of the frame H
 FRICTION_LOSS = Quantity("friction_loss", "J", "Friction loss", "energy that a friction has dissipated over the run")
 
 DRIVEN_JOINT = (ANGLE_END, RATE_END)
@@ -86,5 +88,5 @@ ENERGIES = (
 
 def units() -> dict[str, str]:
     """Unit of every number in `results.json` by its name ("1" where it has no dimension)."""
-    listed = (*JOINT_METRICS, *PRELOADS, *DRIVEN_JOINT, FRICTION_LOSS, *BALANCES)
-    return {quantity.name: quantity.unit or "1" for quantity in listed}
+    listed = (*JOINT_METRICS, *PRELOADS, *DRIVEN_JOINT, POSITION_END, FRICTION_LOSS, *BALANCES)
+    return {**{quantity.name: quantity.unit or "1" for quantity in listed}, RMS_COMPONENTS: "N, N m"}

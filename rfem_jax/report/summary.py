@@ -4,6 +4,7 @@ Place in the pipeline: after `rfem_jax.simulation.run_cases`; what it returns is
 of `results.json` with NaN still in it.
 """
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -14,7 +15,14 @@ from rfem_jax.description.metric_catalogue import metric_of
 from rfem_jax.description.study import Study
 from rfem_jax.report.annotations import Run, Summaries
 from rfem_jax.report.driven_motions_report import drive_quantities, has_driven_joint
-from rfem_jax.report.quantities import BALANCES, DRIVEN_JOINT, FRICTION_LOSS, JOINT_METRICS
+from rfem_jax.report.quantities import (
+    BALANCES,
+    DRIVEN_JOINT,
+    FRICTION_LOSS,
+    JOINT_METRICS,
+    POSITION_END,
+    RMS_COMPONENTS,
+)
 
 PLOTS_HINT = 'No pictures were drawn: matplotlib is not installed (pip install "rfem_jax[plots]").'
 
@@ -42,21 +50,52 @@ def summarise_run(study: Study, run: Run) -> dict[str, Any]:
     for name in joint_names(study):
         row: dict[str, Any] = {"kind": study.mechanism.joint(name).kind}
         row |= {q.name: float(getattr(run.metrics, q.name)[name]) for q in JOINT_METRICS}
+        row[RMS_COMPONENTS] = _rms_components(run, name)
         row["preload_force"] = [float(v) for v in np.asarray(run.preload[name].force)]
         row["preload_moment"] = [float(v) for v in np.asarray(run.preload[name].moment)]
         joints[name] = row
-    driven = has_driven_joint(study)
-    ends = {q.name: float(getattr(run.driven_joint, q.name)) if driven else float("nan") for q in DRIVEN_JOINT}
+    driven = _driven_joints(study, run)
+    ends = {q.name: driven[0].get(q.name, math.nan) if driven else math.nan for q in DRIVEN_JOINT}
     balances = {q.name: float(getattr(run, q.name)) for q in BALANCES}
     losses = {name: float(np.asarray(values)[-1]) for name, values in run.friction_losses.items()}
     friction = {FRICTION_LOSS.name: losses} if losses else {}
-    summary = {"joints": joints, "driven_joint": ends, **friction, **balances, "branch": branches(run)}
+    summary = {"joints": joints, "driven_joint": ends, "driven_joints": driven, **friction, **balances}
+    summary["branch"] = branches(run)
     if study.metrics:
         summary["metrics"] = {name: float(metric_of(run, name)) for name in study.metrics}
     for one in drive_quantities(study):
         of_drive = summary.setdefault("drives", {}).setdefault(one.label, {})
         of_drive[one.end.name] = float(one.values(run)[-1])
     return summary
+
+
+def _driven_joints(study: Study, run: Run) -> list[dict[str, Any]]:
+    """Joint and motion of every drive with `angle_end` and `rate_end`, or `position_end` and `speed_end`."""
+    found = []
+    for one, label, motion in zip(study.drives, study.drive_labels, study.drive_motions, strict=True):
+        if has_driven_joint(study):
+            position, rate = run.driven_joint.angle_end, run.driven_joint.rate_end
+        else:
+            position, rate = (np.asarray(getattr(run.drives[label], part))[-1] for part in ("position", "rate"))
+        names = ("angle_end", "rate_end") if motion.startswith("R") else (POSITION_END.name, "speed_end")
+        ends = zip(names, (position, rate), strict=True)
+        found.append({"joint": one.joint, "motion": motion, **{name: float(value) for name, value in ends}})
+    return found
+
+
+def _rms_components(run: Run, name: str) -> dict[str, list[float]]:
+    """RMS of the x, y and z of force and moment in the joint's frame H; their squares add up to that of the RMS load.
+
+    The mean square is that of the whole run, its shares are those of the saved times.
+    """
+    found = {}
+    for load in ("force", "moment"):
+        with np.errstate(invalid="ignore"):  # of a failed run
+            squares = np.trapezoid(np.asarray(getattr(run.loads[name], load)) ** 2, np.asarray(run.times), axis=0)
+            total = float(np.sum(squares))
+            shares = squares / total if total != 0.0 else np.zeros(3)
+        found[load] = [float(v) for v in float(getattr(run.metrics, f"rms_{load}")[name]) * np.sqrt(shares)]
+    return found
 
 
 def branches(run: Run) -> dict[str, dict[str, int]]:

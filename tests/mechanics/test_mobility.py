@@ -22,6 +22,16 @@ def slider_crank(wrist="revolute", **settings):
     return Mechanism(links, joints, driven_joint="A", **settings)
 
 
+def triangle():
+    """Two rods on the base that meet: nothing can move."""
+    joints = [
+        Joint("A", "base", "a", angle=-np.pi / 3.0),
+        Joint("D", "base", "b", position=(0.3, 0, 0), angle=-2.0 * np.pi / 3.0),
+        Joint("C", "a", "b", cut=True),
+    ]
+    return Mechanism([link("a", 0.3), link("b", 0.3)], joints)
+
+
 def test_a_planar_slider_crank_has_three_redundant_rows():
     structure = describe(discretise(slider_crank(redundant_reactions="minimum_norm")))
     assert (structure.constraints, structure.rank, structure.mobility) == (5, 2, 1)
@@ -58,6 +68,10 @@ def test_joints_that_lock_are_named():
     mechanism = loop_cut_by("universal")
     text = " ".join(count_lines(mechanism, describe(discretise(mechanism))))
     assert "A (revolute), D (revolute), C (universal) lock" in text
+    with pytest.raises(InputError, match=r"slides are statically indeterminate.*joints lock \(mobility 0\)\."):
+        discretise(triangle())
+    with pytest.raises(InputError, match="of least norm.$"):
+        discretise(slider_crank())
     mechanism = loop_cut_by("planar")
     assert "lock" not in " ".join(count_lines(mechanism, describe(discretise(mechanism))))
 

@@ -10,7 +10,7 @@ from rfem_jax.description import load_study
 from rfem_jax.report.driven_motions_report import drive_quantities, has_driven_joint
 from rfem_jax.report.files import history_columns, write_results
 from rfem_jax.report.overview import _drives_text, joint_rows
-from rfem_jax.report.summary import summarise
+from rfem_jax.report.summary import _driven_joints, summarise
 from rfem_jax.report.tables import driven_joint_table
 from tests.description.test_several_drives import MOMENT, PUSH, SLIDER
 from tests.report.conftest import STUDY
@@ -60,7 +60,12 @@ def test_ends_in_summary_table_and_file(several, statuses, tmp_path):
     assert table.startswith("Drives\n") and "D: angle at end, deg" in table and "57.29578" in table
     write_results(tmp_path / "results.json", study, summaries)
     written = json.loads((tmp_path / "results.json").read_text())
-    assert written["drives"] == ["D", "A"] and written["driven_joint"] is None
+    assert written["drives"] == ["D", "A"] and written["driven_joint"] == "D", "the first one"
+    case = written["cases"]["P2"]
+    assert case["driven_joint"] == {"angle_end": 1.0, "rate_end": 2.0}
+    assert [(one["joint"], one["motion"], one["rate_end"]) for one in case["driven_joints"]] == [
+        ("D", "R_y", 2.0), ("A", "R_y", 20.0)
+    ]  # fmt: skip
     assert written["units"]["moment_end"] == "N m"
 
 
@@ -82,6 +87,14 @@ def test_the_overview_names_all_drives(several):
         "Drive: prescribed rate on joint D (SI: rate 2, rise time 0).\n"
         "Drive: moment ramp on joint A (SI: moment 1.5, rise time 0.1).\n"
     )
+
+
+def test_a_driven_slide_ends_at_a_position(tmp_path):
+    path = tmp_path / "study.toml"
+    path.write_text(SLIDER + PUSH, encoding="utf-8")
+    drive = SimpleNamespace(position=np.array([0.0, 0.3]), rate=np.array([0.0, 4.0]), force=np.zeros(2))
+    driven = _driven_joints(load_study(path), SimpleNamespace(drives={"C.T_y": drive}))
+    assert driven == [{"joint": "C", "motion": "T_y", "position_end": 0.3, "speed_end": 4.0}]
 
 
 def test_translations_have_their_units(tmp_path):

@@ -32,6 +32,10 @@ def test_json_has_the_promised_keys_and_numbers(folder):
     assert list(results["cases"]) == ["P1", "P2", "P3"]
     case = results["cases"]["P2"]
     assert case["status"] == "ok"
+    components = case["joints"]["C"].pop("rms_components")
+    # RMS 8 N in the directions of (2, 4, 6) + 3, on all saved times the same.
+    np.testing.assert_allclose(components["force"], 8.0 * np.array([5.0, 7.0, 9.0]) / np.sqrt(155.0), rtol=1e-12)
+    np.testing.assert_allclose(components["moment"], 0.1 * np.array(components["force"]), rtol=1e-12)
     assert case["joints"]["C"] == {
         "kind": "revolute",
         "rms_force": 8.0,
@@ -42,6 +46,7 @@ def test_json_has_the_promised_keys_and_numbers(folder):
         "preload_moment": pytest.approx([0.5, 0.7, 0.9]),
     }
     assert case["driven_joint"] == {"angle_end": 8.51, "rate_end": 20.0}
+    assert case["driven_joints"] == [{"joint": "A", "motion": "R_y", "angle_end": 8.51, "rate_end": 20.0}]
     assert case["energy_balance_error"] == 1e-7
     assert case["closure_drift"] == 2e-12
     assert case["closure_drift_angle"] == 3e-12
@@ -129,6 +134,7 @@ def test_without_a_drive_the_driven_joint_is_null(tmp_path, study, runs, statuse
     results = read_json(tmp_path)
     assert results["driven_joint"] is None
     assert results["cases"]["P1"]["driven_joint"] == {"angle_end": None, "rate_end": None}
+    assert results["cases"]["P1"]["driven_joints"] == []
 
 
 def test_the_reference_is_the_case_without_errors(study):

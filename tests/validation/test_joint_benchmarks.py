@@ -66,6 +66,20 @@ def test_flexible_linkages_at_rest():
         preload = assemble(model, assembly_errors(model, errors)).preload
         lines = joint_cases.preload_lines(slider_cranks.REFERENCE, "moment", "", preload, 1e-8)
         assert len(lines) == 8 and (failed(lines) == []) == (left_out is None)
+    linear = discretise(slider_cranks.flexible("linear"))
+    preload = assemble(linear, assembly_errors(linear, slider_cranks.ERRORS)).preload
+    for case, count in (("linear", 0), ("moment", 8)):
+        lines = joint_cases.preload_lines(slider_cranks.REFERENCE, case, "", preload, 1e-8)
+        assert len(lines) == 8 and len(failed(lines)) == count
+
+
+def test_derivatives_that_are_off_fail():
+    known = {load: slider_cranks.REFERENCE[f"d_mean_square_{load}"] for load in ("force", "moment")}
+    lines = slider_cranks.derivative_lines(known)
+    assert len(lines) == 10 and failed(lines) == []
+    off = {**known["moment"], "G.d_y": {**known["moment"]["G.d_y"], "B": 428059.0}}
+    lines = slider_cranks.derivative_lines({**known, "moment": off})
+    assert failed(lines) == ["mean square moment of B by G.d_y"]
 
 
 def test_the_published_equations_of_the_elastic_rod(monkeypatch):
