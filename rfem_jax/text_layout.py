@@ -1,4 +1,4 @@
-"""Plain-text columns and lines for a terminal.
+"""Plain text for a terminal: columns, lines, sizes and times.
 
 Place in the pipeline: beside all packages, and imports none of them; used where results print themselves
 (`tolerancing`) and by `report`.
@@ -47,3 +47,17 @@ def wrap_lines(text: str, indent: int = 2, width: int = WIDTH) -> str:
         textwrap.fill(line, width, subsequent_indent=" " * indent, break_long_words=False, break_on_hyphens=False)
         for line in text.splitlines()
     )
+
+
+def size_text(number: int | float) -> str:
+    """A number of bytes."""
+    return f"{number / 1e6:.2g} MB" if number < 1e9 else f"{number / 1e9:.2g} GB"
+
+
+def time_text(seconds: int | float) -> str:
+    """A rough time, one digit in the unit that suits it."""
+    for unit, length in (("day", 86400.0), ("hour", 3600.0), ("minute", 60.0)):
+        if seconds >= length:
+            number = f"{float(f'{seconds / length:.1g}'):.0f}"
+            return f"{number} {unit}{'' if number == '1' else 's'}"
+    return f"{float(f'{seconds:.1g}'):g} s" if seconds >= 1.0 else "less than a second"

@@ -123,7 +123,7 @@ def quantity(value: Quantity, dimension: str, where: str) -> float:
     largest = RANGES.get(dimension, (SMALLEST, LARGEST))[1]
     if abs(number) > largest:
         raise InputError(
-            f"{subject(where)} must not be larger than {largest:g} {si_unit}, but was {short(value)}; "
+            f"{subject(where)} must not be larger than {_in_unit(largest, si_unit)}, but was {short(value)}; "
             "check the number and its unit."
         )
     return number
@@ -137,7 +137,7 @@ def positive_quantity(value: Quantity, dimension: str, where: str) -> float:
     smallest = RANGES.get(dimension, (SMALLEST, LARGEST))[0]
     if number < smallest:
         raise InputError(
-            f"{subject(where)} must not be smaller than {smallest:g} {DIMENSIONS[dimension][1]}, but was "
+            f"{subject(where)} must not be smaller than {_in_unit(smallest, DIMENSIONS[dimension][1])}, but was "
             f"{value}; check the number and its unit."
         )
     return number
@@ -168,6 +168,11 @@ def sequence(value: Quantities, dimension: str, where: str) -> tuple[float, ...]
         raise InputError(f"{subject(where)} must be a list of numbers, but was {value!r}; write it in square brackets.")
     name = where if "`" in where else f"`{where}`"
     return tuple(quantity(entry, dimension, f"{name} (entry {index})") for index, entry in enumerate(value, start=1))
+
+
+def _in_unit(number: float, unit: str) -> str:
+    """A number with its SI unit, which is "1" for one without a dimension."""
+    return f"{number:g}" if unit == "1" else f"{number:g} {unit}"
 
 
 def short(value: object) -> str:

@@ -1,16 +1,21 @@
-"""What a study will cost, before it is run: numbers of simulations by task, memory of the results; part of `check`.
+"""What a study will cost, before it is run: numbers of simulations by task, memory of the results, and roughly the
+time; part of `check`.
 
-Place in the pipeline: after `load_study`; computes nothing. Times are not told: they depend on the machine.
+Place in the pipeline: after `load_study`; computes nothing.
 """
 
 import math
 
+from rfem_jax.description.joint_kinds import KINDS
 from rfem_jax.description.study import Study
 from rfem_jax.task_kinds import task_kinds
-from rfem_jax.text_layout import wrap_lines
+from rfem_jax.text_layout import size_text, time_text, wrap_lines
 
 SAVED_BY_DEFAULT = 500  # intervals, as `rfem_jax.simulation.time_grid` has them
 BYTES = 8  # of a number in double precision
+# On a core as that of benchmarks/README.md: of a step of Runge-Kutta 4 or of the implicit method, for each rfe or rigid
+# link, alone or in a batch; of a static start. Other methods, links and machines differ by a small factor.
+STEP_SECONDS, START_SECONDS = 6e-7, 2e-3
 
 
 def cost_text(study: Study) -> str:
@@ -21,7 +26,7 @@ def cost_text(study: Study) -> str:
     lines = [
         "Cost",
         f"  cases: {_count(cases, 'simulation')}{length}, computed together; results at {times} saved times, about "
-        f"{_size(BYTES * cases * times * numbers_saved(study))}",
+        f"{size_text(BYTES * cases * times * numbers_saved(study))}",
     ]
     if study.tasks.declared:
         # Takes seconds: only where there is something to count.
@@ -32,6 +37,24 @@ def cost_text(study: Study) -> str:
             lines.append(f"  {(task_kinds()[name].title or name).lower()}: {'; '.join(told)}")
         return wrap_lines("\n".join(lines), indent=4)
     return "\n".join(lines)
+
+
+def times_text(study: Study) -> str:
+    """Roughly the time of the cases and of every task, "" where the method chooses its steps itself."""
+    if study.method.step is None:
+        return ""
+    bodies = sum(link.elements for link in study.mechanism.links)
+    one = START_SECONDS + STEP_SECONDS * bodies * study.duration / study.method.step
+    told = [f"cases {time_text(len(study.cases) * one)}"]
+    if study.tasks.declared:
+        from rfem_jax.report.tasks.task_report import report_on
+
+        for name in study.tasks.declared:
+            work = report_on(study, name).work()
+            title = (task_kinds()[name].title or name).lower()
+            told.append(f"{title} {'not known beforehand' if work is None else time_text(work * one)}")
+    text = f"Time of one core, roughly and without compilation (seconds to minutes): {', '.join(told)}."
+    return wrap_lines(text)
 
 
 def saved_times(study: Study) -> int:
@@ -57,14 +80,12 @@ def numbers_saved(study: Study) -> int:
     # coordinates of the tree; ends of the links; assembly modes.
     explicit = 4 + 3 * len(study.drives) + 5 + 8 * joints + coordinates + 3 * links + len(mechanism.cut_joints)
     explicit += 12 * len(mechanism.point_forces)  # their forces, moments and points
+    elastic = 6 * sum(link.elements - 1 for link in mechanism.links)
+    explicit += coordinates + sum(KINDS[joint.kind].ball for joint in mechanism.tree_joints) + elastic  # positions
     if study.method.implicit or study.method.name == "auto":  # which may choose an implicit one
-        return explicit + coordinates + 6 * sum(link.elements - 1 for link in mechanism.links)  # residuals
+        return explicit + coordinates + elastic  # residuals
     return explicit
 
 
 def _count(number: int, what: str) -> str:
     return f"{number} {what}{'' if number == 1 else 's'}"
-
-
-def _size(number: int) -> str:
-    return f"{number / 1e6:.2g} MB" if number < 1e9 else f"{number / 1e9:.2g} GB"

@@ -290,9 +290,8 @@ def conclude(
     drift = jnp.max(record.drift)
     residual = carry.residual / _safe(_force_scale(model, carry, energy, times))
     relative = jnp.max(record.momentum_residual, axis=0) / _safe(jnp.max(record.largest_load, axis=0))
-    zeros = jnp.zeros_like(times)
     drives = _histories(model, record)
-    first = next(iter(drives.values()), DriveHistory(zeros, zeros, record.drive_forces[0]))
+    first = next(iter(drives.values()), DriveHistory(0.0 * times, 0.0 * times, record.drive_forces[0]))
     return Run(
         times=times,
         angle=first.position,

@@ -3,6 +3,7 @@
 Place in the pipeline: integration -> **run** -> tolerancing, report.
 """
 
+import dataclasses
 from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
@@ -306,8 +307,10 @@ def _at(time, times, values):
     return jnp.interp(jnp.asarray(time, jnp.float64), jnp.asarray(times), jnp.asarray(values))
 
 
-def of_model(run: Run, model: Model, errors: AssemblyErrors) -> Run:
-    """The run with what was simulated: it is put in here, not by the program, which would only copy it."""
+def of_model(run: Run, model: Model, errors: AssemblyErrors | None) -> Run:
+    """The run with what was simulated (the model without its source): it is put in here, not by the program, which
+    would only copy it."""
+    model = dataclasses.replace(model, source=None)
     return eqx.tree_at(lambda run: (run.model, run.errors), run, (model, errors), is_leaf=lambda x: x is None)
 
 

@@ -6,9 +6,8 @@ Place in the pipeline: the first thing that a study does; refuses bad input befo
 from collections.abc import Collection, Iterable, Mapping
 from typing import Any, SupportsFloat
 
-import numpy as np
-
 from rfem_jax.description.errors import InputError, suggestion
+from rfem_jax.description.tasks.settings import limit_ends
 from rfem_jax.description.units import DIMENSIONS as ALL_DIMENSIONS
 from rfem_jax.description.units import quantity
 
@@ -47,9 +46,9 @@ def check_distinct(names: str | Iterable[str], what: str) -> tuple[str, ...]:
 def read_limits(limits: Any, metrics: Collection[str], needed: bool = False) -> dict[str, tuple[float, float]]:
     """Limits on metrics as {metric: (low, high)} in the metrics' units; an open end is infinite.
 
-    Args: limits {metric: largest value, or (low, high) with None or an infinite number for an open end}, or None;
-        metrics, the names that there are; needed: True if there must be limits.
-    Raises: InputError for anything else, for unknown metrics, and for low above high.
+    Args: limits {metric: largest value, or (low, high) with None or an infinite number for an open end}, or None, as
+        `limit_ends` reads each; metrics, the names that there are; needed: True if there must be limits.
+    Raises: InputError for anything else, for unknown metrics, and where low is not below high.
     """
     if (needed or limits is not None) and (not isinstance(limits, Mapping) or (needed and not limits)):
         raise InputError(
@@ -58,21 +57,7 @@ def read_limits(limits: Any, metrics: Collection[str], needed: bool = False) -> 
         )
     limits = dict(limits or {})
     check_known(limits, metrics, "limits")
-    complete = {}
-    for name, limit in limits.items():
-        ends = limit if isinstance(limit, (tuple, list)) else (None, limit)
-        try:
-            pairs = zip(ends, (-np.inf, np.inf), strict=True)
-            low, high = (open_end if end is None else float(end) for end, open_end in pairs)
-        except (TypeError, ValueError):
-            low = high = np.nan
-        if not low <= high:
-            raise InputError(
-                f"Argument `limits` must be a largest value or a pair (low, high), but "
-                f"`{name}` has {limit!r}; correct it."
-            )
-        complete[name] = (low, high)
-    return complete
+    return {name: limit_ends(name, limit) for name, limit in limits.items()}
 
 
 def error_value(value: ErrorValue, unit: str, where: str) -> float:

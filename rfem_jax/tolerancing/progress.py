@@ -14,7 +14,7 @@ EVERY = 5.0  # s
 ProgressOption = bool | Callable[[int, int], object]
 
 
-class Progress:
+class ProgressBar:
     """Context that counts samples, or another `unit`: `advance(count)`.
 
     Args: progress False, True, or a function of (done, total); total number; done, the number of those that are there
@@ -35,7 +35,7 @@ class Progress:
             else:
                 self.bar = tqdm(total=total, initial=done, unit=unit)
 
-    def __enter__(self) -> "Progress":
+    def __enter__(self) -> "ProgressBar":
         return self
 
     def __exit__(

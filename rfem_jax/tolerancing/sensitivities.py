@@ -34,7 +34,7 @@ from rfem_jax.tolerancing.problems.distributions import Tolerances
 from rfem_jax.tolerancing.problems.evaluation import describe_status, read_point, select_half_widths
 from rfem_jax.tolerancing.problems.problem import Metric, ToleranceProblem
 from rfem_jax.tolerancing.problems.quadratic_model import QuadraticModel, check_expansion, expand_point
-from rfem_jax.tolerancing.progress import Progress, ProgressOption
+from rfem_jax.tolerancing.progress import ProgressBar, ProgressOption
 
 NOT_CONVERGED = "derivative_not_converged"
 ROUNDING = 1e-12  # gradient and Hessian of an error below this part of the largest ones: of no effect
@@ -267,7 +267,7 @@ def sensitivity(
         widths = np.array([values[known.index(name)] for name in names])
     names, mode = check_expansion(problem, names, order, mode)
     problems = (problem,) if refined is None else (problem, refined)
-    with Progress(progress, len(problems) * len(names), unit="direction") as bar:
+    with ProgressBar(progress, len(problems) * len(names), unit="direction") as bar:
         model, *finer = [expand_point(one, at, names, order, mode, int(batch), bar.advance) for one in problems]
     point = read_point(problem, at)
     found = _report(problem, model, finer[0] if finer else None, widths, point, scale is not None, order)

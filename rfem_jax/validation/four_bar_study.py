@@ -33,7 +33,7 @@ SOURCE = REFERENCE.label
 
 
 @dataclass(frozen=True)
-class Tolerances:
+class AllowedDifferences:
     """Allowed differences: `angle` [rad], `rate` [rad/s], all others relative."""
 
     rms_force: float
@@ -49,8 +49,8 @@ class Tolerances:
 # Of the linear form the differences between linear elements and exact rotations; the reference sampled its maxima
 # every 20 microseconds.
 ALLOWED = {
-    "linear": Tolerances(5e-4, 1e-3, 5e-4, 3e-3, 8e-3, 3e-4, 5e-3),
-    "geometrically_exact": Tolerances(1e-4, 1e-4, 1e-5, 1e-4, 1e-4, 1e-5, 1e-4),
+    "linear": AllowedDifferences(5e-4, 1e-3, 5e-4, 3e-3, 8e-3, 3e-4, 5e-3),
+    "geometrically_exact": AllowedDifferences(1e-4, 1e-4, 1e-5, 1e-4, 1e-4, 1e-5, 1e-4),
 }
 
 
@@ -125,7 +125,7 @@ def checked(elements: str, runs: Mapping[str, Run]) -> list[Line]:
     return lines
 
 
-def motion_lines(prefix: str, allowed: Tolerances, case: str, run: Run) -> list[Line]:
+def motion_lines(prefix: str, allowed: AllowedDifferences, case: str, run: Run) -> list[Line]:
     """Angle, rate and energy at the times of the reference."""
     lines = []
     angles, rates, energies = (REFERENCE[name][case] for name in ("crank_angle", "crank_rate", "energy"))

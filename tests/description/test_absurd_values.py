@@ -46,6 +46,7 @@ def refuse(tmp_path, refused):
         ("7850.0", "1e300", ("`density`",)),
         ("7850.0", "1e-300", ("`density`",)),
         ("damping = 1e-5", "damping = 1e300", ("`damping`",)),
+        ("poisson_ratio = 0.3", "poisson_ratio = 1e300", ("`poisson_ratio`", "larger than 1e+50, but")),
         ("rfes = 5", f"rfes = {DIGITS}", ("`rfes`", "at most 1000", "400 characters")),
         ("rfes = 5", "rfes = 1000000", ("`rfes`", "at most 1000")),
         ("step = 1e-5", "step = 1e-15", ("`duration`", "5e+14 steps")),

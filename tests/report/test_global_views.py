@@ -57,7 +57,7 @@ def test_a_sweep_is_computed_written_drawn_and_continued(path, tmp_path, capsys)
     out = tmp_path / "out"
     assert main(["sweep", str(path), "--out", str(out)]) == 0
     assert {one.name for one in out.iterdir()} == {
-        *("sweep", "sweep.csv", "sweep.json", "sweep_responses.png", "sweep_contours.png")
+        *("sweep", "sweep.csv", "sweep.json", "sweep_responses.png", "sweep_contours.png", "report.html")
     }
     rows = rows_of(out / "sweep.csv")
     assert len(rows) == 9
@@ -96,7 +96,9 @@ def test_the_pictures_of_a_sweep_show_its_points(path, tmp_path):
 def test_a_reliability_study_is_computed_written_and_drawn(path, tmp_path, capsys):
     out = tmp_path / "out"
     assert main(["reliability", str(path), "--out", str(out)]) == 0
-    assert {one.name for one in out.iterdir()} == {"reliability.csv", "reliability.json", "reliability_shares.png"}
+    assert {one.name for one in out.iterdir()} == {
+        *("reliability.csv", "reliability.json", "reliability_shares.png", "report.html")
+    }
     moment, force = rows_of(out / "reliability.csv")
     # Force 900 + 30 z + 5 z'^2 below 850 takes z = -5/3, which is five standard deviations.
     assert (force["side"], force["unit"]) == ("lower", "N^2") and float(force["beta"]) == pytest.approx(5.0, rel=1e-4)

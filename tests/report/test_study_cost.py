@@ -7,8 +7,9 @@ import pytest
 
 from rfem_jax.description import Method, MomentRamp, load_study
 from rfem_jax.mechanics import assembly_errors, discretise
-from rfem_jax.report.study_cost import cost_text, numbers_saved, saved_times
+from rfem_jax.report.study_cost import STEP_SECONDS, cost_text, numbers_saved, saved_times, times_text
 from rfem_jax.simulation import simulate
+from rfem_jax.text_layout import size_text, time_text
 
 from .conftest import STUDY
 from .test_tasks import PENDULUM, TASKS
@@ -74,3 +75,34 @@ def test_settings_change_the_numbers(tasks):
     assert told["monte carlo"].startswith("160 simulations in chunks of 8; 13 with first derivatives")
     assert "at 16 starts, and at most 16 x 100" in told["worst case"]
     assert told["allocation"].endswith("256 with derivatives in every round, 4096 in every verification")
+
+
+def test_times_go_by_steps_bodies_and_simulations(tmp_path):
+    path = tmp_path / "study.toml"
+    path.write_text(STUDY + TASKS.replace("n = 32", "n = 32000"), encoding="utf-8")
+    study = replace(load_study(path), method=Method("rk4", step=5e-6))
+
+    def told(study):
+        return " ".join(times_text(study).split())
+
+    one = 100_000 * 11 * STEP_SECONDS  # steps; a rigid crank and two links of five rfes
+    assert f"cases {3 * one:.0f} s, sensitivity 20 s, monte carlo {32000 * one / 3600:.0f} hours" in told(study)
+    assert told(study).endswith("allocation not known beforehand.")
+    assert f"cases {6 * one:.0f} s," in told(replace(study, method=Method("rk4", step=2.5e-6)))
+    assert times_text(replace(study, method=Method("tsit5", rtol=1e-8, atol=1e-10))) == ""
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [
+        (0.3, "less than a second"),
+        (1.04, "1 s"),
+        (34.0, "30 s"),
+        (61.0, "1 minute"),
+        (7300.0, "2 hours"),
+        (3e5, "3 days"),
+    ],
+)
+def test_times_and_sizes_have_the_unit_that_suits_them(seconds, text):
+    assert time_text(seconds) == text
+    assert (size_text(2.44e9), size_text(2.44e6)) == ("2.4 GB", "2.4 MB")

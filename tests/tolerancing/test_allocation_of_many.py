@@ -151,6 +151,8 @@ def model():
         ({"limits": {}}, "`limits` must map"),
         pytest.param({"limits": 3.0}, "`limits` must map", marks=pytest.mark.wrong_types),
         ({"limits": {"load": (None, None)}}, "finite limits"),
+        ({"limits": {"load": (2.0, 1.0)}}, "a largest value or [low, high]"),
+        ({"limits": {"load": "3 kg"}}, "a largest value or [low, high]"),
         ({"bounds": {"x": (1.0, 2.0)}}, "`x` is not known"),
         ({"bounds": {"e0": (0.0, 2.0)}}, "0 < smallest < largest"),
         pytest.param({"bounds": [1.0, 2.0]}, "`bounds` must map", marks=pytest.mark.wrong_types),

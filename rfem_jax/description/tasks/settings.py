@@ -9,6 +9,8 @@ from collections.abc import Callable, Collection
 from dataclasses import fields
 from typing import Any
 
+import numpy as np
+
 from rfem_jax.description.errors import Checks, InputError, Problems, require_choice, suggestion
 from rfem_jax.description.metric_catalogue import kind_and_owner, known_names, never_negative, unit_of
 from rfem_jax.description.units import DIMENSIONS, Quantity, quantity, short
@@ -56,15 +58,19 @@ def limits_of(limits: object, needed: bool = False) -> dict[str, tuple[float, fl
             metric_names(tuple(limits))
     for name, limit in limits.items():
         with problems.noted():
-            complete[name] = _limit(name, limit)
+            complete[name] = limit_ends(name, limit)
     problems.refuse()
     return complete
 
 
-def _limit(name: Any, limit: Any) -> tuple[float, float]:
+def limit_ends(name: Any, limit: Any) -> tuple[float, float]:
+    """(low, high) of a limit on a metric, open ends infinite: of a largest value, or of a pair, in which None is an
+    open end, too; numbers in the metric's unit, or strings with a unit. Raises InputError."""
     pair = tuple(limit) if isinstance(limit, (list, tuple)) else (float("-inf"), limit)
+    if isinstance(limit, (list, tuple)) and len(pair) == 2:
+        pair = tuple(end if given is None else given for given, end in zip(pair, (float("-inf"), float("inf"))))
     pair = tuple(_in_metrics_unit(name, end) if isinstance(end, str) else end for end in pair)
-    plain = all(isinstance(end, (int, float)) and not isinstance(end, bool) for end in pair)
+    plain = all(isinstance(end, (int, float, np.integer, np.floating)) and not isinstance(end, bool) for end in pair)
     plain = plain and all(abs(end) < MOST_LIMIT or end in (float("inf"), float("-inf")) for end in pair)
     if len(pair) != 2 or not plain or not pair[0] < pair[1]:
         raise InputError(

@@ -38,7 +38,7 @@ def act(arguments: argparse.Namespace) -> Answer:
 
     from rfem_jax.mechanics import describe
     from rfem_jax.report.overview import design_text, study_text
-    from rfem_jax.report.study_cost import cost_text
+    from rfem_jax.report.study_cost import cost_text, times_text
     from rfem_jax.report.tasks.task_overview import tasks_text
     from rfem_jax.simulation import check_step
 
@@ -50,12 +50,16 @@ def act(arguments: argparse.Namespace) -> Answer:
     if text := tasks_text(study):
         show(text, end="\n\n")
     show(cost_text(study), end="\n\n")
+    step = None
     if study.method.name == "auto":
-        return Answer(document=_document(settle_method(study), structure, None))
-    announce("Looking for the largest stable step")
-    step = check_step(model, study.method, study.drive)
-    found = "any, chosen by the method, or not known" if step is None else f"{float(step):.3g} s"
-    show(f"Largest stable step of {study.method.name}: {found}.")
+        study = settle_method(study)
+    else:
+        announce("Looking for the largest stable step")
+        step = check_step(model, study.method, study.drive)
+        found = "any, chosen by the method, or not known" if step is None else f"{float(step):.3g} s"
+        show(f"Largest stable step of {study.method.name}: {found}.")
+    if text := times_text(study):
+        show(text)
     return Answer(document=_document(study, structure, step))
 
 

@@ -32,7 +32,8 @@ from rfem_jax.report.style import (
 )
 from rfem_jax.report.tasks import study_problem
 from rfem_jax.report.tasks.task_files import metric_units, write_task_json
-from rfem_jax.report.tasks.task_report import TaskReport
+from rfem_jax.report.tasks.task_report import GRADIENT, TaskReport
+from rfem_jax.text_layout import size_text
 from rfem_jax.tolerancing import Tolerances
 from rfem_jax.tolerancing import monte_carlo as sample_problem
 from rfem_jax.tolerancing.problems.results_store import StudyFolderError
@@ -129,14 +130,23 @@ class MonteCarloReport(TaskReport[MonteCarloTask, MonteCarloResult]):
         ]
 
     def simulations(self) -> list[str]:
-        n, specified, chunk = self.task.n, self.tolerances, self.task.batch
-        factors = len(specified.independent) + len(specified.correlated) + len(specified.zones)
-        count = n * (factors + 2) if self.task.sobol_indices else n
-        told = [f"{count} simulations in chunks of {min(chunk, count)}"]
-        if self.task.control_variate:
-            told.append(f"{1 + 4 * len(specified.names)} with first derivatives, for the control variate")
+        specified, count, gradients = self.tolerances, *self._numbers()
+        told = [f"{count} simulations in chunks of {min(self.task.batch, count)}"]
+        if gradients:
+            told.append(f"{gradients} with first derivatives, for the control variate")
         numbers = count * (len(specified.names) + len(self.task.metrics) + 1)
-        return [*told, f"samples of about {8e-6 * numbers:.2g} MB"]
+        return [*told, f"samples of about {size_text(8 * numbers)}"]
+
+    def work(self) -> float:
+        count, gradients = self._numbers()
+        return count + GRADIENT * gradients
+
+    def _numbers(self) -> tuple[int, int]:
+        """Simulations, and simulations with first derivatives."""
+        specified = self.tolerances
+        factors = len(specified.independent) + len(specified.correlated) + len(specified.zones)
+        count = self.task.n * (factors + 2) if self.task.sobol_indices else self.task.n
+        return count, 1 + 4 * len(specified.names) if self.task.control_variate else 0
 
     def draw(self, result: MonteCarloResult) -> dict[str, Figure]:
         return {

@@ -18,7 +18,7 @@ from rfem_jax.report.output import write_csv
 from rfem_jax.report.style import BAR_COLOURS, HATCHES, add_titles, new_figure
 from rfem_jax.report.tasks import study_problem
 from rfem_jax.report.tasks.task_files import metric_units, write_task_json
-from rfem_jax.report.tasks.task_report import TaskReport
+from rfem_jax.report.tasks.task_report import GRADIENT, TaskReport
 from rfem_jax.tolerancing import Tolerances
 from rfem_jax.tolerancing import reliability as find_failures
 from rfem_jax.tolerancing.rare_failures.failure_result import ReliabilityResult
@@ -65,13 +65,20 @@ class ReliabilityReport(TaskReport[ReliabilityTask, ReliabilityResult]):
         ]
 
     def simulations(self) -> list[str]:
-        task = self.task
-        ends = sum(np.isfinite(end) for pair in task.limits.values() for end in pair)
+        task, ends = self.task, self._ends()
         return [
             f"at most {ends} x {task.starts} x {task.rounds} with derivatives, in searches of the most probable "
             "failures",
             f"{task.n} simulations about these",
         ]
+
+    def work(self) -> float:
+        task = self.task
+        return GRADIENT * self._ends() * task.starts * task.rounds + task.n
+
+    def _ends(self) -> int:
+        """Number of the ends of limits."""
+        return sum(int(np.isfinite(end)) for pair in self.task.limits.values() for end in pair)
 
     def draw(self, result: ReliabilityResult) -> dict[str, Figure]:
         reached = any(one.shares for one in result.limits)

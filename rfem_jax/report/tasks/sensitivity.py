@@ -22,7 +22,7 @@ from rfem_jax.report.output import write_csv
 from rfem_jax.report.style import BAR_COLOURS, HATCHES, add_titles, new_figure, panel_grid
 from rfem_jax.report.tasks import study_problem
 from rfem_jax.report.tasks.task_files import metric_units, write_task_json
-from rfem_jax.report.tasks.task_report import TaskReport
+from rfem_jax.report.tasks.task_report import GRADIENT, TaskReport
 from rfem_jax.text_layout import align_columns, wrap_lines
 from rfem_jax.tolerancing import Tolerances
 from rfem_jax.tolerancing import sensitivity as differentiate
@@ -91,6 +91,10 @@ class SensitivityReport(TaskReport[SensitivityTask, Derivatives]):
         twice = ", and another with the finer step" if self.task.half_step else ""
         order = {1: "first", 2: "first and second"}[self.task.order]
         return [f"1 simulation with {order} derivatives by {len(self.tolerances.names)} errors{twice}"]
+
+    def work(self) -> float:
+        one = GRADIENT * (1 if self.task.order == 1 else 1 + len(self.tolerances.names))
+        return 3 * one if self.task.half_step else one  # the finer step takes twice as long
 
     def draw(self, result: Derivatives) -> dict[str, Figure]:
         figures = {

@@ -112,9 +112,12 @@ class SweepReport(TaskReport[SweepTask, SweepResult]):
         ]
 
     def simulations(self) -> list[str]:
+        count = int(self.work())
+        return [f"{count} simulations in chunks of {min(self.task.batch, count)}"]
+
+    def work(self) -> float:
         task = self.task
-        count = task.levels ** len(task.bounds) if task.design == "grid" else task.n
-        return [f"{count} simulations in chunks of {min(task.batch, count)}"]
+        return task.levels ** len(task.bounds) if task.design == "grid" else task.n
 
     def setting_text(self, name: str, value: Any) -> str:
         """Bounds too in deg and mm."""

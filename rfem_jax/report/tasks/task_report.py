@@ -31,6 +31,8 @@ from rfem_jax.report.tables import title_text
 from rfem_jax.task_kinds import task_kinds
 from rfem_jax.tolerancing.problems.kept_evaluations import count_kept, kept_in
 
+GRADIENT = 3.0  # simulations that one with first derivatives takes (benchmarks/gradients.py)
+
 Asked = TypeVar("Asked", bound=Task)
 Result = TypeVar("Result")
 
@@ -111,6 +113,10 @@ class TaskReport(abc.ABC, Generic[Asked, Result]):
     def simulations(self) -> list[str]:
         """How many simulations the task needs, in words, for `check`; none where it is not known beforehand."""
         return []
+
+    def work(self) -> float | None:
+        """How many simulations take about as long as the task, at most; None where it is not known beforehand."""
+        return None
 
     def pictures(self, result: Result) -> dict[str, Figure]:
         """All pictures by their files' names without ending."""

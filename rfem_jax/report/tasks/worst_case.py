@@ -18,7 +18,7 @@ from rfem_jax.report.output import write_csv
 from rfem_jax.report.style import CASE_COLOURS, MARKERS, add_titles, new_figure
 from rfem_jax.report.tasks import study_problem
 from rfem_jax.report.tasks.task_files import write_task_json
-from rfem_jax.report.tasks.task_report import TaskReport
+from rfem_jax.report.tasks.task_report import GRADIENT, TaskReport
 from rfem_jax.tolerancing import Tolerances
 from rfem_jax.tolerancing import worst_case as search_worst_case
 from rfem_jax.tolerancing.layout import show_number
@@ -88,17 +88,27 @@ class WorstCaseReport(TaskReport[WorstCaseTask, dict[str, WorstCase]]):
     def simulations(self) -> list[str]:
         task, errors = self.task, len(self.tolerances.names)
         starts = sum(task.starts.values())
-        every = (
-            task.region == "box"
-            and not self.tolerances.zones
-            and (errors <= EXHAUSTIVE if task.corners is None else task.corners)
-        )
-        corners = f" and {2**errors} corners" if every else ""
+        corners = f" and {self._corners()} corners" if self._corners() else ""
         return [
             f"{1 + 4 * errors} simulations with first derivatives by {errors} errors, for the quadratic model",
             f"for each metric ({len(task.metrics)}) one at the centre, at {starts} starts{corners}, and at most "
             f"{starts} x {task.evaluations} with derivatives",
         ]
+
+    def work(self) -> float:
+        task, starts = self.task, sum(self.task.starts.values())
+        each = 1 + starts + self._corners() + GRADIENT * starts * task.evaluations
+        return GRADIENT * (1 + 4 * len(self.tolerances.names)) + len(task.metrics) * each
+
+    def _corners(self) -> int:
+        """Number of corners of the box that are computed."""
+        task, errors = self.task, len(self.tolerances.names)
+        every = (
+            task.region == "box"
+            and not self.tolerances.zones
+            and (errors <= EXHAUSTIVE if task.corners is None else task.corners)
+        )
+        return 2**errors if every else 0
 
     def draw(self, result: dict[str, WorstCase]) -> dict[str, Figure]:
         return {"corners": worst_case_figure(self.study, result)}

@@ -41,7 +41,7 @@ from rfem_jax.description.errors import InputError
 from rfem_jax.tolerancing.problems.distributions import Tolerances
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem
 from rfem_jax.tolerancing.problems.results_store import ResultsStore
-from rfem_jax.tolerancing.progress import Progress, ProgressOption
+from rfem_jax.tolerancing.progress import ProgressBar, ProgressOption
 
 LANES = {"cpu": 16}  # enough for a core's vector units; little waste on samples that run long
 LANES_ELSEWHERE = 256
@@ -160,7 +160,7 @@ def run_chunks(
     done = sum(_rows(arrays) for arrays in chunks.values())
     computed = 0
     shown = progress if process == 0 else False
-    with Progress(shown, sum(len(parts[c]) for c in mine), done) as bar:
+    with ProgressBar(shown, sum(len(parts[c]) for c in mine), done) as bar:
         for c in mine:
             present = _rows(chunks[c]) if c in chunks else 0
             if present == len(parts[c]):

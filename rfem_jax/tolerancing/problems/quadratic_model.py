@@ -44,7 +44,7 @@ from rfem_jax.tolerancing.problems.evaluation import (
 from rfem_jax.tolerancing.problems.execution import default_lanes
 from rfem_jax.tolerancing.problems.kept_evaluations import remembered
 from rfem_jax.tolerancing.problems.problem import ImplicitProblem, Status, ToleranceProblem
-from rfem_jax.tolerancing.progress import Progress, ProgressOption
+from rfem_jax.tolerancing.progress import ProgressBar, ProgressOption
 
 MODES = ("auto", "forward", "reverse")
 REVERSE_COST = 3
@@ -307,7 +307,7 @@ def expand(
     Raises: InputError for unknown names, order or mode.
     """
     names, mode = check_expansion(problem, names, order, mode)
-    with Progress(progress, len(names), unit="direction") as bar:
+    with ProgressBar(progress, len(names), unit="direction") as bar:
         return expand_point(problem, at, names, order, mode, int(batch), bar.advance)
 
 

@@ -22,7 +22,7 @@ from rfem_jax.tolerancing.checks import check_known, read_limits
 from rfem_jax.tolerancing.problems.distributions import Tolerances, distributions_of
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem
 from rfem_jax.tolerancing.problems.quadratic_model import choose_mode
-from rfem_jax.tolerancing.progress import Progress, ProgressOption
+from rfem_jax.tolerancing.progress import ProgressBar, ProgressOption
 from rfem_jax.tolerancing.rare_failures.design_points import (
     DesignPoints,
     LimitState,
@@ -111,7 +111,7 @@ def _limit_states(problem: ToleranceProblem, limits: Mapping[str, Any]) -> list[
 
 def _evaluate(space: NormalSpace, w: np.ndarray, progress: ProgressOption) -> np.ndarray:
     parts = []
-    with Progress(progress, len(w)) as bar:
+    with ProgressBar(progress, len(w)) as bar:
         for first in range(0, len(w), space.batch):
             parts.append(space.values(w[first : first + space.batch]))
             bar.advance(len(parts[-1]))
