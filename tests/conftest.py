@@ -23,6 +23,7 @@ options.take_process()
 
 import jax  # noqa: E402
 import pytest  # noqa: E402
+from jax._src import compiler  # noqa: E402
 
 if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
     # The two workers, and the next session, compile the same programs.
@@ -50,12 +51,38 @@ def pytest_collection_modifyitems(items):
             item.add_marker(pytest.mark.skip(reason="types are checked at run time"))
 
 
+# What costs more time in XLA than it saves in a program that runs a few times: notes on which arrays may overlap, a
+# fine analysis of copies, and kernels made by way of MLIR (a choice only before JAX 0.12).
+QUICK_OPTIONS = {
+    "xla_llvm_enable_noalias_metadata": False,
+    "xla_llvm_enable_alias_scope_metadata": False,
+    "xla_llvm_enable_invariant_load_metadata": False,
+    "xla_cpu_copy_insertion_use_region_analysis": True,
+    **({"xla_cpu_use_fusion_emitters": False} if jax.__version_info__ < (0, 12) else {}),
+}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _compilation(request):
+    """Quick, unless the module says `COMPILED_AS_SHIPPED`, because compiled programs are its subject or run long."""
+    if not getattr(request.module, "COMPILED_AS_SHIPPED", False):
+        request.getfixturevalue("quick_compilation")
+
+
 @pytest.fixture(scope="module")
 def quick_compilation():
     """For many programs that run a few times each: compile without most optimisations."""
-    before = jax.config.read("jax_disable_most_optimizations")
-    jax.config.update("jax_disable_most_optimizations", True)
-    yield
+    before, made = jax.config.read("jax_disable_most_optimizations"), compiler.get_compile_options
+
+    def quick(*args, **kwargs):
+        chosen = made(*args, **kwargs)
+        chosen.env_option_overrides = [*chosen.env_option_overrides, *QUICK_OPTIONS.items()]
+        return chosen
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(compiler, "get_compile_options", quick)
+        jax.config.update("jax_disable_most_optimizations", True)
+        yield
     jax.config.update("jax_disable_most_optimizations", before)
 
 

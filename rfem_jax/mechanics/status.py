@@ -25,7 +25,8 @@ STATUS: tuple[Status, ...] = (
         "not_assembled",
         "No static equilibrium was found for the start. Usually an error is so large that the links "
         "deflect beyond the linear spring-damping elements (use geometrically exact ones); a wrong "
-        "start angle or a missing hold does the same.",
+        "start angle, a missing hold, or a body that can turn without load, as one that hangs on a ball joint alone, "
+        "does the same.",
     ),
     Status(
         "wrong_side",

@@ -7,9 +7,9 @@ joint `A_force_x_N` ... `A_moment_z_Nm` in its frame H (y along a hinge, x along
 the coordinates of the other joints of the tree, `D_angle_rad`, `G_displacement_m`, `U_angle_1_rad`. Where
 several drives act, or one on a translation, they have columns of their own, `A_drive_angle_rad`,
 `A_drive_rate_rad_s`, `A_drive_moment_Nm`, `G_drive_displacement_m`, `G_drive_speed_m_s`, `G_drive_force_N`, in the
-place of those of the driven joint.  Last of all the forces at points in global axes: `coil_length_m`, `coil_tension_N`
-of a spring, `push_force_x_N` ..., `twist_moment_x_Nm` ... of others; and the energy that every friction has dissipated,
-`bearing_dissipation_J`.
+place of `drive_moment_Nm`; `angle_rad` and `rate_rad_s` are then those of the first drive, if it turns a joint.  Last
+of all the forces at points in global axes: `coil_length_m`, `coil_tension_N` of a spring, `push_force_x_N` ...,
+`twist_moment_x_Nm` ... of others; and the energy that every friction has dissipated, `bearing_dissipation_J`.
 """
 
 from collections.abc import Mapping
@@ -57,9 +57,7 @@ def history_columns(study: Study, run: Run) -> dict[str, Float[np.ndarray, " tim
     """Time histories of one run, {column name with unit: (T,) array}, in the order of the CSV."""
     times = np.asarray(run.times)
     columns, driven = {column_name("time", "s"): times}, drive_quantities(study)
-    if not driven:
-        columns |= {column_name("angle", "rad"): np.asarray(run.angle)}
-        columns |= {column_name("rate", "rad/s"): np.asarray(run.rate)}
+    columns |= _first_angle(study, run)
     for quantity in ENERGIES:
         is_total = quantity.name == "total"
         values = total_energy(run) if is_total else np.asarray(getattr(run.energy, quantity.name))
@@ -74,6 +72,17 @@ def history_columns(study: Study, run: Run) -> dict[str, Float[np.ndarray, " tim
     columns |= {column_name(one.name, one.quantity.unit): one.values(run) for one in driven}
     losses = {column_name(f"{name}_dissipation", "J"): np.asarray(x) for name, x in run.friction_losses.items()}
     return columns | _coordinate_columns(study, run) | _point_columns(study, run) | losses
+
+
+def _first_angle(study: Study, run: Run) -> dict[str, Float[np.ndarray, " times"]]:
+    """Angle and rate of the first drive, unless it is one on a translation; of the run where nothing is driven."""
+    first = run
+    if drive_quantities(study):
+        if not study.drive_motions[0].startswith("R"):
+            return {}
+        first = run.drives[study.drive_labels[0]]
+    position = first.angle if first is run else first.position
+    return {column_name("angle", "rad"): np.asarray(position), column_name("rate", "rad/s"): np.asarray(first.rate)}
 
 
 def _point_columns(study: Study, run: Run) -> dict[str, Float[np.ndarray, " times"]]:
@@ -92,12 +101,12 @@ def _point_columns(study: Study, run: Run) -> dict[str, Float[np.ndarray, " time
 
 
 def _coordinate_columns(study: Study, run: Run) -> dict[str, Float[np.ndarray, " times"]]:
-    """Coordinates of the tree joints, numbered where a joint has several of one dimension, but of those whose only one
-    is driven."""
+    """Coordinates of the tree joints, numbered where a joint has several of one dimension, but that of a hinge which
+    the first drive turns."""
     columns = {}
-    driven = {one.joint for one in study.drives}
+    first = study.drives[0].joint if study.drives else None
     for joint in study.mechanism.joints:
-        if joint.cut or (joint.name in driven and len(KINDS[joint.kind].freedoms) == 1):
+        if joint.cut or (joint.name == first and KINDS[joint.kind].motions == ("R_y",)):
             continue
         for what, unit, values in (("angle", "rad", run.angles), ("displacement", "m", run.displacements)):
             several = np.asarray(values[joint.name]) if joint.name in values else np.zeros((0, 0))

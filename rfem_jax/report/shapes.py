@@ -30,6 +30,7 @@ from rfem_jax.report.joint_symbols import (
 from rfem_jax.report.style import CASE_COLOURS, LINE_STYLES, add_titles, new_figure
 
 _MOST_PANELS = 6
+_LEGEND_ROW, _LEGEND_FOOT = 0.1875, 0.45  # inches
 SAME_PLACE = 0.02  # of the longest line
 ARM = 0.01  # of the mechanism's size: a shorter one is not drawn
 _SHARE = 0.2
@@ -245,25 +246,30 @@ def assembly_figure(study: Study, runs: Mapping[str, Run], places: Mapping[str, 
         _format_axes(axes, low, high)
         axes.set_title(f"{case}: {_deflection_text(run)}", y=1.0)
     # Layout by hand: the automatic one knows neither labels nor legends of 3D axes.
-    figure.subplots_adjust(left=0.02, right=0.93, bottom=1.5 / height, top=1.0 - 0.9 / height, wspace=0.08, hspace=0.15)
-    _add_legend(figure, study.mechanism)
+    below = 0.75 + _LEGEND_ROW * max(_add_legend(figure, study.mechanism), 4)
+    height += below - 1.5
+    figure.set_figheight(height)
+    figure.legends[0].set_bbox_to_anchor((0.5, _LEGEND_FOOT / height))
+    figure.subplots_adjust(
+        left=0.02, right=0.93, bottom=below / height, top=1.0 - 0.9 / height, wspace=0.08, hspace=0.15
+    )
     heading = f"Assembled mechanism at the start, deflections exaggerated {factor:g} times"
     add_titles(figure, heading, study)
     return figure
 
 
-def _add_legend(figure: Figure, mechanism: Mechanism) -> None:
-    """Links, kinds of joints and forces below the panels, in lines that fit."""
+def _add_legend(figure: Figure, mechanism: Mechanism) -> int:
+    """Links, kinds of joints and forces below the panels, in lines that fit; the number of lines."""
     handles, labels = figure.axes[-1].get_legend_handles_labels()
     handles += legend_handles(mechanism)
     labels += [handle.get_label() for handle in handles[len(labels) :]]
-    columns = max(int(figure.get_figwidth() / (0.75 + 0.075 * max(map(len, labels)))), 1)
+    columns = min(max(int(figure.get_figwidth() / (0.75 + 0.075 * max(map(len, labels)))), 1), len(labels))
     figure.legend(
         handles,
         labels,
         loc="lower center",
-        bbox_to_anchor=(0.5, 0.45 / figure.get_figheight()),
-        ncols=min(len(labels), columns),
+        ncols=columns,
         handlelength=4,
         fontsize=8.5,
     )
+    return -(-len(labels) // columns)

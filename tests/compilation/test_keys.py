@@ -16,6 +16,8 @@ from rfem_jax.tolerancing.problems.execution import fingerprint_problem
 from rfem_jax.tolerancing.problems.metrics import end_angle, metric
 from tests.mechanisms import four_bar
 
+COMPILED_AS_SHIPPED = True
+
 SMALL = "generalised_alpha"
 
 

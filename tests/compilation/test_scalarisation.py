@@ -283,6 +283,8 @@ jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_disable_most_optimizations", True)
 import rfem_jax
 from tests.compilation import test_scalarisation
+
+COMPILED_AS_SHIPPED = True
 getattr(test_scalarisation, sys.argv[1])(*sys.argv[2:])
 """  # without most optimisations: with them so many scalar operations take gigabytes to compile
 

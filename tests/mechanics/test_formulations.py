@@ -36,7 +36,7 @@ from tests.mechanisms import (
     three_link_loop,
     two_cuts_of_different_kinds,
 )
-from tests.numpy_evaluation import by_numpy
+from tests.numpy_evaluation import each_by_numpy
 
 GAINS = Stabilisation(3.0, 7.0, 0.3)
 STATES = 5
@@ -138,7 +138,7 @@ def compared(request):
     size = 0.1 if model.topology.sprung else 0.5
     samples = [(some_errors(model, rng), random_state(model, rng, size)) for _ in range(STATES)]
     samples = jax.tree.map(lambda *x: jnp.stack(x), *samples)
-    return model, prescribed, by_numpy(jax.vmap(both))(*samples)
+    return model, prescribed, each_by_numpy(both)(*samples)
 
 
 def test_accelerations_and_multipliers_agree(compared):

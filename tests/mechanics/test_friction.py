@@ -18,7 +18,7 @@ from rfem_jax.mechanics.inputs import DriveInput, Stabilisation
 from rfem_jax.mechanics.model_with_errors import apply_errors
 from rfem_jax.mechanics.reference_friction import reference_with_friction
 from tests.mechanisms import link, loop_cut_by, random_state, some_errors
-from tests.numpy_evaluation import by_numpy
+from tests.numpy_evaluation import each_by_numpy
 
 from .test_formulations import close
 
@@ -169,7 +169,7 @@ def compared(request):
     size = 0.1 if model.topology.sprung else 0.5  # displacements of bearings are small
     samples = [(some_errors(model, rng), random_state(model, rng, size), share) for share in (0.0, 0.2)]
     samples = jax.tree.map(lambda *x: jnp.stack(x), *samples)
-    return model, by_numpy(jax.vmap(both))(*samples)
+    return model, each_by_numpy(both)(*samples)
 
 
 def without_loads(tree):

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.conftest import QUICK_OPTIONS
+
 ROOT = Path(__file__).parents[2]
 # Compiled without most optimisations, and kept by JAX for the next test and the next session.
 ENVIRONMENT = {
@@ -16,6 +18,8 @@ ENVIRONMENT = {
     "JAX_COMPILATION_CACHE_DIR": str(ROOT / ".pytest_cache" / "compiled"),
     "MPLBACKEND": "agg",
 }
+
+QUICK_FLAGS = " ".join(f"--{name}={str(value).lower()}" for name, value in QUICK_OPTIONS.items())
 
 PENDULUM = """
 title = "A driven flexible link"
@@ -62,7 +66,7 @@ def run_program():
 
     def run(program, *arguments, code=0):
         environment = {**os.environ, **ENVIRONMENT}
-        environment.pop("XLA_FLAGS", None)
+        environment["XLA_FLAGS"] = QUICK_FLAGS
         environment["RFEM_JAX_NO_CACHE"] = "1"
         start = [str(ROOT / program)] if program.endswith(".py") else ["-m", program]
         command = [sys.executable, *start, *map(str, arguments)]

@@ -17,7 +17,7 @@ from tests.programs.conftest import ROOT
 
 STUDIES = ROOT / "studies"
 FILES = sorted(path.relative_to(STUDIES).as_posix() for path in STUDIES.rglob("*.toml"))
-JOINTS = {"slider_crank": ("A", "B", "G", "P")}
+JOINTS = {"slider_crank": ("A", "B", "G", "P"), "six_bar_press": ("A", "B", "D", "C", "E", "G", "F")}
 HINGES = [
     {"name": "A", "parent": "base", "child": "crank", "angle": "90 deg"},
     {"name": "D", "parent": "crank", "child": "coupler"},
@@ -147,6 +147,45 @@ def test_slider_crank(run_command):
     slide = 0.06 * math.cos(crank) + math.sqrt(0.2**2 - (0.06 * math.sin(crank)) ** 2) - 0.2
     assert float(last["G_displacement_m"]) == pytest.approx(slide, abs=1e-6)
     assert "displacement_G.png" in {path.name for path in out.iterdir()}
+
+
+def at_work(content):
+    """Near the end of the stroke; rigid links, and the two cut joints are the bearings that give way."""
+    starts = {"A": {"angle": "-15 deg"}, "B": {"angle": "16 deg"}, "D": {"angle": "92 deg"}, "E": {"angle": "-4 deg"}}
+    starts["G"] = {"displacement": "-0.6 mm"}
+    mechanism = content["mechanism"]
+    content["cases"] = [case for case in content["cases"] if case["name"] in ("square", "guide_tilted", "long_toggle")]
+    for link in mechanism["links"]:
+        link["rfes"] = 1
+    for joint in mechanism["joints"]:
+        if not joint.get("cut"):
+            for key in ("stiffness", "damping"):
+                joint.pop(key, None)
+        joint |= starts.get(joint["name"], {})
+
+
+@pytest.mark.slow
+def test_six_bar_press(run_command):
+    """With the crank held, the ram is in equilibrium between work, weight, pin and guide."""
+    text = without_tasks(reduced("six_bar_press/study.toml", change=at_work))
+    out, _ = run_command("run", text)
+    cases = json.loads((out / "results.json").read_text())["cases"]
+    assert all(case["status"] == "ok" for case in cases.values())
+    table = tomllib.loads(text)["mechanism"]["forces"][0]
+    positions = [float(one.removesuffix(" mm")) for one in table["positions"]]
+    forces = [1e3 * float(one.removesuffix(" kN")) for one in table["forces"]]
+    pushes = {}
+    for name, case in cases.items():
+        with open(out / f"{name}.csv", newline="", encoding="utf-8") as file:
+            slide = 1e3 * float(next(csv.DictReader(file))["G_displacement_m"])
+        pushes[name] = -np.interp(slide, positions, forces)
+        pin, guide = (np.linalg.norm(case["joints"][joint]["preload_force"]) for joint in "FG")
+        weight = 9.81 * 7850.0 * 0.24 * 0.16**2
+        assert math.sqrt(pin**2 - guide**2) == pytest.approx(pushes[name] - weight, rel=1e-4)
+    # A toggle that is longer by 0.05 mm presses harder, by what the springs of the pins leave of it.
+    assert 1.02 < pushes["long_toggle"] / pushes["square"] < 1.3
+    moments = {name: case["joints"]["F"]["rms_moment"] for name, case in cases.items()}
+    assert moments["square"] < 1e-6 * moments["guide_tilted"] and moments["guide_tilted"] > 10.0
 
 
 @pytest.mark.slow

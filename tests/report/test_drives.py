@@ -46,7 +46,9 @@ def several(tmp_path, runs):
 def test_columns_of_each_drive(several):
     study, runs = several
     columns = history_columns(study, runs["P2"])
-    assert not {"angle_rad", "rate_rad_s", "drive_moment_Nm"} & set(columns)
+    assert "drive_moment_Nm" not in columns
+    np.testing.assert_array_equal(columns["angle_rad"], 2.0 * runs["P2"].times)  # of D, the first drive
+    assert "A_angle_rad" in columns and "D_angle_rad" not in columns
     own = [name for name in columns if "_drive_" in name]
     assert own == [f"{joint}_drive_{what}" for joint in "DA" for what in ("angle_rad", "rate_rad_s", "moment_Nm")]
     np.testing.assert_array_equal(columns["D_drive_moment_Nm"], -3.0 * runs["P2"].times)

@@ -12,9 +12,11 @@ pytest.importorskip("matplotlib", reason="pictures need the extra `plots`")
 import matplotlib
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.image import imread
+from matplotlib.lines import Line2D
 from matplotlib.path import Path
 
 from rfem_jax.description import Compliance, Joint
+from rfem_jax.report import shapes
 from rfem_jax.report.figures import component_figure, draw_figures, shown_joints, write_figures
 from rfem_jax.report.output import write_pictures
 from rfem_jax.report.quantities import RMS_MOMENT
@@ -243,8 +245,13 @@ def test_a_compliant_joint_is_marked_by_a_coil(study, runs):
     np.testing.assert_allclose([coil[[0, 2]] for coil in coils], [[0.0, 0.12], [0.244, 0.295]], atol=1e-3)
 
 
-def test_no_label_of_the_assembly_is_clipped(study, runs):
-    """Labels of axes and legend are inside of the picture and apart from each other, for any number of cases."""
+@pytest.mark.parametrize("symbols", [0, 9])
+def test_no_label_of_the_assembly_is_clipped(study, runs, symbols, monkeypatch):
+    """Labels of axes and legend are inside of the picture and apart from each other, for any number of cases, links and
+    kinds of joints."""
+    if symbols:
+        handles = [Line2D([], [], label=f"symbol {n}") for n in range(symbols)]
+        monkeypatch.setattr(shapes, "legend_handles", lambda mechanism: handles)
     for count in (1, 2, 3, 4):
         few = {f"P{number}": runs["P2"] for number in range(count)}
         figure = assembly_figure(study, few)
