@@ -8,6 +8,8 @@ import pytest
 from rfem_jax.compilation import options
 from tests.processes import in_a_new_process
 
+COMPILED_AS_SHIPPED = True
+
 LOOP = """
 import sys, warnings
 warnings.simplefilter("ignore")
@@ -122,8 +124,6 @@ OWN = """
 import sys, jax, numpy as np
 from rfem_jax.compilation import options
 from tests.compilation.functions import covered, oscillator, swing_kept
-
-COMPILED_AS_SHIPPED = True
 given, before = [], options._with
 options._with = lambda more, made: given.append(more) or before(more, made)
 with covered(sys.argv[1]):

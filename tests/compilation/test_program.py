@@ -16,6 +16,8 @@ from rfem_jax.compilation.program import Program
 from tests.compilation.functions import covered, oscillator, swing, swing_kept
 from tests.processes import in_a_new_process
 
+COMPILED_AS_SHIPPED = True
+
 X = jnp.linspace(0.2, 0.9, 3)
 
 
@@ -317,8 +319,6 @@ jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_num_cpu_devices", 2)
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from tests.compilation.functions import covered, oscillator, spread_kept, swing_kept
-
-COMPILED_AS_SHIPPED = True
 with covered(sys.argv[1]) as statistics:
     mesh = Mesh(np.array(jax.devices()), ("rows",))
     x = jax.device_put(np.arange(8.0).reshape(4, 2), NamedSharding(mesh, PartitionSpec("rows")))

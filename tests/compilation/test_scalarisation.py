@@ -34,6 +34,8 @@ from tests.mechanisms import ALL, four_bar, link, open_chain, random_state, some
 from tests.numpy_evaluation import by_numpy
 from tests.processes import in_a_new_process
 
+COMPILED_AS_SHIPPED = True
+
 X = np.linspace(0.3, 1.9, 12).reshape(3, 4)
 Y = np.linspace(-1.0, 1.2, 12).reshape(3, 4)
 PLACES = np.array([2, 0, 2])
@@ -283,8 +285,6 @@ jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_disable_most_optimizations", True)
 import rfem_jax
 from tests.compilation import test_scalarisation
-
-COMPILED_AS_SHIPPED = True
 getattr(test_scalarisation, sys.argv[1])(*sys.argv[2:])
 """  # without most optimisations: with them so many scalar operations take gigabytes to compile
 

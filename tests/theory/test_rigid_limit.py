@@ -52,15 +52,18 @@ def test_stiff_four_bar_tends_to_the_closed_form(flexible_four_bar_runs, exact_f
 
 
 def test_one_element_is_a_rigid_link(four_bar):
+    def as_programs_see_it(model):
+        return eqx.tree_at(lambda m: m.source, model, None)
+
     rigid = four_bar("C")
     assert rigid.topology.elements == (1, 1, 1)
-    assert eqx.tree_equal(rigid, four_bar("C", rfes=1))
+    assert eqx.tree_equal(as_programs_see_it(rigid), as_programs_see_it(four_bar("C", rfes=1)))
     section = GivenSection(1e7, 1e6, 1e6, 1e3, 1e3, 1e3, 1.0, 2e-4, 1e-4, 1e-4)
     single, named = (
         discretise(Mechanism([Link("bar", 0.5, section, **how)], [Joint("A", "base", "bar")]))
         for how in ({"rfes": 1}, {"rigid": True})
     )
-    assert eqx.tree_equal(single, named)
+    assert eqx.tree_equal(as_programs_see_it(single), as_programs_see_it(named))
 
 
 @pytest.fixture(scope="module")

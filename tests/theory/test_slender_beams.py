@@ -5,6 +5,8 @@ References: the linear chain of m segments in closed form; the planar exact chai
 solved here with scipy from the equilibrium of its parts; the elastica by elliptic integrals.
 """
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -178,7 +180,8 @@ CASES = np.array(
 @eqx.filter_vmap(in_axes=(None, 0, 0))
 def put_together(model, section, case):
     """Axial preload of C, its derivative with D.delta_x, status and all preload forces."""
-    sections = jax.tree.map(lambda old, new: old.at[..., 1:].set(new), model.section, section)
+    known = replace(model.section, edges=())
+    sections = jax.tree.map(lambda old, new: old.at[..., 1:].set(new), known, section)
     model = eqx.tree_at(lambda m: (m.section, m.gravity), model, (sections, case[1] * model.gravity))
 
     def preload(tilt):
