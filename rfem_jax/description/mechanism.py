@@ -109,8 +109,13 @@ class Mechanism(ChecksItself):
 
     @property
     def tree_joints(self) -> tuple[Joint, ...]:
-        """The joints that are not cut, one per link, parents first, else in the order of links."""
-        return _sorted_tree(self.links, self._parent_joints())
+        """The joints that are not cut, one per link, by depth in the tree, else in the order of links."""
+        joints, ordered, level = self._parent_joints(), [], {"base"}
+        while level:
+            joined = [joints[link.name] for link in self.links if joints[link.name].parent in level]
+            ordered += joined
+            level = {joint.child for joint in joined}
+        return tuple(ordered)
 
     @property
     def cut_joints(self) -> tuple[Joint, ...]:
@@ -320,13 +325,3 @@ def _check_reaches_base(name: str, parents: dict[str, Joint]) -> None:
                 "join one of its links to the base."
             )
         seen.append(name)
-
-
-def _sorted_tree(links: Sequence[Link], parents: dict[str, Joint]) -> tuple[Joint, ...]:
-    placed, ordered, waiting = {"base"}, [], [link.name for link in links]
-    while waiting:
-        name = next(name for name in waiting if parents[name].parent in placed)
-        waiting.remove(name)
-        placed.add(name)
-        ordered.append(parents[name])
-    return tuple(ordered)
