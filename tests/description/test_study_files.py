@@ -315,6 +315,10 @@ def test_the_line_of_a_syntax_error_is_named(load):
         load(changed("rise_time = 0.1", "rise_time = 0.1 s"))
 
 
+def test_a_mark_of_an_editor_is_no_text(load):
+    assert load("\ufeff" + TEXT).title == load(TEXT).title
+
+
 def test_files_that_cannot_be_read(refused, tmp_path):
     with refused("`path`", "there is no file", "absent.toml"):
         load_study(tmp_path / "absent.toml")
