@@ -10,12 +10,13 @@ tables of the spherical and the universal joint in which the body swings in a pl
 revolute joint, which keeps its energy.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 from scipy.integrate import solve_ivp
 
 from rfem_jax.description import Joint, JointForceFunction, JointSpring, Mechanism, Method
@@ -48,6 +49,7 @@ class Case:
     centre: tuple[float, float, float] = (ARM, 0.0, 0.0)
     inertia: tuple[float, float, float] = (0.04, 0.1, 0.1)
     forces: tuple[JointForce, ...] = ()
+    law: Callable[..., Array] | None = None  # which of the forces is a function: it is no part of the joint's load
 
 
 def softer(angle, rate):
@@ -79,7 +81,15 @@ CASES = {
     "universal 2": Case("universal", CROSS, frame=turn_y(np.pi / 2.0), **HANGING),
     "universal 3": Case("universal", CROSS, frame=ASKEW, **HANGING),
     "spring 1": Case("revolute", ALONG_Z, ORIGIN, QUARTER, forces=(SPRING,)),
-    "spring 2": Case("revolute", ALONG_Z, ORIGIN, QUARTER, forces=(JointForceFunction("spring", "J", softer),)),
+    "spring 2": Case(
+        "revolute",
+        ALONG_Z,
+        ORIGIN,
+        QUARTER,
+        (ARM, 0.0, 0.0),
+        law=softer,
+        forces=(JointForceFunction("spring", "J", softer),),
+    ),
 }
 
 
@@ -128,6 +138,10 @@ def observed(name: str, run: Run) -> dict[str, Float[np.ndarray, "times 3"]]:
     to_global = seat @ relative
     force = -np.einsum("tij,tj->ti", to_global, load["force"])
     torque = -np.einsum("tij,tj->ti", to_global, load["moment"]) + np.cross(moved, force)
+    if case.law is not None:
+        axis = seat[:, 1]
+        law = np.asarray(case.law(jnp.asarray(run.angles["J"]), jnp.asarray(rate @ axis)))
+        torque = torque - law[:, None] * axis
     return {"position": position, "rate": rate, "force": force, "torque": torque}
 
 
