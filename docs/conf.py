@@ -38,7 +38,7 @@ myst_heading_anchors = 3
 myst_dmath_double_inline = True
 
 nb_execution_mode = "cache"
-nb_execution_timeout = 300
+nb_execution_timeout = 1800
 nb_execution_raise_on_error = True
 nb_execution_in_temp = False  # paths are those from docs/gallery
 nb_merge_streams = True
