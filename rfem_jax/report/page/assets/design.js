@@ -12,7 +12,7 @@ function optimisePage(task) {
   const { result } = task;
   const rows = designRows(result);
   if (!rows.length) return null;
-  const shown = (value, row) => showError(value, row.unit);
+  const shown = (value, row) => (Number.isFinite(value) ? showError(value, row.unit) : "n/a");
   const columns = [
     { label: "number", value: (row) => row.name }, { label: "kind", value: (row) => row.kind },
     { label: "before", value: (row) => row.before, show: shown }, { label: "after", value: (row) => row.after, show: shown },
@@ -48,8 +48,8 @@ function boundsChart(rows) {
     const at = (value) => x((value - row.bounds[0]) / (row.bounds[1] - row.bounds[0]));
     svg.append(label(left - 14, y + 4, row.kind === "tolerance" ? `${row.name} (tol.)` : row.name, { "text-anchor": "end", class: "name" }),
       draw("line", { x1: x(0), x2: x(1), y1: y, y2: y, class: "span" }),
-      label(x(0), y + 16, showError(row.bounds[0], row.unit), { "text-anchor": "middle", class: "tick" }),
-      label(x(1), y + 16, showError(row.bounds[1], row.unit), { "text-anchor": "middle", class: "tick" }));
+      label(x(0), y + 17, showError(row.bounds[0], row.unit), { "text-anchor": "start", class: "tick" }),
+      label(x(1), y + 17, showError(row.bounds[1], row.unit), { "text-anchor": "end", class: "tick" }));
     [["before", 0], ["after", 1]].filter(([key]) => Number.isFinite(row[key])).forEach(([key, index]) => {
       const mark = caseMark(index, at(row[key]), y, 6);
       mark.append(draw("title", {}, `${row.name}, ${key}: ${showError(row[key], row.unit)}`));
