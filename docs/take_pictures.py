@@ -15,7 +15,7 @@ from pathlib import Path
 from PIL import Image
 
 LARGEST = 150_000  # bytes of a picture
-WIDTH, MOST_HEIGHT = 1100, 1100  # pixels
+WIDTH, MOST_HEIGHT = 1100, 1400  # pixels
 OPTIONS = ("--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--disable-gpu", "--hide-scrollbars")
 
 
@@ -59,7 +59,10 @@ def open_browser():
 
 def picture_of(browser, time: float) -> bytes:
     """The page as it is, as a PNG of few colours."""
-    move = "const e = document.getElementById('time'); if (!e) return; e.value = arguments[0]; e.dispatchEvent(new Event('input'));"
+    move = (
+        "const e = document.getElementById('time'); if (!e) return;"
+        "e.value = arguments[0]; e.dispatchEvent(new Event('input'));"
+    )
     browser.execute_script(move, time)
     browser.execute_script("return new Promise((done) => setTimeout(done, 300))")
     height = browser.execute_script("return document.documentElement.scrollHeight")
