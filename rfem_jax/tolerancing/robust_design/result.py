@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rfem_jax.text_layout import align_columns, wrap_lines
+from rfem_jax.tolerancing.labelled_designs import LabelledDesignOptimum
 from rfem_jax.tolerancing.layout import show_error, show_number
 
 STATUSES = {
@@ -41,7 +42,7 @@ class LimitAtOptimum:
 
 
 @dataclass(frozen=True, eq=False)
-class DesignOptimum:
+class DesignOptimum(LabelledDesignOptimum):
     """The best dimensions and tolerances.
 
     criterion: when limits hold; status of `STATUSES`, message: one sentence (of an infeasible request: which limit is
