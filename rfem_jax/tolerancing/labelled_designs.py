@@ -47,7 +47,7 @@ class LabelledDesignOptimum:
         variables = {name: Labelled(*entry) for name, entry in asked.items()}
         coordinates = named_dimension(designs, [self.units[name] for name in designs], "design") | {"end": ("low", "high")}
         coordinates |= named_dimension(errors, [self.units[name] for name in errors], "error")
-        coordinates |= named_dimension(terms, [self.units.get(name, "") for name in terms], "term")
+        coordinates |= named_dimension(terms, [self.term_units[name] for name in terms], "term")
         for name in ("metric", "side", "unit"):
             values = _words(getattr(one, name) or "1" for one in self.limits)
             coordinates["limit_unit" if name == "unit" else name] = Labelled(of_limit, values)

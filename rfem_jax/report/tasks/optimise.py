@@ -90,7 +90,7 @@ class OptimiseReport(TaskReport[OptimiseTask, Optimised]):
                 {
                     **asdict(answer),
                     "front": [{"weight": weight, **asdict(one)} for weight, one in result.front.items()],
-                    "units": answer.units | {check.metric: check.unit for check in answer.limits},
+                    "units": answer.units | answer.term_units | {check.metric: check.unit for check in answer.limits},
                 },
             ),
             write_csv(folder / "optimise.csv", self._rows(answer)),
@@ -158,7 +158,8 @@ class OptimiseReport(TaskReport[OptimiseTask, Optimised]):
         axes.set_xticks([0.0, 1.0], ["lowest", "highest"])
         axes.grid(visible=False)
         axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False)
-        terms = ", ".join(f"{name} {value:.4g}" for name, value in answer.terms.items())
+        units = answer.term_units
+        terms = ", ".join(f"{name} {value:.4g} {units[name]}".rstrip() for name, value in answer.terms.items())
         add_titles(figure, f"Optimum, {answer.criterion.replace('_', ' ')} ({answer.status}): {terms}", self.study)
         return figure
 
@@ -180,7 +181,7 @@ class OptimiseReport(TaskReport[OptimiseTask, Optimised]):
 
     @staticmethod
     def _term_label(name: str, answer: DesignOptimum) -> str:
-        unit = {check.metric: check.unit for check in answer.limits}.get(name, "")
+        unit = answer.term_units[name]
         return f"{name}, {unit}" if unit else name
 
     def setting_text(self, name: str, value: Any) -> str:

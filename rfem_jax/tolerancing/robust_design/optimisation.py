@@ -308,6 +308,7 @@ class _Study:
         terms = {name: nominal[name] for name in request.weights if name != COST}
         if request.costs:
             terms[COST] = self.cost(y)[0]
+        metric_units = {metric.name: metric.unit for metric in request.problem.metrics}
         objective = sum(weight * terms[name] for name, weight in request.weights.items())
         return DesignOptimum(
             criterion=self.settings.robust,
@@ -319,6 +320,7 @@ class _Study:
             initial=dict(zip(variables.designs, map(float, variables.nominal), strict=True)),
             objective=float(objective),
             terms=terms,
+            term_units={name: metric_units.get(name, "") for name in terms},
             weights=request.weights,
             limits=self._limits(found, verified, nominal),
             at_bounds=variables.at_bounds(y),

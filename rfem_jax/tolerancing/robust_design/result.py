@@ -48,7 +48,7 @@ class DesignOptimum(LabelledDesignOptimum):
     criterion: when limits hold; status of `STATUSES`, message: one sentence (of an infeasible request: which limit is
     in the way, and how near it comes); designs {name: value}, tolerances {error: half-width} of all errors that
     scatter, found or given; units of both and `initial` values of the designs; objective, its terms {metric or "cost":
-    value} and weights; limits; at_bounds {design or error: "smallest" | "largest"}; kkt_residual, of the objective
+    value}, their units and weights; limits; at_bounds {design or error: "smallest" | "largest"}; kkt_residual, of the objective
     divided by its value at the start; verified_yield with its interval (NaN but for samples), verified_by; simulations
     and failed ones; starts tried, and history: (objective, largest normalised constraint) of every solution.
     """
@@ -62,6 +62,7 @@ class DesignOptimum(LabelledDesignOptimum):
     initial: dict[str, float]
     objective: float
     terms: dict[str, float]
+    term_units: dict[str, str]
     weights: dict[str, float]
     limits: tuple[LimitAtOptimum, ...]
     at_bounds: dict[str, str]
@@ -75,7 +76,9 @@ class DesignOptimum(LabelledDesignOptimum):
     history: tuple[tuple[float, float], ...]
 
     def __str__(self) -> str:
-        terms = ", ".join(f"{name} {show_number(value)}" for name, value in self.terms.items())
+        terms = ", ".join(
+            f"{name} {show_number(value)} {self.term_units[name]}".rstrip() for name, value in self.terms.items()
+        )
         head = f"Optimum ({self.criterion.replace('_', ' ')}): status {self.status}, "
         parts = [f"{head}objective {show_number(self.objective, 7)} ({terms})", wrap_lines(self.message)]
         rows = [
@@ -96,10 +99,8 @@ class DesignOptimum(LabelledDesignOptimum):
         if np.isfinite(self.verified_yield):
             low, high = self.yield_interval
             parts.append(f"verified yield {self.verified_yield:.5f} ({low:.5f} to {high:.5f})")
-        parts.append(
-            f"verified by {self.verified_by}; {self.simulations} simulations, {self.failed} failed; KKT residual "
-            f"{self.kkt_residual:.0e}, best of {self.starts} starts"
-        )
+        effort = f"{self.simulations} simulations, {self.failed} failed; KKT residual {self.kkt_residual:.0e}"
+        parts.append(wrap_lines(f"verified by {self.verified_by}; {effort}, best of {self.starts} starts"))
         return "\n".join(part for part in parts if part)
 
     def _show(self, name: str, value: float) -> str:
