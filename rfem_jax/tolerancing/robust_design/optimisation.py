@@ -36,6 +36,7 @@ from rfem_jax.tolerancing.robust_design.request import COST, Bounds, Request, Wi
 from rfem_jax.tolerancing.robust_design.result import DesignOptimum, LimitAtOptimum
 from rfem_jax.tolerancing.robust_design.search import (
     HOLDS,
+    PENALTY,
     Evaluation,
     Found,
     least_violation,
@@ -54,7 +55,6 @@ ATTEMPTS = 3  # searches, each after a fresh run that fell short
 STATIONARY = 1e-4  # KKT residual of a search that has converged, of the objective at the start
 AGREES = 1e-3  # of a limit: how far a fresh worst case may exceed it
 TIED = 1e-4  # constraints that differ by this share of the largest stand against each other
-PENALTY = 10.0  # of a violated constraint, where starts are compared
 
 
 @dataclass(frozen=True, eq=False)
