@@ -55,13 +55,13 @@ def pytest_collection_modifyitems(items):
             item.add_marker(pytest.mark.skip(reason="types are checked at run time"))
 
 
-# What costs more time in XLA than it saves in a program that runs a few times: notes on which arrays may overlap, a
-# fine analysis of copies, and kernels made by way of MLIR (a choice only before JAX 0.12).
+# What costs more time in XLA than it saves in a program that runs a few times: notes on which arrays may overlap, and
+# kernels made by way of MLIR (a choice only before JAX 0.12). An analysis of copies by regions is faster, too, but
+# compiles wrong programs of some loops in reverse mode.
 QUICK_OPTIONS = {
     "xla_llvm_enable_noalias_metadata": False,
     "xla_llvm_enable_alias_scope_metadata": False,
     "xla_llvm_enable_invariant_load_metadata": False,
-    "xla_cpu_copy_insertion_use_region_analysis": True,
     **({"xla_cpu_use_fusion_emitters": False} if jax.__version_info__ < (0, 12) else {}),
 }
 
