@@ -4,8 +4,8 @@ Place in the pipeline: model, drive, duration, accuracy -> **method** -> cases, 
 
 RMS loads of trial assemblies are compared between a step and half of it.  The implicit method is of order 2, so
 four thirds of the change estimate the error of the longer step (Richardson; theory (11.3), (11.4)).  The static starts
-are found once; one program, compiled quickly, serves all but the shortest steps.  Where no step is accurate enough
-(undamped vibrations, on whose phase forces depend) Runge-Kutta 4 is taken, at nine tenths of its largest stable step.
+are found once; one compiled program serves all steps.  Where no step is accurate enough (undamped vibrations, on whose
+phase forces depend) Runge-Kutta 4 is taken, at nine tenths of its largest stable step.
 """
 
 import functools
@@ -40,7 +40,6 @@ from rfem_jax.simulation.time_grid import TimeGrid
 
 TRIAL_INTERVALS = 50
 FIRST, LAST = 2, 256  # steps in an interval
-FEW = 16  # steps in an interval up to which to compile takes longer than to run what is compiled quickly
 # Changes are relative to the load of the joint, but at least to this share of the largest load of its kind.
 SMALL_LOAD = 0.05
 SMALL_MOMENT = 0.01  # likewise of the largest force times the longest link
@@ -103,10 +102,9 @@ def _longest_step(model, method: Method, drive, duration, accuracy, errors) -> f
     prepared, carry = prepare_trials(model, errors, drive, method)
 
     def loads(steps):
-        # Traced: no program for each.
+        # Traced: one program for all steps.
         count = jnp.asarray(steps, jnp.float64)
-        of_trials = loads_in_few_steps if steps <= FEW else loads_in_many_steps
-        found = of_trials(model, prepared, drive, carry, grid, method, count)
+        found = loads_of_trials(model, prepared, drive, carry, grid, method, count)
         loads, residual, assembled = map(np.asarray, found)
         # Trial errors that rigid links cannot be assembled with say nothing about the step.
         used = assembled if assembled.any() else np.ones_like(assembled)
@@ -183,7 +181,8 @@ def prepare_trials(model: Model, errors: AssemblyErrors, drive: Drive, method: M
     return jax.vmap(lambda errors: _prepared(model, errors, drive, method))(errors)
 
 
-def _loads_of_trials(
+@Program
+def loads_of_trials(
     model: Model,
     prepared: Prepared,
     drive: Drive,
@@ -198,11 +197,6 @@ def _loads_of_trials(
         return _loads_of(model, prepared, drive, carry, grid, method, steps)
 
     return jax.vmap(one)(prepared, carry)
-
-
-# A mechanism with many joints compiles for minutes, and a few hundred steps take less than a second.
-loads_in_few_steps = Program(_loads_of_trials, quick=True)
-loads_in_many_steps = Program(_loads_of_trials)
 
 
 def _prepared(model, errors, drive, method: Method) -> tuple[Prepared, Carry]:
