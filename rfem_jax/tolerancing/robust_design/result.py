@@ -50,7 +50,7 @@ class DesignOptimum(LabelledDesignOptimum):
     scatter, found or given; units of both and `initial` values of the designs; objective, its terms {metric or "cost":
     value}, their units and weights; limits; at_bounds {design or error: "smallest" | "largest"}; kkt_residual, of the
     objective divided by its value at the start; verified_yield with its interval (NaN but for samples), verified_by;
-    simulations and failed ones; starts tried, and history: (objective, largest normalised constraint) of every solution.
+    simulations and failed ones; starts tried, and history: (objective, largest normalised constraint) of each solution.
     """
 
     criterion: str
