@@ -62,7 +62,7 @@ ALONG_Z = turn_x(np.pi / 2.0)  # y is the tables' z
 SLIDING = turn_y(-np.pi / 2.0)  # x is the tables' z
 CROSS = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])  # y is the tables' x, z their y
 QUARTER, NONE = turn_x(-np.pi / 2.0), np.eye(3)
-HANGING = {"place": ORIGIN, "centre": (0.0, 0.0, -ARM), "inertia": (0.1, 0.1, 0.04)}
+HANGING = (0.0, 0.0, -ARM)
 ASKEW = turn_z(-np.pi / 4.0) @ turn_x(np.pi / 2.0) @ turn_z(np.pi / 4.0)
 CONSERVING = ("revolute", "spherical", "universal")  # joints about whose point a body turns without loss
 SPRING = JointSpring("spring", "J", stiffness=200.0, damping=10.0)
@@ -77,9 +77,9 @@ CASES = {
     "cylindrical 3": Case("cylindrical", ALONG_Z),
     "spherical 1": Case("spherical", NONE, ORIGIN, NONE),
     "spherical 2": Case("spherical", NONE),
-    "universal 1": Case("universal", CROSS, frame=turn_x(np.pi / 2.0), **HANGING),
-    "universal 2": Case("universal", CROSS, frame=turn_y(np.pi / 2.0), **HANGING),
-    "universal 3": Case("universal", CROSS, frame=ASKEW, **HANGING),
+    "universal 1": Case("universal", CROSS, ORIGIN, turn_x(np.pi / 2.0), HANGING, (0.1, 0.1, 0.04)),
+    "universal 2": Case("universal", CROSS, ORIGIN, turn_y(np.pi / 2.0), HANGING, (0.1, 0.1, 0.04)),
+    "universal 3": Case("universal", CROSS, ORIGIN, ASKEW, HANGING, (0.1, 0.1, 0.04)),
     "spring 1": Case("revolute", ALONG_Z, ORIGIN, QUARTER, forces=(SPRING,)),
     "spring 2": Case(
         "revolute",

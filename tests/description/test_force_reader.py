@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rfem_jax import JointFriction, JointSpring, Link, PointForce, PointMoment, PointSpring, PointSpringTable, RigidBody
+from rfem_jax import JointFriction, JointSpring, PointForce, PointMoment, PointSpring, PointSpringTable
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.force_reader import FORCES, read_force, read_joint, read_spring
-from rfem_jax.description.study_reader import read_drives, read_mechanism
+from rfem_jax.description.study_reader import read_drive, read_mechanism
 
 from .test_study_files import FULL
 
@@ -102,18 +102,14 @@ def test_a_mechanism_holds_them_all():
     assert mechanism.force("B_spring").rest == pytest.approx(np.radians(10.0))
 
 
-def test_the_guide_s_tables_are_read():
-    """Every kind of table of the guide, as it is written there."""
+def test_the_guide_has_a_table_of_each_kind():
+    """Its block is a whole mechanism, and is read as it is written there."""
     guide = (Path(__file__).parents[2] / "docs" / "guides" / "own_mechanism.md").read_text(encoding="utf-8")
     content = tomllib.loads(guide.split("```toml\n")[1].split("```")[0])
-    mechanism = content["mechanism"]
-    found = [force for one in mechanism["joints"] for force in read_joint(one, PLACE)[1]]
-    found += [read_spring(one, "[[mechanism.springs]]") for one in mechanism["springs"]]
-    found += [read_force(one, "[[mechanism.forces]]") for one in mechanism["forces"]]
-    kinds = {type(force) for force in found}
-    assert kinds == set(FORCES.values())
-    assert [Link(**{**one, "body": RigidBody(**one["body"])}).name for one in mechanism["links"]] == ["wheel"]
-    assert len(read_drives(content["drives"])) == 2
+    mechanism = read_mechanism(content["mechanism"])
+    assert {type(force) for force in mechanism.forces} == set(FORCES.values())
+    assert mechanism.joint("D").sprung == ("T_x", "T_z", "T_y")
+    assert read_drive(content["drive"]).joint == "A"
 
 
 @pytest.mark.parametrize(

@@ -106,12 +106,9 @@ def _refine(linear: Linear, value: Array, preconditioner: Linear, tolerance: flo
     """Solution by iterative refinement, as long as its increments become smaller and until the next one would be
     small, and whether it is."""
 
-    def size(x):
-        return jnp.max(jnp.abs(x), initial=0.0)
-
     def next_is_small(tolerance, x, increment, before):
         """Increments become smaller by nearly the same factor every time."""
-        return increment * increment <= tolerance * size(x) * before
+        return increment * increment <= tolerance * _size(x) * before
 
     def going_on(carry):
         *found, count = carry
@@ -123,12 +120,17 @@ def _refine(linear: Linear, value: Array, preconditioner: Linear, tolerance: flo
     def improve(carry):
         x, increment, _, count = carry
         change = preconditioner(value - linear(x))
-        return x + change, size(change), increment, count + 1
+        return x + change, _size(change), increment, count + 1
 
     first = preconditioner(value)
-    carry = (first, size(first), size(first), jnp.ones((), jnp.int32))
+    carry = (first, _size(first), _size(first), jnp.ones((), jnp.int32))
     *found, _ = jax.lax.while_loop(going_on, improve, carry)
     return found[0], next_is_small(LARGEST_LINEAR_ERROR, *found)
+
+
+def _size(x: Array) -> Array:
+    """Largest magnitude, zero of nothing: rigid links on fixed joints have no unknowns."""
+    return jnp.max(jnp.abs(x)) if x.size else jnp.zeros(())
 
 
 def _linearised(function: Callable, at: Array, *others: Any) -> tuple[Array, Array]:
@@ -182,7 +184,7 @@ def _iterate(
     def improve(carry):
         unknowns, _, count = carry
         value, step, rows = step_from(unknowns)
-        small_step = jnp.max(jnp.abs(step[:n]), initial=0.0) <= tolerance
+        small_step = _size(step[:n]) <= tolerance
         small_residual = jnp.all(jnp.abs(value) <= TOLERANCE * rows)
         return unknowns - step, small_step & small_residual, count + 1
 
