@@ -112,9 +112,10 @@ class Clearance(ChecksItself):
                 "Argument `restitution` of a clearance must be left out with `damping`, but both are given; keep the "
                 "fixed chi or the one that follows from restitution and the speed of approach."
             )
-        if self.restitution is not None and float(self.restitution) > 1.0:
+        restitution: Any = self.restitution
+        if restitution is not None and restitution > 1.0:
             raise InputError(
-                f"Argument `restitution` of a clearance must be at most 1, but was {self.restitution}; 1 loses nothing."
+                f"Argument `restitution` of a clearance must be at most 1, but was {restitution}; 1 loses nothing."
             )
 
     def _check_friction(self) -> None:
@@ -144,7 +145,7 @@ def stiffness_dimension(clearance: Clearance, name: str) -> str:
     """Dimension of the field `stiffness` or `axial_stiffness`, which the exponent decides; "none" (N/m^n) of exponents
     that no unit is known for."""
     exponent = clearance.of_stop[1] if name == "axial_stiffness" else clearance.exponent
-    return {1.0: "stiffness", 1.5: "hertz_stiffness"}.get(float(exponent), "none")
+    return {1.0: "stiffness", 1.5: "hertz_stiffness"}.get(exponent, "none")
 
 
 def clearance_of(clearance: Any, where: str) -> Clearance:

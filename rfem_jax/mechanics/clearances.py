@@ -8,7 +8,7 @@ middle (contact 2).  All is measured in the axes of the bush: eccentricities e o
 of the middle along it.  Theory (15.1) to (15.9).
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -222,7 +222,8 @@ def pin_in_bush(clearance: Clearance, parent: NodeFrame, child: NodeFrame) -> Pi
     def needed(value) -> Array:
         return jnp.asarray(value, jnp.float64)
 
-    stiffness, exponent = clearance.of_stop
+    exponent: Any = clearance.exponent
+    stiffness, of_stop = clearance.of_stop
     remembers = clearance.restitution is not None
     return PinInBush(
         parent=parent,
@@ -230,8 +231,8 @@ def pin_in_bush(clearance: Clearance, parent: NodeFrame, child: NodeFrame) -> Pi
         radial=needed(clearance.radial),
         axial=needed(clearance.axial),
         length=needed(clearance.length),
-        ends=ContactLaw(needed(clearance.stiffness), float(needed(clearance.exponent))),
-        stop=ContactLaw(needed(stiffness), float(exponent)),
+        ends=ContactLaw(needed(clearance.stiffness), float(exponent)),
+        stop=ContactLaw(needed(stiffness), float(of_stop)),
         centring=needed(clearance.centring),
         damping=number(clearance.damping),
         restitution=number(clearance.restitution),
