@@ -144,7 +144,7 @@ def _exponent(value: Any, where: str) -> float:
 def stiffness_dimension(clearance: Clearance, name: str) -> str:
     """Dimension of the field `stiffness` or `axial_stiffness`, which the exponent decides; "none" (N/m^n) of exponents
     that no unit is known for."""
-    exponent = clearance.of_stop[1] if name == "axial_stiffness" else clearance.exponent
+    exponent: Any = clearance.of_stop[1] if name == "axial_stiffness" else clearance.exponent
     return {1.0: "stiffness", 1.5: "hertz_stiffness"}.get(exponent, "none")
 
 

@@ -2,7 +2,9 @@
 
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
 from rfem_jax import Clearance
@@ -19,13 +21,18 @@ def history():
     around = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     eccentricity = np.stack([0.5e-4 * around, 1.1e-4 * around], axis=1)
     depth = np.stack([-0.5e-4 + 0.0 * angles, 1e-5 + 0.0 * angles, -1e-3 + 0.0 * angles], axis=1)
-    return ContactState(eccentricity, 0.0 * angles, depth, np.maximum(depth, 0.0) * 1e6, 0.0 * depth)
+    parts = eccentricity, 0.0 * angles, depth, np.maximum(depth, 0.0) * 1e6, 0.0 * depth
+    return ContactState(*(jnp.asarray(part) for part in parts))
+
+
+def run_with(contacts) -> Any:
+    return SimpleNamespace(contacts=contacts)
 
 
 def test_a_pin_moves_within_the_circle_of_its_clearance(study):
     joints = [replace(j, clearance=PLAY if j.name == "D" else None) for j in study.mechanism.joints]
     made = replace(study, mechanism=replace(study.mechanism, joints=joints))
-    runs = {case.name: SimpleNamespace(contacts={"D": history()}) for case in study.cases}
+    runs = {case.name: run_with({"D": history()}) for case in study.cases}
     figures = orbit_figures(made, runs)
     assert list(figures) == ["orbit_D"]
     for axes, radius in zip(figures["orbit_D"].axes, (0.05, 0.11), strict=True):
@@ -38,11 +45,11 @@ def test_a_pin_moves_within_the_circle_of_its_clearance(study):
 
 
 def test_columns_of_contacts():
-    columns = contact_columns(SimpleNamespace(contacts={"D": history()}))
+    columns = contact_columns(run_with({"D": history()}))
     assert list(columns) == [
         *(f"D_penetration_{name}_m" for name in ("start", "end", "axial")),
         *(f"D_contact_force_{name}_N" for name in ("start", "end", "axial")),
     ]
     np.testing.assert_allclose(columns["D_penetration_end_m"], 1e-5)
     np.testing.assert_allclose(columns["D_contact_force_end_N"], 10.0)
-    assert not contact_columns(SimpleNamespace(contacts={}))
+    assert not contact_columns(run_with({}))

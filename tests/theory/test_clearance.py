@@ -157,8 +157,8 @@ class TestFourBar:
         errors, radial, axial, force, moment, hold = self.GIVEN[case]
         found, (at_d, about_d) = self.loads(four_bar, errors, radial, axial)
         assert int(found.status) == 0
-        np.testing.assert_allclose(at_d, force, rtol=0, atol=1e-8 * np.linalg.norm(force) + 1e-8)
-        np.testing.assert_allclose(about_d, moment, rtol=0, atol=1e-8 * np.linalg.norm(moment) + 1e-9)
+        np.testing.assert_allclose(at_d, force, rtol=0, atol=1e-8 * float(np.linalg.norm(force)) + 1e-8)
+        np.testing.assert_allclose(about_d, moment, rtol=0, atol=1e-8 * float(np.linalg.norm(moment)) + 1e-9)
         np.testing.assert_allclose(found.preload["A"].moment[1], hold, rtol=1e-7)
 
     def test_cut_at_the_bush(self):
@@ -166,8 +166,8 @@ class TestFourBar:
         model = discretise(flexible_four_bar(cut=True))
         found, (at_d, about_d) = self.loads(model, errors, radial, axial)
         assert int(found.status) == 0
-        np.testing.assert_allclose(at_d, force, rtol=0, atol=1e-7 * np.linalg.norm(force))
-        np.testing.assert_allclose(about_d, moment, rtol=0, atol=1e-7 * np.linalg.norm(moment))
+        np.testing.assert_allclose(at_d, force, rtol=0, atol=1e-7 * float(np.linalg.norm(force)))
+        np.testing.assert_allclose(about_d, moment, rtol=0, atol=1e-7 * float(np.linalg.norm(moment)))
         np.testing.assert_allclose(found.preload["A"].moment[1], hold, rtol=1e-7)
 
     def test_derivatives_by_clearance_and_misalignment(self, four_bar):
