@@ -25,7 +25,7 @@ _options.offer()
 
 _PACKAGES = {
     "description": (
-        "Bearing Case Circle Compliance ForceFunction ForceRamp ForceTable GivenSection InputError Joint "
+        "Bearing Case Circle Clearance Compliance ForceFunction ForceRamp ForceTable GivenSection InputError Joint "
         "JointForceFunction JointForceTable JointFriction JointSpring Link Material Mechanism Method MomentFunction "
         "MomentRamp MomentTable PointForce PointMass PointMoment PointSpring PointSpringFunction PointSpringTable "
         "PrescribedDisplacements PrescribedFunction PrescribedRate PrescribedRunUp PrescribedSpeed "

@@ -6,6 +6,7 @@ enters and converted to SI floats.
 
 from rfem_jax.description import design_metrics as design_metrics  # they register themselves
 from rfem_jax.description.bearings import Bearing
+from rfem_jax.description.clearance import Clearance
 from rfem_jax.description.compliance import Compliance
 from rfem_jax.description.drives import (
     GivenDrive,
@@ -65,6 +66,7 @@ __all__ = [
     "Bearing",
     "Case",
     "Circle",
+    "Clearance",
     "Compliance",
     "DiffraxMethod",
     "FixedStepMethod",

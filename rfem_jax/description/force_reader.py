@@ -13,6 +13,7 @@ from dataclasses import fields
 from typing import Any
 
 from rfem_jax.description.bearings import Bearing
+from rfem_jax.description.clearance import Clearance
 from rfem_jax.description.compliance import Compliance, TablesByDirection
 from rfem_jax.description.errors import ABSENT, InputError, Problems, located, require_choice
 from rfem_jax.description.forces import Force, JointForce, JointForceTable, JointFriction, JointSpring
@@ -34,6 +35,7 @@ AT_POINTS = {"force": "point_force", "moment": "point_moment"}  # kinds that nee
 FUNCTION_KEYS = ("breakpoints",)  # of functions, which a file cannot hold
 IN_JOINTS = {"spring": JointSpring, "friction": JointFriction}  # tables of a joint, which is their `joint`
 OF_ITS_JOINT = ("name", "joint")
+TABLES_OF_JOINTS: dict[str, type[Bearing] | type[Clearance]] = {"bearing": Bearing, "clearance": Clearance}
 JOINT_KEYS = ("stiffness", "damping", *IN_JOINTS)  # beside the arguments of Joint
 
 
@@ -48,11 +50,12 @@ def read_joint(table: object, place: str) -> tuple[Joint, list[JointForce]]:
         settings["compliance"] = ABSENT
         with problems.noted():
             settings["compliance"] = Compliance(**checked_table(given, f"{place} compliance", *keys_of(Compliance)))
-    given = settings.get("bearing", ABSENT)
-    if given is not ABSENT:
-        settings["bearing"] = ABSENT
-        with problems.noted():
-            settings["bearing"] = _read_bearing(given, f"{place} bearing")
+    for key, kind in TABLES_OF_JOINTS.items():
+        given = settings.get(key, ABSENT)
+        if given is not ABSENT:
+            settings[key] = ABSENT
+            with problems.noted():
+                settings[key] = _read_part(kind, given, f"{place} {key}")
     if not {"stiffness", "damping"}.isdisjoint(of_joint):
         written = "compliance" in settings
         settings["compliance"] = ABSENT
@@ -65,10 +68,10 @@ def read_joint(table: object, place: str) -> tuple[Joint, list[JointForce]]:
     return build(Joint, settings, place, problems), forces
 
 
-def _read_bearing(table: object, place: str) -> Bearing:
+def _read_part(kind: type[Bearing] | type[Clearance], table: object, place: str) -> Bearing | Clearance:
     problems = Problems()
-    settings = problems.usable(lambda: checked_table(table, place, *keys_of(Bearing)))
-    return build(Bearing, settings, place, problems)
+    settings = problems.usable(lambda: checked_table(table, place, *keys_of(kind)))
+    return build(kind, settings, place, problems)
 
 
 def _by_direction(of_joint: dict[str, Any], has_compliance: bool, place: str) -> TablesByDirection:

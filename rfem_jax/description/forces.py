@@ -250,6 +250,11 @@ class JointFriction(ChecksItself, JointForce):
         require_choice(self.law, FRICTION_LAWS, f"`law` of force `{self.name}`")
 
     def resolved(self, joint: Joint) -> "JointFriction":
+        if joint.clearance is not None:
+            raise InputError(
+                f"Argument `joint` of force `{self.name}` must have no clearance for friction about its axis, but "
+                f"`{joint.name}` has; give `friction` in its clearance, which acts at the contacts."
+            )
         if joint.kind not in FRICTION_KINDS:
             raise InputError(
                 f"Argument `joint` of force `{self.name}` must be revolute, prismatic or cylindrical, but "

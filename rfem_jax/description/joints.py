@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from rfem_jax.description.bearings import Bearing, bearing_of
+from rfem_jax.description.clearance import Clearance, clearance_of
 from rfem_jax.description.compliance import Compliance, SprungDirection
 from rfem_jax.description.errors import Checks, ChecksItself, InputError, require_flag, require_name
 from rfem_jax.description.joint_kinds import DEFAULT, KINDS, JointKind, require_kind
@@ -45,6 +46,8 @@ class Joint(ChecksItself):
             R_z R_y R_x; free: x, y, z and these angles); None means zeros.
         compliance: springs and dampers in directions that the kind holds, a `Compliance`; None = rigid. All
             start values, errors and angles are those of the kind without springs.
+        clearance: the play of the pin of a revolute joint in its bush, a `Clearance`, in the place of a compliance;
+            None = none. Start values, errors and the angle are those of the joint without play.
         bearing: what it carries, a `Bearing`, for metrics of life and of loads against capacities; None = unknown.
     Raises:
         InputError: a value is out of range or of the wrong kind.
@@ -64,6 +67,7 @@ class Joint(ChecksItself):
     start: tuple[float, ...] | None = None
     compliance: Compliance | None = None
     bearing: Bearing | None = None
+    clearance: Clearance | None = None
 
     def _check_fields(self, checks: Checks) -> None:
         checks.convert("name", require_name, "`name` of a joint")
@@ -84,6 +88,9 @@ class Joint(ChecksItself):
         if self.compliance is not None:
             checks.convert("compliance", _compliance, f"`compliance` {of}")
             checks.relation(("kind", "cut", "compliance"), lambda: self.springs)
+        if self.clearance is not None:
+            checks.convert("clearance", clearance_of, f"`clearance` {of}")
+            checks.relation(("kind", "compliance", "clearance"), self._check_clearance, of)
         if self.bearing is not None:
             checks.convert("bearing", bearing_of, f"`bearing` {of}")
 
@@ -96,8 +103,23 @@ class Joint(ChecksItself):
 
     @property
     def sprung(self) -> tuple[str, ...]:
-        """Motions that the kind holds and that are sprung."""
+        """Motions that the kind holds and that are sprung; with a clearance, whose contacts hold it, all of these."""
+        if self.clearance is not None:
+            kind = KINDS[self.kind]
+            return (*(motion for motion in kind.directions if motion[0] == "T"), *kind.directions["tilt"])
         return tuple(motion for spring in self.springs for motion in spring.motions)
+
+    def _check_clearance(self, of: str) -> None:
+        if self.kind != "revolute":
+            raise InputError(
+                f"Argument `clearance` {of} must be left out because the joint is {self.kind}, but was given; a pin in "
+                "a bush is a revolute joint: remove it, or change the kind."
+            )
+        if self.compliance is not None:
+            raise InputError(
+                f"Argument `clearance` {of} must be given or else `compliance`, but both are; the contacts of the "
+                "clearance have stiffnesses of their own: remove the compliance."
+            )
 
     def _check_child(self, of: str) -> None:
         if self.parent == self.child:

@@ -11,6 +11,7 @@ from dataclasses import MISSING, dataclass, fields, is_dataclass
 from typing import Any
 
 from rfem_jax.description.bearings import Bearing
+from rfem_jax.description.clearance import Clearance
 from rfem_jax.description.compliance import Compliance, TablesByDirection
 from rfem_jax.description.force_reader import (
     FORCES,
@@ -52,6 +53,7 @@ _IN_A_FILE = {  # where a file has something else than the class
     "body": "table {mass = ..., centre = ..., inertia = ...} in the place of section and material; the link is rigid",
     "point_masses": "list of tables, [{mass = ..., position = ...}, ...]",
     "compliance": "table { radial = ..., axial = ..., ... }; none: rigid",
+    "clearance": "table { radial = ..., length = ..., stiffness = ..., ... } in the place of compliance; none: no play",
     "bearing": "table { dynamic_capacity = ..., static_capacity = ..., ... }; none: unknown",
     "stiffness": "table by direction, in the place of compliance: { radial = ..., axial = ..., tilt = ... }",
     "damping": "table by direction, beside stiffness",
@@ -145,6 +147,9 @@ def _joint_tables() -> list[KeyTable]:
     tables = [_table("[[mechanism.joints]]", Joint, required, (*optional, *JOINT_KEYS), _IN_A_FILE)]
     tables.append(_table("compliance of [[mechanism.joints]]", Compliance, *keys_of(Compliance), _IN_A_FILE))
     tables.append(_table("bearing of [[mechanism.joints]]", Bearing, *keys_of(Bearing), _IN_A_FILE))
+    tables.append(
+        _table("clearance of [[mechanism.joints]]", Clearance, *keys_of(Clearance), argument_meanings(Clearance))
+    )
     meanings = argument_meanings(Compliance)
     for key, ending in (("stiffness", ""), ("damping", "_damping")):
         own = {one: meanings[name + ending] for one, name in TablesByDirection.keys().items()}

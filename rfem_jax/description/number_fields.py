@@ -5,6 +5,7 @@ Place in the pipeline: joint_kinds, the objects -> **number_fields** -> paramete
 
 from collections.abc import Mapping
 
+from rfem_jax.description.clearance import Clearance, stiffness_dimension
 from rfem_jax.description.joint_kinds import Freedom
 from rfem_jax.description.joints import Joint
 from rfem_jax.description.links import PointMass
@@ -82,6 +83,23 @@ def joint_spring_fields(freedom: Freedom) -> Fields:
         "damping": (f"{turns}damping", NOT_NEGATIVE),
         "rest": (freedom.dimension, ANY),
         "preload": ("moment" if freedom.rotation else "force", ANY),
+    }
+
+
+def clearance_fields(clearance: Clearance) -> Fields:
+    """Of a clearance; the dimensions of stiffnesses follow from its exponents."""
+    return {
+        "radial": ("length", NOT_NEGATIVE),
+        "axial": ("length", NOT_NEGATIVE),
+        "length": ("length", POSITIVE),
+        "diameter": ("length", POSITIVE),
+        **{name: (stiffness_dimension(clearance, name), POSITIVE) for name in ("stiffness", "axial_stiffness")},
+        "damping": ("contact_damping", NOT_NEGATIVE),
+        "restitution": ("none", NOT_NEGATIVE),
+        "slowest_approach": ("speed", POSITIVE),
+        "friction": ("none", NOT_NEGATIVE),
+        "sliding_speed": ("speed", POSITIVE),
+        "centring": ("stiffness", POSITIVE),
     }
 
 

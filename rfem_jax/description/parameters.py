@@ -3,9 +3,9 @@
 Place in the pipeline: parts -> **parameters** -> study, and the mechanics' `design`.
 
 A name is that of a thing and of its number, as "crank.length", "bar.height", "steel.youngs_modulus", "D.position.x",
-"B.compliance.radial", "gravity.x". Each has a full name, too, which begins with the kind of the thing, as
-"section.bar.height"; where things of several kinds have one name, only full names are known. What several links share,
-a section or a material of one name, is one parameter. Tables are scaled by a `factor`.
+"B.compliance.radial", "B.clearance.radial", "gravity.x". Each has a full name, too, which begins with the kind of the
+thing, as "section.bar.height"; where things of several kinds have one name, only full names are known. What several
+links share, a section or a material of one name, is one parameter. Tables are scaled by a `factor`.
 
 Not among them are numbers that follow from others: start values of joints that drives do not hold, which closing the
 loops or assembly finds, positions that are left out at the end of a link, and derived shear factors.
@@ -31,6 +31,7 @@ from rfem_jax.description.number_fields import (
     NOT_NEGATIVE,
     POINT_FORCES,
     POSITIVE,
+    clearance_fields,
     friction_fields,
     joint_spring_fields,
 )
@@ -225,6 +226,9 @@ def _of_joints(parts: Parts, held: Sequence[tuple[str, str]]) -> Iterator[Parame
         yield from _fields(owner, joint, FIELDS[Joint], [path])
         for motion in [motion for name, motion in held if name == joint.name]:
             yield _start_value(owner, joint, motion, path)
+        if joint.clearance is not None:
+            numbers = clearance_fields(joint.clearance)
+            yield from _fields(owner, joint.clearance, numbers, [(*path, "clearance")], "clearance.")
         for n, spring in enumerate(springs):
             at, turns = ("springs", j, n), "rotational_" if spring.rotation else ""
             name, table = f"compliance.{spring.name}", spring.positions is not None

@@ -43,6 +43,7 @@ RANGES = {  # of other dimensions: smallest (where a value must be positive) and
     "line_density": (1e-18, 1e15),
     "rotary_inertia": (1e-40, 1e20),
     "moment_of_inertia": (1e-40, 1e25),
+    "hertz_stiffness": (1e-20, 1e25),
 }
 
 # name: (exponents of kg, m, s, rad; SI unit; an example of a string with a unit)
@@ -69,8 +70,10 @@ DIMENSIONS = {
     "moment_of_inertia": ((1, 2, 0, 0), "kg m^2", "2 kg mm^2"),
     "stiffness": ((1, 0, -2, 0), "N/m", "12 N/mm"),
     "rotational_stiffness": ((1, 2, -2, -1), "N m/rad", "3 N m/deg"),
+    "hertz_stiffness": ((1, -0.5, -2, 0), "N/m^1.5", "60 kN/mm^1.5"),
     "damping": ((1, 0, -1, 0), "N s/m", "5 N s/m"),
     "rotational_damping": ((1, 2, -1, -1), "N m s/rad", "0.1 N m s/rad"),
+    "contact_damping": ((0, -1, 1, 0), "s/m", "0.2 s/m"),
 }
 
 _KG, _M, _S, _RAD = (1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1)
@@ -95,7 +98,7 @@ _NUMBER = re.compile(r"\s*([+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?
 _ASCII = str.maketrans(  # as pasted from documents: degree sign, micro, middle dot, powers
     {"\u00b0": " deg", "\u00b5": "u", "\u03bc": "u", "\u00b7": " ", "\u00b2": "^2", "\u00b3": "^3"}
 )
-_UNIT = re.compile(r"([A-Za-z]+|%|1)(?:(?:\^|\*\*)([+-]?\d+))?$")
+_UNIT = re.compile(r"([A-Za-z]+|%|1)(?:(?:\^|\*\*)([+-]?\d+(?:\.\d+)?))?$")
 
 
 def quantity(value: Quantity, dimension: str, where: str) -> float:
@@ -232,9 +235,10 @@ def _parse(text: str, dimension: str, where: str) -> float:
     return number * factor
 
 
-def _unit(unit: str, text: str, where: str, dimension: str) -> tuple[float, tuple[int, ...]]:
+def _unit(unit: str, text: str, where: str, dimension: str) -> tuple[float, tuple[float, ...]]:
     """Return (factor to SI, exponents) of a product of units such as "kg/m^3" or "N m^2"."""
     wanted, _, example = DIMENSIONS[dimension]
+    exponents: tuple[float, ...]
     factor, exponents = 1.0, (0, 0, 0, 0)
     for position, part in enumerate(unit.replace("**", "^").split("/")):
         factors = re.split(r"[\s*]+", part.strip())
@@ -246,7 +250,8 @@ def _unit(unit: str, text: str, where: str, dimension: str) -> tuple[float, tupl
                     f"{subject(where)} must have a known unit, but `{symbol or unit}` in {text!r} "
                     f'is none; write it as in "{example}"; {suggestion(symbol, same or UNITS)}'
                 )
-            power = int(match.group(2) or 1) * (1 if position == 0 else -1)
+            power = float(match.group(2) or 1) * (1 if position == 0 else -1)
+            power = int(power) if power.is_integer() else power  # powers of floats round differently
             scale, base = UNITS[match.group(1)]
             factor *= scale**power
             exponents = tuple(e + power * b for e, b in zip(exponents, base))
@@ -260,7 +265,7 @@ def _phrase(dimension: str) -> str:
     return f"{'an' if name[0] in 'aeiou' else 'a'} {name}"
 
 
-def _name(exponents: tuple[int, ...]) -> str:
+def _name(exponents: tuple[float, ...]) -> str:
     for dimension, (known, _, _) in DIMENSIONS.items():
         if known == exponents:
             return _phrase(dimension)

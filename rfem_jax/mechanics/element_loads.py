@@ -126,6 +126,11 @@ def element_tangents(
     return ElementTangents(units, actual.frame_forces.share * jnp.concatenate(rows))
 
 
+def element_pose(topology: Topology, motion: Motion, element: FrameForce) -> Pose:
+    """The pose of an element's child frame relative to that of its parent."""
+    return _placed(topology, motion, element)[2]
+
+
 class _End(NamedTuple):
     """A frame of an element in global axes."""
 

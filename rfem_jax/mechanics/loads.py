@@ -23,6 +23,7 @@ from jaxtyping import Float
 
 from rfem_jax.mechanics import algebra
 from rfem_jax.mechanics.algebra import apply, apply_transposed, cross, dot
+from rfem_jax.mechanics.clearances import clearance_name
 from rfem_jax.mechanics.cut_joints import Closure, columns, cut_spring_energy
 from rfem_jax.mechanics.dynamics import Accelerations, link_axes
 from rfem_jax.mechanics.element_loads import FrameLoads, frame_energy
@@ -52,20 +53,25 @@ class Energies(NamedTuple):
 
 
 @runtime_checkable
-class Solved(Protocol):
-    """Of the solution of one instant, or of a mechanism at rest: motion, closure, multipliers [N], forces of laws, and
-    what force elements exert."""
+class Placed(Protocol):
+    """Of an instant: motion, closure, and what force elements exert."""
 
     @property
     def motion(self) -> Motion: ...
     @property
     def closure(self) -> Closure | None: ...
     @property
+    def frame_loads(self) -> FrameLoads | None: ...
+
+
+@runtime_checkable
+class Solved(Placed, Protocol):
+    """Of the solution of one instant, or of a mechanism at rest: its multipliers [N] and forces of laws, too."""
+
+    @property
     def multipliers(self) -> Float[Array, " constraints"]: ...
     @property
     def laws(self) -> LawForces | None: ...
-    @property
-    def frame_loads(self) -> FrameLoads | None: ...
 
 
 class Resting(NamedTuple):
@@ -153,7 +159,29 @@ def _in_hinge_frames(topology: Topology, result: Solved, force: Array, moment: A
         force = jnp.concatenate([force, apply_transposed(cuts.rotation, on_right)], axis=1)
         moment = jnp.concatenate([moment, apply_transposed(cuts.rotation, couple)], axis=1)
     at_cuts = None if result.laws is None else result.laws.cuts
-    return _with_cut_forces(topology, JointLoads(force, moment), at_cuts)
+    joint = _with_cut_forces(topology, JointLoads(force, moment), at_cuts)
+    if not topology.clearances:
+        return joint
+    return jax.tree.map(jnp.add, joint, contact_loads(topology, result))
+
+
+def contact_loads(topology: Topology, result: Placed) -> JointLoads:
+    """What contacts contribute to the loads of joints with clearance: forces, and moments about the child's point, zero
+    at all other joints."""
+    joints, n = len(topology.joints), topology.n_links
+    found = [jnp.zeros((3, joints)), jnp.zeros((3, joints))]
+    for j in topology.clearances:
+        assert result.frame_loads is not None, "contacts are force elements"
+        exerted = result.frame_loads.exerted[clearance_name(topology.joints[j])]
+        here = jnp.asarray(np.arange(joints) == j, float)[None]
+        if j < n:
+            axes = result.motion.hinges.rotation[:, :, j]
+        else:
+            assert result.closure is not None, "a cut joint has a closure"
+            axes = result.closure.rotation[:, :, j - n]
+        parts = exerted.force, exerted.moment
+        found = [sum + apply_transposed(axes, part)[:, None] * here for sum, part in zip(found, parts)]
+    return JointLoads(*found)
 
 
 def _with_cut_forces(topology: Topology, joint: JointLoads, at_cuts: CutForces | None) -> JointLoads:

@@ -77,6 +77,7 @@ class Topology(NamedTuple):
         where their motion is prescribed; blocked: those that follow from them even so.
     holders: nodes of the free rfes that force elements act on.
     sprung: of each joint the motions that its kind holds and that are sprung; () if no joint is compliant.
+    clearances: joints with a clearance, whose motions are all sprung: by contacts, which are force elements.
     """
 
     links: tuple[str, ...]
@@ -98,6 +99,7 @@ class Topology(NamedTuple):
     blocked: tuple[int, ...] = ()
     holders: tuple[int, ...] = ()
     sprung: tuple[tuple[str, ...], ...] = ()
+    clearances: tuple[int, ...] = ()
 
     @property
     def n_links(self) -> int:

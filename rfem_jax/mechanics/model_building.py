@@ -21,6 +21,7 @@ from rfem_jax.description.numbers import Number, array_of, rotation_of_angles, t
 from rfem_jax.description.parts import Parts, parts_of
 from rfem_jax.description.point_forces import AtPoint, BetweenPoints, PointLoad
 from rfem_jax.mechanics.bearings import bearing_capacities
+from rfem_jax.mechanics.clearances import clearance_name, pin_in_bush
 from rfem_jax.mechanics.frame_forces import FrameForce, NodeFrame
 from rfem_jax.mechanics.friction_laws import Friction, friction_law
 from rfem_jax.mechanics.joint_laws import JointLaw, joint_law
@@ -80,7 +81,8 @@ def _structure_of(mechanism: Mechanism, parts: Parts, elements: dict[str, int], 
         minimum_norm=mechanism.redundant_reactions == "minimum_norm",
         exact=exact,
         holders=tuple(sorted({node for _, nodes in points for node in nodes if node >= len(links)})),
-        sprung=tuple(j.sprung for j in joints) if any(j.compliance for j in joints) else (),
+        sprung=tuple(j.sprung for j in joints) if any(j.compliance or j.clearance for j in joints) else (),
+        clearances=tuple(n for n, j in enumerate(joints) if j.clearance),
     )
     return PartStructure(topology, points, any(any(mass.products) for _, mass in masses))
 
@@ -95,7 +97,7 @@ def arrays_of(parts: Parts, structure: PartStructure) -> Model:
     masses = [mass for link in links for mass in _masses_of(link)]
     held = zip(topology.masses, masses, strict=True)
     start = [_start(j, topology.kind(l)) for l, j in enumerate(joints[: len(links)])]
-    return Model(
+    model = Model(
         topology=topology,
         length=_array([link.length for link in links]),
         section=_sections(links),
@@ -113,9 +115,22 @@ def arrays_of(parts: Parts, structure: PartStructure) -> Model:
         point_products=_columns([mass.products for mass in masses]) if products else None,
         frame_forces=_frame_forces(parts, topology, links, points) or None,
         friction=_frictions(parts, topology) or None,
-        springs=_springs(parts, topology) if topology.sprung else None,
+        springs=(_springs(parts, topology) or None) if topology.sprung else None,
         bearings=bearing_capacities(joints) or None,
     )
+    return _with_clearances(model, joints) if topology.clearances else model
+
+
+def _with_clearances(model: Model, joints: Sequence[Joint]) -> Model:
+    """The model with the contacts of its joints, which are elements between the frames on both sides."""
+    topology, elements = model.topology, dict(model.frame_forces or {})
+    for j in topology.clearances:
+        clearance = joints[j].clearance
+        assert clearance is not None
+        seat = NodeFrame(topology.parents[j], model.parent_rotation[:, :, j], model.parent_position[:, j])
+        bore = NodeFrame(topology.children[j], model.child_rotation[:, :, j], model.child_position[:, j])
+        elements[clearance_name(joints[j].name)] = pin_in_bush(clearance, seat, bore)
+    return replace(model, frame_forces=elements)
 
 
 class _Mass(NamedTuple):

@@ -24,6 +24,7 @@ from rfem_jax.description.error_catalogue import error_dimension
 from rfem_jax.description.errors import InputError, suggestion
 from rfem_jax.description.units import quantity
 from rfem_jax.mechanics import algebra
+from rfem_jax.mechanics.clearances import clearance_name
 from rfem_jax.mechanics.frame_forces import FrameForceSet, NodeFrame
 from rfem_jax.mechanics.friction_laws import Friction
 from rfem_jax.mechanics.joint_laws import JointLaws
@@ -187,14 +188,15 @@ def apply_errors(model: Model, errors: AssemblyErrors) -> ModelWithErrors:
         pin = algebra.product(algebra.rotation_z(errors.pin[1]), algebra.rotation_x(errors.pin[0]))
         start = algebra.rotation_y(_start_angles(model))
         pin_in_child = algebra.product(algebra.transpose(start), algebra.product(pin, start))
+        sides = (algebra.product(seat[0], pin), seat[1]), (algebra.product(bore[0], pin_in_child), bore[1])
         mass, centre, inertia = _bodies(model, length, scale)
         n = topology.n_links
         return ModelWithErrors(
             topology=topology,
-            seat_rotation=algebra.product(seat[0], pin),
-            seat_position=seat[1],
-            bore_rotation=algebra.product(bore[0], pin_in_child),
-            bore_position=bore[1],
+            seat_rotation=sides[0][0],
+            seat_position=sides[0][1],
+            bore_rotation=sides[1][0],
+            bore_position=sides[1][1],
             mass=mass,
             centre=centre,
             inertia=inertia,
@@ -203,20 +205,28 @@ def apply_errors(model: Model, errors: AssemblyErrors) -> ModelWithErrors:
             gravity=model.gravity,
             datum=model.parent_position[:, topology.parents.index(BASE)],
             forces=None if model.forces is None else JointLaws(model.forces, jnp.ones(())),
-            frame_forces=_frame_forces(model, scale),
+            frame_forces=_frame_forces(model, scale, sides),
             friction=model.friction,
             springs=model.springs,
             **_spring_damping_elements(model, length),
         )
 
 
-def _frame_forces(model: Model, scale: Array) -> FrameForceSet | None:
-    """The force elements, whose frames lie on links that are `scale` times as long."""
+def _frame_forces(
+    model: Model, scale: Array, sides: tuple[tuple[Array, Array], tuple[Array, Array]]
+) -> FrameForceSet | None:
+    """The force elements, whose frames lie on links that are `scale` times as long, or are those of joints: rotations
+    (3, 3, joints) and positions (3, joints) on both `sides`."""
     if model.frame_forces is None:
         return None
-    elements = {}
+    elements, topology = {}, model.topology
+    at_joints = {clearance_name(topology.joints[j]): j for j in topology.clearances}
     for name, element in model.frame_forces.items():
-        frames = [_on_scaled(model.topology, frame, scale) for frame in (element.parent, element.child)]
+        if name in at_joints:
+            j, ends = at_joints[name], (element.parent, element.child)
+            frames = [NodeFrame(end.node, side[0][:, :, j], side[1][:, j]) for end, side in zip(ends, sides)]
+        else:
+            frames = [_on_scaled(topology, frame, scale) for frame in (element.parent, element.child)]
         elements[name] = eqx.tree_at(lambda one: (one.parent, one.child), element, tuple(frames))
     return FrameForceSet(elements, jnp.ones(()))
 

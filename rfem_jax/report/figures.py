@@ -16,6 +16,7 @@ from matplotlib import rc_context
 from rfem_jax.description.joint_kinds import KINDS
 from rfem_jax.description.study import Study
 from rfem_jax.report.annotations import Figure, Run, Summaries
+from rfem_jax.report.contact_figures import orbit_figures
 from rfem_jax.report.driven_motions_report import drive_quantities, has_driven_joint
 from rfem_jax.report.output import write_pictures
 from rfem_jax.report.quantities import (
@@ -254,6 +255,7 @@ def draw_figures(study: Study, runs: Mapping[str, Run], summaries: Summaries) ->
         heading = f"Preload in the joints at the start ({beside} and holding moment included)"
         figures["preload"] = bars_figure(study, summaries, preloads, heading)
         figures |= _load_figures(study, runs, summaries)
+        figures |= orbit_figures(study, runs)
         figures["assembly"] = assembly_figure(study, runs)
     return figures
 

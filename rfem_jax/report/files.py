@@ -9,7 +9,9 @@ several drives act, or one on a translation, they have columns of their own, `A_
 `A_drive_rate_rad_s`, `A_drive_moment_Nm`, `G_drive_displacement_m`, `G_drive_speed_m_s`, `G_drive_force_N`, in the
 place of `drive_moment_Nm`; `angle_rad` and `rate_rad_s` are then those of the first drive, if it turns a joint.  Last
 of all the forces at points in global axes: `coil_length_m`, `coil_tension_N` of a spring, `push_force_x_N` ...,
-`twist_moment_x_Nm` ... of others; and the energy that every friction has dissipated, `bearing_dissipation_J`.
+`twist_moment_x_Nm` ... of others; and the energy that every friction has dissipated, `bearing_dissipation_J`; of
+joints with clearance `D_penetration_start_m`, `..._end_m`, `..._axial_m` (below zero a gap) and
+`D_contact_force_start_N` ...
 """
 
 from collections.abc import Mapping
@@ -24,6 +26,7 @@ from rfem_jax.description.joint_kinds import KINDS
 from rfem_jax.description.metric_catalogue import unit_of
 from rfem_jax.description.point_forces import AtPoint
 from rfem_jax.description.study import Study
+from rfem_jax.mechanics.bush_contacts import CONTACT_NAMES
 from rfem_jax.report.annotations import Run, Summaries
 from rfem_jax.report.driven_motions_report import drive_quantities
 from rfem_jax.report.output import csv_cell, write_json
@@ -71,7 +74,7 @@ def history_columns(study: Study, run: Run) -> dict[str, Float[np.ndarray, " tim
         columns[column_name("drive_moment", "N m")] = np.asarray(run.drive_moment)
     columns |= {column_name(one.name, one.quantity.unit): one.values(run) for one in driven}
     losses = {column_name(f"{name}_dissipation", "J"): np.asarray(x) for name, x in run.friction_losses.items()}
-    return columns | _coordinate_columns(study, run) | _point_columns(study, run) | losses
+    return columns | _coordinate_columns(study, run) | _point_columns(study, run) | losses | contact_columns(run)
 
 
 def _first_angle(study: Study, run: Run) -> dict[str, Float[np.ndarray, " times"]]:
@@ -97,6 +100,19 @@ def _point_columns(study: Study, run: Run) -> dict[str, Float[np.ndarray, " time
         else:
             columns[column_name(f"{force.name}_length", "m")] = np.asarray(history.length)
             columns[column_name(f"{force.name}_tension", "N")] = np.asarray(history.tension)
+    return columns
+
+
+def contact_columns(run: Run) -> dict[str, Float[np.ndarray, " times"]]:
+    """Penetrations, below zero gaps, and normal forces of all contacts."""
+    columns = {}
+    for joint, contacts in run.contacts.items():
+        for what, unit, values in (
+            ("penetration", "m", contacts.penetration),
+            ("contact_force", "N", contacts.normal_force),
+        ):
+            for name, one in zip(CONTACT_NAMES, np.asarray(values).T, strict=True):
+                columns[column_name(f"{joint}_{what}_{name}", unit)] = one
     return columns
 
 

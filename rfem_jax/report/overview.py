@@ -81,6 +81,7 @@ def joint_rows(study: Study) -> list[list[str]]:
     rows = []
     for joint in study.mechanism.joints:
         words = ("cut", joint.cut), ("driven", joint.name in driven), ("compliant", joint.compliance is not None)
+        words += (("clearance", joint.clearance is not None),)
         marks = [word for word, holds in words if holds]
         start = "-" if joint.cut else _start_text(joint)
         rows.append([joint.name, joint.kind, joint.parent, joint.child, start, ", ".join(marks) or "-"])
@@ -106,6 +107,20 @@ def _compliance_text(mechanism: Mechanism) -> str:
             parts.append(f"{spring.name} {size}{damping}")
         if parts:
             lines.append(f"Joint {joint.name} is compliant: {', '.join(parts)}.\n")
+    return "".join(lines)
+
+
+def _clearance_text(mechanism: Mechanism) -> str:
+    """A line for every joint with clearance: its play and the law of its contacts."""
+    lines = []
+    for joint in mechanism.joints:
+        if (play := joint.clearance) is None:
+            continue
+        parts = [f"{name} {1e3 * getattr(play, name):.6g} mm" for name in ("radial", "axial", "length")]
+        parts.append(f"stiffness {play.stiffness:g} N/m^{play.exponent:g}")
+        losses = {"chi": (play.damping, " s/m"), "restitution": (play.restitution, ""), "friction": (play.friction, "")}
+        parts += [f"{name} {value:g}{unit}" for name, (value, unit) in losses.items() if value is not None]
+        lines.append(f"Joint {joint.name} has clearance, pin on its {play.pin}: {', '.join(parts)}.\n")
     return "".join(lines)
 
 
@@ -178,7 +193,7 @@ def count_lines(mechanism: Mechanism, description: Structure) -> list[str]:
         f"Coordinates: {description.coordinates}; constraint equations at the cut joints: "
         f"{description.constraints}, of rank {description.rank}.",
         f"Mobility: {description.mobility} with flexible links, {description.rigid_mobility} if all links "
-        f"{'and joints ' if any(joint.compliance for joint in mechanism.joints) else ''}were rigid.",
+        f"{'and joints ' if any(joint.sprung for joint in mechanism.joints) else ''}were rigid.",
     ]
     if description.rigid_mobility == 0:
         kinds = ", ".join(f"{joint.name} ({joint.kind})" for joint in mechanism.joints)
@@ -223,7 +238,7 @@ def study_text(study: Study, description: Structure) -> str:
             format_table(link_header, link_rows(mechanism), words=(0, 5)),
             format_table(joint_header, joint_rows(study), words=(0, 1, 2, 3, 5)),
             "\n".join([*count_lines(mechanism, description), f"Gravity: {gravity} m/s^2."]),
-            f"{_compliance_text(mechanism)}{_forces_text(mechanism)}{_drives_text(study)}"
+            f"{_compliance_text(mechanism)}{_clearance_text(mechanism)}{_forces_text(mechanism)}{_drives_text(study)}"
             f"Simulation: {study.duration:g} s with {_method_text(study)}; saved {save}.",
             format_table(["case", "assembly errors"], cases, words=(0, 1)),
         ]

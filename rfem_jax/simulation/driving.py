@@ -117,8 +117,8 @@ def require_driven(model: Model, drive: Drive) -> None:
         coordinate = model.topology.drives[model.topology.drive_labels.index(label)]
         if isinstance(one, PrescribedDrive) and model.topology.tilted(coordinate) is not None:
             raise InputError(
-                f"Argument `drive` must not prescribe the angle of joint `{one.joint}` because its tilt is sprung, "
-                "but does; leave its tilt rigid, drive another joint, or give a moment."
+                f"Argument `drive` must not prescribe the angle of joint `{one.joint}` because its tilt is sprung "
+                "or has play, but does; leave its tilt rigid, drive another joint, or give a moment."
             )
     _require_independent(model.topology, drives)
 

@@ -24,6 +24,7 @@ from rfem_jax.description.errors import InputError
 from rfem_jax.description.methods import Method
 from rfem_jax.description.precision import require_float64
 from rfem_jax.mechanics import loads
+from rfem_jax.mechanics.bush_contacts import with_memory
 from rfem_jax.mechanics.centre_lines import link_lines
 from rfem_jax.mechanics.designs import Design, designed, with_status
 from rfem_jax.mechanics.model import Model, State
@@ -252,10 +253,13 @@ def observe_ends(
     @jax.checkpoint
     def record(entry_and_end):
         (start, length, phase, _), end = entry_and_end
-        conditions = Conditions(actual, drives, phase, stabilisation)
+        here = actual
+        if end.memory is not None and end.memory.contacts is not None:
+            here = with_memory(actual, end.memory.contacts)
+        conditions = Conditions(here, drives, phase, stabilisation)
         t, h = start + length, length / steps
         squares, state, now, instant = solver.instant(t, h, end.trajectory, end.memory, conditions)
-        seen = observe(actual, state, now, end.trajectory.integrals, instant, squares)
+        seen = observe(here, state, now, end.trajectory.integrals, instant, squares)
         return seen._replace(asked=instant_records(model, actual, state, instant, asked)) if asked else seen
 
     entries_and_ends = _entries(grid), ends
@@ -280,10 +284,9 @@ def conclude(
     carry = carry._replace(peaks=jnp.maximum(carry.peaks, jnp.max(record.squares, axis=0)))
     record = jax.tree.map(lambda x: x[grid.saved], record)
     times = jnp.asarray(grid.starts + grid.lengths)[grid.saved]
-    energy = record.energy
+    energy, drift = record.energy, jnp.max(record.drift)
     balance = energy.total - energy.work + energy.dissipation
     error = jnp.max(jnp.abs(balance - balance[0])) / _safe(jnp.max(jnp.abs(energy.total)))
-    drift = jnp.max(record.drift)
     residual = carry.residual / _safe(_force_scale(model, carry, energy, times))
     relative = jnp.max(record.momentum_residual, axis=0) / _safe(jnp.max(record.largest_load, axis=0))
     drives = _histories(model, record)
@@ -312,6 +315,7 @@ def conclude(
         status=_status(model, prepared, carry, error, drift, jnp.max(record.range_used), residual),
         ends={name: record.ends[:, :, l] for l, name in enumerate(model.link_names)},
         forces=record.forces,
+        contacts=record.contacts,
         branch={model.topology.joints[j]: record.branch[:, i] for i, j in enumerate(model.topology.cuts)},
         integrals=LoadIntegrals(
             force_square={name: record.square_integrals[:, 0, j] for name, j in _joints(model)},

@@ -11,7 +11,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from rfem_jax.mechanics import algebra, loads
+from rfem_jax.mechanics.bush_contacts import ContactState, contact_states
 from rfem_jax.mechanics.centre_lines import link_ends
+from rfem_jax.mechanics.clearances import clearance_name
 from rfem_jax.mechanics.cut_joints import Closure, Constraints, assembly_modes
 from rfem_jax.mechanics.dynamics import Accelerations
 from rfem_jax.mechanics.element_loads import FrameLoads
@@ -65,7 +67,8 @@ class Record(NamedTuple):
     they are divided by; hinge_residual [N m]: largest load along a free motion of a joint beyond that of its springs,
     which should be zero (forces times `Instant.arm`); range_used: as `kinematics.range_used`; square_integrals: of the
     resultant force and moment [N^2 s, (N m)^2 s]; squares: of the axial and the normal force [N^2]; friction_losses
-    [J]: energy that every friction has dissipated, None without any; asked: by the names of `records`.
+    [J]: energy that every friction has dissipated, None without any; asked: by the names of `records`; contacts: of
+    the joints with clearance.
     """
 
     joints: Float[Array, " numbers"]
@@ -89,6 +92,7 @@ class Record(NamedTuple):
     forces: dict[str, PointHistory]
     friction_losses: Float[Array, " frictions"] | None
     asked: dict[str, Any]
+    contacts: dict[str, ContactState]
 
 
 def solved_instant(actual: ModelWithErrors, result: Accelerations, drive: DriveInput, scale: algebra.Scalar) -> Instant:
@@ -185,15 +189,18 @@ def observe(
             square_integrals=jnp.stack([integrals.axial_square + integrals.normal_square, integrals.moment_square]),
             residual=instant.residual,
             squares=squares,
-            forces=_point_histories(instant.frame_loads),
+            forces=_point_histories(topology, instant.frame_loads),
             friction_losses=integrals.friction,
             asked={},
+            contacts=contact_states(actual, now),
         )
 
 
-def _point_histories(at_nodes: FrameLoads | None) -> dict[str, PointHistory]:
-    """What the force elements exert, by their names."""
-    return {name: PointHistory(*one) for name, one in ({} if at_nodes is None else at_nodes.exerted).items()}
+def _point_histories(topology: Topology, at_nodes: FrameLoads | None) -> dict[str, PointHistory]:
+    """What the force elements exert that are no contacts of joints, by their names."""
+    exerted = {} if at_nodes is None else at_nodes.exerted
+    contacts = {clearance_name(topology.joints[j]) for j in topology.clearances}
+    return {name: PointHistory(*one) for name, one in exerted.items() if name not in contacts}
 
 
 def _load_along_free_motions(topology: Topology, instant: Instant, drive: DriveInput) -> Float[Array, ""]:
@@ -203,7 +210,10 @@ def _load_along_free_motions(topology: Topology, instant: Instant, drive: DriveI
     passive = np.ones(topology.n_freedoms)
     passive[list(drive.motions)] = 0.0
     revolute = np.array([kind == "revolute" for kind in topology.kinds])
-    if revolute.all() and instant.laws is None:
+    if topology.clearances:
+        # What contacts exert along free motions is no error.
+        joint = jax.tree.map(jnp.subtract, joint, loads.contact_loads(topology, instant))
+    elif revolute.all() and instant.laws is None:
         return jnp.max(jnp.abs(joint.moment[1]) * jnp.asarray(np.append(passive, np.ones(topology.n_cuts))))
     n = topology.n_links
     force, moment = (algebra.apply(hinges.rotation, part[:, :n]) for part in joint)

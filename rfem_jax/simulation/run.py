@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from rfem_jax.labelled_data import DataFrame, Dataset
+from rfem_jax.mechanics.bush_contacts import ContactState
 from rfem_jax.mechanics.model import Coordinates, Model
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors
 from rfem_jax.mechanics.statics.assembly import Load
@@ -170,8 +171,9 @@ class Run(eqx.Module):
     every cut joint, +1 or -1 (0 where the joints' kinds tell none); a change of sign is a passage through a change
     point (theory (5.13)), after which derivatives, and averages with runs on the other branch, have no meaning.
     integrals: of squared loads, for `window`.  forces: `PointHistory` by the names of the forces at points of links and
-    between them.  friction_losses: energy (times,) [J] that every friction has dissipated, by its name.  recorded: what
-    `simulate` was asked to record, by the names of `simulation.records`.
+    between them.  friction_losses: energy (times,) [J] that every friction has dissipated, by its name.  contacts:
+    `ContactState` by the names of the joints with clearance.  recorded: what `simulate` was asked to record, by the
+    names of `simulation.records`.
 
     positions: coordinates at the saved times; model, errors: what was simulated.
     """
@@ -204,6 +206,7 @@ class Run(eqx.Module):
     integrals: LoadIntegrals
     forces: dict[str, PointHistory]
     friction_losses: dict[str, Float[Array, " times"]] = eqx.field(default_factory=dict)
+    contacts: dict[str, ContactState] = eqx.field(default_factory=dict)
     design_gap: Float[Array, ""] | None = None
     recorded: dict[str, Any] = eqx.field(default_factory=dict)
     positions: Coordinates | None = None

@@ -21,6 +21,7 @@ from jaxtyping import Array, Bool, Float, Int, PyTree
 from rfem_jax.compilation.options import explicit_methods_scalarised
 from rfem_jax.compilation.scalarisation import nothing_known, scalarised
 from rfem_jax.description.methods import Method
+from rfem_jax.mechanics.bush_contacts import require_memory
 from rfem_jax.mechanics.friction import require_implicit
 from rfem_jax.mechanics.model import Model
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
@@ -72,6 +73,7 @@ def step_intervals(
 ) -> Callable[[Carry, Entry], Carry]:
     """The function that integrates over one interval of the grid: from the carry at its start to that at its end."""
     require_implicit(model, method.name, method.implicit)
+    require_memory(model, method.name, method.implicit)
     drives = active_drives(model, drive)
     stabilisation = stabilisation_of(model, method)
     solver = observed_solver(method)

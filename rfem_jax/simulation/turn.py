@@ -150,6 +150,9 @@ def held_at(model: Model, errors: AssemblyErrors, pose: ClosedPose, stresses: bo
     k = topology.driven_coordinate
     assert k is not None, "turns are of driven mechanisms"
     inside = {} if resting.laws is None else resting.laws.inside
+    plain = joint
+    if topology.clearances:
+        plain = jax.tree.map(jnp.subtract, joint, loads.contact_loads(topology, resting))
     still = _Still(resting.motion, at_rest, at_rest, wrenches, resting.frame_loads)
     stress = {}
     edges = model.section.edges or (None,) * topology.n_links
@@ -161,7 +164,7 @@ def held_at(model: Model, errors: AssemblyErrors, pose: ClosedPose, stresses: bo
     return Turn(
         position=position.joints[topology.driven_position],
         loads=named(model, joint),
-        holding=loads.load_along(topology, resting.motion, joint, k) - inside.get(k, jnp.zeros(())),
+        holding=loads.load_along(topology, resting.motion, plain, k) - inside.get(k, jnp.zeros(())),
         energy=energy.elastic + energy.gravity,
         stress=stress,
         status=status,

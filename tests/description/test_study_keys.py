@@ -10,6 +10,7 @@ from rfem_jax.description.key_reference import NEEDED, argument_meanings, key_ta
 from rfem_jax.description.tasks import costs, task
 
 from .test_bearings import BEARING
+from .test_clearance import CLEARANCE
 from .test_compliance import COMPLIANCE
 from .test_force_reader import IN_JOINTS, SPRINGS
 from .test_forces import FORCES
@@ -118,6 +119,7 @@ def asked(tmp_path, monkeypatch):
         monkeypatch.setattr(module, "checked_table", recorded(module.checked_table))
     full = FULL.replace("[mechanism.sections.round]", f"{RECTANGLE}[mechanism.sections.round]")
     full = full.replace('name = "A"\n', f'name = "A"\n{COMPLIANCE}{BEARING}', 1)
+    full = full.replace('name = "C"\n', f'name = "C"\n{CLEARANCE}', 1)
     full = full.replace('name = "B"\n', f'name = "B"\n{IN_JOINTS}', 1)
     start, end = full.index("[drive]"), full.index("[simulation]")
     for drive in [full[start:end], *(f"[drive]{part}" for part in DRIVES.split("[drive]")[1:])]:

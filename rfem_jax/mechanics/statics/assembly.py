@@ -25,6 +25,7 @@ from rfem_jax.compilation.program import Program
 from rfem_jax.description.errors import InputError, suggestion
 from rfem_jax.mechanics import loads
 from rfem_jax.mechanics.algebra import Scalar, apply_transposed, cross, dot
+from rfem_jax.mechanics.bush_contacts import ContactState, contact_states
 from rfem_jax.mechanics.cut_joints import closure, spring_residual, spring_row_tangent
 from rfem_jax.mechanics.designs import Design, designed, with_status
 from rfem_jax.mechanics.element_loads import element_tangents, frame_loads
@@ -36,6 +37,7 @@ from rfem_jax.mechanics.kinematics import by_freedom, motion_of, range_used
 from rfem_jax.mechanics.model import Coordinates, Model, State, Topology, length_scale
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors, ModelWithErrors, apply_errors, assembly_errors
 from rfem_jax.mechanics.orientations import moved, rates_of
+from rfem_jax.mechanics.statics.contact import search_contact
 from rfem_jax.mechanics.statics.search import (
     Equations,
     Linear,
@@ -59,12 +61,13 @@ class Load(NamedTuple):
 
 class Assembled(NamedTuple):
     """An assembled mechanism: state at rest, preload of every joint, status code; design_gap [m]: what the loops of a
-    design stay open by at the start, None without one."""
+    design stay open by at the start, None without one; contacts: of the joints with clearance, None without any."""
 
     state: State
     preload: dict[str, Load]
     status: Int[Array, ""]
     design_gap: Float[Array, ""] | None = None
+    contacts: dict[str, ContactState] | None = None
 
 
 def assemble(
@@ -96,7 +99,9 @@ def _assemble(model: Model, errors: AssemblyErrors, hold: dict[str, Array] | Non
     actual = apply_errors(model, errors)
     position, multipliers, status = equilibrium(model, actual, held_angles(model, hold))
     state = loads.static_state(model.topology, position)
-    return Assembled(state, named(model, static_loads(model, actual, state, multipliers)), status)
+    preload = named(model, static_loads(model, actual, state, multipliers))
+    contacts = contact_states(actual, motion_of(actual, state)) if model.topology.clearances else None
+    return Assembled(state, preload, status, contacts=contacts)
 
 
 def held_angles(model: Model, hold: Mapping[str, ArrayLike] | None) -> dict[int, Float[Array, ""]]:
@@ -246,7 +251,7 @@ def equilibrium(
     end, found = _search(scaled, equations, given, (undeformed, guess), perfect, loaded)
 
     def tangent_solve(linear, value):
-        if topology.exact or topology.minimum_norm:
+        if topology.exact or topology.minimum_norm or topology.clearances:
             return solve_dense(equations, linear, value)
         preconditioner = _preconditioner(scaled, given, loaded[0], end)
         return solve_linear(equations, preconditioner, linear, value)
@@ -288,6 +293,8 @@ def _search(
     """Unknowns under load and whether they were found, from the undeformed start without and with the held angles;
     `perfect` and `loaded`: args of the equations."""
     topology, (undeformed, guess) = scaled.topology, starts
+    if topology.clearances:
+        return search_contact(equations, starts, perfect, loaded, scaled.force / scaled.length)
     if topology.exact:
         return load_steps(equations, undeformed, perfect, loaded)
     if topology.minimum_norm:

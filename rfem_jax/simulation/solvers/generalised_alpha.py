@@ -22,7 +22,8 @@ motion, a the auxiliary ones of the method, lambda the multipliers.
                                   ^                               | residual
                                   '------- Newton increment <-----' not small
 
-Newton's method uses one iteration matrix a step, formed at the prediction.  It stops when the residual is a small
+Newton's method uses one iteration matrix a step, formed at the prediction, with friction by loads or contacts one an
+increment.  It stops when the residual is a small
 share of the largest joint force so far and the cut joints are closed, or after as many increments as are allowed;
 the residual at the end is part of the result.  The joint loads come from v1' and lambda1, with which the equations
 of motion hold at t1; integrals of squared loads and of powers are sums by the trapezoidal rule.
@@ -46,6 +47,7 @@ from jaxtyping import Array, Bool, Float, PyTree
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.methods import GeneralisedAlphaMethod, Method
 from rfem_jax.mechanics import algebra, loads
+from rfem_jax.mechanics.bush_contacts import contact_memory, remembers, with_memory
 from rfem_jax.mechanics.cut_joints import Closure, closure, spring_row_tangent
 from rfem_jax.mechanics.dynamics import total_dissipated
 from rfem_jax.mechanics.element_loads import element_tangents, frame_loads
@@ -162,7 +164,11 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         multipliers = jnp.zeros(conditions.actual.topology.n_constraints)
         zeros = jax.tree.map(jnp.zeros_like, trajectory.velocity)
         rates = jax.tree.map(jnp.zeros_like, trajectory.integrals)
-        return Memory(zeros, zeros, multipliers, rates, jnp.zeros(()), jnp.zeros(()))
+        actual = conditions.actual
+        contacts = None
+        if remembers(actual):
+            contacts = contact_memory(actual, motion_of(actual, State(trajectory.position, trajectory.velocity)))
+        return Memory(zeros, zeros, multipliers, rates, jnp.zeros(()), jnp.zeros(()), contacts)
 
     def resume(
         self,
@@ -196,7 +202,7 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         operators = args.operators
         if operators is None:
             operators = jax.tree.map(lambda x: x[0], self.operators(args.actual, h[None]))
-        start = StepStart(dataclasses.replace(args, operators=None), trajectory, solver_state)
+        start = _remembering(StepStart(dataclasses.replace(args, operators=None), trajectory, solver_state))
         seen = jnp.maximum(peaks, squared_forces(solver_state.rates))
         largest = jnp.max(seen)
         if args.actual.friction is not None:
@@ -247,11 +253,11 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         predicted = self.predict(constants, start)
         evaluation = self.evaluate(predicted, constants, start)[0]
 
-        friction = conditions.actual.friction is not None
+        renewed = _renews(conditions.actual)
 
         def kept(evaluation):
-            # With friction the matrix is formed again for every increment, from all of the evaluation.
-            return evaluation if friction else residual_of(evaluation)
+            # With friction or contacts the matrix is formed again for every increment, from all of the evaluation.
+            return evaluation if renewed else residual_of(evaluation)
 
         def unconverged(carry):
             count, converged, *_ = carry
@@ -260,7 +266,7 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         def improve(carry):
             count, _, unknowns, residual, _ = carry
             present = matrix
-            if friction:
+            if renewed:
                 present = self.matrix_at(matrix, unknowns, residual, constants, start, secant=True)
                 residual = residual_of(residual)
             increment = newton_increment(topology, present, residual)
@@ -298,15 +304,18 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         start: StepStart,
         secant: bool = False,
     ) -> IterationMatrix:
-        """The iteration matrix at other unknowns than the prediction, where there is friction, whose tangent changes
-        much within a step; `secant`: with the chord of friction from rest instead of its tangent (theory (12.6))."""
+        """The iteration matrix at other unknowns than the prediction, where there is friction or contact, whose
+        tangents change much within a step; `secant`: with the chord of friction from rest instead of its tangent
+        (theory (12.6))."""
         h, (conditions, trajectory, memory) = constants.length, start
         actual = conditions.actual
-        if actual.friction is None or evaluation.laws is None or evaluation.laws.friction is None:
+        if not _renews(actual):
             return matrix
         drive = conditions.drives.at(constants.end, conditions.phase)
         state, _ = self._newmark(h, trajectory, memory, unknowns.accelerations, actual.topology, drive)
-        tangent = friction_tangent(actual, evaluation.laws.friction, self.factors(h)[1], secant)
+        tangent = None
+        if evaluation.laws is not None and evaluation.laws.friction is not None:
+            tangent = friction_tangent(actual, evaluation.laws.friction, self.factors(h)[1], secant)
         return self._matrix(
             matrix.operators, state, evaluation.motion, evaluation.closure, h, conditions, drive, tangent
         )
@@ -448,8 +457,25 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         most = jnp.maximum(memory.largest_residual, residual)
         return StepEnd(
             Trajectory(state.position, state.velocity, integrals),
-            Memory(accelerations, auxiliary, multipliers, rates, residual, most),
+            Memory(accelerations, auxiliary, multipliers, rates, residual, most, memory.contacts),
         )
+
+
+def _renews(actual: ModelWithErrors) -> bool:
+    """Whether the iteration matrix changes much within a step."""
+    return actual.friction is not None or bool(actual.topology.clearances)
+
+
+def _remembering(start: StepStart) -> StepStart:
+    """The start of a step whose contacts remember how they began."""
+    conditions, trajectory, memory = start
+    actual = conditions.actual
+    if memory.contacts is None:
+        return start
+    motion = motion_of(actual, State(trajectory.position, trajectory.velocity))
+    contacts = contact_memory(actual, motion, memory.contacts)
+    conditions = dataclasses.replace(conditions, actual=with_memory(actual, contacts))
+    return StepStart(conditions, trajectory, memory._replace(contacts=contacts))
 
 
 def squared_forces(rates: Integrals) -> Float[Array, "2 joints"]:

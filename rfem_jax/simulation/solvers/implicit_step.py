@@ -23,6 +23,7 @@ import jax.numpy as jnp
 from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Array, Float
 
+from rfem_jax.mechanics.clearances import ContactMemory
 from rfem_jax.mechanics.implicit.condensation import LinkOperator
 from rfem_jax.mechanics.implicit.newton import (
     IterationMatrix,
@@ -45,7 +46,8 @@ class Memory(NamedTuple):
 
     accelerations v' of the coordinates; auxiliary: the method's own accelerations a; multipliers [N]; rates: time
     derivatives of the integrals; residual [N]: largest force that the residual of the last step has, and
-    largest_residual [N] that of all steps so far.
+    largest_residual [N] that of all steps so far; contacts: with restitution, what they remembered in the last step
+    (theory (15.6)), None without any.
     """
 
     accelerations: Coordinates
@@ -54,6 +56,7 @@ class Memory(NamedTuple):
     rates: Integrals
     residual: Float[Array, ""]
     largest_residual: Float[Array, ""]
+    contacts: dict[str, ContactMemory] | None = None
 
 
 class StepStart(NamedTuple):
@@ -202,7 +205,7 @@ def _end_and_tangent(method, matrix, constants, solution, inputs, fixed, along):
     (_, end), linearised, evaluation = jax.linearize(at, solution, inputs, has_aux=True)
     start = eqx.combine(inputs, fixed)
     topology = start.conditions.actual.topology
-    if start.conditions.actual.friction is not None:
+    if start.conditions.actual.friction is not None or topology.clearances:
         matrix = jax.lax.stop_gradient(method.matrix_at(matrix, solution, evaluation, constants, start))
 
     def refine(found, _):
