@@ -14,7 +14,7 @@ NAMES = ("slide.stiffness", "slide.damping", "block.mass", "gravity.z")
 POINT = np.array([STIFFNESS, DAMPING, MASS, -GRAVITY])
 SETTINGS = {
     "drive": PrescribedRate("A", RATE),
-    "method": Method("rk4", step=2 * np.pi / RATE / 48),
+    "method": Method("rk4", step=2 * np.pi / RATE / 72),
     "save_every": 2 * np.pi / RATE / 24,
 }
 

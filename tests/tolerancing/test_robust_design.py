@@ -157,6 +157,26 @@ def test_an_infeasible_request_names_the_limit_in_the_way(beam):
     assert reached is not None and tuple(map(float, reached.groups())) == pytest.approx(expected, rel=1e-4)
 
 
+def test_an_infeasible_worst_case_comes_as_near_as_it_can():
+    def both(errors):
+        return {"right": 0.3 + errors["d"] + errors["a"], "left": 0.6 + errors["b"] - errors["d"]}
+
+    pair = FunctionProblem(both, ("d", "a", "b"), ("right", "left"), error_units=dict.fromkeys("dab", "m"))
+    found = optimise(
+        pair,
+        {"d": (-0.5, 0.5)},
+        {"a": 0.6, "b": 0.6},
+        "left",
+        {"right": 0.5, "left": 0.5},
+        robust="worst_case",
+        key=KEY,
+    )
+    # 0.9 + d - 0.5 = 1.2 - d - 0.5 at d = 0.15.
+    assert found.status == "infeasible" and found.designs["d"] == pytest.approx(0.15, abs=1e-6)
+    assert [check.predicted for check in found.limits] == pytest.approx([1.05, 1.05], abs=1e-6)
+    assert "on right" in found.message and "on left" in found.message
+
+
 def test_a_dimension_may_scatter_too(beam):
     # Thinner than its nominal height in the worst case: the height found is larger by the tolerance.
     without = optimise(beam, DESIGNS, None, "mass", {"deflection": 2e-3}, robust="nominal", key=KEY)
