@@ -34,14 +34,18 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 
 
+BY_NAME = ("browser", "documents")  # folders of tests that run only where they are asked for
+
+
 def pytest_ignore_collect(collection_path, config):
-    """Tests that need a browser are for who asks for them by the name of their folder."""
-    asked = any("browser" in str(argument) for argument in config.invocation_params.args)
-    return True if collection_path.name == "browser" and not asked else None
+    """Tests that need a browser, and those of documents, are for who asks for them by the name of their folder."""
+    name = collection_path.name
+    asked = any(f"tests/{name}" in str(argument) for argument in config.invocation_params.args)
+    return True if name in BY_NAME and collection_path.is_dir() and not asked else None
 
 
 def pytest_report_header():
-    return "tests/browser: only by its name, as in `python -m pytest -n0 tests/browser` (needs Chromium)"
+    return "tests/browser (needs Chromium), tests/documents: only by name, as in `python -m pytest -n0 tests/browser`"
 
 
 def pytest_collection_modifyitems(items):

@@ -10,9 +10,12 @@ import pytest
 ROOT = Path(__file__).parents[1]
 THEORY = ROOT / "docs" / "theory"
 DOCUMENTS = sorted(
-    path for folder in ("docs", "benchmarks", "studies") for path in (ROOT / folder).rglob("*.md")
+    path
+    for folder in ("docs", "benchmarks", "studies")
+    for path in (ROOT / folder).rglob("*.md")
+    if "_build" not in path.parts
 ) + sorted(ROOT.glob("*.md"))
-PICTURES = sorted((ROOT / "docs").rglob("*.svg"))
+PICTURES = sorted((ROOT / "docs" / "theory").rglob("*.svg"))
 CHAPTERS = sorted(THEORY.glob("[0-9]*.md"))
 PROGRAMS = sorted(
     path

@@ -4,10 +4,13 @@ import csv
 import json
 import math
 
+import numpy as np
 import pytest
 
 from rfem_jax.report import command_line
 from rfem_jax.report.command_line import main
+
+from .page_folder import content_of
 
 STUDY = """
 title = "Arm"
@@ -67,7 +70,7 @@ def test_modes_of_all_cases_with_derivatives(study, tmp_path, capsys):
     out = tmp_path / "out"
     assert main(["modes", str(study), "--out", str(out), "--count", "2"]) == 0
     text = capsys.readouterr().out
-    assert "nominal, Hz" in text and "arm.length" in text and "3 files written" in text
+    assert "nominal, Hz" in text and "arm.length" in text and "4 files written" in text
     content = json.loads((out / "modes.json").read_text(encoding="utf-8"))
     assert content["units"]["frequency"] == "Hz" and content["analysis"] == "modes"
     first, longer = (content["cases"][name] for name in ("nominal", "longer"))
@@ -78,6 +81,14 @@ def test_modes_of_all_cases_with_derivatives(study, tmp_path, capsys):
     rows = list(csv.DictReader((out / "modes.csv").read_text(encoding="utf-8").splitlines()))
     assert len(rows) == 4 and float(rows[0]["by_arm.length_Hz_m"]) < 0
     assert (out / "modes.png").stat().st_size > 1000
+    shape = content["shapes"]["links"]["arm"]
+    points, moves = np.array(shape["points"]), np.array(shape["moves"])
+    assert content["shapes"]["case"] == "nominal" and moves.shape == (2, *points.shape)
+    # It hangs from A; the largest displacement of each mode is one, and A, which is locked, stays where it is.
+    np.testing.assert_allclose(points[[0, -1]], [[0.0, 0.0, 0.0], [0.0, 0.0, -0.4]], atol=1e-6)
+    np.testing.assert_allclose(np.abs(moves).max(axis=(1, 2)), 1.0)
+    np.testing.assert_allclose(moves[:, 0], 0.0, atol=1e-6)
+    assert [one["name"] for one in content_of(out / "report.html")["tasks"]] == ["modes"]
 
 
 def test_a_turn_over_a_range_of_all_cases(study, tmp_path, capsys):
@@ -96,6 +107,12 @@ def test_a_turn_over_a_range_of_all_cases(study, tmp_path, capsys):
     assert len(rows) == 6 and float(rows[2]["position_rad"]) == pytest.approx(math.pi / 2)
     assert abs(float(rows[2]["holding_Nm"])) < 1e-9 and rows[2]["status"] == "ok"
     assert (out / "turn.png").stat().st_size > 1000
+    curves = content["cases"]["nominal"]["curves"]
+    np.testing.assert_allclose(curves["position"], [0.0, math.pi / 4, math.pi / 2])
+    np.testing.assert_allclose(curves["force"]["A"], weight, rtol=1e-9)
+    np.testing.assert_allclose(curves["moment"]["A"], weight * 0.2 * np.cos(curves["position"]), rtol=1e-3, atol=1e-9)
+    assert max(curves["stress"]["arm"]) == pytest.approx(stress["max_stress"])
+    assert [one["name"] for one in content_of(out / "report.html")["tasks"]] == ["turn"]
 
 
 def test_what_cannot_be_asked_is_said(study, tmp_path, capsys):

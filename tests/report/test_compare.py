@@ -119,3 +119,51 @@ def test_text_in_the_place_of_a_number_is_refused(folders, capsys):
     change(lambda content: content["cases"]["P1"]["joints"]["A"].update(rms_force="<b>"))
     assert main(["compare", first, second]) == 2
     assert "`rms_force` is '<b>' there" in capsys.readouterr().err
+
+
+def task(metric=21.0, tilt=2e-3):
+    return {
+        "title": "Study", "units": {"D.rms_moment": "N m", "D.delta_x": "rad"}, "cost": 4.0,
+        "metrics": {"D.rms_moment": {"mean": {"value": metric}, "std": {"value": 2.0}, "yield_of_all": None}},
+        "tolerances": {"D.delta_x": tilt}, "samples": 64,
+    }  # fmt: skip
+
+
+@pytest.fixture
+def task_folders(tmp_path):
+    """Two folders with results of tasks alone."""
+    for name, content in (("c", task()), ("d", task(22.05, 1e-3))):
+        (tmp_path / name).mkdir()
+        for kind in ("monte_carlo", "allocation"):
+            (tmp_path / name / f"{kind}.json").write_text(json.dumps(content), encoding="utf-8")
+    modes = {"cases": {"P1": {"modes": [{"frequency": 10.0}, {"frequency": 20.0}]}}}
+    (tmp_path / "d" / "modes.json").write_text(json.dumps(modes), encoding="utf-8")
+    return tmp_path / "c", tmp_path / "d"
+
+
+def test_results_of_tasks_side_by_side(task_folders, tmp_path, capsys):
+    first, second = map(str, task_folders)
+    assert main(["compare", first, second, "--out", str(tmp_path / "out")]) == 0
+    text = capsys.readouterr().out
+    lines = [line.split() for line in text.splitlines()]
+    assert "Monte Carlo: mean" in text and "Allocation: tolerance" in text
+    assert ["D.rms_moment", "N", "m", "21.0000", "22.0500", "+1.05", "+5", "%"] in lines
+    assert "Only the second has results of modes." in text and "Neither has loads of cases." in text
+    found = json.loads((tmp_path / "out" / "comparison.json").read_text(encoding="utf-8"))
+    rows = {(row["task"], row["of"], row["quantity"]): row for row in found["tasks"]}
+    tilt = rows["allocation", "D.delta_x", "tolerance"]
+    assert (tilt["unit"], tilt["first"], tilt["second"], tilt["relative"]) == ("rad", 2e-3, 1e-3, -0.5)
+    assert rows["monte_carlo", "-", "samples"]["difference"] == 0.0
+    assert ("monte_carlo", "D.rms_moment", "yield") not in rows  # there was no limit
+    with open(tmp_path / "out" / "comparison_tasks.csv", newline="", encoding="utf-8") as file:
+        assert len(list(csv.DictReader(file))) == len(rows)
+
+
+def test_modes_are_compared_by_case_and_number(task_folders, capsys):
+    first, second = task_folders
+    modes = {"cases": {"P1": {"modes": [{"frequency": 11.0}]}, "P2": {"modes": "x"}}}
+    (first / "modes.json").write_text(json.dumps(modes), encoding="utf-8")
+    assert main(["compare", str(first), str(second), "--json"]) == 0
+    rows = {row["of"]: row for row in json.loads(capsys.readouterr().out)["tasks"] if row["task"] == "modes"}
+    assert (rows["P1, 1"]["first"], rows["P1, 1"]["second"], rows["P1, 1"]["unit"]) == (11.0, 10.0, "Hz")
+    assert (rows["P1, 2"]["first"], rows["P1, 2"]["second"]) == (None, 20.0)

@@ -44,6 +44,14 @@ class ModesResult(NamedTuple):
     derivatives: Float[np.ndarray, "cases modes errors"]
 
 
+class Shapes(NamedTuple):
+    """Points [m] of the links of the first case by their names, at rest (modes, points, 3), the same in all modes, and
+    their displacements in every mode, of an arbitrary size."""
+
+    lines: dict[str, Float[np.ndarray, "modes points 3"]]
+    moves: dict[str, Float[np.ndarray, "modes points 3"]]
+
+
 def compute_modes(study: Study, model: Model, count: int, locked: bool) -> ModesResult:
     """Modes of all cases of a study, and derivatives of their frequencies."""
     names = error_names(study)
@@ -118,8 +126,8 @@ def statuses(result: ModesResult) -> list[str]:
     return [STATUS[int(code)].name for code in result.modes.status]
 
 
-def write_modes(folder: Path, study: Study, result: ModesResult) -> list[Path]:
-    """Write modes.json and modes.csv."""
+def write_modes(folder: Path, study: Study, result: ModesResult, shapes: Shapes) -> list[Path]:
+    """Write modes.json, with the shapes of the first case, and modes.csv."""
     modes, rows, cases = result.modes, [], {}
     for c, case in enumerate(study.cases):
         listed = []
@@ -140,13 +148,32 @@ def write_modes(folder: Path, study: Study, result: ModesResult) -> list[Path]:
             rows.append(row | dict(zip(columns, derivatives.values(), strict=True)))
         cases[case.name] = {"status": statuses(result)[c], "modes": listed}
     units = {"frequency": "Hz", "derivatives": "Hz/rad or Hz/m", "damping_ratio": "1"}
-    written = write_analysis(folder / "modes.json", study, "modes", {"cases": cases, "units": units})
+    content = {"cases": cases, "units": units, "shapes": _shapes_content(study, shapes)}
+    written = write_analysis(folder / "modes.json", study, "modes", content)
     return [written, write_csv(folder / "modes.csv", rows)]
 
 
-def draw_modes(folder: Path, study: Study, model: Model, result: ModesResult) -> tuple[list[Path], str]:
+def _shapes_content(study: Study, shapes: Shapes) -> dict[str, Any]:
+    """Shapes as modes.json has them: points [m], moves over the largest one of their mode."""
+    largest = np.max([np.abs(move).max(axis=(1, 2)) for move in shapes.moves.values()], axis=0)
+    moves = {name: move / np.maximum(largest, 1e-300)[:, None, None] for name, move in shapes.moves.items()}
+    links = {
+        name: {"points": np.round(line[0], 7).tolist(), "moves": np.round(moves[name], 4).tolist()}
+        for name, line in shapes.lines.items()
+    }
+    return {"case": study.cases[0].name, "links": links}
+
+
+def draw_modes(folder: Path, study: Study, result: ModesResult, shapes: Shapes) -> tuple[list[Path], str]:
     """Draw the modes of the first case; the picture's path, and what is to be said without one."""
-    return draw(folder, lambda: {"modes": modes_figure(study, model, result)})
+    return draw(folder, lambda: {"modes": modes_figure(study, result, shapes)})
+
+
+def mode_shapes(study: Study, model: Model, result: ModesResult) -> Shapes:
+    """The shapes of the modes of the first case."""
+    first = jax.tree.map(lambda x: jnp.asarray(x[0]), result.modes)
+    errors = jax.tree.map(lambda x: x[0], errors_of_cases(study, model))
+    return Shapes(*jax.tree.map(np.asarray, _shapes(model, errors, first)))
 
 
 @partial(Program, quick=True)
@@ -162,11 +189,9 @@ def _shapes(model: Model, errors: AssemblyErrors, modes: NaturalModes):
     return jax.vmap(lambda shape: jax.jvp(lines, (zeros,), (shape,)))(Coordinates(modes.joints, modes.elastic))
 
 
-def modes_figure(study: Study, model: Model, result: ModesResult) -> Figure:
+def modes_figure(study: Study, result: ModesResult, shapes: Shapes) -> Figure:
     """The modes of the first case: links at rest and at both ends of their swing, from the side or from above."""
-    first = jax.tree.map(lambda x: jnp.asarray(x[0]), result.modes)
-    errors = jax.tree.map(lambda x: x[0], errors_of_cases(study, model))
-    lines, moves = jax.tree.map(np.asarray, _shapes(model, errors, first))
+    lines, moves = shapes
     count = result.modes.frequency.shape[1]
     columns = min(count, 3)
     figure = new_figure(7.6, 0.8 + 2.4 * -(-count // columns))

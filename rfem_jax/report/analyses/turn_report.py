@@ -69,6 +69,22 @@ def _peaks(study: Study, turn: Turn, c: int) -> dict[str, Any]:
     return found
 
 
+def _curves(study: Study, turn: Turn, c: int) -> dict[str, Any]:
+    """Position, holding moment or force, resultants and stresses of one case at all positions, NaN (null) where it was
+    not assembled."""
+    good = np.where(turn.status[c] == 0, 1.0, np.nan)
+
+    def sizes(load):
+        names = joint_names(study)
+        return {name: (np.linalg.norm(getattr(turn.loads[name], load)[c], axis=-1) * good).tolist() for name in names}
+
+    return {
+        "position": turn.position[c].tolist(), "holding": (turn.holding[c] * good).tolist(),
+        "force": sizes("force"), "moment": sizes("moment"),
+        "stress": {name: (np.abs(values[c]) * good).tolist() for name, values in turn.stress.items()},
+    }  # fmt: skip
+
+
 def turn_text(study: Study, model: Model, turn: Turn) -> str:
     """Tables of the largest loads of every case."""
     unit = "m" if _slides(model) else "deg"
@@ -106,11 +122,11 @@ def turn_text(study: Study, model: Model, turn: Turn) -> str:
 
 
 def write_turn(folder: Path, study: Study, model: Model, turn: Turn) -> list[Path]:
-    """Write turn.json (largest loads) and turn.csv (all positions)."""
+    """Write turn.json (largest loads, and resultants over the positions) and turn.csv (all positions)."""
     unit, force = ("m", "N") if _slides(model) else ("rad", "Nm")
     rows, cases = [], {}
     for c, case in enumerate(study.cases):
-        cases[case.name] = {"status": statuses(turn)[c], **_peaks(study, turn, c)}
+        cases[case.name] = {"status": statuses(turn)[c], **_peaks(study, turn, c), "curves": _curves(study, turn, c)}
         for i, position in enumerate(turn.position[c]):
             row: dict[str, Any] = {"case": case.name, f"position_{unit}": float(position)}
             row |= {"status": STATUS[int(turn.status[c, i])].name, f"holding_{force}": float(turn.holding[c, i])}

@@ -1,18 +1,26 @@
 """`rfem-jax cycle`: loads over one revolution of the steady cycle of a driven mechanism, without a start-up.
 
 Place in the pipeline: `load_study` (description) -> `steady_cycle` (simulation) -> summary, tables, files, pictures,
-all as those of `rfem-jax run`.
+all as those of `rfem-jax run`; how it was found -> cycle.json.
 """
 
 import argparse
 import time
 from dataclasses import replace
+from typing import Any
 
-from rfem_jax.report.annotations import Run, Study
+from rfem_jax.report.annotations import Cycle, Study
 from rfem_jax.report.commands.command import CASE_FAILED, DONE, Answer, Command, add_study_and_folder
 from rfem_jax.report.commands.folders import cannot_write, open_folder, require_folder
-from rfem_jax.report.commands.run import write_run_pictures
-from rfem_jax.report.commands.steps import announce, discretise_study, files_document, read_study, settle_method
+from rfem_jax.report.commands.run import write_run_animation, write_run_pictures
+from rfem_jax.report.commands.steps import (
+    announce,
+    discretise_study,
+    files_document,
+    read_study,
+    settle_method,
+    write_page,
+)
 from rfem_jax.report.progress_line import note, show
 
 
@@ -22,7 +30,8 @@ def command() -> Command:
         name="cycle",
         purpose="loads over one revolution of the steady cycle, without a start-up",
         description="Simulate every case, driven at the constant rate of its prescribed_rate drive, until the motion "
-        "repeats with every revolution; print and write the loads of one revolution in the files of `rfem-jax run`.",
+        "repeats with every revolution; print and write the loads of one revolution in the files of `rfem-jax run`, "
+        "report.html among them, and in cycle.json how the cycle was found.",
         add_arguments=_add_arguments,
         act=act,
     )
@@ -39,6 +48,7 @@ def act(arguments: argparse.Namespace) -> Answer:
     started = time.perf_counter()
     study = _of_one_revolution(read_study(arguments.study))
 
+    from rfem_jax.report.analyses.analysis import write_analysis
     from rfem_jax.report.files import write_files
     from rfem_jax.report.summary import summarise
     from rfem_jax.report.tables import results_text
@@ -47,16 +57,21 @@ def act(arguments: argparse.Namespace) -> Answer:
     require_folder(arguments.out)
     study = settle_method(study)
     folder = open_folder(arguments.out)
-    runs, good = _cycles(study, arguments.tolerance, arguments.most)
+    cycles = _cycles(study, arguments.tolerance, arguments.most)
+    runs = {name: cycle.run for name, cycle in cycles.items()}
     statuses = {name: STATUS[int(run.status)] for name, run in runs.items()}
     summaries = summarise(study, runs, statuses)
     show(results_text(study, summaries), end="\n\n")
     try:
         written = write_files(folder, study, runs, summaries)
         written += write_run_pictures(folder, study, runs, summaries)
+        written += write_run_animation(folder, runs)
+        written.append(write_analysis(folder / "cycle.json", study, "cycle", {"cases": _convergence(cycles)}))
     except OSError as problem:
         raise cannot_write(folder, problem) from problem
+    written += write_page(folder)
     show(f"{len(written)} files written to {folder} ({time.perf_counter() - started:.1f} s in all).")
+    good = all(cycle.converged for cycle in cycles.values())
     good = good and all(one["status"] == "ok" for one in summaries.values())
     return Answer(DONE if good else CASE_FAILED, files_document(folder, written))
 
@@ -80,8 +95,16 @@ def _of_one_revolution(study: Study) -> Study:
     return replace(study, drive=constant, duration=period, save_every=saving)
 
 
-def _cycles(study: Study, tolerance: float, most: int) -> tuple[dict[str, Run], bool]:
-    """One revolution of the cycle of every case, and whether all have converged."""
+def _convergence(cycles: dict[str, Cycle]) -> dict[str, Any]:
+    """How the cycle of every case was found."""
+    return {
+        name: {"converged": cycle.converged, "revolutions": cycle.revolutions, "residual": cycle.residual}
+        for name, cycle in cycles.items()
+    }
+
+
+def _cycles(study: Study, tolerance: float, most: int) -> dict[str, Cycle]:
+    """The cycle of every case, whose runs are NumPy arrays."""
     import jax
     import numpy as np
 
@@ -90,7 +113,7 @@ def _cycles(study: Study, tolerance: float, most: int) -> tuple[dict[str, Run], 
     from rfem_jax.mechanics.model_with_errors import assembly_errors
     from rfem_jax.simulation.cycle import steady_cycle
 
-    model, drive, runs, good = discretise_study(study), study.drives[0], {}, True
+    model, drive, cycles = discretise_study(study), study.drives[0], {}
     assert isinstance(drive, PrescribedRate), "_of_one_revolution has seen to it"
     for case in study.cases:
         announce(f"Finding the cycle of case {case.name}")
@@ -98,7 +121,7 @@ def _cycles(study: Study, tolerance: float, most: int) -> tuple[dict[str, Run], 
             model, assembly_errors(model, case.errors), drive=drive, method=study.method,
             save_every=study.save_every, tolerance=tolerance, most=most, record=records_for(study.metrics),
         )  # fmt: skip
-        runs[case.name], good = jax.tree.map(np.asarray, cycle.run), good and cycle.converged
+        cycles[case.name] = replace(cycle, run=jax.tree.map(np.asarray, cycle.run))
         state = "repeats" if cycle.converged else "does not yet repeat"
         note(f"Case {case.name} {state} after {cycle.revolutions} revolutions, to {cycle.residual:.1e}.")
-    return runs, good
+    return cycles

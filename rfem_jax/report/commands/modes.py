@@ -8,7 +8,13 @@ import time
 
 from rfem_jax.report.commands.command import CASE_FAILED, DONE, Answer, Command, add_study_and_folder
 from rfem_jax.report.commands.folders import cannot_write, open_folder, require_folder
-from rfem_jax.report.commands.steps import announce, discretise_study, files_document, read_study
+from rfem_jax.report.commands.steps import (
+    announce,
+    discretise_study,
+    files_document,
+    read_study,
+    write_page,
+)
 from rfem_jax.report.progress_line import note, show
 
 
@@ -19,7 +25,7 @@ def command() -> Command:
         purpose="natural frequencies and modes of the assembled mechanism",
         description="Natural frequencies and modes of every case about its assembled start, with its preload and "
         "weight, and their derivatives by the errors of [tolerances] and of the cases. Writes modes.json, modes.csv "
-        "and a picture.",
+        "a picture and report.html.",
         add_arguments=_add_arguments,
         act=act,
     )
@@ -45,14 +51,15 @@ def act(arguments: argparse.Namespace) -> Answer:
     folder = open_folder(arguments.out)
     show(report.modes_text(study, result), end="\n\n")
     try:
-        written = report.write_modes(folder, study, result)
+        shapes = report.mode_shapes(study, model, result)
+        written = report.write_modes(folder, study, result, shapes)
         announce("Drawing pictures")
-        pictures, hint = report.draw_modes(folder, study, model, result)
+        pictures, hint = report.draw_modes(folder, study, result, shapes)
     except OSError as problem:
         raise cannot_write(folder, problem) from problem
     if hint:
         note(hint)
-    written += pictures
+    written += pictures + write_page(folder)
     show(f"{len(written)} files written to {folder} ({time.perf_counter() - started:.1f} s in all).")
     good = set(report.statuses(result)) == {"ok"}
     return Answer(DONE if good else CASE_FAILED, files_document(folder, written))

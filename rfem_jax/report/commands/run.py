@@ -66,7 +66,7 @@ def act(arguments: argparse.Namespace) -> Answer:
     try:
         written += write_files(folder, study, runs, summaries)
         written += write_run_pictures(folder, study, runs, summaries)
-        written += _write_animation(folder, runs)
+        written += write_run_animation(folder, runs)
     except OSError as problem:
         raise cannot_write(folder, problem) from problem
     except KeyboardInterrupt:
@@ -155,7 +155,8 @@ def write_run_pictures(folder: Path, study: Study, runs: dict[str, Run], summari
     return write_figures(folder, study, runs, summaries)
 
 
-def _write_animation(folder: Path, runs: dict[str, Run]) -> list[Path]:
+def write_run_animation(folder: Path, runs: dict[str, Run]) -> list[Path]:
+    """Write where the mechanism is, for the page."""
     from rfem_jax.report.page.animation import write_animation
 
     announce("Tracing where the mechanism is")

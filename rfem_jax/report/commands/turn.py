@@ -10,7 +10,13 @@ from typing import Any
 from rfem_jax.report.annotations import Model
 from rfem_jax.report.commands.command import CASE_FAILED, DONE, Answer, Command, add_study_and_folder
 from rfem_jax.report.commands.folders import cannot_write, open_folder, require_folder
-from rfem_jax.report.commands.steps import announce, discretise_study, files_document, read_study
+from rfem_jax.report.commands.steps import (
+    announce,
+    discretise_study,
+    files_document,
+    read_study,
+    write_page,
+)
 from rfem_jax.report.progress_line import note, show
 
 
@@ -20,7 +26,7 @@ def command() -> Command:
         name="turn",
         purpose="loads of the mechanism held still over the range of its drive",
         description="The kinetostatic turn: the mechanism of every case held still at positions of its first drive. "
-        "Preload of all joints, holding moment, stresses. Writes turn.json, turn.csv and a picture.",
+        "Preload of all joints, holding moment, stresses. Writes turn.json, turn.csv a picture and report.html.",
         add_arguments=_add_arguments,
         act=act,
     )
@@ -57,7 +63,7 @@ def act(arguments: argparse.Namespace) -> Answer:
         raise cannot_write(folder, problem) from problem
     if hint:
         note(hint)
-    written += pictures
+    written += pictures + write_page(folder)
     show(f"{len(written)} files written to {folder} ({time.perf_counter() - started:.1f} s in all).")
     good = set(report.statuses(turn)) == {"ok"}
     return Answer(DONE if good else CASE_FAILED, files_document(folder, written))

@@ -20,6 +20,7 @@ MOST_NUMBERS = 80_000  # of the samples, four bytes each
 MOST_TEXT = 400_000  # characters of one task's JSON
 MOST_LIST = 4096  # entries of a list of it
 LARGEST = 50_000_000  # bytes of a file that is read
+ANALYSES = {"turn": "Turn", "modes": "Modes", "cycle": "Cycle"}  # files of `report.analyses` and of the command `cycle`
 
 
 def read_json(path: Path) -> dict[str, Any] | None:
@@ -34,17 +35,19 @@ def read_json(path: Path) -> dict[str, Any] | None:
 
 
 def read_tasks(folder: Path) -> list[dict[str, Any]]:
-    """{name, title, result} of every task that has a JSON file in the folder; of a Monte Carlo study also samples."""
+    """{name, title, result} of every task and analysis that has a JSON file in the folder; of a Monte Carlo study also
+    samples."""
     found = []
-    for kind in task_kinds().values():
-        result = read_json(folder / f"{kind.name}.json")
+    titles = {kind.name: str(kind.title) for kind in task_kinds().values()}
+    for name, title in (ANALYSES | titles).items():
+        result = read_json(folder / f"{name}.json")
         if result is None:
             continue
-        one = {"name": kind.name, "title": kind.title, "result": _shortened(result)}
+        one = {"name": name, "title": title, "result": _shortened(result)}
         if len(json.dumps(one)) > MOST_TEXT:
             one["result"] = {key: value for key, value in result.items() if not isinstance(value, (dict, list))}
-            one["left_out"] = f"{kind.name}.json is too large to be shown here"
-        if kind.name == "monte_carlo":
+            one["left_out"] = f"{name}.json is too large to be shown here"
+        if name == "monte_carlo":
             one["samples"] = _samples(folder / "monte_carlo.csv", result)
         found.append(one)
     return found

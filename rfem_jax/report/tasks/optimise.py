@@ -89,6 +89,9 @@ class OptimiseReport(TaskReport[OptimiseTask, Optimised]):
                 self.name,
                 {
                     **asdict(answer),
+                    "bounds": {name: list(self.study.design_bounds[name]) for name in answer.designs},
+                    "tolerances_before": {name: self._widths_before().get(name) for name in answer.tolerances},
+                    "tolerance_bounds": {name: list(pair) for name, pair in self.task.bounds.items()},
                     "front": [{"weight": weight, **asdict(one)} for weight, one in result.front.items()],
                     "units": answer.units | answer.term_units | {check.metric: check.unit for check in answer.limits},
                 },

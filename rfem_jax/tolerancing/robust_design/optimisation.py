@@ -27,7 +27,8 @@ from rfem_jax.tolerancing.allocation.cost_models import CostModel, total_cost
 from rfem_jax.tolerancing.checks import ErrorValue
 from rfem_jax.tolerancing.layout import show_number
 from rfem_jax.tolerancing.optimisation.starting_points import sobol_units
-from rfem_jax.tolerancing.problems.distributions import Normal, Tolerance, Tolerances
+from rfem_jax.tolerancing.problems.distributions import Normal, Tolerance
+from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem
 from rfem_jax.tolerancing.problems.quadratic_model import choose_mode
 from rfem_jax.tolerancing.robust_design.criteria import CRITERIA, FAILED, Criterion

@@ -88,6 +88,16 @@ function dotChart(rows, unitText, title, reference) {
   return svg;
 }
 
+// Places of a curve without those that have no value, in pieces.
+function pieces(places, values) {
+  const found = [[]];
+  places.forEach((place, i) => {
+    if (Number.isFinite(values[i])) found[found.length - 1].push(place);
+    else if (found[found.length - 1].length) found.push([]);
+  });
+  return found.filter((one) => one.length);
+}
+
 // Curves over a common axis: series [{x, y, class, band: [low, high]}], marks at points if `points`.
 function lineChart(series, xTitle, yTitle, title, options = {}) {
   const width = options.width || 520;
@@ -110,7 +120,10 @@ function lineChart(series, xTitle, yTitle, title, options = {}) {
       const points = [...path(one.x, one.band[0]), ...path(one.x, one.band[1]).reverse()];
       svg.append(draw("polygon", { points: points.join(" "), class: "band" }));
     }
-    svg.append(draw("polyline", { points: path(one.x, one.y).join(" "), class: one.class || "curve" }));
+    const dash = (one.dash || []).join(" ") || null;
+    for (const points of pieces(path(one.x, one.y), one.y)) {
+      svg.append(draw("polyline", { points: points.join(" "), class: one.class || "curve", "stroke-dasharray": dash }));
+    }
     if (options.points) {
       path(one.x, one.y).forEach((place, i) => {
         const mark = caseMark(one.mark || 0, ...place.split(",").map(Number));

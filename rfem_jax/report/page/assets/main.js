@@ -2,6 +2,7 @@
 const page = { rebuildCurves() {} };
 const TASK_PAGES = new Map([
   ["sensitivity", sensitivityPage], ["monte_carlo", samplesPage], ["worst_case", cornersPage], ["allocation", allocationPage],
+  ["optimise", optimisePage], ["turn", turnPage], ["modes", modesPage], ["cycle", cyclePage],
 ]);
 
 function taskPage(task) {

@@ -1,0 +1,174 @@
+"""Pages of analyses and of optimisation: charts have the numbers of the files, controls do what they say."""
+
+import json
+import math
+import shutil
+
+import pytest
+
+from rfem_jax.report.page.document import write_folder
+
+ANGLES = [0.0, 0.5, 1.0, 1.5]
+TURN = {
+    "title": "Turn", "units": {"max_force_at": "rad", "holding": "N m"},
+    "cases": {
+        name: {
+            "status": "ok",
+            "joints": {
+                joint: {"max_force": 10.0 * size, "max_force_at": 1.0, "max_moment": size * k, "max_moment_at": 0.5}
+                for k, joint in enumerate("AD", 1)
+            },
+            "curves": {
+                "position": ANGLES, "holding": [size, None, size, size],
+                "force": {joint: [10.0 * size] * 4 for joint in "AD"},
+                "moment": {joint: [size * k * math.sin(angle) for angle in ANGLES] for k, joint in enumerate("AD", 1)},
+                "stress": {"crank": [1e6 * size] * 4},
+            },
+        }
+        for name, size in (("perfect", 1.0), ("tilted", 3.0))
+    },
+}  # fmt: skip
+LINE = [[0.1 * i, 0.0, 0.05 * i] for i in range(5)]
+MODES = {
+    "title": "Modes", "units": {"frequency": "Hz"},
+    "cases": {
+        "perfect": {
+            "status": "ok",
+            "modes": [
+                {"frequency": 12.5, "damping_ratio": 0.01, "repeated": False, "stable": True,
+                 "derivatives": {"D.delta_x": 18.0, "bar.length": -40.0}},
+                {"frequency": 80.25, "damping_ratio": 0.02, "repeated": False, "stable": True,
+                 "derivatives": {"D.delta_x": None, "bar.length": 1.0}},
+            ],
+        }
+    },
+    "shapes": {
+        "case": "perfect",
+        "links": {
+            "bar": {
+                "points": LINE,
+                "moves": [[[0.0, 0.0, i / 4] for i in range(5)], [[0.0, (i / 4) ** 2, 0.0] for i in range(5)]],
+            }
+        },
+    },
+}  # fmt: skip
+CYCLE = {"title": "Cycle", "cases": {"P1": {"converged": True, "revolutions": 7, "residual": 3e-7}}}
+LIMIT = {
+    "metric": "D.mean_square_moment", "unit": "(N m)^2", "side": "upper", "limit": 20.0, "nominal": 3.0,
+    "predicted": 19.5, "verified": 19.75, "margin": 0.25, "shadow_price": -0.125,
+}  # fmt: skip
+OPTIMISE = {
+    "title": "Optimum", "criterion": "worst_case", "status": "ok", "message": "found, and a fresh run agrees",
+    "objective": 1.25, "terms": {"mass": 0.75, "cost": 5.0}, "initial": {"bar.height": 0.01},
+    "designs": {"bar.height": 0.008}, "bounds": {"bar.height": [0.006, 0.014]},
+    "tolerances": {"D.delta_x": math.radians(0.2)}, "tolerances_before": {"D.delta_x": math.radians(0.5)},
+    "tolerance_bounds": {"D.delta_x": [math.radians(0.05), math.radians(1.0)]}, "at_bounds": {},
+    "units": {"bar.height": "m", "D.delta_x": "rad"}, "limits": [LIMIT],
+    "history": [[2.0, 0.5], [1.5, 0.1], [1.25, -0.001]],
+    "front": [
+        {"weight": weight, "status": "ok", "terms": {"mass": 0.5 + weight, "cost": 6.0 - weight},
+         "designs": {"bar.height": 0.008}}
+        for weight in (0.0, 0.5, 1.0)
+    ],
+}  # fmt: skip
+
+
+@pytest.fixture
+def page(open_page, tmp_path):
+    for name, content in (("turn", TURN), ("modes", MODES), ("optimise", OPTIMISE)):
+        (tmp_path / f"{name}.json").write_text(json.dumps(content), encoding="utf-8")
+    return open_page(write_folder(tmp_path))
+
+
+def titles(page, selector):
+    script = "return [...document.querySelectorAll(arguments[0] + ' title')].map((one) => one.textContent)"
+    return page.run(script, selector)
+
+
+def ends(page, selector):
+    """First and last place of every curve."""
+    script = "return [...document.querySelectorAll(arguments[0])].map((one) => one.getAttribute('points').split(' '))"
+    return [(one[0], one[-1]) for one in page.run(script, selector)]
+
+
+def cells(page, selector):
+    script = (
+        "return [...document.querySelectorAll(arguments[0] + ' tbody tr')]"
+        ".map((row) => [...row.cells].map((cell) => cell.textContent))"
+    )
+    return page.run(script, selector)
+
+
+def test_the_turn_opens_with_the_joint_whose_moment_is_largest(page):
+    page.tab("Turn")
+    assert page.run("return document.querySelector('#turn-quantity').value") == "moment D"
+    assert len(ends(page, "#turn-curves polyline")) == 2
+    assert "perfect" in page.text("#turn-curves .legend") and "tilted" in page.text("#turn-curves .legend")
+    rows = cells(page, "#turn-loads")
+    assert rows[3][:3] == ["tilted", "D", "30"] and float(rows[3][5]) == pytest.approx(math.degrees(0.5), rel=1e-4)
+    # Positions that are not assembled leave a gap.
+    page.choose("#turn-quantity", "holding")
+    assert len(ends(page, "#turn-curves polyline")) == 4
+    assert "N m" in page.text("#turn-curves svg")
+    page.choose("#turn-quantity", "stress crank")
+    assert len(ends(page, "#turn-curves polyline")) == 2 and page.complaints() == []
+
+
+def test_modes_swing_and_are_seen_from_where_they_move(page):
+    page.tab("Modes")
+    assert cells(page, "#frequencies")[1][:3] == ["2", "80.25", "0.02"]
+    pressed = "return document.querySelector('#mode-view button[aria-pressed=true]').dataset.value"
+    assert page.run(pressed) == "2"
+    first = ends(page, "#mode-shape .curve")
+    still = ends(page, "#mode-shape .still")
+    assert first[0][0] == still[0][0] and first[0][1] != still[0][1]
+    page.choose("#mode", "1")
+    assert page.run(pressed) == "1"
+    held = ends(page, "#mode-shape .curve")
+    page.click("#mode-play")
+    assert page.text("#mode-play") == "Pause"
+    page.wait(
+        "return document.querySelector('#mode-shape .curve').getAttribute('points').split(' ').pop() !== arguments[0]",
+        held[0][1],
+    )
+    page.click("#mode-play")
+    assert page.text("#mode-play") == "Play"
+    page.click("#mode-view button[data-value='2']")
+    assert ends(page, "#mode-shape .curve") == ends(page, "#mode-shape .still")  # it moves along y alone
+    # A derivative of 18 Hz/rad is pi/10 Hz/deg.
+    slopes = cells(page, "#page-task-1 .card:last-child .tabled:last-child")
+    assert float(slopes[0][1]) == pytest.approx(math.pi / 10, rel=1e-4) and slopes[1][1] == "n/a"
+    assert page.complaints() == []
+
+
+def test_an_optimum_before_and_after_between_its_bounds(page):
+    page.tab("Optimise")
+    assert "Objective 1.25 (mass 0.75, cost 5), worst case, status ok." in page.text("#page-task-2")
+    assert "bar.height, before: 10 mm" in titles(page, "#bounds")
+    assert "bar.height, after: 8 mm" in titles(page, "#bounds") and "D.delta_x, after: 0.2 deg" in titles(
+        page, "#bounds"
+    )
+    rows = {row[0]: row for row in cells(page, "#designs")}
+    assert rows["bar.height"][1:4] == ["dimension", "10 mm", "8 mm"]
+    assert rows["D.delta_x"][1:4] == ["tolerance", "0.5 deg", "0.2 deg"]
+    assert cells(page, "#design-limits")[0] == [
+        "D.mean_square_moment", "(N m)^2", "upper", "20", "3", "19.5", "19.75", "0.25", "-0.125",
+    ]  # fmt: skip
+    found = titles(page, "#search")
+    assert "objective: 2 at 1" in found and "largest constraint, normalised: -0.001 at 3" in found
+    assert [row[:3] for row in cells(page, "#front")] == [["0", "0.5", "6"], ["0.5", "1", "5.5"], ["1", "1.5", "5"]]
+    assert page.complaints() == []
+
+
+def test_the_cycle_shows_where_the_bearings_are_pressed(open_page, folder, tmp_path):
+    out = shutil.copytree(folder, tmp_path / "out")
+    (out / "cycle.json").write_text(json.dumps(CYCLE), encoding="utf-8")
+    page = open_page(write_folder(out))
+    page.tab("Cycle")
+    assert cells(page, "#cycles") == [["P1", "yes", "7", "3e-7"]]
+    loads = {(row[0], row[1]): float(row[2]) for row in cells(page, "#cycle-loads")}
+    assert loads["P2", "C"] == pytest.approx(8.0)
+    assert len(ends(page, "#orbit polyline")) == 3
+    before = ends(page, "#orbit polyline")
+    page.choose("#orbit-joint", "C")
+    assert ends(page, "#orbit polyline") != before and page.complaints() == []
