@@ -67,7 +67,7 @@ def test_every_file_is_valid(name):
     model = discretise(study.mechanism)
     names = JOINTS.get(name.partition("/")[0], ("A", "B", "D", "C"))
     assert model.driven_joint == study.drive.joint == "A" and model.joint_names == names
-    folders = ("four_bar", "spatial_linkage", "bearing_stiffness", "design_sweep", "robust_four_bar", *JOINTS, *COMMANDS)
+    folders = ("four_bar", "spatial_linkage", "bearing_stiffness", *DESIGNS, *JOINTS, *COMMANDS)
     assert any(name.startswith(f"{folder}/") for folder in folders), "no test runs this file"
 
 
@@ -105,6 +105,7 @@ def test_monte_carlo(run_command):
     assert "D.rms_force" in said
 
 
+DESIGNS = ("design_sweep", "robust_four_bar")
 COMMANDS = {
     "monte_carlo": (("study.toml", "monte-carlo"),),
     "tolerance_sensitivity": (("study.toml", "sensitivity"),),

@@ -112,6 +112,20 @@ def test_worst_cases_of_two_limits():
     assert list(found.tolerances.values()) == pytest.approx([0.85, 0.85], abs=1e-5)
 
 
+def test_two_limits_may_be_worst_at_one_corner():
+    # 0.3 + d + t <= 1 and t - d <= 1, both worst where a is largest.
+    def both(errors):
+        return {"right": 0.3 + errors["d"] + errors["a"], "left": errors["a"] - errors["d"]}
+
+    pair = FunctionProblem(both, ("d", "a"), ("right", "left"), error_units=dict.fromkeys("da", "m"))
+    found = optimise(
+        pair, {"d": (-0.5, 0.5)}, {"a": (0.01, 2.0)}, "cost", {"right": 1.0, "left": 1.0}, robust="worst_case",
+        cost=Reciprocal(), key=KEY,
+    )  # fmt: skip
+    assert found.status == "ok" and found.designs["d"] == pytest.approx(-0.15, abs=1e-5)
+    assert found.tolerances["a"] == pytest.approx(0.85, abs=1e-5)
+
+
 def test_root_sum_of_squares_of_a_linear_limit(gap):
     # Squared reciprocal costs: mean - c deviations of the sample itself, so the optimum is compared with a fine search
     # over d of the closed form for the sample's own second moments.
