@@ -31,7 +31,7 @@ from rfem_jax.report.style import (
     panel_grid,
 )
 from rfem_jax.report.tasks import study_problem
-from rfem_jax.report.tasks.sobol_figure import sobol_figure
+from rfem_jax.report.tasks.sobol_bars import sobol_figure
 from rfem_jax.report.tasks.task_files import metric_units, write_task_json
 from rfem_jax.report.tasks.task_report import GRADIENT, TaskReport
 from rfem_jax.text_layout import size_text

@@ -1,6 +1,6 @@
 """Picture of Sobol' indices: which errors and parameters make every metric scatter, alone and with others.
 
-Place in the pipeline: Monte Carlo study with indices -> **sobol_figure** -> pictures of a task.
+Place in the pipeline: Monte Carlo study with indices -> **sobol_bars** -> pictures of a task.
 """
 
 import numpy as np
