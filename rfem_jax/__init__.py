@@ -44,8 +44,8 @@ _PACKAGES = {
     "compilation.keeping": "keep_programs",
     "task_kinds": "TaskKind register_task",
     "simulation": (
-        "Run check_step choose_method derivative_residual kinetostatic_turn largest_stable_step natural_frequencies "
-        "register_method run_cases simulate steady_cycle"
+        "Run check_step choose_method cycle_run derivative_residual kinetostatic_turn largest_stable_step "
+        "natural_frequencies register_method run_cases simulate steady_cycle"
     ),
 }
 _PACKAGE_OF = {name: package for package, names in _PACKAGES.items() for name in names.split()}

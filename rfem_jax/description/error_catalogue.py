@@ -48,6 +48,16 @@ def error_dimension(name: object) -> str:
     return _KNOWN[component]
 
 
+def knows_dimension(name: object) -> bool:
+    """Whether `error_dimension` knows a name, or refuses it with all names of a study at hand."""
+    if _parameters.get():
+        return True
+    try:
+        return bool(error_dimension(name))
+    except InputError:
+        return False
+
+
 def _nearest(name: str, component: str, parameters: Mapping[str, str]) -> str:
     """The nearest parameter or kind of error."""
     close = suggestion(component, _KNOWN)

@@ -265,7 +265,8 @@ class Study(ChecksItself):
         problems.refuse()
 
     def _check_tasks(self) -> None:
-        object.__setattr__(self, "tasks", self.tasks.resolved(self.mechanism))
+        with known_while_reading(self.mechanism):
+            object.__setattr__(self, "tasks", self.tasks.resolved(self.mechanism))
 
     def _resolve_metrics(self) -> None:
         subjects = subjects_of(self.mechanism)

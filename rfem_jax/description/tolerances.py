@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from rfem_jax.description.error_catalogue import error_dimension
+from rfem_jax.description.error_catalogue import error_dimension, knows_dimension
 from rfem_jax.description.errors import ABSENT, Checks, ChecksItself, InputError, Problems, located, require_choice
 from rfem_jax.description.iso_fits import deviations as deviations_of_code
 from rfem_jax.description.tables import build, checked_list, checked_table, keys_of
@@ -271,6 +271,9 @@ def error_quantities(values: object, where: str) -> dict[str, float]:
     found, problems = {}, Problems()
     for name, value in values.items():
         with problems.noted():
+            if isinstance(value, float) and not knows_dimension(name):
+                found[name] = value  # of a parameter, read before; that it exists is checked with the mechanism
+                continue
             with located(f"`{where}`"):
                 dimension = error_dimension(name)
             found[name] = quantity(value, dimension, f"`{name}` of `{where}`")

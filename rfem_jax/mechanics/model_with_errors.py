@@ -87,6 +87,16 @@ def assembly_errors(model: Model, values: Mapping[str, ArrayLike | str] | None =
     return dataclasses.replace(errors, parameters=deviations) if deviations else errors
 
 
+def sum_of(errors: AssemblyErrors, more: AssemblyErrors) -> AssemblyErrors:
+    """Both errors together, any parameter of which may deviate in one of them alone."""
+    first, second = errors.parameters or {}, more.parameters or {}
+    both = {
+        name: first.get(name, 0.0) + second.get(name, 0.0) for name in (*first, *(n for n in second if n not in first))
+    }
+    plain = (dataclasses.replace(one, parameters=None) for one in (errors, more))
+    return dataclasses.replace(jax.tree.map(jnp.add, *plain), parameters=both or None)
+
+
 @Program
 def _insert(
     errors: AssemblyErrors,

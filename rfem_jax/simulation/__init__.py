@@ -30,7 +30,7 @@ from importlib import import_module
 _MODULES = {
     "accuracy": "choose_method",
     "cases": "run_cases",
-    "cycle": "Cycle steady_cycle",
+    "cycle": "Cycle cycle_run steady_cycle",
     "integration": "simulate",
     "modes": "NaturalModes natural_frequencies",
     "run": "STATUS Run derivative_residual one_of",

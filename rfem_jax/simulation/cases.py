@@ -74,7 +74,7 @@ def run_cases(
     model = model_of_study(study) if model is None else model
     drive = study.designed_drive
     require_driven(model, drive)
-    each = _errors_of_cases(study, model)
+    each = errors_of_cases(study, model)
     errors = jax.tree.map(lambda *leaves: jnp.stack(leaves), *each)
     plain = dataclasses.replace(errors, parameters=None)
     method = choose_method(model, study.method, drive, study.duration, plain, study.save_every)
@@ -97,7 +97,7 @@ def run_cases(
     return model, Runs({case.name: run for case, run in zip(study.cases, found)})
 
 
-def _errors_of_cases(study: Study, model: Model) -> list[AssemblyErrors]:
+def errors_of_cases(study: Study, model: Model) -> list[AssemblyErrors]:
     """The errors of every case; parameters that deviate in any case do so by zero in the others."""
     names = {name for case in study.cases for name in case.errors if name not in model.topology.error_names}
     zeros = dict.fromkeys(sorted(names), 0.0)

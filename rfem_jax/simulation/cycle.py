@@ -14,6 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
 from rfem_jax.compilation.program import Program
@@ -21,6 +22,7 @@ from rfem_jax.description.drives import PrescribedRate
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.methods import Method
 from rfem_jax.description.precision import require_float64
+from rfem_jax.mechanics.designs import Design, designed, with_status
 from rfem_jax.mechanics.model import Model, State, Topology
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors, assembly_errors
 from rfem_jax.mechanics.point_laws import changing
@@ -30,6 +32,7 @@ from rfem_jax.simulation.records import require_records
 from rfem_jax.simulation.run import Run
 from rfem_jax.simulation.time_grid import TimeGrid
 
+RANK = 1e-9  # of what a revolution leaves of changes of its start
 MEMORY = 6  # revolutions that the next start is made of
 
 
@@ -58,11 +61,13 @@ def steady_cycle(
     tolerance: float = 1e-6,
     most: int = 200,
     record: str | Iterable[str] = (),
+    design: Design | None = None,
 ) -> Cycle:
     """The steady cycle of a mechanism that is driven at a constant rate.
 
     **Arguments:** `drive`: a `PrescribedRate` about a hinge, without a rise; `method` with a step; `tolerance` of the
-    residual; `most`: revolutions that are simulated at most; `record`: as of `simulate`. Not differentiable.
+    residual; `most`: revolutions that are simulated at most; `record`: as of `simulate`; `design`: from
+    `rfem_jax.design`, other values for numbers of the model. Not differentiable: `cycle_run` is.
 
     **Raises:** `InputError` for another drive, for forces that are functions of time, and for joints of the tree that
     turn about any axis.
@@ -72,6 +77,8 @@ def steady_cycle(
     period = abs(2.0 * np.pi / float(drive.rate))
     grid, steps = integration.grid_for(drive, period, method, save_every, model)
     errors = assembly_errors(model) if errors is None else errors
+    made = designed(model, design, errors)
+    model, errors = made.model, errors if made.errors is None else made.errors
     asked = require_records(model, record)
     state, run = _revolution(model, errors, drive, grid, None, method, steps, asked)
     start, found = state, []
@@ -86,7 +93,53 @@ def steady_cycle(
             break
         found = [*found, (before, after)][-MEMORY:]
         start = _state(start, _mixed(found))
-    return Cycle(run, start, float(residual), done, bool(residual <= tolerance))
+    return Cycle(with_status(run, made), start, float(residual), done, bool(residual <= tolerance))
+
+
+def cycle_run(
+    cycle: Cycle,
+    model: Model,
+    errors: AssemblyErrors | None = None,
+    *,
+    drive: PrescribedRate,
+    method: Method,
+    save_every: float | None = None,
+    record: str | Iterable[str] = (),
+    design: Design | None = None,
+) -> Run:
+    """One revolution of a steady cycle as a function of the errors and the design, about those it was found for.
+
+    **Arguments:** `cycle`, from `steady_cycle` with the same numbers; the others as of `steady_cycle`; errors and
+    design may be traced.
+
+    **Returns:** `Run`, equal to `cycle.run` within its residual. Works under jit, vmap, forward and reverse mode: start
+    of the cycle and all loads change as the periodic motion does (theory (11.19)); first derivatives only.
+    """
+    require_float64()
+    period = abs(2.0 * np.pi / float(drive.rate))
+    grid, steps = integration.grid_for(drive, period, method, save_every, model)
+    made = designed(model, design, assembly_errors(model) if errors is None else errors)
+    assert made.errors is not None, "errors were given"
+    asked = require_records(model, record)
+    run = _periodic(made.model, made.errors, drive, grid, cycle.start, method, steps, asked)
+    return with_status(run, made)
+
+
+@Program
+def _periodic(model, errors, drive, grid: TimeGrid, start: State, method, steps, asked) -> Run:
+    numbers, unravel = ravel_pytree(jax.lax.stop_gradient(start))
+
+    def end_of(numbers, model, errors):
+        state = _revolution(model, errors, drive, grid, unravel(numbers), method, steps, asked)[0]
+        return ravel_pytree(state)[0]
+
+    fixed = jax.lax.stop_gradient((model, errors))
+    _, push = jax.linearize(lambda x: end_of(x, *fixed), numbers)
+    kept = jnp.eye(numbers.shape[0]) - jax.vmap(push, out_axes=1)(jnp.eye(numbers.shape[0]))
+    end = end_of(numbers, model, errors)
+    # Where a revolution changes nothing, as of the driven angle, the start stays: the solution of least norm.
+    change = jnp.linalg.pinv(kept, rtol=RANK) @ (end - jax.lax.stop_gradient(end))
+    return _revolution(model, errors, drive, grid, unravel(numbers + change), method, steps, asked)[1]
 
 
 def _require_constant_rate(model: Model, drive: PrescribedRate) -> None:

@@ -12,6 +12,7 @@ do not exist.
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import NamedTuple
 
 import equinox as eqx
@@ -26,6 +27,7 @@ from rfem_jax.compilation.program import Program
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.precision import require_float64
 from rfem_jax.mechanics import loads
+from rfem_jax.mechanics.designs import Design, designed, status_of
 from rfem_jax.mechanics.implicit.residual import evaluate_residual
 from rfem_jax.mechanics.inputs import DriveInput
 from rfem_jax.mechanics.model import Coordinates, Model, State
@@ -73,12 +75,14 @@ def natural_frequencies(
     hold: Mapping[str, ArrayLike] | None = None,
     locked: bool = True,
     count: int = 6,
+    design: Design | None = None,
 ) -> NaturalModes:
     """Natural frequencies and modes about the static equilibrium of a mechanism with its errors.
 
     **Arguments:** `errors` from `assembly_errors` (None: perfect); `hold`: as of `assemble`, joints at given angles
     [rad] or displacements [m] (None: the driven ones at their start); `locked`: whether these are locked in the
-    vibration, or only held by a constant moment; `count`: number of modes, at most as many as there are.
+    vibration, or only held by a constant moment; `count`: number of modes, at most as many as there are; `design`: from
+    `rfem_jax.design`, other values for numbers of the model.
 
     **Returns:** `NaturalModes`. Works under jit, vmap, forward and reverse mode and Hessians; derivatives of simple
     frequencies only.
@@ -90,7 +94,9 @@ def natural_frequencies(
         raise InputError(f"Argument `count` must be a whole number of at least 1, but is {count!r}; 6 is usual.")
     hold = None if hold is None else {name: jnp.asarray(value, jnp.float64) for name, value in hold.items()}
     held_angles(model, hold)
-    return _natural(model, assembly_errors(model) if errors is None else errors, hold, bool(locked), int(count))
+    made = designed(model, design, assembly_errors(model) if errors is None else errors)
+    modes = _natural(made.model, made.errors, hold, bool(locked), int(count))
+    return modes if made.status is None else replace(modes, status=status_of(modes.status, made))
 
 
 @Program

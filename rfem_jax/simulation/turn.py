@@ -19,6 +19,7 @@ from rfem_jax.compilation.program import Program
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.precision import require_float64
 from rfem_jax.mechanics import loads
+from rfem_jax.mechanics.designs import designed, status_of
 from rfem_jax.mechanics.discretisation import CLOSING_TOLERANCE, close_at
 from rfem_jax.mechanics.element_loads import FrameLoads
 from rfem_jax.mechanics.inputs import DriveInput
@@ -110,7 +111,8 @@ def kinetostatic_turn(
     **Arguments:** `errors` from `assembly_errors` (None: perfect); `positions` [rad, m], as of `turn_positions` (None:
     72 over a revolution).
 
-    **Returns:** `Turn`. Differentiable with respect to errors, also under jit, vmap, forward and reverse mode.
+    **Returns:** `Turn`. Differentiable with respect to errors and deviations of parameters, also under jit, vmap,
+    forward and reverse mode.
 
     **Raises:** `InputError` for a model without a driven joint and for positions at which it does not close.
     """
@@ -123,7 +125,11 @@ def kinetostatic_turn(
 @Program
 def turn_over(model: Model, errors: AssemblyErrors, poses: ClosedPose) -> Turn:
     """The turn over closed poses."""
-    return jax.lax.map(lambda pose: held_at(model, errors, pose), poses)
+    made = designed(model, None, errors)
+    assert made.errors is not None, "errors were given"
+    model, left = made.model, made.errors
+    turn = jax.lax.map(lambda pose: held_at(model, left, pose), poses)
+    return eqx.tree_at(lambda t: t.status, turn, status_of(turn.status, made))
 
 
 class _Still(NamedTuple):

@@ -67,6 +67,19 @@ def test_bearing_stiffness(run_program, tmp_path):
         assert len(own) == 12 and (low < sums).all() and (sums < high).all()
 
 
+def test_robust_four_bar(run_program, tmp_path):
+    """Every way is answered, and its price is that of its mass and its tolerances."""
+    said = run_program("studies/robust_four_bar/study.py", "--quick", "--reserves", 1.5, "--out", tmp_path)
+    assert "Tables and a picture are in" in said
+    assert {path.name for path in tmp_path.iterdir()} == {"comparison.csv", "results.json", "cost_of_every_way.png"}
+    rows = {row["way"]: row for row in table(tmp_path / "comparison.csv")}
+    assert list(rows) == ["together", "as drawn", "two stages, reserve 1.5"]
+    for row in rows.values():
+        objective, mass, cost = (float(row[name]) for name in ("objective", "mass_kg", "cost"))
+        assert objective == pytest.approx(10.0 * mass + cost, rel=1e-9) and int(row["failed"]) == 0
+    assert float(rows["as drawn"]["coupler_bar.height_m"]) == pytest.approx(0.01, rel=1e-8)
+
+
 QUESTIONS = ("rfes", "steps", "elements", "crank", "damping")
 
 

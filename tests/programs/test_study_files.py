@@ -67,7 +67,7 @@ def test_every_file_is_valid(name):
     model = discretise(study.mechanism)
     names = JOINTS.get(name.partition("/")[0], ("A", "B", "D", "C"))
     assert model.driven_joint == study.drive.joint == "A" and model.joint_names == names
-    folders = ("four_bar", "spatial_linkage", "bearing_stiffness", *JOINTS, *COMMANDS)
+    folders = ("four_bar", "spatial_linkage", "bearing_stiffness", *DESIGNS, *JOINTS, *COMMANDS)
     assert any(name.startswith(f"{folder}/") for folder in folders), "no test runs this file"
 
 
@@ -105,6 +105,7 @@ def test_monte_carlo(run_command):
     assert "D.rms_force" in said
 
 
+DESIGNS = ("design_sweep", "robust_four_bar")
 COMMANDS = {
     "monte_carlo": (("study.toml", "monte-carlo"),),
     "tolerance_sensitivity": (("study.toml", "sensitivity"),),
@@ -127,6 +128,24 @@ def test_tolerance_studies(run_command, name, command):
     written = {path.suffix for path in out.iterdir()}
     assert {".json", ".csv", ".png"} <= written
     assert "D.delta_x" in said
+
+
+@pytest.mark.slow
+def test_design_sweep(run_command):
+    """Of the pendulum: its mass is that of its sections."""
+
+    def few(content):
+        content["sweep"] |= {"levels": 3, "batch": 9}
+        content["sweep"]["metrics"] = ["mass", "A.mean_square_force"]
+
+    out, said = run_command("sweep", reduced("design_sweep/study.toml", pendulum=True, change=few))
+    with open(out / "sweep.csv", newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 9 and {row["status"] for row in rows} == {"0"}
+    for row in rows:
+        area = (0.01 + float(row["bar.height_m"])) * (0.01 + float(row["bar.width_m"]))
+        assert float(row["mass_kg"]) == pytest.approx(7850.0 * area * (0.12 + 0.3), rel=1e-9)
+    assert "bar.height" in said and (out / "sweep_contours.png").exists()
 
 
 def without_tasks(text):

@@ -115,6 +115,21 @@ def test_the_scatter_matrix_shows_every_sample(study, problem):
     assert figure.axes[20].get_xlabel() == "D.delta_x\ndeg"
 
 
+def test_sobol_indices_are_bars_with_their_intervals(study, problem):
+    tolerances = Tolerances({name: Uniform(width) for name, width in WIDTHS.items()})
+    result = monte_carlo(problem, tolerances, 64, jax.random.key(0), sobol_indices=True)
+    figure = draw(study, "monte_carlo", result)["monte_carlo_sobol"]
+    axes = figure.axes[0]
+    indices = result.sobol_indices[MOMENT]
+    order = sorted(indices.total, key=lambda name: -indices.total[name].value)
+    assert [one.get_text() for one in axes.get_yticklabels()] == order and order[0] == "D.delta_x"
+    widths = [bar.get_width() for bar in axes.patches]
+    expected = [getattr(indices, kind)[name].value for kind in ("total", "first_order") for name in order]
+    np.testing.assert_allclose(widths, expected)
+    low, high = axes.collections[0].get_segments()[0][:, 0]
+    assert (low, high) == pytest.approx((indices.total[order[0]].low, indices.total[order[0]].high))
+
+
 def test_worst_cases_and_allocations_show_their_answers(study, tmp_path):
     results = report_on(study, "worst_case").run(tmp_path)
     axes = draw(study, "worst_case", results)["worst_case_corners"].axes[1]

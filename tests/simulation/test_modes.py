@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax import InputError, Joint, Link, Mechanism, PrescribedRate, assembly_errors, discretise
+from rfem_jax import InputError, Joint, Link, Mechanism, PrescribedRate, assembly_errors, design, discretise
 from rfem_jax.simulation.modes import REPEATED, natural_frequencies
 from rfem_jax.simulation.stability import eigenvalues
 from rfem_jax.simulation.vibration import Vibration
@@ -111,3 +111,22 @@ def test_a_pendulum_swings_below_and_falls_from_above(angle, sign):
     assert float(found.frequency[0]) == pytest.approx(np.sqrt(square) / (2 * np.pi) if sign > 0 else 0.0, rel=1e-9)
     with pytest.raises(InputError, match="`count` must be a whole number"):
         natural_frequencies(model, count=0)
+
+
+def test_a_higher_section_swings_faster_as_a_deviation_and_as_a_design():
+    """In the plane of the height f ~ h (EI ~ h^3, mass ~ h), of few segments and little shear."""
+    model = cantilever(3)
+    name, more = "bar.section.height", 1e-3
+
+    def lowest(deviation):
+        return natural_frequencies(model, assembly_errors(model, {name: deviation}), count=2).frequency
+
+    def designed(height):
+        return natural_frequencies(model, count=2, design=design(model, {name: height})).frequency
+
+    deviating, as_designed = by_numpy(lambda x: (lowest(x), designed(0.01 + x)))(jnp.asarray(more))
+    np.testing.assert_allclose(deviating, as_designed, rtol=1e-10)
+    width, height = np.sort(deviating)
+    assert height / width == pytest.approx(1.1, rel=1e-3)
+    slope = by_numpy(jax.jacfwd(lowest))(jnp.asarray(more))
+    np.testing.assert_allclose(np.sort(slope), [0.0, height / 0.011], rtol=2e-3, atol=1e-3 * height / 0.011)

@@ -26,6 +26,10 @@ def test_an_arm_is_held_against_its_weight_over_a_revolution():
     axial = mass * gravity * np.abs(np.sin(turn.position)) / 0.01**2
     np.testing.assert_allclose(turn.stress["arm"], bending + axial, rtol=1e-6)
     assert not turn.status.any()
+    higher = assembly_errors(model, {"arm.section.height": 1e-3})  # of 10 mm
+    heavier = by_numpy(lambda: kinetostatic_turn(model, higher, positions))()
+    np.testing.assert_allclose(heavier.holding, 1.1 * turn.holding, atol=1e-12)
+    assert not heavier.status.any()
 
 
 def test_a_turn_is_the_assembly_at_its_angles_and_its_moment_the_derivative_of_the_energy():

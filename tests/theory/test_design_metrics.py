@@ -1,5 +1,6 @@
 """Metrics that designs are judged by, against closed forms of beams, and their derivatives in both modes."""
 
+import dataclasses
 from types import SimpleNamespace
 
 import jax
@@ -23,6 +24,7 @@ from rfem_jax import (
     Problem,
     Rectangle,
     Tube,
+    design,
     discretise,
     simulate,
 )
@@ -55,17 +57,17 @@ def problem_of(model):
     return Problem(model, STILL, 1e-7, METRICS, Method("rk4", step=1e-7))
 
 
-def expected(length=LENGTH, force=FORCE, torque=TORQUE, m=2):
+def expected(length=LENGTH, force=FORCE, torque=TORQUE, m=2, width=WIDTH, height=HEIGHT):
     """Largest stress at the clamp (a corner without shear stress, or the middle of a side with it), deflections of m
     segments at the end and in the middle, mass."""
-    corners = 6 * force * length / (WIDTH * HEIGHT**2)
-    edge = np.array(SLENDER.edge_stresses())
+    corners = 6 * force * length / (width * height**2)
+    edge = np.array(Rectangle(width, height).edge_stresses())
     moment = force * length
     von_mises = np.sqrt((edge[:, 1] * moment) ** 2 + 3 * (edge[:, 3] * torque) ** 2).max()
     assert von_mises > corners
-    bending, shear = E * WIDTH * HEIGHT**3 / 12, G * WIDTH * HEIGHT / 1.2
+    bending, shear = E * width * height**3 / 12, G * width * height / 1.2
     end = force * (length**3 / (3 * bending) * (1 - 1 / (4 * m**2)) + length / shear)
-    return von_mises, end, STEEL.density * WIDTH * HEIGHT * length + 0.1
+    return von_mises, end, STEEL.density * width * height * length + 0.1
 
 
 @pytest.fixture(scope="module", params=["linear", "geometrically_exact"])
@@ -117,6 +119,37 @@ def test_derivatives_by_the_length_are_those_of_the_closed_forms_in_both_modes(b
     weights = jnp.asarray([1e-8, 1e-8, 1.0, 1.0, 1.0, 1.0])
     backward = by_numpy(jax.grad(lambda length: weights @ values(length)))(zero)
     assert float(backward) == pytest.approx(float(weights @ forward), rel=1e-9)
+
+
+def test_derivatives_by_the_section_of_a_design_are_those_of_the_closed_forms_in_both_modes():
+    model = cantilever()
+    asked = ("bar.max_stress", "bar.end_deflection", "mass")
+    problem = Problem(model, STILL, 1e-7, asked, Method("rk4", step=1e-7))
+
+    def values(section):
+        named = {"bar.section.width": section[0], "bar.section.height": section[1]}
+        given = dataclasses.replace(problem, design=design(model, named))
+        found = given({"bar.length": 0.0})[0]
+        return jnp.stack([found[name] for name in asked])
+
+    point = np.array([WIDTH, HEIGHT])
+    forward = by_numpy(jax.jacfwd(values))(jnp.asarray(point))
+    h = 1e-6
+    slopes = [
+        (
+            np.array(expected(width=point[0] + h * w, height=point[1] + h * z))
+            - np.array(expected(width=point[0] - h * w, height=point[1] - h * z))
+        )
+        / (2 * h)
+        for w, z in ((1, 0), (0, 1))
+    ]
+    np.testing.assert_allclose(np.asarray(forward).T, slopes, rtol=1e-3)
+    around = jnp.asarray([point + sign * STEP * axis for axis in np.eye(2) for sign in (1, -1)])
+    ends = by_numpy(jax.vmap(values))(around)
+    np.testing.assert_allclose(np.asarray(forward).T, (ends[::2] - ends[1::2]) / (2 * STEP), rtol=1e-5)
+    weights = jnp.asarray([1e-8, 1.0, 1.0])
+    backward = by_numpy(jax.grad(lambda section: weights @ values(section)))(jnp.asarray(point))
+    np.testing.assert_allclose(backward, np.asarray(weights) @ forward, rtol=1e-9)
 
 
 def test_derivatives_are_finite_without_load():

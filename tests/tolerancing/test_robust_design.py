@@ -112,6 +112,20 @@ def test_worst_cases_of_two_limits():
     assert list(found.tolerances.values()) == pytest.approx([0.85, 0.85], abs=1e-5)
 
 
+def test_two_limits_may_be_worst_at_one_corner():
+    # 0.3 + d + t <= 1 and t - d <= 1, both worst where a is largest.
+    def both(errors):
+        return {"right": 0.3 + errors["d"] + errors["a"], "left": errors["a"] - errors["d"]}
+
+    pair = FunctionProblem(both, ("d", "a"), ("right", "left"), error_units=dict.fromkeys("da", "m"))
+    found = optimise(
+        pair, {"d": (-0.5, 0.5)}, {"a": (0.01, 2.0)}, "cost", {"right": 1.0, "left": 1.0}, robust="worst_case",
+        cost=Reciprocal(), key=KEY,
+    )  # fmt: skip
+    assert found.status == "ok" and found.designs["d"] == pytest.approx(-0.15, abs=1e-5)
+    assert found.tolerances["a"] == pytest.approx(0.85, abs=1e-5)
+
+
 def test_root_sum_of_squares_of_a_linear_limit(gap):
     # Squared reciprocal costs: mean - c deviations of the sample itself, so the optimum is compared with a fine search
     # over d of the closed form for the sample's own second moments.
@@ -155,6 +169,26 @@ def test_an_infeasible_request_names_the_limit_in_the_way(beam):
     reached = re.search(r"reaches (\S+) kg and (\S+) m;", found.message)
     expected = (DENSITY * width * 0.06 * LENGTH, mass * 5e-5)
     assert reached is not None and tuple(map(float, reached.groups())) == pytest.approx(expected, rel=1e-4)
+
+
+def test_an_infeasible_worst_case_comes_as_near_as_it_can():
+    def both(errors):
+        return {"right": 0.3 + errors["d"] + errors["a"], "left": 0.6 + errors["b"] - errors["d"]}
+
+    pair = FunctionProblem(both, ("d", "a", "b"), ("right", "left"), error_units=dict.fromkeys("dab", "m"))
+    found = optimise(
+        pair,
+        {"d": (-0.5, 0.5)},
+        {"a": 0.6, "b": 0.6},
+        "left",
+        {"right": 0.5, "left": 0.5},
+        robust="worst_case",
+        key=KEY,
+    )
+    # 0.9 + d - 0.5 = 1.2 - d - 0.5 at d = 0.15.
+    assert found.status == "infeasible" and found.designs["d"] == pytest.approx(0.15, abs=1e-6)
+    assert [check.predicted for check in found.limits] == pytest.approx([1.05, 1.05], abs=1e-6)
+    assert "on right" in found.message and "on left" in found.message
 
 
 def test_a_dimension_may_scatter_too(beam):

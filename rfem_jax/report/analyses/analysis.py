@@ -11,16 +11,16 @@ import jax.numpy as jnp
 
 from rfem_jax.description.study import Study
 from rfem_jax.mechanics.model import Model
-from rfem_jax.mechanics.model_with_errors import AssemblyErrors, assembly_errors
+from rfem_jax.mechanics.model_with_errors import AssemblyErrors
 from rfem_jax.report.annotations import Figure
 from rfem_jax.report.output import write_json, write_pictures
 from rfem_jax.report.summary import PLOTS_HINT, study_note
+from rfem_jax.simulation import cases
 
 
 def errors_of_cases(study: Study, model: Model) -> AssemblyErrors:
     """The errors of all cases of a study, along a first axis."""
-    every = [assembly_errors(model, case.errors) for case in study.cases]
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *every)
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *cases.errors_of_cases(study, model))
 
 
 def error_names(study: Study) -> tuple[str, ...]:

@@ -13,11 +13,13 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from rfem_jax.compilation.program import Program
-from rfem_jax.description.error_catalogue import error_unit
+from rfem_jax.description.deviations import deviation_unit
 from rfem_jax.description.study import Study
+from rfem_jax.labelled_data import column_name
 from rfem_jax.mechanics.centre_lines import link_lines
+from rfem_jax.mechanics.designs import designed
 from rfem_jax.mechanics.model import Coordinates, Model
-from rfem_jax.mechanics.model_with_errors import AssemblyErrors, apply_errors, assembly_errors
+from rfem_jax.mechanics.model_with_errors import AssemblyErrors, apply_errors, assembly_errors, sum_of
 from rfem_jax.mechanics.orientations import moved
 from rfem_jax.mechanics.status import STATUS
 from rfem_jax.report.analyses.analysis import draw, error_names, errors_of_cases, write_analysis
@@ -33,11 +35,12 @@ SHOWN_UNIT = {"rad": (np.pi / 180.0, "deg"), "m": (1e-3, "mm")}
 
 
 class ModesResult(NamedTuple):
-    """Modes of all cases (first axis), and derivatives (cases, modes, errors) [Hz/rad, Hz/m] of the frequencies by the
-    errors `names`, NaN of repeated ones."""
+    """Modes of all cases (first axis), and derivatives (cases, modes, errors) [Hz by the errors' units] of the
+    frequencies by the errors `names`, NaN of repeated ones."""
 
     modes: NaturalModes
     names: tuple[str, ...]
+    units: tuple[str, ...]
     derivatives: Float[np.ndarray, "cases modes errors"]
 
 
@@ -55,7 +58,8 @@ def compute_modes(study: Study, model: Model, count: int, locked: bool) -> Modes
     modes, derivatives = _of_cases(model, errors_of_cases(study, model), names, count, locked)
     modes = jax.tree.map(np.asarray, modes)
     derivatives = np.where((modes.repeated > 0)[..., None], np.nan, np.asarray(derivatives))
-    return ModesResult(modes, names, derivatives)
+    units = tuple(deviation_unit(study.mechanism, name) for name in names)
+    return ModesResult(modes, names, units, derivatives)
 
 
 @partial(Program, quick=True)
@@ -65,7 +69,7 @@ def _of_cases(
     def one(errors):
         def frequencies(values):
             more = assembly_errors(model, dict(zip(names, values, strict=True)))
-            modes = natural_frequencies(model, jax.tree.map(jnp.add, errors, more), count=count, locked=locked)
+            modes = natural_frequencies(model, sum_of(errors, more), count=count, locked=locked)
             return modes.frequency, modes
 
         zeros = jnp.zeros(len(names))
@@ -101,8 +105,8 @@ def modes_text(study: Study, result: ModesResult) -> str:
 def _derivatives_text(result: ModesResult, c: int, case: str) -> str:
     """Table of the derivatives in one case."""
     frequency, rows = result.modes.frequency[c], []
-    for e, name in enumerate(result.names):
-        size, unit = SHOWN_UNIT[error_unit(name)]
+    for e, (name, si) in enumerate(zip(result.names, result.units, strict=True)):
+        size, unit = SHOWN_UNIT.get(si, (1.0, si))
         derivatives = result.derivatives[c, :, e] * size
         # Symmetry makes many of them zero, up to rounding.
         derivatives = np.where(np.abs(derivatives) < ROUNDING * frequency, 0.0, derivatives)
@@ -138,7 +142,10 @@ def write_modes(folder: Path, study: Study, result: ModesResult, shapes: Shapes)
             listed.append({**one, "derivatives": derivatives})
             row: dict[str, Any] = {"case": case.name, "mode": m + 1, "frequency_Hz": one["frequency"]}
             row |= {key: one[key] for key in ("damping_ratio", "repeated", "stable")}
-            rows.append(row | {f"by_{name}_Hz_{error_unit(name)}": value for name, value in derivatives.items()})
+            columns = (
+                column_name(f"by_{name}_Hz", unit) for name, unit in zip(result.names, result.units, strict=True)
+            )
+            rows.append(row | dict(zip(columns, derivatives.values(), strict=True)))
         cases[case.name] = {"status": statuses(result)[c], "modes": listed}
     units = {"frequency": "Hz", "derivatives": "Hz/rad or Hz/m", "damping_ratio": "1"}
     content = {"cases": cases, "units": units, "shapes": _shapes_content(study, shapes)}
@@ -172,7 +179,8 @@ def mode_shapes(study: Study, model: Model, result: ModesResult) -> Shapes:
 @partial(Program, quick=True)
 def _shapes(model: Model, errors: AssemblyErrors, modes: NaturalModes):
     """Lines of the links at the equilibrium, and their displacements in every mode."""
-    actual = apply_errors(model, errors)
+    made = designed(model, None, errors)
+    model, actual = made.model, apply_errors(made.model, errors)
 
     def lines(change):
         return link_lines(model, actual, moved(model.topology, modes.position, change))

@@ -31,6 +31,7 @@ from rfem_jax.report.style import (
     panel_grid,
 )
 from rfem_jax.report.tasks import study_problem
+from rfem_jax.report.tasks.sobol_bars import sobol_figure
 from rfem_jax.report.tasks.task_files import metric_units, write_task_json
 from rfem_jax.report.tasks.task_report import GRADIENT, TaskReport
 from rfem_jax.text_layout import size_text
@@ -149,10 +150,11 @@ class MonteCarloReport(TaskReport[MonteCarloTask, MonteCarloResult]):
         return count, 1 + 4 * len(specified.names) if self.task.control_variate else 0
 
     def draw(self, result: MonteCarloResult) -> dict[str, Figure]:
-        return {
+        figures = {
             "histograms": histogram_figure(self.study, result),
             "scatter_matrix": scatter_matrix_figure(self.study, result),
         }
+        return figures if result.sobol_indices is None else figures | {"sobol": sobol_figure(self.study, result)}
 
 
 def describe_study(study: Study) -> dict[str, str]:

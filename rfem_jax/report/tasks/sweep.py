@@ -6,6 +6,7 @@ errors in deg and mm, metrics in their own units.
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from rfem_jax.compilation.stages import on_stage
+from rfem_jax.description.deviations import deviation_unit
 from rfem_jax.description.error_catalogue import as_specified
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.study import Study
@@ -123,7 +125,7 @@ class SweepReport(TaskReport[SweepTask, SweepResult]):
         """Bounds too in deg and mm."""
         if name != "bounds":
             return super().setting_text(name, value)
-        unit = self.study.mechanism.error_unit
+        unit = partial(deviation_unit, self.study.mechanism)
         texts = []
         for error, pair in value.items():
             low, high = (format_error("", end, unit(error)).removeprefix(" = ") for end in pair)

@@ -140,13 +140,21 @@ class WorstCaseCriterion(Criterion):
             known = max(g for g, owner in before if owner == number)
             points, heights = worst_points(self.observer, self.limits[number], y, starts)
             for z, height in zip(points[:2], heights[:2], strict=True):
-                new = np.max(np.abs(self.points - z), axis=1).min() > NEW_POINT
-                if height > max(known, 0.0) + NEW_POINT**2 and new:
-                    self.points = np.concatenate([self.points, z[None]])
-                    self.owner.append(number)
-                    self.row.append(len(self.points) - 1)
-                    added = True
+                if height > max(known, 0.0) + NEW_POINT**2:
+                    added = self._add(number, z) or added
         return added
+
+    def _add(self, number: int, z: Float[np.ndarray, " k"]) -> bool:
+        """Let a limit hold at a point, which may be that of another limit; returns whether it did not before."""
+        distances = np.max(np.abs(self.points - z), axis=1)
+        row = int(np.argmin(distances))
+        if distances[row] > NEW_POINT:
+            self.points, row = np.concatenate([self.points, z[None]]), len(self.points)
+        if (number, row) in zip(self.owner, self.row, strict=True):
+            return False
+        self.owner.append(number)
+        self.row.append(row)
+        return True
 
 
 class SampleCriterion(Criterion):

@@ -199,6 +199,15 @@ class _Study:
             found = minimise_within(self.evaluate, found.y, most=self.steps)
         return found
 
+    def nearest(self, start: Float[np.ndarray, " p"], key: RandomKey) -> Found:
+        """The point that comes nearest to the limits, all worst points found."""
+        found = least_violation(self.evaluate, start, most=self.steps)
+        for number in range(EXCHANGES):
+            if not self.criterion.extend(found.y, jax.random.fold_in(key, number)):
+                break
+            found = least_violation(self.evaluate, found.y, most=self.steps)
+        return found
+
     def _note(self, found: Found) -> None:
         self.history.append((found.objective * self.scale, float(np.max(found.constraints, initial=0.0))))
 
@@ -220,7 +229,7 @@ class _Study:
             verified = self.verify(found.y, jax.random.fold_in(again, 1))
         status, message = self.judge(found, verified)
         if status == "infeasible":
-            nearest = least_violation(self.evaluate, found.y, most=self.steps)
+            nearest = self.nearest(found.y, jax.random.fold_in(key, ATTEMPTS + 3))
             if nearest.violation <= HOLDS:  # the search for the best point missed what there is
                 found = self.solve(nearest.y, jax.random.fold_in(key, ATTEMPTS))
                 verified = self.verify(found.y, jax.random.fold_in(key, ATTEMPTS + 1))

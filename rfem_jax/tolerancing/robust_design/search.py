@@ -145,9 +145,9 @@ def multipliers_at(y: Float[np.ndarray, " p"], found: Evaluation) -> tuple[Float
     active = np.flatnonzero(constraints >= -ACTIVE)
     unit = np.eye(len(y))
     columns = np.concatenate([derivatives[active], unit[y >= 1.0 - ACTIVE], -unit[y <= ACTIVE]]).T
-    found = np.zeros(len(constraints))
+    multipliers = np.zeros(len(constraints))
     if columns.shape[1] == 0:
-        return found, float(np.max(np.abs(gradient), initial=0.0))
+        return multipliers, float(np.max(np.abs(gradient), initial=0.0))
     solution, _ = nnls(columns, -gradient)
-    found[active] = solution[: len(active)]
-    return found, float(np.max(np.abs(gradient + columns @ solution)))
+    multipliers[active] = solution[: len(active)]
+    return multipliers, float(np.max(np.abs(gradient + columns @ solution)))
