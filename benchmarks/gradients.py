@@ -1,10 +1,12 @@
 """Cost of derivatives, as ratios to one simulation in the same run, and memory.
 
     python benchmarks/gradients.py [--methods generalised_alpha rk4] [--counts 3 30] [--batches 1 16]
-                                   [--tolerance 1e-3] [--parts cost accuracy] [--share 1] [--study FILE] ...
+                                   [--parameters 10] [--tolerance 1e-3] [--parts cost accuracy] [--share 1]
+                                   [--study FILE] ...
 
 cost: for 3 errors (joint D) and 30 (both sides of all joints), alone and in a batch: the value, forward mode
-(`jacfwd` of the mean-square moments of all joints) and reverse mode (`grad` of one).  The implicit
+(`jacfwd` of the mean-square moments of all joints) and reverse mode (`grad` of one); with `--parameters` last of all
+for so many parameters of the description, one of every kind first, with the 3 errors.  The implicit
 method runs the whole 0.5 s of the main study with steps of 2 ms, Runge-Kutta 4 its first 10 ms.  Times are
 those of the processor (one thread, so that other programs do not count), the least of several runs,
 compilation apart; memory is what the compiler reserves for intermediates.
@@ -49,6 +51,10 @@ from rfem_jax.simulation.solvers.generalised_alpha import GeneralisedAlpha  # no
 
 STUDY = Path(__file__).parents[1] / "studies" / "four_bar" / "study.toml"
 FIRST = ("D.delta_x", "D.delta_z", "D.d_y")
+PARAMETERS = (
+    *("bar.height", "bar.width", "steel.youngs_modulus", "steel.density", "D.position.x", "A.angle"),
+    *("gravity.z", "steel.damping", "D.position.z", "D.child_position.x", "bar.shear_factor", "steel.poisson_ratio"),
+)
 KINDS = {"D.delta_x": 2e-3, "D.delta_z": -1.5e-3, "D.d_y": 5e-4, "B.child.delta_x": 1e-3, "coupler.length": 5e-4}
 SIZES = {"delta_x": 2e-3, "delta_z": -1.5e-3, "d_y": 5e-4}  # of other studies
 SCALES, TIGHT = (0.05, 0.5, 1.0, 3.0), 1e-11
@@ -72,6 +78,13 @@ def chosen_errors(problem: Problem, count: int) -> tuple[str, ...]:
     first = tuple(name for name in FIRST if name in problem.error_names)
     others = [n for n in problem.error_names if "pin" not in n and n not in FIRST]
     return (*first, *others)[:count]
+
+
+def chosen_parameters(problem: Problem, count: int) -> tuple[str, ...]:
+    """So many parameters: those of `PARAMETERS` first, and the first three errors."""
+    known = [name for name in problem.error_names if name not in problem.model.topology.error_names]
+    first = [name for name in PARAMETERS if name in known]
+    return (*first, *(name for name in known if name not in first))[:count] + chosen_errors(problem, 3)
 
 
 def measure(label: str, function, points, base: float | None, repeats: int) -> float:
@@ -140,18 +153,20 @@ def measure_cost(options) -> None:
         problem = build_problem(options, method)
         for batch in options.batches:
             base = None
-            for count in options.counts:
-                names = chosen_errors(problem, count)
+            asked = [(f"{count} errors", chosen_errors(problem, count)) for count in options.counts]
+            if options.parameters:
+                asked.append((f"{options.parameters} parameters", chosen_parameters(problem, options.parameters)))
+            for what, names in asked:
 
                 def values(point, names=names, problem=problem):
                     return problem(dict(zip(names, point)))[0]
 
                 spread = jnp.linspace(0.5, 1.5, batch)[:, None]
-                points = 1e-4 * spread * jnp.ones((1, count))
+                points = 1e-4 * spread * jnp.ones((1, len(names)))
                 label = f"{method}, batch {batch}"
                 if base is None:
                     base = measure(f"{label}, value", values, points, None, options.repeats)
-                label = f"{label}, {count} errors"
+                label = f"{label}, {what}"
                 if "forward" in options.modes:
                     measure(f"{label}, forward", jax.jacfwd(values), points, base, options.repeats)
                 metric = problem.metrics[0].name
@@ -166,6 +181,7 @@ def main() -> None:
     parser.add_argument("--parts", nargs="+", choices=parts, default=list(parts))
     parser.add_argument("--methods", nargs="+", default=["generalised_alpha", "rk4"])
     parser.add_argument("--counts", nargs="+", type=int, default=[3, 30])
+    parser.add_argument("--parameters", type=int, default=0, help="of the description, with the first three errors")
     parser.add_argument("--batches", nargs="+", type=int, default=[1, 16])
     parser.add_argument("--rfes", type=int, default=5)
     parser.add_argument("--tolerance", type=float, default=1e-3, help="of the implicit method")

@@ -25,7 +25,7 @@ def require_deviation(mechanism: Mechanism, name: str, where: str = "name") -> N
     if name not in known:
         raise InputError(
             f"{subject(where)} must be an error or a parameter of this mechanism, but `{name}` is none; "
-            f"{suggestion(name, (*mechanism.error_names, *known))}"
+            f"{mechanism.about_missing(name) or suggestion(name, (*mechanism.error_names, *known))}"
         )
 
 

@@ -85,6 +85,11 @@ def _by_direction(of_joint: dict[str, Any], has_compliance: bool, place: str) ->
     problems, tables = Problems(), []
     for key in ("stiffness", "damping"):
         with problems.noted():
+            if isinstance(of_joint.get(key, {}), int | float | str):
+                raise InputError(
+                    f"{place} {key} must be a table of directions that the joint holds, but was {of_joint[key]!r}; "
+                    f"write {key} = {{ radial = ... }}, or, along a free motion, spring = {{ {key} = ... }}."
+                )
             tables.append(checked_table(of_joint.get(key, {}), f"{place} {key}", (), [*TablesByDirection.keys()]))
     problems.refuse()
     return TablesByDirection.of(*tables)
@@ -132,6 +137,11 @@ def read_force(table: object, place: str) -> Force:
     known = [*_keys_of_all(FORCES), "frame"]
     at_point = next((kind for key, kind in AT_POINTS.items() if isinstance(table, dict) and key in table), None)
     needed = () if at_point and isinstance(table, dict) and "kind" not in table else ("kind",)
+    said = table.get("kind", at_point) if isinstance(table, dict) else None
+    if isinstance(said, str) and said in FORCES and isinstance(table, dict):
+        # The nearest key of this kind is meant; keys of others are told by name below.
+        required, optional = force_keys(said)
+        known = [key for key in known if key in table or key in (*required, *optional)]
     content = dict(problems.usable(lambda: checked_table(table, place, needed, [*known, "kind"])))
     content.setdefault("kind", at_point)
     kind = kind_of(content, FORCES, "kind", place, problems)

@@ -14,7 +14,7 @@ coordinates, too (theory (13.1)).
 from dataclasses import dataclass
 from functools import cache, cached_property
 
-from rfem_jax.description.errors import require_choice
+from rfem_jax.description.errors import InputError, require_choice, subject
 
 _AXES = "xyz"
 
@@ -234,9 +234,30 @@ KINDS = {
 DEFAULT = "revolute"
 
 
+# Words for kinds in other programs and books; refused, with the name that is meant.
+OTHER_WORDS = {
+    "hinge": "revolute", "pin": "revolute", "rotational": "revolute",
+    "slider": "prismatic", "translational": "prismatic", "guide": "prismatic", "sliding": "prismatic",
+    "ball": "spherical", "cardan": "universal", "hooke": "universal",
+    "weld": "fixed", "rigid": "fixed", "clamp": "fixed", "plane": "planar",
+}  # fmt: skip
+
+
 def require_kind(name: object, where: str) -> JointKind:
     """The kind `name`; raises InputError with the nearest name if there is none."""
+    if isinstance(name, str) and (meant := OTHER_WORDS.get(name.lower())) is not None:
+        listed = ", ".join(f'"{kind}"' for kind in KINDS)
+        raise InputError(f"{subject(where)} must be one of {listed}, but was {name!r}; write {meant!r}.")
     return KINDS[require_choice(name, KINDS, where)]
+
+
+def why_no_error(kind: str, name: str) -> str:
+    """Why joints of a kind have no error `name` (what follows the joint's name), "" if no joint has such one."""
+    if name not in {**joint_errors(KINDS["fixed"]), **joint_errors(KINDS[DEFAULT])}:
+        return ""
+    if "pin" in name:
+        return f"only revolute joints have crooked pins, and this one is {kind}; tilt its seat or its child's bore."
+    return f"the free motions of a {kind} joint make it good, so that it has no effect; leave it out."
 
 
 def joint_errors(kind: JointKind) -> dict[str, str]:

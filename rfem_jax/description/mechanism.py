@@ -15,7 +15,7 @@ from rfem_jax.description.driven_motions import plain_motion
 from rfem_jax.description.error_catalogue import LINK_ERRORS, error_unit
 from rfem_jax.description.errors import Checks, ChecksItself, InputError, Problems, require_choice, subject, suggestion
 from rfem_jax.description.forces import Force, JointForce, JointFriction
-from rfem_jax.description.joint_kinds import KINDS, joint_errors
+from rfem_jax.description.joint_kinds import KINDS, joint_errors, why_no_error
 from rfem_jax.description.joints import Joint
 from rfem_jax.description.links import Link
 from rfem_jax.description.notebook_tables import mechanism_html
@@ -109,8 +109,13 @@ class Mechanism(ChecksItself):
 
     @property
     def tree_joints(self) -> tuple[Joint, ...]:
-        """The joints that are not cut, one per link, parents first, else in the order of links."""
-        return _sorted_tree(self.links, self._parent_joints())
+        """The joints that are not cut, one per link, by depth in the tree, else in the order of links."""
+        joints, ordered, level = self._parent_joints(), [], {"base"}
+        while level:
+            joined = [joints[link.name] for link in self.links if joints[link.name].parent in level]
+            ordered += joined
+            level = {joint.child for joint in joined}
+        return tuple(ordered)
 
     @property
     def cut_joints(self) -> tuple[Joint, ...]:
@@ -134,8 +139,14 @@ class Mechanism(ChecksItself):
         if name not in self.error_names:
             raise InputError(
                 f"{subject(where)} must be an error of this mechanism, but `{name}` is none; "
-                f"{suggestion(name, self.error_names)}"
+                f"{self.about_missing(name) or suggestion(name, self.error_names)}"
             )
+
+    def about_missing(self, name: str) -> str:
+        """Why there is no error `name`, and what to do, where its joint exists but is of a kind that has none."""
+        joint, _, error = str(name).partition(".")
+        kinds = {one.name: one.kind for one in self.joints}
+        return why_no_error(kinds[joint], error) if joint in kinds else ""
 
     def _parent_joints(self) -> dict[str, Joint]:
         return {joint.child: joint for joint in self.joints if not joint.cut}
@@ -320,13 +331,3 @@ def _check_reaches_base(name: str, parents: dict[str, Joint]) -> None:
                 "join one of its links to the base."
             )
         seen.append(name)
-
-
-def _sorted_tree(links: Sequence[Link], parents: dict[str, Joint]) -> tuple[Joint, ...]:
-    placed, ordered, waiting = {"base"}, [], [link.name for link in links]
-    while waiting:
-        name = next(name for name in waiting if parents[name].parent in placed)
-        waiting.remove(name)
-        placed.add(name)
-        ordered.append(parents[name])
-    return tuple(ordered)

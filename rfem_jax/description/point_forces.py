@@ -26,6 +26,7 @@ from rfem_jax.description.errors import (
     InputError,
     require_choice,
     require_name,
+    subject,
     suggestion,
 )
 from rfem_jax.description.forces import Force
@@ -231,7 +232,7 @@ class AtPoint(PointLoad):
         value = self.dimension
         checks.convert("name", require_name, "`name` of a force")
         of = f"of force `{self.name}`"
-        checks.convert("link", require_name, f"`link` {of}", ("base",))
+        checks.convert("link", _moving_link, f"`link` {of}")
         checks.convert("position", place_on_link, f"`position` {of}")
         checks.convert("axes", require_choice, AXES, f"`axes` {of}")
         if self.times is not None:
@@ -318,6 +319,12 @@ def _two(entries: Any, where: str, what: str) -> tuple[Any, Any]:
     if not isinstance(entries, (tuple, list)) or len(entries) != 2:
         raise InputError(f"Argument {where} must hold two {what}, but was {entries!r}; give one for each end.")
     return entries[0], entries[1]
+
+
+def _moving_link(name: Any, where: str) -> str:
+    if name == "base":
+        raise InputError(f"{subject(where)} must be a link, but was the base, which no force moves; name a link.")
+    return require_name(name, where)
 
 
 def _two_names(links: Any, where: str) -> tuple[str, str]:

@@ -1,7 +1,7 @@
 """Tolerances as a user specifies them: which errors vary, how far, and how they are distributed.
 
 Place in the pipeline: the table [tolerances] of a study file; `tasks` holds it, `report` makes the
-distributions of `rfem_jax.tolerancing.problems.distributions` of it.
+distributions of `rfem_jax.tolerancing.problems.named_tolerances` of it.
 
 Symbols: half-widths t and centres c of errors in m and rad; deviations k [1], standard deviations
 that a half-width holds (3 unless specified); correlation C [1].

@@ -55,7 +55,7 @@ class PartStructure(NamedTuple):
 
 def _structure_of(mechanism: Mechanism, parts: Parts, elements: dict[str, int], exact: bool) -> PartStructure:
     """Which rigid bodies there are and what is on each."""
-    links = _links_in_tree_order(mechanism)
+    links = [mechanism.link(joint.child) for joint in mechanism.tree_joints]
     discretised = _Links(tuple(links), tuple(elements[link.name] for link in links))
     tree = {joint.child: joint for joint in parts.joints if not joint.cut}
     joints = [tree[link.name] for link in links] + [j for j in parts.joints if j.cut]
@@ -297,17 +297,6 @@ def _start(joint: Joint, kind: JointKind) -> list[Number]:
         return values
     # No drive holds these angles: they are numbers of the description, not of a design.
     return [*values[:-3], *quaternion_of_angles(np.array(values[-3:], dtype=float)).tolist()]
-
-
-def _links_in_tree_order(mechanism: Mechanism) -> list[Link]:
-    """By depth in the tree, else in the order of the description (`Mechanism.tree_joints` goes down to a link's
-    children before its siblings)."""
-    parent = {j.child: j.parent for j in mechanism.joints if not j.cut}
-
-    def depth(name: str) -> int:
-        return 0 if parent[name] == "base" else 1 + depth(parent[name])
-
-    return sorted(mechanism.links, key=lambda link: depth(link.name))
 
 
 def _sections(links: Sequence[Link]) -> Sections:

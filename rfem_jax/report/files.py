@@ -76,13 +76,13 @@ def history_columns(study: Study, run: Run) -> dict[str, Float[np.ndarray, " tim
 
 def _first_angle(study: Study, run: Run) -> dict[str, Float[np.ndarray, " times"]]:
     """Angle and rate of the first drive, unless it is one on a translation; of the run where nothing is driven."""
-    first = run
+    angle, rate = run.angle, run.rate
     if drive_quantities(study):
         if not study.drive_motions[0].startswith("R"):
             return {}
         first = run.drives[study.drive_labels[0]]
-    position = first.angle if first is run else first.position
-    return {column_name("angle", "rad"): np.asarray(position), column_name("rate", "rad/s"): np.asarray(first.rate)}
+        angle, rate = first.position, first.rate
+    return {column_name("angle", "rad"): np.asarray(angle), column_name("rate", "rad/s"): np.asarray(rate)}
 
 
 def _point_columns(study: Study, run: Run) -> dict[str, Float[np.ndarray, " times"]]:

@@ -3,11 +3,12 @@
 Place in the pipeline: model, drive, duration, accuracy -> **method** -> cases, Problem.
 
 RMS loads of trial assemblies are compared between a step and half of it.  The implicit method is of order 2, so
-four thirds of the change estimate the error of the longer step (Richardson; theory (11.3), (11.4)).  One compiled
-program serves all steps.  Where no step is accurate enough (undamped vibrations, on whose phase forces depend)
-Runge-Kutta 4 is taken, at nine tenths of its largest stable step.
+four thirds of the change estimate the error of the longer step (Richardson; theory (11.3), (11.4)).  The static starts
+are found once; one compiled program serves all steps.  Where no step is accurate enough (undamped vibrations, on whose
+phase forces depend) Runge-Kutta 4 is taken, at nine tenths of its largest stable step.
 """
 
+import functools
 from dataclasses import replace
 
 import equinox as eqx
@@ -31,8 +32,10 @@ from rfem_jax.mechanics.model_with_errors import AssemblyErrors, assembly_errors
 from rfem_jax.mechanics.status import OK
 from rfem_jax.simulation import integration
 from rfem_jax.simulation.driving import Drive, require_driven
+from rfem_jax.simulation.integration import Prepared
 from rfem_jax.simulation.solvers.generalised_alpha import ACCURACY_OF_TOLERANCE
 from rfem_jax.simulation.stability import largest_stable_step, round_down
+from rfem_jax.simulation.stepping import Carry
 from rfem_jax.simulation.time_grid import TimeGrid
 
 TRIAL_INTERVALS = 50
@@ -96,11 +99,13 @@ def _longest_step(model, method: Method, drive, duration, accuracy, errors) -> f
     interval = duration / TRIAL_INTERVALS
     method = replace(method, step=interval)
     grid, _ = integration.grid_for(drive, duration, method, interval, model)
+    prepared, carry = prepare_trials(model, errors, drive, method)
 
     def loads(steps):
         # Traced: one program for all steps.
         count = jnp.asarray(steps, jnp.float64)
-        loads, residual, assembled = map(np.asarray, rms_loads(model, errors, drive, grid, method, count))
+        found = loads_of_trials(model, prepared, drive, carry, grid, method, count)
+        loads, residual, assembled = map(np.asarray, found)
         # Trial errors that rigid links cannot be assembled with say nothing about the step.
         used = assembled if assembled.any() else np.ones_like(assembled)
         return loads[used], residual[used].max()
@@ -164,18 +169,50 @@ def rms_loads(
     """
 
     def one(errors):
-        if not isinstance(errors, AssemblyErrors):
-            errors = assembly_errors(model, errors)
-        prepared = integration.prepare(model, errors, drive, None)
-        carry = integration.start_carry(model, prepared, drive, method)
-        carry = integration.advance_unobserved(model, prepared.actual, drive, carry, grid, method, steps)
-        metrics = integration.metrics_of(model, carry, grid.starts[-1] + grid.lengths[-1])
-        force = jnp.stack(list(metrics.rms_force.values()))
-        moment = jnp.stack(list(metrics.rms_moment.values()))
-        largest = integration.largest_force(carry)
-        if model.friction is not None:
-            largest = jnp.maximum(largest, jnp.max(moment) / jnp.max(model.length))
-        residual = carry.residual / jnp.where(largest > 0.0, largest, 1.0)
-        return jnp.stack([force, moment]), residual, prepared.status == OK
+        prepared, carry = _prepared(model, errors, drive, method)
+        return _loads_of(model, prepared, drive, carry, grid, method, steps)
 
     return jax.vmap(one)(errors)
+
+
+@functools.partial(Program, quick=True)
+def prepare_trials(model: Model, errors: AssemblyErrors, drive: Drive, method: Method) -> tuple[Prepared, Carry]:
+    """The static starts of `rms_loads`, which no number of steps changes; run once, they compile quickly."""
+    return jax.vmap(lambda errors: _prepared(model, errors, drive, method))(errors)
+
+
+@Program
+def loads_of_trials(
+    model: Model,
+    prepared: Prepared,
+    drive: Drive,
+    carry: Carry,
+    grid: TimeGrid,
+    method: Method,
+    steps: Float[Array, ""],
+) -> tuple[Float[Array, "cases 2 joints"], Float[Array, " cases"], Bool[Array, " cases"]]:
+    """`rms_loads` from what `prepare_trials` gives."""
+
+    def one(prepared, carry):
+        return _loads_of(model, prepared, drive, carry, grid, method, steps)
+
+    return jax.vmap(one)(prepared, carry)
+
+
+def _prepared(model, errors, drive, method: Method) -> tuple[Prepared, Carry]:
+    if not isinstance(errors, AssemblyErrors):
+        errors = assembly_errors(model, errors)
+    prepared = integration.prepare(model, errors, drive, None)
+    return prepared, integration.start_carry(model, prepared, drive, method)
+
+
+def _loads_of(model, prepared: Prepared, drive, carry: Carry, grid, method: Method, steps):
+    carry = integration.advance_unobserved(model, prepared.actual, drive, carry, grid, method, steps)
+    metrics = integration.metrics_of(model, carry, grid.starts[-1] + grid.lengths[-1])
+    force = jnp.stack(list(metrics.rms_force.values()))
+    moment = jnp.stack(list(metrics.rms_moment.values()))
+    largest = integration.largest_force(carry)
+    if model.friction is not None:
+        largest = jnp.maximum(largest, jnp.max(moment) / jnp.max(model.length))
+    residual = carry.residual / jnp.where(largest > 0.0, largest, 1.0)
+    return jnp.stack([force, moment]), residual, prepared.status == OK

@@ -31,11 +31,10 @@ from rfem_jax.mechanics.model_with_errors import AssemblyErrors, ModelWithErrors
 from rfem_jax.mechanics.orientations import angles_of
 from rfem_jax.mechanics.statics.assembly import (
     Load,
-    equilibrium,
     held_angles,
     length_scale,
+    moving_equilibrium,
     named,
-    quasi_static_rates,
     static_loads,
 )
 from rfem_jax.mechanics.status import (
@@ -164,13 +163,10 @@ def prepare(model: Model, errors: AssemblyErrors, drive: Drive, start: State | N
         held = held_angles(model, None)
         first = active_drives(model, drive).at(jnp.zeros(()), jnp.asarray(0, jnp.int32)).motions
         held |= {k: position for k, (position, _, _) in first.items()}
-        position, multipliers, status = equilibrium(model, actual, held)
-        state = loads.static_state(model.topology, position)
-        preload = static_loads(model, actual, state, multipliers)
-        if first:
-            rates = quasi_static_rates(model, actual, held, {k: rate for k, (_, rate, _) in first.items()})
-            state = State(position, rates)
-        return Prepared(actual, state, preload, status)
+        rates = {k: rate for k, (_, rate, _) in first.items()}
+        state, multipliers, status = moving_equilibrium(model, actual, held, rates)
+        resting = loads.static_state(model.topology, state.position)
+        return Prepared(actual, state, static_loads(model, actual, resting, multipliers), status)
 
 
 def start_carry(model: Model, prepared: Prepared, drive: Drive, method: Method) -> Carry:

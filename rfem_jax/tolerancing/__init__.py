@@ -19,17 +19,10 @@ from rfem_jax.tolerancing.allocation.cost_models import Exponential, Reciprocal,
 from rfem_jax.tolerancing.designs.response_surface import fit_response_surface
 from rfem_jax.tolerancing.designs.sweep_study import sweep
 from rfem_jax.tolerancing.problems.capability import process_capability
-from rfem_jax.tolerancing.problems.distributions import (
-    CorrelatedNormal,
-    Normal,
-    ProcessNormal,
-    Tolerances,
-    Triangular,
-    TruncatedNormal,
-    Uniform,
-    Zone,
-)
+from rfem_jax.tolerancing.problems.distributions import Normal, ProcessNormal, Triangular, TruncatedNormal, Uniform
+from rfem_jax.tolerancing.problems.joint_distributions import CorrelatedNormal, Zone
 from rfem_jax.tolerancing.problems.metrics import metric, register_metric
+from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.problem import FunctionProblem, Metric
 from rfem_jax.tolerancing.problems.quadratic_model import QuadraticModel, expand
 from rfem_jax.tolerancing.problems.simulated_problem import Problem

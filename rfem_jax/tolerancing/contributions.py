@@ -26,7 +26,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy import stats
 
-from rfem_jax.tolerancing.problems.distributions import Tolerance, Tolerances
+from rfem_jax.tolerancing.problems.distributions import Tolerance
+from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.quadratic_model import QuadraticModel
 
 NODES = np.linspace(-10.0, 10.0, 8001)  # of integrals over a standard normal number

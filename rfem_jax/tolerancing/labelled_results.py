@@ -16,7 +16,7 @@ from rfem_jax.tolerancing.layout import show_error
 CLOSEST = 8  # errors of a table in a notebook
 
 
-def _named(names: Sequence[str], units: Sequence[str], dimension: str) -> dict[str, Any]:
+def named_dimension(names: Sequence[str], units: Sequence[str], dimension: str) -> dict[str, Any]:
     """Coordinates of a dimension: its names and their units."""
     written = np.array([unit or "1" for unit in units], dtype=np.str_)
     return {dimension: tuple(names), f"{dimension}_unit": Labelled((dimension,), written)}
@@ -48,7 +48,7 @@ class LabelledSensitivities:
         variables["tolerance"] = Labelled(("error",), self.scale, "", "half-width, in error_unit")
         variables["at"] = Labelled(("error",), [self.at.get(n, 0.0) for n in self.names], "", "point, in error_unit")
         variables["character"] = Labelled(("metric",), np.array(self.character, dtype=np.str_), "", "of the metric")
-        coordinates = _named(self.metrics, self.metric_units, "metric") | _named(self.names, self.error_units, "error")
+        coordinates = named_dimension(self.metrics, self.metric_units, "metric") | named_dimension(self.names, self.error_units, "error")
         if self.hessian is not None:
             coordinates["error_2"] = self.names
         attributes = {"title": "Sensitivities", "order": self.order, "derivatives_by": self.mode, "status": self.status}
@@ -84,7 +84,7 @@ class LabelledMonteCarlo:
         fractions = list(found[0].quantiles)
         number = Labelled(("sample",), np.arange(len(self.status)), "1", "number of the sample")
         coordinates = {"sample": number, "estimate": ESTIMATE, "quantile": Labelled(("quantile",), fractions, "1")}
-        coordinates |= _named(self.metrics, self.metric_units, "metric") | _named(self.names, self.error_units, "error")
+        coordinates |= named_dimension(self.metrics, self.metric_units, "metric") | named_dimension(self.names, self.error_units, "error")
         quantiles = [[_ends(one.quantiles[q]) for q in fractions] for one in found]
         limits = np.array([self.limits.get(name, (-np.inf, np.inf)) for name in self.metrics], dtype=float)
         asked: dict[str, tuple[tuple[str, ...], Any, str]] = {
@@ -190,7 +190,7 @@ class LabelledWorstCase:
             variables["corner_value"] = Labelled(("corner",), self.corners.values, unit, "metric at a corner")
         attributes = {"title": f"Worst case of {self.metric}", "status": self.status, "region": self.region}
         attributes |= {"found_by": self.found_by, "failed": self.failed, "kkt_residual": float(self.kkt_residual)}
-        return dataset(variables, _named(self.names, self.error_units, "error"), attributes)
+        return dataset(variables, named_dimension(self.names, self.error_units, "error"), attributes)
 
     def rows(self: Any) -> list[dict[str, Any]]:
         """The point found, the best corner, the quadratic model's and the centre; `unit` is that of `value`."""
@@ -250,7 +250,7 @@ class LabelledAllocation:
             variables[name] = Labelled(of_limit, values, "", f"{name.replace('_', ' ')}, in limit_unit")
         ends = [check.verified_interval for check in self.limits]
         variables["verified_interval"] = Labelled((*of_limit, "end"), np.reshape(ends, (-1, 2)), "", "in limit_unit")
-        coordinates = _named(names, [self.units[name] for name in names], "error") | {"end": ("low", "high")}
+        coordinates = named_dimension(names, [self.units[name] for name in names], "error") | {"end": ("low", "high")}
         for name in ("metric", "side", "unit"):
             values = np.array([getattr(check, name) or "1" for check in self.limits], dtype=np.str_)
             coordinates["limit_unit" if name == "unit" else name] = Labelled(of_limit, values)

@@ -30,8 +30,8 @@ from rfem_jax.tolerancing.checks import ErrorValues, check_known
 from rfem_jax.tolerancing.contributions import VarianceShares, variance_shares
 from rfem_jax.tolerancing.labelled_results import LabelledSensitivities
 from rfem_jax.tolerancing.layout import show_error, show_number, without_rounding
-from rfem_jax.tolerancing.problems.distributions import Tolerances
 from rfem_jax.tolerancing.problems.evaluation import describe_status, read_point, select_half_widths
+from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.problem import Metric, ToleranceProblem
 from rfem_jax.tolerancing.problems.quadratic_model import QuadraticModel, check_expansion, expand_point
 from rfem_jax.tolerancing.progress import ProgressBar, ProgressOption

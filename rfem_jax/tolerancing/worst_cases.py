@@ -42,7 +42,6 @@ from rfem_jax.tolerancing.optimisation.starting_points import (
     region_of,
     start_points,
 )
-from rfem_jax.tolerancing.problems.distributions import Tolerances, distributions_of
 from rfem_jax.tolerancing.problems.evaluation import (
     Base,
     evaluate_points,
@@ -50,6 +49,7 @@ from rfem_jax.tolerancing.problems.evaluation import (
     select_half_widths,
     split_errors,
 )
+from rfem_jax.tolerancing.problems.named_tolerances import Tolerances, distributions_of
 from rfem_jax.tolerancing.problems.problem import Metric, ToleranceProblem
 from rfem_jax.tolerancing.problems.quadratic_model import (
     QuadraticModel,

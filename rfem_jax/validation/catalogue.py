@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 from rfem_jax.description.errors import InputError, suggestion
 from rfem_jax.validation import (
+    acting_forces,
     andrews_squeezer,
     bennett_loop,
     cantilevers,
@@ -36,6 +37,7 @@ BENCHMARKS = (
     Benchmark("slider_cranks", "slider-cranks, rigid and flexible", slider_cranks.validate),
     Benchmark("elastic_rod", "slider-crank with an elastic rod", flexible_slider_crank.validate),
     Benchmark("spatial_linkages", "spatial linkages with joints of many kinds", spatial_linkages.validate),
+    Benchmark("acting_forces", "gas force, spring and forces at points", acting_forces.validate),
     Benchmark("bushings", "four-bar on bushings", nonideal_joints.bushed),
     Benchmark("friction", "friction in hinges", nonideal_joints.friction),
     Benchmark("bennett_loop", "Bennett's overconstrained linkage", bennett_loop.validate),

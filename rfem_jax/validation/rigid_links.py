@@ -14,7 +14,7 @@ from rfem_jax.description import GivenSection, Link, RigidBody
 from rfem_jax.mechanics.kinematics import motion_of
 from rfem_jax.mechanics.model import Coordinates, Model, State
 from rfem_jax.mechanics.model_with_errors import apply_errors, assembly_errors
-from rfem_jax.mechanics.statics.assembly import equilibrium, held_angles, quasi_static_rates
+from rfem_jax.mechanics.statics.assembly import held_angles, moving_equilibrium
 
 # The section of a link whose mass is that of bodies on it: next to nothing.
 MASSLESS = GivenSection(1e6, 1e6, 1e6, 1e2, 1e2, 1e2, 1e-9, 1e-15, 1e-15, 1e-15)
@@ -81,25 +81,22 @@ def angles_of(axes: Axes) -> tuple[float, float, float]:
 def start_at_rate(model: Model, rate: Float[Array, ""]) -> State:
     """The nominal closed start, the driven joint turning at a rate [rad/s]."""
     actual, held = apply_errors(model, assembly_errors(model)), held_angles(model, None)
-    position, _, _ = equilibrium(model, actual, held)
-    return State(position, quasi_static_rates(model, actual, held, dict.fromkeys(model.topology.drives[:1], rate)))
+    return moving_equilibrium(model, actual, held, dict.fromkeys(model.topology.drives[:1], rate))[0]
 
 
 @Program
 def start_without_spin(model: Model, rate: Float[Array, ""]) -> State:
     """As `start_at_rate`, without angular velocity about their x axes of the links that may spin idly."""
     topology, actual, held = model.topology, apply_errors(model, assembly_errors(model)), held_angles(model, None)
-    position, _, _ = equilibrium(model, actual, held)
-    rates = quasi_static_rates(model, actual, held, dict.fromkeys(model.topology.drives[:1], rate))
-    now = motion_of(actual, State(position, rates))
-    joints = rates.joints
+    state = moving_equilibrium(model, actual, held, dict.fromkeys(model.topology.drives[:1], rate))[0]
+    now, joints = motion_of(actual, state), state.velocity.joints
     for l in sorted({topology.link_of_freedom[k] for k in topology.idle}):
         axis = now.links.rotation[:, 0, l]
         spin = now.links.velocity[:3, l] @ axis
         of_parent = now.links.rotation[:, :, topology.parents[l]]
         at = topology.coordinates[l]
         joints = joints.at[at.start : at.stop].add(-spin * (of_parent.T @ axis))
-    return State(position, Coordinates(joints, rates.elastic))
+    return State(state.position, Coordinates(joints, state.velocity.elastic))
 
 
 def rate_of(value: float) -> Float[Array, ""]:

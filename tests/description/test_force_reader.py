@@ -1,14 +1,15 @@
 """Tables in a joint, springs and forces at points in study files: other ways of writing what has classes."""
 
 import tomllib
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from rfem_jax import JointFriction, JointSpring, PointForce, PointMoment, PointSpring, PointSpringTable
+from rfem_jax import JointFriction, JointSpring, Link, PointForce, PointMoment, PointSpring, PointSpringTable, RigidBody
 from rfem_jax.description.errors import InputError
-from rfem_jax.description.force_reader import read_force, read_joint, read_spring
-from rfem_jax.description.study_reader import read_mechanism
+from rfem_jax.description.force_reader import FORCES, read_force, read_joint, read_spring
+from rfem_jax.description.study_reader import read_drives, read_mechanism
 
 from .test_study_files import FULL
 
@@ -101,6 +102,20 @@ def test_a_mechanism_holds_them_all():
     assert mechanism.force("B_spring").rest == pytest.approx(np.radians(10.0))
 
 
+def test_the_guide_s_tables_are_read():
+    """Every kind of table of the guide, as it is written there."""
+    guide = (Path(__file__).parents[2] / "docs" / "guides" / "own_mechanism.md").read_text(encoding="utf-8")
+    content = tomllib.loads(guide.split("```toml\n")[1].split("```")[0])
+    mechanism = content["mechanism"]
+    found = [force for one in mechanism["joints"] for force in read_joint(one, PLACE)[1]]
+    found += [read_spring(one, "[[mechanism.springs]]") for one in mechanism["springs"]]
+    found += [read_force(one, "[[mechanism.forces]]") for one in mechanism["forces"]]
+    kinds = {type(force) for force in found}
+    assert kinds == set(FORCES.values())
+    assert [Link(**{**one, "body": RigidBody(**one["body"])}).name for one in mechanism["links"]] == ["wheel"]
+    assert len(read_drives(content["drives"])) == 2
+
+
 @pytest.mark.parametrize(
     ("text", "kind", "pieces"),
     [
@@ -113,7 +128,7 @@ def test_a_mechanism_holds_them_all():
         ("stiffness = { axial = 1 }\ndamping = { radial = 1 }", "revolute", ("`radial` beside `damping.radial`",)),
         ("stiffness = { tilt = '3 N/m' }", "revolute", ("`stiffness.tilt` of joint `B`",)),
         ("stiffness = { x = 1 }\ndamping = { x = '3 N m s/rad' }", "revolute", ("`damping.x` of joint `B`",)),
-        ("stiffness = 3", "revolute", ("`B` stiffness must be a table",)),
+        ("stiffness = 3", "revolute", ("`B` stiffness must be a table of directions", "spring = { stiffness")),
         ("stiffness = {}", "revolute", ("must spring a direction", "radial, axial, tilt, x")),
         ("stiffness = { x = 1 }", "free", ("`stiffness` of joint `B`", "holds nothing")),
         ("spring = { stifness = 1 }", "revolute", ("`B` spring", "`stifness`", "`stiffness`")),
@@ -145,6 +160,14 @@ def test_wrong_tables_in_a_joint_are_refused(refused, text, kind, pieces):
 def test_wrong_springs_and_forces_are_refused(refused, read, table, pieces):
     with refused(*pieces):
         read(table, "[[mechanism.forces]] `f`")
+
+
+def test_keys_of_other_kinds_are_not_suggested():
+    """`points` is a key of springs."""
+    with pytest.raises(InputError) as caught:
+        read_force({"name": "f", "link": "a", "point": 0, "force": [1, 0, 0]}, "[[mechanism.forces]] `f`")
+    unknown, missing = caught.value.problems
+    assert "`point`; known are" in unknown and "`points`" not in unknown and "the key `position`" in missing
 
 
 def test_mistakes_in_a_joint_are_told_together():

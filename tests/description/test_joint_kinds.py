@@ -5,6 +5,7 @@ import math
 import pytest
 
 from rfem_jax.description import Joint, Mechanism
+from rfem_jax.description.deviations import require_deviation
 from rfem_jax.description.joint_kinds import KINDS, JointKind, joint_errors
 
 from .test_mechanism import beam
@@ -56,6 +57,28 @@ def test_names_and_units_of_a_mechanism_follow_the_kinds():
     assert not {"G.d_x", "A.delta_y", "G.pin_tilt_x"} & set(mechanism.error_names)
 
 
+@pytest.mark.parametrize(
+    ("name", "pieces"),
+    [
+        ("G.d_x", ("the free motions of a prismatic joint make it good", "leave it out")),
+        ("U.child.delta_z", ("the free motions of a universal joint make it good",)),
+        ("G.pin_tilt_x", ("only revolute joints have crooked pins", "prismatic")),
+        ("A.delta_w", ("did you mean `A.delta_",)),
+        ("H.delta_x", ("did you mean `",)),
+    ],
+)
+def test_errors_that_a_kind_does_not_have_are_explained(refused, name, pieces):
+    joints = [
+        Joint("A", "base", "crank"),
+        Joint("G", "base", "rocker", kind="prismatic"),
+        Joint("U", "crank", "rocker", cut=True, kind="universal"),
+    ]
+    mechanism = Mechanism([beam("crank"), beam("rocker")], joints)
+    for require in (mechanism.require_error, lambda name: require_deviation(mechanism, name)):
+        with refused(f"`{name}`", *pieces):
+            require(name)
+
+
 def test_starts_of_the_kinds():
     def start(kind, **values):
         return Joint("J", "base", "crank", kind=kind, **values).start_values
@@ -75,6 +98,8 @@ def test_starts_of_the_kinds():
     ("values", "pieces"),
     [
         ({"kind": "prismatik"}, ("`kind`", "did you mean `prismatic`")),
+        ({"kind": "Slider"}, ("`kind`", "'Slider'; write 'prismatic'")),
+        ({"kind": "ball"}, ("`kind`", "write 'spherical'")),
         ({"kind": "prismatic", "angle": 1.0}, ("`angle`", "prismatic", "`displacement`")),
         ({"kind": "revolute", "displacement": 1.0}, ("`displacement`", "revolute", "`angle`")),
         ({"kind": "cylindrical", "start": [0, 0]}, ("`start`", "`angle` and `displacement`")),

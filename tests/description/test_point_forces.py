@@ -86,7 +86,7 @@ def test_quantities_are_converted():
         (lambda: PointSpringTable("k", **ENDS, lengths=[0.1, 0.2], forces=[0]), ("`forces`", "has 1")),
         (lambda: PointSpringFunction("k", **ENDS, function=3.0), ("`function`", "function of length, rate")),
         (lambda: PointSpringFunction("k", **ENDS, function=lambda x: x), ("function(length, rate)", "TypeError")),
-        (lambda: PointForce("p", "base", 0, (0, 0, 1)), ("`link` of force `p`", "reserved word")),
+        (lambda: PointForce("p", "base", 0, (0, 0, 1)), ("`link` of force `p`", "the base, which no force moves")),
         (lambda: PointForce("p", "a", 0, (0, 1)), ("`force` of force `p`", "three components")),
         (lambda: PointForce("p", "a", 0, "1 N"), ("`force` of force `p`", "list of numbers")),
         (lambda: PointForce("p", "a", 0, (0, 0, 1), axes="local"), ("`axes` of force `p`", '"global", "link"')),

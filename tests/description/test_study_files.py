@@ -143,7 +143,7 @@ def test_the_main_study():
     assert study.mechanism.link("coupler").properties.damping == 1e-5
     assert [joint.name for joint in study.mechanism.cut_joints] == ["C"]
     angles = [math.degrees(joint.angle) for joint in study.mechanism.tree_joints]
-    assert angles == pytest.approx([-90.0, 54.4, -100.8], rel=1e-15)
+    assert angles == pytest.approx([-90.0, -100.8, 54.4], rel=1e-15)
     assert study.mechanism.driven_joint == "A"
     assert isinstance(study.drive, MomentRamp) and study.drive.breakpoints() == (0.1,)
     assert float(study.drive.moment) == 1.5
@@ -313,6 +313,10 @@ def test_the_line_of_a_syntax_error_is_named(load):
     line = TEXT[: TEXT.index("rise_time")].count("\n") + 1
     with pytest.raises(InputError, match=f"line {line}, column"):
         load(changed("rise_time = 0.1", "rise_time = 0.1 s"))
+
+
+def test_a_mark_of_an_editor_is_no_text(load):
+    assert load("\ufeff" + TEXT).title == load(TEXT).title
 
 
 def test_files_that_cannot_be_read(refused, tmp_path):

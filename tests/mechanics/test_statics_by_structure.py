@@ -124,3 +124,28 @@ def test_where_the_recursion_does_not_converge_the_jacobian_does(monkeypatch):
     np.testing.assert_allclose(derivatives[0], derivatives[1], rtol=1e-9)
     monkeypatch.setattr(search, "_linearised", without_matrix)
     assert by_numpy(at)(gravity)[1] == NOT_ASSEMBLED
+
+
+def test_rates_of_a_start_that_moves_are_those_of_equilibria():
+    """Of the same search: position, multipliers and status are those of rest."""
+    model = discretise(four_bar(rfes=2))
+    actual = apply_errors(model, assembly_errors(model, {"D.delta_x": 5e-3, "C.child.d_y": 2e-4}))
+
+    @by_numpy
+    def moving(angle):
+        return assembly.moving_equilibrium(model, actual, {0: angle}, {0: jnp.asarray(30.0)})
+
+    def resting(angle):
+        return assembly.equilibrium(model, actual, {0: angle})
+
+    angle, step = model.start_joints[0], 1e-5
+    state, multipliers, status = moving(angle)
+    ahead, behind = (moving(angle + sign * step)[0].position for sign in (1.0, -1.0))
+    position, same_multipliers, same_status = by_numpy(resting)(angle)
+    assert int(status) == int(same_status) == 0
+    jax.tree.map(lambda x, y: np.testing.assert_allclose(x, y, rtol=0, atol=1e-13), position, state.position)
+    np.testing.assert_allclose(multipliers, same_multipliers, rtol=1e-12)
+    for rate, one, other in zip(jax.tree.leaves(state.velocity), jax.tree.leaves(ahead), jax.tree.leaves(behind)):
+        difference = 30.0 * (one - other) / (2.0 * step)
+        np.testing.assert_allclose(rate, difference, rtol=1e-6, atol=1e-6 * np.abs(difference).max())
+    assert float(state.velocity.joints[0]) == 30.0

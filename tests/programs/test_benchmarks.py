@@ -21,11 +21,11 @@ def test_main_study(run_program):
 def test_cost_of_gradients(run_program, pendulum_file):
     said = run_program(
         "benchmarks/gradients.py", "--study", pendulum_file, "--rfes", 2, "--share", 0.01, "--parts", "cost",
-        "--counts", 2, "--batches", 1, "--repeats", 1,
+        "--counts", 2, "--parameters", 4, "--batches", 1, "--repeats", 1,
     )  # fmt: skip
-    labels = [f"{method}, batch 1" for method in ("generalised_alpha", "rk4")]
-    for label in labels:
-        for row in (f"{label}, value", f"{label}, 2 errors, forward", f"{label}, 2 errors, reverse"):
+    rows = [f"{asked}, {mode}" for asked in ("2 errors", "4 parameters") for mode in ("forward", "reverse")]
+    for method in ("generalised_alpha", "rk4"):
+        for row in (f"{method}, batch 1, value", *(f"{method}, batch 1, {row}" for row in rows)):
             assert re.search(rf"^{row}( +\d+\.\d+){{4}}$", said, re.M), said
 
 

@@ -188,6 +188,37 @@ def test_six_bar_press(run_command):
     assert moments["square"] < 1e-6 * moments["guide_tilted"] and moments["guide_tilted"] > 10.0
 
 
+def toggles_alone(content):
+    """The rigid toggles, driven in the crown, and the ram, whose pin alone gives way."""
+    mechanism = content["mechanism"]
+    starts = {"D": {"angle": "92 deg"}, "E": {"angle": "-4 deg"}, "G": {"displacement": "-0.6 mm"}, "F": {}}
+    mechanism["links"] = [
+        link | {"rfes": 1} for link in mechanism["links"] if link["name"] in ("upper", "lower", "ram")
+    ]
+    joints = [joint | starts[joint["name"]] for joint in mechanism["joints"] if joint["name"] in starts]
+    mechanism["joints"] = [
+        joint if joint.get("cut") else without(without(joint, "stiffness"), "damping") for joint in joints
+    ]
+    content["drive"]["joint"] = "D"
+    content["sensitivity"]["metrics"] = [name.replace("A.", "E.") for name in content["sensitivity"]["metrics"]]
+    for task in ("monte_carlo", "allocation"):
+        content[task]["limits"]["G.end_displacement"] = ["-2 mm", "1 mm"]
+
+
+@pytest.mark.slow
+def test_tasks_of_the_press(run_command):
+    out, said = run_command("run", reduced("six_bar_press/study.toml", change=toggles_alone))
+    check_tasks(out, said, 8)
+    with open(out / "sensitivity.csv", newline="", encoding="utf-8") as file:
+        rows = [row for row in csv.DictReader(file) if row["metric"].startswith("G.end_displacement")]
+    gradients = {row["error"]: float(row["gradient"]) for row in rows}
+    # Both toggles stand nearly along the stroke, on which no tilt has an effect of first order.
+    assert gradients["upper.length"] == pytest.approx(gradients["lower.length"], rel=1e-2)
+    assert 0.3 < gradients["upper.length"] < 1.0
+    assert max(abs(value) for error, value in gradients.items() if "length" not in error) < 1e-6
+    assert json.loads((out / "allocation.json").read_text())["status"] == "ok"
+
+
 @pytest.mark.slow
 def test_spatial_linkage(run_command):
     """With a rigid coupler, which compiles in half the time."""

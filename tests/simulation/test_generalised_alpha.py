@@ -182,6 +182,24 @@ def test_a_jump_restarts_the_method():
     np.testing.assert_allclose(grid.distinct[grid.kinds], grid.lengths, atol=1e-12)
 
 
+@pytest.mark.parametrize("rfes", [2, None])
+def test_a_mechanism_of_fixed_joints(rfes):
+    """No joint has a coordinate: a beam bent by its weight stays as it is, whatever its errors."""
+    model = discretise(Mechanism([link("beam", 0.3, rfes)], [Joint("A", "base", "beam", kind="fixed")]))
+    tilts = jnp.asarray([0.0, 0.3])
+    settings = {"drive": None, "duration": 2e-3, "method": Method("generalised_alpha", step=1e-3), "save_every": 1e-3}
+
+    def weighed(tilt):
+        run = simulate(model, assembly_errors(model, {"A.delta_x": tilt}), **settings)
+        return run.loads["A"].force[-1], run.status
+
+    force, status = jax.vmap(weighed)(tilts)
+    weight = 9.81 * 7850.0 * 0.01**2 * 0.3
+    np.testing.assert_array_equal(status, 0)
+    np.testing.assert_allclose(force[:, 1], weight * np.sin(tilts), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(force[:, 2], weight * np.cos(tilts), rtol=0, atol=1e-9)
+
+
 def test_auto_takes_the_step_from_the_accuracy(monkeypatch):
     study = load_study(STUDY)
     model = discretise(study.mechanism)

@@ -178,44 +178,6 @@ class TestLaws:
         np.testing.assert_allclose(jax.grad(end)(900.0), jax.grad(reference)(900.0), rtol=1e-9)
 
 
-class TestGasForce:
-    """Kinetostatics of a rigid slider-crank at 60 rad/s with a gas force over the stroke; closed form, computed for
-    this project."""
-
-    RMS_FORCE = (("A", 606.827915727), ("B", 587.003604307), ("C", 541.56966763), ("G", 96.3952129354))
-
-    def test_rms_loads(self):
-        links = [
-            body("crank", 0.4, (0.02, 0, 0.003), (1.5e-4, 3e-4, 2.5e-4), length=0.06),
-            body("piston", 0.5, (0.012, 0, 0.006), (3e-4, 4e-4, 3.5e-4)),
-            body("rod", 0.35, (0.07, 0, 0.004), (1e-4, 1.6e-3, 1.55e-3), length=0.2),
-        ]  # fmt: skip
-        # The guide's point on the piston is where the gas acts, 20 mm before the wrist pin and 8 mm above it.
-        joints = [
-            Joint("A", "base", "crank"),
-            Joint("G", "base", "piston", kind="prismatic", position=(0, 0, 0.018), child_position=(0.02, 0, 0.008),
-                  displacement=0.28),
-            Joint("C", "piston", "rod", kind="cylindrical", position=(0, 0, 0), child_position=(0.2, 0, 0)),
-            Joint("B", "crank", "rod", kind="spherical", cut=True, child_position=(0, 0, 0)),
-        ]  # fmt: skip
-        gas = JointForceTable("gas", "G", [0.16, 0.19, 0.22, 0.25, 0.28], [-900, -400, -150, 0, 0])
-        model = discretise(Mechanism(links, joints, driven_joint="A", forces=[gas]))
-        period = 2.0 * np.pi / 60.0
-        method = Method("rk4", step=period / 1000)
-        run = simulate(model, drive=PrescribedRate("A", 60.0), duration=period, method=method, save_every=period / 40)
-        assert int(run.status) == 0
-        for joint, force in self.RMS_FORCE:
-            np.testing.assert_allclose(run.metrics.rms_force[joint], force, rtol=1e-6)
-        np.testing.assert_allclose(run.metrics.rms_moment["A"], 15.4073552427, rtol=1e-6)
-        assert float(run.energy_balance_error) < 1e-6
-        at = int(np.argmin(np.abs(np.asarray(run.times) - 0.0261799387799)))
-        np.testing.assert_allclose(np.linalg.norm(run.loads["G"].force[at]), 98.9673677054, rtol=1e-8)
-        # Moment about the wrist pin, from that about the guide's point.
-        force, moment = run.loads["G"].force[at], run.loads["G"].moment[at]
-        about_pin = moment + np.cross([0.02, 0.0, 0.008], force)
-        np.testing.assert_allclose(about_pin[1], 2.22659110509, rtol=1e-7)
-
-
 @pytest.mark.parametrize("elements", ["linear", "geometrically_exact"])
 def test_a_spring_in_a_loop_at_rest(elements):
     """The moment that holds the crank is the derivative of the potential of links and spring along the mechanism."""

@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 
 from rfem_jax import (
+    Joint,
     Link,
     Material,
+    Mechanism,
     Method,
     MomentRamp,
     PrescribedRate,
@@ -22,11 +24,13 @@ from rfem_jax import (
     discretise,
     simulate,
 )
+from rfem_jax.mechanics.model import State
 from rfem_jax.mechanics.model_with_errors import apply_errors
 from rfem_jax.mechanics.statics.assembly import equilibrium
 from rfem_jax.validation import slider_cranks, spatial_linkages
 from rfem_jax.validation.joint_cases import preload_lines
 from rfem_jax.validation.lines import PASS
+from tests.mechanisms import link, random_state
 
 
 def slider_crank():
@@ -81,6 +85,38 @@ class TestSliderCrank:
         assert abs(slide - 0.2597498) > 1e-3
         np.testing.assert_allclose(found, slide, rtol=0, atol=2e-7)
         assert balance < 1e-3
+
+
+class TestChain:
+    """Universal, planar, fixed and spherical joints one behind the other, let go with random rates."""
+
+    METHODS = (
+        Method("rk4", step=1e-4),
+        Method("leapfrog", step=1e-5),
+        Method("tsit5", rtol=1e-9, atol=1e-11),
+        Method("generalised_alpha", step=5e-5, tolerance=1e-10),
+    )
+
+    def test_every_method_follows_the_same_motion(self):
+        kinds = ("universal", "planar", "fixed", "spherical")
+        links = [link(kind, 0.1 + 0.02 * n) for n, kind in enumerate(kinds)]
+        parents = ("base", *kinds)
+        joints = [Joint(f"J{n}", parents[n], kind, kind=kind) for n, kind in enumerate(kinds)]
+        model = discretise(Mechanism(links, joints))
+        start = State(model.start_coordinates(), random_state(model, np.random.default_rng(3)).velocity)
+        runs = [
+            simulate(model, start=start, drive=None, duration=5e-3, method=method, save_every=5e-3)
+            for method in self.METHODS
+        ]
+        assert [int(run.status) for run in runs] == [0, 0, 0, 0]
+        assert max(float(run.energy_balance_error) for run in runs) < 1e-4
+        first, *others = [np.asarray(run.positions.joints)[-1] for run in runs]
+        assert np.abs(first - np.asarray(start.position.joints)).max() > 1e-2
+        for run, found in zip(runs[1:], others, strict=True):
+            np.testing.assert_allclose(found, first, rtol=0, atol=1e-6)
+            for joint in ("J0", "J2"):
+                force = np.asarray(runs[0].loads[joint].force)[-1]
+                np.testing.assert_allclose(run.loads[joint].force[-1], force, rtol=0, atol=1e-3 * np.abs(force).max())
 
 
 class TestUniversal:

@@ -181,46 +181,6 @@ class TestTime:
         np.testing.assert_allclose(forward, np.array(differences).T, rtol=2e-5, atol=1e-12)
 
 
-def test_pendulum_with_spring_and_forces():
-    """A spring with a damper to the base, a follower force and a constant one, all off the plane of motion; values
-    computed for this project by two independent codes."""
-    angle = 0.349065850399
-    rod = body("rod", 0.8, (0.15, 0.02, 0.01), (0.001, 0.007, 0.0065), length=0.3)
-    forces = [
-        PointSpring("coil", ["base", "rod"], [(0.1, 0.05, 0.3), (0.25, -0.03, 0.02)], 250.0, 2.0, 0.28),
-        PointForce("follower", "rod", (0.3, 0.01, 0.0), (0.5, 0.8, 1.2), axes="link"),
-        PointForce("constant", "rod", (0.2, 0.0, 0.03), (1.0, -0.6, 0.4)),
-    ]
-    model = discretise(Mechanism([rod], [Joint("A", "base", "rod", angle=angle)], forces=forces))
-    run = released(model, duration=1.0, method=Method("rk4", step=5e-4), save_every=0.1)
-    assert int(run.status) == 0
-    at = [0, 2, 5, 10]
-    np.testing.assert_allclose(run.angles["A"][np.array(at[1:])], [-0.259016993063, -0.132776366325, -0.203852525189],
-                               rtol=1e-7)  # fmt: skip
-    np.testing.assert_allclose(run.metrics.rms_force["A"], 5.82280927132, rtol=1e-6)
-    np.testing.assert_allclose(run.metrics.rms_moment["A"], 0.764412250006, rtol=1e-6)
-    force = [
-        [13.8481721369, -6.24241886126, 8.58656127727],
-        [-4.99635276171, -0.289339848099, 2.27991817979],
-        [-0.12706772563, -1.84262048665, 3.77556434101],
-        [0.368509306279, -0.36830787431, 2.72716489004],
-    ]
-    moment = [
-        [1.41919969908, 0.0, -0.951880997295],
-        [0.057641213032, 0.0, -0.0645184210721],
-        [0.378801938523, 0.0, -0.439871442153],
-        [0.0823658235761, 0.0, -0.186044565553],
-    ]
-    np.testing.assert_allclose(np.asarray(run.loads["A"].force)[at], force, rtol=0, atol=2e-6)
-    np.testing.assert_allclose(np.asarray(run.loads["A"].moment)[at], moment, rtol=0, atol=2e-7)
-    elastic = [1.83665424948, 0.0171753887688, 0.0383623460586, 0.000156083498566]
-    np.testing.assert_allclose(np.asarray(run.energy.elastic)[at], elastic, rtol=0, atol=1e-6)
-    work = [0.0, 0.254530669502, 0.20810270858, 0.234669278443]
-    np.testing.assert_allclose(np.asarray(run.energy.work)[at], work, rtol=0, atol=1e-6)
-    assert float(run.energy_balance_error) < 1e-6
-    assert float(run.momentum_balance_error) < 1e-9
-
-
 SEGMENTS, LENGTH, RIGIDITY = 6, 1.0, 1.0
 
 

@@ -7,16 +7,9 @@ import pytest
 from scipy import stats
 
 from rfem_jax.tolerancing.contributions import _fourth
-from rfem_jax.tolerancing.problems.distributions import (
-    CorrelatedNormal,
-    Normal,
-    ProcessNormal,
-    Tolerances,
-    Triangular,
-    TruncatedNormal,
-    Uniform,
-    Zone,
-)
+from rfem_jax.tolerancing.problems.distributions import Normal, ProcessNormal, Triangular, TruncatedNormal, Uniform
+from rfem_jax.tolerancing.problems.joint_distributions import CorrelatedNormal, Zone
+from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.problem import FunctionProblem
 from rfem_jax.tolerancing.sampling.monte_carlo_study import monte_carlo
 from rfem_jax.tolerancing.sensitivities import sensitivity

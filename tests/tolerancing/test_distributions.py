@@ -9,14 +9,9 @@ from scipy import stats
 from rfem_jax.description.errors import InputError
 from rfem_jax.tolerancing.allocation.cost_models import Reciprocal
 from rfem_jax.tolerancing.allocation.request import check_request
-from rfem_jax.tolerancing.problems.distributions import (
-    CorrelatedNormal,
-    Normal,
-    Tolerances,
-    Triangular,
-    TruncatedNormal,
-    Uniform,
-)
+from rfem_jax.tolerancing.problems.distributions import Normal, Triangular, TruncatedNormal, Uniform
+from rfem_jax.tolerancing.problems.joint_distributions import CorrelatedNormal
+from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.problem import FunctionProblem, Metric
 from rfem_jax.tolerancing.sampling.monte_carlo_study import monte_carlo
 from rfem_jax.tolerancing.sensitivities import sensitivity

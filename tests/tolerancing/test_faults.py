@@ -18,7 +18,8 @@ import pytest
 import rfem_jax
 from rfem_jax.description.errors import InputError
 from rfem_jax.tolerancing.problems import execution, results_store
-from rfem_jax.tolerancing.problems.distributions import Tolerances, Uniform
+from rfem_jax.tolerancing.problems.distributions import Uniform
+from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.problem import FunctionProblem
 from rfem_jax.tolerancing.problems.results_store import ChunkWriteError, CorruptChunkWarning, ResultsStore
 from rfem_jax.tolerancing.sampling.monte_carlo_study import monte_carlo

@@ -12,6 +12,7 @@ from rfem_jax.tolerancing import (
     Uniform,
     allocate,
     monte_carlo,
+    optimise,
     sensitivity,
     worst_case,
 )
@@ -21,6 +22,7 @@ NAMES = ("a", HOSTILE)
 METRICS = (Metric("square", "N^2", "a square"), Metric(HOSTILE, "N", "a sum"))
 WIDTHS = {"a": 0.1, HOSTILE: 0.2}
 KEY = jax.random.key(1)
+KINDS = ("sensitivity", "monte_carlo", "worst_case", "allocation", "optimum")
 
 
 def values(errors):
@@ -44,7 +46,11 @@ def results(problem):
         "monte_carlo": monte_carlo(problem, tolerances, 64, KEY, batch=64, **asked),
         "worst_case": worst_case(problem, tolerances, HOSTILE, key=KEY),
         "allocation": allocate(problem, {HOSTILE: 5.5}, Reciprocal(1.0), bounds, key=KEY),
-    }
+        "optimum": optimise(
+            problem, {"a": (-0.5, 1.0)}, {HOSTILE: (0.01, 2.0)}, {"square": 1.0, "cost": 0.1}, {HOSTILE: 5.5},
+            cost=Reciprocal(1.0), key=KEY,
+        ),
+    }  # fmt: skip
 
 
 def test_a_dataset_of_sensitivities(results):
@@ -96,7 +102,22 @@ def test_a_dataset_of_an_allocation(results):
     assert str(found.limit_unit.values[0]) == "N" and found.attrs["status"] == "ok"
 
 
-@pytest.mark.parametrize("kind", ["sensitivity", "monte_carlo", "worst_case", "allocation"])
+def test_a_dataset_of_an_optimum(results):
+    pytest.importorskip("xarray", reason="the extra xarray is not installed")
+    found, result = results["optimum"].to_xarray(), results["optimum"]
+    # min 3 + 2 a^2 + 0.1 / t with a + 2 t = 1/2 in the worst case: 4 a + 0.2 / (1/2 - a)^2 = 0.
+    (a,) = (root.real for root in np.roots([1.0, -1.0, 0.25, 0.05]) if root.real < 0.0)
+    assert float(found.design_value.sel(design="a")) == pytest.approx(a, rel=1e-4)
+    assert float(found.tolerance.sel(error=HOSTILE)) == pytest.approx((0.5 - a) / 2.0, rel=1e-4)
+    assert float(found.initial_value[0]) == 0.0 and str(found.design_unit[0].values) == "rad"
+    assert float(found.term_value.sel(term="cost")) == pytest.approx(2.0 / (0.5 - a), rel=1e-4)
+    assert float(found.weight.sel(term="cost")) == 0.1 and float(found.objective) == result.objective
+    assert float(found.limit[0]) == 5.5 and str(found.limit_unit.values[0]) == "N" and found.attrs["status"] == "ok"
+    assert float(found.verified[0]) == pytest.approx(5.5) and np.isnan(float(found.verified_yield))
+    np.testing.assert_array_equal(found.objective_of_solution, [one for one, _ in result.history])
+
+
+@pytest.mark.parametrize("kind", KINDS)
 def test_netcdf_keeps_everything(results, tmp_path, kind):
     xarray = pytest.importorskip("xarray", reason="the extra xarray is not installed")
     found = results[kind].to_xarray()
@@ -124,9 +145,14 @@ def test_tables(results):
     answer = results["allocation"]
     assert answer.to_pandas().loc["a", "tolerance"] == answer.tolerances["a"]
     assert answer.to_pandas(limits=True).loc[(HOSTILE, "upper"), "verified"] == answer.limits[0].verified
+    optimum = results["optimum"]
+    table = optimum.to_pandas()
+    assert table.loc[("a", "dimension"), "value"] == optimum.designs["a"]
+    assert table.loc[(HOSTILE, "tolerance"), "value"] == optimum.tolerances[HOSTILE]
+    assert optimum.to_pandas(limits=True).loc[(HOSTILE, "upper"), "verified"] == optimum.limits[0].verified
 
 
-@pytest.mark.parametrize("kind", ["sensitivity", "monte_carlo", "worst_case", "allocation"])
+@pytest.mark.parametrize("kind", KINDS)
 def test_html_is_escaped(results, kind):
     text = results[kind]._repr_html_()
     assert "<img" not in text and "&lt;img src=x onerror=&quot;" in text and text.count("<table>") >= 1

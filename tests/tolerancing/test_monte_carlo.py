@@ -15,7 +15,9 @@ import pytest
 import rfem_jax
 from rfem_jax.description.errors import InputError
 from rfem_jax.tolerancing import progress as progress_module
-from rfem_jax.tolerancing.problems.distributions import CorrelatedNormal, Normal, Tolerances, Uniform
+from rfem_jax.tolerancing.problems.distributions import Normal, Uniform
+from rfem_jax.tolerancing.problems.joint_distributions import CorrelatedNormal
+from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.problem import FunctionProblem, Metric
 from rfem_jax.tolerancing.problems.quadratic_model import expand
 from rfem_jax.tolerancing.sampling.monte_carlo_study import monte_carlo

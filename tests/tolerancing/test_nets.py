@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from rfem_jax.tolerancing.problems.distributions import Tolerances, Uniform
+from rfem_jax.tolerancing.problems.distributions import Uniform
+from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.problem import FunctionProblem
 from rfem_jax.tolerancing.problems.quadratic_model import expand
 from rfem_jax.tolerancing.sampling import statistics

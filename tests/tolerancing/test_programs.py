@@ -16,9 +16,10 @@ from rfem_jax.tolerancing.allocation.allocation_study import allocate
 from rfem_jax.tolerancing.allocation.cost_models import Reciprocal
 from rfem_jax.tolerancing.optimisation.projected_gradient import climb, climb_together, project_ball
 from rfem_jax.tolerancing.optimisation.starting_points import projection
-from rfem_jax.tolerancing.problems.distributions import Tolerances, Uniform
+from rfem_jax.tolerancing.problems.distributions import Uniform
 from rfem_jax.tolerancing.problems.evaluation import evaluate_points
 from rfem_jax.tolerancing.problems.metrics import metric
+from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.problem import FunctionProblem
 from rfem_jax.tolerancing.problems.quadratic_model import (
     expand,

@@ -7,7 +7,9 @@ import pytest
 from scipy import integrate, stats
 
 from rfem_jax.description.errors import InputError
-from rfem_jax.tolerancing.problems.distributions import CorrelatedNormal, Normal, Tolerances, Uniform, Zone
+from rfem_jax.tolerancing.problems.distributions import Normal, Uniform
+from rfem_jax.tolerancing.problems.joint_distributions import CorrelatedNormal, Zone
+from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.problem import FunctionProblem, Metric
 from rfem_jax.tolerancing.rare_failures.failure_study import reliability
 from rfem_jax.tolerancing.rare_failures.importance import estimate_probability, mixture_of

@@ -98,6 +98,20 @@ def test_worst_case_of_a_linear_limit_is_that_of_its_corner(gap):
     assert found.limits[0].verified == pytest.approx(0.0, abs=1e-6)
 
 
+def test_worst_cases_of_two_limits():
+    # 0.3 + d + t_a <= 1 and t_b - d <= 1 at least cost 1/t_a + 1/t_b: the same tolerances on both sides.
+    def both(errors):
+        return {"right": 0.3 + errors["d"] + errors["a"], "left": errors["b"] - errors["d"]}
+
+    pair = FunctionProblem(both, ("d", "a", "b"), ("right", "left"), error_units=dict.fromkeys("dab", "m"))
+    found = optimise(
+        pair, {"d": (-0.5, 0.5)}, {"a": (0.01, 2.0), "b": (0.01, 2.0)}, "cost", {"right": 1.0, "left": 1.0},
+        robust="worst_case", cost=Reciprocal(), key=KEY,
+    )  # fmt: skip
+    assert found.status == "ok" and found.designs["d"] == pytest.approx(-0.15, abs=1e-5)
+    assert list(found.tolerances.values()) == pytest.approx([0.85, 0.85], abs=1e-5)
+
+
 def test_root_sum_of_squares_of_a_linear_limit(gap):
     # Squared reciprocal costs: mean - c deviations of the sample itself, so the optimum is compared with a fine search
     # over d of the closed form for the sample's own second moments.

@@ -8,7 +8,9 @@ import pytest
 from rfem_jax.description.errors import InputError
 from rfem_jax.tolerancing.optimisation.projected_gradient import climb, project_ball
 from rfem_jax.tolerancing.optimisation.starting_points import maximise_quadratic, quadratic_bound
-from rfem_jax.tolerancing.problems.distributions import CorrelatedNormal, Tolerances, Uniform
+from rfem_jax.tolerancing.problems.distributions import Uniform
+from rfem_jax.tolerancing.problems.joint_distributions import CorrelatedNormal
+from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.problem import FunctionProblem
 from rfem_jax.tolerancing.worst_cases import worst_case
 

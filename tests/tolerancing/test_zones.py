@@ -10,15 +10,9 @@ from rfem_jax.description.errors import InputError
 from rfem_jax.description.tolerances import read_tolerances
 from rfem_jax.description.zones import SpecifiedZone
 from rfem_jax.tolerancing.problems.capability import process_capability
-from rfem_jax.tolerancing.problems.distributions import (
-    CorrelatedNormal,
-    ProcessNormal,
-    Tolerances,
-    Triangular,
-    TruncatedNormal,
-    Uniform,
-    Zone,
-)
+from rfem_jax.tolerancing.problems.distributions import ProcessNormal, Triangular, TruncatedNormal, Uniform
+from rfem_jax.tolerancing.problems.joint_distributions import CorrelatedNormal, Zone
+from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.problem import FunctionProblem
 from rfem_jax.tolerancing.sampling.monte_carlo_study import monte_carlo
 from rfem_jax.tolerancing.sampling.sequences import unit_points

@@ -413,18 +413,23 @@ def named(model: Model, joint_loads: loads.JointLoads) -> dict[str, Load]:
     return {name: Load(joint_loads.force[:, j], joint_loads.moment[:, j]) for name, j in order}
 
 
-def quasi_static_rates(
+def moving_equilibrium(
     model: Model, actual: ModelWithErrors, held: dict[int, Float[Array, ""]], rates: Mapping[int, Scalar]
-) -> Coordinates:
-    """Rates of all coordinates when held ones move at rates [rad/s, m/s] through equilibria: the derivative of the
-    static equilibrium along these."""
+) -> tuple[State, Float[Array, " constraints"], Int[Array, ""]]:
+    """`equilibrium`, and the rates of all coordinates when held ones move at `rates` [rad/s, m/s] through equilibria:
+    the derivative of the static equilibrium along these, in one search."""
+    if not rates:
+        position, multipliers, status = equilibrium(model, actual, held)
+        return loads.static_state(model.topology, position), multipliers, status
 
     def at_values(values):
-        return equilibrium(model, actual, {**held, **values})[0]
+        position, *others = equilibrium(model, actual, {**held, **values})
+        return position, others
 
     values = {k: jnp.asarray(held[k]) for k in rates}
-    position, derivative = jax.jvp(at_values, (values,), ({k: jnp.asarray(rate) for k, rate in rates.items()},))
-    return rates_of(model.topology, position, derivative)
+    tangents = {k: jnp.asarray(rate) for k, rate in rates.items()}
+    position, derivative, (multipliers, status) = jax.jvp(at_values, (values,), (tangents,), has_aux=True)
+    return State(position, rates_of(model.topology, position, derivative)), multipliers, status
 
 
 def _force_scale(model: Model, actual: ModelWithErrors) -> Array:

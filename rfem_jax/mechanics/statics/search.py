@@ -107,7 +107,7 @@ def _refine(linear: Linear, value: Array, preconditioner: Linear, tolerance: flo
     small, and whether it is."""
 
     def size(x):
-        return jnp.max(jnp.abs(x))
+        return jnp.max(jnp.abs(x), initial=0.0)
 
     def next_is_small(tolerance, x, increment, before):
         """Increments become smaller by nearly the same factor every time."""
@@ -182,7 +182,7 @@ def _iterate(
     def improve(carry):
         unknowns, _, count = carry
         value, step, rows = step_from(unknowns)
-        small_step = jnp.max(jnp.abs(step[:n])) <= tolerance
+        small_step = jnp.max(jnp.abs(step[:n]), initial=0.0) <= tolerance
         small_residual = jnp.all(jnp.abs(value) <= TOLERANCE * rows)
         return unknowns - step, small_step & small_residual, count + 1
 

@@ -93,7 +93,7 @@ class OptimiseReport(TaskReport[OptimiseTask, Optimised]):
                     "tolerances_before": {name: self._widths_before().get(name) for name in answer.tolerances},
                     "tolerance_bounds": {name: list(pair) for name, pair in self.task.bounds.items()},
                     "front": [{"weight": weight, **asdict(one)} for weight, one in result.front.items()],
-                    "units": answer.units | {check.metric: check.unit for check in answer.limits},
+                    "units": answer.units | answer.term_units | {check.metric: check.unit for check in answer.limits},
                 },
             ),
             write_csv(folder / "optimise.csv", self._rows(answer)),
@@ -161,7 +161,8 @@ class OptimiseReport(TaskReport[OptimiseTask, Optimised]):
         axes.set_xticks([0.0, 1.0], ["lowest", "highest"])
         axes.grid(visible=False)
         axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False)
-        terms = ", ".join(f"{name} {value:.4g}" for name, value in answer.terms.items())
+        units = answer.term_units
+        terms = ", ".join(f"{name} {value:.4g} {units[name]}".rstrip() for name, value in answer.terms.items())
         add_titles(figure, f"Optimum, {answer.criterion.replace('_', ' ')} ({answer.status}): {terms}", self.study)
         return figure
 
@@ -183,7 +184,7 @@ class OptimiseReport(TaskReport[OptimiseTask, Optimised]):
 
     @staticmethod
     def _term_label(name: str, answer: DesignOptimum) -> str:
-        unit = {check.metric: check.unit for check in answer.limits}.get(name, "")
+        unit = answer.term_units[name]
         return f"{name}, {unit}" if unit else name
 
     def setting_text(self, name: str, value: Any) -> str:

@@ -143,7 +143,7 @@ def form_matrix(
 def solved_step(method: ImplicitMethod, matrix: IterationMatrix, constants: StepConstants, start: StepStart) -> StepEnd:
     """The end of a step, differentiable with respect to its start."""
     end = _solve(method, matrix, constants, start)
-    return like_batched(end, end.memory.accelerations.joints)
+    return like_batched(end, *_of_all_samples(end.memory.accelerations))
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
@@ -158,6 +158,11 @@ def _solve(method, matrix, constants, start):
     return method.solve(matrix, constants, start)
 
 
+def _of_all_samples(accelerations: Coordinates) -> list[Array]:
+    """Accelerations with the batch axes of a step: of joints, or of rfes where no joint has a free motion."""
+    return [x for x in (accelerations.joints, accelerations.elastic) if x.size][:1]
+
+
 def _unknowns_of(end: StepEnd) -> Unknowns:
     return Unknowns(end.memory.accelerations, end.memory.multipliers)
 
@@ -169,7 +174,7 @@ def _differentiate(method, primals, tangents):
     # Kept by name, so that reverse mode does not repeat Newton's method.
     solution = jax.tree.map(lambda x: checkpoint_name(x, SOLUTION), _solution(method, matrix, constants, start))
     end, tangent = _end_and_tangent(method, matrix, constants, solution, inputs, fixed, along)
-    return like_batched(end, solution.accelerations.joints), tangent
+    return like_batched(end, *_of_all_samples(solution.accelerations)), tangent
 
 
 def _differentiate_solution(method, primals, tangents):

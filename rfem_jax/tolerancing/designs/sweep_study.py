@@ -24,9 +24,10 @@ from rfem_jax.text_layout import align_columns, wrap_lines
 from rfem_jax.tolerancing.checks import ErrorValue, ErrorValues, check_known, error_value
 from rfem_jax.tolerancing.designs.response_surface import ResponseSurface, fit_response_surface
 from rfem_jax.tolerancing.layout import show_error, show_number
-from rfem_jax.tolerancing.problems.distributions import DISTRIBUTIONS, Tolerances
+from rfem_jax.tolerancing.problems.distributions import DISTRIBUTIONS
 from rfem_jax.tolerancing.problems.evaluation import read_point
 from rfem_jax.tolerancing.problems.execution import default_lanes, fingerprint_problem, run_chunks
+from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem
 from rfem_jax.tolerancing.problems.results_store import ResultsStore, require_study
 from rfem_jax.tolerancing.progress import ProgressOption

@@ -23,9 +23,9 @@ from jaxtyping import Array, Float, Int, Shaped
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.errors import InputError
 from rfem_jax.tolerancing.checks import ErrorValues, check_known, error_value
-from rfem_jax.tolerancing.problems.distributions import Tolerances
 from rfem_jax.tolerancing.problems.execution import default_lanes
 from rfem_jax.tolerancing.problems.kept_evaluations import remembered
+from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.problem import Metric, Status, ToleranceProblem
 
 Base = dict[str, Float[Array, ""]]

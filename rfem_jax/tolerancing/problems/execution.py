@@ -38,7 +38,7 @@ from jaxtyping import Float
 from rfem_jax.compilation import keys
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.errors import InputError
-from rfem_jax.tolerancing.problems.distributions import Tolerances
+from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem
 from rfem_jax.tolerancing.problems.results_store import ResultsStore
 from rfem_jax.tolerancing.progress import ProgressBar, ProgressOption

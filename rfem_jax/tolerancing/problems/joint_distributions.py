@@ -1,6 +1,6 @@
 """Distributions of several errors together: correlated normal ones, and tolerance zones of round shape.
 
-Place in the pipeline: **joint_distributions** -> `distributions`, whose `Tolerances` hold groups beside single errors.
+Place in the pipeline: **joint_distributions** -> `named_tolerances`, whose `Tolerances` hold groups beside the rest.
 
     CorrelatedNormal e = mean + L w                       L L^T = covariance S
     Zone             e = M y, y uniform in a product of unit balls of dimensions n_b

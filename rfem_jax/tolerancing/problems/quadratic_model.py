@@ -32,7 +32,6 @@ from rfem_jax.compilation.program import Program
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.precision import require_float64
 from rfem_jax.tolerancing.checks import ErrorValues, check_known
-from rfem_jax.tolerancing.problems.distributions import Tolerances
 from rfem_jax.tolerancing.problems.evaluation import (
     Base,
     map_chunks,
@@ -43,6 +42,7 @@ from rfem_jax.tolerancing.problems.evaluation import (
 )
 from rfem_jax.tolerancing.problems.execution import default_lanes
 from rfem_jax.tolerancing.problems.kept_evaluations import remembered
+from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.problem import ImplicitProblem, Status, ToleranceProblem
 from rfem_jax.tolerancing.progress import ProgressBar, ProgressOption
 

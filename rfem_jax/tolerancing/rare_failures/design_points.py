@@ -26,8 +26,8 @@ from jaxtyping import Bool, Float
 
 from rfem_jax.compilation.program import Program
 from rfem_jax.tolerancing.optimisation.starting_points import sobol_units, spread_points
-from rfem_jax.tolerancing.problems.distributions import Tolerances
 from rfem_jax.tolerancing.problems.evaluation import evaluate_points
+from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem
 from rfem_jax.tolerancing.problems.quadratic_model import linearise_points
 from rfem_jax.tolerancing.sampling.sequences import RandomKey

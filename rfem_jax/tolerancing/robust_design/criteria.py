@@ -37,6 +37,7 @@ from rfem_jax.tolerancing.sampling.sequences import RandomKey
 
 CORNERS = 4  # of so many errors the corners of the box are among the starts of a search for the worst point
 SEARCH_STEPS = 40
+STATIONARY = 1e-4  # residual of a search for a worst point, whose height is then exact to about its square
 NEW_POINT = 1e-3  # points nearer than this are one
 FAILED = 1e3  # a constraint whose sample failed: far from holding
 
@@ -132,11 +133,11 @@ class WorstCaseCriterion(Criterion):
 
     def extend(self, y: Float[np.ndarray, " p"], key: RandomKey) -> bool:
         """Add the worst points of the limits at y, where they are worse than those known; returns whether any is."""
-        before = self.constraints(y).value
+        before = [*zip(self.constraints(y).value, self.owner, strict=True)]
         starts = search_starts(len(self.observer.variables.errors), key)
         added = False
         for number in range(len(self.limits)):
-            known = max(g for g, owner in zip(before, self.owner, strict=True) if owner == number)
+            known = max(g for g, owner in before if owner == number)
             points, heights = worst_points(self.observer, self.limits[number], y, starts)
             for z, height in zip(points[:2], heights[:2], strict=True):
                 new = np.max(np.abs(self.points - z), axis=1).min() > NEW_POINT
@@ -227,7 +228,7 @@ def worst_points(
         slopes = observer.variables.by_errors(y, seen.jacobian)[:, limit.position] * (limit.sign / limit.scale)
         return limit.normalise(seen.values), slopes
 
-    search = climb_together(function, projection("box"), starts, evaluations=SEARCH_STEPS, tolerance=1e-6)
+    search = climb_together(function, projection("box"), starts, evaluations=SEARCH_STEPS, tolerance=STATIONARY)
     points, heights = np.asarray(search.point), np.asarray(search.value)
     kept = distinct(points, heights, NEW_POINT)
     return points[kept], heights[kept]

@@ -27,7 +27,8 @@ from rfem_jax.tolerancing.allocation.cost_models import CostModel, total_cost
 from rfem_jax.tolerancing.checks import ErrorValue
 from rfem_jax.tolerancing.layout import show_number
 from rfem_jax.tolerancing.optimisation.starting_points import sobol_units
-from rfem_jax.tolerancing.problems.distributions import Normal, Tolerance, Tolerances
+from rfem_jax.tolerancing.problems.distributions import Normal, Tolerance
+from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem
 from rfem_jax.tolerancing.problems.quadratic_model import choose_mode
 from rfem_jax.tolerancing.robust_design.criteria import CRITERIA, FAILED, Criterion
@@ -36,6 +37,7 @@ from rfem_jax.tolerancing.robust_design.request import COST, Bounds, Request, Wi
 from rfem_jax.tolerancing.robust_design.result import DesignOptimum, LimitAtOptimum
 from rfem_jax.tolerancing.robust_design.search import (
     HOLDS,
+    PENALTY,
     Evaluation,
     Found,
     least_violation,
@@ -54,7 +56,6 @@ ATTEMPTS = 3  # searches, each after a fresh run that fell short
 STATIONARY = 1e-4  # KKT residual of a search that has converged, of the objective at the start
 AGREES = 1e-3  # of a limit: how far a fresh worst case may exceed it
 TIED = 1e-4  # constraints that differ by this share of the largest stand against each other
-PENALTY = 10.0  # of a violated constraint, where starts are compared
 
 
 @dataclass(frozen=True, eq=False)
@@ -308,6 +309,7 @@ class _Study:
         terms = {name: nominal[name] for name in request.weights if name != COST}
         if request.costs:
             terms[COST] = self.cost(y)[0]
+        metric_units = {metric.name: metric.unit for metric in request.problem.metrics}
         objective = sum(weight * terms[name] for name, weight in request.weights.items())
         return DesignOptimum(
             criterion=self.settings.robust,
@@ -319,6 +321,7 @@ class _Study:
             initial=dict(zip(variables.designs, map(float, variables.nominal), strict=True)),
             objective=float(objective),
             terms=terms,
+            term_units={name: metric_units.get(name, "") for name in terms},
             weights=request.weights,
             limits=self._limits(found, verified, nominal),
             at_bounds=variables.at_bounds(y),

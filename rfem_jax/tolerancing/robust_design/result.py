@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rfem_jax.text_layout import align_columns, wrap_lines
+from rfem_jax.tolerancing.labelled_designs import LabelledDesignOptimum
 from rfem_jax.tolerancing.layout import show_error, show_number
 
 STATUSES = {
@@ -41,13 +42,13 @@ class LimitAtOptimum:
 
 
 @dataclass(frozen=True, eq=False)
-class DesignOptimum:
+class DesignOptimum(LabelledDesignOptimum):
     """The best dimensions and tolerances.
 
     criterion: when limits hold; status of `STATUSES`, message: one sentence (of an infeasible request: which limit is
     in the way, and how near it comes); designs {name: value}, tolerances {error: half-width} of all errors that
     scatter, found or given; units of both and `initial` values of the designs; objective, its terms {metric or "cost":
-    value} and weights; limits; at_bounds {design or error: "smallest" | "largest"}; kkt_residual, of the objective
+    value}, their units and weights; limits; at_bounds {design or error: "smallest" | "largest"}; kkt_residual, of the objective
     divided by its value at the start; verified_yield with its interval (NaN but for samples), verified_by; simulations
     and failed ones; starts tried, and history: (objective, largest normalised constraint) of every solution.
     """
@@ -61,6 +62,7 @@ class DesignOptimum:
     initial: dict[str, float]
     objective: float
     terms: dict[str, float]
+    term_units: dict[str, str]
     weights: dict[str, float]
     limits: tuple[LimitAtOptimum, ...]
     at_bounds: dict[str, str]
@@ -74,7 +76,9 @@ class DesignOptimum:
     history: tuple[tuple[float, float], ...]
 
     def __str__(self) -> str:
-        terms = ", ".join(f"{name} {show_number(value)}" for name, value in self.terms.items())
+        terms = ", ".join(
+            f"{name} {show_number(value)} {self.term_units[name]}".rstrip() for name, value in self.terms.items()
+        )
         head = f"Optimum ({self.criterion.replace('_', ' ')}): status {self.status}, "
         parts = [f"{head}objective {show_number(self.objective, 7)} ({terms})", wrap_lines(self.message)]
         rows = [
@@ -95,10 +99,8 @@ class DesignOptimum:
         if np.isfinite(self.verified_yield):
             low, high = self.yield_interval
             parts.append(f"verified yield {self.verified_yield:.5f} ({low:.5f} to {high:.5f})")
-        parts.append(
-            f"verified by {self.verified_by}; {self.simulations} simulations, {self.failed} failed; KKT residual "
-            f"{self.kkt_residual:.0e}, best of {self.starts} starts"
-        )
+        effort = f"{self.simulations} simulations, {self.failed} failed; KKT residual {self.kkt_residual:.0e}"
+        parts.append(wrap_lines(f"verified by {self.verified_by}; {effort}, best of {self.starts} starts"))
         return "\n".join(part for part in parts if part)
 
     def _show(self, name: str, value: float) -> str:
