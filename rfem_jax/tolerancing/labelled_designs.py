@@ -45,7 +45,9 @@ class LabelledDesignOptimum:
         asked["verified_interval"] = ((*of_limit, "end"), ends, "", "in limit_unit")
         asked["yield_interval"] = (("end",), list(self.yield_interval), "1", "of the verified yield")
         variables = {name: Labelled(*entry) for name, entry in asked.items()}
-        coordinates = named_dimension(designs, [self.units[name] for name in designs], "design") | {"end": ("low", "high")}
+        coordinates = named_dimension(designs, [self.units[name] for name in designs], "design") | {
+            "end": ("low", "high")
+        }
         coordinates |= named_dimension(errors, [self.units[name] for name in errors], "error")
         coordinates |= named_dimension(terms, [self.term_units[name] for name in terms], "term")
         for name in ("metric", "side", "unit"):

@@ -48,7 +48,9 @@ class LabelledSensitivities:
         variables["tolerance"] = Labelled(("error",), self.scale, "", "half-width, in error_unit")
         variables["at"] = Labelled(("error",), [self.at.get(n, 0.0) for n in self.names], "", "point, in error_unit")
         variables["character"] = Labelled(("metric",), np.array(self.character, dtype=np.str_), "", "of the metric")
-        coordinates = named_dimension(self.metrics, self.metric_units, "metric") | named_dimension(self.names, self.error_units, "error")
+        coordinates = named_dimension(self.metrics, self.metric_units, "metric") | named_dimension(
+            self.names, self.error_units, "error"
+        )
         if self.hessian is not None:
             coordinates["error_2"] = self.names
         attributes = {"title": "Sensitivities", "order": self.order, "derivatives_by": self.mode, "status": self.status}
@@ -84,7 +86,9 @@ class LabelledMonteCarlo:
         fractions = list(found[0].quantiles)
         number = Labelled(("sample",), np.arange(len(self.status)), "1", "number of the sample")
         coordinates = {"sample": number, "estimate": ESTIMATE, "quantile": Labelled(("quantile",), fractions, "1")}
-        coordinates |= named_dimension(self.metrics, self.metric_units, "metric") | named_dimension(self.names, self.error_units, "error")
+        coordinates |= named_dimension(self.metrics, self.metric_units, "metric") | named_dimension(
+            self.names, self.error_units, "error"
+        )
         quantiles = [[_ends(one.quantiles[q]) for q in fractions] for one in found]
         limits = np.array([self.limits.get(name, (-np.inf, np.inf)) for name in self.metrics], dtype=float)
         asked: dict[str, tuple[tuple[str, ...], Any, str]] = {
