@@ -48,9 +48,10 @@ class DesignOptimum(LabelledDesignOptimum):
     criterion: when limits hold; status of `STATUSES`, message: one sentence (of an infeasible request: which limit is
     in the way, and how near it comes); designs {name: value}, tolerances {error: half-width} of all errors that
     scatter, found or given; units of both and `initial` values of the designs; objective, its terms {metric or "cost":
-    value}, their units and weights; limits; at_bounds {design or error: "smallest" | "largest"}; kkt_residual, of the objective
-    divided by its value at the start; verified_yield with its interval (NaN but for samples), verified_by; simulations
-    and failed ones; starts tried, and history: (objective, largest normalised constraint) of every solution.
+    value}, their units and weights; limits; at_bounds {design or error: "smallest" | "largest"}; kkt_residual, of the
+    objective divided by its value at the start; verified_yield with its interval (NaN but for samples), verified_by;
+    simulations and failed ones; starts tried, and history: (objective, largest normalised constraint) of every
+    solution.
     """
 
     criterion: str
