@@ -15,13 +15,12 @@ if TYPE_CHECKING:
     from rfem_jax.description.study import Study
     from rfem_jax.mechanics.discretisation import Structure
     from rfem_jax.mechanics.model import Model
-    from rfem_jax.report.comparison import Comparison
     from rfem_jax.simulation.cycle import Cycle
     from rfem_jax.simulation.run import Run
 else:
-    Axes = Axes3D = Comparison = Cycle = Figure = Model = Run = Structure = Study = Any
+    Axes = Axes3D = Cycle = Figure = Model = Run = Structure = Study = Any
 
 # {case: the numbers of its run}, as `summary.summarise` makes them.
 Summaries = dict[str, dict[str, Any]]
 
-__all__ = ["Axes", "Axes3D", "Comparison", "Cycle", "Figure", "Model", "Run", "Structure", "Study", "Summaries"]
+__all__ = ["Axes", "Axes3D", "Cycle", "Figure", "Model", "Run", "Structure", "Study", "Summaries"]

@@ -6,11 +6,16 @@ Place in the pipeline: two folders with results -> `report.comparison`, `report.
 import argparse
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from rfem_jax.report.annotations import Comparison
 from rfem_jax.report.commands.command import Answer, Command
 from rfem_jax.report.commands.folders import cannot_write, open_folder
 from rfem_jax.report.progress_line import paint, show
+
+if TYPE_CHECKING:
+    from rfem_jax.report.comparison import Comparison
+else:
+    Comparison = Any  # takes long to import
 
 
 def command() -> Command:
