@@ -15,6 +15,12 @@ sys.path[:0] = [str(HERE / "_extensions"), str(HERE.parent)]
 os.environ["PYTHONPATH"] = os.pathsep.join([str(HERE.parent), *filter(None, [os.environ.get("PYTHONPATH")])])
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 os.environ.setdefault("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
+if tuple(map(int, metadata.version("jax").split(".")[:2])) < (0, 12):  # XLA refuses options that it no longer has
+    QUICK = (
+        "xla_llvm_enable_noalias_metadata xla_llvm_enable_alias_scope_metadata xla_llvm_enable_invariant_load_metadata "
+        "xla_cpu_use_fusion_emitters"
+    )
+    os.environ.setdefault("XLA_FLAGS", " ".join(f"--{name}=false" for name in QUICK.split()))
 
 project = "rfem_jax"
 author = "The rfem_jax developers"
@@ -42,6 +48,7 @@ nb_execution_timeout = 1800
 nb_execution_raise_on_error = True
 nb_execution_in_temp = False  # paths are those from docs/gallery
 nb_merge_streams = True
+nb_output_stderr = "remove"  # remarks on slow compilation
 
 # MathJax 3, which numbers nothing itself: the numbers are the tags of the theory.
 mathjax3_config = {"tex": {"tags": "none"}, "options": {"enableMenu": False}}

@@ -1,8 +1,9 @@
 """Every code block of the README, the first steps and the guides runs: Python as it stands, fragments of study files in
 a study, commands on studies that are small.  The notebooks of the gallery are executed by the build of the site.
 
-What sets an environment up is left out (SET_UP); programs of `studies` and `benchmarks`, and what several machines do
-together, have tests of their own, so that only their arguments are read here.
+What sets an environment up is left out (SET_UP).  Commands on the files of `studies`, and its programs, are run on
+small copies by tests/programs, so that here it is only seen that it does so, and that their arguments are read; so are
+those of several machines.
 """
 
 import re
@@ -11,13 +12,15 @@ import shlex
 import pytest
 
 from rfem_jax.report.command_line import build_parser, main
-from tests.programs.test_study_files import ROOT
+from tests.programs.test_study_files import COMMANDS, ROOT
 
 DOCUMENTS = [ROOT / "README.md", ROOT / "docs" / "first_steps.md", *sorted((ROOT / "docs" / "guides").glob("*.md"))]
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", flags=re.DOTALL | re.MULTILINE)
 INDENTED = re.compile(r"(?<=\n\n)(?: {4}\S.*\n)+", flags=re.MULTILINE)
 SET_UP = re.compile(r"(python3?|\.) -m (venv|pip|pytest)\b.*|\. \.venv/bin/activate")
-LONG = {"validate": ["--only", "elastica"]}  # what else takes minutes
+ELSEWHERE = {("run", "studies/four_bar/study.toml"), ("validate", "--out")} | {
+    (command, f"studies/{folder}/{file}") for folder, entries in COMMANDS.items() for file, command in entries
+}  # tests/programs/test_study_files.py runs these
 SMALLER = (
     ("rfes = 5", "rfes = 2"), ('method = "auto"', 'method = "generalised_alpha"'), ("accuracy = 1e-3", 'step = "2 ms"'),
     ("duration = 0.2 ", "duration = 0.01 "), ("n = 256", "n = 8"), ('"1 ms"', '"2 ms"'),
@@ -65,7 +68,12 @@ def test_python(path, in_workplace):
 
 @pytest.mark.parametrize(
     ("path", "text"),
-    [(path, text) for path in DOCUMENTS for language, text in blocks(path) if language == "toml"],
+    [
+        (path, text)
+        for path in DOCUMENTS
+        for language, text in blocks(path)
+        if language == "toml" and path.name != "own_mechanism.md"  # tests/description/test_force_reader.py reads it
+    ],
     ids=lambda one: "" if isinstance(one, str) else name(one),
 )
 def test_fragments_of_study_files(path, text, load_with):
@@ -96,11 +104,11 @@ def test_commands(path, in_workplace, capsys):
             assert arguments[1] in (ROOT / "tests" / "programs" / "test_studies.py").read_text(encoding="utf-8")
             continue
         assert arguments[0] == "rfem-jax", arguments
-        if "--coordinator" in arguments:
+        if "--coordinator" in arguments or tuple(arguments[1:3]) in ELSEWHERE:
             build_parser().parse_args(arguments[1:])
             continue
         if path.name == "first_steps.md":
             of_first_steps(arguments, in_workplace)
-        assert main([*arguments[1:], *LONG.get(arguments[1], ())]) == 0, capsys.readouterr().err
+        assert main(arguments[1:]) == 0, capsys.readouterr().err
         if "--out" in arguments and arguments[1] in ("run", "monte-carlo"):
             assert (in_workplace / arguments[arguments.index("--out") + 1] / "report.html").exists()

@@ -44,7 +44,7 @@ def test_docstrings_of_both_forms_become_markup():
 def test_links_lead_to_pages_of_the_site():
     from repository_links import rewritten
 
-    page = PurePosixPath("docs/guides/speed")
+    page = PurePosixPath("docs", "guides", "speed")
     assert rewritten("[a](../../studies/slider_crank/README.md)", page) == "[a](../studies/slider_crank.md)"
     assert rewritten("[a](../../benchmarks/README.md)", page) == "[a](../benchmarks.md)"
     assert rewritten("[a](../../rfem_jax/tolerancing) [b](../theory/README.md#x)", page) == (
