@@ -153,7 +153,9 @@ def test_error_names_are_those_of_the_contract():
 
 
 def test_unknown_errors_are_refused_with_the_nearest(refused):
-    with refused("`D.delta_y`", "did you mean `D.delta_"):
+    with refused("`D.delt_x`", "did you mean `D.delta_x`?"):
+        four_bar().error_unit("D.delt_x")
+    with refused("`D.delta_y`", "the free motions of a revolute joint make it good"):
         four_bar().error_unit("D.delta_y")
     with refused("`E.d_y`", "`D.d_y`"):
         Mechanism(LINKS[2:], JOINTS[2:3]).error_unit("E.d_y")
