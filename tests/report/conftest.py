@@ -144,6 +144,7 @@ def synthetic_run(size, status=0):
         nominal_lines=nominal,
         branch={"C": np.where(times < 0.2, 1.0, -1.0)},
         friction_losses={},
+        contacts={},
     )
 
 
