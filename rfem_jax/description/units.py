@@ -235,10 +235,10 @@ def _parse(text: str, dimension: str, where: str) -> float:
     return number * factor
 
 
-def _unit(unit: str, text: str, where: str, dimension: str) -> tuple[float, tuple[float, ...]]:
+def _unit(unit: str, text: str, where: str, dimension: str) -> tuple[float, tuple[int | float, ...]]:
     """Return (factor to SI, exponents) of a product of units such as "kg/m^3" or "N m^2"."""
     wanted, _, example = DIMENSIONS[dimension]
-    exponents: tuple[float, ...]
+    exponents: tuple[int | float, ...]
     factor, exponents = 1.0, (0, 0, 0, 0)
     for position, part in enumerate(unit.replace("**", "^").split("/")):
         factors = re.split(r"[\s*]+", part.strip())
@@ -265,7 +265,7 @@ def _phrase(dimension: str) -> str:
     return f"{'an' if name[0] in 'aeiou' else 'a'} {name}"
 
 
-def _name(exponents: tuple[float, ...]) -> str:
+def _name(exponents: tuple[int | float, ...]) -> str:
     for dimension, (known, _, _) in DIMENSIONS.items():
         if known == exponents:
             return _phrase(dimension)
