@@ -33,12 +33,13 @@ jax.config.update("jax_enable_x64", True)
 import numpy as np  # noqa: E402
 from comparison_figure import write_figure  # noqa: E402
 
-from rfem_jax import DesignOptimum, Problem, Study, load_study, optimise  # noqa: E402
+from rfem_jax import Problem, Study, load_study, optimise  # noqa: E402
 from rfem_jax.report.output import write_csv, write_json  # noqa: E402
 from rfem_jax.report.tasks.allocation import build_cost  # noqa: E402
 from rfem_jax.report.tasks.study_problem import build_problem  # noqa: E402
 from rfem_jax.tolerancing.problems.evaluation import evaluate_points  # noqa: E402
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem  # noqa: E402
+from rfem_jax.tolerancing.robust_design.result import DesignOptimum  # noqa: E402
 
 STUDY = Path(__file__).with_name("study.toml")
 STAYS = 1e-9  # relative distance of the bounds of what stays
