@@ -16,7 +16,7 @@ Place in the pipeline: simulation, mechanics, description -> **validation** -> r
     nonideal_joints       bushings, and friction by constants and by loads
     bennett_loop          an overconstrained linkage
     andrews_squeezer      seven bodies, three planar loops
-    published_linkages    IFToMM spatial slider-crank; Fourbar1, Fourbar2 and Engine1a of Modelica
+    published_linkages    IFToMM spatial slider-crank; Fourbar1, Fourbar2, Engine1a and EngineV6 of Modelica
     joint_tables          one body on a joint of each kind
     joint_cases, rigid_links serve the benchmarks of joints of other kinds than revolute
     catalogue             all of them by name

@@ -1,4 +1,4 @@
-"""Published linkages: the spatial slider-crank of the IFToMM library, three loops of the Modelica library.
+"""Published linkages: the spatial slider-crank of the IFToMM library, four loops of the Modelica library.
 
 Place in the pipeline: a benchmark of `catalogue`. Reference values: `references/published_linkages.json`.
 
@@ -6,16 +6,18 @@ The slider-crank exists in variants: here, as in the published solution, the cro
 slider about the sliding direction, and the rod's inertia about its own axis is the small one. Fourbar1 has three
 hinges for its spherical joint and two for its universal joint, between which nothing has mass; Fourbar2 is the same
 with a rod without mass. Engine1a is a planar slider-crank with a flywheel; its planar loop has here a spherical crank
-pin and a cylindrical wrist pin.
+pin and a cylindrical wrist pin; EngineV6 has six of these (`v6_engine`).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from rfem_jax.description import Joint, Link, Mechanism, Method, PointMass
 from rfem_jax.mechanics.discretisation import discretise
 from rfem_jax.simulation import Run, simulate
+from rfem_jax.validation import v6_engine
 from rfem_jax.validation.lines import Curve, Line, Outcome, Picture, Progress, absolute, relative
 from rfem_jax.validation.reference_values import read_reference
 from rfem_jax.validation.rigid_links import MASSLESS, along, angles_of, cylinder, rate_of, start_at_rate, turn_y, turn_z
@@ -90,19 +92,33 @@ def engine() -> Mechanism:
     return Mechanism(links, joints, gravity=(0.0, 0.0, -GRAVITY), driven_joint="A")
 
 
+class Loop(NamedTuple):
+    """A model of the library: what makes the mechanism, what is compared, rate of the driven joint at the start
+    [rad/s], duration and step [s]."""
+
+    make: Callable[[], Mechanism]
+    compared: str
+    rate: float
+    duration: float = 5.0
+    step: float = 1e-3
+
+
 MODELICA = {
-    "Fourbar1": (lambda: fourbar(DENSITY), "angle of j1", 5.235987755983),
-    "Fourbar2": (lambda: fourbar(LIGHT * DENSITY), "angle of j1", 5.235987755983),
-    "Engine1a": (engine, "angle of the crankshaft", 10.0),
-}  # what makes the mechanism, what is compared, rate of the driven joint at the start [rad/s]
+    "Fourbar1": Loop(lambda: fourbar(DENSITY), "angle of j1", 5.235987755983),
+    "Fourbar2": Loop(lambda: fourbar(LIGHT * DENSITY), "angle of j1", 5.235987755983),
+    "Engine1a": Loop(engine, "angle of the crankshaft", 10.0),
+    "EngineV6": Loop(
+        v6_engine.mechanism, "angle of the crankshaft", v6_engine.RATE, v6_engine.DURATION, v6_engine.STEP
+    ),
+}
 
 
 def run_modelica(name: str) -> Run:
-    """Five seconds, released at a rate of the driven joint."""
-    make, _, rate = MODELICA[name]
-    model = discretise(make())
-    return simulate(model, drive=None, duration=5.0, method=Method("rk4", step=1e-3), save_every=0.1,
-                    start=start_at_rate(model, rate_of(rate)))  # fmt: skip
+    """Released at a rate of the driven joint."""
+    loop = MODELICA[name]
+    model = discretise(loop.make())
+    return simulate(model, drive=None, duration=loop.duration, method=Method("rk4", step=loop.step),
+                    save_every=min(0.1, loop.duration), start=start_at_rate(model, rate_of(loop.rate)))  # fmt: skip
 
 
 def _at(run: Run, named: str) -> int:
@@ -125,14 +141,14 @@ def modelica_lines(name: str, run: Run) -> list[Line]:
     for key, values, share in (("angle", turned, ANGLE), ("rate", np.asarray(run.rate), RATE)):
         quantity = REFERENCE.quantities[f"modelica_{key}"]
         for named, known in quantity.values.get(name, {}).items():
-            title = f"{MODELICA[name][1].replace('angle', key)} at {named} s"
+            title = f"{MODELICA[name].compared.replace('angle', key)} at {named} s"
             value = values[_at(run, named)]
             lines.append(relative(f"Modelica {name}", title, value, known, share, quantity.label, quantity.unit))
     return lines
 
 
 def validate(full: bool, progress: Progress) -> Outcome:
-    """Five seconds of each."""
+    """Five seconds of each, one of the engine of six cylinders."""
     del full
     run = run_rsup("x")
     lines = slider_crank_lines(run)
