@@ -91,4 +91,6 @@ def mechanism() -> Mechanism:
         cuts.append(Joint(f"B{number}", "shaft", f"rod{number}", kind="spherical", cut=True, position=place,
                           child_position=(0, 0, 0)))  # fmt: skip
         forces.append(JointForceFunction(f"gas{number}", f"G{number}", gas_force))
-    return Mechanism(links, joints + cuts, gravity=(0.0, 0.0, -GRAVITY), driven_joint="A", forces=tuple(forces))
+    return Mechanism(
+        tuple(links), tuple(joints + cuts), gravity=(0.0, 0.0, -GRAVITY), driven_joint="A", forces=tuple(forces)
+    )
