@@ -68,8 +68,8 @@ def test_bearing_stiffness(run_program, tmp_path):
 
 
 def test_robust_four_bar(run_program, tmp_path):
-    """Every way is answered, and its price is that of its mass and its tolerances. The step of the trial is too long for
-    some of the fresh mechanisms."""
+    """Every way is answered, and its price is that of its mass and its tolerances. The step of the trial is too long
+    for some of the fresh mechanisms."""
     said = run_program("studies/robust_four_bar/study.py", "--quick", "--reserves", 1.5, "--out", tmp_path)
     assert "Tables and a picture are in" in said
     assert {path.name for path in tmp_path.iterdir()} == {"comparison.csv", "results.json", "cost_of_every_way.png"}
