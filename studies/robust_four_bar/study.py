@@ -47,13 +47,17 @@ Ends = dict[str, tuple[float, float]]
 
 
 def smaller(study: Study) -> Study:
-    """A short motion of few rfes."""
-    links = [link if link.rigid else replace(link, rfes=2) for link in study.mechanism.links]
-    links[-1] = replace(links[-1], rigid=True, rfes=1)
+    """A short motion of one flexible link of two rfes."""
+    links = [replace(link, rigid=link.name != "rocker", rfes=2) for link in study.mechanism.links]
     return replace(
         study, mechanism=replace(study.mechanism, links=links), duration=1e-2, save_every=5e-3,
         method=replace(study.method, step=5e-3),
     )  # fmt: skip
+
+
+def lighter(task: Any) -> Any:
+    """The first of the limits alone, and a few steps from two starts."""
+    return replace(task, limits=dict([*task.limits.items()][:1]), starts=2, searches=1, steps=4)
 
 
 def fixed(values: dict[str, float]) -> Ends:
@@ -64,10 +68,10 @@ def fixed(values: dict[str, float]) -> Ends:
 class Comparison:
     """The questions of a study, asked of one problem."""
 
-    def __init__(self, study: Study, problem: Problem, steps: int):
-        self.study, self.problem, self.steps = study, problem, steps
-        self.task: Any = study.tasks.asked["optimise"]
-        self.designs = study.design_bounds
+    def __init__(self, study: Study, task: Any):
+        self.task, self.designs = task, study.design_bounds
+        self.problem: Problem = build_problem(study, task.metrics)
+        self.mass = next(name for name in task.objective if name != "cost")
 
     def solve(self, objective: Any, designs: Ends, widths: Any, limits: Any, robust: str) -> DesignOptimum:
         """One optimisation."""
@@ -75,7 +79,7 @@ class Comparison:
         return optimise(
             self.problem, designs, widths, objective, limits, robust=robust,
             cost={name: build_cost(cost) for name, cost in task.costs.items()}, key=jax.random.key(task.seed),
-            starts=task.starts, steps=self.steps, mode="forward", batch=task.batch,
+            starts=task.starts, searches=task.searches, steps=task.steps, mode="forward", batch=task.batch,
         )  # fmt: skip
 
     def limits(self, reserve: float = 1.0) -> dict[str, tuple[None, float]]:
@@ -84,8 +88,7 @@ class Comparison:
 
     def sections(self, reserve: float) -> DesignOptimum:
         """Sections of least mass that keep the limits over a reserve at the perfect mechanism."""
-        mass = next(name for name in self.task.objective if name != "cost")
-        return self.solve(mass, self.designs, {**self.task.bounds}, self.limits(reserve), "nominal")
+        return self.solve(self.mass, self.designs, {**self.task.bounds}, self.limits(reserve), "nominal")
 
     def tolerances(self, sections: dict[str, float]) -> DesignOptimum:
         """Cheapest tolerances at given sections."""
@@ -95,23 +98,13 @@ class Comparison:
         """Sections and tolerances at once."""
         return self.solve(self.task.objective, self.designs, self.task.bounds, self.limits(), "worst_case")
 
-    def price(self, answer: DesignOptimum) -> tuple[float, float]:
-        """Mass [kg] and the objective of study.toml."""
-        terms = dict(answer.terms)
-        mass = next(name for name in self.task.objective if name != "cost")
-        if mass not in terms:
-            point = [[value - self.problem.nominal_value(name) for name, value in answer.designs.items()]]
-            values = evaluate_points(self.problem, tuple(answer.designs), {}, point, 1)[0]
-            terms[mass] = float(values[0, [metric.name for metric in self.problem.metrics].index(mass)])
-        return terms[mass], sum(weight * terms[name] for name, weight in self.task.objective.items())
-
     def row(self, way: str, answer: DesignOptimum, samples: int) -> dict[str, Any]:
-        """The answer, and the largest loads of fresh mechanisms."""
-        mass, objective = self.price(answer)
-        largest, failed = fresh_loads(self.problem, answer, samples, self.task.seed + 1)
+        """The answer, its price, and the largest loads of fresh mechanisms."""
+        nominal, largest, failed = fresh_loads(self.problem, answer, samples, self.task)
+        mass, cost = nominal[self.mass], answer.terms["cost"]
         kept = {name: largest[name] <= high * (1.0 + 1e-3) for name, (_, high) in self.task.limits.items()}
-        row = {"way": way, "status": answer.status, "objective": objective, "mass_kg": mass}
-        row |= {"cost": answer.terms["cost"]}
+        objective = self.task.objective[self.mass] * mass + self.task.objective["cost"] * cost
+        row = {"way": way, "status": answer.status, "objective": objective, "mass_kg": mass, "cost": cost}
         row |= {f"{name}_m": value for name, value in answer.designs.items()}
         row |= {f"{name}_{answer.units[name]}": width for name, width in answer.tolerances.items()}
         row |= {f"largest_{name}": largest[name] for name in kept}
@@ -119,17 +112,19 @@ class Comparison:
 
 
 def fresh_loads(
-    problem: ToleranceProblem, answer: DesignOptimum, samples: int, seed: int
-) -> tuple[dict[str, float], int]:
-    """The largest value of every metric over mechanisms drawn uniformly from within the tolerances, and how many
-    failed."""
+    problem: ToleranceProblem, answer: DesignOptimum, samples: int, task: Any
+) -> tuple[dict[str, float], dict[str, float], int]:
+    """Every metric of the perfect mechanism, its largest value over mechanisms drawn uniformly from within the
+    tolerances, and how many of these failed."""
     names = (*answer.designs, *answer.tolerances)
-    nominal = [value - problem.nominal_value(name) for name, value in answer.designs.items()]
-    draws = np.random.default_rng(seed).uniform(-1.0, 1.0, (samples, len(answer.tolerances)))
-    points = np.hstack([np.tile(nominal, (samples, 1)), draws * list(answer.tolerances.values())])
-    values = evaluate_points(problem, names, {}, points, 16)[0]
-    largest = dict(zip((metric.name for metric in problem.metrics), np.nanmax(values, axis=0), strict=True))
-    return largest, int(np.isnan(values).any(axis=1).sum())
+    dimensions = [value - problem.nominal_value(name) for name, value in answer.designs.items()]
+    draws = np.random.default_rng(task.seed + 1).uniform(-1.0, 1.0, (samples, len(answer.tolerances)))
+    draws = np.vstack([np.zeros(len(answer.tolerances)), draws])
+    points = np.hstack([np.tile(dimensions, (samples + 1, 1)), draws * list(answer.tolerances.values())])
+    values = evaluate_points(problem, names, {}, points, task.batch)[0]
+    named = [metric.name for metric in problem.metrics]
+    perfect, largest = (dict(zip(named, map(float, row))) for row in (values[0], np.nanmax(values[1:], axis=0)))
+    return perfect, largest, int(np.isnan(values[1:]).any(axis=1).sum())
 
 
 def main() -> None:
@@ -141,10 +136,10 @@ def main() -> None:
     options = parser.parse_args()
     started = time.perf_counter(), time.process_time()
     study = load_study(STUDY)
-    if options.quick:
-        study = smaller(study)
     task = study.tasks.asked["optimise"]
-    compared = Comparison(study, build_problem(study, task.metrics), 4 if options.quick else task.steps)
+    if options.quick:
+        study, task = smaller(study), lighter(task)
+    compared = Comparison(study, task)
     samples = 8 if options.quick else options.samples
     rows = []
 

@@ -19,6 +19,7 @@ from rfem_jax.description import (
     load_study,
 )
 from rfem_jax.description.driven_motions import all_breakpoints, each_drive, own_breakpoints
+from tests.study_texts import STEEL, hinge, link, rectangle
 
 PAIRS = [  # of a rotation and of a translation: the same law
     (MomentRamp("A", 1.5, 0.1), ForceRamp("G", "1.5 N", 0.1)),
@@ -28,32 +29,7 @@ PAIRS = [  # of a rotation and of a translation: the same law
     (PrescribedTable("A", [0, 1, 2], [0, 0.3, 0.1]), PrescribedDisplacements("G", [0, 1, 2], [0, "30 cm", 0.1])),
 ]
 
-SLIDER = """
-[mechanism.materials.steel]
-youngs_modulus = "210 GPa"
-poisson_ratio = 0.3
-density = 7850.0
-[mechanism.sections.bar]
-shape = "rectangle"
-width = "10 mm"
-height = "10 mm"
-[[mechanism.links]]
-name = "arm"
-length = 0.1
-section = "bar"
-material = "steel"
-rigid = true
-[[mechanism.links]]
-name = "hand"
-length = 0.1
-section = "bar"
-material = "steel"
-rigid = true
-[[mechanism.joints]]
-name = "A"
-parent = "base"
-child = "arm"
-[[mechanism.joints]]
+SLIDER = f"""{STEEL}{rectangle()}{link("arm", 0.1)}{link("hand", 0.1)}{hinge("arm")}[[mechanism.joints]]
 name = "C"
 kind = "cylindrical"
 parent = "arm"

@@ -1,11 +1,15 @@
 """A small study and synthetic runs with known numbers: reports are tested without simulating."""
 
+import csv
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+import rfem_jax.simulation
 from rfem_jax.description import load_study
+from rfem_jax.report import command_line
+from rfem_jax.report.tasks import study_problem
 from tests.description.conftest import refused  # noqa: F401
 
 STUDY = """
@@ -94,6 +98,12 @@ NOMINAL = {
 }
 
 
+def rows_of(path):
+    """The rows of a CSV file, by the names of its columns."""
+    with path.open(newline="", encoding="utf-8") as lines:
+        return list(csv.DictReader(lines))
+
+
 def joint_vector(size, number):
     """(11, 3) loads whose components are easy to tell apart: size * (1, 2, 3) + number."""
     return size * np.array([1.0, 2.0, 3.0]) + number + np.zeros((11, 3))
@@ -146,6 +156,22 @@ def synthetic_run(size, status=0):
         friction_losses={},
         contacts={},
     )
+
+
+@pytest.fixture
+def answered_by(tmp_path, monkeypatch):
+    """The path of the small study with tables of tasks, whose problem is a function's in place of the simulator's; no
+    settings of the process are changed."""
+
+    def write(build_problem, tables):
+        monkeypatch.setattr(study_problem, "build_problem", build_problem)
+        monkeypatch.setattr(command_line, "set_up_jax", lambda *_: None)
+        monkeypatch.setattr(rfem_jax.simulation, "check_step", lambda model, method, drive: 1.9e-5)
+        path = tmp_path / "study.toml"
+        path.write_text(STUDY + tables, encoding="utf-8")
+        return path
+
+    return write
 
 
 @pytest.fixture

@@ -9,31 +9,13 @@ import pytest
 
 from rfem_jax.report import command_line
 from rfem_jax.report.command_line import main
+from tests.study_texts import STEEL, hinge, link, rectangle
 
 from .page_folder import content_of
 
-STUDY = """
+STUDY = f"""
 title = "Arm"
-[mechanism.materials.steel]
-youngs_modulus = "210 GPa"
-poisson_ratio = 0.3
-density = 7850
-[mechanism.sections.bar]
-shape = "rectangle"
-width = "8 mm"
-height = "12 mm"
-[[mechanism.links]]
-name = "arm"
-length = 0.4
-section = "bar"
-material = "steel"
-rfes = 2
-[[mechanism.joints]]
-name = "A"
-parent = "base"
-child = "arm"
-angle = "90 deg"
-[drive]
+{STEEL}{rectangle('"8 mm"', '"12 mm"')}{link("arm", 0.4, "rfes = 2")}{hinge("arm", 'angle = "90 deg"')}[drive]
 joint = "A"
 kind = "prescribed_rate"
 rate = 1
@@ -44,7 +26,7 @@ step = 1e-6
 name = "nominal"
 [[cases]]
 name = "longer"
-errors = { "arm.length" = "2 mm" }
+errors = {{ "arm.length" = "2 mm" }}
 """
 
 

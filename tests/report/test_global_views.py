@@ -1,24 +1,20 @@
 """Sweeps, reliability studies, zones, contributions on a closed form: from the study file to table and picture."""
 
-import csv
 import json
 
 import numpy as np
 import pytest
 from scipy import stats
 
-import rfem_jax.simulation
 from rfem_jax.description import load_study
-from rfem_jax.report import command_line
 from rfem_jax.report.command_line import main
-from rfem_jax.report.tasks import study_problem
 from rfem_jax.report.tasks.task_overview import tasks_text
 from rfem_jax.report.tasks.task_report import report_on
 from rfem_jax.text_layout import WIDTH
 from rfem_jax.tolerancing import Tolerances
 
 from . import closed_form
-from .conftest import STUDY
+from .conftest import STUDY, rows_of
 
 TABLES = """
 [tolerances]
@@ -39,18 +35,8 @@ metrics = ["A.mean_square_force"]
 
 
 @pytest.fixture
-def path(tmp_path, monkeypatch):
-    monkeypatch.setattr(study_problem, "build_problem", closed_form.build_problem)
-    monkeypatch.setattr(command_line, "set_up_jax", lambda *_: None)
-    monkeypatch.setattr(rfem_jax.simulation, "check_step", lambda model, method, drive: 1.9e-5)
-    path = tmp_path / "study.toml"
-    path.write_text(STUDY + TABLES, encoding="utf-8")
-    return path
-
-
-def rows_of(path):
-    with path.open(encoding="utf-8", newline="") as lines:
-        return list(csv.DictReader(lines))
+def path(answered_by):
+    return answered_by(closed_form.build_problem, TABLES)
 
 
 def test_a_sweep_is_computed_written_drawn_and_continued(path, tmp_path, capsys):

@@ -13,30 +13,13 @@ from rfem_jax.report.command_line import main
 from rfem_jax.report.tasks import study_problem
 from rfem_jax.tolerancing.problems import evaluation, kept_evaluations, quadratic_model
 from rfem_jax.validation.lines import Benchmark, Line, Outcome
+from tests.study_texts import ROUND, STEEL, hinge, link
 
 from . import closed_form
 from .conftest import STUDY
 from .test_tasks import TASKS
 
-SLIDER = """
-[mechanism.materials.steel]
-youngs_modulus = "210 GPa"
-density = 7850.0
-poisson_ratio = 0.3
-[mechanism.sections.bar]
-shape = "circle"
-diameter = "10 mm"
-[[mechanism.links]]
-name = "arm"
-length = 0.3
-section = "bar"
-material = "steel"
-rigid = true
-[[mechanism.joints]]
-name = "A"
-parent = "base"
-child = "arm"
-[drive]
+SLIDER = f"""{STEEL}{ROUND}{link("arm", 0.3)}{hinge("arm")}[drive]
 joint = "A"
 kind = "moment_ramp"
 moment = 0.2
@@ -50,7 +33,7 @@ save_every = 1e-2
 name = "perfect"
 [[cases]]
 name = "tilted"
-errors = { "A.delta_x" = 0.01 }
+errors = {{ "A.delta_x" = 0.01 }}
 """
 
 

@@ -13,43 +13,14 @@ from rfem_jax.report.overview import study_text
 from rfem_jax.report.shapes import labelled_points
 from rfem_jax.report.summary import summarise
 from rfem_jax.simulation.accuracy import trial_errors
+from tests.study_texts import STEEL, hinge, link, rectangle
 
 pytestmark = pytest.mark.usefixtures("quick_compilation")
 
-STUDY = """
+LINKS = link("crank", 0.06) + link("piston", 0.05) + link("rod", 0.2)
+STUDY = f"""
 title = "Slider-crank without redundant constraints"
-[mechanism.materials.steel]
-youngs_modulus = "210 GPa"
-poisson_ratio = 0.3
-density = 7850.0
-[mechanism.sections.bar]
-shape = "rectangle"
-width = "10 mm"
-height = "10 mm"
-[[mechanism.links]]
-name = "crank"
-length = 0.06
-section = "bar"
-material = "steel"
-rigid = true
-[[mechanism.links]]
-name = "piston"
-length = 0.05
-section = "bar"
-material = "steel"
-rigid = true
-[[mechanism.links]]
-name = "rod"
-length = 0.2
-section = "bar"
-material = "steel"
-rigid = true
-[[mechanism.joints]]
-name = "A"
-parent = "base"
-child = "crank"
-angle = "10 deg"
-[[mechanism.joints]]
+{STEEL}{rectangle()}{LINKS}{hinge("crank", 'angle = "10 deg"')}[[mechanism.joints]]
 name = "G"
 kind = "prismatic"
 parent = "base"

@@ -9,31 +9,14 @@ from pathlib import Path
 
 import pytest
 
+from tests.study_texts import STEEL, hinge, link, rectangle
+
 ROOT = Path(__file__).parents[2]
-STUDY = """
+STUDY = f"""
 title = "Pendulum"
 [mechanism]
 gravity = [0.0, 0.0, -9.81]
-[mechanism.materials.steel]
-youngs_modulus = "210 GPa"
-poisson_ratio = 0.3
-density = 7850.0
-[mechanism.sections.bar]
-shape = "rectangle"
-width = "10 mm"
-height = "20 mm"
-[[mechanism.links]]
-name = "bar"
-length = 0.3
-section = "bar"
-material = "steel"
-rigid = true
-[[mechanism.joints]]
-name = "A"
-parent = "base"
-child = "bar"
-angle = "GUESS deg"
-[drive]
+{STEEL}{rectangle(height='"20 mm"')}{link("bar", 0.3)}{hinge("bar", 'angle = "GUESS deg"')}[drive]
 joint = "A"
 kind = "moment_ramp"
 moment = 0.5
@@ -47,7 +30,7 @@ save_every = 0.01
 name = "P1"
 [[cases]]
 name = "P2"
-errors = { "A.delta_x" = "0.5 deg" }
+errors = {{ "A.delta_x" = "0.5 deg" }}
 """
 
 

@@ -1,23 +1,19 @@
 """[optimise] on closed forms: from the study file to tables, pictures and exit codes."""
 
-import csv
 import json
 import math
 
 import numpy as np
 import pytest
 
-import rfem_jax.simulation
 from rfem_jax.description import load_study
-from rfem_jax.report import command_line
 from rfem_jax.report.command_line import main
-from rfem_jax.report.tasks import study_problem
 from rfem_jax.report.tasks.task_overview import tasks_text
 from rfem_jax.report.tasks.task_report import report_on
 from rfem_jax.text_layout import WIDTH
 from rfem_jax.tolerancing.problems.problem import FunctionProblem, Metric
 
-from .conftest import STUDY
+from .conftest import STUDY, rows_of
 
 HEIGHT, WIDTH_OF_TILT = 0.01, math.radians(0.25)
 TABLES = """
@@ -60,18 +56,8 @@ def build_problem(study, metrics, model=None):
 
 
 @pytest.fixture
-def path(tmp_path, monkeypatch):
-    monkeypatch.setattr(study_problem, "build_problem", build_problem)
-    monkeypatch.setattr(command_line, "set_up_jax", lambda *_: None)
-    monkeypatch.setattr(rfem_jax.simulation, "check_step", lambda model, method, drive: 1.9e-5)
-    path = tmp_path / "study.toml"
-    path.write_text(STUDY + TABLES, encoding="utf-8")
-    return path
-
-
-def rows_of(path):
-    with path.open(encoding="utf-8", newline="") as lines:
-        return list(csv.DictReader(lines))
+def path(answered_by):
+    return answered_by(build_problem, TABLES)
 
 
 def test_an_optimum_is_computed_written_and_drawn(path, tmp_path, capsys):

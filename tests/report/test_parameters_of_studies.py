@@ -4,7 +4,6 @@ A rigid arm turns at a constant rate without weight: its bearing carries F = m w
 section.
 """
 
-import csv
 import json
 import math
 
@@ -13,30 +12,15 @@ import pytest
 
 from rfem_jax.report import command_line
 from rfem_jax.report.command_line import main
+from tests.study_texts import STEEL, hinge, link, rectangle
 
-LENGTH, DENSITY, RATE, SIDE = 0.2, 8000.0, 30.0, 0.01
+from .conftest import rows_of
+
+LENGTH, DENSITY, RATE, SIDE = 0.2, 7850.0, 30.0, 0.01
 STUDY = f"""
 [mechanism]
 gravity = [0.0, 0.0, 0.0]
-[mechanism.materials.steel]
-youngs_modulus = "210 GPa"
-poisson_ratio = 0.3
-density = {DENSITY}
-[mechanism.sections.bar]
-shape = "rectangle"
-width = {SIDE}
-height = {SIDE}
-[[mechanism.links]]
-name = "arm"
-length = {LENGTH}
-section = "bar"
-material = "steel"
-rigid = true
-[[mechanism.joints]]
-name = "A"
-parent = "base"
-child = "arm"
-[drive]
+{STEEL}{rectangle(SIDE, SIDE)}{link("arm", LENGTH)}{hinge("arm")}[drive]
 joint = "A"
 kind = "prescribed_rate"
 rate = {RATE}
@@ -70,11 +54,6 @@ starts = 2
 
 def square_of_force(height, width):
     return (DENSITY * width * height * LENGTH * RATE**2 * LENGTH / 2.0) ** 2
-
-
-def rows_of(path):
-    with path.open(encoding="utf-8", newline="") as lines:
-        return list(csv.DictReader(lines))
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,5 @@
 """Tasks on a closed-form problem: what is computed and written, and the commands that do it."""
 
-import csv
 import json
 import math
 import os
@@ -25,9 +24,10 @@ from rfem_jax.report.tasks.task_overview import tasks_text
 from rfem_jax.tolerancing import Tolerances, monte_carlo
 from rfem_jax.tolerancing import worst_case as search
 from rfem_jax.tolerancing.problems.results_store import ResultsStore
+from tests.study_texts import ROUND, STEEL, hinge, link
 
 from . import closed_form
-from .conftest import STUDY
+from .conftest import STUDY, rows_of
 
 TASKS = """
 [tolerances]
@@ -80,11 +80,6 @@ def call(command, task_file, out, *options):
 
 def read(path):
     return json.loads(path.read_text(encoding="utf-8"))
-
-
-def rows_of(path):
-    with open(path, newline="", encoding="utf-8") as file:
-        return list(csv.DictReader(file))
 
 
 def names_in(folder):
@@ -442,28 +437,11 @@ def test_two_processes_share_the_samples(task_file, tmp_path):
         assert (out / name).read_bytes() == (tmp_path / "alone" / name).read_bytes()
 
 
-PENDULUM = """
+PENDULUM = f"""
 [mechanism]
 gravity = [0.0, 0.0, -9.81]
-[mechanism.materials.steel]
-youngs_modulus = "210 GPa"
-density = 7850.0
-poisson_ratio = 0.3
-damping = 1e-5
-[mechanism.sections.bar]
-shape = "circle"
-diameter = "10 mm"
-[[mechanism.links]]
-name = "arm"
-length = 0.3
-section = "bar"
-material = "steel"
-rfes = 2
-[[mechanism.joints]]
-name = "A"
-parent = "base"
-child = "arm"
-[drive]
+{STEEL}damping = 1e-5
+{ROUND}{link("arm", 0.3, "rfes = 2")}{hinge("arm")}[drive]
 joint = "A"
 kind = "prescribed_rate"
 rate = 3.0
