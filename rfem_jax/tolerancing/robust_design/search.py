@@ -24,7 +24,7 @@ PENALTY = 10.0  # of a violated constraint, where points are compared
 NEAR = 1e-3  # a violation below this is small enough for multipliers
 EXACT = 1e-9  # largest constraint of an exact solution
 ACTIVE = 1e-5  # a constraint nearer to its limit than this is active
-HOLDS = 1e-4  # a constraint above this does not hold
+HOLDS = 1e-6  # a constraint above this does not hold
 
 Evaluation = tuple[float, Float[np.ndarray, " p"], Float[np.ndarray, " q"], Float[np.ndarray, "q p"]]
 
