@@ -25,6 +25,8 @@ import jax  # noqa: E402
 import pytest  # noqa: E402
 from jax._src import compiler  # noqa: E402
 
+from tests.evaluation_by_numpy import instead_of_compilation  # noqa: E402
+
 if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
     # The two workers, and the next session, compile the same programs.
     cache = Path(__file__).parents[1] / ".pytest_cache" / "compiled"
@@ -86,7 +88,8 @@ def quick_compilation():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(compiler, "get_compile_options", quick)
         jax.config.update("jax_disable_most_optimizations", True)
-        yield
+        with instead_of_compilation():
+            yield
     jax.config.update("jax_disable_most_optimizations", before)
 
 

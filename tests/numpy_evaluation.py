@@ -6,7 +6,8 @@ here is carried out by JAX as one operation.  What XLA makes of the same operati
 
 import functools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import jax
@@ -31,6 +32,13 @@ REDUCED: dict[str, Callable] = {
     "reduce_max": lambda x, axis: np.max(x, axis=axis, initial=-np.inf) if x.dtype.kind == "f" else np.max(x, axis),
     "reduce_min": lambda x, axis: np.min(x, axis=axis, initial=np.inf) if x.dtype.kind == "f" else np.min(x, axis),
 }  # fmt: skip
+
+
+# Whose results have the type that NumPy gives them.
+SAME_TYPE = frozenset(
+    "sin cos tan exp log sqrt tanh abs add add_any sub mul neg max min lt le gt ge eq ne and or not is_finite".split()
+)
+ENTRIES = 2000  # of a result, which take as long as the call of its operation
 
 
 def by_numpy(function: Callable) -> Callable:
@@ -68,29 +76,122 @@ def _samples(trees: tuple) -> list[tuple]:
     return [jax.tree.map(lambda x: x[i], trees) for i in range(count)]
 
 
-def _evaluate(program: ClosedJaxpr, given: list[np.ndarray]) -> list[np.ndarray]:
-    jaxpr = program.jaxpr
-    values = dict(zip(jaxpr.constvars, map(np.asarray, program.consts))) | dict(zip(jaxpr.invars, given, strict=True))
-
-    def read(variable: Any):
-        return np.asarray(variable.val) if isinstance(variable, Literal) else values[variable]
-
-    for equation in jaxpr.eqns:
-        results = _apply(equation, [read(variable) for variable in equation.invars])
-        for variable, result in zip(equation.outvars, results, strict=True):
-            values[variable] = np.asarray(result, variable.aval.dtype)
-    return [read(variable) for variable in jaxpr.outvars]
+class TooLong(Exception):
+    """An evaluation would take more operations than it was allowed."""
 
 
-def _apply(equation, parts: list[np.ndarray]) -> list:
+class Work:
+    """Counts operations, each as one and a part by the size of its result; raises TooLong beyond `allowed`."""
+
+    def __init__(self, allowed: float = math.inf):
+        self.done, self.allowed = 0.0, allowed
+
+    def add(self, operations: float) -> None:
+        self.done += operations
+        if self.done > self.allowed:
+            raise TooLong
+
+
+_work = Work()
+
+
+@contextmanager
+def counted(work: Work):
+    """Count what is evaluated within the block."""
+    global _work
+    before, _work = _work, work
+    try:
+        yield
+    finally:
+        _work = before
+
+
+class Interpreted:
+    """A jaxpr as a list of functions of NumPy arrays, each with the places of its arguments and results."""
+
+    def __init__(self, program):
+        jaxpr = program.jaxpr
+        self.source = program  # its identity is the key of `_INTERPRETED`
+        self.places: dict[Any, int] = {}
+        self.first: list[Any] = []
+        for variable, value in zip(jaxpr.constvars, program.consts, strict=True):
+            self._place(variable, np.asarray(value))
+        self.inputs = [self._place(variable) for variable in jaxpr.invars]
+        self.operations = [self._operation(equation) for equation in jaxpr.eqns]
+        self.outputs = [self._read(variable) for variable in jaxpr.outvars]
+        sizes = [math.prod(x.aval.shape) for equation in jaxpr.eqns for x in equation.outvars]
+        self.work = sum(1.0 + size / ENTRIES for size in sizes)
+        del self.places
+
+    def _place(self, variable, value=None) -> int:
+        self.places[variable] = len(self.first)
+        self.first.append(value)
+        return self.places[variable]
+
+    def _read(self, variable) -> int:
+        if isinstance(variable, Literal):
+            self.first.append(np.asarray(variable.val))
+            return len(self.first) - 1
+        return self.places[variable]
+
+    def _operation(self, equation):
+        name, given = equation.primitive.name, [self._read(variable) for variable in equation.invars]
+        results = [self._place(variable) for variable in equation.outvars]
+        if name in ELEMENTWISE or name in REDUCED:
+            act = ELEMENTWISE.get(name) or functools.partial(REDUCED[name], axis=tuple(equation.params.get("axes", ())))
+            (dtype,) = [variable.aval.dtype for variable in equation.outvars]
+            if name not in SAME_TYPE:
+                return functools.partial(_typed, act, dtype), given, results[0], None
+            return act, given, results[0], None
+        types = [variable.aval.dtype for variable in equation.outvars]
+        return functools.partial(_apply, equation), given, results, types
+
+    def __call__(self, given: Sequence[np.ndarray]) -> list[np.ndarray]:
+        _work.add(self.work)
+        values = self.first.copy()
+        for place, value in zip(self.inputs, given, strict=True):
+            values[place] = value
+        for act, arguments, results, types in self.operations:
+            found = act(*[values[place] for place in arguments])
+            if types is None:
+                values[results] = found
+            else:
+                for place, result, dtype in zip(results, found, types, strict=True):
+                    values[place] = np.asarray(result, dtype)
+        return [values[place] for place in self.outputs]
+
+
+def _typed(act, dtype, *parts):
+    return np.asarray(act(*parts), dtype)
+
+
+_INTERPRETED: dict[int, Interpreted] = {}
+
+
+def interpreted(program) -> Interpreted:
+    """The program, a closed jaxpr or one without constants, made ready once."""
+    found = _INTERPRETED.get(id(program))
+    if found is None:
+        is_closed = hasattr(program, "consts") and hasattr(program, "jaxpr")
+        closed = program if is_closed else ClosedJaxpr(program, ())
+        found = _INTERPRETED[id(program)] = Interpreted(closed)
+        found.source = program
+    return found
+
+
+def forget_programs() -> None:
+    """Free the memory of all programs that were made ready."""
+    _INTERPRETED.clear()
+
+
+def _evaluate(program, given: Sequence[np.ndarray]) -> list[np.ndarray]:
+    return interpreted(program)(given)
+
+
+def _apply(equation, *parts: np.ndarray) -> list:
     name, settings = equation.primitive.name, equation.params
-    if name in ELEMENTWISE:
-        return [ELEMENTWISE[name](*parts)]
-    if name in REDUCED:
-        return [REDUCED[name](parts[0], axis=tuple(settings["axes"]))]
     if name in CALLS:
-        inner = settings.get("jaxpr", settings.get("call_jaxpr"))
-        return _evaluate(inner if isinstance(inner, ClosedJaxpr) else ClosedJaxpr(inner, ()), parts)
+        return _evaluate(settings.get("jaxpr", settings.get("call_jaxpr")), parts)
     if name in SPECIAL:
         return SPECIAL[name](equation, *parts)
     results = equation.primitive.bind(*parts, **settings)
@@ -147,6 +248,9 @@ def _while(equation, *parts):
     while (going := goes_on()).any():
         # Under vmap the condition may be one of each sample.
         results = _evaluate(settings["body_jaxpr"], [*of_body, *values])
+        if not going.ndim:
+            values = results
+            continue
         pairs = zip(results, values, strict=True)
         values = [np.where(going.reshape(going.shape + (1,) * (x.ndim - going.ndim)), x, y) for x, y in pairs]
     return values
