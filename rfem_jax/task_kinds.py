@@ -143,7 +143,7 @@ register_task(
         "sweep",
         asks="rfem_jax.description.tasks.sweep:SweepTask",
         reports="rfem_jax.report.tasks.sweep:SweepReport",
-        purpose="metrics over ranges of the errors, and the surface through them; continues an interrupted run",
+        purpose="metrics over ranges of errors and dimensions, the surface through them; continues an interrupted run",
         results="all points, the response surface with its error, responses, contours; chunks of points in DIR/sweep",
         many_processes=True,
         kept="finished chunks of a sweep",

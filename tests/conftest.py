@@ -31,6 +31,8 @@ if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
     # The two workers, and the next session, compile the same programs.
     cache = Path(__file__).parents[1] / ".pytest_cache" / "compiled"
     jax.config.update("jax_compilation_cache_dir", str(cache))
+# Tracing makes millions of lasting objects, among which nothing is to be collected.
+gc.set_threshold(200_000, 20, 20)
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")

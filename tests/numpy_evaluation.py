@@ -115,7 +115,7 @@ class Interpreted:
         self.places: dict[Any, int] = {}
         self.first: list[Any] = []
         for variable, value in zip(jaxpr.constvars, program.consts, strict=True):
-            self._place(variable, np.asarray(value))
+            self._place(variable, value if is_key(variable.aval) else np.asarray(value))
         self.inputs = [self._place(variable) for variable in jaxpr.invars]
         self.operations = [self._operation(equation) for equation in jaxpr.eqns]
         self.outputs = [self._read(variable) for variable in jaxpr.outvars]
@@ -143,7 +143,7 @@ class Interpreted:
             if name not in SAME_TYPE:
                 return functools.partial(_typed, act, dtype), given, results[0], None
             return act, given, results[0], None
-        types = [variable.aval.dtype for variable in equation.outvars]
+        types = [None if is_key(variable.aval) else variable.aval.dtype for variable in equation.outvars]
         return functools.partial(_apply, equation), given, results, types
 
     def __call__(self, given: Sequence[np.ndarray]) -> list[np.ndarray]:
@@ -157,8 +157,13 @@ class Interpreted:
                 values[results] = found
             else:
                 for place, result, dtype in zip(results, found, types, strict=True):
-                    values[place] = np.asarray(result, dtype)
+                    values[place] = result if dtype is None else np.asarray(result, dtype)
         return [values[place] for place in self.outputs]
+
+
+def is_key(aval) -> bool:
+    """Whether values of this kind are keys of random numbers, which NumPy does not know."""
+    return jax.dtypes.issubdtype(aval.dtype, jax.dtypes.extended)
 
 
 def _typed(act, dtype, *parts):

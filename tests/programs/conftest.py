@@ -10,6 +10,7 @@ import pytest
 from tests.conftest import QUICK_OPTIONS
 
 ROOT = Path(__file__).parents[2]
+LAUNCH = Path(__file__).with_name("launch.py")
 # Compiled without most optimisations, and kept by JAX for the next test and the next session.
 ENVIRONMENT = {
     "PYTHONPATH": str(ROOT),
@@ -62,13 +63,16 @@ step = 1e-5
 
 @pytest.fixture(scope="session")
 def run_program():
-    """What a program of this repository prints, given its path, or its module's name, and its arguments."""
+    """What a program of this repository prints, given its path, or its module's name, and its arguments; `compiled`:
+    as it is, without `launch.py`."""
 
-    def run(program, *arguments, code=0):
+    def run(program, *arguments, code=0, compiled=False):
         environment = {**os.environ, **ENVIRONMENT}
         environment["XLA_FLAGS"] = QUICK_FLAGS
         environment["RFEM_JAX_NO_CACHE"] = "1"
-        start = [str(ROOT / program)] if program.endswith(".py") else ["-m", program]
+        program = str(ROOT / program) if program.endswith(".py") else program
+        plainly = [program] if program.endswith(".py") else ["-m", program]
+        start = plainly if compiled else [str(LAUNCH), program]
         command = [sys.executable, *start, *map(str, arguments)]
         answer = subprocess.run(command, env=environment, cwd=ROOT, capture_output=True, text=True)
         assert answer.returncode == code, answer.stdout[-2000:] + answer.stderr[-4000:]

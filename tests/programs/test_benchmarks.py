@@ -1,5 +1,6 @@
 """The programs in `benchmarks`, on small inputs: they run, and measure what they say; their times are not looked at."""
 
+import functools
 import importlib.util
 import json
 import re
@@ -10,6 +11,12 @@ from tests.programs.conftest import rows_of
 
 without_peer = importlib.util.find_spec("exudyn") is None
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(without_peer, reason="needs the extra `bench`")]
+
+
+@pytest.fixture(scope="module")
+def run_program(run_program):
+    """Benchmarks measure compiled programs."""
+    return functools.partial(run_program, compiled=True)
 
 
 def test_main_study(run_program):

@@ -57,7 +57,7 @@ def test_a_sweep_is_computed_written_drawn_and_continued(path, tmp_path, capsys)
     assert moment["hessian"][0][0] == pytest.approx(32.0 / width**2) and moment["explained"] == pytest.approx(1.0)
     assert found["task"]["bounds"]["D.delta_x"] == pytest.approx([-width, width])
     printed = capsys.readouterr().out
-    assert "9 points (3 levels of each error), 0 failed" in printed and "cross-validated error" in printed
+    assert "9 points (3 levels of each), 0 failed" in printed and "cross-validated error" in printed
     assert max(len(line) for line in printed.splitlines() if str(tmp_path) not in line) <= WIDTH
     chunks = {one: one.stat().st_mtime_ns for one in out.rglob("chunk-*.npz")}
     assert len(chunks) == 2 and main(["sweep", str(path), "--out", str(out)]) == 0

@@ -48,7 +48,7 @@ def test_a_grid_holds_all_combinations(grid):
         assert value == pytest.approx(7.0 + GRADIENT @ e + 0.5 * e @ HESSIAN @ e, rel=1e-12)
     row = grid.rows()[3]
     assert {"a_m", "b_rad", "square_N", "wave", "square_surface_N", "wave_surface", "status", "point"} == set(row)
-    assert "Sweep over 2 errors: 16 points (4 levels of each error), 4 failed" in str(grid)
+    assert "Sweep over 2 quantities: 16 points (4 levels of each), 4 failed" in str(grid)
 
 
 def test_a_sweep_continues_in_its_folder(grid, folder):

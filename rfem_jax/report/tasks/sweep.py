@@ -1,4 +1,4 @@
-"""Sweeps: metrics over ranges of the errors, as a table, as responses over one error and as contours over two.
+"""Sweeps: metrics over ranges of errors and numbers of the design: a table, responses over one, contours over two.
 
 Place in the pipeline: `rfem_jax.description.tasks.sweep` -> **sweep** -> terminal, files and pictures. Pictures show
 errors in deg and mm, metrics in their own units.
@@ -56,7 +56,7 @@ class SweepReport(TaskReport[SweepTask, SweepResult]):
         Raises: InputError for a folder of another study; ChunkWriteError for a full disk.
         """
         task = self.task
-        stage = f"Sweeping over {len(task.bounds)} errors"
+        stage = f"Sweeping over {len(task.bounds)} quantities"
         on_stage(stage)
 
         def report(done: int, total: int) -> None:
@@ -196,8 +196,10 @@ def responses_figure(study: Study, result: SweepResult) -> Figure:
                 axes.set_ylabel(f"{result.metrics[j]},\n{result.metric_units[j] or '1'}")
     panels[0, 0].legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, frameon=False)
     left_out = len(result.names) + len(result.metrics) - len(errors) - len(metrics)
-    heading = f"Responses over one error each: {len(result.status)} points, {len(result.status) - result.good} failed"
-    heading += f" ({left_out} more errors and metrics are in the CSV)" if left_out else ""
+    heading = (
+        f"Responses over one quantity each: {len(result.status)} points, {len(result.status) - result.good} failed"
+    )
+    heading += f" ({left_out} more quantities and metrics are in the CSV)" if left_out else ""
     add_titles(figure, heading, study)
     return figure
 
@@ -224,8 +226,8 @@ def contours_figure(study: Study, result: SweepResult) -> Figure:
     panels, _ = panel_grid(figure, shown)
     for j, axes in enumerate(panels):
         _draw_contours(figure, axes, result, j)
-    own = "values at the points" if _is_map(result) else "response surface, other errors in the middle"
-    add_titles(figure, f"Contours over the two errors that matter most ({own})", study)
+    own = "values at the points" if _is_map(result) else "response surface, the others in the middle"
+    add_titles(figure, f"Contours over the two quantities that matter most ({own})", study)
     return figure
 
 

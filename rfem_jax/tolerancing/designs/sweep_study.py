@@ -91,8 +91,8 @@ class SweepResult:
         return frame(self.rows(), ["point"])
 
     def __str__(self) -> str:
-        size = f"{self.levels} levels of each error" if self.design == "grid" else "Sobol' points"
-        head = f"Sweep over {len(self.names)} errors: {len(self.status)} points ({size}), "
+        size = f"{self.levels} levels of each" if self.design == "grid" else "Sobol' points"
+        head = f"Sweep over {len(self.names)} quantities: {len(self.status)} points ({size}), "
         head += f"{len(self.status) - self.good} failed"
         lines = [wrap_lines(head), self._ranges(), "", self._extremes()]
         if self.surface is not None:
@@ -104,7 +104,7 @@ class SweepResult:
     def _ranges(self) -> str:
         ends = zip(self.names, self.error_units, self.bounds, strict=True)
         return align_columns(
-            ["error", "from", "to"], [[name, *(show_error(end, unit) for end in pair)] for name, unit, pair in ends]
+            ["quantity", "from", "to"], [[name, *(show_error(end, unit) for end in pair)] for name, unit, pair in ends]
         )
 
     def _extremes(self) -> str:
