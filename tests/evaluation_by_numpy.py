@@ -18,7 +18,7 @@ from tests import numpy_evaluation
 from tests.numpy_evaluation import TooLong, Work, counted, interpreted, is_key
 
 SMALL = 400  # equations of a program that is compiled at once
-RATIO = 300.0  # operations of NumPy in the time in which XLA compiles one
+RATIO = 100.0  # operations of NumPy in the time in which XLA compiles one
 FOREIGN = ("callback", "debug", "print", "infeed", "outfeed", "shard_map", "custom_partitioning")
 LOOPS = ("scan", "while", "cond")
 

@@ -6,6 +6,7 @@ here is carried out by JAX as one operation.  What XLA makes of the same operati
 
 import functools
 import math
+import threading
 from collections.abc import Callable, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -92,18 +93,17 @@ class Work:
             raise TooLong
 
 
-_work = Work()
+_counted = threading.local()
 
 
 @contextmanager
 def counted(work: Work):
-    """Count what is evaluated within the block."""
-    global _work
-    before, _work = _work, work
+    """Count what this thread evaluates within the block."""
+    before, _counted.work = getattr(_counted, "work", None), work
     try:
         yield
     finally:
-        _work = before
+        _counted.work = before
 
 
 class Interpreted:
@@ -143,11 +143,15 @@ class Interpreted:
             if name not in SAME_TYPE:
                 return functools.partial(_typed, act, dtype), given, results[0], None
             return act, given, results[0], None
+        if name in PREPARED:
+            return PREPARED[name](equation), given, results[0], None
         types = [None if is_key(variable.aval) else variable.aval.dtype for variable in equation.outvars]
         return functools.partial(_apply, equation), given, results, types
 
     def __call__(self, given: Sequence[np.ndarray]) -> list[np.ndarray]:
-        _work.add(self.work)
+        work = getattr(_counted, "work", None)
+        if work is not None:
+            work.add(self.work)
         values = self.first.copy()
         for place, value in zip(self.inputs, given, strict=True):
             values[place] = value
@@ -203,43 +207,69 @@ def _apply(equation, *parts: np.ndarray) -> list:
     return results if equation.primitive.multiple_results else [results]
 
 
-def _divided(equation, a, b):
+def _divided(equation):
     if np.issubdtype(equation.outvars[0].aval.dtype, np.floating):
-        return [a / b]
-    return [np.trunc(a / b)]
+        return np.divide
+    return lambda a, b: np.trunc(a / b).astype(equation.outvars[0].aval.dtype)
 
 
-def _broadcast(equation, x):
-    shape = equation.params["shape"]
+def _broadcast(equation):
+    shape, dtype = equation.params["shape"], equation.outvars[0].aval.dtype
     lengths = [1] * len(shape)
-    for axis, length in zip(equation.params["broadcast_dimensions"], x.shape, strict=True):
+    for axis, length in zip(equation.params["broadcast_dimensions"], equation.invars[0].aval.shape, strict=True):
         lengths[axis] = length
-    return [np.broadcast_to(x.reshape(lengths), shape)]
+    if math.prod(lengths) == math.prod(shape):
+        return lambda x: x.reshape(shape)
+
+    def spread(x):
+        made = np.empty(shape, dtype)  # faster than a view by `np.broadcast_to`
+        made[...] = x.reshape(lengths)
+        return made
+
+    return spread
 
 
-def _slice(equation, x):
+def _slice(equation):
     settings = equation.params
-    strides = settings["strides"] or (1,) * x.ndim
+    strides = settings["strides"] or (1,) * len(settings["start_indices"])
     limits = zip(settings["start_indices"], settings["limit_indices"], strides, strict=True)
-    return [x[tuple(slice(*limit) for limit in limits)]]
+    part = tuple(slice(*limit) for limit in limits)
+    return lambda x: x[part]
 
 
-def _dot(equation, a, b):
+def _reshaped(equation):
+    shape = equation.outvars[0].aval.shape
+    return lambda x: x.reshape(shape)
+
+
+def _dot(equation):
     (a_summed, b_summed), (a_batch, b_batch) = equation.params["dimension_numbers"]
-    a_own = [i for i in range(a.ndim) if i not in (*a_summed, *a_batch)]
-    b_own = [i for i in range(b.ndim) if i not in (*b_summed, *b_batch)]
-    shape = [a.shape[i] for i in (*a_batch, *a_own)] + [b.shape[i] for i in b_own]
-    batch, terms = (math.prod(a.shape[i] for i in axes) for axes in (a_batch, a_summed))
-    rows, columns = (math.prod(x.shape[i] for i in own) for x, own in ((a, a_own), (b, b_own)))
-    a = a.transpose([*a_batch, *a_own, *a_summed]).reshape(batch, rows, terms)
-    b = b.transpose([*b_batch, *b_summed, *b_own]).reshape(batch, terms, columns)
-    return [(a @ b).reshape(shape)]
+    a_shape, b_shape = (variable.aval.shape for variable in equation.invars)
+    a_own = [i for i in range(len(a_shape)) if i not in (*a_summed, *a_batch)]
+    b_own = [i for i in range(len(b_shape)) if i not in (*b_summed, *b_batch)]
+    shape = equation.outvars[0].aval.shape
+    batch, terms = (math.prod(a_shape[i] for i in axes) for axes in (a_batch, a_summed))
+    rows, columns = math.prod(a_shape[i] for i in a_own), math.prod(b_shape[i] for i in b_own)
+    first, second = [*a_batch, *a_own, *a_summed], [*b_batch, *b_summed, *b_own]
+
+    def product(a, b):
+        a = a.transpose(first).reshape(batch, rows, terms)
+        b = b.transpose(second).reshape(batch, terms, columns)
+        return (a @ b).reshape(shape)
+
+    return product
 
 
-def _selected(_, which, *cases):
-    if which.dtype == bool:
-        return [np.where(which, cases[1], cases[0])]
-    return [np.choose(which, cases)]
+def _selected(equation):
+    if equation.invars[0].aval.dtype == bool:
+        return lambda which, no, yes: np.where(which, yes, no)
+    return lambda which, *cases: np.choose(which, cases)
+
+
+def _power(equation):
+    is_float = np.issubdtype(equation.outvars[0].aval.dtype, np.floating)
+    exponent = float(equation.params["y"]) if is_float else equation.params["y"]
+    return np.square if exponent == 2 else lambda x: x**exponent
 
 
 def _while(equation, *parts):
@@ -383,33 +413,36 @@ def _iota(equation):
 SPECIAL: dict[str, Callable] = {
     "argmax": lambda e, x: [np.argmax(x, *e.params["axes"])],
     "argmin": lambda e, x: [np.argmin(x, *e.params["axes"])],
-    "broadcast_in_dim": _broadcast,
-    "concatenate": lambda e, *parts: [np.concatenate(parts, e.params["dimension"])],
     "cond": lambda e, which, *parts: _evaluate(e.params["branches"][int(which)], list(parts)),
-    "div": _divided,
-    "dot_general": _dot,
     "custom_linear_solve": _linear_solve,
     "dynamic_slice": _dynamic_slice,
     "dynamic_update_slice": _dynamic_update_slice,
-    "expand_dims": lambda e, x: [np.expand_dims(x, e.params["dimensions"])],
     "gather": _gather,
-    "integer_pow": lambda e, x: [x ** float(e.params["y"])],
     "iota": _iota,
     "optimization_barrier": lambda _, *parts: list(parts),
     "pad": _padded,
     "reorder": lambda e, x: [np.take(x, e.params["order"], e.params["axis"])],
-    "reshape": lambda e, x: [x.reshape(e.params["new_sizes"])],
     "rev": lambda e, x: [np.flip(x, e.params["dimensions"])],
     "scan": _scan,
     "scatter": _scatter,
     "scatter-add": lambda e, *parts: _scatter(e, *parts, combine=np.add),
     "scatter_add": lambda e, *parts: _scatter(e, *parts, combine=np.add),
-    "select_n": _selected,
-    "slice": _slice,
     "split": _split,
-    "squeeze": lambda e, x: [np.squeeze(x, tuple(e.params["dimensions"]))],
-    "stack": lambda e, *parts: [np.stack(parts, e.params["axis"])],
-    "transpose": lambda e, x: [x.transpose(e.params["permutation"])],
     "unstack": _unstack,
     "while": _while,
+}
+# Made ready once for an equation; of one result.
+PREPARED: dict[str, Callable] = {
+    "broadcast_in_dim": _broadcast,
+    "concatenate": lambda e: lambda *parts: np.concatenate(parts, e.params["dimension"]),
+    "div": _divided,
+    "dot_general": _dot,
+    "expand_dims": _reshaped,
+    "integer_pow": _power,
+    "reshape": _reshaped,
+    "select_n": _selected,
+    "slice": _slice,
+    "squeeze": _reshaped,
+    "stack": lambda e: lambda *parts: np.stack(parts, e.params["axis"]),
+    "transpose": lambda e: lambda x: x.transpose(e.params["permutation"]),
 }

@@ -148,6 +148,18 @@ def test_design_sweep(run_command):
     assert "bar.height" in said and (out / "sweep_contours.png").exists()
 
 
+def of_few_errors(*names):
+    """A change of a study to a few of its tolerances, with derivatives of first order."""
+
+    def change(content):
+        for table in (content["tolerances"], content["allocation"]["bounds"]):
+            for name in set(table) - set(names):
+                del table[name]
+        content["sensitivity"]["order"] = 1
+
+    return change
+
+
 def without_tasks(text):
     tasks = ("tolerances", "sensitivity", "monte_carlo", "worst_case", "allocation")
     return "\n".join(line for line in text.splitlines() if line.split(" = ")[0] not in tasks)
@@ -155,7 +167,16 @@ def without_tasks(text):
 
 @pytest.mark.slow
 def test_slider_crank(run_command):
-    out, _ = run_command("run", without_tasks(reduced("slider_crank/study.toml")))
+    """And its tasks, with limits that the short run keeps."""
+
+    def change(content):
+        of_few_errors("G.delta_z", "P.delta_x")(content)
+        content["sensitivity"]["metrics"] = ["G.mean_square_moment"]
+        content["allocation"]["limits"] = {"G.mean_square_moment": 1e6}
+
+    out, said = run_command("run", reduced("slider_crank/study.toml", change=change))
+    check_tasks(out, said, 8, more={"worst_case"})
+    assert json.loads((out / "allocation.json").read_text())["status"] == "ok"
     cases = json.loads((out / "results.json").read_text())["cases"]
     assert all(case["status"] == "ok" for case in cases.values())
     moments = {name: case["joints"]["G"]["rms_moment"] for name, case in cases.items()}
@@ -241,16 +262,28 @@ def test_tasks_of_the_press(run_command):
 
 @pytest.mark.slow
 def test_spatial_linkage(run_command):
-    """With a rigid coupler, which compiles in half the time."""
-    text = reduced("spatial_linkage/study.toml")
+    """All tasks, with a rigid coupler, which compiles in half the time."""
+
+    def change(content):
+        of_few_errors("B.d_x", "B.child.d_y", "C.d_z")(content)
+        content["sensitivity"]["metrics"] = ["D.end_angle"]
+        content["allocation"]["limits"] = {"D.end_angle": ["-180 deg", "180 deg"]}
+
+    text = reduced("spatial_linkage/study.toml", change=change)
     assert text.count('"rfes" = 2') == 1
-    out, said = run_command("monte-carlo", text.replace('"rfes" = 2', '"rfes" = 1'))
+    out, said = run_command("run", text.replace('"rfes" = 2', '"rfes" = 1'))
+    check_tasks(out, said, 8)
     with open(out / "monte_carlo.csv", newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
-    assert len(rows) == 8 and {row["status"] for row in rows} == {"0"}
     # Nothing is bent to fit: errors of the ball centres move the rocker, and hardly change the loads.
     angle, force = (np.array([float(row[name]) for row in rows]) for name in ("D.end_angle_rad", "D.rms_force_N"))
-    assert 1e-4 < np.ptp(angle) < 1e-2 and np.ptp(force) < 0.05 * force.min()
+    assert 1e-5 < np.ptp(angle) < 1e-2 and np.ptp(force) < 0.05 * force.min()
+    # What the samples have is what the gradients say.
+    with open(out / "sensitivity.csv", newline="", encoding="utf-8") as file:
+        gradients = {row["error"]: float(row["gradient"]) for row in csv.DictReader(file)}
+    errors = np.array([[float(row[f"{name}_m"]) for name in gradients] for row in rows])
+    expected = errors @ np.array(list(gradients.values()))
+    np.testing.assert_allclose(np.ptp(angle), np.ptp(expected), rtol=2e-2)
     assert "D.end_angle" in said
 
 
@@ -285,9 +318,10 @@ def test_bearing_stiffness(run_command):
     assert rows["status"] == "ok"
 
 
-def check_tasks(out, said, samples):
+def check_tasks(out, said, samples, more=frozenset()):
     """Every task wrote its files; no sample failed."""
-    assert {path.stem for path in out.glob("*.json")} == {"results", "sensitivity", "monte_carlo", "allocation"}
+    files = {path.stem for path in out.glob("*.json")}
+    assert files == {"results", "sensitivity", "monte_carlo", "allocation", *more}
     with open(out / "monte_carlo.csv", newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == samples and {row["status"] for row in rows} == {"0"}
