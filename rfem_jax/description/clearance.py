@@ -33,6 +33,9 @@ class Clearance(ChecksItself):
     3 (1 - r^2) / (4 v), v the speed at which this contact began (Lankarani and Nikravesh), which needs the implicit
     method; without both contacts are elastic. Friction acts against sliding of the pin's surface at a contact.
 
+    Take steps of a twentieth of the duration of a contact or shorter, and look at the run's energy balance: steps that
+    follow contact are not there yet, and in steps as long as a contact a run can be wrong by tenths with status ok.
+
     Args:
         radial: [m] clearance between the radii of bush and pin, >= 0: half the difference of the diameters.
         length: [m] of the pin, centred on the joint's point on the link that holds the pin: its ends are where it

@@ -1,0 +1,82 @@
+"""What NumPy evaluates instead of a compiled program is the same, and loops of many turns are compiled."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from tests import evaluation_by_numpy
+from tests.evaluation_by_numpy import instead_of_compilation, least_operations
+from tests.numpy_evaluation import by_numpy
+
+COMPILED_AS_SHIPPED = True  # so that programs are evaluated only within the blocks of these tests
+
+
+def everything(x):
+    """Loops, branches, a linear solver, signs by chance, a rule of derivatives, and a batch."""
+
+    def turn(carry, row):
+        changed = jax.lax.cond(carry.sum() > 0.0, jnp.sin, lambda c: 2.0 * c, carry)
+        return changed, jnp.linalg.solve(jnp.eye(3) + jnp.outer(carry, row), carry)
+
+    last, rows = jax.lax.scan(jax.checkpoint(turn), x, jnp.arange(12.0).reshape(4, 3))
+    grown = jax.lax.while_loop(lambda c: c[0] < 10.0, lambda c: c * c + 1.0, x)
+    signs = jax.random.rademacher(jax.random.key(0), (3,), float)
+    squares = jax.vmap(lambda y: jax.nn.softplus(y @ x) ** 3)(rows)
+    return jnp.concatenate([last, signs * grown, squares, rows[::2].at[0, 1].add(x[0]).ravel()])
+
+
+@pytest.fixture
+def for_small_programs(monkeypatch):
+    monkeypatch.setattr(evaluation_by_numpy, "SMALL", 20)
+
+
+@pytest.mark.parametrize("of", [everything, jax.jacfwd(everything)], ids=["values", "derivatives"])
+def test_evaluated_and_compiled_are_the_same(for_small_programs, of):
+    x = jnp.asarray([0.3, -0.2, 0.7])
+    compiled = jax.jit(lambda x: of(x))(x)
+    with instead_of_compilation():
+        evaluated = jax.jit(lambda x: of(x))(x)
+    np.testing.assert_allclose(evaluated, compiled, rtol=1e-13, atol=1e-14)
+    np.testing.assert_allclose(by_numpy(of)(x), compiled, rtol=1e-13, atol=1e-14)
+
+
+def compilations(run):
+    """Names of the programs that are compiled while `run()` is carried out."""
+    names = []
+    made = evaluation_by_numpy.pjit._pjit_call_impl_python
+
+    def noted(*arguments, **settings):
+        names.append(settings["name"])
+        return made(*arguments, **settings)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(evaluation_by_numpy.pjit, "_pjit_call_impl_python", noted)
+        with instead_of_compilation():
+            run()
+    return names
+
+
+def test_what_takes_long_is_compiled(for_small_programs):
+    def steps(count):
+        def move(x):
+            for _ in range(30):
+                x = jnp.sin(x) + 0.1
+            return x
+
+        def few(x):
+            return jax.lax.scan(lambda c, _: (move(c), None), x, length=count)[0]
+
+        def unknown(x):
+            return jax.lax.while_loop(lambda c: c[1] < count, lambda c: (move(c[0]), c[1] + 1), (x, 0))[0]
+
+        return few, unknown
+
+    known, counted = steps(10_000)
+    assert least_operations(jax.make_jaxpr(known)(1.0)) > 1e5
+    assert "few" in compilations(lambda: jax.jit(known)(1.0))
+    assert "unknown" in compilations(lambda: jax.jit(counted)(1.0))
+    known, counted = steps(2)
+    assert compilations(lambda: (jax.jit(known)(1.0), jax.jit(counted)(1.0))) == []
+    once = jax.jit(known)
+    assert "few" in compilations(lambda: [once(float(x)) for x in range(200)])
