@@ -2,6 +2,7 @@
 
 import gc
 import os
+from contextlib import nullcontext
 from pathlib import Path
 
 # SciPy's LAPACK keeps its threads spinning after a call, on the core of the other worker.
@@ -78,8 +79,9 @@ def _compilation(request):
 
 
 @pytest.fixture(scope="module")
-def quick_compilation():
-    """For many programs that run a few times each: compile without most optimisations."""
+def quick_compilation(request):
+    """For many programs that run a few times each: compile without most optimisations, and evaluate by NumPy what is
+    not worth that, unless the module says `ALWAYS_COMPILED`, because it compares results to the last bit."""
     before, made = jax.config.read("jax_disable_most_optimizations"), compiler.get_compile_options
 
     def quick(*args, **kwargs):
@@ -90,7 +92,7 @@ def quick_compilation():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(compiler, "get_compile_options", quick)
         jax.config.update("jax_disable_most_optimizations", True)
-        with instead_of_compilation():
+        with nullcontext() if getattr(request.module, "ALWAYS_COMPILED", False) else instead_of_compilation():
             yield
     jax.config.update("jax_disable_most_optimizations", before)
 

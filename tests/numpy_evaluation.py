@@ -203,7 +203,8 @@ def _apply(equation, *parts: np.ndarray) -> list:
         return _evaluate(settings.get("jaxpr", settings.get("call_jaxpr")), parts)
     if name in SPECIAL:
         return SPECIAL[name](equation, *parts)
-    results = equation.primitive.bind(*parts, **settings)
+    arrays = [part if is_key(part) else jax.numpy.asarray(part) for part in parts]
+    results = equation.primitive.bind(*arrays, **settings)
     return results if equation.primitive.multiple_results else [results]
 
 

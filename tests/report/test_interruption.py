@@ -19,6 +19,8 @@ from . import closed_form
 from .conftest import STUDY
 from .test_tasks import TASKS
 
+ALWAYS_COMPILED = True
+
 SLIDER = f"""{STEEL}{ROUND}{link("arm", 0.3)}{hinge("arm")}[drive]
 joint = "A"
 kind = "moment_ramp"

@@ -17,6 +17,8 @@ from . import closed_form
 from .conftest import STUDY
 from .test_tasks import MOMENT, TASKS
 
+ALWAYS_COMPILED = True
+
 COMMANDS = ("sensitivity", "monte-carlo", "worst-case", "allocate")
 
 

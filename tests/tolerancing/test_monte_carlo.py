@@ -22,6 +22,8 @@ from rfem_jax.tolerancing.problems.problem import FunctionProblem, Metric
 from rfem_jax.tolerancing.problems.quadratic_model import expand
 from rfem_jax.tolerancing.sampling.monte_carlo_study import monte_carlo
 
+ALWAYS_COMPILED = True
+
 jax.config.update("jax_enable_x64", True)
 
 KEY = jax.random.key(7)
