@@ -27,6 +27,7 @@ import pytest  # noqa: E402
 from jax._src import compiler  # noqa: E402
 
 from tests.evaluation_by_numpy import instead_of_compilation  # noqa: E402
+from tests.numpy_evaluation import forget_programs  # noqa: E402
 
 if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
     # The two workers, and the next session, compile the same programs.
@@ -105,8 +106,9 @@ def memory_maps() -> int:
 
 @pytest.fixture(scope="module", autouse=True)
 def _drop_old_programs():
-    """Compiled programs of past modules go before there are so many that the next one crashes."""
+    """Programs of past modules go: compiled ones before there are so many that the next one crashes."""
     yield
+    forget_programs()
     if memory_maps() > 15_000:
         jax.clear_caches()
         gc.collect()

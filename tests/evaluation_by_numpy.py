@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 from jax._src import pjit
 
-from tests import numpy_evaluation
 from tests.numpy_evaluation import TooLong, Work, counted, interpreted, is_key
 
 SMALL = 400  # equations of a program that is compiled at once
@@ -112,7 +111,4 @@ def instead_of_compilation() -> Iterator[None]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(pjit, "_pjit_call_impl_python", run)
-        try:
-            yield
-        finally:
-            numpy_evaluation.forget_programs()
+        yield

@@ -1,7 +1,8 @@
 """Functions evaluated operation by operation with NumPy: for programs that run once, which take long to compile.
 
 `by_numpy(f)` traces a function of arrays, derivatives and vmap included, and carries out its jaxpr.  What has no rule
-here is carried out by JAX as one operation.  What XLA makes of the same operations is tested wherever mechanisms move.
+here is carried out by JAX as one operation.  What XLA makes of them is tested by tests/compilation, by the runs of many
+steps, which are compiled (`evaluation_by_numpy`), by the commands that are run as they are, and by the gallery.
 """
 
 import functools
@@ -107,11 +108,13 @@ def counted(work: Work):
 
 
 class Interpreted:
-    """A jaxpr as a list of functions of NumPy arrays, each with the places of its arguments and results."""
+    """A closed jaxpr as a list of functions of NumPy arrays, each with the places of its arguments and results.
 
-    def __init__(self, program):
-        jaxpr = program.jaxpr
-        self.source = program  # its identity is the key of `_INTERPRETED`
+    `source`: what it was made of; while it lives no other program has its identity, the key of `_INTERPRETED`.
+    """
+
+    def __init__(self, program, source):
+        jaxpr, self.source = program.jaxpr, source
         self.places: dict[Any, int] = {}
         self.first: list[Any] = []
         for variable, value in zip(jaxpr.constvars, program.consts, strict=True):
@@ -183,8 +186,7 @@ def interpreted(program) -> Interpreted:
     if found is None:
         is_closed = hasattr(program, "consts") and hasattr(program, "jaxpr")
         closed = program if is_closed else ClosedJaxpr(program, ())
-        found = _INTERPRETED[id(program)] = Interpreted(closed)
-        found.source = program
+        found = _INTERPRETED[id(program)] = Interpreted(closed, program)
     return found
 
 

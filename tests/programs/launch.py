@@ -21,4 +21,5 @@ if __name__ == "__main__":
             sys.path[0] = str(Path(program).parent)
             runpy.run_path(program, run_name="__main__")
         else:
+            sys.path[0] = str(Path.cwd())
             runpy.run_module(program, run_name="__main__", alter_sys=True)

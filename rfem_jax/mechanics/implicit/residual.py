@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jaxtyping import Float
 
@@ -73,6 +74,29 @@ class Evaluation(NamedTuple):
 def residual_of(evaluation: Evaluation) -> Residual:
     """The part that a Newton increment makes vanish, with `closing` as it stands in the evaluation."""
     return Residual(evaluation.hinge, evaluation.force, evaluation.moment, evaluation.closing)
+
+
+def residual_forces(
+    actual: ModelWithErrors, evaluation: Evaluation, drive: DriveInput, scale: Scalar
+) -> Float[Array, " n"]:
+    """The residual as forces [N]: on the rfes, along the joint coordinates, and to close the cut joints.
+
+    **Arguments:** `scale`: a length [m] of the mechanism; the closing of the evaluation is an acceleration.
+    """
+    hinge = evaluation.hinge
+    if drive.motions:
+        # Along a prescribed coordinate this is the force that enforces the motion, no residual.
+        hinge = jnp.where(np.isin(np.arange(hinge.shape[0]), list(drive.motions)), 0.0, hinge)
+    slides = actual.topology.slides
+    moment, hinge = (
+        evaluation.moment / scale,
+        hinge / (jnp.where(np.array(slides), 1.0, scale) if any(slides) else scale),
+    )
+    closing = jnp.sum(actual.mass)
+    if sprung := actual.topology.sprung_rows:
+        closing = jnp.where(np.array(sprung), 1.0, closing)
+    parts = evaluation.force, moment, hinge, evaluation.closing * closing
+    return jnp.concatenate([part.reshape(-1) for part in parts])
 
 
 def evaluate_residual(

@@ -46,7 +46,7 @@ from jaxtyping import Array, Bool, Float, PyTree
 
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.methods import GeneralisedAlphaMethod, Method
-from rfem_jax.mechanics import algebra, loads
+from rfem_jax.mechanics import loads
 from rfem_jax.mechanics.bush_contacts import contact_memory, remembers, with_memory
 from rfem_jax.mechanics.cut_joints import Closure, closure, spring_row_tangent
 from rfem_jax.mechanics.dynamics import total_dissipated
@@ -63,7 +63,7 @@ from rfem_jax.mechanics.friction import (
 )
 from rfem_jax.mechanics.implicit.condensation import LinkOperator, link_operators, present_operators
 from rfem_jax.mechanics.implicit.newton import IterationMatrix, iteration_matrix, newton_increment
-from rfem_jax.mechanics.implicit.residual import Evaluation, evaluate_residual, residual_of
+from rfem_jax.mechanics.implicit.residual import Evaluation, evaluate_residual, residual_forces, residual_of
 from rfem_jax.mechanics.inputs import DriveInput, impose
 from rfem_jax.mechanics.joint_forces import law_forces, law_tangent
 from rfem_jax.mechanics.kinematics import Motion, motion_of
@@ -488,29 +488,6 @@ def squared_moments(trajectory: Trajectory, memory: Memory, t: Scalar) -> Float[
     load."""
     mean = trajectory.integrals.moment_square / jnp.where(t > 0.0, t, 1.0)
     return jnp.max(jnp.maximum(memory.rates.moment_square, mean))
-
-
-def residual_forces(
-    actual: ModelWithErrors, evaluation: Evaluation, drive: DriveInput, scale: algebra.Scalar
-) -> Float[Array, " n"]:
-    """The residual as forces [N]: on the rfes, along the joint coordinates, and to close the cut joints.
-
-    **Arguments:** `scale`: a length [m] of the mechanism; the closing of the evaluation is an acceleration.
-    """
-    hinge = evaluation.hinge
-    if drive.motions:
-        # Along a prescribed coordinate this is the force that enforces the motion, no residual.
-        hinge = jnp.where(np.isin(np.arange(hinge.shape[0]), list(drive.motions)), 0.0, hinge)
-    slides = actual.topology.slides
-    moment, hinge = (
-        evaluation.moment / scale,
-        hinge / (jnp.where(np.array(slides), 1.0, scale) if any(slides) else scale),
-    )
-    closing = jnp.sum(actual.mass)
-    if sprung := actual.topology.sprung_rows:
-        closing = jnp.where(np.array(sprung), 1.0, closing)
-    parts = evaluation.force, moment, hinge, evaluation.closing * closing
-    return jnp.concatenate([part.reshape(-1) for part in parts])
 
 
 def _with_prescribed(topology: Topology, drive: DriveInput, accelerations: Coordinates) -> Coordinates:
