@@ -202,7 +202,8 @@ def require_choice(value: object, choices: Collection[str], where: str) -> str:
     """Return `value` if it is one of the strings `choices`; else raise InputError."""
     if not (isinstance(value, str) and value in choices):
         listed = ", ".join(f'"{choice}"' for choice in choices)
-        raise InputError(f"{subject(where)} must be one of {listed}, but was {value!r}; {suggestion(value, choices)}")
+        fix = suggestion(value, choices) if nearest(value, choices) is not None else "write one of these."
+        raise InputError(f"{subject(where)} must be one of {listed}, but was {value!r}; {fix}")
     return value
 
 

@@ -38,7 +38,7 @@ def act(arguments: argparse.Namespace) -> Answer:
     name = arguments.name
     path = Path(name if name.endswith(".toml") else f"{name}.toml")
     kept = resources.files("rfem_jax.report") / "starting_studies" / f"{arguments.kind.replace('-', '_')}.toml"
-    text = kept.read_text(encoding="utf-8").replace("@FILE@", path.name)
+    text = kept.read_text(encoding="utf-8").replace("@FILE@", path.name).replace("@NAME@", path.stem)
     try:
         with open(path, "x", encoding="utf-8") as file:
             file.write(text)
@@ -52,5 +52,5 @@ def act(arguments: argparse.Namespace) -> Answer:
             f"Argument `NAME` must be of a file that can be written, but `{path}` cannot ({reason}); choose another."
         ) from problem
     show(f"{path} written: a {arguments.kind}. Go on with\n")
-    show(f"  rfem-jax check {path}\n  rfem-jax run {path} --out results")
+    show(f"  rfem-jax check {path}\n  rfem-jax run {path} --out results/{path.stem}")
     return Answer(document={"files": [str(path)], "kind": arguments.kind})

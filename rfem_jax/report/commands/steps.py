@@ -24,11 +24,15 @@ def announce(stage: str, done: float | None = None) -> None:
 
 
 def read_study(path: str) -> Study:
-    """The study of a file. Raises InputError."""
+    """The study of a file; remarks on numbers that most likely lack their unit. Raises InputError."""
     from rfem_jax.description import load_study
+    from rfem_jax.description.plausibility import doubtful_numbers
 
     announce(f"Reading {path}")
-    return load_study(path)
+    study = load_study(path)
+    for sentence in doubtful_numbers(study):
+        remark(sentence)
+    return study
 
 
 def discretise_study(study: Study) -> Model:
