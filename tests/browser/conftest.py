@@ -23,6 +23,18 @@ from tests.report.conftest import STUDY, synthetic_run
 from tests.report.page_folder import write_results
 from tests.report.test_tasks import TASKS
 
+GLOBAL_VIEWS = """
+[sweep]
+metrics = ["D.mean_square_moment", "A.mean_square_force"]
+bounds = { "D.delta_x" = ["-0.25 deg", "0.25 deg"], "D.delta_z" = ["-0.25 deg", "0.25 deg"] }
+levels = 3
+at = { "D.d_y" = "0.1 mm" }
+[reliability]
+limits = { "D.mean_square_moment" = 14.0 }
+n = 500
+starts = 4
+"""
+
 INSTALL = 'apt-get install chromium chromium-driver, and python -m pip install -e ".[test,browser]"'
 OPTIONS = ("--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--disable-gpu", "--window-size=1400,1000")
 
@@ -140,7 +152,7 @@ class Page:
 @pytest.fixture(scope="session")
 def study(tmp_path_factory):
     path = tmp_path_factory.mktemp("study") / "study.toml"
-    path.write_text(STUDY + TASKS, encoding="utf-8")
+    path.write_text(STUDY + TASKS + GLOBAL_VIEWS, encoding="utf-8")
     return load_study(path)
 
 

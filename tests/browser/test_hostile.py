@@ -81,6 +81,17 @@ def test_names_and_texts_stay_texts(open_page, hostile):
     assert page.complaints() == []
 
 
+def test_a_task_of_another_form_leaves_the_other_pages(open_page, folder, tmp_path):
+    out = tmp_path / "other"
+    shutil.copytree(folder, out)
+    found = json.loads((out / "sweep.json").read_text(encoding="utf-8"))
+    found["surface"] |= {"middle": {}, "metrics": {"D.mean_square_moment": {}}}
+    (out / "sweep.json").write_text(json.dumps(found), encoding="utf-8")
+    page = open_page(write_folder(out))
+    assert "sweep.json is not as this page knows it" in page.text("#page")
+    assert page.all("#allocation, #tolerances") and page.complaints() == []
+
+
 def test_the_policy_blocks_what_would_be_injected(page):
     page.run(
         "const one = document.createElement('script'); one.textContent = 'window.attacked = 1';"

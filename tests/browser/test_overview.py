@@ -7,7 +7,7 @@ from rfem_jax.report.page.histories import read_table
 
 def test_it_opens_without_a_complaint_and_asks_for_nothing(page):
     assert [tab.text for tab in page.all("[role=tab]")] == [
-        "Overview", "Tables", "Sensitivity", "Monte Carlo", "Worst case", "Allocation", "Checks",
+        "Overview", "Tables", "Sensitivity", "Monte Carlo", "Worst case", "Allocation", "Sweep", "Reliability", "Checks",
     ]  # fmt: skip
     assert page.text("h1") == "Test four-bar"
     for tab in page.all("[role=tab]"):
@@ -213,7 +213,7 @@ def test_print_has_all_pages_on_white(page):
         shown = page.run(
             "return [...document.querySelectorAll('main > .page')].map((one) => getComputedStyle(one).display)"
         )
-        assert set(shown) == {"block"} and len(shown) == 7
+        assert set(shown) == {"block"} and len(shown) == 9
         assert page.run("return getComputedStyle(document.querySelector('.player')).display") == "none"
         page.run("window.dispatchEvent(new Event('beforeprint'))")
         assert page.run("return document.documentElement.dataset.theme") == "light"

@@ -181,3 +181,55 @@ def test_allocation_and_cost_against_the_limit(page, folder):
     )
     for one in found["front"]:
         assert f"cost: {shown_number(one['cost'])} at {shown_number(one['limits'][0]['limit'])}" in titles
+
+
+def titles_in(page, selector):
+    return page.run(
+        "return [...document.querySelectorAll(arguments[0] + ' title')].map((one) => one.textContent)", selector
+    )
+
+
+def test_a_sweep_over_each_quantity_and_over_two(page, folder):
+    with open(folder / "sweep.csv", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    task_tab(page, "Sweep")
+    page.choose("#sweep-metric", "1")
+    force = np.array([float(row["A.mean_square_force_N2"]) for row in rows])
+    tilts = np.degrees([[float(row[f"D.delta_{axis}_rad"]) for row in rows] for axis in "xz"])
+    charts = [set(titles_in(page, f"#sweep-responses figure:nth-child({k})")) for k in (1, 2)]
+    for chart, tilt, axis in zip(charts, tilts, "xz", strict=True):
+        points = {
+            f"A.mean_square_force: {shown_number(y)} at {shown_number(x)}" for x, y in zip(tilt, force, strict=True)
+        }
+        assert chart == points | {f"A.mean_square_force over D.delta_{axis}, deg"}
+    cells = titles_in(page, "#sweep-map .cell")
+    wanted = [
+        f"{shown_number(z)} N^2 at {shown_number(x)}, {shown_number(y)}" for x, y, z in zip(*tilts, force, strict=True)
+    ]
+    assert sorted(cells) == sorted(wanted) and len(cells) == 9
+    before = titles_in(page, "#sweep-map")
+    page.choose("#sweep-x", "1")
+    page.choose("#sweep-y", "0")
+    assert titles_in(page, "#sweep-map") != before
+    # The curve of the quadratic surface goes through the points, whose law is quadratic: 900 + 30 z0 + 5 z1^2.
+    surface = {row[0]: row for row in table(page, "#surface")[1]}
+    assert surface["A.mean_square_force"][1:4] == ["N^2", "900", "100"]
+
+
+def test_probabilities_that_limits_are_broken(page, folder):
+    found = json.loads((folder / "reliability.json").read_text(encoding="utf-8"))
+    shown = task_tab(page, "Reliability")
+    estimate = found["any_limit"]
+    assert f"probability of {estimate['value']:.4g} (" in page.text(shown)
+    head, rows = table(page, "#failures")
+    (one,) = found["limits"]
+    assert rows[0][:3] == ["D.mean_square_moment", "(N m)^2", "upper"]
+    assert rows[0][head.index("broken with probability")].startswith(f"{one['probability']['value']:.4g} (")
+    assert float(rows[0][head.index("reliability index")]) == pytest.approx(one["beta"], rel=1e-4)
+    names = list(one["shares"])
+    np.testing.assert_allclose(
+        [float(cell) for cell in table(page, "#shares")[1][0][1:]], [100 * one["shares"][n] for n in names], rtol=6e-3
+    )
+    errors = table(page, "#failing-errors")[1][0]
+    assert errors[0] == "D.mean_square_moment \u2264 14 (N m)^2"
+    assert f"{shown_number(np.degrees(one['errors']['D.delta_x']))} deg" in errors

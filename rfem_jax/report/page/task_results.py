@@ -36,7 +36,7 @@ def read_json(path: Path) -> dict[str, Any] | None:
 
 def read_tasks(folder: Path) -> list[dict[str, Any]]:
     """{name, title, result} of every task and analysis that has a JSON file in the folder; of a Monte Carlo study also
-    samples."""
+    samples, of a sweep its points."""
     found = []
     titles = {kind.name: str(kind.title) for kind in task_kinds().values()}
     for name, title in (ANALYSES | titles).items():
@@ -49,6 +49,8 @@ def read_tasks(folder: Path) -> list[dict[str, Any]]:
             one["left_out"] = f"{name}.json is too large to be shown here"
         if name == "monte_carlo":
             one["samples"] = _samples(folder / "monte_carlo.csv", result)
+        if name == "sweep":
+            one["points"] = _points(folder / "sweep.csv", result)
         found.append(one)
     return found
 
@@ -80,6 +82,29 @@ def _samples(path: Path, result: dict[str, Any]) -> dict[str, Any] | None:
         "status": pack_floats(table["status"][rows]),
         "values": pack_floats(values),
         "all": len(table["status"]),
+    }
+
+
+def _points(path: Path, result: dict[str, Any]) -> dict[str, Any] | None:
+    """Names and units of the quantities and metrics of a sweep, and their values at its points, a row each."""
+    table, quantities = read_table(path), result.get("errors")
+    if table is None or not {"point", "status"} <= set(table) or not isinstance(quantities, dict):
+        return None
+    columns = [name for name in table if name not in ("point", "status")]
+    varied, pairs = columns[: len(quantities)], columns[len(quantities) :]
+    units = result.get("units")
+    names = [name for name in units if name not in ("duration", "error")] if isinstance(units, dict) else []
+    # Where there is a surface its values stand beside those of the points.
+    metrics = pairs if result.get("surface") is None else pairs[::2]
+    if len(names) != len(metrics):
+        return None
+    rows = some_rows(len(table["status"]), min(MOST_SAMPLES, MOST_NUMBERS // max(len(columns), 1)))
+    shown = [*varied, *metrics]
+    return {
+        "quantities": [_error(name) for name in varied],
+        "metrics": _metrics(metrics, names, units),
+        "status": pack_floats(table["status"][rows]),
+        "values": pack_floats(np.stack([table[name][rows] for name in shown]) if shown else np.zeros((0, len(rows)))),
     }
 
 

@@ -25,12 +25,12 @@ function axisBelow(x, y, values, title, top = null) {
   return draw("g", {}, parts, label(middle, y + 32, title, { "text-anchor": "middle", class: "title" }));
 }
 
-function axisLeft(x, y, values, title, right = null) {
+function axisLeft(x, y, values, title, right = null, top = null) {
   const parts = values.flatMap((value) => [
     right === null ? null : draw("line", { x1: x, x2: right, y1: y(value), y2: y(value), class: "grid" }),
     label(x - 6, y(value) + 4, showNumber(value, 3), { "text-anchor": "end", class: "tick" }),
   ]);
-  return draw("g", {}, parts, label(x, Math.min(...values.map(y)) - 10, title, { "text-anchor": "start", class: "title" }));
+  return draw("g", {}, parts, label(x, numberOr(top, Math.min(...values.map(y)) - 10), title, { "text-anchor": "start", class: "title" }));
 }
 
 // A mark of a case: its shape tells it apart without colour.
@@ -98,7 +98,8 @@ function pieces(places, values) {
   return found.filter((one) => one.length);
 }
 
-// Curves over a common axis: series [{x, y, class, band: [low, high]}], marks at points if `points`.
+// Curves over a common axis: series [{x, y, class, band: [low, high]}], marks at points if `points`; a series with `marks`
+// is marks alone.
 function lineChart(series, xTitle, yTitle, title, options = {}) {
   const width = options.width || 520;
   const height = options.height || 300;
@@ -109,7 +110,7 @@ function lineChart(series, xTitle, yTitle, title, options = {}) {
   const x = scale(x0, x1, 62, width - 20);
   const y = scale(y0, y1, height - 46, 30);
   const svg = chart(width, height, title);
-  svg.append(axisBelow(x, height - 42, ticks(x0, x1, 5), xTitle, 26), axisLeft(56, y, ticks(y0, y1, 5), yTitle, width - 20));
+  svg.append(axisBelow(x, height - 42, ticks(x0, x1, 5), xTitle, 26), axisLeft(56, y, ticks(y0, y1, 5), yTitle, width - 20, 16));
   const path = (xs, ys) => Array.from(xs, (value, i) => `${x(value).toFixed(1)},${y(ys[i]).toFixed(1)}`);
   for (const line of options.lines || []) {
     svg.append(draw("line", { x1: x(x0), x2: x(x1), y1: y(line.value), y2: y(line.value), class: "mark" }),
@@ -121,12 +122,14 @@ function lineChart(series, xTitle, yTitle, title, options = {}) {
       svg.append(draw("polygon", { points: points.join(" "), class: "band" }));
     }
     const dash = (one.dash || []).join(" ") || null;
-    for (const points of pieces(path(one.x, one.y), one.y)) {
+    for (const points of one.marks ? [] : pieces(path(one.x, one.y), one.y)) {
       svg.append(draw("polyline", { points: points.join(" "), class: one.class || "curve", "stroke-dasharray": dash }));
     }
-    if (options.points) {
+    if (options.points || one.marks) {
       path(one.x, one.y).forEach((place, i) => {
-        const mark = caseMark(one.mark || 0, ...place.split(",").map(Number));
+        if (!Number.isFinite(one.y[i])) return;
+        const [cx, cy] = place.split(",").map(Number);
+        const mark = one.marks ? draw("circle", { cx, cy, r: 3, class: "dot" }) : caseMark(one.mark || 0, cx, cy);
         mark.append(draw("title", {}, `${one.name || yTitle}: ${showNumber(one.y[i])} at ${showNumber(one.x[i])}`));
         svg.append(mark);
       });

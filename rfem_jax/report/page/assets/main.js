@@ -2,12 +2,18 @@
 const page = { rebuildCurves() {} };
 const TASK_PAGES = new Map([
   ["sensitivity", sensitivityPage], ["monte_carlo", samplesPage], ["worst_case", cornersPage], ["allocation", allocationPage],
-  ["optimise", optimisePage], ["turn", turnPage], ["modes", modesPage], ["cycle", cyclePage],
+  ["sweep", sweepPage], ["reliability", reliabilityPage], ["optimise", optimisePage], ["turn", turnPage], ["modes", modesPage], ["cycle", cyclePage],
 ]);
 
 function taskPage(task) {
   const left = task.left_out ? [section("Results", make("p", {}, `${task.left_out}.`))] : null;
-  return left || (TASK_PAGES.get(task.name) || unknownPage)(task) || unknownPage(task);
+  if (left) return left;
+  try {
+    return (TASK_PAGES.get(task.name) || unknownPage)(task) || unknownPage(task);
+  } catch {
+    // A file of another program, or of another version: the other pages stand.
+    return [section("Results", make("p", {}, `${task.name}.json is not as this page knows it.`)), ...unknownPage(task)];
+  }
 }
 
 function tabs(pages) {

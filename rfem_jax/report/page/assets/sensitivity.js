@@ -57,7 +57,11 @@ function heatMap(kind, entries, errors, result) {
     })),
   ];
   const rows = entries.map(([name], i) => ({ joint: splitMetric(name)[0], effects: effects[i] }));
-  const table = sortableTable(title, columns, rows, { class: "tabled heat" });
+  return heated(sortableTable(title, columns, rows, { class: "tabled heat" }), largest);
+}
+
+// A table whose numbers are shaded, also after it was sorted; the first column has names.
+function heated(table, largest) {
   const shade = () => table.querySelectorAll("tbody tr").forEach((line) => {
     [...line.cells].slice(1).forEach((cell) => {
       const share = Math.min(Math.max(Number(cell.textContent) / largest, 0), 1) || 0;
