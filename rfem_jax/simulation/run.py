@@ -183,8 +183,8 @@ class Run(eqx.Module):
     rate: Float[Array, " times"]
     drive_moment: Float[Array, " times"]
     drives: dict[str, DriveHistory]
-    angles: dict[str, Float[Array, " times *k"]]
-    displacements: dict[str, Float[Array, " times *k"]]
+    angles: dict[str, Float[Array, " times ..."]]
+    displacements: dict[str, Float[Array, " times ..."]]
     loads: Loads
     preload: dict[str, Load]
     energy: Energy
