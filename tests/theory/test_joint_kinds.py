@@ -24,13 +24,14 @@ from rfem_jax import (
     discretise,
     simulate,
 )
+from rfem_jax.mechanics.loads import static_state
 from rfem_jax.mechanics.model import State
 from rfem_jax.mechanics.model_with_errors import apply_errors
 from rfem_jax.mechanics.statics.assembly import equilibrium
 from rfem_jax.validation import slider_cranks, spatial_linkages
 from rfem_jax.validation.joint_cases import preload_lines
 from rfem_jax.validation.lines import PASS
-from tests.mechanisms import link, random_state
+from tests.mechanisms import BAR, STEEL, link, loop_cut_by, random_state
 
 
 def slider_crank():
@@ -117,6 +118,107 @@ class TestChain:
             for joint in ("J0", "J2"):
                 force = np.asarray(runs[0].loads[joint].force)[-1]
                 np.testing.assert_allclose(run.loads[joint].force[-1], force, rtol=0, atol=1e-3 * np.abs(force).max())
+
+
+PLATE, BLOCK, WEIGHT, SLID = 0.2, 0.1, (2.0, -9.0, 3.0), 0.04  # m, m, N/kg, s
+PLACE, OF_PLATE, OF_BLOCK = (0.1, 0.2, -0.1), (0.12, 0.01, 0.03), (0.02, 0.005, -0.01)  # of the joints
+
+
+def rotated(x, y, z):
+    """R_z R_y R_x."""
+    (cx, cy, cz), (sx, sy, sz) = jnp.cos(jnp.stack([x, y, z])), jnp.sin(jnp.stack([x, y, z]))
+    none, one = jnp.zeros_like(x), jnp.ones_like(x)
+    about_x = jnp.array([[one, none, none], [none, cx, -sx], [none, sx, cx]])
+    about_y = jnp.array([[cy, none, sy], [none, one, none], [-sy, none, cy]])
+    return jnp.array([[cz, -sz, none], [sz, cz, none], [none, none, one]]) @ about_y @ about_x
+
+
+def block_on_a_plate(errors):
+    """Closed form: how far a block slid from rest, its load in the axes of the plane, the plate's in those of its seat.
+
+    A plane pushes only across itself, so that the block does not turn; `errors` are values by name."""
+
+    def side(name):
+        shift, turn = ([errors.get(f"{name}.{kind}_{axis}", 0.0) for axis in "xyz"] for kind in ("d", "delta"))
+        return jnp.stack([jnp.asarray(x) for x in shift]), rotated(*(jnp.asarray(x) for x in turn))
+
+    (_, seat), (of_plate, bore), (raised, plane), (of_block, held) = map(side, ("F", "F.child", "L", "L.child"))
+    density = BAR.area * STEEL.density
+    weights = [density * length * jnp.asarray(WEIGHT) for length in (PLATE, BLOCK)]
+    slope = seat @ bore.T @ plane
+    along = slope.T @ weights[1]
+    moved = 0.5 * SLID**2 * along / (density * BLOCK) * jnp.array([1.0, 0.0, 1.0])
+    force = -along * jnp.array([0.0, 1.0, 0.0])
+    moment = jnp.cross(held.T @ (jnp.array([BLOCK / 2.0, 0.0, 0.0]) - jnp.asarray(OF_BLOCK) - of_block), force)
+    on_plate = bore.T @ plane @ jnp.stack([force, moment])[..., None]
+    place = bore.T @ (jnp.asarray(OF_PLATE) + raised + plane @ moved - of_plate)
+    middle = bore.T @ (jnp.array([PLATE / 2.0, 0.0, 0.0]) - of_plate)
+    weight = seat.T @ weights[0]
+    return jnp.stack([
+        moved[0], moved[2], *force, *moment, *(on_plate[0, :, 0] - weight),
+        *(jnp.cross(place, on_plate[0, :, 0]) + on_plate[1, :, 0] - jnp.cross(middle, weight)),
+    ])  # fmt: skip
+
+
+class TestPlanarAndFixed:
+    """These two kinds in the tree and cut: derivatives by their errors, in both modes."""
+
+    def test_a_block_that_slides_on_a_plate(self):
+        joints = [
+            Joint("F", "base", "plate", kind="fixed", position=PLACE),
+            Joint("L", "plate", "block", kind="planar", position=OF_PLATE, child_position=OF_BLOCK),
+        ]
+        model = discretise(Mechanism([link("plate", PLATE), link("block", BLOCK)], joints, gravity=WEIGHT))
+        names = [name for name in model.topology.error_names if name[0] in "FL"]
+        at = jnp.asarray(np.random.default_rng(5).uniform(-0.1, 0.1, len(names)))
+        start = static_state(model.topology, model.start_coordinates())
+
+        def ends(values):
+            errors = assembly_errors(model, dict(zip(names, values)))
+            run = simulate(model, errors, drive=None, duration=SLID, method=Method("rk4", step=SLID / 2.0),
+                           save_every=SLID, start=start)  # fmt: skip
+            loads = [getattr(run.loads[joint], key)[-1] for joint in "LF" for key in ("force", "moment")]
+            found = jnp.concatenate([run.displacements["L"][-1], *loads])
+            return found, found
+
+        def known(values):
+            return block_on_a_plate(dict(zip(names, values)))
+
+        (forward, found), backward = jax.jacfwd(ends, has_aux=True)(at), jax.jacrev(ends, has_aux=True)(at)[0]
+        expected = jax.jacfwd(known)(at)
+        assert len(names) == 18
+        np.testing.assert_allclose(found, known(at), rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(forward, expected, rtol=1e-9, atol=1e-11)
+        np.testing.assert_allclose(backward, expected, rtol=1e-9, atol=1e-11)
+        # Each counts but shifts of the seat on the base, which move everything alike.
+        counted = np.abs(expected).max(axis=0) > 1e-6
+        assert [name for name, one in zip(names, counted) if not one] == ["F.d_x", "F.d_y", "F.d_z"]
+
+    def test_preload_of_loops_that_they_cut(self):
+        loop = loop_cut_by("planar")
+        joints = [
+            *loop.joints,
+            Joint("E", "base", "prop", position=(0.2, 0.0, 0.2), angle=np.pi / 2),
+            Joint("F", "left", "prop", cut=True, kind="fixed", position=(0.2, 0.0, 0.0),
+                  child_orientation=(0.0, -np.pi / 2, 0.0)),
+        ]  # fmt: skip
+        model = discretise(Mechanism([*loop.links, link("prop", 0.2)], joints))
+        names = ("C.delta_x", "C.child.d_y", "F.delta_y", "F.d_x", "F.child.delta_z")
+
+        def preload(values):
+            found = assemble(model, assembly_errors(model, dict(zip(names, values)))).preload
+            values = jnp.concatenate([found["C"].force, found["F"].moment])
+            return values, values
+
+        at, step = jnp.asarray([2e-3, 1e-4, -1e-3, 2e-4, -3e-3]), 1e-6
+        with_values = jax.jit(jax.jacfwd(preload, has_aux=True))  # one program for these, too
+        forward, backward = (np.asarray(one(at)[0]) for one in (with_values, jax.jacrev(preload, has_aux=True)))
+        largest = np.abs(forward).max(axis=0)
+        assert np.all(largest > 1.0)
+        np.testing.assert_allclose(backward / largest, forward / largest, rtol=0, atol=1e-8)
+        ends = [with_values(at + step * unit)[1] - with_values(at - step * unit)[1] for unit in jnp.eye(5)]
+        differences = np.stack(ends, axis=1) / (2.0 * step)
+        np.testing.assert_allclose(differences / largest, forward / largest, rtol=0, atol=1e-6)
 
 
 class TestUniversal:

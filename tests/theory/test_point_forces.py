@@ -16,6 +16,7 @@ from rfem_jax import (
     PointMass,
     PointMoment,
     PointSpring,
+    PointSpringFunction,
     assemble,
     assembly_errors,
     discretise,
@@ -83,6 +84,22 @@ class TestOscillator:
         assert float(run.hinge_moment_error) < 1e-6
         assert float(run.momentum_balance_error) < 1e-6
 
+    def test_a_function_does_the_work_of_the_spring(self):
+        """The same spring as a function of length and rate, of which nothing is known but its force: its power is work
+        from outside."""
+
+        def tension(length, rate):
+            return PRELOAD + STIFFNESS * (length - FREE) + DAMPING * rate
+
+        function = PointSpringFunction("coil", SPRING.links, SPRING.points, tension)
+        run = released(sliders(function), duration=0.4, method=RK4, save_every=0.1)
+        x, v = oscillation(np.asarray(run.times))
+        np.testing.assert_allclose(run.displacements["Gone"], x, rtol=0, atol=2e-7)
+        np.testing.assert_allclose(run.forces["coil"].tension, tension(x + AWAY, v), rtol=0, atol=1e-4)
+        np.testing.assert_allclose(run.energy.work, 0.5 * MASS * v**2, rtol=0, atol=1e-6)
+        assert not run.energy.elastic.any() and not run.energy.dissipation.any()
+        assert float(run.energy_balance_error) < 1e-6
+
     def test_eigenvalues_and_step(self):
         decay = DAMPING / (2.0 * MASS)
         at_rest = PointSpring("coil", SPRING.links, SPRING.points, STIFFNESS, DAMPING, AWAY + START)
@@ -139,6 +156,37 @@ class TestTwoBlocks:
         # A damped step after the jump of the force at the start, the rod carries what the first block needs.
         along = run.forces["rod"].force[-1]
         np.testing.assert_allclose(along[0], -1.5, rtol=1e-3)
+
+
+class Hardening(eqx.Module):
+    """A tension that grows with the cube of the stretch, with a damper."""
+
+    stiffness: jax.Array
+
+    def __call__(self, length, rate):
+        return self.stiffness * (length - FREE) ** 3 + DAMPING * rate
+
+
+def test_equilibrium_on_a_function_and_its_derivatives():
+    """x = FREE - AWAY + (pull / stiffness)^(1/3), by both numbers and in both modes."""
+    pull, stiffness = 3.0, 400.0
+    function = PointSpringFunction("coil", SPRING.links, SPRING.points, Hardening(jnp.asarray(stiffness)))
+    model = sliders(function, PointForce("pull", "one", 0.0, (pull, 0.0, 0.0)))
+
+    def place(stiffness, pull):
+        numbers = lambda model: (model.frame_forces["coil"].function.stiffness, model.frame_forces["pull"].value.values)  # noqa: E731
+        loaded = eqx.tree_at(numbers, model, (stiffness, jnp.asarray([1.0, 0.0, 0.0]) * pull))
+        assembled = assemble(loaded, assembly_errors(loaded))
+        return assembled.state.position.joints[0], assembled.status
+
+    numbers = jnp.asarray(stiffness), jnp.asarray(pull)
+    found, status = place(*numbers)
+    stretch = (pull / stiffness) ** (1.0 / 3.0)
+    assert int(status) == 0
+    np.testing.assert_allclose(found, FREE - AWAY + stretch, rtol=1e-9)
+    expected = [-stretch / (3.0 * stiffness), stretch / (3.0 * pull)]
+    for mode in (jax.jacfwd, jax.jacrev):
+        np.testing.assert_allclose(mode(place, (0, 1), has_aux=True)(*numbers)[0], expected, rtol=1e-8)
 
 
 class TestTime:
