@@ -12,6 +12,7 @@ from rfem_jax.validation import (
     bennett_loop,
     cantilevers,
     flexible_slider_crank,
+    force_tables,
     four_bar_study,
     joint_tables,
     large_deflections,
@@ -44,6 +45,7 @@ BENCHMARKS = (
     Benchmark("andrews_squeezer", "Andrews' squeezing mechanism", andrews_squeezer.validate),
     Benchmark("published_linkages", "linkages of two libraries", published_linkages.validate),
     Benchmark("joint_tables", "one body on a joint of each kind", joint_tables.validate),
+    Benchmark("force_tables", "a body on a spring, a body moved by an actuator", force_tables.validate),
 )
 
 

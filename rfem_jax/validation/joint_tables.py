@@ -25,7 +25,7 @@ from rfem_jax.mechanics.discretisation import discretise
 from rfem_jax.mechanics.loads import static_state
 from rfem_jax.simulation import Run, simulate
 from rfem_jax.validation.lines import Line, Outcome, Progress, absolute
-from rfem_jax.validation.reference_values import read_reference
+from rfem_jax.validation.reference_values import Reference, read_reference
 from rfem_jax.validation.rigid_links import Axes, angles_of, body, turn_x, turn_y, turn_z
 
 REFERENCE = read_reference("joint_tables")
@@ -120,6 +120,15 @@ def motions(kind: str, run: Run) -> tuple[Float[np.ndarray, "times 3 3"], Float[
     return np.stack([turn(*values) for values in angles]), displacement
 
 
+def angular_velocity(rotation: Float[np.ndarray, "times 3 3"], step: float) -> Float[np.ndarray, "times 3"]:
+    """In global axes [rad/s], by differences of rotations at equal steps [s]; the two times at either end are none."""
+    derivative = (
+        8.0 * (np.roll(rotation, -1, 0) - np.roll(rotation, 1, 0)) - np.roll(rotation, -2, 0) + np.roll(rotation, 2, 0)
+    ) / (12.0 * step)
+    spin = derivative @ np.swapaxes(rotation, 1, 2)
+    return np.stack([spin[:, 2, 1], spin[:, 0, 2], spin[:, 1, 0]], axis=1)
+
+
 def observed(name: str, run: Run) -> dict[str, Float[np.ndarray, "times 3"]]:
     """The tables' quantities at the saved times; the angular velocity by differences of rotations."""
     case = CASES[name]
@@ -128,12 +137,7 @@ def observed(name: str, run: Run) -> dict[str, Float[np.ndarray, "times 3"]]:
     rotation = seat @ relative @ case.axes.T
     moved = displacement @ seat.T
     position = np.array(case.place) + moved + rotation @ np.array(case.centre)
-    step = float(run.times[1] - run.times[0])
-    derivative = (
-        8.0 * (np.roll(rotation, -1, 0) - np.roll(rotation, 1, 0)) - np.roll(rotation, -2, 0) + np.roll(rotation, 2, 0)
-    ) / (12.0 * step)
-    spin = derivative @ np.swapaxes(rotation, 1, 2)
-    rate = np.stack([spin[:, 2, 1], spin[:, 0, 2], spin[:, 1, 0]], axis=1)
+    rate = angular_velocity(rotation, float(run.times[1] - run.times[0]))
     load = {key: np.asarray(getattr(run.loads["J"], key)) for key in ("force", "moment")}
     to_global = seat @ relative
     force = -np.einsum("tij,tj->ti", to_global, load["force"])
@@ -157,17 +161,22 @@ def energy_loss(name: str) -> float:
     return float(kinetic[-1] - MASS * (place[-1] - start) @ np.array(GRAVITY)) / float(kinetic.max())
 
 
-def lines_of(name: str, run: Run) -> list[Line]:
-    """Of each table the value that is farthest off."""
+def table_lines(
+    reference: Reference,
+    table: str,
+    group: str,
+    number: str,
+    run: Run,
+    found: dict[str, Float[np.ndarray, "times 3"]],
+    reason: str = "",
+) -> list[Line]:
+    """Of each quantity's table the value that is farthest off, as a share of its largest; number: of the case."""
     lines, times = [], np.asarray(run.times)
-    what, number = name.split()
-    group = "Adams, hinge with a spring" if what == "spring" else f"Adams, {what} joint"
-    reason = TABLE_OFF if what in CONSERVING and abs(energy_loss(name)) > SHARE else ""
-    for key, found in observed(name, run).items():
-        quantity = REFERENCE.quantities[key]
-        named, table = zip(*quantity.values[name].items())
-        known = np.array(table)
-        ours = found[[int(np.argmin(np.abs(times - float(time)))) for time in named]]
+    for key, values in found.items():
+        quantity = reference.quantities[key]
+        named, rows = zip(*quantity.values[table].items())
+        known = np.array(rows)
+        ours = values[[int(np.argmin(np.abs(times - float(time)))) for time in named]]
         largest = np.abs(known).max()
         row, column = np.unravel_index(np.argmax(np.abs(ours - known)), known.shape)
         title = f"case {number}, {key} {'xyz'[column]} at {named[row]} s"
@@ -175,6 +184,14 @@ def lines_of(name: str, run: Run) -> list[Line]:
         lines.append(absolute(group, title, ours[row, column], known[row, column], allowed,
                               quantity.label, quantity.unit, reason))  # fmt: skip
     return lines
+
+
+def lines_of(name: str, run: Run) -> list[Line]:
+    """Of each table the value that is farthest off."""
+    what, number = name.split()
+    group = "Adams, hinge with a spring" if what == "spring" else f"Adams, {what} joint"
+    reason = TABLE_OFF if what in CONSERVING and abs(energy_loss(name)) > SHARE else ""
+    return table_lines(REFERENCE, name, group, number, run, observed(name, run), reason)
 
 
 def lagrange_angles(times: Float[np.ndarray, " times"]) -> Float[np.ndarray, "times 2"]:

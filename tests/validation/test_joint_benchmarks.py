@@ -1,5 +1,7 @@
 """Benchmarks of joints of other kinds than revolute; `rfem-jax validate` also computes those with flexible links."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ from rfem_jax.validation import (
     andrews_squeezer,
     bennett_loop,
     flexible_slider_crank,
+    force_tables,
     joint_cases,
     joint_tables,
     nonideal_joints,
@@ -170,3 +173,21 @@ def test_joint_tables(monkeypatch):
     monkeypatch.undo()
     kept = [joint_tables.energy_loss(name) for name in ("revolute 2", "spherical 2")]
     assert np.abs(kept).max() < 1e-5 and joint_tables.energy_loss("universal 3") < -4e-4
+
+
+def test_force_tables(monkeypatch):
+    """Two bodies on springs by one program, and an actuator on an oblique guide.
+
+    The motion whose table of rates is missed is that of Newton's equations; a spring softer by a thousandth fails."""
+    run = force_tables.released("function 3")
+    assert float(run.energy_balance_error) < 1e-6
+    assert_all_pass(force_tables.released_lines("function 3", run), 3)
+    other = force_tables.released("function 4")
+    missed = [line for line in force_tables.released_lines("function 4", other) if line.verdict != PASS]
+    assert [(line.name.split()[2], line.verdict) for line in missed] == [("rate", NOT_MET)]
+    assert_all_pass(force_tables.solved_lines("function 4", other), 2)
+    assert_all_pass(force_tables.moved_lines("actuator 2", force_tables.moved("actuator 2")), 4)
+    third = force_tables.SPRUNG["function 3"]
+    softer = (0.999 * third.numbers[0], *third.numbers[1:])
+    monkeypatch.setitem(force_tables.SPRUNG, "function 3", dataclasses.replace(third, numbers=softer))
+    assert len(failed(force_tables.released_lines("function 3", force_tables.released("function 3")))) == 3
