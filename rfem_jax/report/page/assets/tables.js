@@ -61,7 +61,7 @@ function sortableTable(name, columns, rows, attributes = {}) {
       body.append(make("tr", {}, columns.map((column) => {
         const value = column.value(row);
         const text = column.show ? column.show(value, row) : showNumber(value, column.digits || 5);
-        return make("td", { class: typeof value === "number" ? "number" : null }, text);
+        return make("td", { class: typeof value === "number" ? "number" : String(text).length < 14 ? "short" : null }, text);
       })));
     }
   };
