@@ -28,13 +28,11 @@ function turnPage(task) {
   const quantities = turnQuantities(cases);
   const unitName = (result.units || {}).max_force_at === "m" ? "mm" : "deg";
   const factor = unitName === "mm" ? 1000 : DEGREES;
-  const joints = cases.flatMap(([, one]) => asEntries(one.joints).map(([, joint]) => joint || {}));
-  const largest = (key) => Math.max(0, ...joints.map((one) => one[key]).filter(Number.isFinite));
   const columns = [
     { label: "case", value: (row) => row.name }, { label: "joint", value: (row) => row.joint },
-    { label: "largest force", unit: "N", value: (row) => row.one.max_force, show: besides(largest("max_force")) },
+    { label: "largest force", unit: "N", loads: true, value: (row) => row.one.max_force },
     { label: "at", unit: unitName, value: (row) => row.one.max_force_at * factor },
-    { label: "largest moment", unit: "N m", value: (row) => row.one.max_moment, show: besides(largest("max_moment")) },
+    { label: "largest moment", unit: "N m", loads: true, value: (row) => row.one.max_moment },
     { label: "at", unit: unitName, value: (row) => row.one.max_moment_at * factor },
   ];
   const rows = cases.flatMap(([name, one]) => asEntries(one.joints).filter(([, joint]) => joint && typeof joint === "object")
@@ -90,7 +88,7 @@ function modesPage(task) {
   const slopes = errors.map((error) => ({
     label: error, unit: perUnit(error)[1],
     value: (i) => { const found = (of(0, i).derivatives || {})[error]; return Number.isFinite(found) ? found * perUnit(error)[0] : null; },
-    show: (value, i) => besides(of(0, i).frequency)(value),
+    show: (value, i) => showBeside(value, of(0, i).frequency, 5),
   }));
   return [
     shapesSection(result, (i) => of(0, i).frequency),
@@ -202,7 +200,7 @@ function rmsOfCycle() {
   if (!rows.length) return null;
   const columns = [
     { label: "case", value: (row) => row.name }, { label: "joint", value: (row) => row.joint.name },
-    { label: "RMS force", unit: "N", value: (row) => row.joint.rms_force }, { label: "RMS moment", unit: "N m", value: (row) => row.joint.rms_moment },
+    { label: "RMS force", unit: "N", loads: true, value: (row) => row.joint.rms_force }, { label: "RMS moment", unit: "N m", loads: true, value: (row) => row.joint.rms_moment },
   ];
   return section("Loads of one revolution", sortableTable("RMS of one revolution of the cycle", columns, rows, { id: "cycle-loads" }));
 }

@@ -12,9 +12,9 @@ function showNumber(value, digits = 4) {
   return String(Number(value.toPrecision(digits)));
 }
 
-// How a table shows numbers beside which a size is large: what is rounding is 0.
-function besides(size) {
-  return (value) => (Number.isFinite(value) && Math.abs(value) < 1e-9 * size ? "0" : showNumber(value, 5));
+// A number beside which `size` is the largest one; what is rounding is 0.
+function showBeside(value, size, digits) {
+  return Number.isFinite(value) && Math.abs(value) < 2e-9 * size ? "0" : showNumber(value, digits);
 }
 
 // A number, or another one where there is none.

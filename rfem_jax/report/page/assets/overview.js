@@ -129,7 +129,7 @@ function tablesPage() {
     { label: "joint", value: (row) => row.joint && row.joint.name },
     { label: "kind", value: (row) => row.joint && row.joint.kind },
     ...content.metrics.map((metric) => ({
-      label: metric.label, unit: metric.unit, title: metric.text,
+      label: metric.label, unit: metric.unit, title: metric.text, loads: true,
       value: (row) => row.joint && norm(row.joint[metric.name]),
     })),
   ];

@@ -33,15 +33,16 @@ function sharesTable(limits) {
   const names = namesIn(limits, "shares");
   const columns = [
     { label: "limit", value: (row) => limitWords(row) },
-    ...names.map((name) => ({ label: name, unit: "%", value: (row) => numberOr(100 * (row.shares || {})[name], null), show: (value) => showNumber(value, 3) })),
+    ...names.map((name) => ({ label: name, unit: "%", value: (row) => numberOr(100 * (row.shares || {})[name], null), show: (value) => showBeside(value, 100, 3) })),
   ];
   return heated(sortableTable("Parts of the squared distance to the most probable failure", columns, limits, { class: "tabled heat", id: "shares" }), 100);
 }
 
 function errorsTable(limits) {
+  const largest = (row) => Math.max(...asEntries(row.errors).map(([, value]) => Math.abs(value)));
   const columns = [
     { label: "limit", value: (row) => limitWords(row) },
-    ...namesIn(limits, "errors").map((name) => ({ label: name, value: (row) => (row.errors || {})[name], show: (value) => showError(value, errorUnit(name)) })),
+    ...namesIn(limits, "errors").map((name) => ({ label: name, value: (row) => (row.errors || {})[name], show: (value, row) => showError(Math.abs(value) < 2e-9 * largest(row) ? 0 : value, errorUnit(name)) })),
   ];
   return sortableTable("The most probable errors that break each limit", columns, limits, { id: "failing-errors" });
 }

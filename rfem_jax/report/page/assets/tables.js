@@ -34,9 +34,11 @@ function cellText(value) {
   return /^[=+\-@]/.test(text) ? `'${text}` : text;
 }
 
-// columns: {label, unit, value(row), show(value, row), title}; rows: any values.
+// columns: {label, unit, value(row), show(value, row), title, loads}; rows: any values. In a column of loads what is rounding
+// beside the largest one is 0.
 function sortableTable(name, columns, rows, attributes = {}) {
   const state = { column: null, down: false };
+  const sizes = columns.map((column) => (column.loads ? Math.max(0, ...rows.map(column.value).filter(Number.isFinite).map(Math.abs)) : 0));
   const body = make("tbody");
   const heads = columns.map((column, index) => {
     const button = make("button", { type: "button", title: column.title }, headingText(column));
@@ -58,9 +60,9 @@ function sortableTable(name, columns, rows, attributes = {}) {
   const fill = () => {
     clear(body);
     for (const row of ordered()) {
-      body.append(make("tr", {}, columns.map((column) => {
+      body.append(make("tr", {}, columns.map((column, index) => {
         const value = column.value(row);
-        const text = column.show ? column.show(value, row) : showNumber(value, column.digits || 5);
+        const text = column.show ? column.show(value, row) : showBeside(value, sizes[index], column.digits || 5);
         return make("td", { class: typeof value === "number" ? "number" : String(text).length < 14 ? "short" : null }, text);
       })));
     }
