@@ -33,8 +33,8 @@ class Clearance(ChecksItself):
     3 (1 - r^2) / (4 v), v the speed at which this contact began (Lankarani and Nikravesh), which needs the implicit
     method; without both contacts are elastic. Friction acts against sliding of the pin's surface at a contact.
 
-    Take steps far shorter than a contact lasts, and look at the run's energy balance: steps do not follow contact, and
-    where they are as long as one a run can be wrong although its status is ok.
+    Take steps of a tenth of what a contact lasts, or an adaptive method: fixed steps do not follow contact. Where they
+    are too long the energy is off; from a twentieth on the status of a run is `contact_not_resolved`.
 
     Args:
         radial: [m] clearance between the radii of bush and pin, >= 0: half the difference of the diameters.

@@ -17,7 +17,7 @@ class Status(NamedTuple):
 
 
 OK, NOT_ASSEMBLED, WRONG_SIDE, DIVERGED, DRIFTED, STEPS_EXHAUSTED, OUT_OF_RANGE, NOT_CONVERGED = range(8)
-NOT_CLOSED, DESIGN_OUT_OF_RANGE = 8, 9
+NOT_CLOSED, DESIGN_OUT_OF_RANGE, CONTACT_NOT_RESOLVED = 8, 9, 10
 
 STATUS: tuple[Status, ...] = (
     Status("ok", "The run is complete and passed its checks."),
@@ -72,5 +72,11 @@ STATUS: tuple[Status, ...] = (
         "A number of the design cannot be (a length or a stiffness that is not positive), or a joint, a mass or a "
         "force lies further from the rigid finite element that holds it than half of one; describe the mechanism anew. "
         "The nominal one was computed instead.",
+    ),
+    Status(
+        "contact_not_resolved",
+        "The energy of a mechanism with clearance is off by more than a twentieth. Usually the steps are too long for "
+        "its contacts, which last some ten microseconds where parts of steel strike: take steps of a tenth of that, or "
+        "an adaptive method.",
     ),
 )

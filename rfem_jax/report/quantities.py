@@ -47,6 +47,12 @@ FRICTION_LOSS = Quantity("friction_loss", "J", "Friction loss", "energy that a f
 
 DRIVEN_JOINT = (ANGLE_END, RATE_END)
 
+CONTACTS = (
+    Quantity("largest_penetration", "m", "Largest penetration", "of the pin in its bush, at the saved times"),
+    Quantity("largest_contact_force", "N", "Largest contact force", "of one end of the pin, or of its axial stop"),
+    Quantity("carrying_share", "", "Share of time in contact", "by the ends of the pin and its axial stop"),
+)
+
 BALANCES = (
     Quantity(
         "energy_balance_error",
@@ -88,5 +94,5 @@ ENERGIES = (
 
 def units() -> dict[str, str]:
     """Unit of every number in `results.json` by its name ("1" where it has no dimension)."""
-    listed = (*JOINT_METRICS, *PRELOADS, *DRIVEN_JOINT, POSITION_END, FRICTION_LOSS, *BALANCES)
+    listed = (*JOINT_METRICS, *PRELOADS, *DRIVEN_JOINT, POSITION_END, FRICTION_LOSS, *CONTACTS, *BALANCES)
     return {**{quantity.name: quantity.unit or "1" for quantity in listed}, RMS_COMPONENTS: "N, N m"}

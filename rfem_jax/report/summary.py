@@ -13,10 +13,12 @@ from jaxtyping import Float
 
 from rfem_jax.description.metric_catalogue import metric_of
 from rfem_jax.description.study import Study
+from rfem_jax.mechanics.bush_contacts import CLOSED, CONTACT_NAMES, ContactState
 from rfem_jax.report.annotations import Run, Summaries
 from rfem_jax.report.driven_motions_report import drive_quantities, has_driven_joint
 from rfem_jax.report.quantities import (
     BALANCES,
+    CONTACTS,
     DRIVEN_JOINT,
     FRICTION_LOSS,
     JOINT_METRICS,
@@ -61,12 +63,22 @@ def summarise_run(study: Study, run: Run) -> dict[str, Any]:
     friction = {FRICTION_LOSS.name: losses} if losses else {}
     summary = {"joints": joints, "driven_joint": ends, "driven_joints": driven, **friction, **balances}
     summary["branch"] = branches(run)
+    if run.contacts:
+        summary["contacts"] = {joint: _contacts(one) for joint, one in run.contacts.items()}
     if study.metrics:
         summary["metrics"] = {name: float(metric_of(run, name)) for name in study.metrics}
     for one in drive_quantities(study):
         of_drive = summary.setdefault("drives", {}).setdefault(one.label, {})
         of_drive[one.end.name] = float(one.values(run)[-1])
     return summary
+
+
+def _contacts(history: ContactState) -> dict[str, Any]:
+    """Of a joint with clearance: the numbers `quantities.CONTACTS` of its saved times, penetrations and forces of the
+    contact where they are largest."""
+    depth, force = np.asarray(history.penetration), np.asarray(history.normal_force)
+    values = float(depth.max()), float(force.max()), dict(zip(CONTACT_NAMES, np.mean(depth > CLOSED, axis=0).tolist()))
+    return dict(zip((quantity.name for quantity in CONTACTS), values, strict=True))
 
 
 def _driven_joints(study: Study, run: Run) -> list[dict[str, Any]]:

@@ -39,6 +39,7 @@ from rfem_jax.mechanics.statics.assembly import (
     static_loads,
 )
 from rfem_jax.mechanics.status import (
+    CONTACT_NOT_RESOLVED,
     DIVERGED,
     DRIFTED,
     NOT_CONVERGED,
@@ -70,6 +71,7 @@ from rfem_jax.simulation.stepping import Carry, step_intervals
 from rfem_jax.simulation.time_grid import TimeGrid, divide_time
 
 DRIFT_LIMIT = 1e-6
+CONTACT_BALANCE_LIMIT = 0.05  # of the largest energy; a single impact then loses its speed within a hundredth
 
 
 class Prepared(NamedTuple):
@@ -358,6 +360,8 @@ def _status(model, prepared: Prepared, carry: Carry, error, drift, used, residua
     for leaf in jax.tree.leaves(carry.trajectory):
         finite = finite & jnp.all(jnp.isfinite(leaf))
     code = jnp.where(drift < DRIFT_LIMIT * length_scale(model), OK, DRIFTED)
+    if model.topology.clearances:
+        code = jnp.where(error < CONTACT_BALANCE_LIMIT, code, CONTACT_NOT_RESOLVED)
     code = jnp.where(residual < RESIDUAL_LIMIT, code, NOT_CONVERGED)
     code = jnp.where(used < 1.0, code, OUT_OF_RANGE)
     code = jnp.where(carry.exhausted, STEPS_EXHAUSTED, code)

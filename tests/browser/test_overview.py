@@ -7,7 +7,8 @@ from rfem_jax.report.page.histories import read_table
 
 def test_it_opens_without_a_complaint_and_asks_for_nothing(page):
     assert [tab.text for tab in page.all("[role=tab]")] == [
-        "Overview", "Tables", "Sensitivity", "Monte Carlo", "Worst case", "Allocation", "Sweep", "Reliability", "Checks",
+        "Overview", "Tables", "Sensitivity", "Monte Carlo", "Worst case", "Allocation", "Sweep", "Reliability",
+        "Checks",
     ]  # fmt: skip
     assert page.text("h1") == "Test four-bar"
     for tab in page.all("[role=tab]"):

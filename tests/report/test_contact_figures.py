@@ -6,11 +6,15 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from rfem_jax import Clearance
 from rfem_jax.mechanics.bush_contacts import ContactState
 from rfem_jax.report.contact_figures import orbit_figures
 from rfem_jax.report.files import contact_columns
+from rfem_jax.report.summary import summarise_run
+
+from .conftest import synthetic_run
 
 PLAY = Clearance(radial="0.1 mm", length=0.02, stiffness=1e9)
 
@@ -53,3 +57,17 @@ def test_columns_of_contacts():
     np.testing.assert_allclose(columns["D_penetration_end_m"], 1e-5)
     np.testing.assert_allclose(columns["D_contact_force_end_N"], 10.0)
     assert not contact_columns(run_with({}))
+
+
+def test_results_tell_how_the_contacts_of_a_pin_carry(study):
+    run = synthetic_run(0.0)
+    assert "contacts" not in summarise_run(study, run)
+    run.contacts = {"D": history()}
+    found = summarise_run(study, run)["contacts"]
+    assert found == {
+        "D": {
+            "largest_penetration": pytest.approx(1e-5),
+            "largest_contact_force": pytest.approx(10.0),
+            "carrying_share": {"start": 0.0, "end": 1.0, "axial": 0.0},
+        }
+    }

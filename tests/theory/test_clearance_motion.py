@@ -14,6 +14,7 @@ import pytest
 from scipy.optimize import brentq
 
 from rfem_jax import (
+    STATUS,
     Clearance,
     Coordinates,
     Joint,
@@ -97,6 +98,21 @@ class TestSingleImpact:
         lost = float(run.energy.kinetic[0] - run.energy.kinetic[-1])
         np.testing.assert_allclose(run.energy.dissipation[-1], lost, rtol=1e-6)
         assert float(run.energy_balance_error) < 1e-8
+
+    def test_an_impact_that_the_steps_do_not_follow_is_named_and_spoils_no_other(self):
+        """Steps of half a contact lose a tenth of the speed; a slower pin has not touched the bush yet."""
+        model, duration = guided(restitution=0.9), 8.2e-4
+        method = Method("generalised_alpha", step=duration / 12)
+
+        def of_speed(speed):
+            run = simulate(model, drive=None, duration=duration, method=method, save_every=duration,
+                           start=thrown(model, speed))  # fmt: skip
+            return run.status, run.energy.kinetic[-1], run.energy_balance_error
+
+        statuses, kinetic, balances = jax.jit(jax.vmap(of_speed))(jnp.array([SPEED, 0.2]))
+        assert [STATUS[int(one)].name for one in statuses] == ["contact_not_resolved", "ok"]
+        assert np.sqrt(2.0 * float(kinetic[0]) / MASS) < 0.95 * 0.273953003342 and float(balances[0]) > 0.05
+        np.testing.assert_allclose(kinetic[1], 0.5 * MASS * 0.2**2, rtol=1e-8)  # the weak spring centres the pin
 
     def test_restitution_needs_a_method_with_a_memory(self):
         model = guided(restitution=0.9)
