@@ -60,7 +60,7 @@ def test_columns_of_contacts():
 
 
 def test_results_tell_how_the_contacts_of_a_pin_carry(study):
-    run = synthetic_run(0.0)
+    run: Any = synthetic_run(0.0)
     assert "contacts" not in summarise_run(study, run)
     run.contacts = {"D": history()}
     found = summarise_run(study, run)["contacts"]
