@@ -27,7 +27,7 @@ from rfem_jax.mechanics.model import Model, State, Topology
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors, assembly_errors
 from rfem_jax.mechanics.point_laws import changing
 from rfem_jax.simulation import integration
-from rfem_jax.simulation.driving import require_driven
+from rfem_jax.simulation.driving import Drive, require_driven
 from rfem_jax.simulation.records import require_records
 from rfem_jax.simulation.run import Run
 from rfem_jax.simulation.time_grid import TimeGrid
@@ -73,7 +73,7 @@ def steady_cycle(
     turn about any axis.
     """
     require_float64()
-    _require_constant_rate(model, drive)
+    require_constant_rate(model, drive)
     period = abs(2.0 * np.pi / float(drive.rate))
     grid, steps = integration.grid_for(drive, period, method, save_every, model)
     errors = assembly_errors(model) if errors is None else errors
@@ -142,7 +142,8 @@ def _periodic(model, errors, drive, grid: TimeGrid, start: State, method, steps,
     return _revolution(model, errors, drive, grid, unravel(numbers + change), method, steps, asked)[1]
 
 
-def _require_constant_rate(model: Model, drive: PrescribedRate) -> None:
+def require_constant_rate(model: Model, drive: Drive) -> PrescribedRate:
+    """The drive; raises InputError where it, or the model, has no cycle that is found here."""
     if not isinstance(drive, PrescribedRate) or drive.rise_time > 0.0:
         raise InputError(
             f"Argument `drive` of a cycle must be a PrescribedRate without a rise time, but is {drive!r}; give the "
@@ -159,6 +160,7 @@ def _require_constant_rate(model: Model, drive: PrescribedRate) -> None:
             "Argument `model` of a cycle must have joints with angles and displacements in the tree, but one turns "
             "about any axis; cut that joint."
         )
+    return drive
 
 
 @Program

@@ -53,8 +53,10 @@ def act(arguments: argparse.Namespace) -> Answer:
     from rfem_jax.report.summary import summarise
     from rfem_jax.report.tables import results_text
     from rfem_jax.simulation import STATUS
+    from rfem_jax.simulation.cycle import require_constant_rate
 
     require_folder(arguments.out)
+    require_constant_rate(discretise_study(study), study.designed_drive)
     study = settle_method(study)
     folder = open_folder(arguments.out)
     cycles = _cycles(study, arguments.tolerance, arguments.most)
