@@ -8,7 +8,7 @@ from typing import Any
 
 from rfem_jax.description.drive_numbers import drive_number_names, read_drive_number
 from rfem_jax.description.driven_motions import AnyDrive
-from rfem_jax.description.errors import InputError, Problems
+from rfem_jax.description.errors import InputError, Problems, suggestion
 from rfem_jax.description.mechanism import Mechanism
 from rfem_jax.description.parameters import parameters_of
 
@@ -27,8 +27,13 @@ def read_design(
             '{ "bar.height" = "8 mm" }.'
         )
     found, problems = {}, Problems()
-    for name, value in table.items():
+    for given, value in table.items():
         with problems.noted():
+            name = _name(given, mechanism, drives, labels)
+            if name in found:
+                raise InputError(
+                    f"Argument `design` must name each number once, but names `{name}` twice; leave one out."
+                )
             if not isinstance(value, (list, tuple)):
                 found[name] = _number(name, value, mechanism, drives, labels)
                 continue
@@ -41,6 +46,19 @@ def read_design(
             found[name] = (ends[0], ends[1])
     problems.refuse()
     return found
+
+
+def _name(name: str, mechanism: Mechanism, drives: Sequence[AnyDrive], labels: Sequence[str]) -> str:
+    """The shorter one of the names of a number."""
+    numbers = drive_number_names(drives, labels)
+    if name in numbers:
+        return min((one for one, number in numbers.items() if number == numbers[name]), key=len)
+    known = parameters_of(mechanism)
+    if name.startswith("drive.") and name not in known and numbers:
+        raise InputError(
+            f"Argument `design` must name numbers of the drives, but `{name}` is none; {suggestion(name, numbers)}"
+        )
+    return known.find(name, "design").name
 
 
 def _number(name: str, value: Any, mechanism: Mechanism, drives: Sequence[AnyDrive], labels: Sequence[str]) -> float:

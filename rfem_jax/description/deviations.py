@@ -1,16 +1,20 @@
-"""Deviations that cases, tolerances and tasks give numbers to: assembly errors, and parameters of a mechanism.
+"""Deviations that cases, tolerances and tasks give numbers to: assembly errors, parameters of a mechanism, and numbers
+of drives.
 
-Place in the pipeline: mechanism, parameters -> **deviations** -> study, tasks, reports.
+Place in the pipeline: mechanism, parameters, drive_numbers -> **deviations** -> study, tasks, reports.
 
 An error deviates from zero, a parameter from its value in the description or in a design. A name that both have, as
-"coupler.length", is the error, which means the same.
+"coupler.length", is the error, which means the same. Numbers of drives deviate in tolerances and tasks, not in cases,
+which share a drive.
 """
 
 import math
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 
-from rfem_jax.description.error_catalogue import error_dimension, reading_parameters
+from rfem_jax.description.drive_numbers import drive_number_dimension, each_drive_number
+from rfem_jax.description.driven_motions import AnyDrive, driven_motion, motion_label
+from rfem_jax.description.error_catalogue import error_dimension, parameters_being_read, reading_parameters
 from rfem_jax.description.errors import InputError, Problems, subject, suggestion
 from rfem_jax.description.mechanism import Mechanism
 from rfem_jax.description.parameters import parameters_of
@@ -19,20 +23,31 @@ from rfem_jax.description.units import DIMENSIONS
 
 def require_deviation(mechanism: Mechanism, name: str, where: str = "name") -> None:
     """Raise InputError with the nearest name unless `name` is an error or a parameter of the mechanism."""
-    if name in mechanism.error_names:
+    if name in mechanism.error_names or name in parameters_being_read():
         return
     known = parameters_of(mechanism)
     if name not in known:
         raise InputError(
             f"{subject(where)} must be an error or a parameter of this mechanism, but `{name}` is none; "
-            f"{mechanism.about_missing(name) or suggestion(name, (*mechanism.error_names, *known))}"
+            f"{mechanism.about_missing(name) or suggestion(name, (*mechanism.error_names, *known, *_of_drives()))}"
         )
 
 
+def _of_drives() -> list[str]:
+    """Names of the numbers of drives that are known while a study is read."""
+    return [name for name in parameters_being_read() if name.startswith("drive.")]
+
+
 def deviation_dimension(mechanism: Mechanism, name: str) -> str:
-    """Dimension of a deviation, a key of `units.DIMENSIONS`; raises as `require_deviation`."""
+    """Dimension of a deviation, a key of `units.DIMENSIONS`; raises as `require_deviation`, but for what is called
+    like a number of a drive."""
+    known = parameters_of(mechanism)
+    if name not in mechanism.error_names and name not in known:
+        of_drive = drive_number_dimension(name)
+        if of_drive is not None:
+            return of_drive
     require_deviation(mechanism, name)
-    return error_dimension(name) if name in mechanism.error_names else parameters_of(mechanism)[name].dimension
+    return error_dimension(name) if name in mechanism.error_names else known[name].dimension
 
 
 def deviation_unit(mechanism: Mechanism, name: str) -> str:
@@ -60,13 +75,20 @@ def require_sizes(mechanism: Mechanism, sizes: Mapping[str, float], where: str) 
 
 
 @contextmanager
-def known_while_reading(mechanism: object) -> Iterator[None]:
-    """Within the block names of the parameters of a mechanism have dimensions wherever names of errors do; nothing
-    happens for what is no mechanism."""
+def known_while_reading(mechanism: object, drives: Sequence[AnyDrive] = ()) -> Iterator[None]:
+    """Within the block names of the parameters of a mechanism and of the numbers of its drives have dimensions wherever
+    names of errors do; nothing happens for what is no mechanism."""
     if not isinstance(mechanism, Mechanism):
         yield
         return
+    dimensions = {}
+    with suppress(InputError):  # drives that do not fit are refused elsewhere
+        kinds = [mechanism.joint(one.joint).kind for one in drives]
+        labels = [
+            motion_label(one.joint, kind, driven_motion(one, kind)) for one, kind in zip(drives, kinds, strict=True)
+        ]
+        dimensions = {name: str(drive_number_dimension(name)) for name in each_drive_number(drives, labels)}
     named = parameters_of(mechanism)
-    dimensions = {name: one.dimension for one in named.all for name in (one.short, one.full) if name is not None}
+    dimensions |= {name: one.dimension for one in named.all for name in (one.short, one.full) if name is not None}
     with reading_parameters(dimensions):
         yield

@@ -11,6 +11,7 @@ from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
+from jax import Array
 from jax.typing import ArrayLike
 
 from rfem_jax.description.driven_motions import AnyDrive
@@ -60,15 +61,26 @@ def drive_number_names(drives: Sequence[AnyDrive], labels: Sequence[str]) -> dic
     return found
 
 
+def each_drive_number(drives: Sequence[AnyDrive], labels: Sequence[str]) -> dict[str, int]:
+    """{name: index of the drive}, one name of each number: the shorter one."""
+    names = drive_number_names(drives, labels)
+    return {name: i for name, (i, _) in names.items() if len(drives) > 1 or name.count(".") == 1}
+
+
+def drive_number_dimension(name: str) -> str | None:
+    """Dimension of what is called like a number of a drive, None for other names."""
+    return _DIMENSIONS.get(name.rpartition(".")[2]) if name.startswith("drive.") else None
+
+
 def drive_number_unit(name: str) -> str:
     """SI unit of a number of a drive."""
     return DIMENSIONS[_DIMENSIONS[name.rpartition(".")[2]]][1]
 
 
-def drive_number_value(drive: AnyDrive) -> float:
+def drive_number_value(drive: AnyDrive) -> Array | float:
     """The number of a drive [its unit]; 1 for a factor."""
     name, field = NUMBERS[type(drive)]
-    return 1.0 if name == "factor" else float(getattr(drive, field))
+    return 1.0 if name == "factor" else getattr(drive, field)
 
 
 def read_drive_number(name: str, value: Any, where: str, labels: Sequence[str]) -> float:

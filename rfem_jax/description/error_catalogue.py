@@ -48,6 +48,11 @@ def error_dimension(name: object) -> str:
     return _KNOWN[component]
 
 
+def parameters_being_read() -> Mapping[str, str]:
+    """{name: dimension} of the parameters of the study that is read now; empty outside of `reading_parameters`."""
+    return _parameters.get()
+
+
 def knows_dimension(name: object) -> bool:
     """Whether `error_dimension` knows a name, or refuses it with all names of a study at hand."""
     if _parameters.get():

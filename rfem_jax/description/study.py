@@ -124,7 +124,7 @@ class Study(ChecksItself):
         checks.relation(("mechanism", "drive"), self._check_design)
         checks.relation(("drive", "duration"), self._check_drive_end)
         checks.relation(("mechanism", "cases"), self._check_cases)
-        checks.relation(("mechanism", "tasks"), self._check_tasks)
+        checks.relation(("mechanism", "drive", "tasks"), self._check_tasks)
         if self.metrics:
             checks.convert("metrics", metric_names)
             checks.relation(("mechanism", "drive", "metrics"), self._resolve_metrics)
@@ -265,7 +265,7 @@ class Study(ChecksItself):
         problems.refuse()
 
     def _check_tasks(self) -> None:
-        with known_while_reading(self.mechanism):
+        with known_while_reading(self.mechanism, self.drives):
             object.__setattr__(self, "tasks", self.tasks.resolved(self.mechanism))
 
     def _resolve_metrics(self) -> None:
@@ -312,7 +312,8 @@ def _read_study(content: dict[str, Any], path: Path) -> Study:
         drive, drives = parts["drive"], parts.pop("drives")
         parts["drive"] = ABSENT if ABSENT in (drive, drives) else (*each_drive(drive), *drives)
     parts["tasks"] = ABSENT
-    with problems.noted(), known_while_reading(parts["mechanism"]):
+    drives = () if parts["drive"] is ABSENT else each_drive(parts["drive"])
+    with problems.noted(), known_while_reading(parts["mechanism"], drives):
         tasks = read_tasks(there)
         parts["tasks"] = ABSENT if content.get("tolerances") is ABSENT else tasks
     times = ("duration", "method", "save_every")

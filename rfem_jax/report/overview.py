@@ -38,7 +38,7 @@ def design_text(study: Study) -> str:
     rows = []
     for name, value in study.design.items():
         unit = drive_number_unit(name) if name in drives else names[name].unit
-        before = drive_number_value(study.drives[drives[name][0]]) if name in drives else None
+        before = float(drive_number_value(study.drives[drives[name][0]])) if name in drives else None
         if before is None:
             before = names[name].value_in(parts_of(study.mechanism))
         new = " to ".join(f"{end:.6g}" for end in value) if isinstance(value, tuple) else f"{value:.6g}"

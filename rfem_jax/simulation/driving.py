@@ -10,7 +10,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from rfem_jax.description.drive_numbers import drives_with
+from rfem_jax.description.drive_numbers import drive_number_names, drive_number_value, drives_with, each_drive_number
 from rfem_jax.description.driven_motions import (
     AnyDrive,
     Drive,
@@ -133,10 +133,33 @@ def drive_of_design(model: Model, drive: Drive, design: Design) -> Drive:
 
     **Raises:** `InputError` for numbers that they do not have.
     """
-    if not design.drives:
-        return drive
+    return drives_with(*_labelled(model, drive), design.drives) if design.drives else drive
+
+
+def drive_numbers(model: Model, drive: Drive, design: Design | None) -> dict[str, Array | float]:
+    """Numbers of the drives [their units] as the design, or else the description, has them, by one name each."""
+    drives, labels = _labelled(model, drive)
+    names = drive_number_names(drives, labels)
+    given = {} if design is None else design.drives
+    set_to = {names[name][0]: value for name, value in given.items() if name in names}
+    each = each_drive_number(drives, labels)
+    return {name: set_to[i] if i in set_to else drive_number_value(drives[i]) for name, i in each.items()}
+
+
+def design_with(model: Model, drive: Drive, design: Design | None, numbers: dict[str, Array]) -> Design:
+    """The design with other numbers [their units] of the drives."""
+    if design is None:
+        return Design({}, numbers)
+    names = drive_number_names(*_labelled(model, drive))
+    replaced = {names[name] for name in numbers}
+    kept = {name: value for name, value in design.drives.items() if names.get(name) not in replaced}
+    return Design(design.values, {**kept, **numbers})
+
+
+def _labelled(model: Model, drive: Drive) -> tuple[tuple[AnyDrive, ...], list[str]]:
+    """The drives, and the names of the free motions that they act on."""
     drives = each_drive(drive)
-    return drives_with(drives, [_label(model.topology, one) for one in drives], design.drives)
+    return drives, [_label(model.topology, one) for one in drives]
 
 
 def _require_joint(model: Model, drive: AnyDrive) -> None:

@@ -18,6 +18,7 @@ TABLES = """
 "drive.moment" = "2 N m"
 "rocker.length" = [0.28, "320 mm"]
 [tolerances]
+"drive.moment" = "0.1 N m"
 "steel.youngs_modulus" = "2 GPa"
 "bar.height" = { half_width = "0.1 mm", distribution = "normal" }
 "D.delta_x" = "0.1 deg"
@@ -70,6 +71,7 @@ def test_a_study_sets_bounds_and_scatters_parameters(load):
     assert study.design_bounds == {"rocker.length": (0.28, pytest.approx(0.32))}
     assert float(study.designed_drive.moment) == 2.0 and float(study.drive.moment) == 1.5
     assert study.tolerances.half_widths()["steel.youngs_modulus"] == 2e9
+    assert study.tolerances.half_widths()["drive.moment"] == 0.1
     assert dataclasses.replace(study, title="other").design == study.design
     mechanism = study.mechanism
     assert deviation_unit(mechanism, "steel.youngs_modulus") == "Pa"
@@ -86,7 +88,10 @@ def test_a_study_sets_bounds_and_scatters_parameters(load):
         ('[design]\n"bar.height" = -0.01\n', ("`bar.height` of the design",)),
         ('[design]\n"bar.height" = [0.02, 0.01]\n', ("`bar.height`", "[lowest, highest]")),
         ('[design]\n"B.angle" = 0.1\n', ("`B.angle`", "closing")),
-        ('[design]\n"drive.force" = 1.0\n', ("`drive.force`",)),
+        ('[design]\n"drive.force" = 1.0\n', ("`drive.force`", "`drive.moment`")),
+        ('[design]\n"drive.moment" = 1.0\n"drive.A.moment" = [1.0, 2.0]\n', ("`drive.moment` twice",)),
+        ('[tolerances]\n"drive.moment" = "1 mm"\n', ("drive.moment", "moment")),
+        ('[tolerances]\n"drive.rate" = 1.0\n', ("drive.rate",)),
         ('[tolerances]\n"bar.hight" = "1 mm"\n', ("bar.hight", "bar.height")),
         ('[tolerances]\n"steel.youngs_modulus" = "1 mm"\n', ("steel.youngs_modulus", "pressure")),
     ],

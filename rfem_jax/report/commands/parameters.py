@@ -31,17 +31,15 @@ def act(arguments: argparse.Namespace) -> Answer:
     """Print the table. Raises InputError."""
     study = read_study(arguments.study)
 
-    from rfem_jax.description.drive_numbers import drive_number_names, drive_number_unit, drive_number_value
+    from rfem_jax.description.drive_numbers import drive_number_unit, drive_number_value, each_drive_number
     from rfem_jax.description.parameters import parameters_of
     from rfem_jax.description.parts import parts_of
     from rfem_jax.report.tables import format_table
 
     parts = parts_of(study.mechanism)
     found = {one.name: (one.value_in(parts), one.unit) for one in parameters_of(study.mechanism).all}
-    numbers = drive_number_names(study.drives, study.drive_labels)
-    for name, (index, _) in numbers.items():
-        if len(study.drives) > 1 or name.count(".") == 1:
-            found[name] = drive_number_value(study.drives[index]), drive_number_unit(name)
+    for name, index in each_drive_number(study.drives, study.drive_labels).items():
+        found[name] = float(drive_number_value(study.drives[index])), drive_number_unit(name)
     found = {name: one for name, one in found.items() if arguments.word in name}
     rows = [[name, f"{value:.10g}", unit] for name, (value, unit) in found.items()]
     show(format_table(["parameter", "value", "unit"], rows))

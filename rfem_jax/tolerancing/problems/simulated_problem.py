@@ -13,6 +13,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from rfem_jax.compilation.program import Program
+from rfem_jax.description.drive_numbers import drive_number_unit
 from rfem_jax.description.driven_motions import Drive
 from rfem_jax.description.error_catalogue import error_unit
 from rfem_jax.description.errors import InputError
@@ -24,9 +25,10 @@ from rfem_jax.mechanics.model import Model
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors, assembly_errors
 from rfem_jax.mechanics.status import STATUS
 from rfem_jax.simulation.accuracy import choose_method
+from rfem_jax.simulation.driving import design_with, drive_numbers
 from rfem_jax.simulation.integration import simulate
 from rfem_jax.simulation.run import RESIDUAL_LIMIT
-from rfem_jax.tolerancing.checks import check_distinct, check_known
+from rfem_jax.tolerancing.checks import check_distinct, check_known, error_value
 from rfem_jax.tolerancing.problems.metrics import metric
 from rfem_jax.tolerancing.problems.problem import Metric, Status, Values
 
@@ -90,28 +92,40 @@ class Problem(eqx.Module):
 
     @property
     def error_names(self) -> tuple[str, ...]:
-        """Names of all errors that it accepts, and of the parameters of the description, which may deviate, too."""
-        errors = self.model.topology.error_names
-        return (*errors, *(name for name in self._parameters if name not in errors))
+        """Names of all errors that it accepts, of the parameters of the description and of the numbers of the drives,
+        which may deviate, too."""
+        errors, named = self.model.topology.error_names, self._parameters
+        return (*errors, *(name for name in named if name not in errors), *self._drive_numbers)
 
     @property
     def _parameters(self) -> dict[str, NamedValue]:
         return {} if self.model.source is None else parameters(self.model)
 
+    @property
+    def _drive_numbers(self) -> dict[str, Array | float]:
+        """Numbers of the drives [their units] that no parameter has the name of."""
+        known = () if self.model.source is None else self.model.source.blueprint.names
+        numbers = drive_numbers(self.model, self.drive, self.design)
+        return {name: number for name, number in numbers.items() if name not in known}
+
     def error_unit(self, name: str) -> str:
-        """SI unit of an error or of a parameter. Raises InputError for an unknown name."""
+        """SI unit of an error, a parameter or a number of a drive. Raises InputError for an unknown name."""
         check_known((name,), self.error_names, "name")
-        return error_unit(name) if name in self.model.topology.error_names else self._parameters[name].unit
+        if name in self.model.topology.error_names:
+            return error_unit(name)
+        known = self._parameters
+        return known[name].unit if name in known else drive_number_unit(name)
 
     def nominal_value(self, name: str) -> float:
-        """What a deviation of zero means: the value of a parameter in the design or the description, 0 for an error.
+        """What a deviation of zero means: the value of a parameter or of a number of a drive in the design or the
+        description, 0 for an error.
 
         Raises InputError for an unknown name.
         """
         check_known((name,), self.error_names, "name")
         known = self._parameters.get(name)
         if known is None:
-            return 0.0
+            return float(self._drive_numbers.get(name, 0.0))
         set_to = {} if self.design is None else self.design.values
         return float(set_to.get(known.full, known.value))
 
@@ -143,7 +157,7 @@ class Problem(eqx.Module):
 
     def __call__(self, errors: Errors) -> tuple[Values, Status]:
         """Values {metric name: scalar} and status (scalar int32) of one sample."""
-        return _values_and_status(self, self._as_errors(errors))
+        return _values_and_status(*self._split(errors))
 
     def with_residual(
         self, errors: Errors
@@ -153,22 +167,37 @@ class Problem(eqx.Module):
         The derivatives of the residual and of the forces show how accurate derivatives are. With explicit methods
         n = 0.
         """
+        problem, errors = self._split(errors)
         run = simulate(
-            self.model,
-            self._as_errors(errors),
-            drive=self.drive,
-            duration=self.duration,
-            method=self.method,
-            save_every=self.save_every,
-            design=self.design,
-            record=self.records,
+            problem.model,
+            errors,
+            drive=problem.drive,
+            duration=problem.duration,
+            method=problem.method,
+            save_every=problem.save_every,
+            design=problem.design,
+            record=problem.records,
         )
         forces = jnp.stack([load.force for load in run.loads.values()])
         values = {m.name: jnp.asarray(m(run)) for m in self.metrics}
         return values, run.status, run.equation_residual, forces
 
-    def _as_errors(self, errors: Errors) -> AssemblyErrors:
-        return errors if isinstance(errors, AssemblyErrors) else assembly_errors(self.model, dict(errors))
+    def _split(self, errors: Errors) -> tuple["Problem", AssemblyErrors]:
+        """The problem with the numbers of drives that deviate, and the other errors."""
+        if isinstance(errors, AssemblyErrors):
+            return self, errors
+        known = self._drive_numbers if any(name.startswith("drive.") for name in errors) else {}
+        numbers = {}
+        for name in (name for name in errors if name in known):
+            change = errors[name]
+            change = error_value(change, drive_number_unit(name), name) if isinstance(change, str) else change
+            numbers[name] = jnp.asarray(known[name] + change, jnp.float64)
+        others = {name: value for name, value in errors.items() if name not in numbers}
+        problem = self
+        if numbers:
+            driven = design_with(self.model, self.drive, self.design, numbers)
+            problem = eqx.tree_at(lambda one: one.design, self, driven, is_leaf=lambda x: x is None)
+        return problem, assembly_errors(self.model, others)
 
 
 @Program
