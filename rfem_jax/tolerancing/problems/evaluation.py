@@ -166,6 +166,12 @@ def evaluate_points(
     return np.where((statuses == 0)[:, None], values, np.nan), statuses
 
 
+def prepare_points(problem: ToleranceProblem, names: Sequence[str], base: Base, batch: int = 256) -> None:
+    """Start to compile or load, in the background, the program of `evaluate_points` with these arguments."""
+    points = jax.ShapeDtypeStruct((min(batch, default_lanes()), len(names)), jnp.float64)
+    _evaluate_chunk.ahead(problem, names, base, points)
+
+
 def describe_status(problem: ToleranceProblem, status: int | Int[Array, ""] | np.integer) -> str:
     """The problem's own word for a status code, "ok" for 0."""
     if int(status) == 0:

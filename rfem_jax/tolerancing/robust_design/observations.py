@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from rfem_jax.tolerancing.problems.evaluation import Base, evaluate_points
+from rfem_jax.tolerancing.problems.evaluation import Base, evaluate_points, prepare_points
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem
 from rfem_jax.tolerancing.problems.quadratic_model import linearise_points
 from rfem_jax.tolerancing.robust_design.variables import Variables
@@ -78,6 +78,10 @@ class Observer:
         for points in groups:
             start, stop = stop, stop + len(points)
             self._known[points.tobytes()] = Observed(together.values[start:stop], together.jacobian[start:stop])
+
+    def prepare(self) -> None:
+        """Start to compile or load, in the background, the program of `values`, which verifies an answer at the end."""
+        prepare_points(self.problem, self.variables.names, self.base, self.batch)
 
     def values(self, y: Float[np.ndarray, " p"], z: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n m"]:
         """Values alone, by a program without derivatives; NaN where a sample failed."""

@@ -7,6 +7,8 @@ Place in the pipeline: request -> criteria, search, verification -> **optimisati
        goes on from where it was, until there are none (theory (10.15))
     3  verification by a fresh run; a sample that fell short aims higher and is searched again
 
+The program of the third step is compiled while that of the first two is traced.
+
 Dimensions and tolerances are found at once: a larger section lets tolerances grow, at its own price.
 Source: A. Ben-Tal, L. El Ghaoui, A. Nemirovski, Robust Optimization (2009), ch. 1 (the problem); J. W. Blankenship,
 J. E. Falk, J. Optim. Theory Appl. 19 (1976) 261-281 (exchange of worst points).
@@ -124,6 +126,7 @@ def optimise(
     criterion = CRITERIA[robust](
         observer, request.limits, keys[0], level=target, coverage=coverage, distribution=distribution, samples=samples
     )
+    observer.prepare()
     study = _Study(request, settings, observer, criterion, steps)
     begun = study.begin(starts, keys[1])[:searches]
     solved = [study.solve(start, jax.random.fold_in(keys[2], n)) for n, start in enumerate(begun)]
