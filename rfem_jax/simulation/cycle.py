@@ -14,10 +14,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
 from rfem_jax.compilation.program import Program
+from rfem_jax.description.driven_motions import each_drive
 from rfem_jax.description.drives import PrescribedRate
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.methods import Method
@@ -27,7 +29,7 @@ from rfem_jax.mechanics.model import Model, State, Topology
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors, assembly_errors
 from rfem_jax.mechanics.point_laws import changing
 from rfem_jax.simulation import integration
-from rfem_jax.simulation.driving import Drive, require_driven
+from rfem_jax.simulation.driving import Drive, drive_of_design, require_driven
 from rfem_jax.simulation.records import require_records
 from rfem_jax.simulation.run import Run
 from rfem_jax.simulation.time_grid import TimeGrid
@@ -67,14 +69,14 @@ def steady_cycle(
 
     **Arguments:** `drive`: a `PrescribedRate` about a hinge, without a rise; `method` with a step; `tolerance` of the
     residual; `most`: revolutions that are simulated at most; `record`: as of `simulate`; `design`: from
-    `rfem_jax.design`, other values for numbers of the model. Not differentiable: `cycle_run` is.
+    `rfem_jax.design`, other values for numbers of the model and of the drive. Not differentiable: `cycle_run` is.
 
     **Raises:** `InputError` for another drive, for forces that are functions of time, and for joints of the tree that
     turn about any axis.
     """
     require_float64()
     require_constant_rate(model, drive)
-    period = abs(2.0 * np.pi / float(drive.rate))
+    drive, period = _with_period(model, drive, design)
     grid, steps = integration.grid_for(drive, period, method, save_every, model)
     errors = assembly_errors(model) if errors is None else errors
     made = designed(model, design, errors)
@@ -110,13 +112,13 @@ def cycle_run(
     """One revolution of a steady cycle as a function of the errors and the design, about those it was found for.
 
     **Arguments:** `cycle`, from `steady_cycle` with the same numbers; the others as of `steady_cycle`; errors and
-    design may be traced.
+    design may be traced, but not the rate of the drive.
 
     **Returns:** `Run`, equal to `cycle.run` within its residual. Works under jit, vmap, forward and reverse mode: start
     of the cycle and all loads change as the periodic motion does (theory (11.19)); first derivatives only.
     """
     require_float64()
-    period = abs(2.0 * np.pi / float(drive.rate))
+    drive, period = _with_period(model, drive, design)
     grid, steps = integration.grid_for(drive, period, method, save_every, model)
     made = designed(model, design, assembly_errors(model) if errors is None else errors)
     assert made.errors is not None, "errors were given"
@@ -140,6 +142,20 @@ def _periodic(model, errors, drive, grid: TimeGrid, start: State, method, steps,
     # Where a revolution changes nothing, as of the driven angle, the start stays: the solution of least norm.
     change = jnp.linalg.pinv(kept, rtol=RANK) @ (end - jax.lax.stop_gradient(end))
     return _revolution(model, errors, drive, grid, unravel(numbers + change), method, steps, asked)[1]
+
+
+def _with_period(model: Model, drive: PrescribedRate, design: Design | None) -> tuple[PrescribedRate, float]:
+    """The drive with the rate that a design sets, and the period of a revolution [s]."""
+    if design is not None and design.drives:
+        if any(isinstance(rate, Tracer) for rate in design.drives.values()):
+            raise InputError(
+                "Argument `design` of a cycle must set a rate of the drive that is known, but it is traced, and the "
+                "period follows from it; find a cycle for each rate."
+            )
+        (designed_drive,) = each_drive(drive_of_design(model, drive, design))
+        assert isinstance(designed_drive, PrescribedRate), "its kind stays"
+        drive = designed_drive
+    return drive, abs(2.0 * np.pi / float(drive.rate))
 
 
 def require_constant_rate(model: Model, drive: Drive) -> PrescribedRate:

@@ -135,9 +135,9 @@ def test_metrics_of_all_cases_of_a_run(tmp_path, capsys):
 
 def test_a_cycle_is_reported_as_a_run_of_one_revolution(tmp_path, capsys):
     text = STUDY.replace("rfes = 2", "rigid = true").replace("duration = 0.1", "duration = 1.0\nsave_every = 0.5")
-    text = text.replace("step = 1e-6", "step = 0.05").replace("rate = 1\n", "rate = 2\nrise_time = 0.1\n")
+    text = text.replace("step = 1e-6", "step = 0.05").replace("rate = 1\n", "rate = 1\nrise_time = 0.1\n")
     path, out = tmp_path / "study.toml", tmp_path / "out"
-    path.write_text(text, encoding="utf-8")
+    path.write_text(f'{text}\n[design]\n"drive.rate" = 2\n', encoding="utf-8")
     assert main(["cycle", str(path), "--out", str(out)]) == 0
     assert "repeats after 2 revolutions" in capsys.readouterr().out
     content = json.loads((out / "results.json").read_text(encoding="utf-8"))
@@ -148,7 +148,7 @@ def test_a_cycle_is_reported_as_a_run_of_one_revolution(tmp_path, capsys):
     assert content["cases"]["nominal"]["joints"]["A"]["rms_force"] == pytest.approx(rms, rel=1e-6)
     path.write_text(
         text.replace(
-            'kind = "prescribed_rate"\nrate = 2\nrise_time = 0.1', 'kind = "moment_ramp"\nmoment = 1\nrise_time = 0.1'
+            'kind = "prescribed_rate"\nrate = 1\nrise_time = 0.1', 'kind = "moment_ramp"\nmoment = 1\nrise_time = 0.1'
         )
     )
     assert main(["cycle", str(path), "--out", str(out)]) == 2

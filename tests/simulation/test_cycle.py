@@ -13,6 +13,7 @@ from rfem_jax import (
     MomentRamp,
     PrescribedRate,
     Rectangle,
+    design,
     discretise,
     simulate,
 )
@@ -33,7 +34,11 @@ def test_a_cycle_is_what_many_revolutions_come_to(arm):
     rate = 12.0
     period = 2 * np.pi / rate
     drive, method = PrescribedRate("A", rate), Method("generalised_alpha", step=period / 60)
-    cycle = steady_cycle(arm, drive=drive, method=method, tolerance=1e-9, save_every=period / 10)
+    # The same rate as a number that a design sets.
+    cycle = steady_cycle(
+        arm, drive=PrescribedRate("A", 5.0), method=method, tolerance=1e-9, save_every=period / 10,
+        design=design(arm, {"drive.rate": rate}),
+    )  # fmt: skip
     assert cycle.converged and cycle.residual <= 1e-9
     count = 40
     long = simulate(arm, drive=drive, duration=count * period, method=method, save_every=period / 10)

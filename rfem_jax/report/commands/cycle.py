@@ -85,7 +85,7 @@ def _of_one_revolution(study: Study) -> Study:
     from rfem_jax.description.drives import PrescribedRate
     from rfem_jax.description.errors import InputError
 
-    drive = study.drives[0] if len(study.drives) == 1 else None
+    drive = study.designed_drive
     if not isinstance(drive, PrescribedRate) or float(drive.rate) == 0.0:
         raise InputError(
             "Argument `drive` of a cycle must be one drive of the kind prescribed_rate that turns, but the study has "
