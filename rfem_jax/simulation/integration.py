@@ -6,8 +6,8 @@ Place in the pipeline: model, errors, drive, method -> **simulate** -> Run.
     advance   the intervals of the time grid, by one compiled loop body (`stepping`)
     conclude  loads and balances at the ends of the intervals, metrics, status
 
-With fixed steps all transforms of JAX apply (jit, vmap, forward and reverse mode, Hessians); reverse mode has one
-checkpoint at the end of every interval.
+With fixed steps all transforms of JAX apply (jit, vmap, forward and reverse mode, Hessians); reverse mode keeps the
+state at the end of every interval, with an implicit method of every step, and computes again what lies between.
 """
 
 from collections.abc import Iterable, Sequence
@@ -65,9 +65,9 @@ from rfem_jax.simulation.run import (
     of_model,
 )
 from rfem_jax.simulation.solvers.catalogue import observed_solver
-from rfem_jax.simulation.solvers.implicit_step import SOLUTION, Memory
+from rfem_jax.simulation.solvers.implicit_step import Memory
 from rfem_jax.simulation.stabilisation import stabilisation_of
-from rfem_jax.simulation.stepping import Carry, step_intervals
+from rfem_jax.simulation.stepping import Carry, repeated, step_intervals
 from rfem_jax.simulation.time_grid import TimeGrid, divide_time
 
 DRIFT_LIMIT = 1e-6
@@ -114,7 +114,8 @@ def simulate(
     `simulation.records`), into `run.recorded`.
 
     **Returns:** `Run`.  Works under jit, vmap, jacfwd; with fixed-step methods also grad, jacrev and Hessians (memory
-    in reverse mode: the state at the end of every interval, and the steps of one interval).
+    in reverse mode: the state at the end of every interval, and the steps of one interval; with an implicit method the
+    state at the end of every step).
 
     **Raises:** `InputError` for arguments that cannot be used, such as a drive of another joint than the driven one.  A
     run that fails says so in its status.
@@ -208,8 +209,9 @@ def advance(
         carry = step_over(carry, entry)
         return carry, pack(IntervalEnd(carry.trajectory, carry.memory))
 
-    kept = jax.checkpoint_policies.save_only_these_names(SOLUTION)
-    carry, ends = jax.lax.scan(jax.checkpoint(interval, policy=kept), carry, _entries(grid))
+    # Steps of an implicit method have checkpoints of their own.
+    by_step = method.implicit and not method.adaptive
+    carry, ends = jax.lax.scan(interval if by_step else repeated(interval), carry, _entries(grid))
     return carry, unpack(ends, IntervalEnd(carry.trajectory, carry.memory))
 
 

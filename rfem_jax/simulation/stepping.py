@@ -30,7 +30,7 @@ from rfem_jax.simulation.batches import like_batched
 from rfem_jax.simulation.driving import Drive, active_drives
 from rfem_jax.simulation.equations import Conditions, Scalar, Trajectory
 from rfem_jax.simulation.solvers.catalogue import observed_solver
-from rfem_jax.simulation.solvers.implicit_step import Memory
+from rfem_jax.simulation.solvers.implicit_step import SOLUTION, Memory
 from rfem_jax.simulation.solvers.recorded_steps import RecordedSteps
 from rfem_jax.simulation.stabilisation import stabilisation_of
 from rfem_jax.simulation.time_grid import TimeGrid
@@ -117,6 +117,12 @@ def vector_field(t: Scalar, y: tuple[Trajectory, PyTree], conditions: Conditions
     return rate, jax.tree.map(jnp.zeros_like, peaks)
 
 
+def repeated(function: Callable) -> Callable:
+    """The function, which reverse mode computes again instead of keeping its intermediate results; within a loop."""
+    kept = jax.checkpoint_policies.save_only_these_names(SOLUTION)
+    return jax.checkpoint(function, policy=kept, prevent_cse=False)
+
+
 def _fixed(solver, carry: Carry, start, length, steps, conditions) -> Carry:
     """One interval in steps of equal length; `steps` may be traced (then not in reverse mode)."""
     terms = diffrax.ODETerm(vector_field)
@@ -139,7 +145,8 @@ def _fixed(solver, carry: Carry, start, length, steps, conditions) -> Carry:
     state = y, solver.resume(terms, start, start + h, y, conditions, carry.memory)
     if isinstance(steps, int):
         indices = jnp.arange(steps, dtype=jnp.float64)
-        state, _ = jax.lax.scan(lambda *args: (step_if_needed(*args), None), state, indices)
+        one = step_if_needed if carry.memory is None else repeated(step_if_needed)
+        state, _ = jax.lax.scan(lambda *args: (one(*args), None), state, indices)
     else:
         count = steps.astype(jnp.int32)
         state = jax.lax.fori_loop(0, count, lambda i, state: step_if_needed(state, i.astype(jnp.float64)), state)

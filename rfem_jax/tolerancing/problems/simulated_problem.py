@@ -41,10 +41,10 @@ class Problem(eqx.Module):
     `problem(errors)` takes {error name: number in rad or m, or a string with a unit} (or `AssemblyErrors`) and returns
     ({metric name: scalar}, status); it works under jit, vmap, jacfwd, grad, jacrev and their compositions.
 
-    Memory: forward mode stores nothing along the way. Reverse mode with a fixed-step method keeps the integrated
-    state at every saved time and at every stage of one interval between them, and with an implicit method the
-    solution of every step (accelerations, multipliers); everything else is computed again (`benchmarks/gradients.py`
-    measures both).
+    Memory: forward mode stores nothing along the way. Reverse mode with an explicit method of fixed steps keeps the
+    integrated state at every saved time and at every stage of one interval between them, with an implicit method the
+    state and the solution (accelerations, multipliers) of every step; everything else is computed again
+    (`benchmarks/gradients.py` measures both).
 
     Args:
         model: from `discretise`.
