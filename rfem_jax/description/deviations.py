@@ -12,7 +12,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 
-from rfem_jax.description.drive_numbers import drive_number_dimension, each_drive_number
+from rfem_jax.description.drive_numbers import NUMBER_DIMENSIONS, drive_number_dimension, each_drive_number
 from rfem_jax.description.driven_motions import AnyDrive, driven_motion, motion_label
 from rfem_jax.description.error_catalogue import error_dimension, parameters_being_read, reading_parameters
 from rfem_jax.description.errors import InputError, Problems, subject, suggestion
@@ -75,20 +75,27 @@ def require_sizes(mechanism: Mechanism, sizes: Mapping[str, float], where: str) 
 
 
 @contextmanager
-def known_while_reading(mechanism: object, drives: Sequence[AnyDrive] = ()) -> Iterator[None]:
+def known_while_reading(mechanism: object, drives: Sequence[AnyDrive] | None = ()) -> Iterator[None]:
     """Within the block names of the parameters of a mechanism and of the numbers of its drives have dimensions wherever
-    names of errors do; nothing happens for what is no mechanism."""
+    names of errors do (`drives` None: they could not be read, and may have any number); nothing happens for what is no
+    mechanism."""
     if not isinstance(mechanism, Mechanism):
         yield
         return
-    dimensions = {}
-    with suppress(InputError):  # drives that do not fit are refused elsewhere
-        kinds = [mechanism.joint(one.joint).kind for one in drives]
-        labels = [
-            motion_label(one.joint, kind, driven_motion(one, kind)) for one, kind in zip(drives, kinds, strict=True)
-        ]
-        dimensions = {name: str(drive_number_dimension(name)) for name in each_drive_number(drives, labels)}
+    dimensions = _drive_dimensions(mechanism, drives)
     named = parameters_of(mechanism)
     dimensions |= {name: one.dimension for one in named.all for name in (one.short, one.full) if name is not None}
     with reading_parameters(dimensions):
         yield
+
+
+def _drive_dimensions(mechanism: Mechanism, drives: Sequence[AnyDrive] | None) -> dict[str, str]:
+    """{name: dimension} of the numbers of drives; none of drives that do not fit, which is refused elsewhere."""
+    if drives is None:
+        return {f"drive.{number}": dimension for number, dimension in NUMBER_DIMENSIONS.items()}
+    with suppress(InputError):
+        kinds = [mechanism.joint(one.joint).kind for one in drives]
+        motions = [driven_motion(one, kind) for one, kind in zip(drives, kinds, strict=True)]
+        labels = [motion_label(one.joint, *motion) for one, *motion in zip(drives, kinds, motions, strict=True)]
+        return {name: str(drive_number_dimension(name)) for name in each_drive_number(drives, labels)}
+    return {}

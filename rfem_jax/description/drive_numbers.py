@@ -45,7 +45,7 @@ NUMBERS: dict[type, tuple[str, str]] = {
     PrescribedTable: ("factor", "coefficients"),
     PrescribedDisplacements: ("factor", "coefficients"),
 }
-_DIMENSIONS = {"moment": "moment", "force": "force", "rate": "rate", "speed": "speed", "factor": "none"}
+NUMBER_DIMENSIONS = {"moment": "moment", "force": "force", "rate": "rate", "speed": "speed", "factor": "none"}
 
 
 def drive_number_names(drives: Sequence[AnyDrive], labels: Sequence[str]) -> dict[str, tuple[int, str]]:
@@ -69,12 +69,12 @@ def each_drive_number(drives: Sequence[AnyDrive], labels: Sequence[str]) -> dict
 
 def drive_number_dimension(name: str) -> str | None:
     """Dimension of what is called like a number of a drive, None for other names."""
-    return _DIMENSIONS.get(name.rpartition(".")[2]) if name.startswith("drive.") else None
+    return NUMBER_DIMENSIONS.get(name.rpartition(".")[2]) if name.startswith("drive.") else None
 
 
 def drive_number_unit(name: str) -> str:
     """SI unit of a number of a drive."""
-    return DIMENSIONS[_DIMENSIONS[name.rpartition(".")[2]]][1]
+    return DIMENSIONS[NUMBER_DIMENSIONS[name.rpartition(".")[2]]][1]
 
 
 def drive_number_value(drive: AnyDrive) -> Array | float:
@@ -85,11 +85,11 @@ def drive_number_value(drive: AnyDrive) -> Array | float:
 
 def read_drive_number(name: str, value: Any, where: str, labels: Sequence[str]) -> float:
     """A value as a number of a drive on one of the motions of these labels; raises InputError."""
-    known = [f"drive.{number}" for number in _DIMENSIONS]
-    known += [f"drive.{label}.{number}" for label in labels for number in _DIMENSIONS]
+    known = [f"drive.{number}" for number in NUMBER_DIMENSIONS]
+    known += [f"drive.{label}.{number}" for label in labels for number in NUMBER_DIMENSIONS]
     if name not in known:
         raise InputError(f"{subject(where)} must be a number of a drive, but is none; {suggestion(name, known)}")
-    return quantity(value, _DIMENSIONS[name.rpartition(".")[2]], where)
+    return quantity(value, NUMBER_DIMENSIONS[name.rpartition(".")[2]], where)
 
 
 def drives_with(

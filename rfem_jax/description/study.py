@@ -312,7 +312,7 @@ def _read_study(content: dict[str, Any], path: Path) -> Study:
         drive, drives = parts["drive"], parts.pop("drives")
         parts["drive"] = ABSENT if ABSENT in (drive, drives) else (*each_drive(drive), *drives)
     parts["tasks"] = ABSENT
-    drives = () if parts["drive"] is ABSENT else each_drive(parts["drive"])
+    drives = None if parts["drive"] is ABSENT else each_drive(parts["drive"])
     with problems.noted(), known_while_reading(parts["mechanism"], drives):
         tasks = read_tasks(there)
         parts["tasks"] = ABSENT if content.get("tolerances") is ABSENT else tasks

@@ -100,3 +100,13 @@ def test_wrong_designs_and_deviations_are_refused_in_a_sentence(load, tables, pi
     with pytest.raises(InputError) as refused:
         load(tables)
     assert all(piece in str(refused.value) for piece in pieces), str(refused.value)
+
+
+def test_a_mistake_in_the_drive_is_said_once(tmp_path):
+    path = tmp_path / "study.toml"
+    path.write_text(
+        STUDY.replace("moment = 1.5", 'moment = "1 kg"') + '[tolerances]\n"drive.moment" = 0.1\n', encoding="utf-8"
+    )
+    with pytest.raises(InputError) as refused:
+        load_study(path)
+    assert len(refused.value.problems) == 1 and "`moment`" in refused.value.problems[0]
