@@ -83,9 +83,10 @@ def run_cases(
     if errors.parameters is not None:
         runs = _run_with_parameters(model, errors, drive, study, method, asked)
         return model, Runs({case.name: one_of(runs, i) for i, case in enumerate(study.cases)})
+    unfinished = Unfinished(keep, (model, errors, drive, study.duration, method, study.save_every))
+    method, steps = _of_any_step(method, grid, steps)
     _compile_ahead(model, errors, drive, grid, method, steps, asked)
     prepared, carry = _prepare(model, errors, drive, method)
-    unfinished = Unfinished(keep, (model, errors, drive, study.duration, method, study.save_every))
     try:
         carry, ends = _advance_all(model, prepared, study, carry, grid, method, steps, unfinished, progress)
         runs = _conclude(model, prepared, drive, carry, ends, grid, method, steps, asked)
@@ -121,6 +122,14 @@ def _run_with_parameters(
         )
 
     return jax.tree.map(np.asarray, jax.vmap(simulate)(errors))
+
+
+def _of_any_step(method, grid: TimeGrid, steps: int):
+    """The method and the number of steps in an interval as programs take them that serve any step: traced, where the
+    method allows that."""
+    if not method.implicit or method.adaptive:
+        return method, steps
+    return dataclasses.replace(method, step=float(np.max(grid.lengths))), jnp.asarray(steps, jnp.float64)
 
 
 def _advance_all(model, prepared, study: Study, carry, grid: TimeGrid, method, steps, unfinished: Unfinished, progress):
