@@ -11,6 +11,7 @@ spring-dampers, with formulas that Exudyn compiles where they are tables or fric
 Axes as in `exudyn_models`: (x, y, z) there = (z, x, y) here.
 """
 
+import math
 from typing import NamedTuple
 
 import jax
@@ -107,7 +108,7 @@ def constrain(mbs, joint: LinkageJoint, markers, sensor) -> JointSensors:
     found = [sensor(number, kind) for kind in kinds]
     # Of a hinge nothing moves along an axis; fewer sensors cost Exudyn less time.
     shift = None if joint.plain_hinge else sensor(number, Output.DisplacementLocal)
-    along = [_law(mbs, joint, markers, sensor, *law) for law in joint.laws]
+    along = [_law(mbs, joint, number, markers, sensor, *law) for law in joint.laws]
     return JointSensors(
         number, *found, shift, _bushing(mbs, joint, markers, sensor), tuple(x for x in along if x is not None)
     )
@@ -132,8 +133,9 @@ def _bushing(mbs, joint: LinkageJoint, markers, sensor) -> tuple:
     return sensor(number, Output.ForceLocal), sensor(number, Output.TorqueLocal)
 
 
-def _law(mbs, joint: LinkageJoint, markers, sensor, law: JointLaw | Friction, motion: str, start: float):
-    """A law along a motion; its sensor if the load contains it, as that of springs and friction does."""
+def _law(mbs, joint: LinkageJoint, held, markers, sensor, law: JointLaw | Friction, motion: str, start: float):
+    """A law along a motion; its sensor if the load contains it, as that of springs and friction does. held: the
+    joint's constraint."""
     rotation, axis = motion[0] == "R", axis_of(motion)
     numbers = {}
     if isinstance(law, SpringLaw):
@@ -157,17 +159,23 @@ def _law(mbs, joint: LinkageJoint, markers, sensor, law: JointLaw | Friction, mo
             exut.ObjectConnectorLinearSpringDamper(markerNumbers=markers, axisMarker0=axes, **numbers)
         )
     if not isinstance(law, SpringLaw):
-        _set_formula(mbs, number, "springTorqueUserFunction" if rotation else "springForceUserFunction", law)
+        _set_formula(
+            mbs, number, "springTorqueUserFunction" if rotation else "springForceUserFunction", law, joint, held
+        )
     if not isinstance(law, SpringLaw | Friction):
         return None
     return sensor(number, Output.TorqueLocal if rotation else Output.ForceLocal), rotation, axis
 
 
-def _set_formula(mbs, number, name: str, law) -> None:
-    """Let a spring-damper exert a law: compiled by Exudyn but for the user's own function, which Python calls."""
+def _set_formula(mbs, number, name: str, law, joint: LinkageJoint, held) -> None:
+    """Let a spring-damper exert a law: compiled by Exudyn but for the user's own function and friction by the load,
+    which Python calls."""
     if isinstance(law, FunctionLaw):
         force = jax.jit(law.force)
         mbs.SetObjectParameter(number, name, lambda mbs, t, i, x, v, *_: -float(force(x, v)))
+        return
+    if isinstance(law, Friction) and law.load is not None:
+        mbs.SetObjectParameter(number, name, _friction_by_load(law, joint, held))
         return
     formula = _table(law) if isinstance(law, TableLaw) else _friction(law)
     mbs.SetObjectParameter(number, name, formula)
@@ -188,14 +196,39 @@ def _table(law: TableLaw):
 
 
 def _friction(law: Friction):
-    if law.load is not None or law.law != "tanh":
-        raise NotImplementedError("Friction by the joint's load, or by Brown and McPhee, is not translated.")
+    _require_tanh(law)
     constant, viscous, rate = float(law.constant), float(law.viscous), float(law.sliding_rate)
 
     def force(mbs, t, itemNumber, x, v, stiffness, damping, offset):
         return constant * exu.symbolic.tanh(v / rate) + viscous * v
 
     return force
+
+
+def _friction_by_load(law: Friction, joint: LinkageJoint, held):
+    """Friction by the resultant force across the axis, which is that of the constraint at the present iterate."""
+    _require_tanh(law)
+    if law.load.length is not None or joint.bushing is not None:
+        raise NotImplementedError(
+            f"Joint {joint.name}: friction by the load on both ends of a bearing, or of a compliant joint, is not "
+            "translated."
+        )
+    constant, viscous, rate = float(law.constant), float(law.viscous), float(law.sliding_rate)
+    arm, scale = float(law.load.arm), float(law.load.scale)
+    first, second = (axis for axis in range(3) if axis != BACK[law.axis])
+
+    def force(mbs, t, itemNumber, x, v, stiffness, damping, offset):
+        by_constraint = mbs.GetObjectOutput(held, Output.ForceLocal)
+        square = by_constraint[first] ** 2 + by_constraint[second] ** 2
+        normal = square / math.sqrt(square + scale**2)
+        return (constant + arm * normal) * math.tanh(v / rate) + viscous * v
+
+    return force
+
+
+def _require_tanh(law: Friction) -> None:
+    if law.law != "tanh":
+        raise NotImplementedError("Friction by Brown and McPhee is not translated.")
 
 
 class JointRows(NamedTuple):
@@ -306,6 +339,8 @@ def _moment_in_seat(joint: LinkageJoint, couples, turned):
 def _to_hinge_frame(joint: LinkageJoint, turned):
     """Rotations (T, 3, 3) from the hinge frame to the parent's: all of the joint's turns, but the tilts of a compliant
     joint."""
+    if KINDS[joint.kind].angles == 0:
+        return np.broadcast_to(np.eye(3), turned.shape)
     if not any(motion[0] == "R" for motion in joint.sprung):
         return turned
     angle = np.arctan2(-turned[:, 0, 1], turned[:, 1, 1])

@@ -13,8 +13,10 @@ moment.  The `intrinsic` form takes the logarithm of the relative motion in SE(3
 mid-frame: it does not depend on the order of the markers and keeps the balance of moments, so it is
 the nearest to a geometrically exact element, and the default here.
 
-Not translated, and refused: friction by the joint's load, forces at points other than springs, tables of
-compliant joints, more than one drive.
+Not translated, and refused: forces and moments at points other than springs; tables of compliant joints, and their
+sprung rotations if not all that the joint holds are sprung, or if it has several rotations of its own; friction by
+Brown and McPhee, by the loads at both ends of a bearing and by the load of a compliant joint; a force between two
+links as a drive, more than one drive; joints with a clearance.
 
 Units: SI, rad.  Source: J. Gerstmayr, Exudyn - a C++-based Python package for flexible multibody
 systems, Multibody Syst. Dyn. 60 (2024) 533-561.
@@ -25,14 +27,13 @@ from typing import NamedTuple
 import equinox as eqx
 import numpy as np
 from exudyn_engine import BACK, HINGE, TURNED, exu, exut
+from exudyn_forces import add_point_springs, laws_of, point_springs_of, springs_of
 from exudyn_joints import JointSensors, LinkageJoint, Side, axis_of, constrain
 
-from rfem_jax.description.joint_kinds import KINDS
 from rfem_jax.mechanics.kinematics import all_frames, motion_of
 from rfem_jax.mechanics.loads import static_state
 from rfem_jax.mechanics.model import BASE, Model
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors, apply_errors
-from rfem_jax.mechanics.point_laws import SpringBetween
 
 __all__ = ["BACK", "HINGE", "Settings", "build", "exu", "linkage"]
 
@@ -109,8 +110,8 @@ def linkage(model: Model, errors: AssemblyErrors) -> Linkage:
             j >= n,
             side(topology.parents[j], actual.seat_rotation, actual.seat_position, j),
             side(topology.children[j], actual.bore_rotation, actual.bore_position, j),
-            *_springs_of(model, j),
-            laws=_laws_of(model, j),
+            *springs_of(model, j),
+            laws=laws_of(model, j),
         )
         for j, name in enumerate(topology.joints)
     ]
@@ -134,16 +135,18 @@ def linkage(model: Model, errors: AssemblyErrors) -> Linkage:
         elements=elements,
         gravity=np.asarray(model.gravity)[TURNED],
         order=model.joint_names,
-        point_springs=_point_springs(actual, centre),
+        point_springs=point_springs_of(actual, centre),
         **_driven(model),
     )
 
 
 def _driven(model: Model) -> dict:
-    """The driven joint, its motion and the start of this; and the idle rotations."""
+    """The driven joint, its motion and the start of this; and the idle rotations; refuses what is not translated."""
     topology = model.topology
     if len(topology.drives) > 1:
         raise NotImplementedError("Several drives are not translated.")
+    if topology.clearances:
+        raise NotImplementedError("Joints with a clearance are not translated.")
     idle = []
     for k in topology.idle:
         joint = topology.link_of_freedom[k]
@@ -156,57 +159,6 @@ def _driven(model: Model) -> dict:
         "start": float(model.start_joints[topology.driven_position]),
         "idle": tuple(idle),
     }
-
-
-def _springs_of(model: Model, j: int):
-    """Stiffnesses and dampings (6,) of a compliant joint and its sprung motions, or None and ()."""
-    topology = model.topology
-    if not topology.sprung or not topology.sprung[j]:
-        return None, ()
-    kind, rows = KINDS[topology.kinds[j]], np.zeros((2, 6))
-    turns = {motion for motion in topology.sprung[j] if motion[0] == "R"}
-    if turns and (kind.angles != 1 or turns != set(kind.turns_held)):
-        raise NotImplementedError(
-            f"Joint {topology.joints[j]}: only the tilt of a joint with one rotation is translated."
-        )
-    for name, spring in (model.springs or {}).items():
-        joint, direction = name.split(".")
-        if joint != topology.joints[j]:
-            continue
-        if spring.positions is not None:
-            raise NotImplementedError(f"The table of spring {name} is not translated.")
-        for motion in kind.directions[direction]:
-            at = BACK["xyz".index(motion[2])] + (3 if motion[0] == "R" else 0)
-            rows[:, at] = float(spring.stiffness), float(spring.damping)
-    return (rows[0], rows[1]), topology.sprung[j]
-
-
-def _laws_of(model: Model, j: int) -> tuple:
-    """Laws along motions of a joint of the tree, and friction in a joint: (law, motion, start)."""
-    topology, found = model.topology, []
-    for law in (model.forces or {}).values():
-        if topology.link_of_freedom[law.coordinate] == j:
-            found.append((law, topology.motion_of(law.coordinate), float(model.start_joints[law.place])))
-    for law in (model.friction or {}).values():
-        if law.joint == j:
-            start = 0.0 if law.place is None else float(model.start_joints[law.place])
-            found.append((law, f"{'TR'[law.component // 3]}_{'xyz'[law.component % 3]}", start))
-    return tuple(found)
-
-
-def _point_springs(actual, centre) -> tuple:
-    found = []
-    for spring in (actual.frame_forces.elements if actual.frame_forces is not None else {}).values():
-        if not isinstance(spring, SpringBetween):
-            raise NotImplementedError(f"A {type(spring).__name__} is not translated.")
-        nodes = spring.parent.node, spring.child.node
-        points = [
-            (np.asarray(end.position) - (0.0 if end.node == BASE else centre[end.node]))[TURNED]
-            for end in (spring.parent, spring.child)
-        ]
-        numbers = (float(x) for x in (spring.stiffness, spring.damping, spring.free_length, spring.preload))
-        found.append((nodes, points, *numbers))
-    return tuple(found)
 
 
 @eqx.filter_jit
@@ -278,7 +230,7 @@ def build(
                 intrinsicFormulation=settings.intrinsic,
             )
         )
-    _add_point_springs(mbs, link, marker)
+    add_point_springs(mbs, link.point_springs, marker)
     sensors, loads, idle, hold, hold_sensor, rate_sensor, place = {}, [], [], None, None, None, None
     for j, joint in enumerate(link.joints):
         markers = [marker(side.node, side.point) for side in (joint.parent, joint.child)]
@@ -320,19 +272,6 @@ def _add_bodies(mbs, link: Linkage, settings: Settings, poses, velocities) -> li
         )
         for i in range(len(link.mass))
     ]
-
-
-def _add_point_springs(mbs, link: Linkage, marker) -> None:
-    for nodes, points, stiffness, damping, length, preload in link.point_springs:
-        mbs.AddObject(
-            exut.ObjectConnectorSpringDamper(
-                markerNumbers=[marker(node, point) for node, point in zip(nodes, points, strict=True)],
-                stiffness=stiffness,
-                damping=damping,
-                referenceLength=length,
-                force=preload,
-            )
-        )
 
 
 def _sensor(mbs, number, kind):

@@ -35,7 +35,7 @@ class Histories(NamedTuple):
     times (T,) [s]; angle, rate (T,) of the driven motion [rad or m, and per s]; force, moment: joint ->
     (T, 3) in the hinge frame (the parent side on the child, about the hinge's centre; a given drive
     moment excluded) [N, N m]; place (T, 3): position of the tracked joint [m], else zero; angles, displacements:
-    joint -> (T,) of joints with one rotation [rad], and of those with one translation [m].
+    joint -> (T,) of joints with one rotation [rad], and of those with translations [m], (T, k) with k > 1.
     """
 
     times: np.ndarray
@@ -259,8 +259,9 @@ def _joined(link, parts) -> Histories:
         kind = KINDS[joint.kind]
         if kind.angles == 1:
             angles[joint.name] = np.unwrap(turned)
-        if kind.displacements == 1 and rows.shift is not None:
-            displacements[joint.name] = rows.shift[:, axis_of(next(m for m in kind.motions if m[0] == "T"))]
+        axes = [axis_of(motion) for motion in kind.motions if motion[0] == "T"]
+        if axes and rows.shift is not None:
+            displacements[joint.name] = rows.shift[:, axes if len(axes) > 1 else axes[0]]
         if j != link.driven:
             continue
         _add_holding(link, joint, held, force[joint.name], moment[joint.name])

@@ -13,12 +13,11 @@ the solver alone.
 import itertools
 import statistics
 from dataclasses import replace
-from pathlib import Path
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from exudyn_cases import Case, other_kinds, studies
 from exudyn_models import Settings, exu, linkage
 from exudyn_runs import equilibrium, run
 from exudyn_runs import rms_loads as rms_loads_of
@@ -27,70 +26,23 @@ from speed_timing import run_once
 
 from rfem_jax import (
     STATUS,
-    Mechanism,
     Method,
-    MomentRamp,
     assemble,
     assembly_errors,
     discretise,
-    load_study,
     simulate,
 )
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors
 from rfem_jax.simulation.accuracy import rms_loads
 from rfem_jax.simulation.integration import grid_for
 from rfem_jax.simulation.solvers.generalised_alpha import ACCURACY_OF_TOLERANCE
-from rfem_jax.validation import spatial_linkages
 
-STUDIES = Path(__file__).parents[1] / "studies"
 SETTLED = 0.2  # share of the duration that is left out
-SAVED = 50  # intervals between saved times
 ACCURACY = 1e-3  # of RMS loads, for times
 BATCH = 16
-INTERVALS = 20  # in which steps are searched
+SEARCHED = 0.4  # of the saved intervals, in which steps are searched
 COUNTS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 25, 32, 40, 50, 64)  # steps of an interval
 SPHERICAL = Settings(nodes="euler_parameters")  # links turn about any axis
-
-
-class Case(NamedTuple):
-    """What is compared: title; mechanism; errors by name; drive; duration [s]; steps of a saved interval, ours and
-    Exudyn's shortest; largest differences of positions [rad, m], and of forces and moments over the largest."""
-
-    title: str
-    mechanism: Mechanism
-    errors: dict
-    drive: object
-    duration: float
-    steps: tuple[int, int]
-    limits: tuple[float, float]
-
-
-def of_study(name: str, case: str, steps: tuple[int, int], limits: tuple[float, float]) -> Case:
-    """A case of a study in `studies`."""
-    study = load_study(STUDIES / name / "study.toml")
-    errors = {one.name: one.errors for one in study.cases}[case]
-    return Case(f"{name}, {case}", study.mechanism, errors, study.drive, study.duration, steps, limits)
-
-
-def studies() -> list[Case]:
-    """The studies that are compared, also by time."""
-    return [
-        of_study("four_bar", "P5", (400, 400), (1e-5, 1e-3)),
-        of_study("slider_crank", "guide_tilted", (200, 200), (1e-6, 3e-4)),
-        of_study("spatial_linkage", "coupler_ball_aside", (200, 200), (1e-5, 1e-3)),
-    ]
-
-
-def other_kinds() -> list[Case]:
-    """Mechanisms of the validation whose joints are of the kinds that the studies do not have."""
-    ramp = MomentRamp("A", 1.2, 0.05)
-    tilt = {"C.delta_z": 5e-3, "D.delta_x": 2e-3, "D.child.delta_z": 2e-3}
-    aside = {"D.delta_x": 2e-3, "F.d_y": 1e-3, "F.child.delta_y": 1e-2}
-    return [
-        Case("R-S-U-R, flexible, U cut", spatial_linkages.rsur_flexible(3), tilt, ramp, 0.1, (400, 400), (1e-5, 1e-3)),
-        Case("R-S-R-C and a bracket", spatial_linkages.rsrc(), aside, ramp, 0.1, (100, 100), (1e-5, 1e-3)),
-        Case("R-S-U-R, rigid, S cut", spatial_linkages.rsur(), tilt, ramp, 0.1, (100, 100), (1e-5, 1e-3)),
-    ]  # fmt: skip
 
 
 def compare_studies(report, quick: bool, trial: bool = False) -> None:
@@ -121,7 +73,7 @@ def compare(report, case: Case) -> list:
     """A row of differences of one mechanism, and the checks."""
     model = discretise(case.mechanism, elements="geometrically_exact")
     errors = assembly_errors(model, case.errors)
-    every = case.duration / SAVED
+    every = case.duration / case.saved
     method = Method("generalised_alpha", step=every / case.steps[0])
     ours = simulate(model, errors, drive=case.drive, duration=case.duration, method=method, save_every=every)
     link = linkage(model, errors)
@@ -226,7 +178,7 @@ def error_of(rms: dict, reference: dict) -> float:
 def time_ours(model, errors: AssemblyErrors, case: Case, samples: int, trial: bool):
     """Step [s], and seconds of processor time of a sample alone and in a batch: generalised-alpha, tolerance and
     largest residual by the accuracy as "auto" has them; the errors are scaled sample by sample in the batch."""
-    interval, found = case.duration / INTERVALS, []
+    interval, found = case.duration / round(SEARCHED * case.saved), []
     method = Method("generalised_alpha", step=interval, tolerance=ACCURACY / ACCURACY_OF_TOLERANCE)
     grid, _ = grid_for(case.drive, case.duration, method, interval, model)
 
@@ -271,7 +223,7 @@ def time_exudyn(model, errors: AssemblyErrors, case: Case, trial: bool):
         except exu.SolverError:
             return None
 
-    interval = case.duration / INTERVALS
+    interval = case.duration / round(SEARCHED * case.saved)
     coarse, fine = (solved(interval / n, SPHERICAL).rms for n in ((20, 40) if trial else (400, 800)))
     reference = {k: {j: fine[k][j] + (fine[k][j] - coarse[k][j]) / 3.0 for j in fine[k]} for k in fine}
     candidates = []
