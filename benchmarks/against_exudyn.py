@@ -9,7 +9,8 @@
     time          of Exudyn: its fastest settings
     tilted_hinge  the four-bar with a tilted hinge
     open_chain    an open chain with all errors
-    studies       the studies four_bar, slider_crank and spatial_linkage, accuracy and time; joints of other kinds
+    studies       the studies four_bar, slider_crank, spatial_linkage and six_bar_press, accuracy and time; joints of
+                  other kinds, and friction
 
 Every agreement is checked; the exit code is 1 if one fails.  `--quick` leaves out most of our own simulations.
 `--trial` simulates few steps: it shows that the command works, and its agreements may fail (exit code 0).

@@ -202,7 +202,7 @@ def run(link, drive, duration, step, settings=Settings(), window=None, *, start,
         system.mbs.SolveDynamic(s, updateInitialValues=True)
         seconds += time.perf_counter() - before
         cpu += time.thread_time() - before_cpu
-        parts.append(_recorded(link, system))
+        parts.append(_recorded(link, system, known=velocities is None))
     histories = _joined(link, parts)
     return Result(histories, rms_loads(histories, window), preload, seconds, cpu)
 
@@ -234,11 +234,12 @@ def quasi_static_velocities(link, settings, poses, rate):
     return rate * angular, rate * (p1 - p0) / (2.0 * d)
 
 
-def _recorded(link, system):
-    """Times and columns of one phase."""
+def _recorded(link, system, known: bool):
+    """Times and columns of one phase. known: whether its first row has multipliers; where accelerations are not
+    computed at the start it has none, and gets those of the first step."""
 
     def rows(sensor):
-        return np.asarray(system.mbs.GetSensorStoredData(sensor))
+        return np.array(system.mbs.GetSensorStoredData(sensor))
 
     loads = {name: rows_of(sensors, lambda x: rows(x)[:, 1:]) for name, sensors in system.sensors.items()}
     times = rows(next(iter(system.sensors.values())).force)[:, 0]
@@ -247,6 +248,9 @@ def _recorded(link, system):
     held = rows(system.hold_sensor)[:, 1 + axis] if system.hold_sensor is not None else 0.0 * times
     no_place = np.zeros((len(times), 3))
     place = no_place if system.place_sensor is None else rows(system.place_sensor)[:, 1:]
+    if not known:
+        for values in (held, *(part for one in loads.values() for part in (one.force, one.couples))):
+            values[0] = values[1]
     return times, loads, rate, held, place[:, BACK]
 
 

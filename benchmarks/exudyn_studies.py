@@ -1,4 +1,4 @@
-"""Studies with joints of several kinds, and forces along their motions: Exudyn against ours, accuracy and time.
+"""Studies with joints of all kinds, springs, friction and forces: Exudyn against ours, accuracy and time.
 
 Accuracy: positions of the joints, forces and moments of all joints in hinge frames, ours with geometrically exact
 elements and converged, against Exudyn's at two steps.  The first fifth of the duration is left out: where a prescribed
