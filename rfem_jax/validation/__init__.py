@@ -14,6 +14,7 @@ Place in the pipeline: simulation, mechanics, description -> **validation** -> r
                           independent value
     spatial_linkages      spherical, universal, prismatic, cylindrical, fixed joints
     nonideal_joints       bushings, and friction by constants and by loads
+    clearances            pins pressed into bushes, a misaligned four-bar with play, first impacts
     bennett_loop          an overconstrained linkage
     andrews_squeezer      seven bodies, three planar loops
     published_linkages    IFToMM spatial slider-crank; Fourbar1, Fourbar2, Engine1a and EngineV6 of Modelica

@@ -24,13 +24,14 @@ BUSHING = Compliance(
 )  # fmt: skip
 TILTED = {"D.delta_x": np.radians(0.5), "D.delta_z": np.radians(0.5), "D.d_y": 5e-4}
 JOINTS = "ABCD"
+ANGLES = -np.pi / 2.0, -0.62161444632, -1.75896545305  # rad, of the links of the four-bar of bars, closed
 VISCOUS = (0.001, 0.0005, 0.0005, 0.002)  # N m s, of the rigid four-bar's hinges
 CONSTANT = (0.02, 0.015, 0.01, 0.025)  # N m
 RADII = (0.01, 0.008, 0.008, 0.012)  # m
 INERTIA, WHEEL_RATE, COULOMB, WHEEL_VISCOUS = 0.012, 30.0, 0.09, 0.002  # kg m^2, rad/s, N m, N m s
 
 
-def _bars(rfes: int | None) -> tuple[Link, ...]:
+def bars(rfes: int | None) -> tuple[Link, ...]:
     """Steel bars of 10 x 10 mm: a rigid crank; coupler and rocker rigid or with a number of rfes."""
     steel = Material("steel", youngs_modulus=210e9, density=7850.0, poisson_ratio=0.3, damping=1e-5)
     bar = Rectangle(0.01, 0.01)
@@ -39,7 +40,7 @@ def _bars(rfes: int | None) -> tuple[Link, ...]:
 
 
 def _hinges(compliance: Compliance | None = None) -> tuple[Joint, ...]:
-    crank, coupler, rocker = -np.pi / 2.0, -0.62161444632, -1.75896545305  # rad, closed
+    crank, coupler, rocker = ANGLES
     return (
         Joint("A", "base", "crank", angle=crank, compliance=compliance),
         Joint("B", "crank", "coupler", angle=coupler - crank, compliance=compliance),
@@ -50,14 +51,14 @@ def _hinges(compliance: Compliance | None = None) -> tuple[Joint, ...]:
 
 def bushings() -> Mechanism:
     """Rigid bars whose joints all give way."""
-    return Mechanism(_bars(None), _hinges(BUSHING), driven_joint="A")
+    return Mechanism(bars(None), _hinges(BUSHING), driven_joint="A")
 
 
 def flexible() -> Mechanism:
     """Flexible coupler and rocker, friction by the load in all hinges, geometrically exact."""
     radii = zip(JOINTS, (0.008, 0.006, 0.006, 0.008), strict=True)
     forces = (JointFriction(f"at_{joint}", joint, coefficient=0.15, radius=r, sliding_rate=0.5) for joint, r in radii)
-    return Mechanism(_bars(5), _hinges(), driven_joint="A", forces=tuple(forces), elements="geometrically_exact")
+    return Mechanism(bars(5), _hinges(), driven_joint="A", forces=tuple(forces), elements="geometrically_exact")
 
 
 def run_down(by_hinge: Sequence[dict]) -> Mechanism:

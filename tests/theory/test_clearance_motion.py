@@ -1,104 +1,22 @@
-"""Joints with clearance in motion: single impacts against closed forms, the slider-crank of independent programs before
-its impacts become chaotic, a pin that stays pressed.
+"""Joints with clearance in motion: impacts that the steps do not follow, a pin that stays pressed.
 
-The reference of the slider-crank was integrated for this project by DOP853 and RK45 with contact steps of 2e-6 s; a new
-contact begins where the penetration passes zero upwards.
+`validation.clearances` has the impacts that are compared with closed forms and with independent programs; the tests of
+validation check them.
 """
-
-import dataclasses
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.optimize import brentq
 
-from rfem_jax import (
-    STATUS,
-    Clearance,
-    Coordinates,
-    Joint,
-    Link,
-    Mechanism,
-    Method,
-    MomentRamp,
-    PrescribedRate,
-    RigidBody,
-    State,
-    design,
-    discretise,
-    simulate,
-)
+from rfem_jax import STATUS, Clearance, Joint, Mechanism, Method, MomentRamp, design, discretise, simulate
+from rfem_jax.validation.clearances import MASS, REFERENCE, SPEED, guided, thrown
+from rfem_jax.validation.rigid_links import body
 
 COMPILED_AS_SHIPPED = True  # thousands of steps, and derivatives of stiff contacts
 
-MASS, SPEED, RADIAL, STIFFNESS = 0.5, 0.3, 2e-4, 106153846154.0
-GUIDED = Clearance(
-    radial=RADIAL, length=0.02, stiffness=STIFFNESS / 2.0, axial=1e-3, axial_stiffness=1e7, axial_exponent=1.0
-)
-
-
-def body(name, mass, centre=0.0, inertia=(1e-4, 2.5e-4, 2.5e-4), length=0.1):
-    return Link(name, length, body=RigidBody(mass, (centre, 0.0, 0.0), inertia))
-
-
-def guided(**losses):
-    """A pin on a guide through the middle of a fixed bush."""
-    joints = [
-        Joint("G", "base", "pin", kind="prismatic"),
-        Joint("P", "base", "pin", position=(0, 0, 0), child_position=(0, 0, 0), cut=True,
-              clearance=dataclasses.replace(GUIDED, **losses)),
-    ]  # fmt: skip
-    return discretise(Mechanism([body("pin", MASS)], joints, gravity=(0.0, 0.0, 0.0), driven_joint="G"))
-
-
-def thrown(model, speed=SPEED):
-    return State(model.start_coordinates(), Coordinates(jnp.asarray(speed)[None], jnp.zeros((6, 0))))
-
-
-def rebound_of(chi, speed=SPEED):
-    """Speed after an impact (theory (15.5))."""
-    found: float = brentq(lambda v: chi * (speed + v) - np.log((1 + chi * speed) / (1 - chi * v)), 1e-6, speed)  # pyright: ignore[reportAssignmentType] # no full output
-    return found
-
-
-def deepest_of(chi, speed=SPEED):
-    energy = MASS / chi * (speed - np.log(1 + chi * speed) / chi)
-    return (2.5 * energy / STIFFNESS) ** 0.4
-
-
-def speed_at_the_end(run):
-    return np.sqrt(2.0 * float(run.energy.kinetic[-1]) / MASS)
-
 
 class TestSingleImpact:
-    def test_with_restitution_by_the_implicit_method(self):
-        model = guided(restitution=0.9)
-        run = simulate(model, drive=None, duration=8.2e-4, method=Method("generalised_alpha", step=4e-7),
-                       save_every=2e-6, start=thrown(model))  # fmt: skip
-        assert int(run.status) == 0
-        np.testing.assert_allclose(speed_at_the_end(run), 0.273953003342, rtol=1e-5)
-        np.testing.assert_allclose(run.metrics.max_normal_force["P"], 4368.88018678, rtol=5e-5)
-        lost = float(run.energy.kinetic[0] - run.energy.kinetic[-1])
-        np.testing.assert_allclose(run.energy.dissipation[-1], lost, rtol=3e-5)
-        depth = np.asarray(run.contacts["P"].penetration)[:, 0]
-        closed = np.asarray(run.times)[depth > 0.0]
-        assert closed[0] == pytest.approx(RADIAL / SPEED, abs=2e-6)
-        assert closed[-1] - closed[0] == pytest.approx(1.218e-4, abs=4e-6)
-        np.testing.assert_allclose(depth.max(), 1.1859753346e-05, rtol=2e-3)
-
-    @pytest.mark.parametrize("damping", [0.475])
-    def test_with_fixed_chi_by_an_adaptive_explicit_method(self, damping):
-        model = guided(damping=damping)
-        run = simulate(model, drive=None, duration=8.2e-4, method=Method("dopri8", rtol=1e-10, atol=1e-12),
-                       save_every=2e-6, start=thrown(model))  # fmt: skip
-        assert int(run.status) == 0
-        np.testing.assert_allclose(speed_at_the_end(run), rebound_of(damping), rtol=1e-8)
-        np.testing.assert_allclose(np.max(run.contacts["P"].penetration), deepest_of(damping), rtol=2e-3)
-        lost = float(run.energy.kinetic[0] - run.energy.kinetic[-1])
-        np.testing.assert_allclose(run.energy.dissipation[-1], lost, rtol=1e-6)
-        assert float(run.energy_balance_error) < 1e-8
-
     def test_an_impact_that_the_steps_do_not_follow_is_named_and_spoils_no_other(self):
         """Steps of half a contact lose a tenth of the speed; a slower pin has not touched the bush yet."""
         model, duration = guided(restitution=0.9), 8.2e-4
@@ -111,7 +29,7 @@ class TestSingleImpact:
 
         statuses, kinetic, balances = jax.jit(jax.vmap(of_speed))(jnp.array([SPEED, 0.2]))
         assert [STATUS[int(one)].name for one in statuses] == ["contact_not_resolved", "ok"]
-        assert np.sqrt(2.0 * float(kinetic[0]) / MASS) < 0.95 * 0.273953003342 and float(balances[0]) > 0.05
+        assert np.sqrt(2.0 * float(kinetic[0]) / MASS) < 0.95 * REFERENCE["rebound_speed"] and float(balances[0]) > 0.05
         np.testing.assert_allclose(kinetic[1], 0.5 * MASS * 0.2**2, rtol=1e-8)  # the weak spring centres the pin
 
     def test_restitution_needs_a_method_with_a_memory(self):
@@ -120,51 +38,12 @@ class TestSingleImpact:
             simulate(model, drive=None, duration=1e-4, method=Method("rk4", step=1e-6), start=thrown(model))
 
 
-IMPACTS = (  # start [s], peak force [N]
-    (2.27287117707e-4, 45874.5123041),
-    (6.37681655137e-4, 20983.4487424),
-    (7.50263729244e-4, 25904.0162874),
-)
-
-
-def slider_crank():
-    """Rigid, with play at the wrist pin, at 5000 rpm: pin and bush concentric, rates of the ideal mechanism."""
-    rate, stiffness = 523.598775598, 66101983979.0
-    play = Clearance(radial=5e-4, length=0.02, stiffness=stiffness / 2.0, restitution=0.9, axial=1e-3,
-                     axial_stiffness=1e7, axial_exponent=1.0, pin="parent")  # fmt: skip
-    links = [body("crank", 0.1, length=0.05), body("rod", 0.21, 0.06, length=0.12), body("slider", 0.14, length=0.05)]
-    joints = [
-        Joint("A", "base", "crank"),
-        Joint("B", "crank", "rod"),
-        Joint("G", "base", "slider", kind="prismatic", displacement=0.17),
-        Joint("C", "rod", "slider", child_position=(0, 0, 0), cut=True, clearance=play),
-    ]
-    model = discretise(Mechanism(links, joints, driven_joint="A"))
-    rates = {"A": rate, "B": -rate * 0.05 / 0.12 - rate, "G": 0.0}
-    order = model.topology.joints[: model.topology.n_links]
-    start = State(model.start_coordinates(), Coordinates(jnp.array([rates[j] for j in order]), jnp.zeros((6, 0))))
-    return model, PrescribedRate("A", rate), start
-
-
-def test_first_impacts_of_a_slider_crank():
-    model, drive, start = slider_crank()
-    run = simulate(model, drive=drive, duration=8.2e-4, method=Method("generalised_alpha", step=4e-7),
-                   save_every=8e-7, start=start)  # fmt: skip
-    assert int(run.status) == 0
-    times, depth = np.asarray(run.times), np.asarray(run.contacts["C"].penetration)[:, 0]
-    force = np.linalg.norm(run.loads["C"].force, axis=1)
-    begins = np.flatnonzero((depth[1:] > 0.0) & (depth[:-1] <= 0.0)) + 1
-    assert len(begins) == len(IMPACTS)
-    for n, (begin, end) in enumerate(zip(begins, [*begins[1:], len(times)])):
-        share = depth[begin] / (depth[begin] - depth[begin - 1])
-        began = times[begin] - share * (times[begin] - times[begin - 1])
-        assert began == pytest.approx(IMPACTS[n][0], abs=1e-7)
-        assert force[begin:end].max() == pytest.approx(IMPACTS[n][1], rel=1e-3)
-
-
 def pendulum(clearance):
-    return Mechanism([body("arm", 2.0, 0.2, length=0.3)], [Joint("D", "base", "arm", clearance=clearance)],
-                     driven_joint="D", gravity=(9.81, 0.0, 0.0))  # fmt: skip
+    arm, joint = (
+        body("arm", 0.3, 2.0, (0.2, 0, 0), (1e-4, 2.5e-4, 2.5e-4)),
+        Joint("D", "base", "arm", clearance=clearance),
+    )
+    return Mechanism([arm], [joint], driven_joint="D", gravity=(9.81, 0.0, 0.0))
 
 
 @pytest.fixture(scope="module")

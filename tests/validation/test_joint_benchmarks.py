@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import equinox as eqx
 import numpy as np
 import pytest
 
@@ -10,6 +11,7 @@ from rfem_jax.validation import (
     acting_forces,
     andrews_squeezer,
     bennett_loop,
+    clearances,
     flexible_slider_crank,
     force_tables,
     joint_cases,
@@ -135,6 +137,59 @@ def test_flywheel_with_friction(monkeypatch):
 def test_joints_that_are_not_ideal(case, count):
     group, run, allowed = nonideal_joints.CASES[case]
     assert_all_pass(joint_cases.checked(nonideal_joints.REFERENCE, case, group, run(), allowed), count)
+
+
+def test_pins_pressed_at_rest(monkeypatch):
+    """A stiffness that is off by a thousandth fails."""
+    assert_all_pass(clearances.pressed_lines(), 21)
+    monkeypatch.setattr(clearances, "HERTZ", 1.001 * clearances.HERTZ)
+    wrong = {"penetration, start", "penetration, end", "place z, start", "place z, end"}
+    assert wrong == set(failed(clearances.pressed_lines()))
+
+
+@pytest.mark.parametrize("cut", [False, True])
+def test_misaligned_shaft(monkeypatch, cut):
+    """A bush that is tilted by a little more fails."""
+    model = clearances.shaft(cut)
+    assert_all_pass(clearances.shaft_lines(model), 18)
+    monkeypatch.setattr(clearances, "ARM", 1.00001 * clearances.ARM)
+    assert len(failed(clearances.shaft_lines(model))) == 4
+
+
+class TestFourBarWithPlay:
+    def test_preload(self, monkeypatch):
+        """One that is tilted by a little more fails."""
+        model = discretise(clearances.flexible_four_bar())
+        for case, number in (("tilt_z", 0), ("tilt_z", 1), ("tilt_z", 3), ("all", 3), ("axial", 2), ("tilt_x", 2)):
+            assert_all_pass(clearances.four_bar_lines(model, case, number), 5)
+        monkeypatch.setitem(clearances.MISALIGNMENTS, "tilt_z", {"D.delta_z": 1.00001 * clearances.TILT})
+        assert len(failed(clearances.four_bar_lines(model, "tilt_z", 1))) == 5
+
+    def test_cut_at_the_bush(self):
+        model = discretise(clearances.flexible_four_bar(cut=True))
+        assert_all_pass(clearances.four_bar_lines(model, "all", 3), 5)
+
+
+def test_single_impacts(monkeypatch):
+    """A pin that is heavier by a thousandth fails."""
+    restored, damped = clearances.run_impact(restitution=0.9), clearances.run_impact(damping=clearances.DAMPING)
+    assert int(restored.status) == int(damped.status) == 0
+    assert_all_pass(clearances.restitution_lines(restored), 7)
+    assert_all_pass(clearances.damping_lines(damped), 3)
+    assert float(damped.energy_balance_error) < 1e-8
+    monkeypatch.setattr(clearances, "MASS", 1.001 * clearances.MASS)
+    for lines in (clearances.restitution_lines(restored), clearances.damping_lines(damped)):
+        assert failed(lines) == ["rebound speed"]
+
+
+def test_first_impacts_of_a_slider_crank_with_play():
+    run = clearances.run_slider_crank()
+    assert int(run.status) == 0
+    assert_all_pass(clearances.slider_crank_lines(run), 11)
+    later = eqx.tree_at(lambda one: one.times, run, run.times + 3e-8)
+    assert len(failed(clearances.slider_crank_lines(later))) == 5
+    going_on = clearances.impacts(np.arange(6.0), np.array([-1.0, 3.0, -1.0, -1.0, 1.0, 2.0]))
+    assert going_on == [(0.25, 1.75, slice(1, 2)), (3.5, 5.0, slice(4, 6))]
 
 
 def test_bennett_linkage():
