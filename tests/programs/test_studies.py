@@ -67,6 +67,30 @@ def test_bearing_stiffness(run_program, tmp_path):
         assert len(own) == 12 and (low < sums).all() and (sums < high).all()
 
 
+def test_clearance(run_program, tmp_path):
+    said = run_program("studies/clearance/study.py", "--quick", "--out", tmp_path)
+    assert "The largest clearance takes from the 95 % force" in said
+    assert {path.stem for path in tmp_path.glob("*.png")} == {"loads_over_clearance", "scatter_over_clearance"}
+    sweep, batch = table(tmp_path / "sweep.csv"), table(tmp_path / "batch.csv")
+    clearances = column(sweep, "radial_um")
+    assert clearances.tolist() == [0.0, 40.0, 80.0, 120.0]
+    # Play takes from every load until the weight is left, which D and A carry together.
+    for joint in "ABCD":
+        moment = column(sweep, f"{joint}_moment_Nm")
+        assert (np.diff(moment) < 0.0).all() and moment[-1] < 0.05 * moment[0]
+    weight = column(sweep, "D_force_N")[-1]
+    assert weight < 0.1 * column(sweep, "D_force_N")[0]
+    np.testing.assert_allclose(column(batch, "D_force_mean_N")[-1], weight, rtol=1e-2)
+    # The derivative by the clearance is what the next row has.
+    slope = column(sweep, "D_moment_by_radial_Nm_per_um")
+    np.testing.assert_allclose(0.5 * (slope[0] + slope[1]) * 40.0, np.diff(column(sweep, "D_moment_Nm"))[0], rtol=1e-2)
+    assert column(batch, "failed").sum() == 0 and column(batch, "samples").tolist() == [16] * 4
+    shares = np.array([column(batch, f"share_{ends}_ends") for ends in range(3)])
+    np.testing.assert_allclose(shares.sum(axis=0), 1.0)
+    assert shares[2, 0] == 1.0 and (np.diff(shares[2]) <= 0.0).all() and shares[2, -1] < 1.0
+    assert (column(batch, "D_force_95_percent_N") >= column(batch, "D_force_mean_N")).all()
+
+
 def test_robust_four_bar(run_program, tmp_path):
     """Every way is answered, and its price is that of its mass and its tolerances. The step of the trial is too long
     for some of the fresh mechanisms."""
