@@ -11,10 +11,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from rfem_jax.description.errors import Checks, ChecksItself, InputError, require_choice
+from rfem_jax.description.iso_fits import clearance_fit, is_fit
 from rfem_jax.description.units import Quantity, non_negative_quantity, positive_quantity
 
 PINS = ("child", "parent")
-_LENGTHS = {"radial": non_negative_quantity, "axial": non_negative_quantity, "length": positive_quantity}
+_LENGTHS = {"axial": non_negative_quantity, "length": positive_quantity}
 _OPTIONAL = {  # of what may be left out: how it is read, and its dimension
     "diameter": (positive_quantity, "length"),
     "damping": (non_negative_quantity, "contact_damping"),
@@ -37,7 +38,8 @@ class Clearance(ChecksItself):
     are too long the energy is off; from a twentieth on the status of a run is `contact_not_resolved`.
 
     Args:
-        radial: [m] clearance between the radii of bush and pin, >= 0: half the difference of the diameters.
+        radial: [m] clearance between the radii of bush and pin, >= 0: half the difference of the diameters; or the ISO
+            code of a fit, as "20 H7/f7", which means the middle of its clearances.
         length: [m] of the pin, centred on the joint's point on the link that holds the pin: its ends are where it
             touches.
         stiffness: K of each of the two contacts at the ends [N/m^n], as "50 kN/mm" with n = 1, "60 kN/mm^1.5" with
@@ -78,6 +80,7 @@ class Clearance(ChecksItself):
 
     def _check_fields(self, checks: Checks) -> None:
         of = "of a clearance"
+        checks.convert("radial", _radial, f"`radial` {of}")
         for name, read in _LENGTHS.items():
             checks.convert(name, read, "length", f"`{name}` {of}")
         checks.convert("exponent", _exponent, f"`exponent` {of}")
@@ -133,6 +136,13 @@ class Clearance(ChecksItself):
                 "Argument `sliding_speed` of a clearance must be left out without `friction`, but was given; remove "
                 "it, or give the coefficient of friction."
             )
+
+
+def _radial(value: Any, where: str) -> Any:
+    """A radial clearance [m], of a fit the middle one."""
+    if is_fit(value):
+        return clearance_fit(value, "radial").radial[0]
+    return non_negative_quantity(value, "length", where)
 
 
 def _exponent(value: Any, where: str) -> float:

@@ -43,6 +43,12 @@ class Fit:
         """Smallest and largest diametral clearance [m]; negative where the fit interferes."""
         return self.hole[0] - self.shaft[1], self.hole[1] - self.shaft[0]
 
+    @property
+    def radial(self) -> tuple[float, float]:
+        """Middle of the radial clearance, half the diametral one, and half of its range [m]."""
+        low, high = self.clearance
+        return 0.25 * (low + high), 0.25 * (high - low)
+
 
 def deviations(code: str, where: str = "code") -> tuple[float, float]:
     """Lower and upper deviation [m] of a size with an ISO code, such as "25 H7" (a hole) or "20 h9" (a shaft).
@@ -71,6 +77,23 @@ def fit(code: str, where: str = "fit") -> Fit:
         _deviations(size, hole, hole_grade, code, where),
         _deviations(size, shaft, shaft_grade, code, where),
     )
+
+
+def is_fit(code: Any) -> bool:
+    """Whether a value has the form of a fit, a hole and a shaft."""
+    found = _CODE.fullmatch(code) if isinstance(code, str) else None
+    return found is not None and found.group(4) is not None
+
+
+def clearance_fit(code: str, where: str) -> Fit:
+    """A fit with a clearance in every pair. Raises: InputError for anything else."""
+    found = fit(code, where)
+    if found.clearance[0] < 0.0:
+        raise InputError(
+            f"Argument `{where}` must have a clearance in every pair, but {code!r} interferes by up to "
+            f"{-found.clearance[0] / MICROMETRE:.4g} um; choose a looser fit."
+        )
+    return found
 
 
 def _parsed(code: Any, where: str, example: str) -> tuple[float, str, int, str | None, int]:

@@ -15,6 +15,7 @@ from jaxtyping import Float
 
 from rfem_jax.description.error_catalogue import error_dimension, knows_dimension
 from rfem_jax.description.errors import ABSENT, Checks, ChecksItself, InputError, Problems, located, require_choice
+from rfem_jax.description.iso_fits import clearance_fit, is_fit
 from rfem_jax.description.iso_fits import deviations as deviations_of_code
 from rfem_jax.description.tables import build, checked_list, checked_table, keys_of
 from rfem_jax.description.units import DERIVED, Quantity, positive_quantity, quantity
@@ -34,7 +35,8 @@ class SpecifiedTolerance(ChecksItself):
         distribution: "uniform", "triangular", "normal" or "truncated_normal".
         interval: (low, high) [rad or m].
         deviations: k, standard deviations in a half-width of the normal ones; None = 3.
-        iso: size in mm and ISO code of a length, as "20 h9", which gives the interval.
+        iso: size in mm and ISO code of a length, as "20 h9", which gives the interval; of a radial clearance that of a
+            fit, as "20 H7/f7", about the middle that the description's `radial` has by the same code.
         cp: process capability, the interval's width over 6 standard deviations; the distribution is normal.
         cpk: the same of the limit that the mean is nearer to, at most cp; None = cp, a mean in the middle.
         side: "upper" or "lower", the limit that the mean is nearer to; None = "upper".
@@ -91,9 +93,20 @@ class SpecifiedTolerance(ChecksItself):
             dimension = error_dimension(self.error)
         if dimension != "length":
             raise InputError(f"Argument `iso` {where} must be of a length, but this is an angle; give `half_width`.")
-        ends = deviations_of_code(self.iso or "", f"iso` {where[:-1]}")
+        ends = self._ends_of_code(self.iso or "", f"iso` {where[:-1]}")
         if self.interval is None:
             object.__setattr__(self, "interval", ends)
+
+    def _ends_of_code(self, code: str, where: str) -> tuple[float, float]:
+        if not is_fit(code):
+            return deviations_of_code(code, where)
+        if not self.error.endswith(".clearance.radial"):
+            raise InputError(
+                f"Argument `{where}` must be one size, as `{self.error}` is no radial clearance, but {code!r} is a "
+                'fit; write for example "25 H7".'
+            )
+        half = clearance_fit(code, where).radial[1]
+        return -half, half
 
     def _check_capability(self, where: str) -> None:
         """See that a capability is given whole and alone; a study that was read has its distribution by it."""

@@ -23,7 +23,7 @@ import numpy as np
 from jaxtyping import Float
 
 from rfem_jax.description.errors import Checks, ChecksItself, InputError, require_choice
-from rfem_jax.description.iso_fits import fit as fit_of
+from rfem_jax.description.iso_fits import clearance_fit
 from rfem_jax.description.units import DERIVED, positive_quantity
 
 CHARACTERISTICS = ("position", "coaxiality", "parallelism", "perpendicularity")
@@ -70,12 +70,7 @@ class SpecifiedZone(ChecksItself):
         checks.relation(("name", "zone", "length"), self._fitting, where)
 
     def _largest_clearance(self, where: str) -> None:
-        clearance = fit_of(self.fit or "", f"fit` {where[:-1]}").clearance
-        if clearance[0] < 0.0:
-            raise InputError(
-                f"Argument `fit` {where} must have a clearance in every pair, but {self.fit!r} interferes by up to "
-                f"{-1e6 * clearance[0]:.0f} um; a pin without play has no zone."
-            )
+        clearance = clearance_fit(self.fit or "", f"fit` {where[:-1]}").clearance
         if self.diameter is None:
             object.__setattr__(self, "diameter", clearance[1])
 

@@ -19,6 +19,7 @@ from rfem_jax import (
     load_study,
     parameters,
 )
+from rfem_jax.description.tolerances import SpecifiedTolerance
 from rfem_jax.report.overview import _clearance_text, joint_rows
 
 from .test_study_files import FULL
@@ -51,6 +52,22 @@ def test_in_a_study_file(tmp_path, refused):
     )
     with refused("clearance must have known keys only, but has `radal`", "radial"):
         load_study(path)
+
+
+def test_a_fit_is_the_middle_of_its_clearances_and_scatters_about_it(tmp_path, refused):
+    """20 H7/f7: the hole from 0 to 21 um, the pin from -41 to -20 um, the diametral clearance from 20 to 62 um."""
+    path = tmp_path / "study.toml"
+    play = CLEARANCE.replace('"0.05 mm"', '"20 H7/f7"')
+    text = FULL.replace('name = "D"\n', f'name = "D"\n{play}', 1)
+    scatter = '[tolerances]\n"D.clearance.radial" = { iso = "20 H7/f7" }\n'
+    path.write_text(text.partition("[tolerances]")[0] + scatter, encoding="utf-8")
+    study = load_study(path)
+    assert study.mechanism.joint("D").clearance.radial == pytest.approx(20.5e-6)
+    assert study.tolerances.half_widths() == {"D.clearance.radial": pytest.approx(10.5e-6)}
+    with refused("`radial` must have a clearance in every pair", "'20 H7/p6' interferes by up to 35 um"):
+        dataclasses.replace(PLAY, radial="20 H7/p6")
+    with refused("`iso` of the tolerance `D.d_x` must be one size", "'20 H7/f7' is a fit"):
+        SpecifiedTolerance("D.d_x", iso="20 H7/f7")
 
 
 class TestDescription:
