@@ -196,10 +196,11 @@ def advance(
     carry: Carry,
     grid: TimeGrid,
     method: Method,
-    steps: int,
+    steps: int | Float[Array, ""],
     adjoint: diffrax.AbstractAdjoint | None,
 ) -> tuple[Carry, IntervalEnd]:
-    """Integrate over the intervals of a grid, each in a number of steps (fixed-step methods).
+    """Integrate over the intervals of a grid, each in a number of steps (fixed-step methods), which may be traced as in
+    `advance_unobserved`.
 
     **Returns:** the carry at the end, and the ends of all intervals, whose arrays have a first axis of intervals.
     """
@@ -243,7 +244,7 @@ def observe_ends(
     ends: IntervalEnd,
     grid: TimeGrid,
     method: Method,
-    steps: int,
+    steps: int | Float[Array, ""],
     asked: Sequence[str] = (),
 ) -> Record:
     """Records of the ends of intervals, with a first axis of intervals; `asked`: names as in `simulation.records`.
@@ -279,7 +280,7 @@ def conclude(
     ends: IntervalEnd,
     grid: TimeGrid,
     method: Method,
-    steps: int,
+    steps: int | Float[Array, ""],
     asked: Sequence[str] = (),
 ) -> Run:
     """Loads, metrics, balances and status from the last carry and all ends of intervals; `asked`: as `observe_ends`."""
