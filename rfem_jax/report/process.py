@@ -64,14 +64,16 @@ def set_up_jax(devices: int | None = None, cache: bool = True, out: str | Path |
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
 
 
-def count_devices(arguments: argparse.Namespace) -> int:
-    """CPU devices that the command asks for: all cores unless it says otherwise.
+def count_devices(arguments: argparse.Namespace) -> int | None:
+    """CPU devices that a command on a study asks for: all cores unless it says otherwise; None for other commands.
 
     `check` has as many as the commands that compute samples, for a compiled program serves only processes of as many
     devices.  Raises InputError for a number below 1.
     """
     from rfem_jax.description.errors import InputError
 
+    if not hasattr(arguments, "study"):
+        return None
     if getattr(arguments, "devices", None) is None:
         usable = getattr(os, "sched_getaffinity", None)
         return len(usable(0)) if usable else os.cpu_count() or 1
