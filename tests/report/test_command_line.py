@@ -20,9 +20,9 @@ from rfem_jax.compilation.options import user_cache_folder
 from rfem_jax.compilation.stages import listening, on_stage
 from rfem_jax.description import InputError
 from rfem_jax.report import command_line
-from rfem_jax.report.command_line import main
+from rfem_jax.report.command_line import build_parser, main
 from rfem_jax.report.commands.catalogue import all_commands
-from rfem_jax.report.process import require_platform
+from rfem_jax.report.process import count_devices, require_platform
 from rfem_jax.report.progress_line import ProgressLine, paint, show
 
 STATUS = {0: ("ok", "The run is complete."), 3: ("diverged", "The run diverged; reduce the step.")}
@@ -432,3 +432,11 @@ def test_the_first_word_comes_before_anything_is_imported(tmp_path):
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, cwd=tmp_path)
     assert done.stdout == "False\n"
+
+
+def test_a_check_compiles_what_a_run_takes():
+    """A kept program serves processes of as many devices."""
+    arguments = [build_parser().parse_args(line) for line in (["check", "x.toml"], ["run", "x.toml", "--out", "out"])]
+    checked, ran = map(count_devices, arguments)
+    assert checked == ran and checked >= 1
+    assert count_devices(build_parser().parse_args(["validate"])) is None
