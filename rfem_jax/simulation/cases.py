@@ -124,7 +124,7 @@ def _run_with_parameters(
     return jax.tree.map(np.asarray, jax.vmap(simulate)(errors))
 
 
-def _of_any_step(method, grid: TimeGrid, steps: int):
+def _of_any_step(method: Method, grid: TimeGrid, steps: int):
     """The method and the number of steps in an interval as programs take them that serve any step: traced, where the
     method allows that."""
     if not method.implicit or method.adaptive:

@@ -10,6 +10,7 @@ radial one.  Gravity stays: it is what presses a pin that no misalignment presse
             (jacfwd through the contact equilibrium), and which contacts carry
     batch   the same errors as tolerances, uniform: mean and quantiles of the loads over the clearance, and the share of
             mechanisms whose pin is pressed at one end, at both, or at none
+    fits    what two ISO fits of the pin take of the 95 % forces, by interpolation
 
 Files: one CSV a question, `results.json`, two pictures.  Units: N, N m; lengths of clearances um.  `--quick` takes few
 clearances and samples, as a trial of the command.
@@ -38,6 +39,7 @@ import numpy as np  # noqa: E402
 from scipy.stats import qmc  # noqa: E402
 
 from rfem_jax import Clearance, Model, Study, assemble, assembly_errors, design, discretise, load_study  # noqa: E402
+from rfem_jax.description.iso_fits import fit  # noqa: E402
 from rfem_jax.report.output import write_csv, write_json  # noqa: E402
 
 
@@ -55,6 +57,8 @@ JOINT, CASE = "D", "P5"
 LENGTH, STIFFNESS = 0.02, 5e7  # m; N/m of each end of the pin
 AXIAL = 3.0  # axial over radial clearance
 QUANTILES = (0.5, 0.95)
+FITS = ("20 H7/f7", "20 H8/d9")
+KINK = 70.0  # um: up to here no contact opens or closes
 LOADS = (("force", "N"), ("moment", "Nm"))
 
 
@@ -143,6 +147,35 @@ def batch_rows(joints, clearances, found: Found) -> list[dict]:
     return rows
 
 
+def fit_rows(joints, rows) -> list[dict]:
+    """A row per fit of the pin: its radial clearances, and what each takes from the 95 % force, as a share of what the
+    largest clearance of the study takes."""
+    clearances = [row["radial_um"] for row in rows]
+    found = []
+    for code in FITS:
+        middle, half = fit(code).radial
+        row = {"fit": code}
+        for end, radial in (("smallest", middle - half), ("largest", middle + half)):
+            row[f"{end}_radial_um"] = 1e6 * radial
+            for joint in joints:
+                force = np.array([row[f"{joint}_force_95_percent_N"] for row in rows])
+                taken = (force[0] - force) / (force[0] - force[-1])
+                row[f"{joint}_{end}_takes"] = float(np.interp(1e6 * radial, clearances, taken))
+        found.append(row)
+    return found
+
+
+def derivative_error(rows) -> float:
+    """Largest difference of the derivative of the moment in D from central differences of the rows up to `KINK`,
+    relative to them."""
+    moment = np.array([row[f"{JOINT}_moment_Nm"] for row in rows])
+    slope = np.array([row[f"{JOINT}_moment_by_radial_Nm_per_um"] for row in rows])
+    clearances = np.array([row["radial_um"] for row in rows])
+    difference = (moment[2:] - moment[:-2]) / (clearances[2:] - clearances[:-2])
+    used = clearances[1:-1] <= KINK
+    return float(np.max(np.abs(slope[1:-1] / difference - 1.0)[used]))
+
+
 def print_summary(joints, tables) -> None:
     """The main results."""
     print("\nJoint D over its radial clearance; errors of case P5, and as uniform tolerances")
@@ -157,6 +190,11 @@ def print_summary(joints, tables) -> None:
     shares = {j: 1.0 - last[f"{j}_force_95_percent_N"] / first[f"{j}_force_95_percent_N"] for j in joints}
     text = ", ".join(f"{joint} {100 * share:.0f} %" for joint, share in shares.items())
     print(f"\nThe largest clearance takes from the 95 % force of {text}")
+    for row in tables["fits"]:
+        ends = [f"{100 * row[f'{JOINT}_{end}_takes']:.0f} %" for end in ("smallest", "largest")]
+        print(f"  of it a pin {row['fit']} takes {ends[0]} to {ends[1]} in {JOINT}")
+    error = derivative_error(tables["sweep"])
+    print(f"Derivatives differ from differences of the rows up to {KINK:g} um by at most {100 * error:.2g} %")
 
 
 def compute(study: Study, size: Size, progress: Callable[[str], None]):
@@ -180,6 +218,7 @@ def compute(study: Study, size: Size, progress: Callable[[str], None]):
         "sweep": sweep_rows(joints, size.clearances, found, slopes),
         "batch": batch_rows(joints, size.clearances, batch),
     }
+    tables["fits"] = fit_rows(joints, tables["batch"])
     return joints, tables
 
 

@@ -25,6 +25,12 @@ def test_main_study(run_program):
     assert re.search(r"recursive \d+ us, dense \d+ us", said)
 
 
+def test_program_size(run_program):
+    said = run_program("benchmarks/program_size.py")
+    sizes = {name: int(count) for name, count in re.findall(r", (\w+): (\d+) equations, traced in .* ms$", said, re.M)}
+    assert set(sizes) == {"rk4", "generalised_alpha"} and sizes["generalised_alpha"] > sizes["rk4"] > 1000
+
+
 def test_cost_of_gradients(run_program, pendulum_file):
     said = run_program(
         "benchmarks/gradients.py", "--study", pendulum_file, "--rfes", 2, "--share", 0.01, "--parts", "cost",

@@ -89,6 +89,12 @@ def test_clearance(run_program, tmp_path):
     np.testing.assert_allclose(shares.sum(axis=0), 1.0)
     assert shares[2, 0] == 1.0 and (np.diff(shares[2]) <= 0.0).all() and shares[2, -1] < 1.0
     assert (column(batch, "D_force_95_percent_N") >= column(batch, "D_force_mean_N")).all()
+    close, loose = table(tmp_path / "fits.csv")
+    assert (close["fit"], float(close["smallest_radial_um"])) == ("20 H7/f7", pytest.approx(10.0))
+    taken = [float(row[f"D_{end}_takes"]) for row in (close, loose) for end in ("smallest", "largest")]
+    assert 0.0 < taken[0] < taken[1] < taken[2] < taken[3] < 1.0
+    force = column(batch, "D_force_95_percent_N")
+    assert taken[0] == pytest.approx(0.25 * (force[0] - force[1]) / (force[0] - force[3]))
 
 
 def test_robust_four_bar(run_program, tmp_path):

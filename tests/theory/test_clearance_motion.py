@@ -17,10 +17,12 @@ COMPILED_AS_SHIPPED = True  # thousands of steps, and derivatives of stiff conta
 
 
 class TestSingleImpact:
-    def test_an_impact_that_the_steps_do_not_follow_is_named_and_spoils_no_other(self):
-        """Steps of half a contact lose a tenth of the speed; a slower pin has not touched the bush yet."""
+    @pytest.mark.parametrize(("steps", "status"), [(12, "contact_not_resolved"), (20, "ok")])
+    def test_an_impact_that_the_steps_do_not_follow_is_named_and_spoils_no_other(self, steps, status):
+        """Steps of half a contact lose a tenth of the speed, those of a third less than a hundredth; a slower pin has
+        not touched the bush yet."""
         model, duration = guided(restitution=0.9), 8.2e-4
-        method = Method("generalised_alpha", step=duration / 12)
+        method = Method("generalised_alpha", step=duration / steps)
 
         def of_speed(speed):
             run = simulate(model, drive=None, duration=duration, method=method, save_every=duration,
@@ -28,8 +30,9 @@ class TestSingleImpact:
             return run.status, run.energy.kinetic[-1], run.energy_balance_error
 
         statuses, kinetic, balances = jax.jit(jax.vmap(of_speed))(jnp.array([SPEED, 0.2]))
-        assert [STATUS[int(one)].name for one in statuses] == ["contact_not_resolved", "ok"]
-        assert np.sqrt(2.0 * float(kinetic[0]) / MASS) < 0.95 * REFERENCE["rebound_speed"] and float(balances[0]) > 0.05
+        assert [STATUS[int(one)].name for one in statuses] == [status, "ok"]
+        away = abs(np.sqrt(2.0 * float(kinetic[0]) / MASS) / REFERENCE["rebound_speed"] - 1.0)
+        assert (away < 0.01, float(balances[0]) < 0.05) == (status == "ok",) * 2
         np.testing.assert_allclose(kinetic[1], 0.5 * MASS * 0.2**2, rtol=1e-8)  # the weak spring centres the pin
 
     def test_restitution_needs_a_method_with_a_memory(self):
