@@ -6,10 +6,13 @@ linear classical spring-damping elements from these.
 
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 
-from rfem_jax import load_study, run_cases
+from rfem_jax import Method, load_study, run_cases
+from rfem_jax.simulation import cases
+from rfem_jax.simulation.integration import grid_for
 from rfem_jax.validation.reference_values import read_reference
 
 STUDIES = Path(__file__).parents[2] / "studies" / "four_bar"
@@ -108,3 +111,16 @@ def test_forces_in_the_plane_follow_the_moment(runs):
     assert np.any(np.abs(run.times - 0.1) < 1e-12)
     assert run.drive_moment[run.times > 0.1 + 1e-9].max() == 0.0
     np.testing.assert_allclose(run.drive_moment[100], 1.5, rtol=1e-12)
+
+
+def test_programs_of_cases_serve_any_step():
+    """What they are kept by is the same for two steps of an implicit method, whose number is traced."""
+    taken = []
+    for step in (4e-4, 3e-4):
+        method = Method("generalised_alpha", step=step)
+        grid, steps = grid_for(None, 0.01, method, 1e-3)
+        taken.append((steps, *cases._of_any_step(method, grid, steps)))
+    (few, first, traced), (more, second, _) = taken
+    assert few < more and first == second and int(traced) == few and isinstance(traced, jax.Array)
+    explicit = Method("rk4", step=1e-4)
+    assert cases._of_any_step(explicit, grid, 10) == (explicit, 10)
