@@ -57,7 +57,7 @@ def without_matrix(function, at, *others):
 @pytest.mark.parametrize("make", [four_bar_of_long_chains, twisted_spatial_loop])
 def test_recursion_alone_finds_the_equilibrium_and_its_derivatives(make, monkeypatch):
     with monkeypatch.context() as patch:
-        patch.setattr(search, "_linearised", without_matrix)
+        patch.setattr(search, "linearised", without_matrix)
         *found, status = with_derivatives(equilibria(make))
         assert status == OK
     with monkeypatch.context() as patch:
@@ -122,7 +122,7 @@ def test_where_the_recursion_does_not_converge_the_jacobian_does(monkeypatch):
     np.testing.assert_allclose(angle, np.pi / 2 - np.arctan(0.6 / 9.8), atol=1e-5)
     np.testing.assert_allclose(derivatives[0][0], -9.8 / (0.6**2 + 9.8**2), rtol=1e-4)
     np.testing.assert_allclose(derivatives[0], derivatives[1], rtol=1e-9)
-    monkeypatch.setattr(search, "_linearised", without_matrix)
+    monkeypatch.setattr(search, "linearised", without_matrix)
     assert by_numpy(at)(gravity)[1] == NOT_ASSEMBLED
 
 

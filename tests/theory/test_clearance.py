@@ -10,6 +10,10 @@ import numpy as np
 import pytest
 
 from rfem_jax import assemble, assembly_errors, design, discretise
+from rfem_jax.mechanics.designs import designed
+from rfem_jax.mechanics.model_with_errors import apply_errors
+from rfem_jax.mechanics.statics import contact
+from rfem_jax.mechanics.statics.assembly import equilibrium, held_angles
 from rfem_jax.validation.clearances import HARD, HERTZ, PLAY, TILT, depth_at_rest, flexible_four_bar, hung
 
 
@@ -51,15 +55,33 @@ class TestFourBar:
             np.testing.assert_allclose(forward[:, n], difference, rtol=1e-5)
 
     def test_samples_of_a_batch_are_in_different_contact_states(self, four_bar):
-        def contact(tilt):
+        def loads(tilt):
             errors = assembly_errors(four_bar, {"D.delta_x": tilt})
             made = assemble(four_bar, errors, design=design(four_bar, {"D.clearance.radial": 1.3e-4}))
             return made.status, made.contacts["D"].normal_force, made.preload["D"].moment
 
         tilts = jnp.array([0.0, 0.3 * TILT, 2.0 * TILT, 4.0 * TILT])
-        together = jax.vmap(contact)(tilts)
+        together = jax.vmap(loads)(tilts)
         assert not np.asarray(together[0]).any()
         assert {tuple(row[:2] > 1e-6) for row in np.asarray(together[1])} == {(True, True), (False, True)}
         for n in (0, 3):
-            for one, row in zip(contact(tilts[n]), together, strict=True):
+            for one, row in zip(loads(tilts[n]), together, strict=True):
                 np.testing.assert_allclose(row[n], one, rtol=1e-6, atol=1e-8)
+
+    def test_the_present_matrix_finds_what_that_of_the_perfect_mechanism_does(self, four_bar, monkeypatch):
+        """The latter is not iterated, so that only Newton's method under loads is left."""
+        held, wanted = held_angles(four_bar, None), design(four_bar, {"D.clearance.radial": 1.3e-4})
+
+        def found(tilt):
+            made = designed(four_bar, wanted, assembly_errors(four_bar, {"D.delta_x": tilt}))
+            assert made.errors is not None
+            return equilibrium(made.model, apply_errors(made.model, made.errors), held)
+
+        monkeypatch.setattr(contact, "CHORD_ITERATIONS", 0)
+        alone = jax.jit(found)
+        for tilt in (0.0, TILT, 4.0 * TILT):
+            position, _, status = alone(tilt)
+            expected = assemble(four_bar, assembly_errors(four_bar, {"D.delta_x": tilt}), design=wanted)
+            assert status == expected.status == 0
+            np.testing.assert_allclose(position.joints, expected.state.position.joints, rtol=1e-7, atol=1e-10)
+            np.testing.assert_allclose(position.elastic, expected.state.position.elastic, rtol=1e-7, atol=1e-10)

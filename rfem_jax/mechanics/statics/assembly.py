@@ -294,7 +294,7 @@ def _search(
     `perfect` and `loaded`: args of the equations."""
     topology, (undeformed, guess) = scaled.topology, starts
     if topology.clearances:
-        return search_contact(equations, starts, perfect, loaded, scaled.force / scaled.length)
+        return search_contact(equations, starts, perfect, loaded, (scaled.length, scaled.force))
     if topology.exact:
         return load_steps(equations, undeformed, perfect, loaded)
     if topology.minimum_norm:

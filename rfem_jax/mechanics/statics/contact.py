@@ -1,35 +1,130 @@
-"""The static equilibrium of pins in their bushes: held in the middle first, then released until contacts carry.
+"""The static equilibrium of pins in their bushes: Newton's method that keeps contacts as they are.
 
-Place in the pipeline: search, bush_contacts -> **contact** -> assembly.
+Place in the pipeline: search, bush_contacts, pins_on_compliance -> **contact** -> assembly.
 
 Where a contact is open it has no stiffness, and where it closes its stiffness jumps by orders of magnitude, so that
-Newton's method from the closed mechanism does not converge.  The weak spring that centres every pin (theory (15.7)) is
-made as stiff as a bearing first: the equilibrium is then that of a compliant mechanism.  It is released by powers of
-ten down to its own stiffness; contacts close on the way, each step starting from the equilibrium before.  A step on
-which Newton's method does not converge is halved, any other is followed by one twice as long.
+Newton's method from the closed mechanism does not converge.  Everything but the contacts is smooth and nearly linear.
+So only the mechanism is linearised, its pins held where they are by stiff springs, and condensed to the poses of its
+pins; there contacts take the place of the springs, which is a problem of six unknowns a pin that is solved
+to its end (`pins_on_compliance`).  Poses and all other unknowns follow, and are the start of the next step (theory
+(15.11) to (15.13)).
+
+The matrix is that of the undeformed perfect mechanism first, which is the same for all samples of a batch, and only
+where that does not converge the present one, under loads that grow by steps.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 from jaxtyping import Bool, Float
 
+from rfem_jax.mechanics import loads
 from rfem_jax.mechanics.bush_contacts import pins_of
+from rfem_jax.mechanics.clearances import clearance_name
+from rfem_jax.mechanics.element_loads import element_pose
+from rfem_jax.mechanics.frame_forces import Pose
+from rfem_jax.mechanics.kinematics import motion_of
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
-from rfem_jax.mechanics.statics.search import Equations, load_steps, newton
+from rfem_jax.mechanics.statics.pins_on_compliance import HeldPin, Units, change_of, holding, pin_wrenches, pins_at_rest
+from rfem_jax.mechanics.statics.search import (
+    CHORD_TOLERANCE,
+    LARGEST_ROTATION_OF_A_STEP,
+    Equations,
+    iterate,
+    linearised,
+    load_steps,
+)
 
-STIFF = 1e3  # of the spring that holds pins in the middle, over a force and a length of the mechanism
-ITERATIONS_OF_A_RELEASE, MOST_RELEASES = 40, 200
-FIRST_RELEASE, SMALLEST_RELEASE = np.log(10.0), 1e-4  # of the logarithm of the stiffness
+CHORD_ITERATIONS = 40
 
 
-def _centred(actual: ModelWithErrors, centring: list[Array]) -> ModelWithErrors:
-    """The mechanism with springs of other stiffnesses [N/m] that centre its pins."""
-    return eqx.tree_at(lambda a: [pin.centring for pin in pins_of(a).values()], actual, centring)
+class _Condensed(NamedTuple):
+    """The linearised mechanism with held pins: step (n,) of the unknowns without contacts; by_wrenches (n, 6 pins):
+    their change, and compliance (6 pins, 6 pins): that of the poses, by wrenches on the pins; poses (6 pins, n): change
+    of the poses by the unknowns; all of them scaled."""
+
+    step: Float[Array, " n"]
+    by_wrenches: Float[Array, "n k"]
+    poses: Float[Array, "k n"]
+
+    def solve(self, actual: ModelWithErrors, at: list[Pose], units: Units) -> Float[Array, " n"]:
+        """Step of the unknowns with the contacts of pins at present poses."""
+        free, compliance = self.poses @ self.step, self.poses @ self.by_wrenches
+        wrenches = pins_at_rest(list(pins_of(actual).values()), at, free, compliance, units)
+        return self.step + self.by_wrenches @ wrenches
+
+
+class _Search(NamedTuple):
+    """The equations, and the units of the small problem."""
+
+    equations: Equations
+    units: Units
+
+    def poses(self, unknowns: Array, actual: ModelWithErrors) -> list[Pose]:
+        """Of the pins in their bushes."""
+        state = loads.static_state(actual.topology, self.equations.coordinates(unknowns))
+        motion = motion_of(actual, state)
+        return [element_pose(actual.topology, motion, pin) for pin in pins_of(actual).values()]
+
+    def linearised(
+        self, unknowns: Array, args: Any, at: list[Pose], wrenches: Array
+    ) -> tuple[Array, Array, Array, Array]:
+        """Of the mechanism whose pins stiff springs hold at their present poses and that exert the given wrenches:
+        residual, Jacobian, derivative of the residual by these wrenches (n, 6 pins), and of the poses by the unknowns
+        (6 pins, n)."""
+        pins, n = pins_of(args[0]), unknowns.size
+        names = [clearance_name(joint) for joint in pins]
+        springs = self.units.stiffnesses(holding(list(pins.values()), self.units))
+
+        def of(both, args):
+            unknowns, (actual, angles) = both[:n], args
+            parts = zip(pins.values(), at, self.units.wrenches(both[n:]), springs, strict=True)
+            held = [HeldPin(pin.parent, pin.child, pose, *wrench, spring) for pin, pose, wrench, spring in parts]
+            changed = eqx.tree_at(lambda a: [a.frame_forces.elements[name] for name in names], actual, held)
+            value = self.equations.residual(unknowns, (changed, angles))
+            change = [change_of(*pair) for pair in zip(self.poses(unknowns, actual), at, strict=True)]
+            return jnp.concatenate([value, jnp.concatenate(change) / self.units.of_poses(len(change))])
+
+        value, jacobian = linearised(of, jnp.concatenate([unknowns, wrenches]), args)
+        return value[:n], jacobian[:n, :n], jacobian[:n, n:], jacobian[n:, :n]
+
+    def newton(self, start: Array, args: Any, iterations: int) -> tuple[Array, Array]:
+        """Unknowns after Newton's method with contacts, and whether it converged."""
+        n = self.equations.n_coordinates
+
+        def present(unknowns):
+            at = self.poses(unknowns, args[0])
+            wrenches = pin_wrenches(list(pins_of(args[0]).values()), at, self.units)
+            value, jacobian, by_wrenches, poses = self.linearised(unknowns, args, at, wrenches)
+            solved = self.equations.solve(jacobian, jnp.concatenate([value[:, None], by_wrenches], axis=1))
+            step = _Condensed(-solved[:, 0], -solved[:, 1:], poses).solve(args[0], at, self.units)
+            return value, -step, _rows(jacobian, unknowns, n)
+
+        return iterate(n, start, iterations, present)
+
+    def chord(self, start: Array, undeformed: Array, perfect: Any, args: Any) -> tuple[Array, Array]:
+        """Unknowns after the chord method with the matrix of the perfect mechanism, and whether it converged."""
+        n = self.equations.n_coordinates
+        at = self.poses(undeformed, perfect[0])
+        # Without wrenches, which depend on clearances: a batch of these shares the matrix.
+        _, jacobian, by_wrenches, poses = self.linearised(undeformed, perfect, at, jnp.zeros(6 * len(at)))
+        inverse = self.equations.solve(jacobian, jnp.eye(undeformed.size))
+        by_wrenches = -inverse @ by_wrenches
+
+        def constant(unknowns):
+            value = self.equations.residual(unknowns, args)
+            condensed = _Condensed(-inverse @ value, by_wrenches, poses)
+            step = condensed.solve(args[0], self.poses(unknowns, args[0]), self.units)
+            return value, -step, _rows(jacobian, unknowns, n)
+
+        return iterate(n, start, CHORD_ITERATIONS, constant, tolerance=CHORD_TOLERANCE)
+
+
+def _rows(jacobian: Array, unknowns: Array, n: int) -> Array:
+    """What a step of size one changes of every residual, the first `n` unknowns being coordinates."""
+    return jnp.abs(jacobian) @ jnp.concatenate([jnp.ones(n), 1.0 + jnp.abs(unknowns[n:])])
 
 
 def search_contact(
@@ -37,49 +132,15 @@ def search_contact(
     starts: tuple[Float[Array, " n"], Float[Array, " n"]],
     perfect: tuple[ModelWithErrors, Any],
     loaded: tuple[ModelWithErrors, Any],
-    stiffness: Float[Array, ""],
+    scales: tuple[Float[Array, ""], Float[Array, ""]],
 ) -> tuple[Float[Array, " n"], Bool[Array, ""]]:
     """Unknowns under load and whether they were found; `starts`: undeformed, without and with the held angles;
-    `perfect` and `loaded`: args of the equations; `stiffness` [N/m] of the mechanism."""
-    actual, angles = loaded
-    own = [jnp.log(pin.centring) for pin in pins_of(actual).values()]
-    stiff = [jnp.maximum(jnp.log(STIFF * stiffness), log) for log in own]
-
-    def at(share):
-        """Arguments with pins released by a share of the logarithm of the stiffness."""
-        return _centred(actual, [jnp.exp(a + share * (b - a)) for a, b in zip(stiff, own)]), angles
-
-    (undeformed, guess), held = starts, at(jnp.zeros(()))
-    if actual.topology.exact:
-        unloaded = _centred(perfect[0], [pin.centring for pin in pins_of(held[0]).values()]), perfect[1]
-        unknowns, found = load_steps(equations, undeformed, unloaded, held)
-    else:
-        unknowns, found = newton(equations, guess, held, ITERATIONS_OF_A_RELEASE)
-    decades = jnp.max(jnp.stack(stiff) - jnp.stack(own))
-    return _release(equations, unknowns, found, at, decades)
-
-
-def _release(
-    equations: Equations, start: Array, found: Array, at: Any, decades: Array
-) -> tuple[Float[Array, " n"], Bool[Array, ""]]:
-    """Unknowns after the release, and whether it came to its end; `decades`: of the logarithm."""
-
-    def going_on(carry):
-        _, reached, step, count = carry
-        return (reached < 1.0) & (step > SMALLEST_RELEASE) & (count < MOST_RELEASES)
-
-    def advance(carry):
-        unknowns, reached, step, count = carry
-        share = jnp.minimum(reached + step / jnp.maximum(decades, FIRST_RELEASE), 1.0)
-        new, converged = newton(equations, unknowns, at(share), ITERATIONS_OF_A_RELEASE)
-        return (
-            jnp.where(converged, new, unknowns),
-            jnp.where(converged, share, reached),
-            jnp.where(converged, 2.0 * step, 0.5 * step),
-            count + 1,
-        )
-
-    first = jnp.where(found, FIRST_RELEASE, 0.0)
-    carry = (start, jnp.zeros(()), first, jnp.zeros((), jnp.int32))
-    unknowns, reached, _, _ = jax.lax.while_loop(going_on, advance, carry)
-    return unknowns, reached >= 1.0
+    `perfect` and `loaded`: args of the equations; `scales`: length [m] and force [N] of the mechanism."""
+    search = _Search(equations, Units(*scales))
+    undeformed, guess = starts
+    shared = eqx.tree_at(lambda a: a.frame_forces.share, perfect[0], jnp.ones(()))
+    near, found = search.chord(guess, undeformed, (shared, perfect[1]), loaded)
+    rotation = equations.coordinates(near - guess).elastic[3:]
+    found = found & (jnp.max(jnp.abs(rotation), initial=0.0) < LARGEST_ROTATION_OF_A_STEP)
+    end, reached = load_steps(equations, undeformed, perfect, loaded, search.newton, found)
+    return jnp.where(found, near, end), reached

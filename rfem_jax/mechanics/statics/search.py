@@ -13,6 +13,7 @@ iterative refinement with it.  Only where that does not converge is the Jacobian
 that is not entered otherwise: a batch pays for it only if one of its samples needs it.
 """
 
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -36,6 +37,8 @@ SMALLEST_LOAD_STEP = 1e-3
 LARGEST_ROTATION_OF_A_STEP = 0.7  # rad
 
 Linear = Callable[[Float[Array, " n"]], Float[Array, " n"]]
+# Unknowns, args and most iterations -> unknowns and whether they were found.
+Solver = Callable[[Array, Any, int], tuple[Array, Array]]
 
 
 class Equations(NamedTuple):
@@ -67,13 +70,13 @@ def chord(
         loaded = 1.0 + jnp.max(jnp.abs(unknowns[n:]), initial=0.0)
         return value, preconditioner(value), rows * loaded
 
-    near, found = _iterate(n, start, CHORD_ITERATIONS, constant, tolerance=CHORD_TOLERANCE)
+    near, found = iterate(n, start, CHORD_ITERATIONS, constant, tolerance=CHORD_TOLERANCE)
     return newton(equations, jnp.where(found, near, start), args, found=found)
 
 
 def solve_dense(equations: Equations, linear: Linear, value: Float[Array, " n"]) -> Float[Array, " n"]:
     """Solution of linear(x) = value with the dense matrix of a linear function."""
-    return equations.solve(_linearised(linear, jnp.zeros_like(value))[1], value)
+    return equations.solve(linearised(linear, jnp.zeros_like(value))[1], value)
 
 
 def solve_linear(
@@ -133,7 +136,7 @@ def _size(x: Array) -> Array:
     return jnp.max(jnp.abs(x)) if x.size else jnp.zeros(())
 
 
-def _linearised(function: Callable, at: Array, *others: Any) -> tuple[Array, Array]:
+def linearised(function: Callable, at: Array, *others: Any) -> tuple[Array, Array]:
     """Value and Jacobian of a function at one place.  The barrier keeps the Jacobian in place: much of it is
     constant, and XLA would move that out of a loop that is seldom entered."""
     rows, at, others = jax.lax.optimization_barrier((jnp.arange(at.size), at, others))
@@ -154,14 +157,14 @@ def newton(
     n = equations.n_coordinates
 
     def present(unknowns):
-        value, jacobian = _linearised(equations.residual, unknowns, args)
+        value, jacobian = linearised(equations.residual, unknowns, args)
         size = jnp.concatenate([jnp.ones(n), 1.0 + jnp.abs(unknowns[n:])])
         return value, equations.solve(jacobian, value), jnp.abs(jacobian) @ size
 
-    return _iterate(n, start, iterations, present, found)
+    return iterate(n, start, iterations, present, found)
 
 
-def _iterate(
+def iterate(
     n: int,
     start: Array,
     iterations: int,
@@ -194,7 +197,12 @@ def _iterate(
 
 
 def load_steps(
-    equations: Equations, start: Float[Array, " n"], unloaded: Any, loaded: Any
+    equations: Equations,
+    start: Float[Array, " n"],
+    unloaded: Any,
+    loaded: Any,
+    solver: Solver | None = None,
+    found: bool | Bool[Array, ""] = False,
 ) -> tuple[Float[Array, " n"], Bool[Array, ""]]:
     """Unknowns of the equilibrium under full load, followed from the unloaded one, and whether it was reached.
 
@@ -202,8 +210,9 @@ def load_steps(
     the equations): all at once first; a step on which Newton's method does not converge, or changes the angles
     of an rfe by so much that the equilibrium may be another one, is halved, any other is followed by one twice
     as long. The constants of the mechanism are interpolated, so that on the way the rotations of its frames
-    hold to second order in the errors only.
+    hold to second order in the errors only. `solver` is Newton's method unless given; nothing is done if `found`.
     """
+    solver = functools.partial(newton, equations) if solver is None else solver
 
     def going_on(carry):
         _, reached, step, count = carry
@@ -213,7 +222,7 @@ def load_steps(
         unknowns, reached, step, count = carry
         share = jnp.minimum(reached + step, 1.0)
         args = jax.tree.map(lambda a, b: a + share * (b - a), unloaded, loaded)
-        new, found = newton(equations, unknowns, args, ITERATIONS_OF_A_STEP)
+        new, found = solver(unknowns, args, ITERATIONS_OF_A_STEP)
         rotation = equations.coordinates(new - unknowns).elastic[3:]
         found = found & (jnp.max(jnp.abs(rotation), initial=0.0) < LARGEST_ROTATION_OF_A_STEP)
         return (
@@ -224,7 +233,7 @@ def load_steps(
         )
 
     one = jnp.ones(())
-    carry = (start, 0.0 * one, one, jnp.zeros((), jnp.int32))
+    carry = (start, jnp.asarray(found, float), one, jnp.zeros((), jnp.int32))
     unknowns, reached, _, _ = jax.lax.while_loop(going_on, advance, carry)
     return unknowns, reached >= 1.0
 
