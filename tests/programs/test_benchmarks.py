@@ -31,6 +31,11 @@ def test_program_size(run_program):
     assert set(sizes) == {"rk4", "generalised_alpha"} and sizes["generalised_alpha"] > sizes["rk4"] > 1000
 
 
+def test_clearance(run_program):
+    said = run_program("benchmarks/clearance.py", "--count", 3, "--repeats", 1)
+    assert re.search(r"^\| [^|]+ (\| \d+\.\d+ ){4}\| 0 of 3 \| 9\.690190 \|$", said, re.M)
+
+
 def test_cost_of_gradients(run_program, pendulum_file):
     said = run_program(
         "benchmarks/gradients.py", "--study", pendulum_file, "--rfes", 2, "--share", 0.01, "--parts", "cost",
