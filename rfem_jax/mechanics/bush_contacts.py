@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from rfem_jax.description.errors import InputError
@@ -45,8 +46,13 @@ class ContactState(NamedTuple):
     @property
     def carrying(self) -> tuple[str, ...]:
         """Names of the contacts that carry at one instant: "start", "end", "axial"; () of a floating pin."""
-        pairs = zip(CONTACT_NAMES, self.penetration, strict=True)
-        return tuple(name for name, depth in pairs if float(depth) > CLOSED)
+        return carrying(self.penetration)
+
+
+def carrying(penetration: Float[Array | np.ndarray, "3"]) -> tuple[str, ...]:
+    """Names of the contacts that carry at penetrations [m]; () of a floating pin."""
+    pairs = zip(CONTACT_NAMES, np.asarray(penetration).tolist(), strict=True)
+    return tuple(name for name, depth in pairs if depth > CLOSED)
 
 
 def pins_of(actual: ModelWithErrors) -> dict[str, PinInBush]:

@@ -26,7 +26,7 @@ from rfem_jax.description.joint_kinds import KINDS
 from rfem_jax.description.metric_catalogue import unit_of
 from rfem_jax.description.point_forces import AtPoint
 from rfem_jax.description.study import Study
-from rfem_jax.mechanics.bush_contacts import CONTACT_NAMES
+from rfem_jax.mechanics.bush_contacts import CONTACT_NAMES, ContactState
 from rfem_jax.report.annotations import Run, Summaries
 from rfem_jax.report.driven_motions_report import drive_quantities
 from rfem_jax.report.output import csv_cell, write_json
@@ -74,7 +74,9 @@ def history_columns(study: Study, run: Run) -> dict[str, Float[np.ndarray, " tim
         columns[column_name("drive_moment", "N m")] = np.asarray(run.drive_moment)
     columns |= {column_name(one.name, one.quantity.unit): one.values(run) for one in driven}
     losses = {column_name(f"{name}_dissipation", "J"): np.asarray(x) for name, x in run.friction_losses.items()}
-    return columns | _coordinate_columns(study, run) | _point_columns(study, run) | losses | contact_columns(run)
+    return (
+        columns | _coordinate_columns(study, run) | _point_columns(study, run) | losses | contact_columns(run.contacts)
+    )
 
 
 def _first_angle(study: Study, run: Run) -> dict[str, Float[np.ndarray, " times"]]:
@@ -103,10 +105,10 @@ def _point_columns(study: Study, run: Run) -> dict[str, Float[np.ndarray, " time
     return columns
 
 
-def contact_columns(run: Run) -> dict[str, Float[np.ndarray, " times"]]:
-    """Penetrations, below zero gaps, and normal forces of all contacts."""
+def contact_columns(states: Mapping[str, ContactState]) -> dict[str, Float[np.ndarray, " times"]]:
+    """Penetrations, below zero gaps, and normal forces of all contacts, by the joints with clearance."""
     columns = {}
-    for joint, contacts in run.contacts.items():
+    for joint, contacts in states.items():
         for what, unit, values in (
             ("penetration", "m", contacts.penetration),
             ("contact_force", "N", contacts.normal_force),

@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from rfem_jax.description.metric_catalogue import metric_of
 from rfem_jax.description.study import Study
-from rfem_jax.mechanics.bush_contacts import CLOSED, CONTACT_NAMES, ContactState
+from rfem_jax.mechanics.bush_contacts import CLOSED, CONTACT_NAMES, ContactState, carrying
 from rfem_jax.report.annotations import Run, Summaries
 from rfem_jax.report.driven_motions_report import drive_quantities, has_driven_joint
 from rfem_jax.report.quantities import (
@@ -74,11 +74,12 @@ def summarise_run(study: Study, run: Run) -> dict[str, Any]:
 
 
 def _contacts(history: ContactState) -> dict[str, Any]:
-    """Of a joint with clearance: the numbers `quantities.CONTACTS` of its saved times, penetrations and forces of the
-    contact where they are largest."""
+    """Of a joint with clearance: the contacts that carry at the start, none of a pin that floats; the numbers
+    `quantities.CONTACTS` of its saved times, penetrations and forces of the contact where they are largest."""
     depth, force = np.asarray(history.penetration), np.asarray(history.normal_force)
     values = float(depth.max()), float(force.max()), dict(zip(CONTACT_NAMES, np.mean(depth > CLOSED, axis=0).tolist()))
-    return dict(zip((quantity.name for quantity in CONTACTS), values, strict=True))
+    numbers = dict(zip((quantity.name for quantity in CONTACTS), values, strict=True))
+    return {"carrying_at_start": list(carrying(depth[0])), **numbers}
 
 
 def _driven_joints(study: Study, run: Run) -> list[dict[str, Any]]:

@@ -116,6 +116,27 @@ def _metrics_table(study: Study, summaries: Summaries) -> str:
     return "Metrics\n" + format_table(["metric", "unit", *summaries], rows, (0, 1))
 
 
+def _contacts_table(summaries: Summaries) -> str:
+    """Which contacts of joints with clearance carry at the start and over the run; '' without any."""
+    rows, floating = [], []
+    for case, one in summaries.items():
+        for joint, contact in one.get("contacts", {}).items():
+            shares = [f"{100.0 * share:.0f} %" for share in contact["carrying_share"].values()]
+            numbers = 1e6 * contact["largest_penetration"], contact["largest_contact_force"]
+            at_start = contact["carrying_at_start"]
+            rows.append([case, joint, "+".join(at_start) or "none", *shares, *(f"{x:.5g}" for x in numbers)])
+            if not at_start and one["status"] == "ok":
+                floating.append(f"{joint} (case {case})")
+    if not rows:
+        return ""
+    header = ["case", "joint", "at the start", "start", "end", "axial", "penetration, um", "contact force, N"]
+    text = "Contacts of joints with clearance: which carry at the start, shares of time, largest of the run\n"
+    text += format_table(header, rows, (0, 1, 2))
+    if floating:
+        text += "\nPins that float at the start, held by nothing but their weak spring: " + ", ".join(floating) + "."
+    return text
+
+
 def results_text(study: Study, summaries: Summaries) -> str:
     """Everything the command `run` prints about its results.
 
@@ -126,6 +147,8 @@ def results_text(study: Study, summaries: Summaries) -> str:
     parts += [joint_table(summaries, names, quantity) for quantity in JOINT_METRICS]
     if study.metrics:
         parts.append(_metrics_table(study, summaries))
+    if contacts := _contacts_table(summaries):
+        parts.append(contacts)
     parts += [balance_table(summaries), driven_joint_table(study, summaries)]
     failed = [f"Case {case}: {one['message']}" for case, one in summaries.items() if one["status"] != "ok"]
     if failed:

@@ -19,6 +19,7 @@ from rfem_jax.compilation.program import Program
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.precision import require_float64
 from rfem_jax.mechanics import loads
+from rfem_jax.mechanics.bush_contacts import ContactState, contact_states
 from rfem_jax.mechanics.designs import designed, status_of
 from rfem_jax.mechanics.discretisation import CLOSING_TOLERANCE, close_at
 from rfem_jax.mechanics.element_loads import FrameLoads
@@ -47,7 +48,7 @@ class Turn(eqx.Module):
     position [rad, m] of the driven coordinate; loads: of all joints by their names (positions, 3), in hinge frames;
     holding: moment [N m] or force [N] that holds the driven coordinate; energy [J]: elastic and of gravity; stress
     [Pa]: largest von Mises stress of every link whose section's edge is known (rigid links too); status of each
-    assembly.
+    assembly; contacts (positions, ...): of the joints with clearance, by their names.
     """
 
     position: Float[Array, "*positions"]
@@ -56,6 +57,7 @@ class Turn(eqx.Module):
     energy: Float[Array, "*positions"]
     stress: dict[str, Float[Array, "*positions"]]
     status: Int[Array, "*positions"]
+    contacts: dict[str, ContactState] = eqx.field(default_factory=dict)
 
 
 def turn_positions(
@@ -174,4 +176,5 @@ def held_at(model: Model, errors: AssemblyErrors, pose: ClosedPose, stresses: bo
         energy=energy.elastic + energy.gravity,
         stress=stress,
         status=status,
+        contacts=contact_states(actual, resting.motion),
     )

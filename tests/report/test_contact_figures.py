@@ -1,18 +1,25 @@
-"""Orbits of pins in their bushes, and columns of contacts."""
+"""Orbits of pins in their bushes, columns of contacts, and which contacts carry in runs and turns."""
 
+import csv
+import json
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax import Clearance
+from rfem_jax import Clearance, discretise
 from rfem_jax.mechanics.bush_contacts import ContactState
+from rfem_jax.mechanics.statics.assembly import Load
+from rfem_jax.report.analyses.turn_report import turn_figure, turn_text, write_turn
 from rfem_jax.report.contact_figures import orbit_figures
 from rfem_jax.report.files import contact_columns
-from rfem_jax.report.summary import summarise_run
+from rfem_jax.report.summary import summarise, summarise_run
+from rfem_jax.report.tables import results_text
+from rfem_jax.simulation.turn import Turn
 
 from .conftest import synthetic_run
 
@@ -49,14 +56,14 @@ def test_a_pin_moves_within_the_circle_of_its_clearance(study):
 
 
 def test_columns_of_contacts():
-    columns = contact_columns(run_with({"D": history()}))
+    columns = contact_columns({"D": history()})
     assert list(columns) == [
         *(f"D_penetration_{name}_m" for name in ("start", "end", "axial")),
         *(f"D_contact_force_{name}_N" for name in ("start", "end", "axial")),
     ]
     np.testing.assert_allclose(columns["D_penetration_end_m"], 1e-5)
     np.testing.assert_allclose(columns["D_contact_force_end_N"], 10.0)
-    assert not contact_columns(run_with({}))
+    assert not contact_columns({})
 
 
 def test_results_tell_how_the_contacts_of_a_pin_carry(study):
@@ -66,8 +73,54 @@ def test_results_tell_how_the_contacts_of_a_pin_carry(study):
     found = summarise_run(study, run)["contacts"]
     assert found == {
         "D": {
+            "carrying_at_start": ["end"],
             "largest_penetration": pytest.approx(1e-5),
             "largest_contact_force": pytest.approx(10.0),
             "carrying_share": {"start": 0.0, "end": 1.0, "axial": 0.0},
         }
     }
+
+
+def test_a_turn_tells_which_contacts_carry_where_and_which_pins_float(study, tmp_path):
+    """The second end carries but at the last position, where the pin floats; the first position is not assembled."""
+    cases, positions = len(study.cases), np.linspace(0.0, np.pi, 9)
+    contacts = jax.tree.map(lambda x: np.broadcast_to(np.asarray(x), (cases, *x.shape)), history())
+    depth: Any = np.array(contacts.penetration)
+    depth[:, -1, 1], depth[:, 4, 1] = -1e-6, 2e-5
+    contacts = contacts._replace(penetration=depth, normal_force=1e6 * np.maximum(depth, 0.0))
+    zero, status = np.zeros((cases, 9)), np.zeros((cases, 9), int)
+    status[:, 0] = 1
+    ones: Any = np.ones((cases, 9, 3))
+    loads = {joint.name: Load(ones, ones) for joint in study.mechanism.joints}
+    parts: Any = zero + positions, loads, zero, zero, {}, status, {"D": contacts}
+    turn: Any = Turn(*parts)
+    model = discretise(study.mechanism)
+    write_turn(tmp_path, study, model, turn)
+    content = json.loads((tmp_path / "turn.json").read_text(encoding="utf-8"))
+    found = content["cases"][study.cases[0].name]["contacts"]["D"]
+    assert found["carrying_share"] == {"start": 0.0, "end": 7 / 8, "axial": 0.0} and found["floating_share"] == 1 / 8
+    assert found["largest_contact_force"] == pytest.approx(20.0)
+    assert found["largest_contact_force_at"] == found["largest_penetration_at"] == pytest.approx(np.pi / 2)
+    assert content["units"]["largest_contact_force"] == "N"
+    rows = list(csv.DictReader((tmp_path / "turn.csv").read_text(encoding="utf-8").splitlines()))
+    assert [row["D_carrying"] for row in rows[1:9]] == ["end"] * 7 + ["none"]
+    assert float(rows[4]["D_penetration_end_m"]) == 2e-5 and float(rows[4]["D_contact_force_end_N"]) == 20.0
+    text = turn_text(study, model, turn)
+    assert "88 %" in text and "The pin floats" in text and text.count("at positions of: D.") == cases
+    figure = turn_figure(study, model, turn)
+    (axes,) = [axes for axes in figure.axes if axes.get_ylabel() == "contact force, N"][:1]
+    np.testing.assert_allclose(np.asarray(axes.lines[1].get_ydata())[1:], [10.0] * 3 + [20.0] + [10.0] * 3 + [0.0])
+
+
+def test_the_printed_results_name_pins_that_float_at_the_start(study):
+    runs: Any = {case.name: synthetic_run(float(number)) for number, case in enumerate(study.cases)}
+    statuses = dict.fromkeys(runs, ("ok", ""))
+    assert "Contacts of joints" not in results_text(study, summarise(study, runs, statuses))
+    floating = history()
+    floating = floating._replace(penetration=floating.penetration.at[0, 1].set(-1e-6))
+    for run in runs.values():
+        run.contacts = {"D": history(), "B": floating}
+    text = results_text(study, summarise(study, runs, statuses))
+    assert "Contacts of joints with clearance" in text and "89 %" in text
+    names = ", ".join(f"B (case {case.name})" for case in study.cases)
+    assert f"held by nothing but their weak spring: {names}." in text

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from rfem_jax import InputError, Joint, Mechanism, assemble, assembly_errors, discretise
+from rfem_jax.mechanics.bush_contacts import carrying
 from rfem_jax.simulation.turn import closed_poses, kinetostatic_turn, turn_over, turn_positions
+from rfem_jax.validation.clearances import TILT, flexible_four_bar
 from tests.mechanisms import BAR, STEEL, four_bar, link
 from tests.numpy_evaluation import by_numpy
 
@@ -68,3 +70,35 @@ def test_turns_that_cannot_be_are_refused():
     free = discretise(Mechanism([link("arm", 0.3)], [Joint("A", "base", "arm")]))
     with pytest.raises(InputError, match="must have a driven joint"):
         kinetostatic_turn(free)
+
+
+def test_contacts_of_a_turn_are_those_of_assemblies_and_loads_have_derivatives_by_the_clearance():
+    model = discretise(flexible_four_bar(), rfes=2)
+    wrong = {"D.delta_x": TILT, "D.d_y": 5e-4}
+    poses = closed_poses(model, positions := np.array([-0.4, 1.1]))
+
+    @jax.jit
+    def turned(deviation):
+        def turn(deviation):
+            return turn_over(model, assembly_errors(model, {**wrong, "D.clearance.radial": deviation}), poses)
+
+        found, change = jax.jvp(turn, (deviation,), (jnp.ones(()),))
+        return found, change.loads["D"], change.contacts["D"].penetration
+
+    tight = -5e-5
+    turn, slope, deeper = turned(jnp.asarray(tight))
+    assert not np.asarray(turn.status).any()
+    states = [carrying(depth) for depth in turn.contacts["D"].penetration]
+    assert states == [("start", "end", "axial")] * 2
+    for i, position in enumerate(positions):
+        one = assemble(model, assembly_errors(model, {**wrong, "D.clearance.radial": tight}), hold={"A": position})
+        assert int(one.status) == 0 and one.contacts["D"].carrying == states[i]
+        for values, other in ((turn.contacts["D"], one.contacts["D"]), (turn.loads["D"], one.preload["D"])):
+            for name, part in values._asdict().items():
+                np.testing.assert_allclose(part[i], getattr(other, name), rtol=1e-7, atol=1e-11, err_msg=name)
+    step = 1e-7
+    (high, *_), (low, *_) = turned(jnp.asarray(tight + step)), turned(jnp.asarray(tight - step))
+    difference = (high.loads["D"].moment - low.loads["D"].moment) / (2.0 * step)
+    np.testing.assert_allclose(slope.moment, difference, rtol=1e-5, atol=1e-5 * np.abs(difference).max())
+    difference = (high.contacts["D"].penetration - low.contacts["D"].penetration) / (2.0 * step)
+    np.testing.assert_allclose(deeper, difference, rtol=1e-5)

@@ -13,11 +13,13 @@ from jaxtyping import Float
 
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.study import Study
+from rfem_jax.mechanics.bush_contacts import CLOSED, CONTACT_NAMES, carrying
 from rfem_jax.mechanics.model import Model
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors
 from rfem_jax.mechanics.status import STATUS
 from rfem_jax.report.analyses.analysis import draw, errors_of_cases, write_analysis
 from rfem_jax.report.annotations import Figure
+from rfem_jax.report.files import contact_columns
 from rfem_jax.report.output import write_csv
 from rfem_jax.report.style import add_titles, line_style, new_figure
 from rfem_jax.report.summary import joint_names
@@ -69,6 +71,47 @@ def _peaks(study: Study, turn: Turn, c: int) -> dict[str, Any]:
     return found
 
 
+def _contacts(turn: Turn, c: int) -> dict[str, Any]:
+    """Of the joints with clearance in one case, over its assembled positions: largest penetration [m] and contact force
+    [N], where they are, the shares of positions at which contacts carry, and at which none does: the pin floats."""
+    good, found = turn.status[c] == 0, {}
+    for name, one in turn.contacts.items():
+        depth, force, position = one.penetration[c][good], one.normal_force[c][good], turn.position[c][good]
+        if not len(depth):
+            found[name] = None
+            continue
+        closed = depth > CLOSED
+        at = {what: int(values.max(axis=1).argmax()) for what, values in (("depth", depth), ("force", force))}
+        found[name] = {
+            "largest_penetration": float(depth.max()), "largest_penetration_at": float(position[at["depth"]]),
+            "largest_contact_force": float(force.max()), "largest_contact_force_at": float(position[at["force"]]),
+            "carrying_share": dict(zip(CONTACT_NAMES, np.mean(closed, axis=0).tolist(), strict=True)),
+            "floating_share": float(np.mean(~closed.any(axis=1))),
+        }  # fmt: skip
+    return found
+
+
+def _contacts_text(turn: Turn, c: int, scale: float, unit: str) -> str:
+    """A table of `_contacts`, and the pins that float."""
+    rows, floating = [], []
+    for name, one in _contacts(turn, c).items():
+        if one is None:
+            continue
+        shares = [f"{100.0 * share:.0f} %" for share in (*one["carrying_share"].values(), one["floating_share"])]
+        deepest, pressed = one["largest_penetration"], one["largest_contact_force"]
+        places = [f"{scale * one[f'largest_{what}_at']:.5g}" for what in ("penetration", "contact_force")]
+        rows.append([name, *shares, f"{1e6 * deepest:.5g}", places[0], f"{pressed:.5g}", places[1]])
+        if one["floating_share"] > 0.0:
+            floating.append(name)
+    if not rows:
+        return ""
+    header = ["clearance", *CONTACT_NAMES, "none", "penetration, um", f"at, {unit}", "contact force, N", f"at, {unit}"]
+    text = f"\n\nShares of positions at which contacts carry, and the largest:\n{format_table(header, rows)}"
+    if floating:
+        text += f"\nThe pin floats, held by nothing but its weak spring, at positions of: {', '.join(floating)}."
+    return text
+
+
 def _curves(study: Study, turn: Turn, c: int) -> dict[str, Any]:
     """Position, holding moment or force, resultants and stresses of one case at all positions, NaN (null) where it was
     not assembled."""
@@ -110,6 +153,7 @@ def turn_text(study: Study, model: Model, turn: Turn) -> str:
                 for name, one in peaks["stress"].items()
             ]
             text += "\n\n" + format_table(["link", "max stress, MPa", f"at, {unit}"], rows)
+        text += _contacts_text(turn, c, scale, unit)
         if peaks["holding"] is not None:
             force = "N" if _slides(model) else "N m"
             low, high = peaks["holding"]["min"], peaks["holding"]["max"]
@@ -122,11 +166,16 @@ def turn_text(study: Study, model: Model, turn: Turn) -> str:
 
 
 def write_turn(folder: Path, study: Study, model: Model, turn: Turn) -> list[Path]:
-    """Write turn.json (largest loads, and resultants over the positions) and turn.csv (all positions)."""
+    """Write turn.json (largest loads, and resultants over the positions) and turn.csv (all positions), both with the
+    contacts of joints with clearance."""
     unit, force = ("m", "N") if _slides(model) else ("rad", "Nm")
     rows, cases = [], {}
     for c, case in enumerate(study.cases):
         cases[case.name] = {"status": statuses(turn)[c], **_peaks(study, turn, c), "curves": _curves(study, turn, c)}
+        if turn.contacts:
+            cases[case.name]["contacts"] = _contacts(turn, c)
+        states = jax.tree.map(lambda values, c=c: values[c], turn.contacts)
+        contacts = contact_columns(states)
         for i, position in enumerate(turn.position[c]):
             row: dict[str, Any] = {"case": case.name, f"position_{unit}": float(position)}
             row |= {"status": STATUS[int(turn.status[c, i])].name, f"holding_{force}": float(turn.holding[c, i])}
@@ -136,11 +185,18 @@ def write_turn(folder: Path, study: Study, model: Model, turn: Turn) -> list[Pat
                     values = getattr(turn.loads[name], load)[c, i]
                     row |= {f"{name}_{load}_{axis}_{of}": float(v) for axis, v in zip("xyz", values, strict=True)}
             row |= {f"{name}_stress_Pa": float(values[c, i]) for name, values in turn.stress.items()}
+            row |= {
+                f"{name}_carrying": "+".join(carrying(one.penetration[i])) or "none" for name, one in states.items()
+            }
+            row |= {name: float(values[i]) for name, values in contacts.items()}
             rows.append(row)
     units = {
         "max_force": "N", "max_moment": "N m", "max_stress": "Pa", "max_force_at": unit, "max_moment_at": unit,
         "max_stress_at": unit, "holding": "N" if force == "N" else "N m",
     }  # fmt: skip
+    if turn.contacts:
+        units |= {"largest_penetration": "m", "largest_penetration_at": unit, "largest_contact_force": "N",
+                  "largest_contact_force_at": unit, "carrying_share": "1", "floating_share": "1"}  # fmt: skip
     written = write_analysis(folder / "turn.json", study, "turn", {"cases": cases, "units": units})
     return [written, write_csv(folder / "turn.csv", rows)]
 
@@ -152,11 +208,12 @@ def draw_turn(folder: Path, study: Study, model: Model, turn: Turn) -> tuple[lis
 
 def turn_figure(study: Study, model: Model, turn: Turn) -> Figure:
     """Resultant force and moment of every joint, holding moment and stresses over the drive's position, a column of
-    panels a quantity with the joints as curves, a row a case."""
+    panels a quantity with the joints as curves, a row a case; forces of contacts where joints have clearance."""
     scale, unit = (1.0, "m") if _slides(model) else (180.0 / np.pi, "deg")
     count = len(study.cases)
-    figure = new_figure(9.6, 0.9 + 2.5 * count)
-    panels = np.asarray(figure.subplots(count, 3, squeeze=False, sharex=True))
+    columns = 4 if turn.contacts else 3
+    figure = new_figure(3.2 * columns, 0.9 + 2.5 * count)
+    panels = np.asarray(figure.subplots(count, columns, squeeze=False, sharex=True))
     names = joint_names(study)
     for c, case in enumerate(study.cases):
         x = scale * turn.position[c]
@@ -169,6 +226,13 @@ def turn_figure(study: Study, model: Model, turn: Turn) -> Figure:
         panels[c, 0].set_title(f"case {case.name}", loc="left")
         panels[c, 2].plot(x, turn.holding[c] * good, **line_style(0, len(x)))
         panels[c, 2].set_ylabel("holding force, N" if _slides(model) else "holding moment, N m")
+        curves = [(name, k) for name in turn.contacts for k in range(len(CONTACT_NAMES))]
+        for number, (name, k) in enumerate(curves):
+            force = turn.contacts[name].normal_force[c, :, k]
+            panels[c, 3].plot(x, force * good, label=f"{name} {CONTACT_NAMES[k]}", **line_style(number, len(x)))
+        if curves:
+            panels[c, 3].set_ylabel("contact force, N")
+            panels[c, 3].legend(fontsize=7.5, frameon=False)
     panels[0, 2].legend(
         *panels[0, 0].get_legend_handles_labels(), title="joint", fontsize=7.5, ncols=4, frameon=False,
         loc="lower right", bbox_to_anchor=(1.0, 1.0),

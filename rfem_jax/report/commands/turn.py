@@ -26,7 +26,8 @@ def command() -> Command:
         name="turn",
         purpose="loads of the mechanism held still over the range of its drive",
         description="The kinetostatic turn: the mechanism of every case held still at positions of its first drive. "
-        "Preload of all joints, holding moment, stresses. Writes turn.json, turn.csv a picture and report.html.",
+        "Preload of all joints, holding moment, stresses, contacts of joints with clearance. Writes "
+        "turn.json, turn.csv, a picture and report.html.",
         add_arguments=_add_arguments,
         act=act,
     )
