@@ -67,7 +67,7 @@ def test_every_file_is_valid(name):
     model = discretise(study.mechanism)
     names = JOINTS.get(name.partition("/")[0], ("A", "B", "D", "C"))
     assert model.driven_joint == study.drive.joint == "A" and model.joint_names == names
-    folders = ("four_bar", "spatial_linkage", "bearing_stiffness", *DESIGNS, *JOINTS, *COMMANDS)
+    folders = ("four_bar", "spatial_linkage", "bearing_stiffness", "clearance", *DESIGNS, *JOINTS, *COMMANDS)
     assert any(name.startswith(f"{folder}/") for folder in folders), "no test runs this file"
 
 
@@ -75,10 +75,10 @@ def test_every_file_is_valid(name):
 def run_command(run_program, tmp_path):
     """Run a command on a text of a study; its output folder and what it prints."""
 
-    def run(command, text, **options):
+    def run(command, text, *arguments, **options):
         file, out = tmp_path / "study.toml", tmp_path / "out"
         file.write_text(text, encoding="utf-8")
-        said = run_program("rfem_jax.report.command_line", command, file, "--out", out, **options)
+        said = run_program("rfem_jax.report.command_line", command, file, "--out", out, *arguments, **options)
         return out, said
 
     return run
@@ -129,6 +129,19 @@ def test_tolerance_studies(run_command, name, command):
     written = {path.suffix for path in out.iterdir()}
     assert {".json", ".csv", ".png"} <= written
     assert "D.delta_x" in said
+
+
+@pytest.mark.slow
+def test_clearance(run_command):
+    """Its mechanism over a turn; derivatives for its tasks take most of a minute to compile, and
+    `tests/tolerancing/test_allocation_with_clearance.py` has such tasks."""
+    out, said = run_command("turn", reduced("clearance/allocation.toml"), "--positions", 2)
+    assert "Shares of positions at which contacts carry" in said
+    with open(out / "turn.csv", newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["status"] for row in rows] == ["ok"] * 2
+    for row in rows:
+        assert row["D_carrying"] == "start+end" and float(row["D_contact_force_start_N"]) > 0.1
 
 
 @pytest.mark.slow
