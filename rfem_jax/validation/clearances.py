@@ -1,39 +1,33 @@
-"""Joints with clearance: pins pressed into their bushes, preload of a four-bar over clearances, first impacts.
+"""Joints with clearance at rest: pins pressed into their bushes, preload of a four-bar over clearances.
 
-Place in the pipeline: a benchmark of `catalogue`. Reference values: `references/clearances.json`; those of pins at rest
-and of the impact with a given damping factor are closed forms.
+Place in the pipeline: impacts -> a benchmark of `catalogue`. Reference values: `references/clearances.json`; those of
+pins at rest are closed forms.
 
-At rest: a body hangs on a pin, or stands on the thrust face of one; a rigid shaft on an ideal hinge has a second,
-tilted bush, in which it is free up to a tilt of 2 c / l; a flexible four-bar has errors and play at one joint. In
-motion: a pin on a guide hits its bush once; a slider-crank at a constant rate has play at the wrist pin, and of its
-contacts, whose sequence is chaotic, the first ones are compared.
+A body hangs on a pin, or stands on the thrust face of one; a rigid shaft on an ideal hinge has a second, tilted bush,
+in which it is free up to a tilt of 2 c / l; a flexible four-bar has errors and play at one joint. What moves is in
+`impacts`.
 
 A pin that nothing presses is held by a weak spring, whose force shows in what is compared with zero.
 """
 
 import dataclasses
-from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
-from scipy.optimize import brentq
 
-from rfem_jax.description import Clearance, Joint, Mechanism, Method, PrescribedRate
+from rfem_jax.description import Clearance, Joint, Mechanism
 from rfem_jax.mechanics.bush_contacts import ContactState
 from rfem_jax.mechanics.designs import design
 from rfem_jax.mechanics.discretisation import discretise
-from rfem_jax.mechanics.model import Coordinates, Model, State
+from rfem_jax.mechanics.model import Model
 from rfem_jax.mechanics.model_with_errors import assembly_errors
 from rfem_jax.mechanics.statics.assembly import Assembled, assemble
-from rfem_jax.simulation import Run, simulate
-from rfem_jax.validation.lines import Curve, Line, Outcome, Picture, Progress, absolute, relative, same
+from rfem_jax.validation import impacts
+from rfem_jax.validation.impacts import CLOSED_FORM, REFERENCE
+from rfem_jax.validation.lines import Line, Outcome, Progress, absolute, relative, same
 from rfem_jax.validation.nonideal_joints import ANGLES, bars
-from rfem_jax.validation.reference_values import read_reference
 from rfem_jax.validation.rigid_links import body, turn_y
 
-REFERENCE = read_reference("clearances")
-CLOSED_FORM = "closed form"
 PLAY, THRUST = 1e-4, 2e7  # m, N/m: radial clearance, axial stiffness of the joints at rest
 SOFT = Clearance(radial=PLAY, length=0.02, stiffness=5e7, exponent=1, axial_stiffness=THRUST)  # of the four-bar
 HERTZ, EXPONENT = 4e9, 1.5
@@ -49,12 +43,6 @@ MISALIGNMENTS = {
     "all": {"D.delta_x": TILT, "D.delta_z": TILT, "D.d_y": 5e-4},
 }
 SHARE, LEAST, FLOATING = 1e-8, (1e-8, 1e-9), (1e-6, 3e-7)  # of a load; N, N m; the same where a pin floats
-MASS, SPEED, RADIAL, STIFFNESS = 0.5, 0.3, 2e-4, 106153846154.0  # kg, m/s, m, N/m^1.5: of the guided pin
-DAMPING = 0.475  # s/m, of the contact with a given factor
-GUIDED = Clearance(
-    radial=RADIAL, length=0.02, stiffness=STIFFNESS / 2.0, axial=1e-3, axial_stiffness=1e7, axial_exponent=1.0
-)
-DURATIONS = 8.2e-4, 1.5e-3  # s, of the runs of the guided pin and of the slider-crank
 
 
 def hung(clearance: Clearance, turned: bool = False) -> Model:
@@ -90,46 +78,6 @@ def flexible_four_bar(clearance: Clearance = SOFT, cut: bool = False) -> Mechani
     return Mechanism(bars(5), tuple(joints), driven_joint="A", elements="geometrically_exact")
 
 
-def guided(**losses: float) -> Model:
-    """A pin on a guide through the middle of a fixed bush; `losses`: of the contact, as `Clearance` has them."""
-    joints = [
-        Joint("G", "base", "pin", kind="prismatic"),
-        Joint("P", "base", "pin", position=(0, 0, 0), child_position=(0, 0, 0), cut=True,
-              clearance=dataclasses.replace(GUIDED, **losses)),
-    ]  # fmt: skip
-    pin = body("pin", 0.1, MASS, (0, 0, 0), (1e-4, 2.5e-4, 2.5e-4))
-    return discretise(Mechanism((pin,), tuple(joints), gravity=(0.0, 0.0, 0.0), driven_joint="G"))
-
-
-def thrown(model: Model, speed: float = SPEED) -> State:
-    """The start of the guided pin, in the middle of its bush at a speed [m/s]."""
-    return State(model.start_coordinates(), Coordinates(jnp.asarray(speed)[None], jnp.zeros((6, 0))))
-
-
-def slider_crank() -> tuple[Model, PrescribedRate, State]:
-    """Rigid, with play at the wrist pin, at 5000 rpm: pin and bush concentric at the start, rates of the ideal one."""
-    rate, stiffness = 523.598775598, 66101983979.0
-    play = Clearance(radial=5e-4, length=0.02, stiffness=stiffness / 2.0, restitution=0.9, axial=1e-3,
-                     axial_stiffness=1e7, axial_exponent=1.0, pin="parent")  # fmt: skip
-    inertia = (1e-4, 2.5e-4, 2.5e-4)
-    links = [
-        body("crank", 0.05, 0.1, (0, 0, 0), inertia),
-        body("rod", 0.12, 0.21, (0.06, 0, 0), inertia),
-        body("slider", 0.05, 0.14, (0, 0, 0), inertia),
-    ]
-    joints = [
-        Joint("A", "base", "crank"),
-        Joint("B", "crank", "rod"),
-        Joint("G", "base", "slider", kind="prismatic", displacement=0.17),
-        Joint("C", "rod", "slider", child_position=(0, 0, 0), cut=True, clearance=play),
-    ]
-    model = discretise(Mechanism(tuple(links), tuple(joints), driven_joint="A"))
-    rates = {"A": rate, "B": -rate * 0.05 / 0.12 - rate, "G": 0.0}
-    order = model.topology.joints[: model.topology.n_links]
-    start = State(model.start_coordinates(), Coordinates(jnp.array([rates[j] for j in order]), jnp.zeros((6, 0))))
-    return model, PrescribedRate("A", rate), start
-
-
 def depth_at_rest() -> float:
     """How far the weight presses the ends of the pin into the bush [m]."""
     return (0.5 * WEIGHT / HERTZ) ** (1.0 / EXPONENT)
@@ -139,12 +87,6 @@ def at_bush(found: Assembled) -> ContactState:
     """The contacts of joint D."""
     assert found.contacts is not None  # a model with clearance
     return found.contacts["D"]
-
-
-def depths(run: Run, joint: str) -> Float[np.ndarray, " times"]:
-    """Penetration of one end of a pin at the saved times [m], negative without contact."""
-    assert run.contacts is not None  # likewise
-    return np.asarray(run.contacts[joint].penetration)[:, 0]
 
 
 def _carrying(found: Assembled) -> str:
@@ -260,118 +202,6 @@ def four_bar_lines(model: Model, case: str, number: int) -> list[Line]:
     return lines
 
 
-class Impact(NamedTuple):
-    """A contact: where the penetration passes zero, between saved times [s]; the saved times within."""
-
-    begin: float
-    end: float
-    inside: slice
-
-
-def impacts(times: Float[np.ndarray, " times"], depth: Float[np.ndarray, " times"]) -> list[Impact]:
-    """Contacts by the penetration [m] at saved times [s]: there is none at the first, the last may go on."""
-    before = np.flatnonzero((depth[1:] > 0.0) != (depth[:-1] > 0.0))
-    share = depth[before] / (depth[before] - depth[before + 1])
-    passed, edges = times[before] + share * (times[before + 1] - times[before]), before + 1
-    if len(edges) % 2:
-        passed, edges = np.append(passed, times[-1]), np.append(edges, len(times))
-    return [
-        Impact(float(passed[n]), float(passed[n + 1]), slice(edges[n], edges[n + 1])) for n in range(0, len(edges), 2)
-    ]
-
-
-def rebound_of(damping: float, speed: float = SPEED) -> float:
-    """Speed after an impact [m/s] with the damping factor chi [s/m] of Hunt and Crossley's law (theory (15.5))."""
-
-    def balance(v: float) -> float:
-        return damping * (speed + v) - np.log((1.0 + damping * speed) / (1.0 - damping * v))
-
-    found: float = brentq(balance, 1e-6, speed)  # pyright: ignore[reportAssignmentType] # no full output
-    return found
-
-
-def deepest_of(damping: float, speed: float = SPEED) -> float:
-    """Deepest penetration of that impact [m]."""
-    energy = MASS / damping * (speed - np.log(1.0 + damping * speed) / damping)
-    return (2.5 * energy / STIFFNESS) ** 0.4
-
-
-def speed_at_the_end(run: Run) -> float:
-    """Speed of the guided pin at the end [m/s]."""
-    return float(np.sqrt(2.0 * float(run.energy.kinetic[-1]) / MASS))
-
-
-def run_impact(**losses: float) -> Run:
-    """The pin hits its bush once: with `restitution` by the implicit method, with `damping` by an explicit one."""
-    implicit = Method("generalised_alpha", step=4e-7)
-    method = implicit if "restitution" in losses else Method("dopri8", rtol=1e-10, atol=1e-12)
-    model = guided(**losses)
-    return simulate(model, drive=None, duration=DURATIONS[0], method=method, save_every=2e-6, start=thrown(model))
-
-
-def _lost_line(group: str, run: Run, allowed: float) -> Line:
-    lost = float(run.energy.kinetic[0] - run.energy.kinetic[-1])
-    return relative(group, "energy lost", run.energy.dissipation[-1], lost, allowed, "kinetic energy", "J")
-
-
-def restitution_lines(run: Run) -> list[Line]:
-    """One impact with a coefficient of restitution."""
-    group, label = "Single impact, restitution", REFERENCE.quantities["rebound_speed"].label
-    depth = depths(run, "P")
-    found = impacts(np.asarray(run.times), depth)
-    begin, end = found[0][:2] if found else (np.nan, np.nan)
-    speed, peak = speed_at_the_end(run), run.metrics.max_normal_force["P"]
-    return [
-        same(group, "contacts", str(len(found)), "1", label),
-        absolute(group, "start", begin, REFERENCE["contact_start"], 1e-7, label, "s"),
-        absolute(group, "how long", end - begin, REFERENCE["contact_duration"], 4e-7, label, "s"),
-        relative(group, "rebound speed", speed, REFERENCE["rebound_speed"], 1e-5, label, "m/s"),
-        relative(group, "deepest penetration", depth.max(), REFERENCE["deepest_penetration"], 2e-3, label, "m"),
-        relative(group, "peak force", peak, REFERENCE["impact_peak_force"], 5e-5, label, "N"),
-        _lost_line(group, run, 3e-5),
-    ]
-
-
-def damping_lines(run: Run) -> list[Line]:
-    """One impact with a given damping factor."""
-    group, deepest = "Single impact, damping factor", depths(run, "P").max()
-    return [
-        relative(group, "rebound speed", speed_at_the_end(run), rebound_of(DAMPING), 1e-8, CLOSED_FORM, "m/s"),
-        relative(group, "deepest penetration", deepest, deepest_of(DAMPING), 2e-3, CLOSED_FORM, "m"),
-        _lost_line(group, run, 1e-6),
-    ]
-
-
-def run_slider_crank() -> Run:
-    """The first impacts."""
-    model, drive, start = slider_crank()
-    method = Method("generalised_alpha", step=1e-7)
-    return simulate(model, drive=drive, duration=DURATIONS[1], method=method, save_every=4e-7, start=start)
-
-
-def slider_crank_lines(run: Run) -> list[Line]:
-    """Starts and largest forces of the first impacts."""
-    group, label = "Slider-crank with play, first impacts", REFERENCE.quantities["impact_start"].label
-    force = np.linalg.norm(run.loads["C"].force, axis=1)
-    found = impacts(np.asarray(run.times), depths(run, "C"))
-    given = list(zip(REFERENCE["impact_start"], REFERENCE["impact_peak"], strict=True))
-    lines = [same(group, f"impacts until {DURATIONS[1]} s", str(len(found)), str(len(given)), label)]
-    for n, (impact, (begin, peak)) in enumerate(zip(found, given), start=1):
-        lines += [
-            absolute(group, f"start of impact {n}", impact.begin, begin, 2e-8, label, "s"),
-            relative(group, f"peak force of impact {n}", force[impact.inside].max(), peak, 2e-4, label, "N"),
-        ]
-    return lines
-
-
-def _picture(run: Run) -> Picture:
-    force = np.linalg.norm(run.loads["C"].force, axis=1)
-    times, peaks = (np.array(REFERENCE[name]) for name in ("impact_peak_time", "impact_peak"))
-    curves = (Curve("generalised alpha", 1e3 * np.asarray(run.times), force),
-              Curve("DOP853 and RK45, largest forces", 1e3 * times, peaks, True))  # fmt: skip
-    return Picture("wrist_pin_with_play", "Wrist pin with play: force of the first impacts", "t, ms", "N", curves)
-
-
 def validate(full: bool, progress: Progress) -> Outcome:
     """At rest and in motion."""
     del full
@@ -381,8 +211,5 @@ def validate(full: bool, progress: Progress) -> Outcome:
     for case, values in REFERENCE["hold_moment"].items():
         lines += [line for number in range(len(values)) for line in four_bar_lines(model, case, number)]
     progress(0.5)
-    lines += restitution_lines(run_impact(restitution=0.9)) + damping_lines(run_impact(damping=DAMPING))
-    progress(0.8)
-    run = run_slider_crank()
-    progress(1.0)
-    return Outcome(lines + slider_crank_lines(run), [_picture(run)])
+    moving, pictures = impacts.validate(lambda share: progress(0.5 + 0.5 * share))
+    return Outcome(lines + moving, pictures)

@@ -1,6 +1,6 @@
 """Joints with clearance in motion: impacts that the steps do not follow, a pin that stays pressed.
 
-`validation.clearances` has the impacts that are compared with closed forms and with independent programs; the tests of
+`validation.impacts` has the impacts that are compared with closed forms and with independent programs; the tests of
 validation check them.
 """
 
@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from rfem_jax import STATUS, Clearance, Joint, Mechanism, Method, MomentRamp, design, discretise, simulate
-from rfem_jax.validation.clearances import MASS, REFERENCE, SPEED, guided, thrown
+from rfem_jax.validation.impacts import MASS, REFERENCE, SPEED, guided, thrown
 from rfem_jax.validation.rigid_links import body
 
 COMPILED_AS_SHIPPED = True  # thousands of steps, and derivatives of stiff contacts

@@ -14,6 +14,7 @@ from rfem_jax.validation import (
     clearances,
     flexible_slider_crank,
     force_tables,
+    impacts,
     joint_cases,
     joint_tables,
     nonideal_joints,
@@ -172,23 +173,29 @@ class TestFourBarWithPlay:
 
 def test_single_impacts(monkeypatch):
     """A pin that is heavier by a thousandth fails."""
-    restored, damped = clearances.run_impact(restitution=0.9), clearances.run_impact(damping=clearances.DAMPING)
+    restored, damped = impacts.run_impact(restitution=0.9), impacts.run_impact(damping=impacts.DAMPING)
     assert int(restored.status) == int(damped.status) == 0
-    assert_all_pass(clearances.restitution_lines(restored), 7)
-    assert_all_pass(clearances.damping_lines(damped), 3)
+    assert_all_pass(impacts.restitution_lines(restored), 7)
+    assert_all_pass(impacts.damping_lines(damped), 3)
     assert float(damped.energy_balance_error) < 1e-8
-    monkeypatch.setattr(clearances, "MASS", 1.001 * clearances.MASS)
-    for lines in (clearances.restitution_lines(restored), clearances.damping_lines(damped)):
+    monkeypatch.setattr(impacts, "MASS", 1.001 * impacts.MASS)
+    for lines in (impacts.restitution_lines(restored), impacts.damping_lines(damped)):
         assert failed(lines) == ["rebound speed"]
 
 
-def test_first_impacts_of_a_slider_crank_with_play():
-    run = clearances.run_slider_crank()
+@pytest.mark.parametrize(
+    "case", [impacts.FAST, pytest.param(impacts.SLOW, marks=pytest.mark.slow)], ids=lambda case: case.name
+)
+def test_first_impacts_of_a_slider_crank_with_play(case):
+    run = impacts.run_slider_crank(case)
     assert int(run.status) == 0
-    assert_all_pass(clearances.slider_crank_lines(run), 11)
-    later = eqx.tree_at(lambda one: one.times, run, run.times + 3e-8)
-    assert len(failed(clearances.slider_crank_lines(later))) == 5
-    going_on = clearances.impacts(np.arange(6.0), np.array([-1.0, 3.0, -1.0, -1.0, 1.0, 2.0]))
+    assert_all_pass(impacts.slider_crank_lines(case, run), 11)
+    later = eqx.tree_at(lambda one: one.times, run, run.times + 1.5 * case.allowed[0])
+    assert len(failed(impacts.slider_crank_lines(case, later))) == 5
+
+
+def test_contacts_between_saved_times():
+    going_on = impacts.impacts_of(np.arange(6.0), np.array([-1.0, 3.0, -1.0, -1.0, 1.0, 2.0]))
     assert going_on == [(0.25, 1.75, slice(1, 2)), (3.5, 5.0, slice(4, 6))]
 
 
