@@ -31,6 +31,7 @@ import speed_timing  # noqa: F401  first: it sets JAX up
 
 import exudyn_speed as speed  # isort: skip
 import numpy as np
+from comparison_report import Report
 from exudyn_models import Settings, build, exu, linkage
 from exudyn_open_chain import all_errors, compare_open_chain
 from exudyn_runs import equilibrium, rms_loads, simulate
@@ -48,37 +49,6 @@ REFERENCE = read_reference("four_bar_study")
 FORMS = ("linear", "geometrically_exact")
 # Fair tolerances (relative) of RMS forces, RMS moments, preload against exact rotations.
 LIMITS = {"linear": (5e-4, 1e-3, 5e-4), "geometrically_exact": (1e-4, 1e-4, 1e-5)}
-
-
-class Report:
-    """Prints tables, keeps their numbers for the JSON file, and counts failed agreements."""
-
-    def __init__(self):
-        self.data, self.failed, self.passed = {}, [], 0
-
-    def table(self, title: str, heads, rows) -> None:
-        """Print rows under their heads as a table of Markdown and keep them."""
-        self.data[title] = [dict(zip(heads, row)) for row in rows]
-        print(f"\n{title}\n\n| " + " | ".join(heads) + " |\n|" + "---|" * len(heads))
-        for row in rows:
-            print("| " + " | ".join(_text(value) for value in row) + " |")
-        sys.stdout.flush()
-
-    def check(self, what: str, value: float, limit: float) -> None:
-        """Check an agreement: `value` is at most `limit`."""
-        good = bool(value <= limit)
-        self.passed += good
-        self.failed += [] if good else [what]
-        self.data.setdefault("agreements", []).append(
-            {"what": what, "value": float(value), "limit": limit, "met": good}
-        )
-        print(f"{'met ' if good else 'FAILED'} {what}: {value:.2g} (at most {limit:g})")
-
-
-def _text(value) -> str:
-    if value is None:
-        return ""
-    return f"{value:.7g}" if isinstance(value, float) else str(value)
 
 
 def _short(value) -> float:

@@ -152,6 +152,16 @@ def test_studies_by_exudyn(run_program, tmp_path):
     assert all(float(number) > 0.0 for number in timed[1:])
 
 
+def test_joints_with_clearance_by_exudyn_and_by_an_own_code(run_program, tmp_path):
+    """The own code's contacts, the first contact by all programs, three short runs by two: all agree."""
+    file = tmp_path / "tables.json"
+    said = run_program("benchmarks/clearance_peers.py", "--trial", "--batch", 0, "--runs", 3, "--json", file)
+    found = agreements(file)
+    assert len(found) == 6 + 6 + 9 and [what for what, met in found.items() if not met] == []
+    assert {row[1] for row in rows_of(said) if row[0].startswith("5000 rpm")} == {"own code", "Exudyn", "ours"}
+    assert re.search(r"ours 0\.\d+ s, own code 0\.\d+ s", said)
+
+
 def test_time_of_exudyn(run_program):
     said = run_program("benchmarks/against_exudyn.py", "--trial", "--parts", "time")
     rows = rows_of(said)
