@@ -34,8 +34,9 @@ class Clearance(ChecksItself):
     3 (1 - r^2) / (4 v), v the speed at which this contact began (Lankarani and Nikravesh), which needs the implicit
     method; without both contacts are elastic. Friction acts against sliding of the pin's surface at a contact.
 
-    Take steps of a tenth of what a contact lasts, or an adaptive method: fixed steps do not follow contact. Where they
-    are too long the energy is off; from a twentieth on the status of a run is `contact_not_resolved`.
+    Steps of the implicit method are divided where contacts need it (its `contact_tolerance`), and those of an adaptive
+    one follow contacts; other fixed steps do not: take a tenth of what a contact lasts. Where they are too long the
+    energy is off; from a twentieth on the status of a run is `contact_not_resolved`.
 
     Args:
         radial: [m] clearance between the radii of bush and pin, >= 0: half the difference of the diameters; or the ISO

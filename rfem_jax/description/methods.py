@@ -134,6 +134,9 @@ class GeneralisedAlphaMethod(Method):
         spectral_radius: at infinite frequency, from 0 (such vibrations vanish in one step) to below 1 (they stay).
         corrections: largest number of Newton increments in a step; at least 1.
         tolerance: largest residual allowed, as a share of the largest joint load, > 0, < 1.
+        contact_tolerance: with joints with clearance, steps are divided where a contact would change its speed by more
+            than this share of its depth over the length of the step (theory (15.14)), >= 0, < 1; 0 = steps stay whole,
+            as reverse mode needs them.
     """
 
     name: str = "generalised_alpha"
@@ -145,6 +148,9 @@ class GeneralisedAlphaMethod(Method):
     )
     corrections: int = setting(5, convert=_count)
     tolerance: float = setting(1e-8, below_one="it is a share of the largest joint load, such as 1e-08")
+    contact_tolerance: float = setting(
+        0.02, convert=non_negative_quantity, below_one="a contact would pass within one step; the default is 0.02"
+    )
 
     names: ClassVar[tuple[str, ...]] = ("generalised_alpha",)
     implicit: ClassVar[bool] = True

@@ -18,9 +18,9 @@ from rfem_jax.mechanics.clearances import (
     clearance_name,
 )
 from rfem_jax.mechanics.contact_law import ROUNDING, distance
-from rfem_jax.mechanics.element_loads import element_pose
+from rfem_jax.mechanics.element_loads import FrameLoads, element_pose
 from rfem_jax.mechanics.kinematics import Motion
-from rfem_jax.mechanics.model import Model
+from rfem_jax.mechanics.model import Model, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 
 CONTACT_NAMES = ("start", "end", "axial")  # of the pin: at -length/2 and +length/2 of its axis, and in its middle
@@ -81,6 +81,14 @@ def contact_states(actual: ModelWithErrors, motion: Motion) -> dict[str, Contact
             centring=pin.centring * jnp.append(0.5 * sizes, jnp.abs(along)),
         )
     return found
+
+
+def contact_losses(topology: Topology, at_nodes: FrameLoads | None) -> Float[Array, " clearances"] | None:
+    """Power [W] that the contacts of every joint with clearance dissipate, in the order of `Topology.clearances`; None
+    without any."""
+    if not topology.clearances or at_nodes is None:
+        return None
+    return jnp.stack([at_nodes.lost[clearance_name(topology.joints[j])] for j in topology.clearances])
 
 
 def remembers(actual: ModelWithErrors) -> bool:

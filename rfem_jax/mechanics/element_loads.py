@@ -36,7 +36,7 @@ class FrameLoads(NamedTuple):
 
     exerted: by their names; force [N], moment [N m] (3, nodes): on all nodes at their reference points, in the axes of
     their links; wrench (6,): on all nodes together at the global origin; dissipated, power [W]: of the dampers, and of
-    the elements that act from outside.
+    the elements that act from outside; lost [W]: of the dampers, by the names of their elements.
     """
 
     exerted: dict[str, Exerted]
@@ -45,6 +45,7 @@ class FrameLoads(NamedTuple):
     wrench: Float[Array, "6"]
     dissipated: Float[Array, ""]
     power: Float[Array, ""]
+    lost: dict[str, Float[Array, ""]]
 
 
 class ElementTangents(NamedTuple):
@@ -66,13 +67,14 @@ def frame_loads(actual: ModelWithErrors, motion: Motion, time: Time | None) -> F
         topology, share = actual.topology, actual.frame_forces.share
         nodes = topology.n_links + topology.n_rfes
         total = [jnp.zeros((3, nodes)), jnp.zeros((3, nodes))]
-        exerted, wrench = {}, jnp.zeros(6)
+        exerted, lost, wrench = {}, {}, jnp.zeros(6)
         dissipated = power = jnp.zeros(())
         for name, element in actual.frame_forces.elements.items():
             parent, child, pose = _placed(topology, motion, element)
             force, moment = (share * part for part in element.wrench(pose, START if time is None else time))
             if element.inside:
-                dissipated = dissipated + share * element.dissipation(pose)
+                lost[name] = share * element.dissipation(pose)
+                dissipated = dissipated + lost[name]
             else:
                 power = power + dot(force, pose.linear) + dot(moment, pose.angular)
             force, moment = apply(parent.rotation, force), apply(parent.rotation, moment)
@@ -84,7 +86,7 @@ def frame_loads(actual: ModelWithErrors, motion: Motion, time: Time | None) -> F
                 here = jnp.asarray(np.arange(nodes) == end.node, float)[None]
                 total = [sum + part[:, None] * here for sum, part in zip(total, on_node)]
                 wrench = wrench + sign * algebra.wrench_at_origin(moment, force, child.place)
-        return FrameLoads(exerted, total[0], total[1], wrench, dissipated, power)
+        return FrameLoads(exerted, total[0], total[1], wrench, dissipated, power, lost)
 
 
 def frame_energy(actual: ModelWithErrors, motion: Motion) -> Float[Array, ""]:

@@ -76,7 +76,7 @@ STATUS: tuple[Status, ...] = (
     Status(
         "contact_not_resolved",
         "The energy of a mechanism with clearance is off by more than a twentieth. Usually the steps are too long for "
-        "its contacts, which last some ten microseconds where parts of steel strike: take steps of a tenth of that, or "
-        "an adaptive method.",
+        "its contacts, which last some ten microseconds where parts of steel strike: take the implicit method, whose "
+        "steps follow contacts, with a smaller `contact_tolerance`, an adaptive method, or steps of a tenth of that.",
     ),
 )

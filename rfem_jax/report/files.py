@@ -74,6 +74,7 @@ def history_columns(study: Study, run: Run) -> dict[str, Float[np.ndarray, " tim
         columns[column_name("drive_moment", "N m")] = np.asarray(run.drive_moment)
     columns |= {column_name(one.name, one.quantity.unit): one.values(run) for one in driven}
     losses = {column_name(f"{name}_dissipation", "J"): np.asarray(x) for name, x in run.friction_losses.items()}
+    losses |= {column_name(f"{joint}_contact_loss", "J"): np.asarray(x) for joint, x in run.contact_losses.items()}
     return (
         columns | _coordinate_columns(study, run) | _point_columns(study, run) | losses | contact_columns(run.contacts)
     )

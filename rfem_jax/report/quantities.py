@@ -51,7 +51,10 @@ CONTACTS = (
     Quantity("largest_penetration", "m", "Largest penetration", "of the pin in its bush, at the saved times"),
     Quantity("largest_contact_force", "N", "Largest contact force", "of one end of the pin, or of its axial stop"),
     Quantity("carrying_share", "", "Share of time in contact", "by the ends of the pin and its axial stop"),
+    Quantity("contact_loss", "J", "Contact loss", "energy that the contacts have dissipated over the run"),
 )
+
+CONTACT_CHANGES = Quantity("contact_changes", "", "Changes of contact", "how often a contact has closed or opened")
 
 BALANCES = (
     Quantity(
@@ -94,5 +97,14 @@ ENERGIES = (
 
 def units() -> dict[str, str]:
     """Unit of every number in `results.json` by its name ("1" where it has no dimension)."""
-    listed = (*JOINT_METRICS, *PRELOADS, *DRIVEN_JOINT, POSITION_END, FRICTION_LOSS, *CONTACTS, *BALANCES)
+    listed = (
+        *JOINT_METRICS,
+        *PRELOADS,
+        *DRIVEN_JOINT,
+        POSITION_END,
+        FRICTION_LOSS,
+        *CONTACTS,
+        CONTACT_CHANGES,
+        *BALANCES,
+    )
     return {**{quantity.name: quantity.unit or "1" for quantity in listed}, RMS_COMPONENTS: "N, N m"}

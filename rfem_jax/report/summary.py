@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from rfem_jax.description.metric_catalogue import metric_of
 from rfem_jax.description.study import Study
@@ -18,6 +18,7 @@ from rfem_jax.report.annotations import Run, Summaries
 from rfem_jax.report.driven_motions_report import drive_quantities, has_driven_joint
 from rfem_jax.report.quantities import (
     BALANCES,
+    CONTACT_CHANGES,
     CONTACTS,
     DRIVEN_JOINT,
     FRICTION_LOSS,
@@ -64,7 +65,9 @@ def summarise_run(study: Study, run: Run) -> dict[str, Any]:
     summary = {"joints": joints, "driven_joint": ends, "driven_joints": driven, **friction, **balances}
     summary["branch"] = branches(run)
     if run.contacts:
-        summary["contacts"] = {joint: _contacts(one) for joint, one in run.contacts.items()}
+        summary["contacts"] = {joint: _contacts(one, run.contact_losses[joint]) for joint, one in run.contacts.items()}
+    if run.contact_changes is not None:
+        summary[CONTACT_CHANGES.name] = int(run.contact_changes)
     if study.metrics:
         summary["metrics"] = {name: float(metric_of(run, name)) for name in study.metrics}
     for one in drive_quantities(study):
@@ -73,11 +76,13 @@ def summarise_run(study: Study, run: Run) -> dict[str, Any]:
     return summary
 
 
-def _contacts(history: ContactState) -> dict[str, Any]:
+def _contacts(history: ContactState, lost: Float[Array, " times"]) -> dict[str, Any]:
     """Of a joint with clearance: the contacts that carry at the start, none of a pin that floats; the numbers
-    `quantities.CONTACTS` of its saved times, penetrations and forces of the contact where they are largest."""
+    `quantities.CONTACTS` of its saved times, penetrations and forces of the contact where they are largest; `lost` [J]:
+    by the contacts since the start."""
     depth, force = np.asarray(history.penetration), np.asarray(history.normal_force)
-    values = float(depth.max()), float(force.max()), dict(zip(CONTACT_NAMES, np.mean(depth > CLOSED, axis=0).tolist()))
+    shares = dict(zip(CONTACT_NAMES, np.mean(depth > CLOSED, axis=0).tolist()))
+    values = float(depth.max()), float(force.max()), shares, float(np.asarray(lost)[-1])
     numbers = dict(zip((quantity.name for quantity in CONTACTS), values, strict=True))
     return {"carrying_at_start": list(carrying(depth[0])), **numbers}
 

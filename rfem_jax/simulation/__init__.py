@@ -10,6 +10,7 @@
     implicit_step        one implicit step as a differentiable function
     generalised_alpha    the implicit method as a diffrax solver
     solvers              all methods as diffrax solvers
+    contact_steps        parts of implicit steps that follow contacts
     recorded_steps       steps found before, for reverse mode of adaptive methods
     stepping             one interval by any method
     integration          prepare -> advance -> conclude

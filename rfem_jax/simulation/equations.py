@@ -17,6 +17,7 @@ from jaxtyping import Array, Float, Int
 
 from rfem_jax.compilation.scalarisation import nothing_known
 from rfem_jax.mechanics import friction, loads, model_with_errors
+from rfem_jax.mechanics.bush_contacts import contact_losses
 from rfem_jax.mechanics.dynamics import Accelerations, accelerations
 from rfem_jax.mechanics.element_loads import FrameLoads
 from rfem_jax.mechanics.implicit.condensation import LinkOperator
@@ -35,7 +36,7 @@ Tree = TypeVar("Tree")
 class Integrals(eqx.Module):
     """Integrals over time of squared loads (joints,) [N^2 s, (N m)^2 s]: axial (along the joint's axis) and
     normal force, resultant moment; work of drive and laws, and dissipated energy [J], of which every friction, by its
-    name (None without any)."""
+    name, and the contacts of every joint with clearance (None without any)."""
 
     axial_square: Float[Array, " joints"]
     normal_square: Float[Array, " joints"]
@@ -43,6 +44,7 @@ class Integrals(eqx.Module):
     work: Float[Array, ""]
     dissipation: Float[Array, ""]
     friction: Float[Array, " frictions"] | None = None
+    contacts: Float[Array, " clearances"] | None = None
 
 
 class Trajectory(eqx.Module):
@@ -114,6 +116,7 @@ def right_hand_side(t: Scalar, trajectory: Trajectory, conditions: Conditions) -
             work=applied_power(conditions.actual.topology, state, drive, joint, result),
             dissipation=result.dissipated,
             friction=friction.losses(result.laws),
+            contacts=contact_losses(conditions.actual.topology, result.frame_loads),
         ),
     )
 
@@ -176,11 +179,11 @@ def drive_forces(
     return tuple(force(k) for k in topology.drives) or (jnp.zeros(()),)
 
 
-def start_trajectory(state: State, joints: int, frictions: int = 0) -> Trajectory:
+def start_trajectory(state: State, joints: int, frictions: int = 0, clearances: int = 0) -> Trajectory:
     """The integrated state at the start: all integrals zero."""
     by_joint, total = jnp.zeros((joints,)), jnp.zeros(())
-    by_friction = jnp.zeros((frictions,)) if frictions else None
-    integrals = Integrals(by_joint, by_joint, by_joint, total, total, by_friction)
+    by_friction, by_contact = (jnp.zeros((count,)) if count else None for count in (frictions, clearances))
+    integrals = Integrals(by_joint, by_joint, by_joint, total, total, by_friction, by_contact)
     return Trajectory(state.position, state.velocity, integrals)
 
 

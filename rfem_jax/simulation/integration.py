@@ -176,7 +176,8 @@ def prepare(model: Model, errors: AssemblyErrors, drive: Drive, start: State | N
 def start_carry(model: Model, prepared: Prepared, drive: Drive, method: Method) -> Carry:
     """The state of the integration before the first interval."""
     joints = prepared.preload.force.shape[1]
-    trajectory = equations.start_trajectory(prepared.state, joints, len(model.friction or {}))
+    frictions, clearances = len(model.friction or {}), len(model.topology.clearances)
+    trajectory = equations.start_trajectory(prepared.state, joints, frictions, clearances)
     drives = active_drives(model, drive)
     phase, stabilisation = jnp.asarray(0, jnp.int32), stabilisation_of(model, method)
     conditions = Conditions(prepared.actual, drives, phase, stabilisation)
@@ -289,9 +290,7 @@ def conclude(
     carry = carry._replace(peaks=jnp.maximum(carry.peaks, jnp.max(record.squares, axis=0)))
     record = jax.tree.map(lambda x: x[grid.saved], record)
     times = jnp.asarray(grid.starts + grid.lengths)[grid.saved]
-    energy, drift = record.energy, jnp.max(record.drift)
-    balance = energy.total - energy.work + energy.dissipation
-    error = jnp.max(jnp.abs(balance - balance[0])) / _safe(jnp.max(jnp.abs(energy.total)))
+    energy, drift, error = record.energy, jnp.max(record.drift), _balance_error(record.energy)
     residual = carry.residual / _safe(_force_scale(model, carry, energy, times))
     relative = jnp.max(record.momentum_residual, axis=0) / _safe(jnp.max(record.largest_load, axis=0))
     drives = _histories(model, record)
@@ -321,6 +320,8 @@ def conclude(
         ends={name: record.ends[:, :, l] for l, name in enumerate(model.link_names)},
         forces=record.forces,
         contacts=record.contacts,
+        contact_losses=_by_clearance(model, record.contact_losses),
+        contact_changes=carry.contact_changes,
         branch={model.topology.joints[j]: record.branch[:, i] for i, j in enumerate(model.topology.cuts)},
         integrals=LoadIntegrals(
             force_square={name: record.square_integrals[:, 0, j] for name, j in _joints(model)},
@@ -389,6 +390,11 @@ def _force_scale(model: Model, carry: Carry, energy: Energy, times: Float[Array,
     return jnp.maximum(largest, jnp.max(energy.kinetic) / length_scale(model))
 
 
+def _balance_error(energy: Energy) -> Float[Array, ""]:
+    balance = energy.total - energy.work + energy.dissipation
+    return jnp.max(jnp.abs(balance - balance[0])) / _safe(jnp.max(jnp.abs(energy.total)))
+
+
 def _safe(value):
     return jnp.where(value > 0.0, value, 1.0)
 
@@ -419,6 +425,13 @@ def _by_friction(model: Model, values: Float[Array, "times frictions"] | None) -
     if values is None:
         return {}
     return {name: values[:, i] for i, name in enumerate(sorted(model.friction or {}))}
+
+
+def _by_clearance(model: Model, values: Float[Array, "times clearances"] | None) -> dict[str, Float[Array, " times"]]:
+    """Histories by the names of the joints with clearance."""
+    if values is None:
+        return {}
+    return {model.topology.joints[j]: values[:, i] for i, j in enumerate(model.topology.clearances)}
 
 
 def _joints(model):

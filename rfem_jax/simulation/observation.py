@@ -65,10 +65,10 @@ class Record(NamedTuple):
     as of `equations`; momentum_residual:
     largest components of the residual force [N] and moment [N m] of the momentum balance; largest_load [N, N m]: what
     they are divided by; hinge_residual [N m]: largest load along a free motion of a joint beyond that of its springs,
-    which should be zero (forces times `Instant.arm`); range_used: as `kinematics.range_used`; square_integrals: of the
-    resultant force and moment [N^2 s, (N m)^2 s]; squares: of the axial and the normal force [N^2]; friction_losses
-    [J]: energy that every friction has dissipated, None without any; asked: by the names of `records`; contacts: of
-    the joints with clearance.
+    zero (forces times `Instant.arm`); range_used: as `kinematics.range_used`; square_integrals: of the resultant force
+    and moment [N^2 s, (N m)^2 s]; squares: of the axial and the normal force [N^2]; friction_losses, contact_losses
+    [J]: energy that every friction, every clearance has dissipated, None without any; asked: by the names of `records`;
+    contacts: of the joints with clearance.
     """
 
     joints: Float[Array, " numbers"]
@@ -91,6 +91,7 @@ class Record(NamedTuple):
     squares: Float[Array, "2 joints"]
     forces: dict[str, PointHistory]
     friction_losses: Float[Array, " frictions"] | None
+    contact_losses: Float[Array, " clearances"] | None
     asked: dict[str, Any]
     contacts: dict[str, ContactState]
 
@@ -191,6 +192,7 @@ def observe(
             squares=squares,
             forces=_point_histories(topology, instant.frame_loads),
             friction_losses=integrals.friction,
+            contact_losses=integrals.contacts,
             asked={},
             contacts=contact_states(actual, now),
         )

@@ -172,7 +172,9 @@ class Run(eqx.Module):
     point (theory (5.13)), after which derivatives, and averages with runs on the other branch, have no meaning.
     integrals: of squared loads, for `window`.  forces: `PointHistory` by the names of the forces at points of links and
     between them.  friction_losses: energy (times,) [J] that every friction has dissipated, by its name.  contacts:
-    `ContactState` by the names of the joints with clearance.  recorded: what `simulate` was asked to record, by the
+    `ContactState` by the names of the joints with clearance; contact_losses: energy (times,) [J] that their
+    contacts have dissipated, by the joints; contact_changes: how often any of them has closed or
+    opened, None where steps did not follow them.  recorded: what `simulate` was asked to record, by the
     names of `simulation.records`.
 
     positions: coordinates at the saved times; model, errors: what was simulated.
@@ -207,6 +209,8 @@ class Run(eqx.Module):
     forces: dict[str, PointHistory]
     friction_losses: dict[str, Float[Array, " times"]] = eqx.field(default_factory=dict)
     contacts: dict[str, ContactState] = eqx.field(default_factory=dict)
+    contact_losses: dict[str, Float[Array, " times"]] = eqx.field(default_factory=dict)
+    contact_changes: Float[Array, ""] | None = None
     design_gap: Float[Array, ""] | None = None
     recorded: dict[str, Any] = eqx.field(default_factory=dict)
     positions: Coordinates | None = None

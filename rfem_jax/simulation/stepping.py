@@ -8,6 +8,7 @@ With fixed steps a loop over `solver.step` does, to which all transforms of JAX 
 compile there, and runs the implicit method slower (measured in benchmarks/README.md).
 """
 
+import dataclasses
 import functools
 from collections.abc import Callable
 from typing import NamedTuple
@@ -20,7 +21,7 @@ from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from rfem_jax.compilation.options import explicit_methods_scalarised
 from rfem_jax.compilation.scalarisation import nothing_known, scalarised
-from rfem_jax.description.methods import Method
+from rfem_jax.description.methods import GeneralisedAlphaMethod, Method
 from rfem_jax.mechanics.bush_contacts import require_memory
 from rfem_jax.mechanics.friction import require_implicit
 from rfem_jax.mechanics.model import Model
@@ -30,6 +31,7 @@ from rfem_jax.simulation.batches import like_batched
 from rfem_jax.simulation.driving import Drive, active_drives
 from rfem_jax.simulation.equations import Conditions, Scalar, Trajectory
 from rfem_jax.simulation.solvers.catalogue import observed_solver
+from rfem_jax.simulation.solvers.contact_steps import follow_contacts, part_lengths
 from rfem_jax.simulation.solvers.implicit_step import SOLUTION, Memory
 from rfem_jax.simulation.solvers.recorded_steps import RecordedSteps
 from rfem_jax.simulation.stabilisation import stabilisation_of
@@ -57,6 +59,11 @@ class Carry(NamedTuple):
         """Largest force [N] that the residual of any implicit step had."""
         return jnp.zeros(()) if self.memory is None else self.memory.largest_residual
 
+    @property
+    def contact_changes(self) -> Float[Array, ""] | None:
+        """How often contacts have closed or opened, None where steps do not follow them."""
+        return None if self.memory is None else self.memory.contact_changes
+
 
 # start [s], length [s], phase of the drive, and index of the length among the distinct ones, of an interval
 Entry = tuple[Float[Array, ""], Float[Array, ""], Int[Array, ""], Int[Array, ""]]
@@ -77,7 +84,12 @@ def step_intervals(
     drives = active_drives(model, drive)
     stabilisation = stabilisation_of(model, method)
     solver = observed_solver(method)
-    operators = solver.operators(actual, jnp.asarray(grid.distinct) / steps)
+    lengths = jnp.asarray(grid.distinct) / steps
+    tolerance = contact_tolerance_of(model, method)
+    if tolerance is not None:
+        operators = jax.vmap(lambda parts: solver.operators(actual, parts))(part_lengths(lengths))
+    else:
+        operators = solver.operators(actual, lengths)
 
     def step_over(carry, entry):
         start, length, phase, kind = entry
@@ -85,9 +97,16 @@ def step_intervals(
         conditions = Conditions(actual, drives, phase, stabilisation, chosen)
         if method.adaptive:
             return _adaptive(solver, carry, start, length, conditions, method, adjoint)
-        return _fixed(solver, carry, start, length, steps, conditions)
+        return _fixed(solver, carry, start, length, steps, conditions, tolerance)
 
     return step_over
+
+
+def contact_tolerance_of(model: Model, method: Method) -> float | None:
+    """The tolerance with which steps are divided where contacts need it, None where they stay as they are."""
+    if not model.topology.clearances or not isinstance(method, GeneralisedAlphaMethod):
+        return None
+    return method.contact_tolerance or None
 
 
 @jax.custom_jvp
@@ -123,16 +142,24 @@ def repeated(function: Callable) -> Callable:
     return jax.checkpoint(function, policy=kept, prevent_cse=False)
 
 
-def _fixed(solver, carry: Carry, start, length, steps, conditions) -> Carry:
-    """One interval in steps of equal length; `steps` may be traced (then not in reverse mode)."""
+def _fixed(solver, carry: Carry, start, length, steps, conditions, tolerance=None) -> Carry:
+    """One interval in steps of equal length; `steps` may be traced (then not in reverse mode).  With a `tolerance` they
+    are divided where contacts need it (not in reverse mode, either)."""
     terms = diffrax.ODETerm(vector_field)
     h = length / steps
 
     def step(index, state):
         y, memory = state
         t0 = start + h * index
+        if tolerance is not None:
+            return follow_contacts(part, conditions.actual, t0, h, y, memory, conditions.operators, tolerance)
         y, _, _, memory, _ = solver.step(terms, t0, t0 + h, y, conditions, memory, jnp.asarray(False))
         return y, memory
+
+    def part(t0, t1, y, memory, operators):
+        own = dataclasses.replace(conditions, operators=operators)
+        y, _, _, memory, result = solver.step(terms, t0, t1, y, own, memory, jnp.asarray(False))
+        return y, memory, result == diffrax.RESULTS.successful
 
     def step_if_needed(state, index):
         if carry.memory is None:

@@ -197,7 +197,7 @@ def worst_case(
     _check_corners(corners, searched)
     centres = tolerances.centres() if isinstance(tolerances, Tolerances) else {}
     at = {**{name: float(centre) for name, centre in centres.items()}, **(at or {})}
-    mode = choose_mode(mode, len(names), 1)
+    mode = choose_mode(mode, len(names), 1, problem)
     if model is None:
         widths = dict(zip(names, map(float, half_widths), strict=True))
         model = expand_by_differences(problem, at, widths, mode=mode, batch=batch)

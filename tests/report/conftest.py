@@ -155,6 +155,8 @@ def synthetic_run(size, status=0):
         branch={"C": np.where(times < 0.2, 1.0, -1.0)},
         friction_losses={},
         contacts={},
+        contact_losses={},
+        contact_changes=None,
     )
 
 

@@ -69,7 +69,8 @@ def test_columns_of_contacts():
 def test_results_tell_how_the_contacts_of_a_pin_carry(study):
     run: Any = synthetic_run(0.0)
     assert "contacts" not in summarise_run(study, run)
-    run.contacts = {"D": history()}
+    run.contacts, run.contact_losses, run.contact_changes = {"D": history()}, {"D": np.array([0.0, 0.25])}, 6.0
+    assert summarise_run(study, run)["contact_changes"] == 6
     found = summarise_run(study, run)["contacts"]
     assert found == {
         "D": {
@@ -77,6 +78,7 @@ def test_results_tell_how_the_contacts_of_a_pin_carry(study):
             "largest_penetration": pytest.approx(1e-5),
             "largest_contact_force": pytest.approx(10.0),
             "carrying_share": {"start": 0.0, "end": 1.0, "axial": 0.0},
+            "contact_loss": 0.25,
         }
     }
 
@@ -120,6 +122,7 @@ def test_the_printed_results_name_pins_that_float_at_the_start(study):
     floating = floating._replace(penetration=floating.penetration.at[0, 1].set(-1e-6))
     for run in runs.values():
         run.contacts = {"D": history(), "B": floating}
+        run.contact_losses = dict.fromkeys(run.contacts, np.zeros(2))
     text = results_text(study, summarise(study, runs, statuses))
     assert "Contacts of joints with clearance" in text and "89 %" in text
     names = ", ".join(f"B (case {case.name})" for case in study.cases)

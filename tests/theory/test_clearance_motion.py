@@ -9,7 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax import STATUS, Clearance, Joint, Mechanism, Method, MomentRamp, design, discretise, simulate
+from rfem_jax import STATUS, Clearance, Joint, Mechanism, Method, MomentRamp, Problem, design, discretise, simulate
+from rfem_jax.tolerancing.problems.quadratic_model import choose_mode
 from rfem_jax.validation.impacts import MASS, REFERENCE, SPEED, guided, thrown
 from rfem_jax.validation.rigid_links import body
 
@@ -22,7 +23,7 @@ class TestSingleImpact:
         """Steps of half a contact lose a tenth of the speed, those of a third less than a hundredth; a slower pin has
         not touched the bush yet."""
         model, duration = guided(restitution=0.9), 8.2e-4
-        method = Method("generalised_alpha", step=duration / steps)
+        method = Method("generalised_alpha", step=duration / steps, contact_tolerance=0)
 
         def of_speed(speed):
             run = simulate(model, drive=None, duration=duration, method=method, save_every=duration,
@@ -34,6 +35,49 @@ class TestSingleImpact:
         away = abs(np.sqrt(2.0 * float(kinetic[0]) / MASS) / REFERENCE["rebound_speed"] - 1.0)
         assert (away < 0.01, float(balances[0]) < 0.05) == (status == "ok",) * 2
         np.testing.assert_allclose(kinetic[1], 0.5 * MASS * 0.2**2, rtol=1e-8)  # the weak spring centres the pin
+
+    def test_steps_that_follow_contact_resolve_an_impact_within_one_of_them(self):
+        """Any step gives the rebound; of a batch one sample hits, one hits later, one touches nothing."""
+        model, duration = guided(restitution=0.9), 8.2e-4
+        method = Method("generalised_alpha", step=duration)
+
+        def of_speed(speed):
+            run = simulate(model, drive=None, duration=duration, method=method, save_every=duration,
+                           start=thrown(model, speed))  # fmt: skip
+            return (
+                run.status,
+                run.energy.kinetic[-1],
+                run.energy_balance_error,
+                run.contact_changes,
+                (run.contact_losses["P"], run.energy.dissipation),
+            )
+
+        speeds = jnp.array([SPEED, 0.29, 0.2])
+        statuses, kinetic, balances, changes, energies = jax.jit(jax.vmap(of_speed))(speeds)
+        losses, dissipation = map(np.asarray, energies)
+        assert not np.asarray(statuses).any()
+        np.testing.assert_array_equal(changes, [4.0, 4.0, 0.0])  # both ends close and open
+        after = np.sqrt(2.0 * np.asarray(kinetic) / MASS)
+        np.testing.assert_allclose(after[0], REFERENCE["rebound_speed"], rtol=1e-3)
+        np.testing.assert_allclose(after[1] / 0.29, REFERENCE["rebound_speed"] / SPEED, rtol=2e-3)  # theory (15.5)
+        np.testing.assert_allclose(after[2], 0.2, rtol=1e-8)
+        assert np.max(balances) < 5e-3
+        np.testing.assert_array_equal(losses[:, -1], dissipation[:, -1])  # nothing else loses energy
+        assert losses[0, -1] > 0.0 == losses[2, -1]
+        alone = jax.jit(of_speed)(speeds[1])
+        np.testing.assert_allclose(kinetic[1], alone[1], rtol=1e-9)
+
+    def test_smaller_contact_tolerances_are_more_accurate(self):
+        model, duration = guided(restitution=0.9), 8.2e-4
+
+        def error(tolerance):
+            method = Method("generalised_alpha", step=duration, contact_tolerance=tolerance)
+            run = simulate(model, drive=None, duration=duration, method=method, save_every=duration,
+                           start=thrown(model))  # fmt: skip
+            return abs(float(run.metrics.max_normal_force["P"]) / REFERENCE["impact_peak_force"] - 1.0)
+
+        coarse, fine = error(0.2), error(2e-3)
+        assert fine < 1e-3 < coarse < 0.1
 
     def test_restitution_needs_a_method_with_a_memory(self):
         model = guided(restitution=0.9)
@@ -55,9 +99,9 @@ def pressed():
     return discretise(pendulum(Clearance(radial=1e-4, length=0.02, stiffness=2e7, exponent=1.0, damping=300.0)))
 
 
-def swing(model, duration=0.02, **settings):
+def swing(model, duration=0.02, contact_tolerance=0.02, **settings):
     """Under a moment that grows."""
-    method = Method("generalised_alpha", step=1e-4, corrections=20)
+    method = Method("generalised_alpha", step=1e-4, corrections=20, contact_tolerance=contact_tolerance)
     return simulate(model, drive=MomentRamp("D", 0.4, 0.02), duration=duration, method=method, save_every=5e-4,
                     **settings)  # fmt: skip
 
@@ -66,6 +110,7 @@ def test_a_pressed_pin_moves_as_an_ideal_hinge(pressed):
     run, ideal = swing(pressed), swing(discretise(pendulum(None)))
     assert int(run.status) == 0
     assert (np.asarray(run.contacts["D"].penetration)[:, :2] > 0.0).all()
+    assert float(run.contact_changes) == 0.0
     np.testing.assert_allclose(run.metrics.rms_force["D"], ideal.metrics.rms_force["D"], rtol=5e-3)
     assert float(run.momentum_balance_error) < 1e-7 and float(run.hinge_moment_error) < 1e-5
 
@@ -81,3 +126,23 @@ def test_derivatives_of_continuous_contact(pressed):
         step = size * np.eye(2)[n]
         difference = (mean_square(at + step) - mean_square(at - step)) / (2 * size)
         np.testing.assert_allclose(forward[n], difference, rtol=1e-5)
+
+
+def test_reverse_mode_through_whole_steps_with_contact(pressed):
+    def mean_square(values):
+        wanted = design(pressed, {"D.clearance.radial": values[0], "D.clearance.stiffness": values[1]})
+        return swing(pressed, duration=1e-3, design=wanted, contact_tolerance=0.0).metrics.mean_square_force["D"]
+
+    at = jnp.array([1e-4, 2e7])
+    np.testing.assert_allclose(jax.grad(mean_square)(at), jax.jacfwd(mean_square)(at), rtol=1e-9)
+
+
+def test_a_problem_that_follows_contact_is_differentiated_forwards(pressed):
+    def problem(tolerance):
+        method = Method("generalised_alpha", step=1e-4, contact_tolerance=tolerance)
+        return Problem(pressed, MomentRamp("D", 0.4, 0.02), 1e-3, "D.rms_force", method)
+
+    assert choose_mode("auto", 100, 1, problem(0.02)) == "forward"
+    assert choose_mode("auto", 100, 1, problem(0.0)) == "reverse"
+    with pytest.raises(ValueError, match="contact_tolerance = 0"):
+        choose_mode("reverse", 100, 1, problem(0.02))

@@ -69,7 +69,7 @@ class AllocationReport(TaskReport[AllocationTask, AllocationStudy]):
         )  # fmt: skip
         on_stage("Expanding to second order")
         together = task.criterion != "worst_case"
-        mode = choose_mode(task.mode, len(task.bounds), len(problem.metrics) if together else 1)
+        mode = choose_mode(task.mode, len(task.bounds), len(problem.metrics) if together else 1, problem)
         typical = {name: math.sqrt(low * high) for name, (low, high) in task.bounds.items()}
         model = expand_by_differences(problem, None, typical, mode=mode, batch=task.batch)
         solve = partial(solve, model=model, mode=mode)

@@ -47,7 +47,7 @@ from jaxtyping import Array, Bool, Float, PyTree
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.methods import GeneralisedAlphaMethod, Method
 from rfem_jax.mechanics import loads
-from rfem_jax.mechanics.bush_contacts import contact_memory, remembers, with_memory
+from rfem_jax.mechanics.bush_contacts import contact_losses, contact_memory, remembers, with_memory
 from rfem_jax.mechanics.cut_joints import Closure, closure, spring_row_tangent
 from rfem_jax.mechanics.dynamics import total_dissipated
 from rfem_jax.mechanics.element_loads import element_tangents, frame_loads
@@ -113,7 +113,8 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
     **Arguments:** `method`: an implicit `Method`.
 
     Attributes: max_increments: largest number of Newton increments in a step; tolerance: largest residual, as a
-    share of the largest joint force.
+    share of the largest joint force; contact_tolerance: with which the caller divides steps (`contact_steps`), 0 if it
+    does not.
 
     **Raises:** `InputError` for a method that is not implicit.
     """
@@ -129,6 +130,7 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
     gamma: float = eqx.field(static=True)
     max_increments: int = eqx.field(static=True)
     tolerance: float = eqx.field(static=True)
+    contact_tolerance: float = eqx.field(static=True)
 
     def __init__(self, method: Method):
         if not isinstance(method, GeneralisedAlphaMethod):
@@ -140,6 +142,7 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         self.beta = 0.25 * (self.gamma + 0.5) ** 2
         self.max_increments = method.corrections
         self.tolerance = method.tolerance
+        self.contact_tolerance = method.contact_tolerance
 
     @property
     def tangent_increments(self) -> int:
@@ -168,7 +171,8 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         contacts = None
         if remembers(actual):
             contacts = contact_memory(actual, motion_of(actual, State(trajectory.position, trajectory.velocity)))
-        return Memory(zeros, zeros, multipliers, rates, jnp.zeros(()), jnp.zeros(()), contacts)
+        changes = jnp.zeros(()) if actual.topology.clearances and self.contact_tolerance > 0.0 else None
+        return Memory(zeros, zeros, multipliers, rates, jnp.zeros(()), jnp.zeros(()), contacts, changes)
 
     def resume(
         self,
@@ -447,7 +451,8 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         joint = loads.loads_of_wrenches(actual.topology, evaluation, evaluation.wrenches, drive)
         axial, normal, moment = equations.squares(actual.topology, joint)
         work = equations.applied_power(actual.topology, state, drive, joint, evaluation)
-        rates = Integrals(axial, normal, moment, work, evaluation.dissipated, losses(evaluation.laws))
+        lost = losses(evaluation.laws), contact_losses(actual.topology, evaluation.frame_loads)
+        rates = Integrals(axial, normal, moment, work, evaluation.dissipated, *lost)
         integrals = jax.tree.map(
             lambda sum, old, new: sum + 0.5 * h * (old + new),
             trajectory.integrals,
@@ -457,7 +462,14 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         most = jnp.maximum(memory.largest_residual, residual)
         return StepEnd(
             Trajectory(state.position, state.velocity, integrals),
-            Memory(accelerations, auxiliary, multipliers, rates, residual, most, memory.contacts),
+            memory._replace(
+                accelerations=accelerations,
+                auxiliary=auxiliary,
+                multipliers=multipliers,
+                rates=rates,
+                residual=residual,
+                largest_residual=most,
+            ),
         )
 
 

@@ -47,7 +47,8 @@ class Memory(NamedTuple):
     accelerations v' of the coordinates; auxiliary: the method's own accelerations a; multipliers [N]; rates: time
     derivatives of the integrals; residual [N]: largest force that the residual of the last step has, and
     largest_residual [N] that of all steps so far; contacts: with restitution, what they remembered in the last step
-    (theory (15.6)), None without any.
+    (theory (15.6)), None without any; contact_changes: number of contacts that have closed or opened, None where steps
+    do not follow them.
     """
 
     accelerations: Coordinates
@@ -57,6 +58,7 @@ class Memory(NamedTuple):
     residual: Float[Array, ""]
     largest_residual: Float[Array, ""]
     contacts: dict[str, ContactMemory] | None = None
+    contact_changes: Float[Array, ""] | None = None
 
 
 class StepStart(NamedTuple):

@@ -99,7 +99,7 @@ def check_request(
     """
     names, lower, upper = _read_bounds(problem, bounds)
     costs = assign_costs(cost, names)
-    mode = choose_mode(mode, len(names), len(problem.metrics) if together else 1)
+    mode = choose_mode(mode, len(names), len(problem.metrics) if together else 1, problem)
     if model is None:
         typical = dict(zip(names, map(float, np.sqrt(lower * upper)), strict=True))
         model = expand_by_differences(problem, at, typical, mode=mode, batch=batch)

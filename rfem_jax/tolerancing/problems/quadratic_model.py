@@ -121,15 +121,23 @@ class QuadraticModel(eqx.Module):
         )
 
 
-def choose_mode(mode: str, errors: int, metrics: int) -> str:
+def choose_mode(mode: str, errors: int, metrics: int, problem: ToleranceProblem | None = None) -> str:
     """ "forward" or "reverse" for that many errors and metrics, unless `mode` is one of them already.
 
-    Raises: InputError for an unknown mode.
+    Raises: InputError for an unknown mode, and for "reverse" with a problem that has none.
     """
     if mode not in MODES:
         raise InputError(f"Argument `mode` must be one of {', '.join(MODES)}, but it is {mode!r}.")
+    reversible = getattr(problem, "reversible", True)
+    if mode == "reverse" and not reversible:
+        raise InputError(
+            'Argument `mode` must be "forward" or "auto" with steps that are chosen on the way, but is "reverse"; take '
+            "one of these, or a method with fixed steps (with joints with clearance `contact_tolerance = 0`)."
+        )
     if mode != "auto":
         return mode
+    if not reversible:
+        return "forward"
     return "forward" if errors <= REVERSE_COST * metrics else "reverse"
 
 
@@ -322,7 +330,7 @@ def check_expansion(
         raise InputError("Argument `names` must name at least one error, but it is empty.")
     if order not in (1, 2):
         raise InputError(f"Argument `order` must be 1 or 2, but it is {order!r}.")
-    return names, choose_mode(mode, len(names), len(problem.metrics))
+    return names, choose_mode(mode, len(names), len(problem.metrics), problem)
 
 
 @Program
@@ -363,7 +371,7 @@ def linearise_points(
         status (n,).
     """
     n, m, k = len(points), len(problem.metrics), len(names)
-    mode = choose_mode(mode, k, m if metric is None else 1)
+    mode = choose_mode(mode, k, m if metric is None else 1, problem)
     points = np.asarray(points, dtype=np.float64).reshape(n, k)
     width = min(batch, default_lanes())
     if mode == "forward":
@@ -403,7 +411,7 @@ def expand_by_differences(
     names, t = select_half_widths(problem, half_widths, "half_widths")
     base, x = split_errors(problem, at, names)
     m, k = len(problem.metrics), len(names)
-    mode = choose_mode(mode, k, m)
+    mode = choose_mode(mode, k, m, problem)
     offsets = np.concatenate([np.zeros((1, k)), *(s * np.eye(k) for s in (1, -1, 2, -2))])
     points = np.asarray(x) + STEP * offsets * t
     values, jacobians, status = linearise_points(problem, names, base, points, mode=mode, batch=batch)

@@ -28,6 +28,7 @@ from rfem_jax.simulation.accuracy import choose_method
 from rfem_jax.simulation.driving import design_with, drive_numbers
 from rfem_jax.simulation.integration import simulate
 from rfem_jax.simulation.run import RESIDUAL_LIMIT
+from rfem_jax.simulation.stepping import contact_tolerance_of
 from rfem_jax.tolerancing.checks import check_distinct, check_known, error_value
 from rfem_jax.tolerancing.problems.metrics import metric
 from rfem_jax.tolerancing.problems.problem import Metric, Status, Values
@@ -89,6 +90,11 @@ class Problem(eqx.Module):
 
     def __eq__(self, other: object) -> bool:
         return self is other
+
+    @property
+    def reversible(self) -> bool:
+        """Whether reverse mode is possible: not with steps that are chosen on the way."""
+        return not self.method.adaptive and contact_tolerance_of(self.model, self.method) is None
 
     @property
     def error_names(self) -> tuple[str, ...]:

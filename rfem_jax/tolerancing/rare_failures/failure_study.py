@@ -75,7 +75,7 @@ def reliability(
         whole_number(number, what, least)
     confidence = require_confidence(confidence)
     k = len(tolerances.names)
-    space = NormalSpace(problem, tolerances, choose_mode(mode, k, 1), batch)
+    space = NormalSpace(problem, tolerances, choose_mode(mode, k, 1, problem), batch)
     found = find_design_points(space, states, key, starts=starts, rounds=rounds)
     # Where the nominal mechanism breaks a limit, samples about it tell more than those about a design point.
     mixture = mixture_of([one.points for one in found if one.nominal > 0.0], n, k)

@@ -120,7 +120,7 @@ def optimise(
             raise InputError(f"Argument `{name}` must be at least 1, but it is {number}.")
     request = check_request(problem, designs, tolerances, objective, limits, cost, at, robust)
     settings = _Settings(robust, target, coverage, distribution, samples, verify_samples)
-    mode = choose_mode(mode, len(request.variables.names), len(problem.metrics))
+    mode = choose_mode(mode, len(request.variables.names), len(problem.metrics), problem)
     observer = Observer(problem, request.variables, request.base, mode, batch, progress)
     keys = jax.random.split(key, 4)
     criterion = CRITERIA[robust](

@@ -1,0 +1,176 @@
+"""Steps of an implicit method that follow contact.
+
+Place in the pipeline: generalised_alpha, bush_contacts -> **contact_steps** -> stepping.
+
+An impact in a joint with clearance lasts microseconds, a pin that stays pressed moves as slowly as its mechanism.  A
+step of the method is kept where it follows the contacts, and divided where it does not:
+
+    step of length h --> error <= 1 --> kept; the next one is twice as long where the error is far below
+                    '--> error > 1  --> tried again in quarters
+
+All lengths are h / 2^k, of which the condensed links are formed once, and places within the step are whole multiples of
+the shortest, so that the last one ends exactly where the step does.  Source: theory (15.14).
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, PyTree
+
+from rfem_jax.mechanics.bush_contacts import pins_of
+from rfem_jax.mechanics.element_loads import element_pose
+from rfem_jax.mechanics.kinematics import motion_of
+from rfem_jax.mechanics.model import BASE, State
+from rfem_jax.mechanics.model_with_errors import ModelWithErrors
+from rfem_jax.simulation.equations import Scalar, Trajectory
+from rfem_jax.simulation.solvers.implicit_step import Memory
+
+HALVINGS = 14  # of a step, down to a length that no contact needs
+MOST_TRIALS = 4096  # of parts of one step; then all are taken, and the status of the run says so
+GROWTH = 0.2  # error from below which the next step may be twice as long, whose error is four times as large
+SLAVED = 0.05  # share of a contact's force that inertia takes, below which the contact only follows the mechanism
+SMALL = 0.01  # share of the largest force so far, of contacts that need not be followed
+
+
+class PinDepths(NamedTuple):
+    """Of all contacts of a mechanism: depth [m], below zero where open, and its rate [m/s]."""
+
+    depth: Float[Array, " contacts"]
+    rate: Float[Array, " contacts"]
+
+
+class PinLaws(NamedTuple):
+    """Of all contacts: stiffness K [N/m^n], exponent n, and reduced mass [kg] of both links."""
+
+    stiffness: Float[Array, " contacts"]
+    exponent: Float[Array, " contacts"]
+    mass: Float[Array, " contacts"]
+
+
+class _Progress(NamedTuple):
+    """Within a step: place, in units of the shortest part, and halvings of the next part; state and memory of the
+    solver, and the contacts, at that place; trials so far."""
+
+    place: Int[Array, ""]
+    halvings: Int[Array, ""]
+    state: PyTree
+    memory: Any
+    contacts: PinDepths
+    trials: Int[Array, ""]
+
+
+def part_lengths(lengths: Float[Array, " lengths"]) -> Float[Array, "lengths halvings"]:
+    """Lengths [s] of the parts that steps of several lengths [s] may be divided into."""
+    return lengths[:, None] * 0.5 ** np.arange(HALVINGS + 1)[None]
+
+
+def depths_of_pins(actual: ModelWithErrors, trajectory: Trajectory) -> PinDepths:
+    """The contacts at one instant, without derivatives."""
+    actual, trajectory = jax.lax.stop_gradient((actual, trajectory))
+    motion = motion_of(actual, State(trajectory.position, trajectory.velocity))
+    found = [pin.contacts(element_pose(actual.topology, motion, pin)) for pin in pins_of(actual).values()]
+    return PinDepths(*(jnp.concatenate([getattr(one, name) for one in found]) for name in ("depth", "rate")))
+
+
+def error_of_step(
+    h: Float[Array, ""],
+    before: PinDepths,
+    after: PinDepths,
+    laws: PinLaws,
+    largest: Float[Array, ""],
+    tolerance: float,
+) -> Float[Array, ""]:
+    """How badly a step of length h [s] follows the contacts, at most 1 where well enough (theory (15.14)).
+
+    What a closed contact changes of its rate within the step, times h, is compared with the depth: with a vibration of
+    angular frequency w that is (w h)^2.  It does not matter where the inertia of the bodies takes little of the force,
+    as in a pin that stays pressed and follows its mechanism, and where the force is a small share of the `largest` [N]
+    so far.
+    """
+    depth = jnp.maximum(before.depth, after.depth)
+    least = (SMALL * largest / laws.stiffness + 1e-300) ** (1.0 / laws.exponent)
+    change, depth = jnp.abs(after.rate - before.rate), jnp.maximum(depth, least)
+    force = laws.stiffness * depth**laws.exponent
+    moving = h > 0.0
+    inertial = laws.mass * change / jnp.where(moving, h, 1.0) / (SLAVED * force)
+    error = jnp.minimum(h * change / (tolerance * depth), inertial)
+    return jnp.max(jnp.where(moving & ((before.depth > 0.0) | (after.depth > 0.0)), error, 0.0))
+
+
+def changes_between(before: PinDepths, after: PinDepths) -> Float[Array, ""]:
+    """Number of contacts that have closed or opened between two instants."""
+    return jnp.sum((before.depth > 0.0) != (after.depth > 0.0)).astype(jnp.float64)
+
+
+def laws_of_pins(actual: ModelWithErrors) -> PinLaws:
+    """The laws of all contacts, without derivatives."""
+    actual, found = jax.lax.stop_gradient(actual), []
+    for pin in pins_of(actual).values():
+        mass = _reduced_mass(actual, (pin.parent.node, pin.child.node))
+        for law, count in ((pin.ends, 2), (pin.stop, 1)):
+            found += [(law.stiffness, jnp.asarray(law.exponent), mass)] * count
+    return PinLaws(*(jnp.stack(one) for one in zip(*found)))
+
+
+def _reduced_mass(actual: ModelWithErrors, nodes: tuple[int, int]) -> Float[Array, ""]:
+    """The reduced mass [kg] of the links of two nodes, which the base has no part in; of links without mass that of the
+    mechanism."""
+    topology, inverse = actual.topology, jnp.zeros(())
+    owners = np.array([topology.link_of(node) for node in range(topology.n_links + topology.n_rfes)])
+    for node in nodes:
+        if node != BASE:
+            own = jnp.sum(jnp.where(owners == topology.link_of(node), actual.mass, 0.0))
+            inverse = inverse + 1.0 / jnp.where(own > 0.0, own, jnp.sum(actual.mass))
+    return 1.0 / inverse
+
+
+def follow_contacts(
+    step: Callable[[Scalar, Scalar, Any, Memory, PyTree], tuple[Any, Memory, Bool[Array, ""]]],
+    actual: ModelWithErrors,
+    start: Scalar,
+    h: Float[Array, ""],
+    state: Any,
+    memory: Memory,
+    operators: PyTree,
+    tolerance: float,
+) -> tuple[Any, Memory]:
+    """State and memory of an implicit method at the end of a step of length h [s] in as many parts as contacts need.
+
+    **Arguments:** `step`: from (start, end, state, memory, operators) of a part to its (state, memory, whether it was
+    solved); `operators`: of the lengths of `part_lengths`, the first axis; `tolerance`: of `error_of_step`.
+    """
+    units, laws = 2**HALVINGS, laws_of_pins(actual)
+
+    def going_on(now: _Progress):
+        return now.place < units
+
+    def advance(now: _Progress):
+        part = jnp.right_shift(units, now.halvings)
+        t0, t1 = (start + h * place.astype(h.dtype) / units for place in (now.place, now.place + part))
+        own = jax.tree.map(lambda x: x[now.halvings], operators)
+        state, memory, solved = step(t0, t1, now.state, now.memory, own)
+        contacts = depths_of_pins(actual, state[0])
+        largest = jnp.sqrt(jnp.max(jax.lax.stop_gradient(state[1])))
+        error = error_of_step(jnp.asarray(t1 - t0), now.contacts, contacts, laws, largest, tolerance)
+        at_once = (now.halvings == HALVINGS) | (now.trials >= MOST_TRIALS)
+        kept = ((error <= 1.0) & solved) | at_once
+        changed = changes_between(now.contacts, contacts)
+        place = now.place + jnp.where(kept, part, 0)
+        # Twice the length must divide the place, so that the parts end where the step does.
+        longer = ((error < GROWTH) | (now.trials >= MOST_TRIALS)) & (jnp.bitwise_and(place, part) == 0)
+        fewer = jnp.maximum(now.halvings - longer.astype(jnp.int32), 0)
+        halvings = jnp.where(kept, fewer, jnp.minimum(now.halvings + 2, HALVINGS))
+        assert memory.contact_changes is not None  # of a method that follows
+        new = state, memory._replace(contact_changes=memory.contact_changes + changed), contacts
+        state, memory, contacts = jax.tree.map(
+            lambda a, b: jnp.where(kept, a, b), new, (now.state, now.memory, now.contacts)
+        )
+        return _Progress(place, halvings, state, memory, contacts, now.trials + 1)
+
+    none = jnp.zeros((), jnp.int32)
+    first = _Progress(none, none, state, memory, depths_of_pins(actual, state[0]), none)
+    end = jax.lax.while_loop(going_on, advance, first)
+    return end.state, end.memory
