@@ -37,6 +37,7 @@ from rfem_jax.tolerancing.problems.quadratic_model import QuadraticModel, check_
 from rfem_jax.tolerancing.progress import ProgressBar, ProgressOption
 
 NOT_CONVERGED = "derivative_not_converged"
+NOT_REPRODUCED, REPRODUCED = "derivative_not_reproduced", 0.1  # change by a finer step, of a metric's largest effect
 ROUNDING = 1e-12  # gradient and Hessian of an error below this part of the largest ones: of no effect
 VANISHING = 1e-6  # gradient below this part of (Hessian x tolerances): zero by symmetry
 ZERO_VALUE = 1e-9  # value below this part of (1/2 tolerances x Hessian x tolerances): zero
@@ -48,7 +49,8 @@ class Sensitivities(LabelledSensitivities):
 
     names, error_units (k); metrics, metric_units, labels (m); at {name: value} of the point [rad, m]; scale (k,)
     half-widths t (ones when `scaled` is False); order 1 or 2; mode "forward" or "reverse"; status "ok" or the
-    problem's word for the failure;
+    problem's word for the failure, or "derivative_not_reproduced" where pins may strike their bushes and the refined
+    problem has other derivatives;
     value (m,), gradient (m, k), hessian (m, k, k) or None: per unit;
     gradient_scaled (m, k), hessian_scaled (m, k, k) or None: per tolerance, in the metric's unit;
     effects (m, k): largest change by each error alone [metric unit], the heat map;
@@ -221,6 +223,11 @@ class Sensitivities(LabelledSensitivities):
             )
         if self.status == NOT_CONVERGED:
             head += "; too large: take a smaller tolerance or step of the method"
+        if self.status == NOT_REPRODUCED:
+            head += (
+                "\nA finer step changes derivatives by more than a tenth: they go through impacts, after a\nfew of "
+                "which motion is chaotic, and mean nothing; take statistics of a batch (monte-carlo) or a shorter duration"
+            )
         return f"{head}\n\n{self.table()}"
 
 
@@ -300,6 +307,9 @@ def _report(
     # NaN has not converged either.
     if status == "ok" and residual is not None and limit is not None and not residual <= limit:
         status = NOT_CONVERGED
+    if status == "ok" and gradient_change is not None and getattr(problem, "strikes", False):
+        changes = gradient_change * effects / np.maximum(effects.max(axis=1, keepdims=True), 1e-300)
+        status = NOT_REPRODUCED if (changes > REPRODUCED).any() else "ok"  # a kink has no derivative, NaN
     return Sensitivities(
         names=model.names,
         error_units=tuple(problem.error_unit(name) for name in model.names),

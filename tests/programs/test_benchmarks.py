@@ -36,6 +36,13 @@ def test_clearance(run_program):
     assert re.search(r"^\| [^|]+ (\| \d+\.\d+ ){4}\| 0 of 3 \| 9\.690190 \|$", said, re.M)
 
 
+@pytest.mark.slow
+def test_steps_that_follow_contact(run_program):
+    said = run_program("benchmarks/contact_steps.py", "--rfes", 2, "--repeats", 1)
+    for row, changes in (("ideal joint", "-"), ("play, steps that follow", r"\d+")):
+        assert re.search(rf"^\| {row} \| \d+ \| \d+\.\d\d \| \d+\.\d{{3}} \| {changes} \| ok \|$", said, re.M), said
+
+
 def test_cost_of_gradients(run_program, pendulum_file):
     said = run_program(
         "benchmarks/gradients.py", "--study", pendulum_file, "--rfes", 2, "--share", 0.01, "--parts", "cost",

@@ -179,6 +179,21 @@ def test_refined_problem_shows_how_far_derivatives_can_be_trusted(problem):
     assert result.gradient_change[2, 0] == 0.0 and result.hessian_change[0] == 0.0
 
 
+@pytest.mark.parametrize(("slope", "status"), [(0.03, "ok"), (3.0, "derivative_not_reproduced")])
+def test_derivatives_through_impacts_that_a_finer_step_does_not_reproduce_are_refused(problem, slope, status):
+    def coarse(errors):
+        return {**loads(errors), "force": loads(errors)["force"] + slope * errors["coupler.length"]}
+
+    class Striking(FunctionProblem):
+        strikes = True
+
+    kinds = Striking, FunctionProblem
+    striking, still = (kind(coarse, NAMES, METRICS, error_units={"coupler.length": "m"}) for kind in kinds)
+    found = sensitivity(striking, scale=WIDTHS, refined=problem)
+    assert found.status == status and ("impacts" in str(found)) == (status != "ok")
+    assert sensitivity(still, scale=WIDTHS, refined=problem).status == "ok"
+
+
 def test_table_names_what_symmetry_says_and_a_failed_point_has_its_status(problem):
     text = str(sensitivity(problem, scale=WIDTHS))
     assert "0 (symmetry)" in text and "its square root has a kink" in text

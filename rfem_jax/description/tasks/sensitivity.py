@@ -24,7 +24,7 @@ class SensitivityTask(Task):
         mode: of differentiation: "auto", "forward" or "reverse".
         batch: directions at once.
         half_step: True to repeat everything with half the step (a tenth of the tolerances of an
-            adaptive method) and show the change.
+            adaptive method) and show the change, as is always done with joints with clearance.
     Raises: InputError for settings that are out of range or do not fit each other.
     """
 

@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from rfem_jax.compilation.stages import on_stage
 from rfem_jax.description.error_catalogue import as_specified
-from rfem_jax.description.methods import DEFAULT_ACCURACY, Method
+from rfem_jax.description.methods import DEFAULT_ACCURACY, GeneralisedAlphaMethod, Method
 from rfem_jax.description.study import Study
 from rfem_jax.description.tasks.sensitivity import SensitivityTask
 from rfem_jax.report.annotations import Figure
@@ -51,11 +51,12 @@ class SensitivityReport(TaskReport[SensitivityTask, Derivatives]):
     def run(self, folder: Path) -> Derivatives:
         """Derivatives of all metrics of the task."""
         task, study = self.task, self.study
-        twice = " (twice: with the finer step too)" if task.half_step else ""
+        problem = study_problem.build_problem(study, task.metrics)
+        again = task.half_step or getattr(problem, "strikes", False)
+        twice = " (twice: with the finer step too)" if again else ""
         stage = f"Differentiating {len(task.metrics)} metrics to order {task.order}{twice}"
         on_stage(stage)
-        problem = study_problem.build_problem(study, task.metrics)
-        refined = problem.with_method(finer_method(study.method)) if task.half_step else None
+        refined = problem.with_method(finer_method(study.method)) if again else None
         tolerances = Tolerances.of(self.study)
         found = differentiate(
             problem, task.at, task.order, tolerances, task.mode, batch=task.batch, refined=refined,
@@ -107,9 +108,12 @@ class SensitivityReport(TaskReport[SensitivityTask, Derivatives]):
 
 
 def finer_method(method: Method) -> Method:
-    """The same method with half the step, or a tenth of its tolerances."""
+    """The same method with half the step and parts of it that follow contacts, or a tenth of its tolerances."""
     if method.step is not None:
-        return replace(method, step=0.5 * method.step)
+        finer = replace(method, step=0.5 * method.step)
+        if isinstance(finer, GeneralisedAlphaMethod):
+            finer = replace(finer, contact_tolerance=0.25 * finer.contact_tolerance)
+        return finer
     shares = {name: getattr(method, name) for name in ("rtol", "atol", "accuracy") if hasattr(method, name)}
     return replace(method, **{name: 0.1 * (value or DEFAULT_ACCURACY) for name, value in shares.items()})
 

@@ -151,6 +151,12 @@ class Problem(eqx.Module):
         flexible = np.array(self.model.topology.elements) > 1
         return bool(flexible.any() and not np.asarray(self.model.section.damping)[flexible].any())
 
+    @property
+    def strikes(self) -> bool:
+        """Whether pins may strike their bushes: derivatives through impacts lose their meaning after a few, as single
+        runs do, and count only as far as a finer step reproduces them."""
+        return bool(self.model.topology.clearances)
+
     def with_method(self, method: Method) -> "Problem":
         """The same problem by another method, for example with a finer step."""
         return Problem(self.model, self.drive, self.duration, self.metrics, method, self.save_every, self.design)
