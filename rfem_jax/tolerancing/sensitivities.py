@@ -226,7 +226,7 @@ class Sensitivities(LabelledSensitivities):
         if self.status == NOT_REPRODUCED:
             head += (
                 "\nA finer step changes derivatives by more than a tenth: they go through impacts, after a\nfew of "
-                "which motion is chaotic, and mean nothing; take statistics of a batch (monte-carlo) or a shorter duration"
+                "which motion is chaotic, and mean nothing; take statistics of a batch (monte-carlo), or a shorter time"
             )
         return f"{head}\n\n{self.table()}"
 

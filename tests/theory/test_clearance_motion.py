@@ -11,7 +11,7 @@ import pytest
 
 from rfem_jax import STATUS, Clearance, Joint, Mechanism, Method, MomentRamp, Problem, design, discretise, simulate
 from rfem_jax.tolerancing.problems.quadratic_model import choose_mode
-from rfem_jax.validation.impacts import MASS, REFERENCE, SPEED, guided, thrown
+from rfem_jax.validation.impacts import MASS, REFERENCE, SPEED, guided, rebound_of, thrown
 from rfem_jax.validation.rigid_links import body
 
 COMPILED_AS_SHIPPED = True  # thousands of steps, and derivatives of stiff contacts
@@ -66,6 +66,24 @@ class TestSingleImpact:
         assert losses[0, -1] > 0.0 == losses[2, -1]
         alone = jax.jit(of_speed)(speeds[1])
         np.testing.assert_allclose(kinetic[1], alone[1], rtol=1e-9)
+
+    def test_adaptive_steps_follow_contacts_of_every_sample(self):
+        """One sample has struck and left, one is in contact, one touches nothing."""
+        model, duration = guided(damping=0.475), 8.2e-4
+        method = Method("dopri8", rtol=1e-8, atol=1e-10)
+
+        def of_speed(speed):
+            run = simulate(model, drive=None, duration=duration, method=method, save_every=duration / 2,
+                           start=thrown(model, speed))  # fmt: skip
+            return run.status, run.energy.kinetic[-1], run.contacts["P"].penetration[-1, 0]
+
+        speeds = jnp.array([SPEED, 0.28, 0.2])
+        statuses, kinetic, depths = jax.jit(jax.vmap(of_speed))(speeds)
+        assert not np.asarray(statuses).any()
+        np.testing.assert_array_equal(np.asarray(depths) > 0.0, [False, True, False])
+        np.testing.assert_allclose(np.sqrt(2.0 * kinetic[0] / MASS), rebound_of(0.475), rtol=1e-6)
+        alone = [float(jax.jit(of_speed)(speed)[1]) for speed in speeds[1:]]
+        np.testing.assert_allclose(kinetic[1:], alone, rtol=1e-6)
 
     def test_smaller_contact_tolerances_are_more_accurate(self):
         model, duration = guided(restitution=0.9), 8.2e-4
