@@ -39,7 +39,8 @@ def by_diffeqsolve(adjoint: str):
     An interval of length zero takes one step by itself, where diffrax would take none.
     """
 
-    def integrate(solver, carry, start, length, steps, conditions):
+    def integrate(solver, carry, start, length, steps, conditions, tolerance=None):
+        del tolerance  # of contacts, which these mechanisms do not have
         terms, y = diffrax.ODETerm(stepping.vector_field), (carry.trajectory, carry.peaks)
         memory = solver.resume(terms, start, start + length, y, conditions, carry.memory)
         moving = length > 0.0

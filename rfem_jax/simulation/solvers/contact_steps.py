@@ -32,6 +32,7 @@ HALVINGS = 14  # of a step, down to a length that no contact needs
 MOST_TRIALS = 4096  # of parts of one step; then all are taken, and the status of the run says so
 GROWTH = 0.2  # error from below which the next step may be twice as long, whose error is four times as large
 SLAVED = 0.05  # share of a contact's force that inertia takes, below which the contact only follows the mechanism
+SOLVED, SOLVED_BY = 1e-3, 8  # residual over the largest force so far; halvings that are worth trying for it
 SMALL = 0.01  # share of the largest force so far, of contacts that need not be followed
 
 
@@ -156,7 +157,8 @@ def follow_contacts(
         largest = jnp.sqrt(jnp.max(jax.lax.stop_gradient(state[1])))
         error = error_of_step(jnp.asarray(t1 - t0), now.contacts, contacts, laws, largest, tolerance)
         at_once = (now.halvings == HALVINGS) | (now.trials >= MOST_TRIALS)
-        kept = ((error <= 1.0) & solved) | at_once
+        close = (memory.residual <= SOLVED * largest) | (now.halvings >= SOLVED_BY)
+        kept = ((error <= 1.0) & solved & close) | at_once
         changed = changes_between(now.contacts, contacts)
         place = now.place + jnp.where(kept, part, 0)
         # Twice the length must divide the place, so that the parts end where the step does.
