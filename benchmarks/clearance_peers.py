@@ -45,7 +45,10 @@ DAMPING = {FAST.name: 0.07, SLOW.name: 0.7}  # s/m: about what a restitution of 
 # From cheap to dear.
 EXPLICIT_STEPS = tuple(Method("rk4", step=h) for h in (2e-6, 1e-6, 5e-7))
 ADAPTIVE = tuple(Method("dopri8", rtol=r, atol=1e-2 * r) for r in (1e-6, 1e-8))
-IMPLICIT = tuple(Method("generalised_alpha", step=h) for h in (1e-6, 5e-7, 2e-7, 1e-7))
+FOLLOWING = tuple(
+    Method("generalised_alpha", step=INTERVAL, contact_tolerance=tolerance)
+    for tolerance in (2e-2, 2e-3, 2e-4, 2e-5, 2e-6)
+)
 THEIR_EXPLICIT = tuple(SolverSettings("dopri5", h, r) for r in (1e-6, 1e-7, 1e-8, 1e-9) for h in (5e-5, 2e-5))
 THEIR_IMPLICIT = tuple(SolverSettings("generalised_alpha", h, 1e-4) for h in (1e-6, 5e-7, 2e-7, 1e-7))
 
@@ -136,7 +139,8 @@ def ours(case: CrankCase, losses: dict[str, float], duration: float, known: list
 def _name(method: Any) -> str:
     if method.adaptive:
         return f"{method.name}, tolerance {method.rtol:g}"
-    return f"{method.name.replace('_', ' ')}, {1e6 * method.step:g} us"
+    following = f", contacts {method.contact_tolerance:g}" if hasattr(method, "contact_tolerance") else ""
+    return f"{method.name.replace('_', ' ')}, {1e6 * method.step:g} us{following}"
 
 
 def compare_own(report: Report) -> None:
@@ -163,7 +167,7 @@ def compare_first_impacts(report: Report, batch: int, trial: bool) -> None:
             law = ", ".join(f"{name} {value:g}" for name, value in losses.items())
             name = f"{case.name}, {law}"
             rows.append([name, "own code", "DOP853, tolerance 1e-11", "", "", f"{1e3 * cpu:.3g}"])
-            explicit, implicit = "damping" in losses, IMPLICIT[2:3] if trial else IMPLICIT
+            explicit, implicit = "damping" in losses, FOLLOWING[2:3] if trial else FOLLOWING
             theirs = exudyns(case, contact, duration, known, repeats)
             tried = [("Exudyn", settings, theirs) for settings in (THEIR_EXPLICIT, THEIR_IMPLICIT)]
             alone, many = (

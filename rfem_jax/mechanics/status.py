@@ -46,8 +46,8 @@ STATUS: tuple[Status, ...] = (
     ),
     Status(
         "steps_exhausted",
-        "The adaptive method used up its steps. Usually the motion is stiffer than the method can "
-        "follow; use a fixed step or looser tolerances.",
+        "The adaptive method, or the implicit one that follows contacts, used up its steps. Usually the motion is "
+        "stiffer than the method can follow; use a fixed step or looser tolerances, with clearances a shorter step.",
     ),
     Status(
         "out_of_range",

@@ -85,6 +85,12 @@ def choose_method(
         implicit=False,
         fix="no step that is tried with the implicit method keeps the accuracy; give generalised_alpha with a `step`.",
     )
+    if model.topology.clearances:
+        raise InputError(
+            'Argument `method` must be "generalised_alpha" with a `step` here, but is "auto", which finds none: loads '
+            "change with all that are tried. Pins strike their bushes, and after a few impacts motion is chaotic; take "
+            "a step for the mechanism without clearance: contacts are followed, and statistics of batches hold."
+        )
     trial = FixedStepMethod("rk4", step=1e-6, stabilisation=method.stabilisation)
     limit = 0.9 * largest_stable_step(model, trial, drive)
     # Rigid links have no limit; but no step is longer than those that were not accurate enough with the implicit

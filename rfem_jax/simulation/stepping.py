@@ -44,8 +44,9 @@ MOST_OPERATIONS = 20_000  # scalar operations of a right-hand side that compile 
 class Carry(NamedTuple):
     """State of the integration between two intervals.
 
-    trajectory; peaks: squared maxima of axial and normal forces [N^2]; exhausted: whether an adaptive method ran out
-    of steps; last_step [s] of an adaptive method; memory of an implicit method (None for others).
+    trajectory; peaks: squared maxima of axial and normal forces [N^2]; exhausted: whether an adaptive method, or
+    one that follows contacts, ran out of steps; last_step [s] of an adaptive method; memory of an implicit method
+    (None for others).
     """
 
     trajectory: Trajectory
@@ -62,7 +63,8 @@ class Carry(NamedTuple):
     @property
     def contact_changes(self) -> Float[Array, ""] | None:
         """How often contacts have closed or opened, None where steps do not follow them."""
-        return None if self.memory is None else self.memory.contact_changes
+        following = None if self.memory is None else self.memory.following
+        return None if following is None else following.changes
 
 
 # start [s], length [s], phase of the drive, and index of the length among the distinct ones, of an interval
@@ -179,6 +181,8 @@ def _fixed(solver, carry: Carry, start, length, steps, conditions, tolerance=Non
         state = jax.lax.fori_loop(0, count, lambda i, state: step_if_needed(state, i.astype(jnp.float64)), state)
     (trajectory, peaks), memory = state
     memory = None if carry.memory is None else memory
+    if memory is not None and memory.following is not None:
+        carry = carry._replace(exhausted=carry.exhausted | memory.following.exhausted)
     return carry._replace(trajectory=trajectory, peaks=peaks, memory=memory)
 
 

@@ -1,4 +1,4 @@
-"""Pictures of the clearance study: loads of all joints over the clearance, and their scatter over tolerances.
+"""Pictures of the clearance study: loads of all joints over the clearance, their scatter over tolerances, motion.
 
 Units: clearance um; N and N m; colours and marks from `rfem_jax.report.style`.
 """
@@ -59,3 +59,21 @@ def batch_figure(study, rows) -> Figure:
         axes.set_xlabel("radial clearance, um")
     add_titles(figure, "Errors within their tolerances: load of joint D over its clearance", study)
     return figure
+
+
+def write_motion(folder: Path, study, rows) -> list[Path]:
+    """Draw what joint D carries in motion over its clearance into `folder`."""
+    with rc_context(SETTINGS):
+        figure = Figure(figsize=(7.6, 3.6), layout="constrained")
+        clearances = [row["radial_um"] for row in rows]
+        panels = (("rms_force_N", "RMS force in D, N"), ("largest_force_N", "largest force in D, N"))
+        for axes, (column, label) in zip(figure.subplots(1, 2), panels, strict=True):
+            for k, (kind, name) in enumerate((("mean", "mean"), ("95_percent", "95 % quantile"))):
+                values = [row[f"{kind}_{column}"] for row in rows]
+                axes.plot(clearances, values, label=name, **line_style(k, len(rows)))
+            axes.set_xlabel("radial clearance, um")
+            axes.set_ylabel(label)
+            axes.set_ylim(bottom=0.0)
+            axes.legend()
+        add_titles(figure, "Too little play preloads joint D, too much lets its pin strike", study)
+    return write_pictures(folder, {"motion_over_clearance": figure})

@@ -70,9 +70,9 @@ class Found(NamedTuple):
     status: jax.Array
 
 
-def with_play(study: Study, rfes: int) -> Model:
+def with_play(study: Study, rfes: int, restitution: float | None = None) -> Model:
     """The study's mechanism whose joint D is a pin in a bush."""
-    play = Clearance(radial=0.0, axial=0.0, length=LENGTH, stiffness=STIFFNESS, exponent=1)
+    play = Clearance(radial=0.0, axial=0.0, length=LENGTH, stiffness=STIFFNESS, exponent=1, restitution=restitution)
     mechanism = study.mechanism
     joints = [replace(joint, clearance=play) if joint.name == JOINT else joint for joint in mechanism.joints]
     return discretise(replace(mechanism, joints=joints), rfes=rfes)

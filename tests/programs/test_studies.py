@@ -67,6 +67,20 @@ def test_bearing_stiffness(run_program, tmp_path):
         assert len(own) == 12 and (low < sums).all() and (sums < high).all()
 
 
+def test_clearance_in_motion(run_program, tmp_path):
+    said = run_program("studies/clearance/motion.py", "--quick", "--out", tmp_path)
+    assert "The 95 % RMS force of D is least" in said
+    assert {path.stem for path in tmp_path.glob("*.png")} == {"motion_over_clearance"}
+    rows = table(tmp_path / "motion.csv")
+    assert column(rows, "failed").tolist() == [0, 0] and column(rows, "radial_um").tolist() == [0.0, 100.0]
+    # Without play the pin stays pressed by the misalignment; with play it strikes, and no moment is left.
+    tight, loose = (dict(row) for row in rows)
+    assert float(loose["mean_contact_changes"]) > 10.0 * float(tight["mean_contact_changes"])
+    assert float(loose["95_percent_largest_force_N"]) > float(tight["95_percent_largest_force_N"])
+    assert float(loose["mean_rms_moment_Nm"]) < 0.2 * float(tight["mean_rms_moment_Nm"])
+    assert column(rows, "largest_energy_balance_error").max() < 0.01
+
+
 def test_clearance(run_program, tmp_path):
     said = run_program("studies/clearance/study.py", "--quick", "--out", tmp_path)
     assert "The largest clearance takes from the 95 % force" in said

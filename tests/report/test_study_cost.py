@@ -5,7 +5,7 @@ from dataclasses import replace
 import jax
 import pytest
 
-from rfem_jax.description import Method, MomentRamp, load_study
+from rfem_jax.description import Clearance, Method, MomentRamp, load_study
 from rfem_jax.mechanics import assembly_errors, discretise
 from rfem_jax.report.study_cost import STEP_SECONDS, cost_text, numbers_saved, saved_times, times_text
 from rfem_jax.simulation import simulate
@@ -75,6 +75,18 @@ def test_settings_change_the_numbers(tasks):
     assert told["monte carlo"].startswith("160 simulations in chunks of 8; 13 with first derivatives")
     assert "at 16 starts, and at most 16 x 100" in told["worst case"]
     assert told["allocation"].endswith("256 with derivatives in every round, 4096 in every verification")
+
+
+def test_derivatives_are_taken_twice_where_pins_may_strike(tmp_path):
+    path = tmp_path / "study.toml"
+    path.write_text(STUDY + TASKS.replace("half_step = true", ""), encoding="utf-8")
+    study = load_study(path)
+    assert "another with the finer step" not in cost_text(study)
+    play = Clearance(radial=1e-4, length=0.02, stiffness=5e7, exponent=1)
+    joints = [replace(joint, clearance=play if joint.name == "D" else None) for joint in study.mechanism.joints]
+    assert "another with the finer step" in " ".join(
+        cost_text(replace(study, mechanism=replace(study.mechanism, joints=joints))).split()
+    )
 
 
 def test_times_go_by_steps_bodies_and_simulations(tmp_path):

@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 
 from rfem_jax import STATUS, Clearance, Joint, Mechanism, Method, MomentRamp, Problem, design, discretise, simulate
+from rfem_jax.simulation.accuracy import choose_method
+from rfem_jax.simulation.solvers import contact_steps
 from rfem_jax.tolerancing.problems.quadratic_model import choose_mode
-from rfem_jax.validation.impacts import MASS, REFERENCE, SPEED, guided, rebound_of, thrown
+from rfem_jax.validation.impacts import FAST, MASS, REFERENCE, SPEED, guided, rebound_of, slider_crank, thrown
 from rfem_jax.validation.rigid_links import body
 
 COMPILED_AS_SHIPPED = True  # thousands of steps, and derivatives of stiff contacts
@@ -66,6 +68,18 @@ class TestSingleImpact:
         assert losses[0, -1] > 0.0 == losses[2, -1]
         alone = jax.jit(of_speed)(speeds[1])
         np.testing.assert_allclose(kinetic[1], alone[1], rtol=1e-9)
+
+    def test_a_step_that_is_tried_too_often_is_told(self, monkeypatch):
+        monkeypatch.setattr(contact_steps, "MOST_TRIALS", 3)
+        model, duration = guided(restitution=0.9), 8.1e-4
+        method = Method("generalised_alpha", step=duration)
+        run = simulate(model, drive=None, duration=duration, method=method, save_every=duration, start=thrown(model))
+        assert STATUS[int(run.status)].name == "steps_exhausted"
+
+    def test_no_step_is_chosen_where_impacts_are_chaotic(self):
+        model, drive, _ = slider_crank(FAST)
+        with pytest.raises(ValueError, match="after a few impacts motion is chaotic"):
+            choose_method(model, Method("auto"), drive, 0.02)
 
     def test_adaptive_steps_follow_contacts_of_every_sample(self):
         """One sample has struck and left, one is in contact, one touches nothing."""

@@ -42,8 +42,7 @@ CHORD_ITERATIONS = 40
 
 class _Condensed(NamedTuple):
     """The linearised mechanism with held pins: step (n,) of the unknowns without contacts; by_wrenches (n, 6 pins):
-    their change, and compliance (6 pins, 6 pins): that of the poses, by wrenches on the pins; poses (6 pins, n): change
-    of the poses by the unknowns; all of them scaled."""
+    their change by wrenches on the pins; poses (6 pins, n): change of the poses by the unknowns; all scaled."""
 
     step: Float[Array, " n"]
     by_wrenches: Float[Array, "n k"]

@@ -48,15 +48,19 @@ class Derivatives(NamedTuple):
 class SensitivityReport(TaskReport[SensitivityTask, Derivatives]):
     """Derivatives of joint loads with respect to assembly errors."""
 
+    @property
+    def twice(self) -> bool:
+        """Whether a finer step shows how far derivatives can be trusted: where asked, and where pins may strike."""
+        return self.task.half_step or any(joint.clearance for joint in self.study.mechanism.joints)
+
     def run(self, folder: Path) -> Derivatives:
         """Derivatives of all metrics of the task."""
         task, study = self.task, self.study
         problem = study_problem.build_problem(study, task.metrics)
-        again = task.half_step or getattr(problem, "strikes", False)
-        twice = " (twice: with the finer step too)" if again else ""
+        twice = " (twice: with the finer step too)" if self.twice else ""
         stage = f"Differentiating {len(task.metrics)} metrics to order {task.order}{twice}"
         on_stage(stage)
-        refined = problem.with_method(finer_method(study.method)) if again else None
+        refined = problem.with_method(finer_method(study.method)) if self.twice else None
         tolerances = Tolerances.of(self.study)
         found = differentiate(
             problem, task.at, task.order, tolerances, task.mode, batch=task.batch, refined=refined,
@@ -89,13 +93,13 @@ class SensitivityReport(TaskReport[SensitivityTask, Derivatives]):
         ]
 
     def simulations(self) -> list[str]:
-        twice = ", and another with the finer step" if self.task.half_step else ""
+        twice = ", and another with the finer step" if self.twice else ""
         order = {1: "first", 2: "first and second"}[self.task.order]
         return [f"1 simulation with {order} derivatives by {len(self.tolerances.names)} errors{twice}"]
 
     def work(self) -> float:
         one = GRADIENT * (1 if self.task.order == 1 else 1 + len(self.tolerances.names))
-        return 3 * one if self.task.half_step else one  # the finer step takes twice as long
+        return 3 * one if self.twice else one  # the finer step takes twice as long
 
     def draw(self, result: Derivatives) -> dict[str, Figure]:
         figures = {

@@ -26,14 +26,15 @@ from rfem_jax.mechanics.kinematics import motion_of
 from rfem_jax.mechanics.model import BASE, State
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 from rfem_jax.simulation.equations import Scalar, Trajectory
-from rfem_jax.simulation.solvers.implicit_step import Memory
+from rfem_jax.simulation.solvers.implicit_step import Following, Memory
 
 HALVINGS = 14  # of a step, down to a length that no contact needs
-MOST_TRIALS = 4096  # of parts of one step; then all are taken, and the status of the run says so
+MOST_TRIALS = 4096  # of parts of one step; then all are taken, and the run has the status "steps_exhausted"
 GROWTH = 0.2  # error from below which the next step may be twice as long, whose error is four times as large
-SLAVED = 0.05  # share of a contact's force that inertia takes, below which the contact only follows the mechanism
+# Over the tolerance, so that all vanishes with it: the share of a contact's force that inertia takes, below which the
+# contact only follows the mechanism; the share of the largest force so far of contacts that need not be followed.
+SLAVED, SMALL = 2.5, 0.5
 SOLVED, SOLVED_BY = 1e-3, 8  # residual over the largest force so far; halvings that are worth trying for it
-SMALL = 0.01  # share of the largest force so far, of contacts that need not be followed
 
 
 class PinDepths(NamedTuple):
@@ -51,15 +52,22 @@ class PinLaws(NamedTuple):
     mass: Float[Array, " contacts"]
 
 
+class _Reached(NamedTuple):
+    """At a place within a step: state and memory of the solver, contacts, and how they were followed so far."""
+
+    state: Any
+    memory: Memory
+    contacts: PinDepths
+    following: Following
+
+
 class _Progress(NamedTuple):
-    """Within a step: place, in units of the shortest part, and halvings of the next part; state and memory of the
-    solver, and the contacts, at that place; trials so far."""
+    """Within a step: place, in units of the shortest part, and halvings of the next part; what is reached there; trials
+    so far."""
 
     place: Int[Array, ""]
     halvings: Int[Array, ""]
-    state: PyTree
-    memory: Any
-    contacts: PinDepths
+    reached: _Reached
     trials: Int[Array, ""]
 
 
@@ -92,12 +100,12 @@ def error_of_step(
     so far.
     """
     depth = jnp.maximum(before.depth, after.depth)
-    least = (SMALL * largest / laws.stiffness + 1e-300) ** (1.0 / laws.exponent)
+    least = (SMALL * tolerance * largest / laws.stiffness + 1e-300) ** (1.0 / laws.exponent)
     change, depth = jnp.abs(after.rate - before.rate), jnp.maximum(depth, least)
     force = laws.stiffness * depth**laws.exponent
     moving = h > 0.0
     inertial = laws.mass * change / jnp.where(moving, h, 1.0) / (SLAVED * force)
-    error = jnp.minimum(h * change / (tolerance * depth), inertial)
+    error = jnp.minimum(h * change / depth, inertial) / tolerance
     return jnp.max(jnp.where(moving & ((before.depth > 0.0) | (after.depth > 0.0)), error, 0.0))
 
 
@@ -128,6 +136,17 @@ def _reduced_mass(actual: ModelWithErrors, nodes: tuple[int, int]) -> Float[Arra
     return 1.0 / inverse
 
 
+def for_length(memory: Memory, length: Float[Array, ""], before: Float[Array, ""]) -> Memory:
+    """The memory for a part of another length [s] than the one before, zero at the start.
+
+    The method's own accelerations a are those of a later instant than v', by a share of the length of the step; they
+    move with it (theory (15.15)).
+    """
+    ratio = jnp.where(before > 0.0, length / jnp.where(before > 0.0, before, 1.0), 1.0)
+    auxiliary = jax.tree.map(lambda a, v: v + ratio * (a - v), memory.auxiliary, memory.accelerations)
+    return memory._replace(auxiliary=auxiliary)
+
+
 def follow_contacts(
     step: Callable[[Scalar, Scalar, Any, Memory, PyTree], tuple[Any, Memory, Bool[Array, ""]]],
     actual: ModelWithErrors,
@@ -149,30 +168,30 @@ def follow_contacts(
         return now.place < units
 
     def advance(now: _Progress):
-        part = jnp.right_shift(units, now.halvings)
-        t0, t1 = (start + h * place.astype(h.dtype) / units for place in (now.place, now.place + part))
-        own = jax.tree.map(lambda x: x[now.halvings], operators)
-        state, memory, solved = step(t0, t1, now.state, now.memory, own)
-        contacts = depths_of_pins(actual, state[0])
+        part, before = jnp.right_shift(units, now.halvings), now.reached
+        ends = now.place, now.place + part
+        t0, t1 = (start + h * place.astype(h.dtype) / units for place in ends)
+        own, length = jax.tree.map(lambda x: x[now.halvings], operators), h * part.astype(h.dtype) / units
+        memory = for_length(before.memory, length, before.following.length)
+        state, memory, solved = step(t0, t1, before.state, memory, own)
+        contacts, exhausted = depths_of_pins(actual, state[0]), now.trials >= MOST_TRIALS
         largest = jnp.sqrt(jnp.max(jax.lax.stop_gradient(state[1])))
-        error = error_of_step(jnp.asarray(t1 - t0), now.contacts, contacts, laws, largest, tolerance)
-        at_once = (now.halvings == HALVINGS) | (now.trials >= MOST_TRIALS)
+        error = error_of_step(length, before.contacts, contacts, laws, largest, tolerance)
         close = (memory.residual <= SOLVED * largest) | (now.halvings >= SOLVED_BY)
-        kept = ((error <= 1.0) & solved & close) | at_once
-        changed = changes_between(now.contacts, contacts)
-        place = now.place + jnp.where(kept, part, 0)
+        kept = ((error <= 1.0) & solved & close) | (now.halvings == HALVINGS) | exhausted
+        changes = before.following.changes + changes_between(before.contacts, contacts)
+        following = Following(changes, before.following.exhausted | exhausted, length)
+        after = _Reached(state, memory, contacts, following)
+        place = jnp.where(kept, ends[1], ends[0])
         # Twice the length must divide the place, so that the parts end where the step does.
-        longer = ((error < GROWTH) | (now.trials >= MOST_TRIALS)) & (jnp.bitwise_and(place, part) == 0)
+        longer = ((error < GROWTH) | exhausted) & (jnp.bitwise_and(place, part) == 0)
         fewer = jnp.maximum(now.halvings - longer.astype(jnp.int32), 0)
         halvings = jnp.where(kept, fewer, jnp.minimum(now.halvings + 2, HALVINGS))
-        assert memory.contact_changes is not None  # of a method that follows
-        new = state, memory._replace(contact_changes=memory.contact_changes + changed), contacts
-        state, memory, contacts = jax.tree.map(
-            lambda a, b: jnp.where(kept, a, b), new, (now.state, now.memory, now.contacts)
-        )
-        return _Progress(place, halvings, state, memory, contacts, now.trials + 1)
+        reached = jax.tree.map(lambda a, b: jnp.where(kept, a, b), after, before)
+        return _Progress(place, halvings, reached, now.trials + 1)
 
-    none = jnp.zeros((), jnp.int32)
-    first = _Progress(none, none, state, memory, depths_of_pins(actual, state[0]), none)
-    end = jax.lax.while_loop(going_on, advance, first)
-    return end.state, end.memory
+    assert memory.following is not None  # of a method that follows
+    none, alone = jnp.zeros((), jnp.int32), memory._replace(following=None)
+    reached = _Reached(state, alone, depths_of_pins(actual, state[0]), memory.following)
+    end = jax.lax.while_loop(going_on, advance, _Progress(none, none, reached, none)).reached
+    return end.state, end.memory._replace(following=end.following)

@@ -75,6 +75,7 @@ from rfem_jax.simulation.equations import Conditions, Integrals, Scalar, Traject
 from rfem_jax.simulation.observation import Instant, cut_drift, evaluated_instant
 from rfem_jax.simulation.run import RESIDUAL_LIMIT
 from rfem_jax.simulation.solvers.implicit_step import (
+    Following,
     Memory,
     StepConstants,
     StepEnd,
@@ -171,8 +172,14 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         contacts = None
         if remembers(actual):
             contacts = contact_memory(actual, motion_of(actual, State(trajectory.position, trajectory.velocity)))
-        changes = jnp.zeros(()) if actual.topology.clearances and self.contact_tolerance > 0.0 else None
-        return Memory(zeros, zeros, multipliers, rates, jnp.zeros(()), jnp.zeros(()), contacts, changes)
+        following = None
+        if self.follows(actual):
+            following = Following(jnp.zeros(()), jnp.zeros((), bool), jnp.zeros(()))
+        return Memory(zeros, zeros, multipliers, rates, jnp.zeros(()), jnp.zeros(()), contacts, following)
+
+    def follows(self, actual: ModelWithErrors) -> bool:
+        """Whether the steps of a mechanism are parts that follow contacts."""
+        return bool(actual.topology.clearances) and self.contact_tolerance > 0.0
 
     def resume(
         self,
@@ -258,6 +265,8 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         evaluation = self.evaluate(predicted, constants, start)[0]
 
         renewed = _renews(conditions.actual)
+        # Contacts converge later; what is not solved is done again in quarters, which costs more.
+        most = self.max_increments * (2 if self.follows(conditions.actual) else 1)
 
         def kept(evaluation):
             # With friction or contacts the matrix is formed again for every increment, from all of the evaluation.
@@ -265,7 +274,7 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
 
         def unconverged(carry):
             count, converged, *_ = carry
-            return (count == 0) | ((count < self.max_increments) & ~converged)
+            return (count == 0) | ((count < most) & ~converged)
 
         def improve(carry):
             count, _, unknowns, residual, _ = carry

@@ -21,7 +21,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.ad_checkpoint import checkpoint_name
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from rfem_jax.mechanics.clearances import ContactMemory
 from rfem_jax.mechanics.implicit.condensation import LinkOperator
@@ -41,14 +41,22 @@ SOLUTION = "solution of an implicit step"  # what reverse mode keeps of a step
 Unknowns = NewtonIncrement  # accelerations and multipliers, as the increments that are added to them
 
 
+class Following(NamedTuple):
+    """How the steps so far have followed contacts: changes, how often one has closed or opened; exhausted: whether a
+    step was tried in too many parts; length [s] of the last part, zero at the start."""
+
+    changes: Float[Array, ""]
+    exhausted: Bool[Array, ""]
+    length: Float[Array, ""]
+
+
 class Memory(NamedTuple):
     """What an implicit method remembers from step to step besides the trajectory.
 
     accelerations v' of the coordinates; auxiliary: the method's own accelerations a; multipliers [N]; rates: time
     derivatives of the integrals; residual [N]: largest force that the residual of the last step has, and
     largest_residual [N] that of all steps so far; contacts: with restitution, what they remembered in the last step
-    (theory (15.6)), None without any; contact_changes: number of contacts that have closed or opened, None where steps
-    do not follow them.
+    (theory (15.6)), None without any; following: how steps have followed contacts, None where they do not.
     """
 
     accelerations: Coordinates
@@ -58,7 +66,7 @@ class Memory(NamedTuple):
     residual: Float[Array, ""]
     largest_residual: Float[Array, ""]
     contacts: dict[str, ContactMemory] | None = None
-    contact_changes: Float[Array, ""] | None = None
+    following: Following | None = None
 
 
 class StepStart(NamedTuple):
