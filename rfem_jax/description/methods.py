@@ -132,8 +132,8 @@ class GeneralisedAlphaMethod(Method):
         name: "generalised_alpha".
         step: h [s], > 0; must be given.
         spectral_radius: at infinite frequency, from 0 (such vibrations vanish in one step) to below 1 (they stay).
-        corrections: largest number of Newton increments in a step, at least 1; where steps follow contacts twice as
-            many are allowed.
+        corrections: largest number of Newton increments in a step, at least 1; where steps follow contacts one more
+            is allowed.
         tolerance: largest residual allowed, as a share of the largest joint load, > 0, < 1.
         contact_tolerance: with joints with clearance, steps are divided where a contact would change its speed by more
             than this share of its depth over the length of the step (theory (15.14)), >= 0, < 1; 0 = steps stay whole,

@@ -265,8 +265,8 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         evaluation = self.evaluate(predicted, constants, start)[0]
 
         renewed = _renews(conditions.actual)
-        # Contacts converge later; what is not solved is done again in quarters, which costs more.
-        most = self.max_increments * (2 if self.follows(conditions.actual) else 1)
+        # Contacts converge an increment later; what is not solved is done again in quarters, which costs more.
+        most = self.max_increments + self.follows(conditions.actual)
 
         def kept(evaluation):
             # With friction or contacts the matrix is formed again for every increment, from all of the evaluation.
