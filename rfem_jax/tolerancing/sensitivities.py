@@ -34,10 +34,11 @@ from rfem_jax.tolerancing.problems.evaluation import describe_status, read_point
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.problem import Metric, ToleranceProblem
 from rfem_jax.tolerancing.problems.quadratic_model import QuadraticModel, check_expansion, expand_point
+from rfem_jax.tolerancing.problems.reproduction import REPRODUCED, may_strike
 from rfem_jax.tolerancing.progress import ProgressBar, ProgressOption
 
 NOT_CONVERGED = "derivative_not_converged"
-NOT_REPRODUCED, REPRODUCED = "derivative_not_reproduced", 0.1  # change by a finer step, of a metric's largest effect
+NOT_REPRODUCED = "derivative_not_reproduced"
 ROUNDING = 1e-12  # gradient and Hessian of an error below this part of the largest ones: of no effect
 VANISHING = 1e-6  # gradient below this part of (Hessian x tolerances): zero by symmetry
 ZERO_VALUE = 1e-9  # value below this part of (1/2 tolerances x Hessian x tolerances): zero
@@ -307,7 +308,7 @@ def _report(
     # NaN has not converged either.
     if status == "ok" and residual is not None and limit is not None and not residual <= limit:
         status = NOT_CONVERGED
-    if status == "ok" and gradient_change is not None and getattr(problem, "strikes", False):
+    if status == "ok" and gradient_change is not None and may_strike(problem):
         changes = gradient_change * effects / np.maximum(effects.max(axis=1, keepdims=True), 1e-300)
         status = NOT_REPRODUCED if (changes > REPRODUCED).any() else "ok"  # a kink has no derivative, NaN
     return Sensitivities(

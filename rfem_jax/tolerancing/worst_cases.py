@@ -49,14 +49,11 @@ from rfem_jax.tolerancing.problems.evaluation import (
     select_half_widths,
     split_errors,
 )
+from rfem_jax.tolerancing.problems.linearisation import choose_mode, linearise_points
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances, distributions_of
 from rfem_jax.tolerancing.problems.problem import Metric, ToleranceProblem
-from rfem_jax.tolerancing.problems.quadratic_model import (
-    QuadraticModel,
-    choose_mode,
-    expand_by_differences,
-    linearise_points,
-)
+from rfem_jax.tolerancing.problems.quadratic_model import QuadraticModel, expand_by_differences
+from rfem_jax.tolerancing.problems.reproduction import require_reproduced
 from rfem_jax.tolerancing.sampling.sequences import RandomKey
 
 STARTS = {"corners": 4, "random": 4, "sobol": 8}
@@ -202,6 +199,8 @@ def worst_case(
         widths = dict(zip(names, map(float, half_widths), strict=True))
         model = expand_by_differences(problem, at, widths, mode=mode, batch=batch)
     base, centre = split_errors(problem, at, names)
+    if model is False:
+        require_reproduced(problem, names, base, np.asarray(centre), half_widths, mode=mode, batch=batch)
     frame = _Frame(problem, names, base, np.asarray(centre), index, matrix, searched, sense, mode, batch)
     scaled = None if model is False else frame.scale_model(model)
     error = np.nan if model is False or model.hessian_error is None else float(model.hessian_error[index])

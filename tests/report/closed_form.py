@@ -30,11 +30,11 @@ def loads(errors, factor):
 
 
 class ClosedForm(FunctionProblem):
-    """The problem of the stand-in; `with_method` changes all moments by one per cent."""
+    """The problem of the stand-in; `refined` changes all moments by one per cent."""
 
     undamped = False
 
-    def with_method(self, method):
+    def refined(self):
         return build(METRICS if len(self.metrics) == 2 else [self.metrics[0].name], 1.01)
 
 

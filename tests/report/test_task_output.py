@@ -94,7 +94,7 @@ def test_a_folder_of_samples_that_is_a_file_is_told_in_words_of_the_command(task
 class Undamped(FunctionProblem):
     undamped = True
 
-    def with_method(self, method):
+    def refined(self):
         return self
 
 

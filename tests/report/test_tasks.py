@@ -19,11 +19,11 @@ from rfem_jax.description import Method, load_study
 from rfem_jax.report import command_line
 from rfem_jax.report.command_line import main
 from rfem_jax.report.tasks import study_problem, task_report, worst_case
-from rfem_jax.report.tasks.sensitivity import finer_method
 from rfem_jax.report.tasks.task_overview import tasks_text
 from rfem_jax.tolerancing import Tolerances, monte_carlo
 from rfem_jax.tolerancing import worst_case as search
 from rfem_jax.tolerancing.problems.results_store import ResultsStore
+from rfem_jax.tolerancing.problems.simulated_problem import finer_method
 from tests.study_texts import ROUND, STEEL, hinge, link
 
 from . import closed_form
@@ -344,8 +344,6 @@ def test_wrong_options_are_one_sentence(task_file, tmp_path, capsys, options, wo
             Method("generalised_alpha", step=1e-3, contact_tolerance=0.005),  # steps that follow are halved
         ),
         (Method("dopri8", rtol=1e-6, atol=1e-9), Method("dopri8", rtol=1e-7, atol=1e-10)),
-        (Method("auto"), Method("auto", accuracy=1e-4)),
-        (Method("auto", accuracy=2e-3), Method("auto", accuracy=2e-4)),
     ],
 )
 def test_the_finer_method(method, expected):

@@ -68,6 +68,29 @@ class TestFourBar:
             for one, row in zip(loads(tilts[n]), together, strict=True):
                 np.testing.assert_allclose(row[n], one, rtol=1e-6, atol=1e-8)
 
+    def test_little_clearance_of_stiff_contacts_is_the_ideal_hinge(self, four_bar):
+        """Of first order in the clearance, and for a linear law in the compliance."""
+        ideal, errors = (
+            discretise(flexible_four_bar(None)),
+            {"D.delta_x": TILT, "D.delta_z": -0.5 * TILT, "D.d_y": 2e-4},
+        )
+        names = [f"D.clearance.{name}" for name in ("radial", "axial", "stiffness", "axial_stiffness")]
+
+        def loads(model, values=None):
+            wanted = None if values is None else design(model, dict(zip(names, values)))
+            made = assemble(model, assembly_errors(model, errors), design=wanted)
+            return jnp.stack([jnp.concatenate(made.preload[name]) for name in "ABCD"]), made.status
+
+        # Rows with little clearance first, those of stiff contacts after them.
+        rows = [(c, c, 1e13, 1e13) for c in (4e-6, 2e-6, 1e-6)] + [(1e-10, 1e-10, k, k) for k in (1e9, 1e10)]
+        limit = loads(ideal)[0]
+        found, status = jax.vmap(lambda values: loads(four_bar, values))(jnp.array(rows))
+        assert not np.asarray(status).any()
+        off = np.abs(np.asarray(found - limit[None])).max(axis=1) / np.abs(np.asarray(limit)).max(axis=0)
+        np.testing.assert_allclose(off[:2] / off[1:3], 2.0, rtol=0.02)
+        np.testing.assert_allclose(off[3] / off[4], 10.0, rtol=0.03)
+        assert (off[2] < 0.025).all() and (off[4] < 1e-3).all()
+
     def test_the_present_matrix_finds_what_that_of_the_perfect_mechanism_does(self, four_bar, monkeypatch):
         """The latter is not iterated, so that only Newton's method under loads is left."""
         held, wanted = held_angles(four_bar, None), design(four_bar, {"D.clearance.radial": 1.3e-4})

@@ -4,6 +4,8 @@
 validation check them.
 """
 
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,7 +14,7 @@ import pytest
 from rfem_jax import STATUS, Clearance, Joint, Mechanism, Method, MomentRamp, Problem, design, discretise, simulate
 from rfem_jax.simulation.accuracy import choose_method
 from rfem_jax.simulation.solvers import contact_steps
-from rfem_jax.tolerancing.problems.quadratic_model import choose_mode
+from rfem_jax.tolerancing.problems.linearisation import choose_mode
 from rfem_jax.validation.impacts import FAST, MASS, REFERENCE, SPEED, guided, rebound_of, slider_crank, thrown
 from rfem_jax.validation.rigid_links import body
 
@@ -178,3 +180,25 @@ def test_a_problem_that_follows_contact_is_differentiated_forwards(pressed):
     assert choose_mode("auto", 100, 1, problem(0.0)) == "reverse"
     with pytest.raises(ValueError, match="contact_tolerance = 0"):
         choose_mode("reverse", 100, 1, problem(0.02))
+    finer = problem(0.02).refined()
+    assert (finer.strikes, finer.method.step, finer.method.contact_tolerance) == (True, 5e-5, 0.005)
+
+
+class Accelerations(NamedTuple):
+    """What `for_length` takes of a memory."""
+
+    accelerations: jax.Array
+    auxiliary: jax.Array
+
+
+def test_accelerations_of_the_method_move_with_the_length_unless_they_vibrate():
+    """A smooth change, one that the bound cuts off, one as large as the acceleration itself, and one from zero."""
+    present, away = jnp.array([10.0, -10.0, 5.0, 0.0]), jnp.array([0.2, -0.8, 6.0, -1.0])
+
+    def moved(length, before):
+        found = contact_steps.for_length(Accelerations(present, present + away), jnp.array(length), jnp.array(before))
+        return found.auxiliary - present
+
+    np.testing.assert_allclose(moved(2e-5, 1e-5), [0.4, -1.0, 6.0, -1.0], rtol=1e-12)
+    np.testing.assert_allclose(moved(1e-5, 4e-5), 0.25 * np.asarray(away), rtol=1e-12)
+    np.testing.assert_allclose(moved(1e-5, 0.0), away, rtol=1e-12)

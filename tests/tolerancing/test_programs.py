@@ -18,14 +18,11 @@ from rfem_jax.tolerancing.optimisation.projected_gradient import climb, climb_to
 from rfem_jax.tolerancing.optimisation.starting_points import projection
 from rfem_jax.tolerancing.problems.distributions import Uniform
 from rfem_jax.tolerancing.problems.evaluation import evaluate_points
+from rfem_jax.tolerancing.problems.linearisation import linearise_points
 from rfem_jax.tolerancing.problems.metrics import metric
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.problem import FunctionProblem
-from rfem_jax.tolerancing.problems.quadratic_model import (
-    expand,
-    expand_by_differences,
-    linearise_points,
-)
+from rfem_jax.tolerancing.problems.quadratic_model import expand, expand_by_differences
 from rfem_jax.tolerancing.worst_cases import worst_case
 
 jax.config.update("jax_enable_x64", True)

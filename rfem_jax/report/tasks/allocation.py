@@ -33,7 +33,8 @@ from rfem_jax.tolerancing import Exponential, Reciprocal, ReciprocalSquared, all
 from rfem_jax.tolerancing.allocation.allocation_study import Allocation, LimitCheck
 from rfem_jax.tolerancing.allocation.cost_models import total_cost
 from rfem_jax.tolerancing.problems.distributions import DISTRIBUTIONS
-from rfem_jax.tolerancing.problems.quadratic_model import choose_mode, expand_by_differences
+from rfem_jax.tolerancing.problems.linearisation import choose_mode
+from rfem_jax.tolerancing.problems.quadratic_model import expand_by_differences
 
 CostModel = Reciprocal | ReciprocalSquared | Exponential
 Limits = dict[str, tuple[float | None, float | None]]

@@ -5,7 +5,6 @@ Place in the pipeline: `rfem_jax.description.tasks.sensitivity` -> **sensitivity
 Symbols: t tolerances, g gradient and H Hessian per tolerance, all in the unit of the metric.
 """
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,7 +13,6 @@ from jaxtyping import Float
 
 from rfem_jax.compilation.stages import on_stage
 from rfem_jax.description.error_catalogue import as_specified
-from rfem_jax.description.methods import DEFAULT_ACCURACY, GeneralisedAlphaMethod, Method
 from rfem_jax.description.study import Study
 from rfem_jax.description.tasks.sensitivity import SensitivityTask
 from rfem_jax.report.annotations import Figure
@@ -60,7 +58,7 @@ class SensitivityReport(TaskReport[SensitivityTask, Derivatives]):
         twice = " (twice: with the finer step too)" if self.twice else ""
         stage = f"Differentiating {len(task.metrics)} metrics to order {task.order}{twice}"
         on_stage(stage)
-        refined = problem.with_method(finer_method(study.method)) if self.twice else None
+        refined = problem.refined() if self.twice else None
         tolerances = Tolerances.of(self.study)
         found = differentiate(
             problem, task.at, task.order, tolerances, task.mode, batch=task.batch, refined=refined,
@@ -109,17 +107,6 @@ class SensitivityReport(TaskReport[SensitivityTask, Derivatives]):
         if result.found.shares is not None:
             figures["contributions"] = contributions_figure(self.study, result.found, result.found.shares)
         return figures
-
-
-def finer_method(method: Method) -> Method:
-    """The same method with half the step and parts of it that follow contacts, or a tenth of its tolerances."""
-    if method.step is not None:
-        finer = replace(method, step=0.5 * method.step)
-        if isinstance(finer, GeneralisedAlphaMethod):
-            finer = replace(finer, contact_tolerance=0.25 * finer.contact_tolerance)
-        return finer
-    shares = {name: getattr(method, name) for name in ("rtol", "atol", "accuracy") if hasattr(method, name)}
-    return replace(method, **{name: 0.1 * (value or DEFAULT_ACCURACY) for name, value in shares.items()})
 
 
 def sensitivity_text(result: Sensitivities, undamped: bool) -> str:

@@ -23,7 +23,8 @@ from rfem_jax.tolerancing import Tolerances
 from rfem_jax.tolerancing import worst_case as search_worst_case
 from rfem_jax.tolerancing.layout import show_number
 from rfem_jax.tolerancing.optimisation.starting_points import EXHAUSTIVE
-from rfem_jax.tolerancing.problems.quadratic_model import choose_mode, expand_by_differences
+from rfem_jax.tolerancing.problems.linearisation import choose_mode
+from rfem_jax.tolerancing.problems.quadratic_model import expand_by_differences
 from rfem_jax.tolerancing.worst_cases import WorstCase
 
 MOST_PANELS = 8

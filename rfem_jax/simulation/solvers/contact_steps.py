@@ -29,7 +29,9 @@ from rfem_jax.simulation.equations import Scalar, Trajectory
 from rfem_jax.simulation.solvers.implicit_step import Following, Memory
 
 HALVINGS = 14  # of a step, down to a length that no contact needs
-MOST_TRIALS = 4096  # of parts of one step; then all are taken, and the run has the status "steps_exhausted"
+# Of parts of one step; then all are taken, to the end of the run, which has the status "steps_exhausted".
+MOST_TRIALS = 4096
+SMOOTH = 0.1  # share of an acceleration by which that of a later instant may differ, as far as it is smooth
 GROWTH = 0.2  # error from below which the next step may be twice as long, whose error is four times as large
 # Over the tolerance, so that all vanishes with it: the share of a contact's force that inertia takes, below which the
 # contact only follows the mechanism; the share of the largest force so far of contacts that need not be followed.
@@ -139,11 +141,17 @@ def _reduced_mass(actual: ModelWithErrors, nodes: tuple[int, int]) -> Float[Arra
 def for_length(memory: Memory, length: Float[Array, ""], before: Float[Array, ""]) -> Memory:
     """The memory for a part of another length [s] than the one before, zero at the start.
 
-    The method's own accelerations a are those of a later instant than v', by a share of the length of the step; they
-    move with it (theory (15.15)).
+    The method's own accelerations a are those of another instant than v', away by a share of the length; they move with
+    it, but not further than `SMOOTH` allows: the vibrations of stiff links would grow (theory (15.15)).
     """
     ratio = jnp.where(before > 0.0, length / jnp.where(before > 0.0, before, 1.0), 1.0)
-    auxiliary = jax.tree.map(lambda a, v: v + ratio * (a - v), memory.auxiliary, memory.accelerations)
+
+    def moved_on(auxiliary, present):
+        away = auxiliary - present
+        most = jnp.maximum(jnp.abs(away), SMOOTH * jnp.abs(present))
+        return present + jnp.clip(ratio * away, -most, most)
+
+    auxiliary = jax.tree.map(moved_on, memory.auxiliary, memory.accelerations)
     return memory._replace(auxiliary=auxiliary)
 
 
@@ -174,13 +182,14 @@ def follow_contacts(
         own, length = jax.tree.map(lambda x: x[now.halvings], operators), h * part.astype(h.dtype) / units
         memory = for_length(before.memory, length, before.following.length)
         state, memory, solved = step(t0, t1, before.state, memory, own)
-        contacts, exhausted = depths_of_pins(actual, state[0]), now.trials >= MOST_TRIALS
+        contacts = depths_of_pins(actual, state[0])
+        exhausted = before.following.exhausted | (now.trials >= MOST_TRIALS)
         largest = jnp.sqrt(jnp.max(jax.lax.stop_gradient(state[1])))
         error = error_of_step(length, before.contacts, contacts, laws, largest, tolerance)
         close = (memory.residual <= SOLVED * largest) | (now.halvings >= SOLVED_BY)
         kept = ((error <= 1.0) & solved & close) | (now.halvings == HALVINGS) | exhausted
         changes = before.following.changes + changes_between(before.contacts, contacts)
-        following = Following(changes, before.following.exhausted | exhausted, length)
+        following = Following(changes, exhausted, length)
         after = _Reached(state, memory, contacts, following)
         place = jnp.where(kept, ends[1], ends[0])
         # Twice the length must divide the place, so that the parts end where the step does.

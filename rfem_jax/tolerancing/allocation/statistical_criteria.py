@@ -39,7 +39,7 @@ from rfem_jax.tolerancing.allocation.request import Request
 from rfem_jax.tolerancing.optimisation.starting_points import sobol_units
 from rfem_jax.tolerancing.problems.distributions import Tolerance
 from rfem_jax.tolerancing.problems.evaluation import evaluate_points
-from rfem_jax.tolerancing.problems.quadratic_model import linearise_points
+from rfem_jax.tolerancing.problems.linearisation import linearise_points
 from rfem_jax.tolerancing.sampling.sequences import RandomKey
 from rfem_jax.tolerancing.sampling.statistics import estimate_mean, estimate_quantile, estimate_yield
 

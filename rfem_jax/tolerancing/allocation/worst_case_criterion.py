@@ -22,7 +22,7 @@ from jaxtyping import Float
 from rfem_jax.tolerancing.allocation.models import Answer, Scenarios, Verified, cheapest
 from rfem_jax.tolerancing.allocation.request import Request
 from rfem_jax.tolerancing.optimisation.starting_points import maximise_quadratic
-from rfem_jax.tolerancing.problems.quadratic_model import linearise_points
+from rfem_jax.tolerancing.problems.linearisation import linearise_points
 from rfem_jax.tolerancing.sampling.sequences import RandomKey
 from rfem_jax.tolerancing.worst_cases import STARTS, WorstCase, worst_case
 

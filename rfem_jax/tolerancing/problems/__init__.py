@@ -5,5 +5,6 @@ metrics             numbers of a run
 simulated_problem   the simulator as a problem
 distributions       of the errors within their tolerances
 evaluation          at points and along them; execution: in batches over devices; results_store: kept as it goes
+linearisation       first derivatives at many points; reproduction: where pins strike, a finer step must have the same
 quadratic_model     second-order expansions
 """

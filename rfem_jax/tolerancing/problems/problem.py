@@ -120,6 +120,22 @@ class ImplicitProblem(ToleranceProblem, Protocol):
         ...
 
 
+class StrikingProblem(ToleranceProblem, Protocol):
+    """A problem whose pins may strike their bushes; its derivatives count only as far as a finer step has the same.
+
+    `strikes`: whether they may.
+    """
+
+    @property
+    def strikes(self) -> bool:
+        """See the class."""
+        ...
+
+    def refined(self) -> ToleranceProblem:
+        """The same problem with half the step."""
+        ...
+
+
 class FunctionProblem(eqx.Module):
     """A problem made of any JAX function of a dict of errors.
 

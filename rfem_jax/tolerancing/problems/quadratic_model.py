@@ -7,11 +7,6 @@ Place in the pipeline: sensitivities report it, worst cases start from it, and a
 Symbols: e (k,) errors [rad, m], f (m,) metrics [their units], g (m, k) [unit per rad or m], H (m, k, k), S (k, k)
 covariance of the errors, t (k,) half-widths of the tolerances.
 
-Modes. Forward mode pushes k tangents through the simulation (k^2 for the Hessian); reverse mode pulls m cotangents
-back (k*m for the Hessian, forward over reverse). One cotangent costs about `REVERSE_COST` tangents (a reverse pass
-runs the forward pass, stores it, and runs it back), so "auto" takes forward mode while k <= REVERSE_COST * m. Both run
-in chunks of `batch` directions.
-
 `expand` gives the exact Hessian, by a program of its own. `expand_by_differences` takes central differences of exact
 gradients at two steps (theory (10.3): h and 2 h, extrapolated, an error of h^4), by the same program that searches
 use, and estimates their error.
@@ -34,28 +29,26 @@ from rfem_jax.description.precision import require_float64
 from rfem_jax.tolerancing.checks import ErrorValues, check_known
 from rfem_jax.tolerancing.problems.evaluation import (
     Base,
-    map_chunks,
-    run_in_chunks,
     select_half_widths,
     split_errors,
     stack_metrics,
 )
-from rfem_jax.tolerancing.problems.execution import default_lanes
 from rfem_jax.tolerancing.problems.kept_evaluations import remembered
+from rfem_jax.tolerancing.problems.linearisation import (
+    ValueVector,
+    choose_mode,
+    differentiate,
+    differentiate_twice,
+    linearise_points,
+    push_directions,
+)
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.problem import ImplicitProblem, Status, ToleranceProblem
+from rfem_jax.tolerancing.problems.reproduction import require_reproduced
 from rfem_jax.tolerancing.progress import ProgressBar, ProgressOption
 
-MODES = ("auto", "forward", "reverse")
-REVERSE_COST = 3
-DIRECTIONS = 32  # tangents of one point at once
-POINTS_WITH_TANGENTS = 4  # times the lanes: points x tangents at once
 STEP = 0.01  # of a tolerance
 SUMS = {"forward": 8, "reverse": 2}  # each one is two directions more in reverse mode
-
-ValueVector = Float[Array, " m"]
-Jacobian = Float[Array, "m k"]
-Function = Callable[[Float[Array, " k"]], tuple[ValueVector, Status]]
 
 
 class QuadraticModel(eqx.Module):
@@ -121,67 +114,6 @@ class QuadraticModel(eqx.Module):
         )
 
 
-def choose_mode(mode: str, errors: int, metrics: int, problem: ToleranceProblem | None = None) -> str:
-    """ "forward" or "reverse" for that many errors and metrics, unless `mode` is one of them already.
-
-    Raises: InputError for an unknown mode, and for "reverse" with a problem that has none.
-    """
-    if mode not in MODES:
-        raise InputError(f"Argument `mode` must be one of {', '.join(MODES)}, but it is {mode!r}.")
-    reversible = getattr(problem, "reversible", True)
-    if mode == "reverse" and not reversible:
-        raise InputError(
-            'Argument `mode` must be "forward" or "auto" with steps that are chosen on the way, but is "reverse"; take '
-            "one of these, or a method with fixed steps (with joints with clearance `contact_tolerance = 0`)."
-        )
-    if mode != "auto":
-        return mode
-    if not reversible:
-        return "forward"
-    return "forward" if errors <= REVERSE_COST * metrics else "reverse"
-
-
-def differentiate(
-    function: Function, x: Float[Array, " k"], mode: str, batch: int
-) -> tuple[ValueVector, Jacobian, Status]:
-    """Value (m,), Jacobian (m, k) and status of `function(x) -> ((m,), status)`; traced."""
-    if mode == "reverse":
-        value, pull, status = jax.vjp(function, x, has_aux=True)
-        cotangents = jnp.eye(value.shape[0], dtype=value.dtype)
-        return value, map_chunks(lambda c: pull(c)[0], cotangents, batch), status
-    value, jacobian, status = _push(function, x, jnp.eye(x.shape[0], dtype=x.dtype), batch)
-    return value, jacobian.T, status
-
-
-def _push(function, x, directions, batch):
-    """Value (m,), derivatives (d, m) along directions (d, k), and status; traced."""
-
-    def push(tangent):
-        return jax.jvp(function, (x,), (tangent,), has_aux=True)
-
-    value, derivatives, status = map_chunks(push, directions, batch)
-    return value[0], derivatives, status[0]
-
-
-def differentiate_twice(
-    function: Function, x: Float[Array, " k"], directions: Float[Array, "d k"], mode: str, batch: int
-) -> tuple[ValueVector, Jacobian, Float[Array, "d m k"], Status]:
-    """Value (m,), Jacobian (m, k), its derivatives (d, m, k) along directions, and status; traced.
-
-    Forward mode over the first derivative in the chosen mode.
-    """
-
-    def first(y):
-        value, jacobian, status = differentiate(function, y, mode, batch)
-        return jacobian, (value, status)
-
-    def push(tangent):
-        return jax.jvp(first, (x,), (tangent,), has_aux=True)
-
-    jacobian, change, (value, status) = jax.vmap(push)(directions)
-    return value[0], jacobian[0], change, status[0]
-
-
 def stack_checked(
     problem: ImplicitProblem, names: Sequence[str], base: Base, x: Float[Array, " k"], count: int
 ) -> tuple[ValueVector, Status]:
@@ -223,7 +155,7 @@ def _differentiate_along(problem, names, base, x, directions, order, mode, batch
     if order == 2:
         return differentiate_twice(function, x, directions, mode, batch)
     if mode == "forward":
-        value, first, status = _push(function, x, directions, batch)
+        value, first, status = push_directions(function, x, directions, batch)
     else:
         value, first, status = differentiate(function, x, mode, batch)
     return value, first, None, status
@@ -333,64 +265,6 @@ def check_expansion(
     return names, choose_mode(mode, len(names), len(problem.metrics), problem)
 
 
-@Program
-def _linearise(problem, names, base, points, weights, mode):
-    """Values (w, m), derivatives and status of points (w, k): Jacobians (w, m, k) in forward mode, in reverse mode the
-    gradients (w, k) of weights (w, m) . metrics."""
-
-    def function(x):
-        return stack_metrics(problem, names, base, x)
-
-    def one(x, weight):
-        if mode == "reverse":
-            value, pull, status = jax.vjp(function, x, has_aux=True)
-            derivatives = pull(weight)[0]
-        else:
-            value, derivatives, status = differentiate(function, x, mode, DIRECTIONS)
-        return jnp.where(status == 0, value, jnp.nan), derivatives, status
-
-    return jax.vmap(one)(points, weights)
-
-
-def linearise_points(
-    problem: ToleranceProblem,
-    names: Sequence[str],
-    base: Base,
-    points: Float[np.ndarray, "n k"] | Sequence[Sequence[float]],
-    *,
-    metric: int | Int[np.ndarray, " n"] | None = None,
-    mode: str = "auto",
-    batch: int = 256,
-) -> tuple[Float[np.ndarray, "n m"], Float[np.ndarray, "n m k"] | Float[np.ndarray, "n k"], Int[np.ndarray, " n"]]:
-    """Values of all metrics and their derivatives at many points, chunk by chunk (one program).
-
-    Args: names (k), base as `split_errors` gives them; points (n, k) [rad, m]; metric None for the derivatives of all
-        metrics, or the index of one, or (n,) indices, one for each point; mode as everywhere ("auto" counts the
-        metrics whose derivatives are asked for); batch, the most points at once (fewer where the device gains nothing).
-    Returns: values (n, m), NaN where the sample failed; Jacobians (n, m, k), or with `metric` gradients (n, k);
-        status (n,).
-    """
-    n, m, k = len(points), len(problem.metrics), len(names)
-    mode = choose_mode(mode, k, m if metric is None else 1, problem)
-    points = np.asarray(points, dtype=np.float64).reshape(n, k)
-    width = min(batch, default_lanes())
-    if mode == "forward":
-        width = max(1, min(width, POINTS_WITH_TANGENTS * default_lanes() // k))
-
-    def run(points, weights):
-        of = problem, ("derivatives", tuple(names), base, mode)
-        return run_in_chunks(lambda x, w: _linearise(problem, names, base, x, w, mode), width, points, weights, of=of)
-
-    if mode == "forward":
-        values, jacobians, status = run(points, np.zeros((n, m)))
-        return values, jacobians if metric is None else jacobians[np.arange(n), metric], status
-    if metric is None:  # the program has one gradient per point: each point once per metric
-        values, gradients, status = run(np.repeat(points, m, axis=0), np.tile(np.eye(m), (n, 1)))
-        return values[::m], gradients.reshape(n, m, k), status[::m]
-    values, gradients, status = run(points, np.eye(m)[np.broadcast_to(metric, (n,))])
-    return values, gradients, status
-
-
 def expand_by_differences(
     problem: ToleranceProblem,
     at: ErrorValues | None,
@@ -405,13 +279,15 @@ def expand_by_differences(
         tolerance} of every error to differentiate by, the unit of the steps (values in rad or m, or strings with a
         unit); mode, batch as `linearise_points`.
     Returns: QuadraticModel with its `hessian_error`.
-    Raises: InputError for unknown names or mode.
+    Raises: InputError for unknown names or mode, and for derivatives through impacts that a finer step does not
+        reproduce.
     """
     require_float64()
     names, t = select_half_widths(problem, half_widths, "half_widths")
     base, x = split_errors(problem, at, names)
     m, k = len(problem.metrics), len(names)
     mode = choose_mode(mode, k, m, problem)
+    require_reproduced(problem, names, base, np.asarray(x), t, mode=mode, batch=batch)
     offsets = np.concatenate([np.zeros((1, k)), *(s * np.eye(k) for s in (1, -1, 2, -2))])
     points = np.asarray(x) + STEP * offsets * t
     values, jacobians, status = linearise_points(problem, names, base, points, mode=mode, batch=batch)

@@ -5,6 +5,7 @@ The only place where tolerance studies meet the mechanics.
 """
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -17,7 +18,7 @@ from rfem_jax.description.drive_numbers import drive_number_unit
 from rfem_jax.description.driven_motions import Drive
 from rfem_jax.description.error_catalogue import error_unit
 from rfem_jax.description.errors import InputError
-from rfem_jax.description.methods import Method
+from rfem_jax.description.methods import GeneralisedAlphaMethod, Method
 from rfem_jax.description.metric_catalogue import kind_and_owner
 from rfem_jax.description.metric_subjects import JointSubject, LinkSubject, MetricSubjects, require_metric
 from rfem_jax.mechanics.designs import Design, NamedValue, parameters
@@ -157,9 +158,11 @@ class Problem(eqx.Module):
         runs do, and count only as far as a finer step reproduces them."""
         return bool(self.model.topology.clearances)
 
-    def with_method(self, method: Method) -> "Problem":
-        """The same problem by another method, for example with a finer step."""
-        return Problem(self.model, self.drive, self.duration, self.metrics, method, self.save_every, self.design)
+    def refined(self) -> "Problem":
+        """The same problem with half the step and parts of it that follow contacts, or a tenth of the tolerances of an
+        adaptive method."""
+        finer = finer_method(self.method)
+        return Problem(self.model, self.drive, self.duration, self.metrics, finer, self.save_every, self.design)
 
     @property
     def derivative_limit(self) -> float | None:
@@ -257,3 +260,13 @@ def _subjects_of(model: Model) -> MetricSubjects:
     }
     links = {name: LinkSubject(bool(edges) and edges[l] is not None) for l, name in enumerate(topology.links)}
     return MetricSubjects(joints, links)
+
+
+def finer_method(method: Method) -> Method:
+    """The same method with half the step and parts of it that follow contacts, or a tenth of its tolerances."""
+    if method.step is None:
+        return replace(method, **{name: 0.1 * getattr(method, name) for name in ("rtol", "atol")})
+    finer = replace(method, step=0.5 * method.step)
+    if isinstance(finer, GeneralisedAlphaMethod):
+        finer = replace(finer, contact_tolerance=0.25 * finer.contact_tolerance)
+    return finer

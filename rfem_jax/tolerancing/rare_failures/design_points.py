@@ -27,9 +27,10 @@ from jaxtyping import Bool, Float
 from rfem_jax.compilation.program import Program
 from rfem_jax.tolerancing.optimisation.starting_points import sobol_units, spread_points
 from rfem_jax.tolerancing.problems.evaluation import evaluate_points
+from rfem_jax.tolerancing.problems.linearisation import linearise_points
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem
-from rfem_jax.tolerancing.problems.quadratic_model import linearise_points
+from rfem_jax.tolerancing.problems.reproduction import require_reproduced
 from rfem_jax.tolerancing.sampling.sequences import RandomKey
 
 RADIUS = 2.0  # of the sphere on which searches start
@@ -86,6 +87,13 @@ class NormalSpace:
         """Metrics (n, m) at points w (n, k); NaN where a sample failed."""
         return evaluate_points(self.problem, self.tolerances.names, {}, self.errors(w), self.batch)[0]
 
+    def require_reproduced(self) -> None:
+        """Raise InputError for derivatives through impacts that a finer step does not reproduce."""
+        names, widths = self.tolerances.names, self.tolerances.half_widths()
+        centres = self.tolerances.centres()
+        at, t = (np.array([float(one.get(name, 0.0)) for name in names]) for one in (centres, widths))
+        require_reproduced(self.problem, names, {}, at, t, mode=self.mode, batch=self.batch)
+
     def linearise(
         self, w: Float[np.ndarray, "n k"], states: Sequence[LimitState]
     ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n k"]]:
@@ -125,7 +133,9 @@ def find_design_points(
 
     Args: key of the directions in which searches start; starts, searches for each limit; rounds, the most evaluations
         with gradients of a search; accuracy of |G| relative to its value at w = 0, and of the direction of w.
+    Raises: InputError for derivatives through impacts that a finer step does not reproduce.
     """
+    space.require_reproduced()
     k = len(space.tolerances.names)
     nominal = np.array([state.of(values)[0] for values in [space.values(np.zeros((1, k)))] for state in states])
     half = spread_points(sobol_units(k + 1, -(-starts // 2), key), "ellipsoid")

@@ -19,9 +19,9 @@ from rfem_jax.description.precision import require_float64
 from rfem_jax.description.study import Study
 from rfem_jax.description.tasks.settings import whole_number
 from rfem_jax.tolerancing.checks import check_known, read_limits
+from rfem_jax.tolerancing.problems.linearisation import choose_mode
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances, distributions_of
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem
-from rfem_jax.tolerancing.problems.quadratic_model import choose_mode
 from rfem_jax.tolerancing.progress import ProgressBar, ProgressOption
 from rfem_jax.tolerancing.rare_failures.design_points import (
     DesignPoints,

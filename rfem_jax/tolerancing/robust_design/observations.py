@@ -13,8 +13,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from rfem_jax.tolerancing.problems.evaluation import Base, evaluate_points, prepare_points
+from rfem_jax.tolerancing.problems.linearisation import linearise_points
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem
-from rfem_jax.tolerancing.problems.quadratic_model import linearise_points
+from rfem_jax.tolerancing.problems.reproduction import require_reproduced
 from rfem_jax.tolerancing.robust_design.variables import Variables
 
 
@@ -78,6 +79,15 @@ class Observer:
         for points in groups:
             start, stop = stop, stop + len(points)
             self._known[points.tobytes()] = Observed(together.values[start:stop], together.jacobian[start:stop])
+
+    def require_reproduced(self) -> None:
+        """Raise InputError for derivatives through impacts that a finer step does not reproduce."""
+        start = self.variables.start
+        centre = self.variables.deviations(start, np.zeros((1, len(self.variables.errors))))[0]
+        require_reproduced(
+            self.problem, self.variables.names, self.base, centre, self.variables.reaches(start),
+            mode=self.mode, batch=self.batch,
+        )  # fmt: skip
 
     def prepare(self) -> None:
         """Start to compile or load, in the background, the program of `values`, which verifies an answer at the end."""

@@ -30,9 +30,9 @@ from rfem_jax.tolerancing.checks import ErrorValue
 from rfem_jax.tolerancing.layout import show_number
 from rfem_jax.tolerancing.optimisation.starting_points import sobol_units
 from rfem_jax.tolerancing.problems.distributions import Normal, Tolerance
+from rfem_jax.tolerancing.problems.linearisation import choose_mode
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem
-from rfem_jax.tolerancing.problems.quadratic_model import choose_mode
 from rfem_jax.tolerancing.robust_design.criteria import CRITERIA, FAILED, Criterion
 from rfem_jax.tolerancing.robust_design.observations import Observer
 from rfem_jax.tolerancing.robust_design.request import COST, Bounds, Request, Widths, check_request
@@ -122,6 +122,7 @@ def optimise(
     settings = _Settings(robust, target, coverage, distribution, samples, verify_samples)
     mode = choose_mode(mode, len(request.variables.names), len(problem.metrics), problem)
     observer = Observer(problem, request.variables, request.base, mode, batch, progress)
+    observer.require_reproduced()
     keys = jax.random.split(key, 4)
     criterion = CRITERIA[robust](
         observer, request.limits, keys[0], level=target, coverage=coverage, distribution=distribution, samples=samples

@@ -104,6 +104,13 @@ class Variables:
         """Derivatives by the standard points from those by the deviations."""
         return jacobian[:, :, self._columns()] * self.widths(y)
 
+    def reaches(self, y: Float[np.ndarray, " p"]) -> Float[np.ndarray, " names"]:
+        """How far each deviation may be away at y: half the range of a design, the half-width of an error."""
+        found = np.zeros(len(self.names))
+        found[self._columns()] = self.widths(y)
+        found[: len(self.designs)] = 0.5 * (self.design_upper - self.design_lower)
+        return found
+
     def _columns(self) -> list[int]:
         """Place of every error among `names`."""
         return [self.names.index(name) for name in self.errors]
