@@ -48,6 +48,7 @@ class MetricKind:
     records: tuple[str, ...] = ()
     description: str = ""
     refusal: Refusal | None = None
+    at_start: bool = False
 
     def recorded_for(self, owner: str) -> tuple[str, ...]:
         """What a run has to record for this metric of a joint, a link or a point of a link."""
@@ -73,6 +74,7 @@ def register_metric(
     had_by: Callable[[JointKind, bool], bool] | None = None,
     records: tuple[str, ...] = (),
     description: str = "",
+    at_start: bool = False,
     replace: bool = False,
 ) -> None:
     """Add a metric to the catalogue. From then on its name is known everywhere: in `Problem`, in all tolerance
@@ -98,6 +100,7 @@ def register_metric(
         records: what the function reads of `run.recorded`, as `simulate` names it ("{owner}" stands for the joint or
             the link), as ("{owner}.sections",); runs for other metrics do not record it.
         description: a sentence about what it is.
+        at_start: True for what the start at rest decides alone, such as a preload; no step has a part in it.
         replace: True to replace a metric of the same name.
     Raises: InputError for a name that is no plain word or is taken, for a function that cannot be called, and for a
         metric that is of joints and of links.
@@ -119,7 +122,8 @@ def register_metric(
     label = label or name.replace("_", " ") + ("" if of == "run" else f" in {{{of}}}")
     for catalogue in _CATALOGUES.values():
         catalogue.pop(name, None)
-    add_metric(MetricKind(name, unit, function, label, even, of, nonnegative, had_by, tuple(records), description))
+    about = had_by, tuple(records), description
+    add_metric(MetricKind(name, unit, function, label, even, of, nonnegative, *about, at_start=at_start))
 
 
 def _require_new(name: str) -> None:
@@ -142,6 +146,12 @@ def kind_and_owner(name: str) -> tuple[MetricKind | None, str]:
     if not owner:
         return RUN_METRICS.get(name), ""
     return JOINT_METRICS.get(kind) or LINK_METRICS.get(kind), owner
+
+
+def only_at_start(names: Iterable[str]) -> bool:
+    """Whether the start at rest decides metrics alone, by their names."""
+    kinds = [kind_and_owner(name)[0] for name in names]
+    return all(kind is not None and kind.at_start for kind in kinds)
 
 
 def records_for(names: Iterable[str]) -> tuple[str, ...]:
@@ -195,9 +205,9 @@ def norm_of_squares(squares: Float[Array, "..."], count: int, power: int = PEAK_
     return jnp.where(vanish, 0.0, jnp.sqrt(safe)) * mean ** (1.0 / power)
 
 
-def _register_load(name, unit, label, function) -> None:
+def _register_load(name, unit, label, function, at_start=False) -> None:
     label = f"{label} in {{joint}}"
-    register_metric(name, unit, function, label=label, even=True, of_joints=True, nonnegative=True)
+    register_metric(name, unit, function, label=label, even=True, of_joints=True, nonnegative=True, at_start=at_start)
 
 
 _register_load("mean_square_force", "N^2", "mean square force", lambda run, joint: run.metrics.mean_square_force[joint])
@@ -215,12 +225,14 @@ _register_load(
     "N^2",
     "squared preload force",
     lambda run, joint: jnp.sum(run.preload[joint].force ** 2),
+    at_start=True,
 )
 _register_load(
     "preload_moment_square",
     "(N m)^2",
     "squared preload moment",
     lambda run, joint: jnp.sum(run.preload[joint].moment ** 2),
+    at_start=True,
 )
 
 

@@ -172,9 +172,9 @@ def test_reverse_mode_through_whole_steps_with_contact(pressed):
 
 
 def test_a_problem_that_follows_contact_is_differentiated_forwards(pressed):
-    def problem(tolerance):
+    def problem(tolerance, *metrics):
         method = Method("generalised_alpha", step=1e-4, contact_tolerance=tolerance)
-        return Problem(pressed, MomentRamp("D", 0.4, 0.02), 1e-3, "D.rms_force", method)
+        return Problem(pressed, MomentRamp("D", 0.4, 0.02), 1e-3, metrics or "D.rms_force", method)
 
     assert choose_mode("auto", 100, 1, problem(0.02)) == "forward"
     assert choose_mode("auto", 100, 1, problem(0.0)) == "reverse"
@@ -182,6 +182,9 @@ def test_a_problem_that_follows_contact_is_differentiated_forwards(pressed):
         choose_mode("reverse", 100, 1, problem(0.02))
     finer = problem(0.02).refined()
     assert (finer.strikes, finer.method.step, finer.method.contact_tolerance) == (True, 5e-5, 0.005)
+    # No step has a part in the start at rest.
+    assert not problem(0.02, "D.preload_force_square").strikes
+    assert problem(0.02, "D.preload_force_square", "D.rms_force").strikes
 
 
 class Accelerations(NamedTuple):

@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from rfem_jax.compilation.stages import on_stage
 from rfem_jax.description.error_catalogue import as_specified
+from rfem_jax.description.metric_catalogue import only_at_start
 from rfem_jax.description.study import Study
 from rfem_jax.description.tasks.sensitivity import SensitivityTask
 from rfem_jax.report.annotations import Figure
@@ -49,7 +50,8 @@ class SensitivityReport(TaskReport[SensitivityTask, Derivatives]):
     @property
     def twice(self) -> bool:
         """Whether a finer step shows how far derivatives can be trusted: where asked, and where pins may strike."""
-        return self.task.half_step or any(joint.clearance for joint in self.study.mechanism.joints)
+        striking = any(joint.clearance for joint in self.study.mechanism.joints)
+        return self.task.half_step or (striking and not only_at_start(self.task.metrics))
 
     def run(self, folder: Path) -> Derivatives:
         """Derivatives of all metrics of the task."""

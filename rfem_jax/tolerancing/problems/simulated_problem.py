@@ -19,7 +19,7 @@ from rfem_jax.description.driven_motions import Drive
 from rfem_jax.description.error_catalogue import error_unit
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.methods import GeneralisedAlphaMethod, Method
-from rfem_jax.description.metric_catalogue import kind_and_owner
+from rfem_jax.description.metric_catalogue import kind_and_owner, only_at_start
 from rfem_jax.description.metric_subjects import JointSubject, LinkSubject, MetricSubjects, require_metric
 from rfem_jax.mechanics.designs import Design, NamedValue, parameters
 from rfem_jax.mechanics.model import Model
@@ -155,8 +155,8 @@ class Problem(eqx.Module):
     @property
     def strikes(self) -> bool:
         """Whether pins may strike their bushes: derivatives through impacts lose their meaning after a few, as single
-        runs do, and count only as far as a finer step reproduces them."""
-        return bool(self.model.topology.clearances)
+        runs do, and count only as far as a finer step reproduces them. Not in metrics of the start at rest."""
+        return bool(self.model.topology.clearances) and not only_at_start(one.name for one in self.metrics)
 
     def refined(self) -> "Problem":
         """The same problem with half the step and parts of it that follow contacts, or a tenth of the tolerances of an
