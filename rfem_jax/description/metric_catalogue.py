@@ -105,17 +105,7 @@ def register_metric(
     Raises: InputError for a name that is no plain word or is taken, for a function that cannot be called, and for a
         metric that is of joints and of links.
     """
-    require_name(name, "name")
-    if not callable(function):
-        raise InputError(
-            f"Argument `function` of the metric `{name}` must be a function of a run, but is {function!r}; "
-            "write for example `lambda run: run.angle[-1]`."
-        )
-    if of_joints and of_links:
-        raise InputError(
-            f"Argument `of_links` of the metric `{name}` must be left out for a metric of joints, but both are true; "
-            "register two metrics."
-        )
+    _require_fitting(name, function, of_joints and of_links)
     if not replace:
         _require_new(name)
     of = "joint" if of_joints else "link" if of_links else "run"
@@ -124,6 +114,21 @@ def register_metric(
         catalogue.pop(name, None)
     about = had_by, tuple(records), description
     add_metric(MetricKind(name, unit, function, label, even, of, nonnegative, *about, at_start=at_start))
+
+
+def _require_fitting(name: str, function: Callable[..., Any], both: bool) -> None:
+    """Raise InputError for arguments of `register_metric` that do not fit; `both`: of joints and of links."""
+    require_name(name, "name")
+    if not callable(function):
+        raise InputError(
+            f"Argument `function` of the metric `{name}` must be a function of a run, but is {function!r}; "
+            "write for example `lambda run: run.angle[-1]`."
+        )
+    if both:
+        raise InputError(
+            f"Argument `of_links` of the metric `{name}` must be left out for a metric of joints, but both are true; "
+            "register two metrics."
+        )
 
 
 def _require_new(name: str) -> None:
