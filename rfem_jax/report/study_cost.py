@@ -6,6 +6,7 @@ Place in the pipeline: after `load_study`; computes nothing.
 
 import math
 
+from rfem_jax.description.forces import JointFriction
 from rfem_jax.description.joint_kinds import KINDS
 from rfem_jax.description.study import Study
 from rfem_jax.task_kinds import task_kinds
@@ -75,15 +76,21 @@ def numbers_saved(study: Study) -> int:
     """Numbers that a run holds for each saved time."""
     mechanism = study.mechanism
     joints, links = len(mechanism.joints), len(mechanism.links)
-    coordinates = sum(len(joint.start_values) for joint in mechanism.tree_joints)
+    angles = sum(len(joint.start_values) for joint in mechanism.tree_joints)
+    # A pin with play moves in six ways, of which the angle about its axis is a result.
+    coordinates = angles + sum(5 for joint in mechanism.tree_joints if joint.clearance is not None)
+    elastic = 6 * sum(link.elements - 1 for link in mechanism.links)
+    driven = max(len(study.drives), len(mechanism.driven_motions))
     # Time, angle, rate and moment of the drive, those of all drives, energies; loads and integrals of their squares;
     # coordinates of the tree; ends of the links; assembly modes.
-    explicit = 4 + 3 * len(study.drives) + 5 + 8 * joints + coordinates + 3 * links + len(mechanism.cut_joints)
+    explicit = 4 + 3 * driven + 5 + 8 * joints + angles + 3 * links + len(mechanism.cut_joints)
     explicit += 12 * len(mechanism.point_forces)  # their forces, moments and points
-    elastic = 6 * sum(link.elements - 1 for link in mechanism.links)
+    explicit += sum(isinstance(force, JointFriction) for force in mechanism.forces)  # lost energy
+    explicit += 15 * sum(joint.clearance is not None for joint in mechanism.joints)  # of three contacts each
     explicit += coordinates + sum(KINDS[joint.kind].ball for joint in mechanism.tree_joints) + elastic  # positions
     if study.method.implicit or study.method.name == "auto":  # which may choose an implicit one
-        return explicit + coordinates + elastic  # residuals
+        closing = sum(6 - len(KINDS[joint.kind].freedoms) for joint in mechanism.cut_joints)
+        return explicit + coordinates + elastic + closing  # residuals
     return explicit
 
 

@@ -4,7 +4,8 @@ Place in the pipeline: `Run.to_xarray`, `Run.to_pandas` and `Run._repr_html_`, a
 (`cases.Runs`), call these.
 
 Dimensions: `case` (of a batch), `time`, `joint`, `component` (x, y, z of the joint's frame H, of global axes for link
-ends and forces at points); `rotation` and `translation` for driven coordinates, `angle` and `displacement` for the
+ends and forces at points); `pin` (of joints with clearance), its `contact` (start, end, axial), `pin_end` and
+`direction` (x, z of the bush); `rotation` and `translation` for driven coordinates, `angle` and `displacement` for the
 coordinates of the tree joints, `link`, `point`, `cut_joint`, `friction`, `force_at_points`. What a mechanism does not
 have is left out.
 """
@@ -17,6 +18,7 @@ import numpy as np
 from rfem_jax import rich_text
 from rfem_jax.description.errors import InputError
 from rfem_jax.labelled_data import COMPONENTS, DataFrame, Dataset, Labelled, column_name, dataset, frame
+from rfem_jax.mechanics.bush_contacts import CONTACT_NAMES
 from rfem_jax.mechanics.status import STATUS
 
 Run = Any  # `rfem_jax.simulation.run.Run`, which imports this module
@@ -77,6 +79,7 @@ def run_dataset(run: Run, cases: Sequence[str] | None = None) -> Dataset:
     _add_motion(variables, coordinates, run, before)
     _add_energies(variables, coordinates, run, before)
     _add_points(variables, coordinates, run, before)
+    _add_contacts(variables, coordinates, run, before)
     _add_lines(variables, coordinates, run, before)
     for name, (unit, meaning) in CHECKS.items():
         variables[name] = Labelled(before, getattr(run, name), unit, meaning)
@@ -185,6 +188,29 @@ def _add_points(variables, coordinates, run, before) -> None:
         values = _stack([getattr(one, field) for one in run.forces.values()], len(before) + 1)
         dims = (*before, "time", "force_at_points", "component")
         variables[f"point_{field}"] = Labelled(dims, values, unit, f"{meaning}, global axes")
+
+
+def _add_contacts(variables, coordinates, run, before) -> None:
+    """Contacts of the pins of joints with clearance, and what they have lost."""
+    if not run.contacts:
+        return
+    coordinates |= {"pin": list(run.contacts), "contact": CONTACT_NAMES, "pin_end": CONTACT_NAMES[:2]}
+    coordinates["direction"] = ("x", "z")
+    over, at = (*before, "time", "pin"), len(before) + 1
+    fields = (
+        ("penetration", ("contact",), "contact_penetration", "m", "penetration of a contact, below zero a gap"),
+        ("normal_force", ("contact",), "contact_force", "N", "normal force of a contact"),
+        ("eccentricity", ("pin_end", "direction"), "pin_eccentricity", "m", "end of a pin in its bush"),
+        ("along", (), "pin_along", "m", "middle of a pin along its bush"),
+    )
+    for field, dims, name, unit, meaning in fields:
+        values = _stack([getattr(one, field) for one in run.contacts.values()], at)
+        variables[name] = Labelled((*over, *dims), values, unit, meaning)
+    lost = _stack([run.contact_losses[pin] for pin in run.contacts], at)
+    variables["contact_loss"] = Labelled(over, lost, "J", "energy that the contacts of a pin have dissipated")
+    if run.contact_changes is not None:
+        meaning = "how often contacts have closed or opened"
+        variables["contact_changes"] = Labelled(before, run.contact_changes, "1", meaning)
 
 
 def _add_lines(variables, coordinates, run, before) -> None:

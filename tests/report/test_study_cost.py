@@ -5,12 +5,13 @@ from dataclasses import replace
 import jax
 import pytest
 
-from rfem_jax.description import Clearance, Method, MomentRamp, load_study
+from rfem_jax.description import Clearance, JointFriction, Method, MomentRamp, Study, load_study
 from rfem_jax.description.tasks.study_tasks import Tasks
 from rfem_jax.mechanics import assembly_errors, discretise
 from rfem_jax.report.study_cost import STEP_SECONDS, cost_text, numbers_saved, saved_times, times_text
 from rfem_jax.simulation import simulate
 from rfem_jax.text_layout import size_text, time_text
+from rfem_jax.validation.clearances import flexible_four_bar
 
 from .conftest import STUDY
 from .test_tasks import PENDULUM, TASKS
@@ -51,6 +52,20 @@ def test_the_size_of_results_is_that_of_a_run(tmp_path, method, save_every):
     )  # fmt: skip
     (times,) = run.times.shape
     assert saved_times(study) == times
+    histories = [leaf for leaf in jax.tree.leaves(run) if leaf.shape[:1] == (times,)]
+    assert numbers_saved(study) == sum(leaf.size for leaf in histories) / times
+
+
+@pytest.mark.parametrize("cut", [False, True])
+def test_the_size_of_results_with_clearance_and_friction(cut):
+    loose = flexible_four_bar(cut=cut)
+    mechanism = replace(loose, forces=(JointFriction("rubbing", "B", constant=0.1, sliding_rate=0.1),))
+    study = Study("Play", mechanism, None, 0.016, Method("generalised_alpha", step=1e-3), 1e-3, ())
+    model = discretise(mechanism)
+    run = jax.eval_shape(
+        lambda: simulate(model, drive=None, duration=study.duration, method=study.method, save_every=study.save_every)
+    )
+    (times,) = run.times.shape
     histories = [leaf for leaf in jax.tree.leaves(run) if leaf.shape[:1] == (times,)]
     assert numbers_saved(study) == sum(leaf.size for leaf in histories) / times
 

@@ -6,9 +6,10 @@ import jax
 import numpy as np
 import pytest
 
-from rfem_jax import Case, InputError, Joint, Mechanism, Method, PrescribedSpeed, Study
+from rfem_jax import Case, InputError, Joint, Mechanism, Method, PrescribedSpeed, Study, simulate
 from rfem_jax.simulation import run_cases
 from rfem_jax.simulation.run import Loads, one_of
+from rfem_jax.validation.clearances import SOFT, WEIGHT, hung
 
 from ..mechanisms import link
 
@@ -61,6 +62,26 @@ def test_a_dataset_of_all_cases(runs):
     assert found.status.attrs["flag_meanings"].split()[int(found.status[0])] == "ok"
     lacking = [name for name in found.variables if name not in found.dims and not found[name].attrs.get("units")]
     assert lacking == [] and all(found[name].attrs["long_name"] for name in found.data_vars)
+
+
+def test_contacts_of_pins(tmp_path):
+    xarray = pytest.importorskip("xarray", reason="the extra xarray is not installed")
+    method = Method("generalised_alpha", step=1e-4)
+    run = simulate(hung(SOFT), drive=None, duration=3e-4, method=method, save_every=1e-4)
+    found, pin = run.to_xarray(), run.contacts["D"]
+    assert found.contact_force.dims == ("time", "pin", "contact") and found.contact_force.attrs["units"] == "N"
+    np.testing.assert_array_equal(found.contact_force.sel(pin="D", contact="end"), pin.normal_force[:, 1])
+    np.testing.assert_array_equal(found.contact_penetration.sel(pin="D"), pin.penetration)
+    place = found.pin_eccentricity.sel(pin="D", pin_end="start", direction="z")
+    np.testing.assert_array_equal(place, pin.eccentricity[:, 0, 1])
+    np.testing.assert_array_equal(found.pin_along.sel(pin="D"), pin.along)
+    np.testing.assert_array_equal(found.contact_loss.sel(pin="D"), run.contact_losses["D"])
+    assert float(found.contact_changes) == float(run.contact_changes)
+    # The body hangs on both ends of the pin.
+    np.testing.assert_allclose(found.contact_force.isel(time=-1, pin=0), [0.5 * WEIGHT, 0.5 * WEIGHT, 0.0], atol=1e-4)
+    found.to_netcdf(tmp_path / "run.nc", engine="scipy")
+    with xarray.open_dataset(tmp_path / "run.nc", engine="scipy") as read:
+        assert [str(one) for one in read.contact.values] == ["start", "end", "axial"]
 
 
 def test_netcdf_keeps_everything(runs, tmp_path):
