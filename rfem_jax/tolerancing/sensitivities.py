@@ -34,7 +34,7 @@ from rfem_jax.tolerancing.problems.evaluation import describe_status, read_point
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.problem import Metric, ToleranceProblem
 from rfem_jax.tolerancing.problems.quadratic_model import QuadraticModel, check_expansion, expand_point
-from rfem_jax.tolerancing.problems.reproduction import REPRODUCED, may_strike
+from rfem_jax.tolerancing.problems.reproduction import REPRODUCED, changes_of_effects, may_strike
 from rfem_jax.tolerancing.progress import ProgressBar, ProgressOption
 
 NOT_CONVERGED = "derivative_not_converged"
@@ -309,8 +309,8 @@ def _report(
     if status == "ok" and residual is not None and limit is not None and not residual <= limit:
         status = NOT_CONVERGED
     if status == "ok" and gradient_change is not None and may_strike(problem):
-        changes = gradient_change * effects / np.maximum(effects.max(axis=1, keepdims=True), 1e-300)
-        status = NOT_REPRODUCED if (changes > REPRODUCED).any() else "ok"  # a kink has no derivative, NaN
+        changes = changes_of_effects(gradient_change * effects, effects, value)
+        status = NOT_REPRODUCED if (changes > REPRODUCED).any() else "ok"
     return Sensitivities(
         names=model.names,
         error_units=tuple(problem.error_unit(name) for name in model.names),

@@ -195,6 +195,25 @@ def test_derivatives_through_impacts_that_a_finer_step_does_not_reproduce_are_re
     assert sensitivity(still, scale=WIDTHS, refined=problem).status == "ok"
 
 
+def test_rounding_where_derivatives_vanish_is_no_impact():
+    """At the nominal point, to first order."""
+
+    def at_nominal(slope):
+        def values(errors):
+            return {"force": 5.0 + slope * errors["D.delta_x"] + errors["D.delta_x"] ** 2}
+
+        return values
+
+    class Striking(FunctionProblem):
+        strikes = True
+
+    metric, fine = Metric("force", "N", "RMS force", True), at_nominal(-1e-14)
+    for slope, status in ((1e-14, "ok"), (1e-3, "derivative_not_reproduced")):
+        striking = Striking(at_nominal(slope), "D.delta_x", metric)
+        refined = FunctionProblem(fine, "D.delta_x", metric)
+        assert sensitivity(striking, order=1, scale={"D.delta_x": 0.5}, refined=refined).status == status
+
+
 def test_table_names_what_symmetry_says_and_a_failed_point_has_its_status(problem):
     text = str(sensitivity(problem, scale=WIDTHS))
     assert "0 (symmetry)" in text and "its square root has a kink" in text

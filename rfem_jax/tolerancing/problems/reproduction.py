@@ -19,6 +19,7 @@ from rfem_jax.tolerancing.problems.linearisation import linearise_points
 from rfem_jax.tolerancing.problems.problem import StrikingProblem, ToleranceProblem
 
 REPRODUCED = 0.1  # change of a derivative, times its tolerance, over a metric's largest effect
+LEAST = 1e-6  # largest effect over the value of a metric, below which errors have none
 ASIDE = 0.5  # tolerances between the centre and the point that is looked at: at the centre gradients may vanish
 
 
@@ -47,15 +48,12 @@ def require_reproduced(
     if not may_strike(problem):
         return
     point = (np.asarray(x) + ASIDE * np.asarray(t))[None]
-    effects = []
-    for one in (problem, problem.refined()):
-        _, (jacobian,), (status,) = linearise_points(one, names, base, point, mode=mode, batch=batch)
-        if int(status) != 0:
-            return  # such samples are counted where they are used
-        effects.append(jacobian * t)
-    coarse, fine = effects
-    largest = np.maximum(np.abs(coarse).max(axis=1, keepdims=True), 1e-300)
-    change = np.nan_to_num(np.abs(fine - coarse) / largest)  # a kink has no derivative
+    both = problem, problem.refined()
+    found = [linearise_points(one, names, base, point, mode=mode, batch=batch) for one in both]
+    if any(status[0] != 0 for _, _, status in found):
+        return  # such samples are counted where they are used
+    (values, coarse, _), (_, fine, _) = found
+    change = changes_of_effects(t * (fine - coarse)[0], t * coarse[0], values[0])
     if (change <= REPRODUCED).all():
         return
     m, k = np.unravel_index(np.argmax(change), change.shape)
@@ -65,3 +63,12 @@ def require_reproduced(
         "strike their bushes, and after a few impacts the motion is chaotic. Take statistics of a batch (monte-carlo) "
         "or a sweep, a shorter time, or loads at rest."
     )
+
+
+def changes_of_effects(
+    changes: Float[np.ndarray, "m k"], effects: Float[np.ndarray, "m k"], values: Float[np.ndarray, " m"]
+) -> Float[np.ndarray, "m k"]:
+    """Changes of derivatives, times their tolerances, over the largest effect of every metric; zero where there is no
+    derivative, as at a kink, and next to nothing where no error has an effect on the values."""
+    largest = np.maximum(np.abs(effects).max(axis=1), LEAST * np.abs(values))
+    return np.nan_to_num(np.abs(changes) / np.maximum(largest, 1e-300)[:, None])
