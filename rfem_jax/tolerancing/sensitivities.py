@@ -34,7 +34,7 @@ from rfem_jax.tolerancing.problems.evaluation import describe_status, read_point
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.problem import Metric, ToleranceProblem
 from rfem_jax.tolerancing.problems.quadratic_model import QuadraticModel, check_expansion, expand_point
-from rfem_jax.tolerancing.problems.reproduction import REPRODUCED, changes_of_effects, may_strike
+from rfem_jax.tolerancing.problems.reproduction import REPRODUCED, changes_by_step, changes_that_count, may_strike
 from rfem_jax.tolerancing.progress import ProgressBar, ProgressOption
 
 NOT_CONVERGED = "derivative_not_converged"
@@ -302,14 +302,14 @@ def _report(
     eigenvalues, directions = (None, None) if h is None else _principal(h)
     kinks = np.array([word == "kink" for word in character])
     root = np.where(kinks[:, None], np.sqrt(0.5 * np.maximum(_diagonal(g, h), 0.0)), np.nan)
-    gradient_change, hessian_change = _changes(finer, widths, g, h, effects)
+    gradient_change, hessian_change = changes_by_step(finer, widths, g, h, effects)
     status = describe_status(problem, model.status)
     residual, limit = model.derivative_residual(widths), getattr(problem, "derivative_limit", None)
     # NaN has not converged either.
     if status == "ok" and residual is not None and limit is not None and not residual <= limit:
         status = NOT_CONVERGED
     if status == "ok" and gradient_change is not None and may_strike(problem):
-        changes = changes_of_effects(gradient_change * effects, effects, value)
+        changes = changes_that_count(character, gradient_change, hessian_change, h, effects, value)
         status = NOT_REPRODUCED if (changes > REPRODUCED).any() else "ok"
     return Sensitivities(
         names=model.names,
@@ -390,16 +390,3 @@ def _principal(h) -> tuple[np.ndarray, np.ndarray]:
         largest = np.take_along_axis(vectors, np.argmax(np.abs(vectors), axis=1)[:, None], axis=1)
         values[m], rows[m] = value[order], vectors * np.sign(largest)
     return values, rows
-
-
-def _changes(finer, widths, g, h, effects) -> tuple[np.ndarray | None, np.ndarray | None]:
-    """Differences to the model of the refined problem, relative to the effects and to the largest |H|."""
-    if finer is None:
-        return None, None
-    gradient = np.abs(np.asarray(finer.gradient) * widths - g)
-    gradient = np.divide(gradient, effects, out=np.zeros_like(g), where=effects > 0)
-    if h is None:
-        return gradient, None
-    difference = np.abs(np.asarray(finer.hessian) * np.outer(widths, widths) - h).max(axis=(1, 2))
-    largest = np.abs(h).max(axis=(1, 2))
-    return gradient, np.divide(difference, largest, out=np.zeros_like(largest), where=largest > 0)

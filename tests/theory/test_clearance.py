@@ -70,10 +70,8 @@ class TestFourBar:
 
     def test_little_clearance_of_stiff_contacts_is_the_ideal_hinge(self, four_bar):
         """Of first order in the clearance, and for a linear law in the compliance."""
-        ideal, errors = (
-            discretise(flexible_four_bar(None)),
-            {"D.delta_x": TILT, "D.delta_z": -0.5 * TILT, "D.d_y": 2e-4},
-        )
+        ideal = discretise(flexible_four_bar(None))
+        errors = {"D.delta_x": TILT, "D.delta_z": -0.5 * TILT, "D.d_y": 2e-4}
         names = [f"D.clearance.{name}" for name in ("radial", "axial", "stiffness", "axial_stiffness")]
 
         def loads(model, values=None):

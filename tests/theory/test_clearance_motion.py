@@ -205,3 +205,16 @@ def test_accelerations_of_the_method_move_with_the_length_unless_they_vibrate():
     np.testing.assert_allclose(moved(2e-5, 1e-5), [0.4, -1.0, 6.0, -1.0], rtol=1e-12)
     np.testing.assert_allclose(moved(1e-5, 4e-5), 0.25 * np.asarray(away), rtol=1e-12)
     np.testing.assert_allclose(moved(1e-5, 0.0), away, rtol=1e-12)
+
+
+@pytest.mark.parametrize(("length", "before", "share"), [(1e-5, 1e-5, 1.0), (1e-5, 4e-5, 0.25), (2e-5, 1e-5, 1.0)])
+def test_derivatives_of_accelerations_that_are_zero(length, before, share):
+    """As those of motions out of plane without errors, which may be vibrations: they do not grow with the length."""
+
+    def auxiliary(values):
+        memory = Accelerations(jnp.zeros(1), values)
+        return contact_steps.for_length(memory, jnp.array(length), jnp.array(before)).auxiliary
+
+    _, change = jax.jvp(auxiliary, (jnp.zeros(1),), (jnp.ones(1),))
+    np.testing.assert_allclose(change, share, rtol=1e-12)
+    np.testing.assert_allclose(jax.jacrev(auxiliary)(jnp.zeros(1)), [[share]], rtol=1e-12)

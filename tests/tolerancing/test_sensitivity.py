@@ -195,6 +195,29 @@ def test_derivatives_through_impacts_that_a_finer_step_does_not_reproduce_are_re
     assert sensitivity(still, scale=WIDTHS, refined=problem).status == "ok"
 
 
+@pytest.mark.parametrize(("share", "status"), [(0.01, "ok"), (1.0, "derivative_not_reproduced")])
+def test_second_derivatives_count_where_gradients_vanish(share, status):
+    """Of a metric that is even, at the nominal point, beside one with a kink there and one that no error changes."""
+
+    def at_nominal(share):
+        def values(errors):
+            square = (1.0 + share) * errors["D.delta_x"] ** 2
+            return {"square": 2.0 + square, "root": jnp.sqrt(square), "fixed": 3.0 + 0.0 * square}
+
+        return values
+
+    class Striking(FunctionProblem):
+        strikes = True
+
+    names = "square", "root", "fixed"
+    refined = FunctionProblem(at_nominal(0.0), "D.delta_x", names)
+    found = sensitivity(Striking(at_nominal(share), "D.delta_x", names), scale={"D.delta_x": 0.5}, refined=refined)
+    assert found.status == status
+    others = FunctionProblem(lambda e: {"force": e["D.delta_x"] + jnp.sqrt(0.0 * e["D.delta_x"])}, "D.delta_x", "force")
+    striking = Striking(lambda e: {"force": e["D.delta_x"]}, "D.delta_x", "force")
+    assert sensitivity(striking, scale={"D.delta_x": 0.5}, refined=others).status == "derivative_not_reproduced"
+
+
 def test_rounding_where_derivatives_vanish_is_no_impact():
     """At the nominal point, to first order."""
 

@@ -147,9 +147,11 @@ def for_length(memory: Memory, length: Float[Array, ""], before: Float[Array, ""
     ratio = jnp.where(before > 0.0, length / jnp.where(before > 0.0, before, 1.0), 1.0)
 
     def moved_on(auxiliary, present):
-        away = auxiliary - present
-        most = jnp.maximum(jnp.abs(away), SMOOTH * jnp.abs(present))
-        return present + jnp.clip(ratio * away, -most, most)
+        away, bound = auxiliary - present, SMOOTH * jnp.abs(present)
+        # By cases, as minima and maxima halve derivatives where both sides vanish: out of plane without errors.
+        within = jnp.where(ratio * jnp.abs(away) <= bound, ratio * away, jnp.sign(away) * bound)
+        longer = jnp.where(jnp.abs(away) >= bound, away, within)
+        return present + jnp.where(ratio <= 1.0, ratio * away, longer)
 
     auxiliary = jax.tree.map(moved_on, memory.auxiliary, memory.accelerations)
     return memory._replace(auxiliary=auxiliary)

@@ -52,8 +52,9 @@ def require_reproduced(
     found = [linearise_points(one, names, base, point, mode=mode, batch=batch) for one in both]
     if any(status[0] != 0 for _, _, status in found):
         return  # such samples are counted where they are used
-    (values, coarse, _), (_, fine, _) = found
-    change = changes_of_effects(t * (fine - coarse)[0], t * coarse[0], values[0])
+    (values, (coarse,), _), (_, (fine,), _) = found
+    neither = ~np.isfinite(coarse) & ~np.isfinite(fine)
+    change = changes_of_effects(np.where(neither, 0.0, t * (fine - coarse)), t * coarse, values[0])
     if (change <= REPRODUCED).all():
         return
     m, k = np.unravel_index(np.argmax(change), change.shape)
@@ -66,9 +67,35 @@ def require_reproduced(
 
 
 def changes_of_effects(
-    changes: Float[np.ndarray, "m k"], effects: Float[np.ndarray, "m k"], values: Float[np.ndarray, " m"]
-) -> Float[np.ndarray, "m k"]:
-    """Changes of derivatives, times their tolerances, over the largest effect of every metric; zero where there is no
-    derivative, as at a kink, and next to nothing where no error has an effect on the values."""
-    largest = np.maximum(np.abs(effects).max(axis=1), LEAST * np.abs(values))
-    return np.nan_to_num(np.abs(changes) / np.maximum(largest, 1e-300)[:, None])
+    changes: Float[np.ndarray, "m n"], effects: Float[np.ndarray, "m k"], values: Float[np.ndarray, " m"]
+) -> Float[np.ndarray, "m n"]:
+    """Changes of effects over the largest effect of every metric, next to nothing where no error has one; infinite
+    where only one of both steps has derivatives.
+
+    Args: NaN among the effects where there is no derivative, as at a kink; there the changes are to be zero.
+    """
+    largest = np.maximum(np.nan_to_num(np.abs(effects)).max(axis=1), LEAST * np.abs(values))
+    found = np.abs(changes) / np.maximum(largest, 1e-300)[:, None]
+    return np.where(np.isnan(found), np.inf, found)
+
+
+def changes_by_step(finer, widths, g, h, effects) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """Differences to the model of the refined problem, relative to the effects and to the largest |H|."""
+    if finer is None:
+        return None, None
+    gradient = np.abs(np.asarray(finer.gradient) * widths - g)
+    gradient = np.divide(gradient, effects, out=np.zeros_like(g), where=effects > 0)
+    if h is None:
+        return gradient, None
+    difference = np.abs(np.asarray(finer.hessian) * np.outer(widths, widths) - h).max(axis=(1, 2))
+    largest = np.abs(h).max(axis=(1, 2))
+    return gradient, np.divide(difference, largest, out=np.zeros_like(largest), where=largest > 0)
+
+
+def changes_that_count(character, gradient_change, hessian_change, h, effects, value) -> np.ndarray:
+    """What `changes_by_step` are of the largest effect of every metric that has derivatives and depends on errors."""
+    changes = gradient_change * effects
+    if h is not None:  # alone where gradients vanish by symmetry
+        changes = np.column_stack([changes, 0.5 * hessian_change * np.abs(h).max(axis=(1, 2))])
+    without = np.isin(character, ("none", "kink", "flat"))[:, None]
+    return changes_of_effects(np.where(without, 0.0, changes), effects, value)
