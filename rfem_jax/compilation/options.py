@@ -35,6 +35,9 @@ NO_LOOP_ROTATION = "-rotation-max-header-size=0"
 WITHOUT_FUSION = f"--xla_cpu_experimental_ynn_fusion_type= --xla_backend_extra_options={','.join(OPTIONS)}"
 FLAGS = f"{WITHOUT_FUSION},{FUSION}"
 FUSION_SAFE_FROM = (0, 12)  # jaxlib
+# Kernels made by way of MLIR take a quarter of the time of compilation, half of it in programs that run once, and are
+# no faster; in scalarised programs they are.  XLA has the choice before jaxlib 0.12.  For kept programs only.
+EMITTERS, EMITTERS_CHOSEN_BEFORE = "xla_cpu_use_fusion_emitters", (0, 12)
 OF_THIS_KIND = ("xla_backend_extra_options", "ynn_fusion")
 # Versions of jaxlib tested with the flags, from the first to before the second.  XLA ends the process at a flag that it
 # does not know, so the flags are tried on newer versions in a process of their own.
@@ -153,6 +156,8 @@ class OwnProgram:
         if not self.scalarised:
             # LLVM's vectorisers find next to nothing in loops that are not rotated, and take a quarter of the time.
             options.executable_build_options.debug_options.xla_llvm_disable_expensive_passes = True
+            if _version() < EMITTERS_CHOSEN_BEFORE:
+                options.env_option_overrides = [*options.env_option_overrides, (EMITTERS, False)]
         return options
 
 

@@ -105,6 +105,10 @@ def _longest_step(model, method: Method, drive, duration, accuracy, errors) -> f
     interval = duration / TRIAL_INTERVALS
     method = replace(method, step=interval)
     grid, _ = integration.grid_for(drive, duration, method, interval, model)
+    started = prepare_trials.ahead(model, errors, drive, method)
+    if started is not None:  # compile both side by side
+        prepared, carry = started
+        loads_of_trials.ahead(model, prepared, drive, carry, grid, method, jnp.asarray(FIRST, jnp.float64))
     prepared, carry = prepare_trials(model, errors, drive, method)
 
     def loads(steps):

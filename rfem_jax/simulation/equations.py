@@ -6,13 +6,11 @@ The integrals of squared loads, of the drive's power and of the dissipated power
 system, so that the metrics of a run need no history (theory (3.12)).
 """
 
-from typing import Protocol, TypeVar, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float, Int
 
 from rfem_jax.compilation.scalarisation import nothing_known
@@ -30,7 +28,6 @@ from rfem_jax.mechanics.orientations import position_rate
 from rfem_jax.simulation.driving import ActiveDrives
 
 Scalar = int | float | Float[Array | np.ndarray, ""]
-Tree = TypeVar("Tree")
 
 
 class Integrals(eqx.Module):
@@ -74,21 +71,6 @@ def structural_zeros(conditions: Conditions) -> Conditions:
     """Entries of the conditions that are zero for all numbers: boolean arrays, or False."""
     known = model_with_errors.structural_zeros(conditions.actual)
     return eqx.tree_at(lambda tree: tree.actual, nothing_known(conditions), known)
-
-
-def active_inputs(primals: Tree, tangents: Tree) -> tuple[Tree, Tree, Tree]:
-    """Divide the arguments of a rule of `jax.custom_jvp` by whether they are differentiated.
-
-    Most constants of a mechanism do not depend on the errors that a derivative is taken by, and need not be
-    linearised.
-
-    **Arguments:** `tangents`: a tree like `primals`, with `SymbolicZero` where there is no tangent.
-
-    **Returns:** the leaves with a tangent, the other leaves, and the tangents; None in the other places.
-    """
-    moves = jax.tree.map(lambda x, dx: eqx.is_inexact_array(x) and not isinstance(dx, SymbolicZero), primals, tangents)
-    inputs, fixed = eqx.partition(primals, moves)
-    return inputs, fixed, eqx.filter(tangents, moves)
 
 
 def at_instant(

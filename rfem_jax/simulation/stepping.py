@@ -23,6 +23,7 @@ from rfem_jax.compilation.options import explicit_methods_scalarised
 from rfem_jax.compilation.scalarisation import nothing_known, scalarised
 from rfem_jax.description.methods import GeneralisedAlphaMethod, Method
 from rfem_jax.mechanics.bush_contacts import require_memory
+from rfem_jax.mechanics.derivative_rules import active_inputs
 from rfem_jax.mechanics.friction import require_implicit
 from rfem_jax.mechanics.model import Model
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
@@ -119,7 +120,7 @@ def _scalarised_rate(t, trajectory, conditions):
 
 @functools.partial(_scalarised_rate.defjvp, symbolic_zeros=True)
 def _differentiate_rate(primals, tangents):
-    inputs, fixed, along = equations.active_inputs(primals, tangents)
+    inputs, fixed, along = active_inputs(primals, tangents)
     return jax.jvp(lambda inputs: _batched_rate(*eqx.combine(inputs, fixed)), (inputs,), (along,))
 
 

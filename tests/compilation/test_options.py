@@ -165,6 +165,16 @@ def test_expensive_passes_are_left_out_of_own_programs_without_scalars():
     assert left_out(options.OwnProgram()) and not left_out(options.OwnProgram(scalarised=True))
 
 
+def test_kernels_are_made_without_mlir_in_own_programs_without_scalars():
+    from jaxlib import xla_client
+
+    def overridden(program):
+        return program.add_to(xla_client.CompileOptions()).env_option_overrides
+
+    chosen = [(options.EMITTERS, False)] if options._version() < options.EMITTERS_CHOSEN_BEFORE else []
+    assert overridden(options.OwnProgram()) == chosen and overridden(options.OwnProgram(scalarised=True)) == []
+
+
 def test_an_older_jaxlib_gets_no_options_and_a_newer_one_is_tried_once(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr(options, "user_cache_folder", lambda: tmp_path / "cache")

@@ -27,6 +27,7 @@ from rfem_jax.mechanics import loads
 from rfem_jax.mechanics.algebra import Scalar, apply_transposed, cross, dot
 from rfem_jax.mechanics.bush_contacts import ContactState, contact_states
 from rfem_jax.mechanics.cut_joints import closure, spring_residual, spring_row_tangent
+from rfem_jax.mechanics.derivative_rules import implicit_function
 from rfem_jax.mechanics.designs import Design, designed, with_status
 from rfem_jax.mechanics.element_loads import element_tangents, frame_loads
 from rfem_jax.mechanics.elements import elasticity
@@ -222,7 +223,7 @@ def equilibrium(
     given = np.array(list(held), int)
     undeformed = scaled.unknowns(start_values(model), jnp.zeros(topology.n_constraints))
 
-    def residual(unknowns, args):
+    def residual(unknowns, scaled, args):
         actual, angles = args
         position, multipliers = scaled.coordinates(unknowns), scaled.multipliers(unknowns)
         hinge, elastic, closing = _static_residual(actual, position, multipliers, scaled.length)
@@ -240,7 +241,7 @@ def equilibrium(
     guess = jnp.where(is_given, angles @ onto, undeformed)
     perfect, undeformed, guess = jax.lax.stop_gradient((perfect, undeformed, guess))
     equations = Equations(
-        residual,
+        lambda unknowns, args: residual(unknowns, scaled, args),
         scaled.coordinates,
         n_coordinates=scaled.units.size,
         solve=least_squares if topology.minimum_norm else jnp.linalg.solve,
@@ -250,13 +251,14 @@ def equilibrium(
     loaded = jax.lax.stop_gradient(args)
     end, found = _search(scaled, equations, given, (undeformed, guess), perfect, loaded)
 
-    def tangent_solve(linear, value):
+    def tangent_solve(linear, value, inputs, end):
+        scaled, (actual, _) = inputs
         if topology.exact or topology.minimum_norm or topology.clearances:
             return solve_dense(equations, linear, value)
-        preconditioner = _preconditioner(scaled, given, loaded[0], end)
+        preconditioner = _preconditioner(scaled, given, actual, end)
         return solve_linear(equations, preconditioner, linear, value)
 
-    unknowns = jax.lax.custom_root(lambda unknowns: residual(unknowns, args), end, lambda _, x: x, tangent_solve)
+    unknowns = implicit_function(lambda x, inputs: residual(x, *inputs), tangent_solve, end, (scaled, args))
     position = scaled.coordinates(unknowns)
     found = found & jnp.all(jnp.isfinite(unknowns))
     return position, scaled.multipliers(unknowns), _status_of(actual, position, found, scaled.length)

@@ -24,6 +24,7 @@ from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Array, Bool, Float
 
 from rfem_jax.mechanics.clearances import ContactMemory
+from rfem_jax.mechanics.derivative_rules import active_inputs
 from rfem_jax.mechanics.implicit.condensation import LinkOperator
 from rfem_jax.mechanics.implicit.newton import (
     IterationMatrix,
@@ -33,7 +34,6 @@ from rfem_jax.mechanics.implicit.newton import (
 )
 from rfem_jax.mechanics.implicit.residual import Evaluation, residual_of
 from rfem_jax.mechanics.model import Coordinates
-from rfem_jax.simulation import equations
 from rfem_jax.simulation.batches import like_batched
 from rfem_jax.simulation.equations import Conditions, Integrals, Scalar, Trajectory
 
@@ -183,7 +183,7 @@ def _unknowns_of(end: StepEnd) -> Unknowns:
 def _differentiate(method, primals, tangents):
     """Rule of `solved_step`: its value and its tangent."""
     matrix, constants, start = primals
-    inputs, fixed, along = equations.active_inputs(start, tangents[2])
+    inputs, fixed, along = active_inputs(start, tangents[2])
     # Kept by name, so that reverse mode does not repeat Newton's method.
     solution = jax.tree.map(lambda x: checkpoint_name(x, SOLUTION), _solution(method, matrix, constants, start))
     end, tangent = _end_and_tangent(method, matrix, constants, solution, inputs, fixed, along)
