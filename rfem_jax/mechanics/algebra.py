@@ -12,6 +12,9 @@ are taken at the origin of the global frame, so that bodies share one reference 
 transform is needed.
 """
 
+from collections.abc import Sequence
+
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -22,6 +25,7 @@ from rfem_jax.mechanics.reordering import reorder
 Scalar = Float[Array, ""] | float
 
 IDENTITY = np.eye(3)
+CYCLED = IDENTITY[[1, 2, 0]]
 
 
 def cross(a: Float[Array, "3 *#n"], b: Float[Array, "3 *#n"]) -> Float[Array, "3 ..."]:
@@ -78,47 +82,52 @@ def transpose(matrix: Float[Array, "m n *k"]) -> Float[Array, "n m *k"]:
 
 def cross_matrix(a: Float[Array, " 3 *k"]) -> Float[Array, "3 3 *k"]:
     """The matrix of the vector product `a x`."""
-    zero = jnp.zeros_like(a[0])
-    return jnp.stack(
-        [
-            jnp.stack([zero, -a[2], a[1]]),
-            jnp.stack([a[2], zero, -a[0]]),
-            jnp.stack([-a[1], a[0], zero]),
-        ]
-    )
+    column, shape = a[:, None], (3, 3) + (1,) * (a.ndim - 1)
+    return _cycle(column * CYCLED.reshape(shape) - _cycle(column) * IDENTITY.reshape(shape))
 
 
 def rotation_x(angle: Float[Array, "*k"]) -> Float[Array, "3 3 *k"]:
     """Right-handed rotation about x by an angle [rad]."""
-    c, s, one, zero = _rotation_entries(angle)
-    return _matrix([[one, zero, zero], [zero, c, -s], [zero, s, c]])
+    return rotation_about(0, angle)
 
 
 def rotation_y(angle: Float[Array, "*k"]) -> Float[Array, "3 3 *k"]:
     """Right-handed rotation about y by an angle [rad]."""
-    c, s, one, zero = _rotation_entries(angle)
-    return _matrix([[c, zero, s], [zero, one, zero], [-s, zero, c]])
+    return rotation_about(1, angle)
 
 
 def rotation_z(angle: Float[Array, "*k"]) -> Float[Array, "3 3 *k"]:
     """Right-handed rotation about z by an angle [rad]."""
-    c, s, one, zero = _rotation_entries(angle)
-    return _matrix([[c, -s, zero], [s, c, zero], [zero, zero, one]])
+    return rotation_about(2, angle)
 
 
 def rotation_about(axis: int, angle: Float[Array, "*k"]) -> Float[Array, "3 3 *k"]:
     """Right-handed rotation about axis 0, 1 or 2 (x, y, z) by an angle [rad]."""
-    return (rotation_x, rotation_y, rotation_z)[axis](angle)
+    along, across, turned = (part.reshape((3, 3) + (1,) * angle.ndim) for part in _ROTATIONS[axis])
+    return jnp.asarray(along) + jnp.cos(angle)[None, None] * across + jnp.sin(angle)[None, None] * turned
 
 
-def _rotation_entries(angle: Array) -> tuple[Array, Array, Array, Array]:
-    """Cosine, sine, one and zero."""
-    one = jnp.ones_like(angle)
-    return jnp.cos(angle), jnp.sin(angle), one, 0.0 * one
+def _rotation_parts(axis: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Matrices of the components along an axis, across it, and across it turned by 90 deg."""
+    along = np.diag(IDENTITY[axis])
+    return along, IDENTITY - along, np.cross(IDENTITY[axis], IDENTITY).T
+
+
+_ROTATIONS = tuple(_rotation_parts(axis) for axis in range(3))
 
 
 def _matrix(rows: list[list[Array]]) -> Array:
     return jnp.stack([jnp.stack(row) for row in rows])
+
+
+def columns(values: Float[Array, "*n m"], indices: Sequence[int], axis: int = -1) -> Float[Array, "..."]:
+    """Columns at static indices of an axis: one slice where there can be one."""
+    axis %= values.ndim
+    steps = set(np.diff(indices).tolist())
+    if len(steps) <= 1 and min(steps, default=1) > 0:
+        first, end = (indices[0], indices[-1] + 1) if len(indices) else (0, 0)
+        return jax.lax.slice_in_dim(values, first, end, min(steps, default=1), axis)
+    return jnp.stack([jax.lax.index_in_dim(values, i, axis, keepdims=False) for i in indices], axis=axis)
 
 
 def spatial(angular: Float[Array, " 3 *k"], linear: Float[Array, " 3 *k"]) -> Float[Array, " 6 *k"]:
@@ -207,5 +216,6 @@ def invert_block(m: Float[Array, "n n *k"]) -> Float[Array, "n n *k"]:
     if m.shape[0] == 2:
         determinant = m[0, 0] * m[1, 1] - m[0, 1] * m[1, 0]
         return _matrix([[m[1, 1], -m[0, 1]], [-m[1, 0], m[0, 0]]]) / determinant[None, None]
-    columns = [cross(m[1], m[2]), cross(m[2], m[0]), cross(m[0], m[1])]
-    return jnp.stack(columns, axis=1) / dot(m[0], columns[0])[None, None]
+    rows = transpose(m)
+    columns = cross(reorder(rows, (1, 2, 0), axis=1), reorder(rows, (2, 0, 1), axis=1))
+    return columns / dot(rows[:, 0], columns[:, 0])[None, None]

@@ -292,7 +292,7 @@ def _members(values: Array, members: tuple[int, ...]) -> Array:
     """Columns of the last axis, the array itself where these are all."""
     if members == tuple(range(values.shape[-1])):
         return values
-    return jnp.stack([values[..., i] for i in members], axis=-1)
+    return algebra.columns(values, members)
 
 
 def _constraints(
@@ -344,13 +344,11 @@ def _perpendicularity(
     on_left = {i for i, _ in pairs}
 
     def of_left(part: Array) -> Array:
-        if len(on_left) == 1:
-            return part[:, pairs[0][0]][:, None]
-        return jnp.stack([part[:, i] for i, _ in pairs], axis=1)
+        return algebra.columns(part, [pairs[0][0]] if len(on_left) == 1 else [i for i, _ in pairs], axis=1)
 
     a, a_rate, a_bias = (of_left(part) for part in (left.axes, left.axes_rate, left.axes_bias))
     b, b_rate, b_bias = (
-        jnp.stack([part[:, j] for _, j in pairs], axis=1) for part in (right.axes, right.axes_rate, right.axes_bias)
+        algebra.columns(part, [j for _, j in pairs], axis=1) for part in (right.axes, right.axes_rate, right.axes_bias)
     )
     bend = dot(a, b)
     bend_rate = dot(a_rate, b) + dot(a, b_rate)

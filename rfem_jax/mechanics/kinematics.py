@@ -21,7 +21,7 @@ from jax import Array
 from jaxtyping import Float
 
 from rfem_jax.mechanics import algebra
-from rfem_jax.mechanics.algebra import apply, cross, product
+from rfem_jax.mechanics.algebra import apply, columns, cross, product
 from rfem_jax.mechanics.model import BASE, Coordinates, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 from rfem_jax.mechanics.orientations import rotation_of
@@ -177,16 +177,9 @@ def _on_link(link: Frames, in_link_frame: tuple[Array, Array, Array, Array]) -> 
 def _interface_frames(topology: Topology, relative: RelativeMotion, links: Frames) -> Frames:
     owners = [topology.link_of(topology.n_links + k) for k in topology.interfaces]
     return _on_link(
-        jax.tree.map(lambda x: _columns(x, owners), links),
-        jax.tree.map(lambda x: _columns(x, topology.interfaces), _in_link_frame(relative)),
+        jax.tree.map(lambda x: columns(x, owners), links),
+        jax.tree.map(lambda x: columns(x, topology.interfaces), _in_link_frame(relative)),
     )
-
-
-def _columns(values: Array, indices: Sequence[int]) -> Array:
-    """Columns of the last axis at static indices."""
-    if len(indices) == 0:
-        return values[..., :0]
-    return jnp.stack([values[..., i] for i in indices], axis=-1)
 
 
 class _PlacedJoint(NamedTuple):
@@ -242,6 +235,10 @@ def node_frames(topology: Topology, motion: Motion, nodes: Sequence[int]) -> Fra
     """Frames of links, interfaces or the base (static node numbers), one column each."""
     n = topology.n_links
     place = {k: i for i, k in enumerate(topology.interfaces)}
+    if all(BASE != node < n for node in nodes):
+        return Frames(*(columns(part, nodes) for part in motion.links))
+    if all(node >= n for node in nodes):
+        return Frames(*(columns(part, [place[node - n] for node in nodes]) for part in motion.interfaces))
 
     def column(part: str, node: int) -> Array:
         if node == BASE:
@@ -256,16 +253,16 @@ def node_frames(topology: Topology, motion: Motion, nodes: Sequence[int]) -> Fra
 
 def spread(topology: Topology, values: Float[Array, "*k links"]) -> Float[Array, "*k rfes"]:
     """Values by link repeated for every free rfe of the link."""
-    columns = [
+    by_link = [
         jnp.broadcast_to(values[..., l : l + 1], values.shape[:-1] + (n - 1,)) for l, n in enumerate(topology.elements)
     ]
-    return jnp.concatenate(columns, axis=-1)
+    return jnp.concatenate(by_link, axis=-1)
 
 
 def by_freedom(topology: Topology, values: Float[Array, "*k links"]) -> Float[Array, "*k freedoms"]:
     """Values by link repeated for every coordinate of the link's joint."""
     owners = topology.link_of_freedom
-    return values if owners == tuple(range(topology.n_links)) else _columns(values, owners)
+    return values if owners == tuple(range(topology.n_links)) else columns(values, owners)
 
 
 def total(topology: Topology, values: Float[Array, "*k rfes"]) -> Float[Array, "*k links"]:

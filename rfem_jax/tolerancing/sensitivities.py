@@ -33,7 +33,12 @@ from rfem_jax.tolerancing.layout import show_error, show_number, without_roundin
 from rfem_jax.tolerancing.problems.evaluation import describe_status, read_point, select_half_widths
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.problem import Metric, ToleranceProblem
-from rfem_jax.tolerancing.problems.quadratic_model import QuadraticModel, check_expansion, expand_point
+from rfem_jax.tolerancing.problems.quadratic_model import (
+    QuadraticModel,
+    check_expansion,
+    expand_point,
+    prepare_expansion,
+)
 from rfem_jax.tolerancing.problems.reproduction import REPRODUCED, changes_by_step, changes_that_count, may_strike
 from rfem_jax.tolerancing.progress import ProgressBar, ProgressOption
 
@@ -275,6 +280,9 @@ def sensitivity(
         widths = np.array([values[known.index(name)] for name in names])
     names, mode = check_expansion(problem, names, order, mode)
     problems = (problem,) if refined is None else (problem, refined)
+    if refined is not None:  # compile both side by side
+        for one in problems:
+            prepare_expansion(one, at, names, order, mode, int(batch))
     with ProgressBar(progress, len(problems) * len(names), unit="direction") as bar:
         model, *finer = [expand_point(one, at, names, order, mode, int(batch), bar.advance) for one in problems]
     point = read_point(problem, at)

@@ -6,8 +6,10 @@ pictures -> the reports on tasks.
 
 import argparse
 import sys
+import threading
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from rfem_jax.report.annotations import Run, Study, Summaries
@@ -58,6 +60,7 @@ def act(arguments: argparse.Namespace) -> Answer:
     require_task_folders(study, study.tasks.declared, arguments.out)
     study = settle_method(study)
     folder = open_folder(arguments.out)
+    load_plotting()
     runs = _simulate(study, folder)
     statuses = {name: STATUS[int(run.status)] for name, run in runs.items()}
     summaries = summarise(study, runs, statuses)
@@ -138,6 +141,18 @@ def _simulate(study: Study, folder: Path) -> dict[str, Run]:
             f"{kept}; the same command goes on from there."
         ) from None
     return runs
+
+
+def load_plotting() -> None:
+    """Import what pictures need in the background, while a simulation computes."""
+
+    def load():
+        with suppress(Exception):  # said where they are drawn
+            import matplotlib.backends.backend_agg  # noqa: F401
+
+            import rfem_jax.report.figures  # noqa: F401
+
+    threading.Thread(target=load, daemon=True).start()
 
 
 def write_run_pictures(folder: Path, study: Study, runs: dict[str, Run], summaries: Summaries) -> list[Path]:

@@ -72,7 +72,7 @@ class AllocationReport(TaskReport[AllocationTask, AllocationStudy]):
         together = task.criterion != "worst_case"
         mode = choose_mode(task.mode, len(task.bounds), len(problem.metrics) if together else 1, problem)
         typical = {name: math.sqrt(low * high) for name, (low, high) in task.bounds.items()}
-        model = expand_by_differences(problem, None, typical, mode=mode, batch=task.batch)
+        model = expand_by_differences(problem, None, typical, mode=mode, batch=task.batch, values_follow=True)
         solve = partial(solve, model=model, mode=mode)
         on_stage(f"Allocating {len(task.bounds)} tolerances")
         limits = {name: tuple(map(_closed, pair)) for name, pair in task.limits.items()}

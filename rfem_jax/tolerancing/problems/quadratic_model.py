@@ -29,6 +29,7 @@ from rfem_jax.description.precision import require_float64
 from rfem_jax.tolerancing.checks import ErrorValues, check_known
 from rfem_jax.tolerancing.problems.evaluation import (
     Base,
+    prepare_points,
     select_half_widths,
     split_errors,
     stack_metrics,
@@ -169,6 +170,16 @@ def _directions_at_once(problem, k, order, mode, batch) -> int:
     return min(max(1, batch // inner), k)
 
 
+def prepare_expansion(
+    problem: ToleranceProblem, at: ErrorValues | None, names: Sequence[str], order: int, mode: str, batch: int
+) -> None:
+    """Start to compile or load, in the background, the program of `expand_point` with these arguments."""
+    base, x = split_errors(problem, at, names)
+    k = len(names)
+    directions = jax.ShapeDtypeStruct((_directions_at_once(problem, k, order, mode, batch), k), jnp.float64)
+    _differentiate_along.ahead(problem, tuple(names), base, x, directions, order, mode, batch)
+
+
 def expand_point(
     problem: ToleranceProblem,
     at: ErrorValues | None,
@@ -272,12 +283,14 @@ def expand_by_differences(
     *,
     mode: str = "auto",
     batch: int = 256,
+    values_follow: bool = False,
 ) -> QuadraticModel:
     """Expand every metric of `problem` to second order, the Hessian by differences of gradients.
 
     Args: at {error: value}, None for the nominal point, zero; half_widths, a Tolerances collection or {error: typical
         tolerance} of every error to differentiate by, the unit of the steps (values in rad or m, or strings with a
-        unit); mode, batch as `linearise_points`.
+        unit); mode, batch as `linearise_points`; values_follow, whether `evaluate_points` with the same arguments is
+        next: its program is compiled meanwhile.
     Returns: QuadraticModel with its `hessian_error`.
     Raises: InputError for unknown names or mode, and for derivatives through impacts that a finer step does not
         reproduce.
@@ -287,6 +300,8 @@ def expand_by_differences(
     base, x = split_errors(problem, at, names)
     m, k = len(problem.metrics), len(names)
     mode = choose_mode(mode, k, m, problem)
+    if values_follow:
+        prepare_points(problem, names, base, batch)
     require_reproduced(problem, names, base, np.asarray(x), t, mode=mode, batch=batch)
     offsets = np.concatenate([np.zeros((1, k)), *(s * np.eye(k) for s in (1, -1, 2, -2))])
     points = np.asarray(x) + STEP * offsets * t
