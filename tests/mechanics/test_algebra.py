@@ -1,0 +1,51 @@
+"""Rotations, cross products, small inverses and picked columns against NumPy."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from rfem_jax.mechanics import algebra
+
+rng = np.random.default_rng(0)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_rotation_turns_about_its_axis_from_the_next_axis_to_the_one_after(axis):
+    angles = rng.uniform(-3.0, 3.0, 4)
+    found = np.asarray(algebra.rotation_about(axis, jnp.asarray(angles)))
+    unit = np.eye(3)
+    following, last = unit[(axis + 1) % 3], unit[(axis + 2) % 3]
+    for k, angle in enumerate(angles):
+        np.testing.assert_array_equal(found[:, :, k] @ unit[axis], unit[axis])
+        np.testing.assert_allclose(
+            found[:, :, k] @ following, np.cos(angle) * following + np.sin(angle) * last, atol=1e-16
+        )
+        np.testing.assert_allclose(found[:, :, k] @ found[:, :, k].T, unit, atol=1e-15)
+        np.testing.assert_allclose(np.linalg.det(found[:, :, k]), 1.0, rtol=1e-14)
+
+
+def test_the_matrix_of_a_cross_product():
+    a, b = rng.normal(size=(2, 3, 5))
+    found = np.einsum("ijk,jk->ik", np.asarray(algebra.cross_matrix(jnp.asarray(a))), b)
+    np.testing.assert_allclose(found, np.cross(a, b, axis=0), rtol=1e-14)
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 5, 8])
+def test_inverses_of_positive_matrices(n):
+    root = rng.normal(size=(4, n, n))
+    matrices = root @ np.swapaxes(root, 1, 2) + np.eye(n)
+    found = algebra.invert_positive(jnp.asarray(np.moveaxis(matrices, 0, -1)))
+    np.testing.assert_allclose(np.moveaxis(np.asarray(found), -1, 0), np.linalg.inv(matrices), rtol=1e-9, atol=1e-12)
+
+
+def test_the_inverse_of_a_matrix_that_is_not_symmetric():
+    matrix = rng.normal(size=(3, 3))
+    np.testing.assert_allclose(algebra.invert_block(jnp.asarray(matrix)), np.linalg.inv(matrix), rtol=1e-11)
+
+
+@pytest.mark.parametrize("indices", [(), (2,), (0, 1, 2), (1, 3), (0, 3), (3, 1), (1, 1), (0, 1, 3)])
+@pytest.mark.parametrize("axis", [-1, 1, 0])
+def test_columns_are_those_of_numpy(indices, axis):
+    values = rng.normal(size=(4, 4, 4))
+    found = algebra.columns(jnp.asarray(values), indices, axis)
+    np.testing.assert_array_equal(found, np.take(values, np.array(indices, int), axis=axis))
