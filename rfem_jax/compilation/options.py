@@ -35,8 +35,8 @@ NO_LOOP_ROTATION = "-rotation-max-header-size=0"
 WITHOUT_FUSION = f"--xla_cpu_experimental_ynn_fusion_type= --xla_backend_extra_options={','.join(OPTIONS)}"
 FLAGS = f"{WITHOUT_FUSION},{FUSION}"
 FUSION_SAFE_FROM = (0, 12)  # jaxlib
-# Kernels made by way of MLIR take a quarter of the time of compilation, half of it in programs that run once, and are
-# no faster; in scalarised programs they are.  XLA has the choice before jaxlib 0.12.  For kept programs only.
+# Kernels made by way of MLIR take much of the time of compilation, most in programs that run once, and run no faster;
+# scalarised programs would take longer without it.  XLA has the choice before jaxlib 0.12.  For kept programs only.
 EMITTERS, EMITTERS_CHOSEN_BEFORE = "xla_cpu_use_fusion_emitters", (0, 12)
 OF_THIS_KIND = ("xla_backend_extra_options", "ynn_fusion")
 # Versions of jaxlib tested with the flags, from the first to before the second.  XLA ends the process at a flag that it
