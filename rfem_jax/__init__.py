@@ -17,13 +17,12 @@ loaded when they are first used, so importing the package is instant; it gives X
 before the first array is made.
 """
 
-from importlib import import_module
-
 from rfem_jax.compilation import options as _options
+from rfem_jax.lazy_names import lazy_names as _lazy_names
 
 _options.offer()
 
-_PACKAGES = {
+_names = {
     "description": (
         "Bearing Case Circle Clearance Compliance ForceFunction ForceRamp ForceTable GivenSection InputError Joint "
         "JointForceFunction JointForceTable JointFriction JointSpring Link Material Mechanism Method MomentFunction "
@@ -48,15 +47,8 @@ _PACKAGES = {
         "natural_frequencies register_method run_cases simulate steady_cycle"
     ),
 }
-_PACKAGE_OF = {name: package for package, names in _PACKAGES.items() for name in names.split()}
 
-__all__ = sorted(_PACKAGE_OF)
-
-
-def __getattr__(name: str):
-    if name not in _PACKAGE_OF:
-        raise AttributeError(f"module 'rfem_jax' has no attribute {name!r}")
-    return getattr(import_module(f"rfem_jax.{_PACKAGE_OF[name]}"), name)
+__getattr__, __all__ = _lazy_names(__name__, _names)
 
 
 def __dir__():

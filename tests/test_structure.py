@@ -13,6 +13,7 @@ FILES = sorted(path for path in (ROOT / "rfem_jax").rglob("*.py") if path.parent
 BESIDE = (
     "task_kinds",
     "labelled_data",
+    "lazy_names",
     "rich_text",
     "text_layout",
     "whole_files",

@@ -15,14 +15,18 @@ import json
 import math
 import platform
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import UInt8
 
 from rfem_jax.report.annotations import Figure
 from rfem_jax.whole_files import replacing
+
+Pixels = UInt8[np.ndarray, "height width 4"]
 
 _PACKAGES = ("rfem_jax", "jax", "jaxlib", "diffrax", "equinox", "optimistix", "lineax", "numpy")
 
@@ -95,22 +99,19 @@ def write_pictures(folder: str | Path, figures: Mapping[str, Figure]) -> list[Pa
 
     from rfem_jax.report.style import SETTINGS
 
-    written = []
-    with rc_context(SETTINGS):
-        for name, figure in figures.items():
-            path = Path(folder) / f"{name}.png"
-            with replacing(path) as temporary:
-                _render(figure, temporary)
-            written.append(path)
-    return written
+    # A picture is compressed while the next one is drawn.
+    with rc_context(SETTINGS), ThreadPoolExecutor(1) as pool:
+        written = [
+            pool.submit(_write_picture, Path(folder) / f"{name}.png", _drawn(figure), figure.dpi)
+            for name, figure in figures.items()
+        ]
+    return [one.result() for one in written]
 
 
-def _render(figure: Figure, path: Path) -> None:
-    """What `Figure.savefig` does, with the layout found once (it draws a figure twice for it), and without a
-    channel that is opaque everywhere; zlib's usual level would take five times as long for files a fifth smaller."""
+def _drawn(figure: Figure) -> Pixels:
+    """The pixels that `Figure.savefig` writes, with the layout found once: it draws a figure twice for it."""
     from matplotlib import rcParams
     from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from PIL import Image
 
     figure.set_dpi(rcParams["savefig.dpi"])
     figure.set_facecolor(rcParams["savefig.facecolor"])
@@ -119,5 +120,15 @@ def _render(figure: Figure, path: Path) -> None:
         engine.execute(figure)
         figure.set_layout_engine("none")
     canvas.draw()
-    opaque = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
-    opaque.save(path, format="png", dpi=(figure.dpi, figure.dpi), compress_level=1)
+    return np.asarray(canvas.buffer_rgba())
+
+
+def _write_picture(path: Path, pixels: Pixels, dpi: float) -> Path:
+    """Write a PNG file, without a channel that is opaque everywhere; zlib's usual level would take five times as long
+    for files a fifth smaller."""
+    from PIL import Image
+
+    with replacing(path) as temporary:
+        opaque = Image.fromarray(pixels).convert("RGB")
+        opaque.save(temporary, format="png", dpi=(dpi, dpi), compress_level=1)
+    return path

@@ -26,9 +26,9 @@
 Names are imported when they are first used: checking a study does not import the integrators.
 """
 
-from importlib import import_module
+from rfem_jax.lazy_names import lazy_names
 
-_MODULES = {
+_names = {
     "accuracy": "choose_method",
     "cases": "run_cases",
     "cycle": "Cycle cycle_run steady_cycle",
@@ -40,15 +40,8 @@ _MODULES = {
     "stability": "check_step largest_stable_step",
     "turn": "Turn kinetostatic_turn",
 }
-_MODULE_OF = {name: module for module, names in _MODULES.items() for name in names.split()}
 
-__all__ = sorted(_MODULE_OF)
-
-
-def __getattr__(name: str):
-    if name not in _MODULE_OF:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_MODULE_OF[name]}"), name)
+__getattr__, __all__ = lazy_names(__name__, _names)
 
 
 def __dir__():

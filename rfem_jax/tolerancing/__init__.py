@@ -12,54 +12,35 @@ Every study takes a `problem(errors) -> (values, status)`: the simulator (`Probl
     worst_cases     the largest value within the tolerances
     allocation      the cheapest tolerances that keep the limits
     robust_design   dimensions and tolerances together
+
+Names are imported when they are first used: a problem needs no statistics.
 """
 
-from rfem_jax.tolerancing.allocation.allocation_study import allocate
-from rfem_jax.tolerancing.allocation.cost_models import Exponential, Reciprocal, ReciprocalSquared
-from rfem_jax.tolerancing.designs.response_surface import fit_response_surface
-from rfem_jax.tolerancing.designs.sweep_study import sweep
-from rfem_jax.tolerancing.problems.capability import process_capability
-from rfem_jax.tolerancing.problems.distributions import Normal, ProcessNormal, Triangular, TruncatedNormal, Uniform
-from rfem_jax.tolerancing.problems.joint_distributions import CorrelatedNormal, Zone
-from rfem_jax.tolerancing.problems.metrics import metric, register_metric
-from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
-from rfem_jax.tolerancing.problems.problem import FunctionProblem, Metric
-from rfem_jax.tolerancing.problems.quadratic_model import QuadraticModel, expand
-from rfem_jax.tolerancing.problems.simulated_problem import Problem
-from rfem_jax.tolerancing.rare_failures.failure_study import reliability
-from rfem_jax.tolerancing.robust_design.front import pareto_front
-from rfem_jax.tolerancing.robust_design.optimisation import optimise
-from rfem_jax.tolerancing.sampling.monte_carlo_study import monte_carlo
-from rfem_jax.tolerancing.sensitivities import sensitivity
-from rfem_jax.tolerancing.worst_cases import worst_case
+from rfem_jax.lazy_names import lazy_names
 
-__all__ = [
-    "CorrelatedNormal",
-    "Exponential",
-    "FunctionProblem",
-    "Metric",
-    "Normal",
-    "Problem",
-    "ProcessNormal",
-    "QuadraticModel",
-    "Reciprocal",
-    "ReciprocalSquared",
-    "Tolerances",
-    "Triangular",
-    "TruncatedNormal",
-    "Uniform",
-    "Zone",
-    "allocate",
-    "expand",
-    "fit_response_surface",
-    "metric",
-    "monte_carlo",
-    "optimise",
-    "pareto_front",
-    "process_capability",
-    "register_metric",
-    "reliability",
-    "sensitivity",
-    "sweep",
-    "worst_case",
-]
+_names = {
+    "allocation.allocation_study": "allocate",
+    "allocation.cost_models": "Exponential Reciprocal ReciprocalSquared",
+    "designs.response_surface": "fit_response_surface",
+    "designs.sweep_study": "sweep",
+    "problems.capability": "process_capability",
+    "problems.distributions": "Normal ProcessNormal Triangular TruncatedNormal Uniform",
+    "problems.joint_distributions": "CorrelatedNormal Zone",
+    "problems.metrics": "metric register_metric",
+    "problems.named_tolerances": "Tolerances",
+    "problems.problem": "FunctionProblem Metric",
+    "problems.quadratic_model": "QuadraticModel expand",
+    "problems.simulated_problem": "Problem",
+    "rare_failures.failure_study": "reliability",
+    "robust_design.front": "pareto_front",
+    "robust_design.optimisation": "optimise",
+    "sampling.monte_carlo_study": "monte_carlo",
+    "sensitivities": "sensitivity",
+    "worst_cases": "worst_case",
+}
+
+__getattr__, __all__ = lazy_names(__name__, _names)
+
+
+def __dir__():
+    return __all__

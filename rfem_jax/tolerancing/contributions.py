@@ -18,13 +18,13 @@ groups (`Tolerances.factors`), each of one part or several.
 Source: theory (10.27), (10.28); I. M. Sobol', Math. Comput. Simul. 55 (2001) 271-280 (indices).
 """
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from scipy import stats
 
 from rfem_jax.tolerancing.problems.distributions import Tolerance
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
@@ -148,6 +148,6 @@ def _groups(tolerances: Tolerances) -> Iterator[tuple[np.ndarray, list[tuple[int
 def _fourth(tolerance: Tolerance) -> float:
     """Fourth moment of an error about its mean, by that of a normal one of the same variance."""
     away = np.asarray(tolerance.from_normal(jnp.asarray(NODES))) - float(tolerance.mean)
-    density = stats.norm.pdf(NODES)
+    density = np.exp(-0.5 * NODES**2) / math.sqrt(2.0 * math.pi)
     square, fourth = (np.trapezoid(away**power * density, NODES) for power in (2, 4))
     return float(fourth / (3.0 * square**2)) if square > 0.0 else 1.0

@@ -29,9 +29,8 @@ from rfem_jax.report.tasks import study_problem
 from rfem_jax.report.tasks.task_files import write_task_json
 from rfem_jax.report.tasks.task_report import TaskReport
 from rfem_jax.text_layout import align_columns
-from rfem_jax.tolerancing import Exponential, Reciprocal, ReciprocalSquared, allocate
-from rfem_jax.tolerancing.allocation.allocation_study import Allocation, LimitCheck
-from rfem_jax.tolerancing.allocation.cost_models import total_cost
+from rfem_jax.tolerancing.allocation.allocation_study import Allocation, LimitCheck, allocate
+from rfem_jax.tolerancing.allocation.cost_models import Exponential, Reciprocal, ReciprocalSquared, total_cost
 from rfem_jax.tolerancing.problems.distributions import DISTRIBUTIONS
 from rfem_jax.tolerancing.problems.linearisation import choose_mode
 from rfem_jax.tolerancing.problems.quadratic_model import expand_by_differences

@@ -35,10 +35,10 @@ from rfem_jax.report.tasks.sobol_bars import sobol_figure
 from rfem_jax.report.tasks.task_files import metric_units, write_task_json
 from rfem_jax.report.tasks.task_report import GRADIENT, TaskReport
 from rfem_jax.text_layout import size_text
-from rfem_jax.tolerancing import Tolerances
-from rfem_jax.tolerancing import monte_carlo as sample_problem
+from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.results_store import StudyFolderError
 from rfem_jax.tolerancing.sampling.monte_carlo_result import MonteCarloResult
+from rfem_jax.tolerancing.sampling.monte_carlo_study import monte_carlo as sample_problem
 from rfem_jax.tolerancing.sampling.statistics import Estimate
 from rfem_jax.tolerancing.sampling.study_identity import require_folder
 

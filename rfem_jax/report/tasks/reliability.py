@@ -19,9 +19,9 @@ from rfem_jax.report.style import BAR_COLOURS, HATCHES, add_titles, new_figure
 from rfem_jax.report.tasks import study_problem
 from rfem_jax.report.tasks.task_files import metric_units, write_task_json
 from rfem_jax.report.tasks.task_report import GRADIENT, TaskReport
-from rfem_jax.tolerancing import Tolerances
-from rfem_jax.tolerancing import reliability as find_failures
+from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.rare_failures.failure_result import ReliabilityResult
+from rfem_jax.tolerancing.rare_failures.failure_study import reliability as find_failures
 
 
 class ReliabilityReport(TaskReport[ReliabilityTask, ReliabilityResult]):

@@ -23,10 +23,10 @@ from rfem_jax.report.tasks import study_problem
 from rfem_jax.report.tasks.task_files import metric_units, write_task_json
 from rfem_jax.report.tasks.task_report import GRADIENT, TaskReport
 from rfem_jax.text_layout import align_columns, wrap_lines
-from rfem_jax.tolerancing import Tolerances
-from rfem_jax.tolerancing import sensitivity as differentiate
 from rfem_jax.tolerancing.contributions import VarianceShares
+from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.sensitivities import Sensitivities
+from rfem_jax.tolerancing.sensitivities import sensitivity as differentiate
 
 UNDAMPED = (
     "No flexible link has damping: derivatives of mean-square and RMS forces are dominated by the "

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from rfem_jax.description.study import Study
 from rfem_jax.mechanics.designs import model_of_study
 from rfem_jax.mechanics.model import Model
-from rfem_jax.tolerancing import Problem
+from rfem_jax.tolerancing.problems.simulated_problem import Problem
 
 
 def build_problem(study: Study, metrics: Sequence[str], model: Model | None = None) -> Problem:

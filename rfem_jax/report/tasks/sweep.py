@@ -28,9 +28,9 @@ from rfem_jax.report.tasks import study_problem
 from rfem_jax.report.tasks.monte_carlo import describe_study
 from rfem_jax.report.tasks.task_files import metric_units, write_task_json
 from rfem_jax.report.tasks.task_report import TaskReport
-from rfem_jax.tolerancing import sweep as run_sweep
 from rfem_jax.tolerancing.designs.response_surface import ResponseSurface
 from rfem_jax.tolerancing.designs.sweep_study import SweepResult, ranges, require_sweep_folder
+from rfem_jax.tolerancing.designs.sweep_study import sweep as run_sweep
 from rfem_jax.tolerancing.problems.results_store import StudyFolderError
 
 MOST_EACH = 4  # errors and metrics of the responses

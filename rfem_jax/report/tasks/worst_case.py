@@ -19,13 +19,13 @@ from rfem_jax.report.style import CASE_COLOURS, MARKERS, add_titles, new_figure
 from rfem_jax.report.tasks import study_problem
 from rfem_jax.report.tasks.task_files import write_task_json
 from rfem_jax.report.tasks.task_report import GRADIENT, TaskReport
-from rfem_jax.tolerancing import Tolerances
-from rfem_jax.tolerancing import worst_case as search_worst_case
 from rfem_jax.tolerancing.layout import show_number
 from rfem_jax.tolerancing.optimisation.starting_points import EXHAUSTIVE
 from rfem_jax.tolerancing.problems.linearisation import choose_mode
+from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.quadratic_model import expand_by_differences
 from rfem_jax.tolerancing.worst_cases import WorstCase
+from rfem_jax.tolerancing.worst_cases import worst_case as search_worst_case
 
 MOST_PANELS = 8
 
