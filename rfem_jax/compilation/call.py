@@ -5,7 +5,7 @@ that are its derivatives and batches.
 
     step                     arrays in                               arrays out
     ()                       arguments                               results
-    ("jvp", active)          arguments, tangents of the active ones  results, tangents of the inexact ones
+    ("jvp", active)          arguments, tangents of the active ones  results, tangents of those that change
     ("linear", active)       arguments, tangents of the active ones  tangents of the inexact results
     ("vjp", active, used)    arguments, cotangents of the used ones  cotangents of the active arguments
     ("vmap", size, axes)     arguments with a batch axis (or not)    results with a first axis (or not)
@@ -14,6 +14,7 @@ that are its derivatives and batches.
 it has a cotangent; `axes` the batch axis (None) of each argument.  Each step transforms the call before it.
 """
 
+import functools
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -25,6 +26,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.core import Tracer
+from jax.custom_derivatives import SymbolicZero
 from jax.tree_util import PyTreeDef
 from jax.typing import ArrayLike
 
@@ -89,8 +91,8 @@ class Call:
     `quick`: compile in less time, for less speed.
 
     Attributes: facts, known once the function has been traced or loaded: of a function, the tree of its results with
-    a `Place` for each array; of ("jvp", ...), which results have tangents; of ("vmap", ...), which results have the
-    batch axis.
+    a `Place` for each array; of ("jvp", ...), which results change, that is, have tangents; of ("linear", ...), which
+    are inexact; of ("vmap", ...), which results have the batch axis.
     """
 
     def __init__(
@@ -244,13 +246,36 @@ def _pushed(call: Call, step) -> Call:
     def pushed(*arrays):
         arguments, tangents = arrays[: len(active)], arrays[len(active) :]
         function, values = _of_active(call, active, arguments)
-        results, changes = jax.jvp(function, values, list(tangents))
-        new.facts = _inexact(results)
-        changes = [change for change, is_inexact in zip(changes, new.facts) if is_inexact]
+        seen = _Changes()
+        results, changes = jax.jvp(lambda *values: seen.of(function(*values)), values, list(tangents))
+        new.facts = _inexact(results) if kind_of_step == "linear" else seen.found
+        changes = [change for change, is_one in zip(changes, new.facts) if is_one]
         return changes if kind_of_step == "linear" else [*results, *changes]
 
     new = _named(pushed, call, step)
     return new
+
+
+class _Changes:
+    """Notes which of some results have a tangent while they are differentiated."""
+
+    def __init__(self):
+        self.found: tuple[bool, ...] = ()
+
+    def of(self, results: list[Array]) -> list[Array]:
+        """The results themselves."""
+
+        @jax.custom_jvp
+        def unchanged(results):
+            return results
+
+        @functools.partial(unchanged.defjvp, symbolic_zeros=True)
+        def _(primals, tangents):
+            self.found = tuple(not isinstance(tangent, SymbolicZero) for tangent in tangents[0])
+            return primals[0], tangents[0]
+
+        self.found = (False,) * len(results)
+        return unchanged(results)
 
 
 def _pulled(call: Call, step) -> Call:

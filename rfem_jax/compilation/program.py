@@ -18,9 +18,9 @@ import equinox as eqx
 import jax
 
 from rfem_jax.compilation import keeping, keys, options
-from rfem_jax.compilation.call import Call, call_of, kind
+from rfem_jax.compilation.call import call_of, kind
 from rfem_jax.compilation.executable import Place
-from rfem_jax.compilation.transformations import bind, no_staging, no_transformation
+from rfem_jax.compilation.transformations import Transformable, bind, no_staging, no_transformation
 
 options.settle()
 
@@ -50,7 +50,7 @@ class Program:
         functools.update_wrapper(self, function)
         self.function, self.quick = function, quick
         self._jitted = eqx.filter_jit(function)
-        self._calls: dict[tuple, Call | None] = {}
+        self._calls: dict[tuple, Transformable | None] = {}
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
         if not (keeping.wanted() and no_staging()) or _watched():
@@ -73,7 +73,7 @@ class Program:
         call, arrays = self._call_with(args, kwargs)
         return None if call is None else _filled(call, call.ahead(arrays))
 
-    def _call_with(self, args, kwargs) -> tuple[Call | None, list]:
+    def _call_with(self, args, kwargs) -> tuple[Transformable | None, list]:
         """The call (None: its program cannot be kept) and its arrays."""
         leaves, tree = jax.tree.flatten((args, kwargs))
         is_array = [eqx.is_array(leaf) or isinstance(leaf, jax.ShapeDtypeStruct) for leaf in leaves]
@@ -90,7 +90,7 @@ class Program:
         """Forget the programs in memory."""
         self._calls.clear()
 
-    def _call_of(self, tree, static) -> Call | None:
+    def _call_of(self, tree, static) -> Transformable | None:
         """None for a function that depends on something whose content is not known."""
         try:
             return call_of(self.function, tree, static, self.quick)
@@ -99,7 +99,7 @@ class Program:
             return None
 
 
-def _filled(call: Call, arrays) -> Any:
+def _filled(call: Transformable, arrays) -> Any:
     """The tree of a call's results, with its arrays put in."""
     arrays = iter(arrays)
     return jax.tree.map(lambda x: next(arrays) if isinstance(x, Place) else x, call.facts)

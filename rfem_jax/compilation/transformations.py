@@ -29,7 +29,7 @@ EAGER = (JVPTrace, LinearizeTrace, BatchTrace)
 
 @runtime_checkable
 class Transformable(Protocol):
-    """What this module needs of `call.Call`, which says more."""
+    """What this module and `program` need of `call.Call`, which says more, and of `parts.CallInParts`."""
 
     function: Callable[..., list]
     before: Any
@@ -37,6 +37,8 @@ class Transformable(Protocol):
     facts: Any
 
     def run(self, arrays: Sequence[ArrayLike]) -> list[Array]: ...
+
+    def ahead(self, arrays: Sequence[ArrayLike | jax.ShapeDtypeStruct]) -> list: ...
 
     def then(self, step: tuple) -> "Transformable": ...
 
@@ -89,18 +91,18 @@ def _push(primals, tangents, *, call, kinds):
     given = [tangent for tangent, is_active in zip(tangents, active) if is_active]
     if any(isinstance(tangent, JaxprTracer) for tangent in given):
         results = bind(call, primals, kinds)
-        inexact = [jax.numpy.issubdtype(jax.typeof(x).dtype, jax.numpy.inexact) for x in results]
-        avals = tuple(jax.typeof(x).to_tangent_aval() for x, i in zip(results, inexact) if i)
+        has_change = [jax.numpy.issubdtype(jax.typeof(x).dtype, jax.numpy.inexact) for x in results]
+        avals = tuple(jax.typeof(x).to_tangent_aval() for x, is_one in zip(results, has_change) if is_one)
         changes = bind(call.then(("linear", active)), [*primals, *given], avals)
     else:
         pushed = call.then(("jvp", active))
         results = bind(pushed, [*primals, *given])
-        inexact = pushed.facts
-        results, changes = results[: len(inexact)], results[len(inexact) :]
+        has_change = pushed.facts
+        results, changes = results[: len(has_change)], results[len(has_change) :]
     changes = iter(changes)
     return results, [
-        next(changes) if is_inexact else ad.Zero(jax.typeof(result).to_tangent_aval())
-        for result, is_inexact in zip(results, inexact)
+        next(changes) if is_one else ad.Zero(jax.typeof(result).to_tangent_aval())
+        for result, is_one in zip(results, has_change)
     ]
 
 

@@ -63,7 +63,8 @@ def implicit_function(
             return equations(at, eqx.combine(moving, fixed, static))
 
         change = jax.jvp(lambda moving: residual(at, moving), (moving,), (along,))[1]
-        linear = jax.linearize(lambda at: residual(at, moving), at)[1]
+        # Jitted, so that all its places in the solution are traced, batched and transposed once.
+        linear = jax.jit(jax.linearize(lambda at: residual(at, moving), at)[1])
         constant = jax.lax.stop_gradient((eqx.combine(moving, fixed), at))
         return at, -solve(linear, change, eqx.combine(constant[0], static), constant[1])
 

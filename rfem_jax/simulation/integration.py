@@ -10,14 +10,16 @@ With fixed steps all transforms of JAX apply (jit, vmap, forward and reverse mod
 state at the end of every interval, with an implicit method of every step, and computes again what lies between.
 """
 
-from collections.abc import Iterable, Sequence
-from typing import NamedTuple
+import functools
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, NamedTuple
 
 import diffrax
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from rfem_jax.compilation.parts import ProgramInParts
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.driven_motions import Drive
 from rfem_jax.description.errors import InputError
@@ -48,6 +50,7 @@ from rfem_jax.mechanics.status import (
     STEPS_EXHAUSTED,
 )
 from rfem_jax.simulation import equations
+from rfem_jax.simulation.batches import like_batched
 from rfem_jax.simulation.driving import active_drives, all_jumps, drive_of_design, require_driven
 from rfem_jax.simulation.equations import Conditions, Scalar, Trajectory
 from rfem_jax.simulation.observation import Record, observe
@@ -147,11 +150,42 @@ def grid_for(
     return divide_time(duration, method.step, save_every, all_jumps(drive, model), method.implicit)
 
 
-@Program
-def _simulate(model, errors, drive, grid, start, method, steps, adjoint, record):
+@ProgramInParts
+def _simulate(run, model, errors, drive, grid, start, method, steps, adjoint, record):
+    prepared, carry, ends = integrated(run, model, errors, drive, grid, start, method, steps, adjoint)
+    return run(_concluded, model, prepared, drive, carry, ends, grid, method, steps, record)
+
+
+def integrated(
+    run: Callable[..., Any],
+    model: Model,
+    errors: AssemblyErrors,
+    drive: Drive,
+    grid: TimeGrid,
+    start: State | None,
+    method: Method,
+    steps: int,
+    adjoint: diffrax.AbstractAdjoint | None,
+) -> tuple[Prepared, Carry, IntervalEnd]:
+    """The parts of a simulation before its conclusion; `run`: that of a `ProgramInParts`."""
+    prepared, carry = run(_started, model, errors, drive, start, method)
+    carry, ends = run(_advanced, model, prepared.actual, drive, carry, grid, method, steps, adjoint)
+    return prepared, carry, ends
+
+
+@functools.partial(Program, quick=True)
+def _started(model, errors, drive, start, method):
     prepared = prepare(model, errors, drive, start)
-    carry = start_carry(model, prepared, drive, method)
-    carry, ends = advance(model, prepared.actual, drive, carry, grid, method, steps, adjoint)
+    return prepared, start_carry(model, prepared, drive, method)
+
+
+@Program
+def _advanced(model, actual, drive, carry, grid, method, steps, adjoint):
+    return advance(model, actual, drive, carry, grid, method, steps, adjoint)
+
+
+@Program
+def _concluded(model, prepared, drive, carry, ends, grid, method, steps, record):
     return conclude(model, prepared, drive, carry, ends, grid, method, steps, record)
 
 
@@ -181,13 +215,12 @@ def start_carry(model: Model, prepared: Prepared, drive: Drive, method: Method) 
     drives = active_drives(model, drive)
     phase, stabilisation = jnp.asarray(0, jnp.int32), stabilisation_of(model, method)
     conditions = Conditions(prepared.actual, drives, phase, stabilisation)
-    return Carry(
-        trajectory=trajectory,
-        peaks=jnp.zeros((2, joints)),
-        exhausted=jnp.zeros((), bool),
-        last_step=jnp.asarray(1e-7),
-        memory=observed_solver(method).start(conditions, trajectory),
-    )
+    peaks, memory = jnp.zeros((2, joints)), observed_solver(method).start(conditions, trajectory)
+    # The batch axes of all that goes around, and tangents of all that a step gives tangents to.
+    sources = [x for x in jax.tree.leaves(prepared.state) if x.size]
+    exhausted, last_step = like_batched((jnp.zeros((), bool), jnp.asarray(1e-7)), *sources)
+    trajectory, peaks, memory = like_batched((trajectory, peaks, memory), *sources, differentiated=True)
+    return Carry(trajectory, peaks, exhausted, last_step, memory)
 
 
 def advance(

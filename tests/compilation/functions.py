@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jax.sharding import PartitionSpec
 
 from rfem_jax.compilation import keeping, keys
+from rfem_jax.compilation.parts import ProgramInParts
 from rfem_jax.compilation.program import Program
 
 
@@ -52,6 +53,30 @@ def spread(x, mesh):
 
 
 swing_kept, solve_kept, spread_kept = Program(swing), Program(solve), Program(spread)
+
+
+@Program
+def turned(oscillator, rate):
+    """The first part of a journey, which x does not enter."""
+    return {"rate": oscillator.rate * jnp.sin(rate), "count": oscillator.count + 1}
+
+
+@Program
+def walked(oscillator, start, x):
+    """The second part, a `swing` at another rate."""
+    return swing(Oscillator(start["rate"], start["count"], oscillator.steps), x)
+
+
+@Program
+def ended(scale, walk):
+    """The last part."""
+    return walk._replace(end={**walk.end, "end": scale * walk.end["end"] * walk.path[-1]})
+
+
+@ProgramInParts
+def journey(run, oscillator, x, rate):
+    """A function in three parts."""
+    return run(ended, 2.0, run(walked, oscillator, run(turned, oscillator, rate), x))
 
 
 def oscillator(rate=0.7, steps=3):

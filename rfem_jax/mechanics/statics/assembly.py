@@ -241,7 +241,7 @@ def equilibrium(
     guess = jnp.where(is_given, angles @ onto, undeformed)
     perfect, undeformed, guess = jax.lax.stop_gradient((perfect, undeformed, guess))
     equations = Equations(
-        lambda unknowns, args: residual(unknowns, scaled, args),
+        jax.jit(lambda unknowns, args: residual(unknowns, scaled, args)),
         scaled.coordinates,
         n_coordinates=scaled.units.size,
         solve=least_squares if topology.minimum_norm else jnp.linalg.solve,
@@ -313,6 +313,7 @@ def _preconditioner(scaled: _Scaled, given: np.ndarray, actual: ModelWithErrors,
     position = scaled.coordinates(unknowns)
     tangent = static_tangent(actual, position, held, scaled.length, stiffness)
 
+    @jax.jit  # traced once for all its places
     def solve(residual):
         forces, closing = scaled.unscaled(residual)
         by_part = Residual(forces.joints, -forces.elastic[:3], -forces.elastic[3:], -closing)

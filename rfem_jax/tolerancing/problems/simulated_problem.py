@@ -13,6 +13,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
+from rfem_jax.compilation.parts import ProgramInParts
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.drive_numbers import drive_number_unit
 from rfem_jax.description.driven_motions import Drive
@@ -21,14 +22,16 @@ from rfem_jax.description.errors import InputError
 from rfem_jax.description.methods import GeneralisedAlphaMethod, Method
 from rfem_jax.description.metric_catalogue import kind_and_owner, only_at_start
 from rfem_jax.description.metric_subjects import JointSubject, LinkSubject, MetricSubjects, require_metric
+from rfem_jax.description.precision import require_float64
 from rfem_jax.mechanics.designs import Design, NamedValue, parameters
 from rfem_jax.mechanics.model import Model
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors, assembly_errors
 from rfem_jax.mechanics.status import STATUS
 from rfem_jax.simulation.accuracy import choose_method
-from rfem_jax.simulation.driving import design_with, drive_numbers
-from rfem_jax.simulation.integration import simulate
-from rfem_jax.simulation.run import RESIDUAL_LIMIT
+from rfem_jax.simulation.driving import design_with, drive_numbers, require_driven
+from rfem_jax.simulation.integration import conclude, grid_for, integrated, simulate
+from rfem_jax.simulation.records import require_records
+from rfem_jax.simulation.run import RESIDUAL_LIMIT, of_model
 from rfem_jax.simulation.stepping import contact_tolerance_of
 from rfem_jax.tolerancing.checks import check_distinct, check_known, error_value
 from rfem_jax.tolerancing.problems.metrics import metric
@@ -139,7 +142,7 @@ class Problem(eqx.Module):
     @property
     def records(self) -> tuple[str, ...]:
         """What runs record beside their loads, because a metric reads it."""
-        return tuple(dict.fromkeys(name for one in self.metrics for name in one.records))
+        return _records_of(self.metrics)
 
     def describe_status(self, code: int) -> str:
         """Short name of a status code; "ok" for 0."""
@@ -172,7 +175,14 @@ class Problem(eqx.Module):
 
     def __call__(self, errors: Errors) -> tuple[Values, Status]:
         """Values {metric name: scalar} and status (scalar int32) of one sample."""
-        return _values_and_status(*self._split(errors))
+        problem, errors = self._split(errors)
+        if problem.design is not None or errors.parameters is not None:
+            return _values_and_status(problem, errors)
+        model, drive, method = replace(problem.model, source=None), problem.drive, problem.method
+        grid, steps = grid_for(drive, problem.duration, method, problem.save_every, problem.model)
+        require_driven(model, drive)
+        require_float64()
+        return _values_in_parts(problem.metrics, model, errors, drive, grid, method, steps)
 
     def with_residual(
         self, errors: Errors
@@ -219,6 +229,25 @@ class Problem(eqx.Module):
 def _values_and_status(problem: Problem, errors: AssemblyErrors) -> tuple[Values, Status]:
     """A program of its own: that of `simulate` differentiates the histories, too."""
     return problem.with_residual(errors)[:2]
+
+
+@ProgramInParts
+def _values_in_parts(run, metrics, model, errors, drive, grid, method, steps):
+    """As `_values_and_status`, of a mechanism whose numbers are those of the model."""
+    prepared, carry, ends = integrated(run, model, errors, drive, grid, None, method, steps, None)
+    return run(_values_of, metrics, model, errors, prepared, drive, carry, ends, grid, method, steps)
+
+
+@Program
+def _values_of(metrics, model, errors, prepared, drive, carry, ends, grid, method, steps):
+    asked = require_records(model, _records_of(metrics))
+    run = of_model(conclude(model, prepared, drive, carry, ends, grid, method, steps, asked), model, errors)
+    return {m.name: jnp.asarray(m(run)) for m in metrics}, run.status
+
+
+def _records_of(metrics: Iterable[Metric]) -> tuple[str, ...]:
+    """What runs record beside their loads, because a metric reads it."""
+    return tuple(dict.fromkeys(name for one in metrics for name in one.records))
 
 
 def _check_angle(model: Model, metrics: Iterable[Metric]) -> None:
