@@ -30,9 +30,10 @@ ELEMENTWISE: dict[str, Callable] = {
     "rsqrt": lambda x: 1.0 / np.sqrt(x), "clamp": lambda low, x, high: np.clip(x, low, high),
 }  # fmt: skip
 REDUCED: dict[str, Callable] = {
-    "reduce_sum": np.sum, "reduce_prod": np.prod, "reduce_and": np.all, "reduce_or": np.any,
-    "reduce_max": lambda x, axis: np.max(x, axis=axis, initial=-np.inf) if x.dtype.kind == "f" else np.max(x, axis),
-    "reduce_min": lambda x, axis: np.min(x, axis=axis, initial=np.inf) if x.dtype.kind == "f" else np.min(x, axis),
+    "reduce_sum": np.add.reduce, "reduce_prod": np.multiply.reduce,
+    "reduce_and": np.logical_and.reduce, "reduce_or": np.logical_or.reduce,
+    "reduce_max": lambda x, axis: np.maximum.reduce(x, axis, initial=-np.inf if x.dtype.kind == "f" else None),
+    "reduce_min": lambda x, axis: np.minimum.reduce(x, axis, initial=np.inf if x.dtype.kind == "f" else None),
 }  # fmt: skip
 
 
@@ -263,6 +264,28 @@ def _dot(equation):
     return product
 
 
+def _transposed(equation):
+    order = equation.params["permutation"]
+    return lambda x: x.transpose(order)
+
+
+def _joined(equation):
+    axis = equation.params["dimension"]
+    return lambda *parts: np.concatenate(parts, axis)
+
+
+def _stacked(equation):
+    axis, shape = equation.params["axis"], equation.outvars[0].aval.shape
+    rows = (*shape[:axis], 1, *shape[axis + 1 :])
+    return lambda *parts: np.concatenate([part.reshape(rows) for part in parts], axis)
+
+
+def _reordered(equation):
+    axis, order = equation.params["axis"], np.array(equation.params["order"], int)
+    places = (slice(None),) * axis + (order,)
+    return lambda x: x[places]
+
+
 def _selected(equation):
     if equation.invars[0].aval.dtype == bool:
         return lambda which, no, yes: np.where(which, yes, no)
@@ -349,6 +372,17 @@ def _dynamic_update_slice(_, x, update, *starts):
 def _windows(numbers, batch, inserted, indices, shape, size):
     """Indices of an operand of the given shape for every place of `indices`, and the place; None where a window of the
     given size is not within the operand."""
+    settings = (tuple(part) for part in (numbers, batch, inserted, shape, size))
+    return _windows_at(*settings, indices.tobytes(), indices.dtype, indices.shape)
+
+
+@functools.lru_cache(maxsize=4096)
+def _windows_at(numbers, batch, inserted, shape, size, content, dtype, extent) -> list:
+    """`_windows` for indices by their content: nearly always constants."""
+    return list(_windows_of(numbers, batch, inserted, np.frombuffer(content, dtype).reshape(extent), shape, size))
+
+
+def _windows_of(numbers, batch, inserted, indices, shape, size):
     for place in np.ndindex(*indices.shape[:-1]):
         start = np.zeros(len(shape), int)
         start[list(numbers)] = indices[place]
@@ -424,7 +458,6 @@ SPECIAL: dict[str, Callable] = {
     "iota": _iota,
     "optimization_barrier": lambda _, *parts: list(parts),
     "pad": _padded,
-    "reorder": lambda e, x: [np.take(x, e.params["order"], e.params["axis"])],
     "rev": lambda e, x: [np.flip(x, e.params["dimensions"])],
     "scan": _scan,
     "scatter": _scatter,
@@ -437,15 +470,16 @@ SPECIAL: dict[str, Callable] = {
 # Made ready once for an equation; of one result.
 PREPARED: dict[str, Callable] = {
     "broadcast_in_dim": _broadcast,
-    "concatenate": lambda e: lambda *parts: np.concatenate(parts, e.params["dimension"]),
+    "concatenate": _joined,
     "div": _divided,
     "dot_general": _dot,
     "expand_dims": _reshaped,
     "integer_pow": _power,
+    "reorder": _reordered,
     "reshape": _reshaped,
     "select_n": _selected,
     "slice": _slice,
     "squeeze": _reshaped,
-    "stack": lambda e: lambda *parts: np.stack(parts, e.params["axis"]),
-    "transpose": lambda e: lambda x: x.transpose(e.params["permutation"]),
+    "stack": _stacked,
+    "transpose": _transposed,
 }

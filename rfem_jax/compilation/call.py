@@ -227,10 +227,11 @@ def call_of(
 
 def _of_active(call: Call, active, arrays):
     """The call as a function of its active arguments, and these."""
+    once = jax.jit(call.function)  # JAX transforms a jaxpr faster than what Python does step by step
 
     def function(*values):
         values = iter(values)
-        return call.function(*(next(values) if is_active else x for is_active, x in zip(active, arrays)))
+        return once(*(next(values) if is_active else x for is_active, x in zip(active, arrays)))
 
     return function, [x for x, is_active in zip(arrays, active) if is_active]
 

@@ -59,6 +59,7 @@ def implicit_function(
         if not jax.tree.leaves(moving):
             return at, jnp.zeros_like(at)
 
+        @jax.jit
         def residual(at, moving):
             return equations(at, eqx.combine(moving, fixed, static))
 

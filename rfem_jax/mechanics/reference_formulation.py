@@ -357,6 +357,8 @@ def reference_accelerations(
     q = jnp.zeros_like(qd)
     pseudo_inertia = pseudo_inertias(actual)
 
+    # Jitted: traced once for all derivatives.
+    @jax.jit
     def matrices(q):
         return jnp.stack(transforms(actual, state.position, unravel(q)))
 
@@ -390,6 +392,7 @@ def reference_accelerations(
     force = force + _along_joints(actual, state, drive, unravel) + (0.0 if applied is None else applied)
     force = force + _of_elements(actual, drive, matrices(q), derivatives, qd)
 
+    @jax.jit
     def phi(q):
         return constraints(actual, state.position, stabilisation.scale, unravel(q))
 

@@ -182,13 +182,13 @@ def rms_loads(
         prepared, carry = _prepared(model, errors, drive, method)
         return _loads_of(model, prepared, drive, carry, grid, method, steps)
 
-    return jax.vmap(one)(errors)
+    return jax.vmap(jax.jit(one))(errors)
 
 
 @functools.partial(Program, quick=True)
 def prepare_trials(model: Model, errors: AssemblyErrors, drive: Drive, method: Method) -> tuple[Prepared, Carry]:
     """The static starts of `rms_loads`, which no number of steps changes; run once, they compile quickly."""
-    return jax.vmap(lambda errors: _prepared(model, errors, drive, method))(errors)
+    return jax.vmap(jax.jit(lambda errors: _prepared(model, errors, drive, method)))(errors)
 
 
 @Program
@@ -206,7 +206,7 @@ def loads_of_trials(
     def one(prepared, carry):
         return _loads_of(model, prepared, drive, carry, grid, method, steps)
 
-    return jax.vmap(one)(prepared, carry)
+    return jax.vmap(jax.jit(one))(prepared, carry)
 
 
 def _prepared(model, errors, drive, method: Method) -> tuple[Prepared, Carry]:

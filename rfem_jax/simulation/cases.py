@@ -181,13 +181,15 @@ def _prepare(model, errors, drive, method):
         prepared = integration.prepare(model, errors, drive, None)
         return prepared, integration.start_carry(model, prepared, drive, method)
 
-    return jax.vmap(one)(errors)
+    return jax.vmap(jax.jit(one))(errors)
 
 
 @Program
 def _advance(model, actual, drive, carry, grid, method, steps):
-    advance = functools.partial(integration.advance, model)
-    return jax.vmap(lambda actual, carry: advance(actual, drive, carry, grid, method, steps, None))(actual, carry)
+    def one(actual, carry):
+        return integration.advance(model, actual, drive, carry, grid, method, steps, None)
+
+    return jax.vmap(jax.jit(one))(actual, carry)
 
 
 @functools.partial(Program, quick=True)
@@ -195,4 +197,4 @@ def _conclude(model, prepared, drive, carry, ends, grid, method, steps, asked):
     def one(prepared, carry, ends):
         return integration.conclude(model, prepared, drive, carry, ends, grid, method, steps, asked)
 
-    return jax.vmap(one)(prepared, carry, ends)
+    return jax.vmap(jax.jit(one))(prepared, carry, ends)

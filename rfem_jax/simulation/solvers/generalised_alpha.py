@@ -71,6 +71,7 @@ from rfem_jax.mechanics.model import Coordinates, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 from rfem_jax.mechanics.orientations import moved
 from rfem_jax.simulation import equations
+from rfem_jax.simulation.batches import like_batched
 from rfem_jax.simulation.equations import Conditions, Integrals, Scalar, Trajectory
 from rfem_jax.simulation.observation import Instant, cut_drift, evaluated_instant
 from rfem_jax.simulation.run import RESIDUAL_LIMIT
@@ -290,7 +291,9 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
             return count + 1, converged, unknowns, kept(evaluation), end
 
         # The first increment is always made, so the end of the step at the prediction is not needed.
-        count, converged = jnp.zeros((), jnp.int32), jnp.zeros((), bool)
+        count, converged = like_batched(
+            (jnp.zeros((), jnp.int32), jnp.zeros((), bool)), *(x for x in jax.tree.leaves(predicted) if x.size)
+        )
         carry = count, converged, predicted, kept(evaluation), StepEnd(trajectory, memory)
         return jax.lax.while_loop(unconverged, improve, carry)[4]
 
