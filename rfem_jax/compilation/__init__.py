@@ -7,6 +7,7 @@
     call             a function of arrays whose compiled program is kept, and its derivatives and batches
     transformations  the same as a primitive of JAX
     program          `Program`, which is used in place of `eqx.filter_jit`
+    parts            functions that are sequences of programs
     scalarisation    jaxprs of arrays as jaxprs of scalars
     stages           what is being computed, for whoever shows it
 

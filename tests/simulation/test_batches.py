@@ -1,10 +1,15 @@
-"""Batches of functions with their own rule of differentiation (jax issue 16374)."""
+"""Batches of functions with their own rule of differentiation (jax issue 16374); loops that are transformed once."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.custom_derivatives import SymbolicZero
 
+from rfem_jax import Method, assembly_errors, discretise, load_study
+from rfem_jax.compilation.transformations import has_batch_axis
+from rfem_jax.simulation import integration
 from rfem_jax.simulation.batches import like_batched
+from tests.processes import ROOT
 
 
 def made(align):
@@ -63,3 +68,57 @@ def test_the_compiled_program_has_no_trace_of_it():
     program = jax.jit(lambda x, y: like_batched((jnp.sin(y), 2.0 * y), x))
     text = program.lower(1.0, jnp.arange(3.0)).compile().as_text()
     assert " select(" not in text and "sine(" in text
+
+
+def moving(function, x):
+    """Which leaves of what a function returns have a tangent, and value and tangents."""
+    seen = []
+
+    @jax.custom_jvp
+    def same(tree):
+        return tree
+
+    def rule(primals, tangents):
+        seen.extend(not isinstance(tangent, SymbolicZero) for tangent in jax.tree.leaves(tangents[0]))
+        return primals[0], tangents[0]
+
+    same.defjvp(rule, symbolic_zeros=True)
+    return seen, *jax.jvp(lambda x: same(function(x)), (x,), (jnp.ones_like(x),))
+
+
+def test_tangents_of_zeros_where_a_source_has_one():
+    x, constants = jnp.asarray(2.0), (jnp.arange(3.0), jnp.asarray(7.0))
+    for source, differentiated, expected in (
+        (lambda x: x, True, True),
+        (lambda x: x, False, False),
+        (jax.lax.stop_gradient, True, False),
+    ):
+        seen, value, tangent = moving(
+            lambda x: like_batched(constants, source(x), differentiated=differentiated),
+            x,
+        )
+        assert seen == [expected] * 2 or (not seen and not expected)
+        for one, zero, constant in zip(value, tangent, constants, strict=True):
+            np.testing.assert_array_equal(one, constant)
+            np.testing.assert_array_equal(zero, jnp.zeros_like(constant))
+
+
+def test_the_loop_over_steps_starts_with_the_batch_axes_and_tangents_of_its_end():
+    """Else all that is inside of it is transformed twice."""
+    study = load_study(ROOT / "studies" / "four_bar" / "study.toml")
+    model = discretise(study.mechanism)
+    method = Method("generalised_alpha", step=1e-3)
+    batched = []
+
+    def first(tilt):
+        errors = assembly_errors(model, {"D.delta_x": tilt})
+        prepared = integration.prepare(model, errors, study.drive, None)
+        carry = integration.start_carry(model, prepared, study.drive, method)
+        batched[:] = map(has_batch_axis, jax.tree.leaves(carry))
+        return carry.trajectory, carry.peaks, carry.memory
+
+    jax.eval_shape(jax.vmap(first), jnp.ones(2))
+    assert batched and all(batched)
+    seen = []
+    jax.eval_shape(lambda x: seen.extend(moving(first, x)[0]), jnp.ones(()))
+    assert seen and all(seen)
