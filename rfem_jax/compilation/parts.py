@@ -4,7 +4,7 @@ Place in the pipeline: simulation and tolerancing make functions of several `Pro
 
 Parts compile side by side, and each as quickly as its use asks.  Values, derivatives in forward mode and batches are
 computed part by part; a part is differentiated by, and has a batch axis in, what depends on such arguments, and no
-more.  Reverse mode takes the whole as one program, as does another program that calls the function.
+more.  The whole is one program in reverse mode, on devices that the user chose, and within another program.
 
     ProgramInParts    the function, called like a `Program`
     CallInParts       as `call.Call`, for arguments of one structure
@@ -96,6 +96,8 @@ class CallInParts:
 
     def run(self, arrays: Sequence[ArrayLike]) -> list[Array]:
         """Results for concrete arrays."""
+        if any(kind(array)[-1] is not None for array in arrays):
+            return self._run_whole(arrays)  # on devices of the user's choice, which results do not tell ahead
         return self._planned(arrays).run(arrays)
 
     def ahead(self, arrays: Sequence[ArrayLike | jax.ShapeDtypeStruct]) -> list:
@@ -106,6 +108,12 @@ class CallInParts:
     def chain(self) -> "list[CallInParts]":
         """This call and those that it transforms, one after the other."""
         return [self] if self.before is None else [self, *self.before.chain()]
+
+    def _run_whole(self, arrays) -> list[Array]:
+        results = self.whole.run(arrays)
+        for call, whole in zip(self.chain(), self.whole.chain(), strict=True):
+            call.facts = whole.facts
+        return results
 
     def _planned(self, arrays) -> "_Plan":
         kinds = tuple(map(kind, arrays))

@@ -148,6 +148,18 @@ def test_what_depends_on_something_unknown_is_computed_and_not_kept(kept):
     assert kept.written == 0
 
 
+@pytest.mark.parametrize("transform", [TRANSFORMED["value"], TRANSFORMED["batch of derivatives"]])
+def test_on_a_device_of_the_users_choice_it_is_one_program(kept, transform, monkeypatch):
+    expected = transform(numbers(whole))
+    device = jax.devices()[0]
+    monkeypatch.setattr(f"{__name__}.X", jax.device_put(X, device))
+    monkeypatch.setattr(f"{__name__}.BATCH", jax.device_put(BATCH, device))
+    found = transform(numbers(journey))
+    assert kept.traced == 1
+    for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-13)
+
+
 def test_without_a_folder_it_is_one_program():
     found, expected = journey(oscillator(), X, 0.7), whole(oscillator(), X, 0.7)
     np.testing.assert_allclose(found.path, expected.path, rtol=1e-13)
