@@ -96,12 +96,14 @@ class CallInParts:
 
     def run(self, arrays: Sequence[ArrayLike]) -> list[Array]:
         """Results for concrete arrays."""
-        if any(kind(array)[-1] is not None for array in arrays):
-            return self._run_whole(arrays)  # on devices of the user's choice, which results do not tell ahead
+        if _on_chosen_devices(arrays):
+            return self._of_whole(self.whole.run(arrays))
         return self._planned(arrays).run(arrays)
 
     def ahead(self, arrays: Sequence[ArrayLike | jax.ShapeDtypeStruct]) -> list:
         """Start to compile or load in the background what `run` will need; returns the results without values."""
+        if _on_chosen_devices(arrays):
+            return self._of_whole(self.whole.ahead(arrays))
         plan = self._planned(arrays)
         return [plan.forms[name] for name in plan.results]
 
@@ -109,8 +111,8 @@ class CallInParts:
         """This call and those that it transforms, one after the other."""
         return [self] if self.before is None else [self, *self.before.chain()]
 
-    def _run_whole(self, arrays) -> list[Array]:
-        results = self.whole.run(arrays)
+    def _of_whole(self, results: list) -> list:
+        """Results of the whole as one program, which knows the facts."""
         for call, whole in zip(self.chain(), self.whole.chain(), strict=True):
             call.facts = whole.facts
         return results
@@ -216,6 +218,11 @@ class _Plan:
         self.forms.update(zip(made, pending.head.shapes(), strict=True))
         self.parts.append((pending, taken, made))
         return jax.tree.map(lambda x: next(results) if isinstance(x, Place) else x, base.facts)
+
+
+def _on_chosen_devices(arrays: Sequence) -> bool:
+    """Whether the user has put arrays on devices: where a part's results will be is then not known ahead."""
+    return any(kind(array)[-1] is not None for array in arrays)
 
 
 def _count(tree: Any) -> int:

@@ -10,7 +10,6 @@ With fixed steps all transforms of JAX apply (jit, vmap, forward and reverse mod
 state at the end of every interval, with an implicit method of every step, and computes again what lies between.
 """
 
-import functools
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 
@@ -168,15 +167,20 @@ def integrated(
     adjoint: diffrax.AbstractAdjoint | None,
 ) -> tuple[Prepared, Carry, IntervalEnd]:
     """The parts of a simulation before its conclusion; `run`: that of a `ProgramInParts`."""
-    prepared, carry = run(_started, model, errors, drive, start, method)
+    # Only the search for contacts and the load steps of exact elements run long enough for thorough compilation.
+    started = _started if model.topology.clearances or model.topology.exact else _started_soon
+    prepared, carry = run(started, model, errors, drive, start, method)
     carry, ends = run(_advanced, model, prepared.actual, drive, carry, grid, method, steps, adjoint)
     return prepared, carry, ends
 
 
-@functools.partial(Program, quick=True)
+@Program
 def _started(model, errors, drive, start, method):
     prepared = prepare(model, errors, drive, start)
     return prepared, start_carry(model, prepared, drive, method)
+
+
+_started_soon = Program(_started.function, quick=True)
 
 
 @Program
