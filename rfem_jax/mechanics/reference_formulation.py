@@ -392,9 +392,7 @@ def reference_accelerations(
     force = force + _along_joints(actual, state, drive, unravel) + (0.0 if applied is None else applied)
     force = force + _of_elements(actual, drive, matrices(q), derivatives, qd)
 
-    @jax.jit
-    def phi(q):
-        return constraints(actual, state.position, stabilisation.scale, unravel(q))
+    phi = jax.jit(lambda q: constraints(actual, state.position, stabilisation.scale, unravel(q)))
 
     def phi_rate(q):
         return jax.jvp(phi, (q,), (qd,))[1]
