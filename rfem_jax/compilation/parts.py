@@ -39,11 +39,7 @@ class ProgramInParts(Program):
     """
 
     def __init__(self, sequence: Callable):
-        def whole(*arguments):
-            return sequence(_run_plainly, *arguments)
-
-        whole.__name__ = sequence.__name__
-        super().__init__(whole)
+        super().__init__(_Whole(sequence))
         functools.update_wrapper(self, sequence)
         self.sequence = sequence
 
@@ -52,6 +48,19 @@ class ProgramInParts(Program):
         if not isinstance(whole, Call):
             return None
         return CallInParts(self.sequence, jax.tree.unflatten(tree, static)[0], whole)
+
+
+@dataclass(eq=False)
+class _Whole:
+    """A sequence as one function, whose content is that of the sequence."""
+
+    sequence: Callable
+
+    def __post_init__(self):
+        self.__name__, self.__qualname__ = self.sequence.__name__, self.sequence.__qualname__
+
+    def __call__(self, *arguments):
+        return self.sequence(_run_plainly, *arguments)
 
 
 def _run_plainly(program: Program, *arguments):
