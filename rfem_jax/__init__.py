@@ -48,8 +48,4 @@ _names = {
     ),
 }
 
-__getattr__, __all__ = _lazy_names(__name__, _names)
-
-
-def __dir__():
-    return __all__
+__getattr__, __dir__, __all__ = _lazy_names(__name__, _names)

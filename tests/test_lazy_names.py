@@ -9,7 +9,7 @@ UNUSED = "scipy.stats rfem_jax.tolerancing.allocation.allocation_study rfem_jax.
 
 
 def test_names_are_those_of_their_modules():
-    load, names = lazy_names("json", {"decoder": "JSONDecoder JSONDecodeError", "encoder": "JSONEncoder"})
+    load, _, names = lazy_names("json", {"decoder": "JSONDecoder JSONDecodeError", "encoder": "JSONEncoder"})
     assert names == ["JSONDecodeError", "JSONDecoder", "JSONEncoder"]
     from json.encoder import JSONEncoder
 

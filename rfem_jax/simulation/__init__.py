@@ -41,8 +41,4 @@ _names = {
     "turn": "Turn kinetostatic_turn",
 }
 
-__getattr__, __all__ = lazy_names(__name__, _names)
-
-
-def __dir__():
-    return __all__
+__getattr__, __dir__, __all__ = lazy_names(__name__, _names)

@@ -39,8 +39,4 @@ _names = {
     "worst_cases": "worst_case",
 }
 
-__getattr__, __all__ = lazy_names(__name__, _names)
-
-
-def __dir__():
-    return __all__
+__getattr__, __dir__, __all__ = lazy_names(__name__, _names)
