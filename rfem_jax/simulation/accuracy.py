@@ -4,17 +4,20 @@ Place in the pipeline: model, drive, duration, accuracy -> **method** -> cases, 
 
 RMS loads of trial assemblies are compared between a step and half of it.  The implicit method is of order 2, so
 four thirds of the change estimate the error of the longer step (Richardson; theory (11.3), (11.4)).  The static starts
-are found once; one compiled program serves all steps.  Where no step is accurate enough (undamped vibrations, on whose
-phase forces depend) Runge-Kutta 4 is taken, at nine tenths of its largest stable step.
+are found once; one quickly compiled program serves all steps, and a thorough one the short steps that few mechanisms
+need.  Where no step is accurate enough (undamped vibrations, on whose phase forces depend) Runge-Kutta 4 is taken, at
+nine tenths of its largest stable step.
 """
 
 import functools
+from collections.abc import Mapping
 from dataclasses import replace
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
 from rfem_jax.compilation.program import Program
@@ -40,6 +43,7 @@ from rfem_jax.simulation.time_grid import TimeGrid
 
 TRIAL_INTERVALS = 50
 FIRST, LAST = 2, 256  # steps in an interval
+FEW = 32  # up to so many, running a quickly compiled program takes less time than compiling it thoroughly would
 # Changes are relative to the load of the joint, but at least to this share of the largest load of its kind.
 SMALL_LOAD = 0.05
 SMALL_MOMENT = 0.01  # likewise of the largest force times the longest link
@@ -51,14 +55,14 @@ def choose_method(
     method: Method,
     drive: Drive = None,
     duration: float | None = None,
-    errors: AssemblyErrors | None = None,
+    errors: AssemblyErrors | Mapping[str, ArrayLike] | None = None,
     save_every: float | None = None,
 ) -> Method:
     """The method itself, or, for "auto", the one that it stands for on this mechanism.
 
-    **Arguments:** `duration` [s] of the simulation; `errors`: trial assemblies along a first axis of every leaf (None:
-    the perfect one, and one with all joints tilted and shifted); `save_every` [s]: saved times are ends of steps, so
-    no step is longer.
+    **Arguments:** `duration` [s] of the simulation; `errors`: trial assemblies along a first axis of every leaf, or
+    {error name: their values (n,)}, of which parameters and numbers of drives are left out (None: the perfect one, and
+    one with all joints tilted and shifted); `save_every` [s]: saved times are ends of steps, so no step is longer.
 
     Trial steps go by factors of two, so that a slightly different mechanism may get a step that is longer or shorter
     by a factor of up to about two and a half (docs/theory/11_accuracy.md); both keep the accuracy.
@@ -100,7 +104,7 @@ def choose_method(
 
 
 def _longest_step(model, method: Method, drive, duration, accuracy, errors) -> float | None:
-    errors = trial_errors(model) if errors is None else errors
+    errors = _assemblies(model, errors)
     length = float(np.max(np.asarray(model.length)))
     interval = duration / TRIAL_INTERVALS
     method = replace(method, step=interval)
@@ -108,28 +112,45 @@ def _longest_step(model, method: Method, drive, duration, accuracy, errors) -> f
     started = prepare_trials.ahead(model, errors, drive, method)
     if started is not None:  # compile both side by side
         prepared, carry = started
-        loads_of_trials.ahead(model, prepared, drive, carry, grid, method, jnp.asarray(FIRST, jnp.float64))
+        loads_of_few_steps.ahead(model, prepared, drive, carry, grid, method, jnp.asarray(FIRST, jnp.float64))
     prepared, carry = prepare_trials(model, errors, drive, method)
 
     def loads(steps):
         # Traced: one program for all steps.
         count = jnp.asarray(steps, jnp.float64)
-        found = loads_of_trials(model, prepared, drive, carry, grid, method, count)
+        program = loads_of_few_steps if steps <= FEW else loads_of_trials
+        found = program(model, prepared, drive, carry, grid, method, count)
         loads, residual, assembled = map(np.asarray, found)
         # Trial errors that rigid links cannot be assembled with say nothing about the step.
         used = assembled if assembled.any() else np.ones_like(assembled)
         return loads[used], residual[used].max()
 
-    steps, (before, _) = FIRST, loads(FIRST)
+    steps, (before, _), error = FIRST, loads(FIRST), None
     while steps < LAST:
         steps *= 2
         now, residual = loads(steps)
-        error = 4.0 / 3.0 * estimate_change(before, now, length)
+        error, longer_step = 4.0 / 3.0 * estimate_change(before, now, length), error
         if error <= accuracy and residual <= accuracy:
-            longer = min(np.sqrt(accuracy / max(error, 1e-300)), 2.0)
-            return 0.9 * longer * interval / (steps / 2)
+            return 0.9 * _longer(error, longer_step, accuracy) * interval / (steps / 2)
         before = now
     return None
+
+
+def _longer(error: float, error_of_twice: float | None, accuracy: float) -> float:
+    """How many times as long as a step with an `error` below the accuracy a step may be; at most twice.
+
+    Between the two steps the error grows by their order, where that is above the method's: vibrations become resolved.
+    """
+    error = max(error, 1e-300)
+    order = 2.0 if error_of_twice is None else max(2.0, float(np.log2(max(error_of_twice, error) / error)))
+    return min((accuracy / error) ** (1.0 / order), 2.0)
+
+
+def _assemblies(model: Model, errors) -> AssemblyErrors:
+    if isinstance(errors, AssemblyErrors):
+        return errors
+    known = {name: jnp.asarray(value) for name, value in (errors or {}).items() if name in model.topology.error_names}
+    return jax.vmap(lambda one: assembly_errors(model, one))(known) if known else trial_errors(model)
 
 
 def estimate_change(
@@ -207,6 +228,9 @@ def loads_of_trials(
         return _loads_of(model, prepared, drive, carry, grid, method, steps)
 
     return jax.vmap(jax.jit(one))(prepared, carry)
+
+
+loads_of_few_steps = Program(loads_of_trials.function, quick=True)
 
 
 def _prepared(model, errors, drive, method: Method) -> tuple[Prepared, Carry]:

@@ -34,7 +34,7 @@ _names = {
     "rare_failures.failure_study": "reliability",
     "robust_design.front": "pareto_front",
     "robust_design.optimisation": "optimise",
-    "sampling.monte_carlo_study": "monte_carlo",
+    "sampling.monte_carlo_study": "first_samples monte_carlo",
     "sensitivities": "sensitivity",
     "worst_cases": "worst_case",
 }

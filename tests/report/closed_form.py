@@ -47,6 +47,6 @@ def build(metrics, factor=1.0):
     return ClosedForm(function, NAMES, [METRICS[name] for name in metrics], error_units=units)
 
 
-def build_problem(study, metrics, model=None):
+def build_problem(study, metrics, model=None, trials=None):
     """In place of `rfem_jax.report.tasks.study_problem.build_problem`."""
     return build(metrics)

@@ -1,7 +1,10 @@
 """A folder that cannot hold the results of a command is refused before anything is computed for them."""
 
+import argparse
 import os
 
+import jax
+import numpy as np
 import pytest
 
 import rfem_jax.mechanics
@@ -10,7 +13,11 @@ from rfem_jax.compilation import program
 from rfem_jax.description import Method
 from rfem_jax.report import command_line
 from rfem_jax.report.command_line import main
+from rfem_jax.report.commands import run
+from rfem_jax.report.commands.command import Interrupted
+from rfem_jax.report.commands.steps import read_study, settle_method, settle_task
 from rfem_jax.report.tasks import study_problem
+from rfem_jax.tolerancing import Tolerances, first_samples
 
 from .test_task_output import call, contents, task_file  # noqa: F401
 
@@ -92,6 +99,44 @@ def test_samples_of_another_accuracy_of_a_method_that_is_chosen(
     capsys.readouterr()
     assert call("monte-carlo", task_file, out) == 2
     assert "it differs in simulation (there" in capsys.readouterr().err
+
+
+def test_steps_are_chosen_for_the_samples_by_the_samples(task_file, monkeypatch, tmp_path):  # noqa: F811
+    changed(task_file, FIXED, AUTO)
+    asked = []
+
+    def choose(model, method, drive, duration, trials=None, save_every=None):
+        asked.append(trials)
+        return Method("rk4", step=1e-5 if trials is None else 5e-6)
+
+    monkeypatch.setattr(rfem_jax.simulation, "choose_method", choose)
+    study = read_study(str(task_file))
+    of_samples, of_cases = settle_method(study, "monte_carlo"), settle_method(study)
+    assert (of_samples.method.step, of_cases.method.step) == (5e-6, 1e-5)
+    assert settle_task(of_cases, "monte_carlo", tmp_path) == of_samples
+    assert settle_task(of_cases, "sensitivity", tmp_path) is of_cases
+    samples = first_samples(Tolerances.of(study), jax.random.key(study.tasks.asked["monte_carlo"].seed))
+    for trials in (asked[0], asked[2]):
+        assert trials.keys() == samples.keys() == {"D.delta_x", "D.delta_z", "D.d_y"}
+        assert all(np.array_equal(trials[name], samples[name]) for name in samples)
+    assert asked[1] is None and len(asked) == 3
+
+    done = {}
+
+    def noted(study, task, folder):
+        done[task] = study.method.step
+        return True, []
+
+    monkeypatch.setattr(run, "write_task", noted)
+    assert run._do_tasks(of_cases, tmp_path, argparse.Namespace(study=task_file, out=tmp_path), []) == (True, [])
+    assert done == dict.fromkeys(study.tasks.declared, 1e-5) | {"monte_carlo": 5e-6}
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(rfem_jax.simulation, "choose_method", interrupted)
+    with pytest.raises(Interrupted, match="monte carlo is not complete: start it again"):
+        settle_task(of_cases, "monte_carlo", tmp_path)
 
 
 @pytest.mark.parametrize("command", ["monte-carlo", "run"])

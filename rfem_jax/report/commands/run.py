@@ -21,6 +21,7 @@ from rfem_jax.report.commands.steps import (
     read_study,
     require_task_folders,
     settle_method,
+    settle_task,
     timed,
     write_page,
     write_task,
@@ -106,7 +107,7 @@ def _do_tasks(study: Study, folder: Path, arguments: argparse.Namespace, before:
     good, written = True, []
     for number, task in enumerate(study.tasks.declared):
         try:
-            done, files = write_task(study, task, folder)
+            done, files = write_task(settle_task(study, task, folder), task, folder)
         except Interrupted as end:
             complete = ", ".join(("the cases", *(one.replace("_", " ") for one in study.tasks.declared[:number])))
             kept = end.sentence.removesuffix("; the same command goes on from there.").removesuffix(".")

@@ -44,8 +44,9 @@ def discretise_study(study: Study) -> Model:
         return model_of_study(study)
 
 
-def settle_method(study: Study) -> Study:
-    """The study with a method whose step is known to be stable; says what "auto" stands for."""
+def settle_method(study: Study, task: str = "") -> Study:
+    """The study with a method whose step is known to be stable; says what "auto" stands for, for its cases or a
+    task."""
     from rfem_jax.simulation import check_step
 
     model = discretise_study(study)
@@ -58,18 +59,43 @@ def settle_method(study: Study) -> Study:
     from rfem_jax.simulation import choose_method
 
     announce("Choosing the method and its step")
-    method = choose_method(model, study.method, study.designed_drive, study.duration, save_every=study.save_every)
+    trials = _trials(study, task) if task else None
+    method = choose_method(model, study.method, study.designed_drive, study.duration, trials, study.save_every)
     note(f"Method auto: {method.name} with a step of {method.step:.3g} s.")
     return replace(study, method=method, asked_method=study.method)
+
+
+def settle_task(study: Study, task: str, folder: Path) -> Study:
+    """The study, whose method is that of its cases, with the method for a task. Raises Interrupted."""
+    if study.asked_method is None or _trials(study, task) is None:
+        return study
+    from dataclasses import replace
+
+    with _interruptible(study, task, folder):
+        return settle_method(replace(study, method=study.asked_method, asked_method=None), task)
+
+
+def _trials(study: Study, task: str) -> Any:
+    from rfem_jax.report.tasks.task_report import report_on
+
+    return report_on(study, task).trials()
 
 
 def write_task(study: Study, task: str, folder: Path) -> tuple[bool, list[Path]]:
     """Do a task of a study; returns whether it succeeded, and the files written. Raises: InputError; Interrupted."""
     from rfem_jax.report.tasks.task_report import do_task, report_on
 
+    with _interruptible(study, task, folder), timed(study, task, report_on(study, task).left(folder)):
+        return do_task(study, task, folder)
+
+
+@contextmanager
+def _interruptible(study: Study, task: str, folder: Path) -> Iterator[None]:
+    """In which Ctrl-C and files that cannot be written end a task with a sentence."""
+    from rfem_jax.report.tasks.task_report import report_on
+
     try:
-        with timed(study, task, report_on(study, task).left(folder)):
-            return do_task(study, task, folder)
+        yield
     except OSError as problem:
         raise cannot_write(folder, problem) from problem
     except KeyboardInterrupt:

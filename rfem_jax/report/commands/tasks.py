@@ -59,7 +59,7 @@ def _do(task: str, arguments: argparse.Namespace) -> Answer:
     require_task(study, task)
     require_folder(arguments.out)
     require_task_folders(study, (task,), arguments.out)
-    study = settle_method(study)
+    study = settle_method(study, task)
     folder = open_folder(arguments.out)
     good, written = write_task(study, task, folder)
     if written:  # not by the helpers of process 0

@@ -12,7 +12,7 @@ from typing import Any
 
 import jax
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from rfem_jax.compilation import keys
 from rfem_jax.compilation.stages import on_stage
@@ -38,6 +38,7 @@ from rfem_jax.text_layout import size_text
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.results_store import StudyFolderError
 from rfem_jax.tolerancing.sampling.monte_carlo_result import MonteCarloResult
+from rfem_jax.tolerancing.sampling.monte_carlo_study import first_samples
 from rfem_jax.tolerancing.sampling.monte_carlo_study import monte_carlo as sample_problem
 from rfem_jax.tolerancing.sampling.statistics import Estimate
 from rfem_jax.tolerancing.sampling.study_identity import require_folder
@@ -58,6 +59,10 @@ class MonteCarloReport(TaskReport[MonteCarloTask, MonteCarloResult]):
                 description=describe_study(self.study),
             )  # fmt: skip
 
+    def trials(self) -> dict[str, Float[Array, " n"]]:
+        """The first of the samples: the perfect mechanism, which none of them is, may need a far shorter step."""
+        return first_samples(Tolerances.of(self.study), jax.random.key(self.task.seed), sampling=self.task.sampling)
+
     def run(self, folder: Path) -> MonteCarloResult:
         """The scatter of all metrics; chunks are kept in `folder`/monte_carlo, where a run continues.
 
@@ -77,7 +82,7 @@ class MonteCarloReport(TaskReport[MonteCarloTask, MonteCarloResult]):
         progress: Any = report
         with self._folder_in_words(folder):
             return sample_problem(
-                study_problem.build_problem(self.study, task.metrics), tolerances, task.n,
+                study_problem.build_problem(self.study, task.metrics, trials=self.trials()), tolerances, task.n,
                 jax.random.key(task.seed), batch=task.batch, lanes=task.lanes, sampling=task.sampling,
                 limits=task.limits, quantiles=task.quantiles, confidence=task.confidence,
                 sobol_indices=task.sobol_indices, control_variate=task.control_variate or None,

@@ -3,7 +3,9 @@
 Place in the pipeline: study as loaded -> **study_problem** -> the reports on tasks, which call `rfem_jax.tolerancing`.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+
+from jax.typing import ArrayLike
 
 from rfem_jax.description.study import Study
 from rfem_jax.mechanics.designs import model_of_study
@@ -11,7 +13,13 @@ from rfem_jax.mechanics.model import Model
 from rfem_jax.tolerancing.problems.simulated_problem import Problem
 
 
-def build_problem(study: Study, metrics: Sequence[str], model: Model | None = None) -> Problem:
-    """The study's mechanism, drive and method as a function of its errors."""
+def build_problem(
+    study: Study,
+    metrics: Sequence[str],
+    model: Model | None = None,
+    trials: Mapping[str, ArrayLike] | None = None,
+) -> Problem:
+    """The study's mechanism, drive and method as a function of its errors; `trials` as those of `Problem`."""
     model = model_of_study(study) if model is None else model
-    return Problem(model, study.designed_drive, study.duration, metrics, study.method, save_every=study.save_every)
+    settings = {"save_every": study.save_every, "trials": trials}
+    return Problem(model, study.designed_drive, study.duration, metrics, study.method, **settings)

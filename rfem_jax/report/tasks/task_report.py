@@ -7,13 +7,14 @@ drawn. A kind of task from outside the package begins here too (`rfem_jax.task_k
 import abc
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import fields
 from functools import partial
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 import jax
+from jax.typing import ArrayLike
 
 from rfem_jax.compilation.stages import on_stage
 from rfem_jax.description.deviations import deviation_unit
@@ -52,6 +53,10 @@ class TaskReport(abc.ABC, Generic[Asked, Result]):
     def require_folder(self, folder: Path) -> None:
         """See that `folder`, that of the command, can hold what `run` keeps there; asked before anything is computed,
         with a study whose method may still have to be chosen. Raises: InputError."""
+
+    def trials(self) -> Mapping[str, ArrayLike] | None:
+        """Assemblies by which "auto" chooses the step of this task, as `trials` of `Problem`; None: as for cases."""
+        return None
 
     @abc.abstractmethod
     def run(self, folder: Path) -> Result:

@@ -59,6 +59,9 @@ class Problem(eqx.Module):
         method: a `Method`.
         save_every: [s], interval of the balances and checkpoints, and of the times that p-norms see.
         design: from `rfem_jax.design`; deviations of parameters are from its values.
+        trials: {error name: its values (n,)} of n assemblies by which the method "auto" chooses its step, such as
+            `first_samples` gives; None: the perfect one, whose loads are the smallest and need the shortest step,
+            and one with all joints tilted and shifted.
     Raises: InputError for unknown and repeated metrics, metrics without a function and of joints that do not exist.
     """
 
@@ -79,6 +82,7 @@ class Problem(eqx.Module):
         method: Method,
         save_every: float | int | None = None,
         design: Design | None = None,
+        trials: Mapping[str, ArrayLike] | None = None,
     ):
         self.model, self.drive, self.design = model, drive, design
         metrics = (metrics,) if isinstance(metrics, (str, Metric)) else metrics
@@ -86,7 +90,7 @@ class Problem(eqx.Module):
         check_distinct((m.name for m in self.metrics), "metrics")
         _check_angle(model, self.metrics)
         self.duration, self.save_every = float(duration), None if save_every is None else float(save_every)
-        self.method = choose_method(model, method, drive, self.duration, save_every=self.save_every)
+        self.method = choose_method(model, method, drive, self.duration, trials, self.save_every)
 
     # `jax.jit(problem)` keys its cache by the function's identity.
     def __hash__(self) -> int:

@@ -18,9 +18,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
+from rfem_jax.compilation.program import Program
 from rfem_jax.description.errors import InputError, require_flag
 from rfem_jax.description.precision import require_float64
 from rfem_jax.description.study import Study
@@ -116,6 +119,24 @@ def monte_carlo(
     )
     cost = computed, time.monotonic() - started
     return _report(problem, tolerances, design, asked, model, samples, cost)
+
+
+def first_samples(
+    tolerances: Tolerances | Study, key: RandomKey, n: int = 8, sampling: str = "sobol"
+) -> dict[str, Float[Array, " n"]]:
+    """{error name: its values (n,)} [rad, m] of the first samples that `monte_carlo` takes with this key, without
+    Sobol' indices: `trials` of a `Problem` whose step is to be accurate for them. Raises InputError as `monte_carlo`.
+    """
+    require_float64()
+    tolerances = distributions_of(tolerances)
+    assert isinstance(tolerances, Tolerances)
+    points = unit_points(key, whole_number(_as_int(n), "n", 1), len(tolerances.names), sampling)
+    return _errors_at(tolerances, jnp.asarray(points))
+
+
+@Program
+def _errors_at(tolerances, points):
+    return jax.vmap(tolerances.errors)(points)
 
 
 @dataclass(frozen=True, eq=False)
