@@ -26,7 +26,7 @@ from rfem_jax.simulation.accuracy import choose_method
 from rfem_jax.simulation.driving import require_driven
 from rfem_jax.simulation.records import require_records
 from rfem_jax.simulation.run import Run, of_model, one_of
-from rfem_jax.simulation.time_grid import TimeGrid
+from rfem_jax.simulation.time_grid import TimeGrid, of_any_step
 from rfem_jax.simulation.unfinished import Unfinished
 
 PIECES = 20
@@ -84,7 +84,7 @@ def run_cases(
         runs = _run_with_parameters(model, errors, drive, study, method, asked)
         return model, Runs({case.name: one_of(runs, i) for i, case in enumerate(study.cases)})
     unfinished = Unfinished(keep, (model, errors, drive, study.duration, method, study.save_every))
-    method, steps = _of_any_step(method, grid, steps)
+    method, steps = of_any_step(method, grid, steps)
     _compile_ahead(model, errors, drive, grid, method, steps, asked)
     prepared, carry = _prepare(model, errors, drive, method)
     try:
@@ -122,14 +122,6 @@ def _run_with_parameters(
         )
 
     return jax.tree.map(np.asarray, jax.vmap(simulate)(errors))
-
-
-def _of_any_step(method: Method, grid: TimeGrid, steps: int):
-    """The method and the number of steps in an interval as programs take them that serve any step: traced, where the
-    method allows that."""
-    if not method.implicit or method.adaptive:
-        return method, steps
-    return dataclasses.replace(method, step=float(np.max(grid.lengths))), jnp.asarray(steps, jnp.float64)
 
 
 def _advance_all(model, prepared, study: Study, carry, grid: TimeGrid, method, steps, unfinished: Unfinished, progress):

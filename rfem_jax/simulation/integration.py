@@ -126,6 +126,23 @@ def simulate(
     require_driven(model, drive)
     grid, steps = grid_for(drive, duration, method, save_every, model)
     errors = assembly_errors(model) if errors is None else errors
+    return simulate_steps(model, errors, drive, grid, method, steps, start, adjoint, record, design)
+
+
+def simulate_steps(
+    model: Model,
+    errors: AssemblyErrors,
+    drive: Drive,
+    grid: TimeGrid,
+    method: Method,
+    steps: int | Float[Array, ""],
+    start: State | None = None,
+    adjoint: diffrax.AbstractAdjoint | None = None,
+    record: str | Iterable[str] = (),
+    design: Design | None = None,
+) -> Run:
+    """As `simulate`, over a grid of `grid_for` whose number of steps in an interval may be traced (see
+    `time_grid.of_any_step`)."""
     drive = drive if design is None else drive_of_design(model, drive, design)
     made = designed(model, design, errors)
     asked = require_records(made.model, record)

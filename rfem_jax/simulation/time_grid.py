@@ -6,12 +6,16 @@ All intervals are divided into the same number of steps, so that one compiled lo
 shortened by a jump has shorter steps.  The first interval has length zero, so that the same body records the start.
 """
 
+import dataclasses
+
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Float, Int
+from jaxtyping import Array, Float, Int
 
 from rfem_jax.description.errors import InputError
+from rfem_jax.description.methods import Method
 
 SAVED_BY_DEFAULT = 500  # intervals
 ROUNDING = 1e-9  # relative, of times that are meant to be equal
@@ -75,9 +79,7 @@ def divide_time(
             )
         if value is not None and not (np.isfinite(value) and value > 0.0):
             raise InputError(f"Argument `{name}` must be positive, but is {value}; give seconds.")
-    save_every = duration / SAVED_BY_DEFAULT if save_every is None else save_every
-    if step is not None and save_every < step * (1.0 - ROUNDING):
-        save_every = step
+    save_every = longest_interval(duration, step, save_every)
     count = int(np.ceil(duration / save_every * (1.0 - ROUNDING)))
     edges = np.append(np.arange(count) * save_every, duration)
     passed = np.array([jump for jump in jumps if 0.0 < jump < duration * (1.0 - ROUNDING)])
@@ -98,3 +100,17 @@ def divide_time(
     distinct, kinds = np.unique(np.round(lengths / duration, 12), return_inverse=True)
     kinds = kinds.astype(np.int32)
     return TimeGrid(starts, lengths, phases, kinds, distinct * duration, restarts), steps
+
+
+def longest_interval(duration: float, step: float | None, save_every: float | None) -> float:
+    """Time [s] between saved times, with the arguments of `divide_time`: never less than a step."""
+    save_every = duration / SAVED_BY_DEFAULT if save_every is None else save_every
+    return step if step is not None and save_every < step * (1.0 - ROUNDING) else save_every
+
+
+def of_any_step(method: Method, grid: TimeGrid, steps: int) -> tuple[Method, int | Float[Array, ""]]:
+    """The method and the number of steps in an interval as programs take them that serve any step: traced, where the
+    method allows that. Not for reverse mode."""
+    if not method.implicit or method.adaptive:
+        return method, steps
+    return dataclasses.replace(method, step=float(np.max(grid.lengths))), jnp.asarray(steps, jnp.float64)

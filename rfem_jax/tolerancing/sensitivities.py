@@ -35,8 +35,8 @@ from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.problem import Metric, ToleranceProblem
 from rfem_jax.tolerancing.problems.quadratic_model import (
     QuadraticModel,
-    check_expansion,
     expand_point,
+    plan_expansion,
     prepare_expansion,
 )
 from rfem_jax.tolerancing.problems.reproduction import REPRODUCED, changes_by_step, changes_that_count, may_strike
@@ -278,16 +278,16 @@ def sensitivity(
         names = known if names is None else tuple(names)
         check_known(names, known, "names")
         widths = np.array([values[known.index(name)] for name in names])
-    names, mode = check_expansion(problem, names, order, mode)
     problems = (problem,) if refined is None else (problem, refined)
-    if refined is not None:  # compile both side by side
+    how = plan_expansion(problems, names, order, mode, batch)
+    if refined is not None:  # compile both side by side, where they have programs of their own
         for one in problems:
-            prepare_expansion(one, at, names, order, mode, int(batch))
-    with ProgressBar(progress, len(problems) * len(names), unit="direction") as bar:
-        model, *finer = [expand_point(one, at, names, order, mode, int(batch), bar.advance) for one in problems]
+            prepare_expansion(one, at, how)
+    with ProgressBar(progress, len(problems) * len(how.names), unit="direction") as bar:
+        model, *finer = [expand_point(one, at, how, bar.advance) for one in problems]
     point = read_point(problem, at)
     found = _report(problem, model, finer[0] if finer else None, widths, point, scale is not None, order)
-    if isinstance(scale, Tolerances) and names == scale.names:
+    if isinstance(scale, Tolerances) and how.names == scale.names:
         found = replace(found, shares=variance_shares(model, scale))
     return found
 

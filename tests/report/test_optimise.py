@@ -45,7 +45,7 @@ class Bar(FunctionProblem):
         return HEIGHT if name == "bar.height" else 0.0
 
 
-def build_problem(study, metrics, model=None):
+def build_problem(study, metrics, model=None, trials=None):
     def function(errors):
         u, tilt = 1.0 + errors["bar.height"] / HEIGHT, errors["D.delta_x"] / WIDTH_OF_TILT
         values = {"A.mean_square_force": 2.0 / u, "D.mean_square_moment": (4.0 * u * tilt) ** 2}

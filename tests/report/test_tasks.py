@@ -402,7 +402,7 @@ command_line.set_up_jax(1)
 from rfem_jax.report.tasks import study_problem
 import rfem_jax.simulation
 rfem_jax.simulation.check_step = lambda model, method, drive: None
-def build_problem(study, metrics, model=None):
+def build_problem(study, metrics, model=None, trials=None):
     from tests.report import closed_form
     return closed_form.build_problem(study, metrics)
 study_problem.build_problem = build_problem

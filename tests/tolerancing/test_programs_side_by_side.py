@@ -1,6 +1,7 @@
 """Programs that are compiled ahead, side by side, are those that are used: each is traced once."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -8,7 +9,9 @@ from rfem_jax import Method, MomentRamp, discretise
 from rfem_jax.compilation import call
 from rfem_jax.simulation.accuracy import choose_method
 from rfem_jax.tolerancing.problems.evaluation import evaluate_points, split_errors
-from rfem_jax.tolerancing.problems.quadratic_model import expand_by_differences
+from rfem_jax.tolerancing.problems.linearisation import linearise_points
+from rfem_jax.tolerancing.problems.problem import FunctionProblem
+from rfem_jax.tolerancing.problems.quadratic_model import expand_by_differences, plan_expansion
 from rfem_jax.tolerancing.problems.simulated_problem import Problem
 from rfem_jax.tolerancing.sensitivities import sensitivity
 from tests.compilation.functions import covered
@@ -44,7 +47,7 @@ def problem():
 def test_sensitivities_with_a_finer_step(traced, problem):
     found = sensitivity(problem, order=1, scale=WIDTHS, refined=problem.refined())
     assert found.status == "ok" and np.all(found.gradient_change < 0.1)
-    assert traced.count("_differentiate_along") == 2
+    assert traced.count("_differentiate") == 1  # one program for both steps
 
 
 def test_values_after_an_expansion(traced, problem):
@@ -53,6 +56,60 @@ def test_values_after_an_expansion(traced, problem):
     values, _ = evaluate_points(problem, tuple(WIDTHS), base, [[0.0], [0.01]])
     assert np.all(np.isfinite(values))
     assert sorted(traced) == ["_evaluate_chunk", "_linearise"]
+
+
+def stepped(step, save_every=4e-3, method="generalised_alpha"):
+    model = discretise(four_bar(2))
+    return Problem(model, DRIVE, DURATION, "A.mean_square_moment", Method(method, step=step), save_every)
+
+
+def test_one_program_serves_all_steps(traced):
+    jax.clear_caches()
+    at, tilts, found = {"D.d_y": jnp.asarray(2e-4)}, [[0.002], [0.01]], []
+    for step in (2e-3, 1e-3):
+        problem = stepped(step)
+        values, statuses = evaluate_points(problem, tuple(WIDTHS), at, tilts)
+        same, jacobians, _ = linearise_points(problem, tuple(WIDTHS), at, tilts, mode="forward")
+        assert not statuses.any()
+        np.testing.assert_allclose(same, values, rtol=1e-12)
+        found.append((values[:, 0], jacobians[:, 0, 0]))
+    assert sorted(traced) == ["_evaluate_chunk", "_linearise"]
+    for one, other in zip(*found):
+        assert np.all(one != other) and np.allclose(one, other, rtol=0.2)
+    # A program of this step alone, of values and in reverse mode.
+    alone, gradient = jax.value_and_grad(lambda x: problem({"D.delta_x": x, **at})[0]["A.mean_square_moment"])(0.01)
+    np.testing.assert_allclose(alone, found[1][0][1], rtol=1e-12)
+    np.testing.assert_allclose(gradient, found[1][1][1], rtol=1e-6)
+
+
+def test_the_form_that_serves_all_steps():
+    problem = stepped(1.3e-3)
+    shared = problem.of_any_step()
+    assert (shared.method.step, shared.save_every, float(shared.steps)) == (4e-3, 4e-3, 4.0)
+    assert shared.of_any_step() is shared
+    assert problem.implicit_steps == shared.implicit_steps == 4 * 8  # with the start, the jump and its restart
+    # Saved times by default: a step that is longer than between them is the time between them.
+    assert stepped(1e-3, None).of_any_step().save_every == 1e-3
+    assert float(stepped(1e-3, None).of_any_step().steps) == 1.0
+    explicit = stepped(1e-5, method="rk4")
+    assert explicit.of_any_step() is explicit and explicit.implicit_steps == np.inf
+    # The finer one keeps the times, and shares the program of the other.
+    finer = problem.refined()
+    assert (finer.method.step, finer.save_every) == (0.5 * 1.3e-3, 4e-3)
+    assert jax.tree.structure(finer.of_any_step()) == jax.tree.structure(shared)
+
+
+def test_few_steps_are_compiled_quickly(problem):
+    """Value and one derivative, once by 10 steps and once by 20, of the first or the second order."""
+    closed = FunctionProblem(lambda errors: {"x": errors["x"]}, ["x"], ["x"])
+    each = 2 * problem.implicit_steps
+    for order, number in ((1, each), (2, 2 * each)):
+        for few, quick in ((number, True), (number - 1, False)):
+            with pytest.MonkeyPatch.context() as patch:
+                patch.setattr("rfem_jax.tolerancing.problems.quadratic_model.FEW_STEPS", few)
+                assert plan_expansion((problem,), tuple(WIDTHS), order, "forward", 32).quick is quick
+                assert not plan_expansion((problem, problem.refined()), tuple(WIDTHS), order, "forward", 32).quick
+    assert not plan_expansion((closed,), None, 1, "auto", 32).quick
 
 
 def test_trials_of_auto(traced):

@@ -26,7 +26,7 @@ from rfem_jax.tolerancing.checks import ErrorValues, check_known, error_value
 from rfem_jax.tolerancing.problems.execution import default_lanes
 from rfem_jax.tolerancing.problems.kept_evaluations import remembered
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
-from rfem_jax.tolerancing.problems.problem import Metric, Status, ToleranceProblem
+from rfem_jax.tolerancing.problems.problem import Metric, Status, ToleranceProblem, of_any_step
 
 Base = dict[str, Float[Array, ""]]
 
@@ -158,9 +158,9 @@ def evaluate_points(
         batch, the most points at once (fewer where the device gains nothing by more).
     Returns: values (n, m), NaN where the sample failed, and status (n,).
     """
-    points = np.asarray(points, dtype=np.float64)
+    points, shared = np.asarray(points, dtype=np.float64), of_any_step(problem)
     values, statuses = run_in_chunks(
-        lambda chunk: _evaluate_chunk(problem, names, base, chunk), min(batch, default_lanes()), points,
+        lambda chunk: _evaluate_chunk(shared, names, base, chunk), min(batch, default_lanes()), points,
         of=(problem, ("values", tuple(names), base)),
     )  # fmt: skip
     return np.where((statuses == 0)[:, None], values, np.nan), statuses
@@ -169,7 +169,7 @@ def evaluate_points(
 def prepare_points(problem: ToleranceProblem, names: Sequence[str], base: Base, batch: int = 256) -> None:
     """Start to compile or load, in the background, the program of `evaluate_points` with these arguments."""
     points = jax.ShapeDtypeStruct((min(batch, default_lanes()), len(names)), jnp.float64)
-    _evaluate_chunk.ahead(problem, names, base, points)
+    _evaluate_chunk.ahead(of_any_step(problem), names, base, points)
 
 
 def describe_status(problem: ToleranceProblem, status: int | Int[Array, ""] | np.integer) -> str:

@@ -39,7 +39,7 @@ from rfem_jax.compilation import keys
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.errors import InputError
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
-from rfem_jax.tolerancing.problems.problem import ToleranceProblem
+from rfem_jax.tolerancing.problems.problem import ToleranceProblem, of_any_step
 from rfem_jax.tolerancing.problems.results_store import ResultsStore
 from rfem_jax.tolerancing.progress import ProgressBar, ProgressOption
 
@@ -122,7 +122,7 @@ def evaluate(problem: ToleranceProblem, tolerances: Tolerances, points: Float[np
     width, count = lanes * mesh.size, len(points)
     fill = np.repeat(points[-1:], -count % width, axis=0)
     points = np.concatenate([points, fill])
-    parts = []
+    parts, problem = [], of_any_step(problem)
     for first in range(0, len(points), width):
         block = jax.device_put(points[first : first + width], sharding)
         parts.append(jax.device_get(_launch(problem, tolerances, block, mesh)))

@@ -22,7 +22,7 @@ from rfem_jax.compilation.program import Program
 from rfem_jax.description.errors import InputError
 from rfem_jax.tolerancing.problems.evaluation import Base, map_chunks, run_in_chunks, stack_metrics
 from rfem_jax.tolerancing.problems.execution import default_lanes
-from rfem_jax.tolerancing.problems.problem import Status, ToleranceProblem
+from rfem_jax.tolerancing.problems.problem import Status, ToleranceProblem, of_any_step
 
 MODES = ("auto", "forward", "reverse")
 REVERSE_COST = 3
@@ -139,9 +139,11 @@ def linearise_points(
     if mode == "forward":
         width = max(1, min(width, POINTS_WITH_TANGENTS * default_lanes() // k))
 
+    shared = of_any_step(problem, mode)
+
     def run(points, weights):
         of = problem, ("derivatives", tuple(names), base, mode)
-        return run_in_chunks(lambda x, w: _linearise(problem, names, base, x, w, mode), width, points, weights, of=of)
+        return run_in_chunks(lambda x, w: _linearise(shared, names, base, x, w, mode), width, points, weights, of=of)
 
     if mode == "forward":
         values, jacobians, status = run(points, np.zeros((n, m)))

@@ -136,6 +136,13 @@ class StrikingProblem(ToleranceProblem, Protocol):
         ...
 
 
+def of_any_step(problem: ToleranceProblem, mode: str = "forward") -> ToleranceProblem:
+    """The problem in the form that a program of values, or of derivatives of this mode, takes: simulations share one
+    program for all steps of the method, but in reverse mode."""
+    shared = getattr(problem, "of_any_step", None)
+    return problem if shared is None or mode == "reverse" else shared()
+
+
 class FunctionProblem(eqx.Module):
     """A problem made of any JAX function of a dict of errors.
 

@@ -14,7 +14,9 @@ Source: Griewank, Walther, Evaluating Derivatives, 2nd ed. (2008), chapters 3 an
 Soc. A 210 (1911) 307-357 (extrapolation).
 """
 
+import math
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -36,6 +38,7 @@ from rfem_jax.tolerancing.problems.evaluation import (
 )
 from rfem_jax.tolerancing.problems.kept_evaluations import remembered
 from rfem_jax.tolerancing.problems.linearisation import (
+    REVERSE_COST,
     ValueVector,
     choose_mode,
     differentiate,
@@ -44,11 +47,14 @@ from rfem_jax.tolerancing.problems.linearisation import (
     push_directions,
 )
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
-from rfem_jax.tolerancing.problems.problem import ImplicitProblem, Status, ToleranceProblem
+from rfem_jax.tolerancing.problems.problem import ImplicitProblem, Status, ToleranceProblem, of_any_step
 from rfem_jax.tolerancing.problems.reproduction import require_reproduced
 from rfem_jax.tolerancing.progress import ProgressBar, ProgressOption
 
 STEP = 0.01  # of a tolerance
+# Of all simulations of an expansion, a derivative counted as one: up to so many, compiling its program thoroughly takes
+# longer than that saves.
+FEW_STEPS = 200_000
 SUMS = {"forward": 8, "reverse": 2}  # each one is two directions more in reverse mode
 
 
@@ -139,8 +145,7 @@ def _sums(problem, mode) -> int:
     return SUMS[mode] if getattr(problem, "derivative_limit", None) is not None else 0
 
 
-@Program
-def _differentiate_along(problem, names, base, x, directions, order, mode, batch):
+def _differentiate(problem, names, base, x, directions, order, mode, batch):
     """Values, first derivatives, second derivatives along directions (d, k), status.
 
     First derivatives are the Jacobian, but of order 1 in forward mode those along the directions (d, m); second ones
@@ -162,37 +167,69 @@ def _differentiate_along(problem, names, base, x, directions, order, mode, batch
     return value, first, None, status
 
 
-def _directions_at_once(problem, k, order, mode, batch) -> int:
+_differentiate_along = {quick: Program(_differentiate, quick=quick) for quick in (False, True)}
+
+
+class Expansion(NamedTuple):
+    """How problems are expanded: by which errors, to which order, in which mode, with how many directions at once, and
+    whether by a quickly compiled program."""
+
+    names: tuple[str, ...]
+    order: int
+    mode: str
+    batch: int
+    quick: bool
+
+
+def plan_expansion(
+    problems: Sequence[ToleranceProblem], names: Sequence[str] | None, order: int, mode: str, batch: int
+) -> Expansion:
+    """How to expand the first problem and others like it, once each, with the arguments of `expand`. Raises
+    InputError."""
+    require_float64()
+    problem = problems[0]
+    names = tuple(problem.error_names if names is None else names)
+    check_known(names, problem.error_names, "names")
+    if not names:
+        raise InputError("Argument `names` must name at least one error, but it is empty.")
+    if order not in (1, 2):
+        raise InputError(f"Argument `order` must be 1 or 2, but it is {order!r}.")
+    mode = choose_mode(mode, len(names), len(problem.metrics), problem)
+    first = 1 + len(names) if mode == "forward" else REVERSE_COST * _cotangents(problem, mode)
+    simulations = first * (1 + len(names)) if order == 2 else first
+    steps = simulations * sum(getattr(one, "implicit_steps", math.inf) for one in problems)
+    return Expansion(names, order, mode, int(batch), steps <= FEW_STEPS)
+
+
+def _cotangents(problem, mode) -> int:
+    return len(problem.metrics) + 2 * _sums(problem, mode)
+
+
+def _directions_at_once(problem, how: Expansion) -> int:
     """Directions per call of the program: about `batch` tangents or cotangents in memory."""
-    if order == 1:
-        return min(batch, k) if mode == "forward" else k
-    inner = k if mode == "forward" else len(problem.metrics) + 2 * _sums(problem, mode)
-    return min(max(1, batch // inner), k)
+    k = len(how.names)
+    if how.order == 1:
+        return min(how.batch, k) if how.mode == "forward" else k
+    inner = k if how.mode == "forward" else _cotangents(problem, how.mode)
+    return min(max(1, how.batch // inner), k)
 
 
-def prepare_expansion(
-    problem: ToleranceProblem, at: ErrorValues | None, names: Sequence[str], order: int, mode: str, batch: int
-) -> None:
+def prepare_expansion(problem: ToleranceProblem, at: ErrorValues | None, how: Expansion) -> None:
     """Start to compile or load, in the background, the program of `expand_point` with these arguments."""
-    base, x = split_errors(problem, at, names)
-    k = len(names)
-    directions = jax.ShapeDtypeStruct((_directions_at_once(problem, k, order, mode, batch), k), jnp.float64)
-    _differentiate_along.ahead(problem, tuple(names), base, x, directions, order, mode, batch)
+    base, x = split_errors(problem, at, how.names)
+    directions = jax.ShapeDtypeStruct((_directions_at_once(problem, how), len(how.names)), jnp.float64)
+    arguments = how.names, base, x, directions, how.order, how.mode, how.batch
+    _differentiate_along[how.quick].ahead(of_any_step(problem, how.mode), *arguments)
 
 
 def expand_point(
-    problem: ToleranceProblem,
-    at: ErrorValues | None,
-    names: Sequence[str],
-    order: int,
-    mode: str,
-    batch: int,
-    advance: Callable[[int], object],
+    problem: ToleranceProblem, at: ErrorValues | None, how: Expansion, advance: Callable[[int], object]
 ) -> QuadraticModel:
     """As `expand`, which checks the arguments; `advance(count)` is called when `count` more directions are done."""
+    names, order, mode, batch, quick = how
     m, k = len(problem.metrics), len(names)
     base, x = split_errors(problem, at, names)
-    width = _directions_at_once(problem, k, order, mode, batch)
+    width, shared = _directions_at_once(problem, how), of_any_step(problem, mode)
     parts = []
     for start in range(0, k, width):
         directions = np.eye(k)[start : start + width]
@@ -201,10 +238,10 @@ def expand_point(
         settings = order, mode, batch
 
         def compute():
-            found = _differentiate_along(problem, tuple(names), base, x, jnp.asarray(directions), *settings)
+            found = _differentiate_along[quick](shared, names, base, x, jnp.asarray(directions), *settings)
             return jax.device_get(found)
 
-        parts.append(remembered(problem, ("directions", tuple(names), base, x, directions, *settings), compute))
+        parts.append(remembered(problem, ("directions", names, base, x, directions, *settings), compute))
         advance(used)
     (value, jacobian, _, status), count = parts[0], _sums(problem, mode)
     hessian = asymmetry = residual_changes = force_changes = None
@@ -216,7 +253,7 @@ def expand_point(
     if count:
         residual_changes, force_changes = jnp.asarray(jacobian[m : m + count]), jnp.asarray(jacobian[m + count :])
     return QuadraticModel(
-        names=tuple(names),
+        names=names,
         metrics=tuple(metric.name for metric in problem.metrics),
         mode=mode,
         point=x,
@@ -257,23 +294,9 @@ def expand(
     Returns: QuadraticModel (hessian None for order 1); its `status` tells whether the point failed.
     Raises: InputError for unknown names, order or mode.
     """
-    names, mode = check_expansion(problem, names, order, mode)
-    with ProgressBar(progress, len(names), unit="direction") as bar:
-        return expand_point(problem, at, names, order, mode, int(batch), bar.advance)
-
-
-def check_expansion(
-    problem: ToleranceProblem, names: Sequence[str] | None, order: int, mode: str
-) -> tuple[tuple[str, ...], str]:
-    """Names of the errors and mode of an expansion, with the arguments of `expand`. Raises InputError."""
-    require_float64()
-    names = tuple(problem.error_names if names is None else names)
-    check_known(names, problem.error_names, "names")
-    if not names:
-        raise InputError("Argument `names` must name at least one error, but it is empty.")
-    if order not in (1, 2):
-        raise InputError(f"Argument `order` must be 1 or 2, but it is {order!r}.")
-    return names, choose_mode(mode, len(names), len(problem.metrics), problem)
+    how = plan_expansion((problem,), names, order, mode, batch)
+    with ProgressBar(progress, len(how.names), unit="direction") as bar:
+        return expand_point(problem, at, how, bar.advance)
 
 
 def expand_by_differences(

@@ -4,6 +4,7 @@ Place in the pipeline: model, drive, metrics, method -> **Problem** -> all toler
 The only place where tolerance studies meet the mechanics.
 """
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
@@ -29,10 +30,11 @@ from rfem_jax.mechanics.model_with_errors import AssemblyErrors, assembly_errors
 from rfem_jax.mechanics.status import STATUS
 from rfem_jax.simulation.accuracy import choose_method
 from rfem_jax.simulation.driving import design_with, drive_numbers, require_driven
-from rfem_jax.simulation.integration import conclude, grid_for, integrated, simulate
+from rfem_jax.simulation.integration import conclude, grid_for, integrated, simulate_steps
 from rfem_jax.simulation.records import require_records
 from rfem_jax.simulation.run import RESIDUAL_LIMIT, of_model
 from rfem_jax.simulation.stepping import contact_tolerance_of
+from rfem_jax.simulation.time_grid import TimeGrid, longest_interval, of_any_step
 from rfem_jax.tolerancing.checks import check_distinct, check_known, error_value
 from rfem_jax.tolerancing.problems.metrics import metric
 from rfem_jax.tolerancing.problems.problem import Metric, Status, Values
@@ -72,6 +74,7 @@ class Problem(eqx.Module):
     method: Method = eqx.field(static=True)
     save_every: float | None = eqx.field(static=True)
     design: Design | None = None
+    steps: Float[Array, ""] | None = None  # in an interval, where it is traced
 
     def __init__(
         self,
@@ -84,7 +87,7 @@ class Problem(eqx.Module):
         design: Design | None = None,
         trials: Mapping[str, ArrayLike] | None = None,
     ):
-        self.model, self.drive, self.design = model, drive, design
+        self.model, self.drive, self.design, self.steps = model, drive, design, None
         metrics = (metrics,) if isinstance(metrics, (str, Metric)) else metrics
         self.metrics = tuple(_known_metric(model, m) for m in metrics)
         check_distinct((m.name for m in self.metrics), "metrics")
@@ -167,9 +170,27 @@ class Problem(eqx.Module):
 
     def refined(self) -> "Problem":
         """The same problem with half the step and parts of it that follow contacts, or a tenth of the tolerances of an
-        adaptive method."""
-        finer = finer_method(self.method)
-        return Problem(self.model, self.drive, self.duration, self.metrics, finer, self.save_every, self.design)
+        adaptive method; times between which balances are made stay."""
+        finer = finer_method(self.method, contacts=bool(self.model.topology.clearances))
+        every = self.save_every if self.method.adaptive else self._interval
+        return Problem(self.model, self.drive, self.duration, self.metrics, finer, every, self.design)
+
+    @property
+    def implicit_steps(self) -> float:
+        """Number of steps of a run by the implicit method, infinite for others."""
+        if not self.method.implicit or self.method.adaptive:
+            return math.inf
+        grid, steps = self._grid()
+        return float(len(grid.starts) * steps)
+
+    def of_any_step(self) -> "Problem":
+        """The same problem in the form that shares its programs with those of other steps; not for reverse mode."""
+        grid, count = grid_for(self.drive, self.duration, self.method, self.save_every, self.model)
+        method, steps = of_any_step(self.method, grid, count)
+        if isinstance(steps, int) or self.steps is not None:
+            return self
+        same = Problem(self.model, self.drive, self.duration, self.metrics, method, self._interval, self.design)
+        return eqx.tree_at(lambda one: one.steps, same, steps, is_leaf=lambda x: x is None)
 
     @property
     def derivative_limit(self) -> float | None:
@@ -183,9 +204,7 @@ class Problem(eqx.Module):
         if problem.design is not None or errors.parameters is not None:
             return _values_and_status(problem, errors)
         model, drive, method = replace(problem.model, source=None), problem.drive, problem.method
-        grid, steps = grid_for(drive, problem.duration, method, problem.save_every, problem.model)
-        require_driven(model, drive)
-        require_float64()
+        grid, steps = problem._grid()
         return _values_in_parts(problem.metrics, model, errors, drive, grid, method, steps)
 
     def with_residual(
@@ -197,19 +216,23 @@ class Problem(eqx.Module):
         n = 0.
         """
         problem, errors = self._split(errors)
-        run = simulate(
-            problem.model,
-            errors,
-            drive=problem.drive,
-            duration=problem.duration,
-            method=problem.method,
-            save_every=problem.save_every,
-            design=problem.design,
-            record=problem.records,
-        )
+        grid, steps = problem._grid()
+        settings = {"design": problem.design, "record": problem.records}
+        run = simulate_steps(problem.model, errors, problem.drive, grid, problem.method, steps, **settings)
         forces = jnp.stack([load.force for load in run.loads.values()])
         values = {m.name: jnp.asarray(m(run)) for m in self.metrics}
         return values, run.status, run.equation_residual, forces
+
+    @property
+    def _interval(self) -> float:
+        return longest_interval(self.duration, self.method.step, self.save_every)
+
+    def _grid(self) -> tuple[TimeGrid, int | Float[Array, ""]]:
+        """The time grid, and the number of steps in an interval."""
+        require_float64()
+        require_driven(self.model, self.drive)
+        grid, steps = grid_for(self.drive, self.duration, self.method, self.save_every, self.model)
+        return grid, steps if self.steps is None else self.steps
 
     def _split(self, errors: Errors) -> tuple["Problem", AssemblyErrors]:
         """The problem with the numbers of drives that deviate, and the other errors."""
@@ -295,11 +318,12 @@ def _subjects_of(model: Model) -> MetricSubjects:
     return MetricSubjects(joints, links)
 
 
-def finer_method(method: Method) -> Method:
-    """The same method with half the step and parts of it that follow contacts, or a tenth of its tolerances."""
+def finer_method(method: Method, contacts: bool = True) -> Method:
+    """The same method with half the step and parts of it that follow contacts (where there are any), or a tenth of its
+    tolerances."""
     if method.step is None:
         return replace(method, **{name: 0.1 * getattr(method, name) for name in ("rtol", "atol")})
     finer = replace(method, step=0.5 * method.step)
-    if isinstance(finer, GeneralisedAlphaMethod):
+    if isinstance(finer, GeneralisedAlphaMethod) and contacts:
         finer = replace(finer, contact_tolerance=0.25 * finer.contact_tolerance)
     return finer
