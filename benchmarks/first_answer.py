@@ -34,8 +34,8 @@ import time
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parents[1]
-COMMAND = "import sys; from rfem_jax.report.command_line import main; sys.exit(main(sys.argv[1:]))"
-WITHOUT_PLOTS = f"import sys; sys.modules['matplotlib'] = None; {COMMAND}"
+COMMAND = "rfem_jax.report.command_line"
+WITHOUT_PLOTS = f"import runpy, sys; sys.modules['matplotlib'] = None; runpy.run_module('{COMMAND}', None, '__main__')"
 GRADIENT = """
 import jax
 jax.config.update("jax_enable_x64", True)
@@ -88,7 +88,7 @@ def command_of(name: str, folder: Path, work: Path) -> list[str]:
         "sensitivity": ["sensitivity", "studies/tolerance_sensitivity/study.toml", *out],
         "monte_carlo": ["monte-carlo", "studies/monte_carlo/study.toml", *out],
     }
-    return ["-c", COMMAND, *arguments[name]]
+    return ["-m", COMMAND, *arguments[name]]
 
 
 def environment_of(name: str, folder: Path, home: Path) -> dict[str, str]:

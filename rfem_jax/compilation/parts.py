@@ -67,6 +67,11 @@ def _run_plainly(program: Program, *arguments):
     return program.function(*arguments)
 
 
+def in_parts(run: Callable[..., Any]) -> bool:
+    """Whether a sequence's `run` makes parts, which reverse mode never takes."""
+    return run is not _run_plainly
+
+
 @dataclass(frozen=True)
 class _Named:
     """Stands for an array in the trees of a sequence."""

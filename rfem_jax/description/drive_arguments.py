@@ -53,7 +53,7 @@ def leaf(value: Any, dimension: str, where: str) -> Scalar:
                 f"the shape {value.shape}; convert it first."
             )
         return value
-    return jnp.asarray(quantity(value, dimension, where), jnp.float64)
+    return jnp.asarray(np.asarray(quantity(value, dimension, where), float), jnp.float64)
 
 
 def column(values: Any, dimension: str, where: str, times: Any) -> Float[Array, " times"]:

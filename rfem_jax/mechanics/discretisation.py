@@ -312,4 +312,5 @@ def _close(model: Model) -> Model:
             f"Argument `mechanism` must close with both {axes} of joint {topology.joints[worst]!r} alike, but "
             "they point in opposite directions; turn the frame of its child by 180 deg."
         )
-    return eqx.tree_at(lambda m: (m.start_joints, m.cut_angles), model, (jnp.asarray(joints), jnp.asarray(cut_angles)))
+    start = tuple(jnp.asarray(values, jnp.float64) for values in (joints, cut_angles))
+    return eqx.tree_at(lambda m: (m.start_joints, m.cut_angles), model, start)

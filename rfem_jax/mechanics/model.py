@@ -24,6 +24,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.core import Tracer
 from jaxtyping import Float, Int
 
 from rfem_jax.description.driven_motions import motion_label
@@ -390,6 +391,8 @@ class Model(eqx.Module):
 
 def length_scale(model: Model) -> Float[Array, ""]:
     """The longest nominal link [m]: a scale, on which no result depends."""
+    if not isinstance(model.length, Tracer):
+        return jnp.asarray(np.max(np.asarray(model.length)), jnp.float64)
     return jax.lax.stop_gradient(jnp.max(model.length))
 
 

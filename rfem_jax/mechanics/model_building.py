@@ -109,7 +109,7 @@ def arrays_of(parts: Parts, structure: PartStructure) -> Model:
         point_position=_columns([_in_node(topology, links, node, mass.position, False) for node, mass in held]),
         point_inertia=_columns([mass.inertia for mass in masses]),
         start_joints=_array([value for values in start for value in values]),
-        cut_angles=jnp.zeros(len(joints) - len(links)),
+        cut_angles=_array([0.0] * (len(joints) - len(links))),
         gravity=_array(parts.gravity),
         forces=_joint_laws(parts, topology) or None,
         point_products=_columns([mass.products for mass in masses]) if products else None,
@@ -317,32 +317,35 @@ def _start(joint: Joint, kind: JointKind) -> list[Number]:
 def _sections(links: Sequence[Link]) -> Sections:
     properties = [link.properties for link in links]
 
+    def row(name: str) -> Array:
+        return _array([getattr(p, name) for p in properties])
+
     def rows(*names: str) -> Array:
-        return jnp.asarray(array_of([[getattr(p, name) for p in properties] for name in names]))
+        return jnp.asarray(array_of([[getattr(p, name) for p in properties] for name in names]), jnp.float64)
 
     return Sections(
         stiffness=rows("axial", "shear_y", "shear_z", "torsion", "bending_y", "bending_z"),
-        line_density=rows("line_density")[0],
+        line_density=row("line_density"),
         rotary=rows("rotary_x", "rotary_y", "rotary_z"),
-        damping=rows("damping")[0],
+        damping=row("damping"),
         edges=tuple(_edge(link) for link in links),
     )
 
 
 def _array(values: Sequence[Number]) -> Array:
     """Numbers (n,)."""
-    return jnp.asarray(array_of(list(values)))
+    return jnp.asarray(array_of(list(values)), jnp.float64)  # with its type: without, JAX compiles a program
 
 
 def _edge(link: Link) -> Array | None:
     """Stresses at the edge of a link's section per unit of its loads; None where the edge is not known."""
     points = () if link.section is None else link.section.edge_stresses()
-    return jnp.asarray(array_of([list(point) for point in points]).T) if points else None
+    return jnp.asarray(array_of([list(point) for point in points]).T, jnp.float64) if points else None
 
 
 def _columns(rows: Sequence[Sequence[Number]]) -> Array:
     """Vectors (3, n)."""
-    return jnp.asarray(array_of([list(row) for row in rows]).reshape(-1, 3).T)
+    return jnp.asarray(array_of([list(row) for row in rows]).reshape(-1, 3).T, jnp.float64)
 
 
 def _rotations(orientations: Sequence[Sequence[Number]]) -> Array:
@@ -350,4 +353,4 @@ def _rotations(orientations: Sequence[Sequence[Number]]) -> Array:
     rotations = [rotation_of_angles(angles) for angles in orientations]
     if traced(rotations):
         return jnp.stack([jnp.asarray(rotation) for rotation in rotations], axis=-1)
-    return jnp.asarray(np.stack(rotations, axis=-1))
+    return jnp.asarray(np.stack(rotations, axis=-1), jnp.float64)

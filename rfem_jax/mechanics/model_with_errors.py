@@ -81,7 +81,7 @@ def assembly_errors(model: Model, values: Mapping[str, ArrayLike | str] | None =
             traced.append((part, place, value))
         else:
             parts[part][place] = value
-    arrays = {part: jnp.asarray(values) for part, values in parts.items()}
+    arrays = {part: jnp.asarray(values, jnp.float64) for part, values in parts.items()}
     errors = AssemblyErrors(arrays["seat"], arrays["bore"], arrays["pin"], arrays["length"], arrays["twist"])
     errors = _insert(errors, *zip(*traced)) if traced else errors
     return dataclasses.replace(errors, parameters=deviations) if deviations else errors

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from rfem_jax.compilation import keys
-from rfem_jax.description.numbers import Number
+from rfem_jax.description.numbers import Number, array_of
 from rfem_jax.description.parameters import ParameterNames, named_parameters
 from rfem_jax.description.parts import Parts, number_at, scaled, with_number
 from rfem_jax.description.sections import Tube
@@ -83,7 +83,8 @@ def source_of(parts: Parts, held: Sequence[tuple[str, str]], points: ForceNodes,
     for parameter in names.all:
         for path in () if parameter.factor else parameter.paths:
             blank = with_number(blank, path, NOTHING)
-    return Source(jnp.array(numbers, float), Blueprint(blank, names, points, products, CLOSING_TOLERANCE))
+    blueprint = Blueprint(blank, names, points, products, CLOSING_TOLERANCE)
+    return Source(jnp.asarray(array_of(numbers), jnp.float64), blueprint)
 
 
 def _without_results(parts: Parts) -> Parts:

@@ -75,7 +75,7 @@ def run_cases(
     drive = study.designed_drive
     require_driven(model, drive)
     each = errors_of_cases(study, model)
-    errors = jax.tree.map(lambda *leaves: jnp.stack(leaves), *each)
+    errors = jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves), jnp.float64), *each)
     plain = dataclasses.replace(errors, parameters=None)
     method = choose_method(model, study.method, drive, study.duration, plain, study.save_every)
     grid, steps = integration.grid_for(drive, study.duration, method, study.save_every, model)

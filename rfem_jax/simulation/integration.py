@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from rfem_jax.compilation.parts import ProgramInParts
+from rfem_jax.compilation.parts import ProgramInParts, in_parts
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.driven_motions import Drive
 from rfem_jax.description.errors import InputError
@@ -70,7 +70,7 @@ from rfem_jax.simulation.solvers.catalogue import observed_solver
 from rfem_jax.simulation.solvers.implicit_step import Memory
 from rfem_jax.simulation.stabilisation import stabilisation_of
 from rfem_jax.simulation.stepping import Carry, repeated, step_intervals
-from rfem_jax.simulation.time_grid import TimeGrid, divide_time
+from rfem_jax.simulation.time_grid import TimeGrid, divide_time, of_any_step
 
 DRIFT_LIMIT = 1e-6
 CONTACT_BALANCE_LIMIT = 0.05  # of the largest energy; a single impact then loses its speed within a hundredth
@@ -146,7 +146,8 @@ def simulate_steps(
     drive = drive if design is None else drive_of_design(model, drive, design)
     made = designed(model, design, errors)
     asked = require_records(made.model, record)
-    run = _simulate(made.model, made.errors, drive, grid, start, method, steps, adjoint, asked)
+    any_step = of_any_step(method, grid, steps)
+    run = _simulate(made.model, made.errors, drive, grid, start, method, steps, any_step, adjoint, asked)
     return with_status(of_model(run, made.model, errors if made.errors is None else made.errors), made)
 
 
@@ -167,7 +168,9 @@ def grid_for(
 
 
 @ProgramInParts
-def _simulate(run, model, errors, drive, grid, start, method, steps, adjoint, record):
+def _simulate(run, model, errors, drive, grid, start, method, steps, any_step, adjoint, record):
+    """`any_step`: method and steps for parts."""
+    method, steps = any_step if in_parts(run) else (method, steps)
     prepared, carry, ends = integrated(run, model, errors, drive, grid, start, method, steps, adjoint)
     return run(_concluded, model, prepared, drive, carry, ends, grid, method, steps, record)
 

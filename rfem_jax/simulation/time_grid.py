@@ -108,9 +108,9 @@ def longest_interval(duration: float, step: float | None, save_every: float | No
     return step if step is not None and save_every < step * (1.0 - ROUNDING) else save_every
 
 
-def of_any_step(method: Method, grid: TimeGrid, steps: int) -> tuple[Method, int | Float[Array, ""]]:
+def of_any_step(method: Method, grid: TimeGrid, steps: int | Float[Array, ""]) -> tuple[Method, int | Float[Array, ""]]:
     """The method and the number of steps in an interval as programs take them that serve any step: traced, where the
     method allows that. Not for reverse mode."""
-    if not method.implicit or method.adaptive:
+    if not method.implicit or method.adaptive or not isinstance(steps, int):
         return method, steps
     return dataclasses.replace(method, step=float(np.max(grid.lengths))), jnp.asarray(steps, jnp.float64)

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 import tomllib
+from importlib.metadata import entry_points
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 
@@ -378,6 +379,14 @@ def seen_on_a_terminal(text):
             shown = part + shown[len(part) :]
         lines.append(shown.rstrip())
     return lines
+
+
+def test_the_command_ends_without_looking_for_garbage(monkeypatch):
+    asked = []
+    monkeypatch.setattr(command_line, "main", lambda: 3)
+    monkeypatch.setattr(command_line.gc, "freeze", lambda: asked.append("freeze"))
+    (script,) = entry_points(group="console_scripts", name="rfem-jax")
+    assert script.load()() == 3 and asked == ["freeze"]
 
 
 def test_a_check_loads_what_it_needs(tmp_path):

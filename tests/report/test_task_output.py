@@ -98,7 +98,7 @@ class Undamped(FunctionProblem):
         return self
 
 
-def long_problem(study, metrics, model=None):
+def long_problem(study, metrics, model=None, trials=None):
     """Many metrics with long names, of three errors."""
     short = closed_form.build(list(closed_form.METRICS))
 

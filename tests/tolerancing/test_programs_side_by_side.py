@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax import Method, MomentRamp, discretise
+from rfem_jax import Method, MomentRamp, discretise, simulate
 from rfem_jax.compilation import call
 from rfem_jax.simulation.accuracy import choose_method
 from rfem_jax.tolerancing.problems.evaluation import evaluate_points, split_errors
@@ -80,6 +80,17 @@ def test_one_program_serves_all_steps(traced):
     alone, gradient = jax.value_and_grad(lambda x: problem({"D.delta_x": x, **at})[0]["A.mean_square_moment"])(0.01)
     np.testing.assert_allclose(alone, found[1][0][1], rtol=1e-12)
     np.testing.assert_allclose(gradient, found[1][1][1], rtol=1e-6)
+
+
+def test_parts_of_a_simulation_serve_all_steps(traced):
+    model, forces = discretise(four_bar(2)), []
+    for step in (2e-3, 1e-3):
+        method = Method("generalised_alpha", step=step)
+        run = simulate(model, drive=DRIVE, duration=DURATION, method=method, save_every=4e-3)
+        assert int(run.status) == 0
+        forces.append(float(run.metrics.rms_force["A"]))
+    assert sorted(traced) == ["_advanced", "_concluded", "_started"]
+    assert 1e-6 < abs(forces[1] / forces[0] - 1.0) < 0.1
 
 
 def test_the_form_that_serves_all_steps():

@@ -14,7 +14,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from rfem_jax.compilation.parts import ProgramInParts
+from rfem_jax.compilation.parts import ProgramInParts, in_parts
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.drive_numbers import drive_number_unit
 from rfem_jax.description.driven_motions import Drive
@@ -205,7 +205,8 @@ class Problem(eqx.Module):
             return _values_and_status(problem, errors)
         model, drive, method = replace(problem.model, source=None), problem.drive, problem.method
         grid, steps = problem._grid()
-        return _values_in_parts(problem.metrics, model, errors, drive, grid, method, steps)
+        any_step = of_any_step(method, grid, steps)
+        return _values_in_parts(problem.metrics, model, errors, drive, grid, method, steps, any_step)
 
     def with_residual(
         self, errors: Errors
@@ -259,8 +260,10 @@ def _values_and_status(problem: Problem, errors: AssemblyErrors) -> tuple[Values
 
 
 @ProgramInParts
-def _values_in_parts(run, metrics, model, errors, drive, grid, method, steps):
-    """As `_values_and_status`, of a mechanism whose numbers are those of the model."""
+def _values_in_parts(run, metrics, model, errors, drive, grid, method, steps, any_step):
+    """As `_values_and_status`, of a mechanism whose numbers are those of the model; `any_step`: method and steps for
+    parts."""
+    method, steps = any_step if in_parts(run) else (method, steps)
     prepared, carry, ends = integrated(run, model, errors, drive, grid, None, method, steps, None)
     return run(_values_of, metrics, model, errors, prepared, drive, carry, ends, grid, method, steps)
 
