@@ -110,6 +110,12 @@ def test_the_form_that_serves_all_steps():
     assert jax.tree.structure(finer.of_any_step()) == jax.tree.structure(shared)
 
 
+def test_a_problem_is_shown_in_a_line(problem):
+    """JAX asks for it in every transformation."""
+    said = "crank, rocker, coupler: A.mean_square_moment over 0.02 s by generalised_alpha with steps of 0.002 s"
+    assert repr(problem) == f"<Problem of {said}>"
+
+
 def test_few_steps_are_compiled_quickly(problem):
     """Value and one derivative, once by 10 steps and once by 20, of the first or the second order."""
     closed = FunctionProblem(lambda errors: {"x": errors["x"]}, ["x"], ["x"])

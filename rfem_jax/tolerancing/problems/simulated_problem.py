@@ -102,6 +102,12 @@ class Problem(eqx.Module):
     def __eq__(self, other: object) -> bool:
         return self is other
 
+    # Short: JAX asks for it whenever it transforms a problem, and all of a model takes longer than a simulation.
+    def __repr__(self) -> str:
+        links, names = ", ".join(self.model.topology.links), ", ".join(one.name for one in self.metrics)
+        step = "" if self.method.step is None else f" with steps of {self.method.step:g} s"
+        return f"<Problem of {links}: {names} over {self.duration:g} s by {self.method.name}{step}>"
+
     @property
     def reversible(self) -> bool:
         """Whether reverse mode is possible: not with steps that are chosen on the way."""

@@ -1,0 +1,128 @@
+"""The step that "auto" chooses by samples of the tolerances: how accurate other samples are, and what one takes.
+
+    python benchmarks/automatic_steps.py [--accuracies 1e-2 1e-3] [--samples 64] [--batches 1 16 64] [--exudyn N]
+
+On the shipped Monte Carlo study.  "auto" sees the first eight samples, errors are those of others: the largest
+relative deviation of the RMS force and moment of all joints from our own converged result (`--fine`, and half of it,
+extrapolated).  Times are those of the processor, static starts included, compilation not; medians of five runs.
+Exudyn (extra `bench`), with its fastest settings, takes for N of these samples the longest of `--exudyn-steps` with
+which none is worse than the accuracy.
+"""
+
+import argparse
+import os
+import statistics
+import time
+from pathlib import Path
+
+os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1")
+
+from rfem_jax.compilation.options import take_process
+
+take_process()
+
+import jax  # noqa: E402
+
+jax.config.update("jax_enable_x64", True)
+
+import jax.numpy as jnp  # noqa: E402
+import numpy as np  # noqa: E402
+
+from rfem_jax import Method, Problem, Tolerances, discretise, first_samples, load_study  # noqa: E402
+
+STUDY = load_study(Path(__file__).parents[1] / "studies" / "monte_carlo" / "study.toml")
+TOLERANCES = Tolerances.of(STUDY)
+REPEATS = 5
+
+
+def problem_with(model, method: Method, duration: float, trials=None) -> Problem:
+    """The study's mechanism with all RMS loads as metrics."""
+    metrics = [f"{joint}.{kind}" for kind in ("rms_force", "rms_moment") for joint in model.joint_names]
+    return Problem(model, STUDY.drive, duration, metrics, method, min(STUDY.save_every, duration), trials=trials)
+
+
+def loads(problem: Problem, samples: dict) -> np.ndarray:
+    """RMS loads (samples, loads) [N, N m]."""
+    values, status = jax.vmap(problem)(samples)
+    assert not np.asarray(status).any()
+    return np.stack([np.asarray(values[metric.name]) for metric in problem.metrics], axis=1)
+
+
+def errors_of(found: np.ndarray, exact: np.ndarray) -> np.ndarray:
+    """The largest relative deviation (samples,) of any load."""
+    return np.max(np.abs(found / exact - 1.0), axis=1)
+
+
+def processor_time(function) -> float:
+    """Median of the processor's time [s], after a first run."""
+    function()
+    times = []
+    for _ in range(REPEATS):
+        started = time.process_time()
+        function()
+        times.append(time.process_time() - started)
+    return statistics.median(times)
+
+
+def exudyn(samples: dict, exact: np.ndarray, accuracies, options) -> dict[float, tuple[float, float, float]]:
+    """{accuracy: step, the largest error, processor time of a sample [s]}."""
+    from exudyn_first_answer import rms_of
+
+    model, found = discretise(STUDY.mechanism), {}
+    for step in sorted(options.exudyn_steps, reverse=True):
+        started = time.process_time()
+        rows = [
+            rms_of(STUDY, model, {name: float(values[i]) for name, values in samples.items()}, step, options.duration)
+            for i in range(options.exudyn)
+        ]
+        each = (time.process_time() - started) / options.exudyn
+        worst = errors_of(np.array(rows).reshape(options.exudyn, -1), exact[: options.exudyn]).max()
+        print(f"Exudyn, step {1e3 * step:g} ms: largest error {worst:.1e}, {1e3 * each:.3g} ms a sample")
+        for accuracy in accuracies:
+            if worst <= accuracy and accuracy not in found:
+                found[accuracy] = step, worst, each
+        if len(found) == len(accuracies):
+            break
+    return found
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--accuracies", type=float, nargs="+", default=[1e-2, 1e-3])
+    parser.add_argument("--samples", type=int, default=64)
+    parser.add_argument("--batches", type=int, nargs="+", default=[1, 16, 64])
+    parser.add_argument("--duration", type=float, default=STUDY.duration, help="s")
+    parser.add_argument("--fine", type=float, default=1e-4, help="s, step of the converged result")
+    parser.add_argument("--exudyn", type=int, default=0, help="samples of Exudyn")
+    parser.add_argument("--exudyn-steps", type=float, nargs="+", default=[5e-3, 2.5e-3, 2e-3, 1e-3, 5e-4], help="s")
+    options = parser.parse_args()
+    model, others = discretise(STUDY.mechanism), first_samples(TOLERANCES, jax.random.key(2), options.samples)
+    coarse, fine = (
+        loads(
+            problem_with(model, Method("generalised_alpha", step=step, tolerance=1e-6), options.duration),
+            others,
+        )
+        for step in (options.fine, options.fine / 2)
+    )
+    exact = fine + (fine - coarse) / 3.0
+    peer = exudyn(others, exact, options.accuracies, options) if options.exudyn else {}
+    print("| RMS loads within | step ms | median and largest error of others | CPU ms a sample in batches of "
+          f"{', '.join(map(str, options.batches))} | Exudyn ms (step, error) |\n|---|---|---|---|---|")  # fmt: skip
+    trials = first_samples(TOLERANCES, jax.random.key(1))
+    for accuracy in options.accuracies:
+        problem = problem_with(model, Method("auto", accuracy=accuracy), options.duration, trials)
+        found = errors_of(loads(problem, others), exact)
+        times = []
+        for batch in options.batches:
+            some = {name: jnp.resize(values, batch) for name, values in others.items()}
+            times.append(1e3 * processor_time(lambda some=some: jax.block_until_ready(jax.vmap(problem)(some))) / batch)
+        beside = "-"
+        if accuracy in peer:
+            step, worst, each = peer[accuracy]
+            beside = f"{1e3 * each:.3g} ({1e3 * step:g} ms, {worst:.1e})"
+        print(f"| {accuracy:g} | {1e3 * problem.method.step:.3g} | {np.median(found):.1e}, {found.max():.1e} | "
+              f"{', '.join(f'{one:.3g}' for one in times)} | {beside} |")  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()
