@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from rfem_jax import Method, load_study, run_cases
-from rfem_jax.simulation import cases
 from rfem_jax.simulation.integration import grid_for
+from rfem_jax.simulation.time_grid import of_any_step
 from rfem_jax.validation.reference_values import read_reference
 
 STUDIES = Path(__file__).parents[2] / "studies" / "four_bar"
@@ -119,8 +119,8 @@ def test_programs_of_cases_serve_any_step():
     for step in (4e-4, 3e-4):
         method = Method("generalised_alpha", step=step)
         grid, steps = grid_for(None, 0.01, method, 1e-3)
-        taken.append((steps, *cases._of_any_step(method, grid, steps)))
+        taken.append((steps, *of_any_step(method, grid, steps)))
     (few, first, traced), (more, second, _) = taken
     assert few < more and first == second and int(traced) == few and isinstance(traced, jax.Array)
     explicit = Method("rk4", step=1e-4)
-    assert cases._of_any_step(explicit, grid, 10) == (explicit, 10)
+    assert of_any_step(explicit, grid, 10) == (explicit, 10)

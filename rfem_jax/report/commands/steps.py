@@ -61,7 +61,8 @@ def settle_method(study: Study, task: str = "") -> Study:
     announce("Choosing the method and its step")
     trials = _trials(study, task) if task else None
     method = choose_method(model, study.method, study.designed_drive, study.duration, trials, study.save_every)
-    note(f"Method auto: {method.name} with a step of {method.step:.3g} s.")
+    purpose = "" if trials is None else f" for {task.replace('_', ' ')}"
+    note(f"Method auto{purpose}: {method.name} with a step of {method.step:.3g} s.")
     return replace(study, method=method, asked_method=study.method)
 
 

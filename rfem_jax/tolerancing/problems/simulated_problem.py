@@ -74,7 +74,7 @@ class Problem(eqx.Module):
     method: Method = eqx.field(static=True)
     save_every: float | None = eqx.field(static=True)
     design: Design | None = None
-    steps: Float[Array, ""] | None = None  # in an interval, where it is traced
+    steps: Float[Array, ""] | None = eqx.field(init=False)  # in an interval, where it is traced
 
     def __init__(
         self,
