@@ -6,7 +6,8 @@ On the shipped Monte Carlo study.  "auto" sees the first eight samples, errors a
 relative deviation of the RMS force and moment of all joints from our own converged result (`--fine`, and half of it,
 extrapolated).  Times are those of the processor, static starts included, compilation not; medians of five runs.
 Exudyn (extra `bench`), with its fastest settings, takes for N of these samples the longest of `--exudyn-steps` with
-which none is worse than the accuracy.
+which none is farther than the accuracy from its own result with steps of `--exudyn-fine`: its elements are
+geometrically exact, the study's are linear, and what this changes is no error of a step.
 """
 
 import argparse
@@ -64,19 +65,22 @@ def processor_time(function) -> float:
     return statistics.median(times)
 
 
-def exudyn(samples: dict, exact: np.ndarray, accuracies, options) -> dict[float, tuple[float, float, float]]:
+def exudyn(samples: dict, accuracies, options) -> dict[float, tuple[float, float, float]]:
     """{accuracy: step, the largest error, processor time of a sample [s]}."""
     from exudyn_first_answer import rms_of
 
     model, found = discretise(STUDY.mechanism), {}
+
+    def rows(step: float) -> np.ndarray:
+        errors = ({name: float(values[i]) for name, values in samples.items()} for i in range(options.exudyn))
+        return np.array([rms_of(STUDY, model, one, step, options.duration).ravel() for one in errors])
+
+    exact = rows(options.exudyn_fine)
     for step in sorted(options.exudyn_steps, reverse=True):
         started = time.process_time()
-        rows = [
-            rms_of(STUDY, model, {name: float(values[i]) for name, values in samples.items()}, step, options.duration)
-            for i in range(options.exudyn)
-        ]
+        of_step = rows(step)
         each = (time.process_time() - started) / options.exudyn
-        worst = errors_of(np.array(rows).reshape(options.exudyn, -1), exact[: options.exudyn]).max()
+        worst = errors_of(of_step, exact).max()
         print(f"Exudyn, step {1e3 * step:g} ms: largest error {worst:.1e}, {1e3 * each:.3g} ms a sample")
         for accuracy in accuracies:
             if worst <= accuracy and accuracy not in found:
@@ -92,9 +96,10 @@ def main() -> None:
     parser.add_argument("--samples", type=int, default=64)
     parser.add_argument("--batches", type=int, nargs="+", default=[1, 16, 64])
     parser.add_argument("--duration", type=float, default=STUDY.duration, help="s")
-    parser.add_argument("--fine", type=float, default=1e-4, help="s, step of the converged result")
+    parser.add_argument("--fine", type=float, default=5e-5, help="s, step of the converged result")
     parser.add_argument("--exudyn", type=int, default=0, help="samples of Exudyn")
     parser.add_argument("--exudyn-steps", type=float, nargs="+", default=[5e-3, 2.5e-3, 2e-3, 1e-3, 5e-4], help="s")
+    parser.add_argument("--exudyn-fine", type=float, default=5e-5, help="s, step of its converged result")
     options = parser.parse_args()
     model, others = discretise(STUDY.mechanism), first_samples(TOLERANCES, jax.random.key(2), options.samples)
     coarse, fine = (
@@ -105,7 +110,8 @@ def main() -> None:
         for step in (options.fine, options.fine / 2)
     )
     exact = fine + (fine - coarse) / 3.0
-    peer = exudyn(others, exact, options.accuracies, options) if options.exudyn else {}
+    print(f"Converged result: half the step changes loads by {errors_of(coarse, fine).max():.1e} at most.")
+    peer = exudyn(others, options.accuracies, options) if options.exudyn else {}
     print("| RMS loads within | step ms | median and largest error of others | CPU ms a sample in batches of "
           f"{', '.join(map(str, options.batches))} | Exudyn ms (step, error) |\n|---|---|---|---|---|")  # fmt: skip
     trials = first_samples(TOLERANCES, jax.random.key(1))

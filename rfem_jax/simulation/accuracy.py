@@ -81,6 +81,8 @@ def choose_method(
     implicit = GeneralisedAlphaMethod(step=duration, tolerance=accuracy / ACCURACY_OF_TOLERANCE)
     longest = duration if save_every is None else min(duration, save_every)
     step = _longest_step(model, implicit, drive, duration, accuracy, errors)
+    if step is None and isinstance(errors, Mapping):  # of samples, any may fail with all steps
+        step = _longest_step(model, implicit, drive, duration, accuracy, None)
     if step is not None:
         return replace(implicit, step=min(float(round_down(step)), longest))
     require_implicit(

@@ -54,6 +54,17 @@ def test_assemblies_by_their_names(model):
     assert problem.method == chosen != choose_method(*settings)
 
 
+def test_a_sample_that_fails_does_not_spoil_the_choice(model, monkeypatch):
+    settings = model, Method("auto", accuracy=ACCURACY), DRIVE, DURATION
+    samples = first_samples(TOLERANCES, KEY, 3)
+    # One that cannot be assembled is left out; where one fails with all steps, the assemblies of "auto" decide.
+    spoilt = {name: values.at[1].set(jnp.nan) for name, values in samples.items()}
+    others = {name: values[jnp.array([0, 2])] for name, values in samples.items()}
+    assert choose_method(*settings, spoilt) == choose_method(*settings, others)
+    monkeypatch.setattr("rfem_jax.simulation.accuracy._longest_step", lambda *given: None if given[-1] else 1e-3)
+    assert choose_method(*settings, samples).step == 1e-3
+
+
 def test_the_first_samples_are_those_of_the_study():
     def total(errors):
         return {"sum": sum(errors.values())}, jnp.int32(0)

@@ -62,8 +62,8 @@ class Problem(eqx.Module):
         save_every: [s], interval of the balances and checkpoints, and of the times that p-norms see.
         design: from `rfem_jax.design`; deviations of parameters are from its values.
         trials: {error name: its values (n,)} of n assemblies by which the method "auto" chooses its step, such as
-            `first_samples` gives; None: the perfect one, whose loads are the smallest and need the shortest step,
-            and one with all joints tilted and shifted.
+            `first_samples` gives; None, or where none of its steps is accurate for these: the perfect one, to whose
+            small loads errors are largest, and one with all joints tilted and shifted.
     Raises: InputError for unknown and repeated metrics, metrics without a function and of joints that do not exist.
     """
 
