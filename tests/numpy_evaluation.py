@@ -286,6 +286,44 @@ def _reordered(equation):
     return lambda x: x[places]
 
 
+def _sum_of_products(equation):
+    """Products in all their axes, those of the result first; then the sum over the others."""
+    axes, result = equation.params["axes"], equation.params["result"]
+    sizes = {label: n for labels, x in zip(axes, equation.invars) for label, n in zip(labels, x.aval.shape)}
+    order = [*result, *(label for label in sizes if label not in result)]
+    forms = []
+    for labels in axes:
+        there = sorted(range(len(labels)), key=lambda place, labels=labels: order.index(labels[place]))
+        forms.append((there, [sizes[label] if label in labels else 1 for label in order]))
+    summed = tuple(range(len(result), len(order)))
+    shape = equation.outvars[0].aval.shape
+
+    def total(*parts):
+        spread = [
+            x.reshape(lengths) if there == sorted(there) else x.transpose(there).reshape(lengths)
+            for x, (there, lengths) in zip(parts, forms)
+        ]
+        found = spread[0] * spread[1]
+        for a, b in zip(spread[2::2], spread[3::2]):
+            found = found + a * b
+        return np.add.reduce(found, axis=summed) if summed else found if found.shape == shape else found.reshape(shape)
+
+    return total
+
+
+def _cross_product(equation):
+    axis = equation.params["axis"]
+    following, last = ((slice(None),) * axis + (np.array(order),) for order in ([1, 2, 0], [2, 0, 1]))
+
+    def total(*parts):
+        found = 0.0
+        for a, b in zip(parts[::2], parts[1::2]):
+            found = found + (a[following] * b[last] - a[last] * b[following])
+        return found
+
+    return total
+
+
 def _selected(equation):
     if equation.invars[0].aval.dtype == bool:
         return lambda which, no, yes: np.where(which, yes, no)
@@ -471,6 +509,7 @@ SPECIAL: dict[str, Callable] = {
 PREPARED: dict[str, Callable] = {
     "broadcast_in_dim": _broadcast,
     "concatenate": _joined,
+    "cross_product": _cross_product,
     "div": _divided,
     "dot_general": _dot,
     "expand_dims": _reshaped,
@@ -481,5 +520,6 @@ PREPARED: dict[str, Callable] = {
     "slice": _slice,
     "squeeze": _reshaped,
     "stack": _stacked,
+    "sum_of_products": _sum_of_products,
     "transpose": _transposed,
 }

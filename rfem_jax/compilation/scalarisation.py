@@ -95,7 +95,12 @@ def operations(program: ClosedJaxpr) -> int:
         inner = [x for x in jax.tree.leaves(list(settings.values()), is_leaf=_is_program) if _is_program(x)]
         rows = settings["length"] if name == "scan" and len(equation.outvars) > _counts(settings)[1] else 1
         count += rows * sum(operations(x) for x in inner)
-        if name in ARITHMETIC or name in ELEMENTWISE or name in SPECIAL_ARITHMETIC:
+        if name == "sum_of_products":
+            sizes = {l: n for labels, x in zip(settings["axes"], equation.invars) for l, n in zip(labels, x.aval.shape)}
+            count += len(equation.invars) * math.prod(sizes.values())
+        elif name == "cross_product":
+            count += (2 * len(equation.invars) - 1) * math.prod(equation.outvars[0].aval.shape)
+        elif name in ARITHMETIC or name in ELEMENTWISE or name in SPECIAL_ARITHMETIC:
             size = math.prod(equation.outvars[0].aval.shape)
             if name == "dot_general":
                 (summed, _), _ = settings["dimension_numbers"]
@@ -337,6 +342,30 @@ def _dot(equation, a, b):
     return [_of_shape(sums, shape)]
 
 
+def _products_summed(equation, *parts):
+    """Of products in all their axes, those of the result first, the sums over the others."""
+    axes, result = equation.params["axes"], equation.params["result"]
+    order = [*result, *sorted({label for labels in axes for label in labels} - {*result})]
+    spread = []
+    for labels, part in zip(axes, parts):
+        places = [order.index(label) for label in labels]
+        missing = tuple(place for place in range(len(order)) if place not in places)
+        spread.append(np.expand_dims(part.transpose(np.argsort(places)), missing))
+    terms = [_each(_multiply, pair) for pair in zip(spread[::2], spread[1::2])]
+    total = _each(lambda *terms: functools.reduce(_add, terms), terms)
+    return [_reduced(_add, 0.0, total, tuple(range(len(result), total.ndim)))]
+
+
+def _crossed(equation, *parts):
+    axis = equation.params["axis"]
+    forth, back = [], []
+    for a, b in zip(parts[::2], parts[1::2]):
+        forth.append(_each(_multiply, [a, np.take(b, [1, 2, 0], axis)]))
+        back.append(_each(_multiply, [np.take(a, [1, 2, 0], axis), b]))
+    sums = [_each(lambda *terms: functools.reduce(_add, terms), terms) for terms in (forth, back)]
+    return [np.take(_each(_subtract, sums), [1, 2, 0], axis)]
+
+
 def _divided(equation, a, b):
     def quotient(a, b):
         if (_known(b) and b == 1) or (_known(a) and a == 0 and not _known(b)):
@@ -440,6 +469,7 @@ SPECIAL = {
     "concatenate": lambda e, *parts: [np.concatenate(parts, e.params["dimension"])],
     "cond": _branches,
     "copy": lambda _, x: [x],
+    "cross_product": _crossed,
     "div": _divided,
     "dot_general": _dot,
     "expand_dims": lambda e, x: [np.expand_dims(x, e.params["dimensions"])],
@@ -453,6 +483,7 @@ SPECIAL = {
     "square": lambda _, x: [_each(_multiply, [x, x])],
     "squeeze": lambda e, x: [np.squeeze(x, e.params["dimensions"])],
     "stack": lambda e, *parts: [np.stack(parts, e.params["axis"])],
+    "sum_of_products": _products_summed,
     "stop_gradient": lambda _, x: [_each(lambda a: a if _known(a) else lax.stop_gradient(a), [x])],
     "transpose": lambda e, x: [x.transpose(e.params["permutation"])],
     "while": _while,

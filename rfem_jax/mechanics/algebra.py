@@ -20,6 +20,8 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float
 
+from rfem_jax.mechanics import products
+from rfem_jax.mechanics.products import combine, contract
 from rfem_jax.mechanics.reordering import reorder
 
 Scalar = Float[Array, ""] | float
@@ -30,7 +32,7 @@ CYCLED = IDENTITY[[1, 2, 0]]
 
 def cross(a: Float[Array, "3 *#n"], b: Float[Array, "3 *#n"]) -> Float[Array, "3 ..."]:
     """Vector product."""
-    return _cycle(a * _cycle(b) - _cycle(a) * b)
+    return products.cross(a, b)
 
 
 def _cycle(a: Array) -> Array:
@@ -40,29 +42,29 @@ def _cycle(a: Array) -> Array:
 
 def dot(a: Float[Array, "n *#k"], b: Float[Array, "n *#k"]) -> Float[Array, "..."]:
     """Sum over the first axis of the product."""
-    return jnp.sum(a * b, axis=0)
+    return contract((0,), (0,), (), a, b)
 
 
 def apply(matrix: Float[Array, "m n *#k"], vector: Float[Array, "n *#k"]) -> Float[Array, "m ..."]:
     """Matrix times vector."""
-    return jnp.sum(matrix * vector[None], axis=1)
+    return contract((0, 1), (1,), (0,), matrix, vector)
 
 
 def apply_transposed(matrix: Float[Array, "n m *#k"], vector: Float[Array, "n *#k"]) -> Float[Array, "m ..."]:
     """Transpose of a matrix times vector."""
-    return jnp.sum(matrix * vector[:, None], axis=0)
+    return contract((0, 1), (0,), (1,), matrix, vector)
 
 
 def product(
     a: Float[Array, "m n *#k"], b: Float[Array, "n p *#k"] | Float[np.ndarray, "n p *#k"]
 ) -> Float[Array, "m p ..."]:
     """Matrix times matrix."""
-    return jnp.sum(a[:, :, None] * b[None], axis=1)
+    return contract((0, 1), (1, 2), (0, 2), a, b)
 
 
 def product_transposed(a: Float[Array, "m n *#k"], b: Float[Array, "p n *#k"]) -> Float[Array, "m p ..."]:
     """Matrix times the transpose of a matrix."""
-    return jnp.sum(a[:, None] * b[None], axis=2)
+    return contract((0, 1), (2, 1), (0, 2), a, b)
 
 
 def constant_product(matrix: Float[Array, "m n"], b: Float[Array, " n *k"]) -> Float[Array, " m *k"]:
@@ -103,14 +105,13 @@ def rotation_z(angle: Float[Array, "*k"]) -> Float[Array, "3 3 *k"]:
 
 def rotation_about(axis: int, angle: Float[Array, "*k"]) -> Float[Array, "3 3 *k"]:
     """Right-handed rotation about axis 0, 1 or 2 (x, y, z) by an angle [rad]."""
-    along, across, turned = (part.reshape((3, 3) + (1,) * angle.ndim) for part in _ROTATIONS[axis])
-    return jnp.asarray(along) + jnp.cos(angle)[None, None] * across + jnp.sin(angle)[None, None] * turned
+    return combine((jnp.cos(angle), jnp.sin(angle), np.ones(angle.shape)), _ROTATIONS[axis])
 
 
 def _rotation_parts(axis: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Matrices of the components along an axis, across it, and across it turned by 90 deg."""
+    """Matrices of the components across an axis, across it turned by 90 deg, and along it."""
     along = np.diag(IDENTITY[axis])
-    return along, IDENTITY - along, np.cross(IDENTITY[axis], IDENTITY).T
+    return IDENTITY - along, np.cross(IDENTITY[axis], IDENTITY).T, along
 
 
 _ROTATIONS = tuple(_rotation_parts(axis) for axis in range(3))

@@ -1,0 +1,225 @@
+"""Products of vectors and matrices as primitives of JAX.
+
+Place in the pipeline: used by algebra.
+
+Written by JAX's operations, a product of matrices is four of them and a cross product six, and Python traces each of
+these by itself, differentiates, transposes and batches it: for a derivative of a simulation that is half of the time
+before XLA sees a program.  Here either is one operation to all these transformations, and so is a sum of such products,
+which is what the derivative of one is.  XLA is given the same products and sums as before.
+"""
+
+import functools
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+from jax.core import ShapedArray
+from jax.extend.core import Primitive
+from jax.interpreters import ad, batching, mlir
+
+Labels = tuple[int, ...]
+
+_sum_of_products = Primitive("sum_of_products")
+_cross_product = Primitive("cross_product")
+
+
+def contract(first: Labels, second: Labels, result: Labels, a: Array | np.ndarray, b: Array | np.ndarray) -> Array:
+    """Products of two arrays, summed over the axes whose labels the result does not have.
+
+    **Arguments:** `first`, `second`, `result`: labels of the leading axes of both arrays and of the result; the later
+    axes of both, equally many, are those of the result, too, and broadcast.
+
+    **Raises:** `ValueError` for numbers of axes that do not fit.
+    """
+    axes, shapes = _broadcast(first, second, result, np.shape(a), np.shape(b))
+    a, b = (x if np.shape(x) == shape else jnp.reshape(x, shape) for x, shape in zip((a, b), shapes))
+    return _sum_of_products.bind(a, b, axes=axes[:2], result=axes[2])
+
+
+def combine(weights: Sequence[Array | np.ndarray], matrices: Sequence[np.ndarray]) -> Array:
+    """Sum of constant matrices (m, n) with weights (...), all of one shape, as one matrix (m, n, ...)."""
+    later = tuple(range(2, 2 + weights[0].ndim))
+    operands = [x for pair in zip(weights, matrices, strict=True) for x in pair]
+    return _sum_of_products.bind(*operands, axes=(later, (0, 1)) * len(weights), result=(0, 1, *later))
+
+
+@functools.lru_cache(maxsize=None)
+def _broadcast(first: Labels, second: Labels, result: Labels, a: tuple[int, ...], b: tuple[int, ...]):
+    """Labels of all axes of both arrays and of the result, and shapes of both without the axes that are broadcast."""
+    a_later, b_later = a[len(first) :], b[len(second) :]
+    if len(a_later) != len(b_later):
+        raise ValueError(f"arrays of shapes {a} and {b} have not equally many axes after {first} and {second}")
+    later = [100 + i for i in range(len(a_later))]
+    a_kept = [label for label, n, other in zip(later, a_later, b_later) if n != 1 or other == 1]
+    b_kept = [label for label, n, other in zip(later, b_later, a_later) if n != 1 or other == 1]
+    shapes = [
+        (*shape[: len(own)], *(n for label, n in zip(later, shape[len(own) :]) if label in kept))
+        for own, shape, kept in ((first, a, a_kept), (second, b, b_kept))
+    ]
+    return ((*first, *a_kept), (*second, *b_kept), (*result, *later)), shapes
+
+
+def cross(a: Array | np.ndarray, b: Array | np.ndarray) -> Array:
+    """Vector products along the first axis; the later axes broadcast."""
+    return _cross_product.bind(a, b, axis=0)
+
+
+def _sizes(operands: Sequence, axes: tuple[Labels, ...]) -> dict[int, int]:
+    """Length of the axes of each label."""
+    sizes: dict[int, int] = {}
+    for operand, labels in zip(operands, axes, strict=True):
+        for label, n in zip(labels, operand.shape, strict=True):
+            if sizes.setdefault(label, n) != n:
+                raise ValueError(f"axes of {sizes[label]} and {n} entries are to be multiplied")
+    return sizes
+
+
+@functools.lru_cache(maxsize=None)
+def product_order(axes: tuple[Labels, ...], result: Labels) -> Labels:
+    """All labels, in an order in which as many operands as possible need not be transposed."""
+    order: list[int] = []
+    for labels in (result, *axes):
+        for place, label in enumerate(labels):
+            if label not in order:
+                after = [order.index(other) for other in labels[place + 1 :] if other in order]
+                order.insert(min(after, default=len(order)), label)
+    return tuple(order)
+
+
+def _sum_by_operations(*operands, axes: tuple[Labels, ...], result: Labels) -> Array:
+    """The sum of the products of neighbouring operands by JAX's own operations."""
+    order, sizes = product_order(axes, result), _sizes(operands, axes)
+    spread = []
+    for operand, labels in zip(operands, axes):
+        places = [order.index(label) for label in labels]
+        operand = lax.transpose(operand, np.argsort(places)) if places != sorted(places) else operand
+        spread.append(lax.broadcast_in_dim(operand, [sizes[label] for label in order], sorted(places)))
+    total = functools.reduce(lax.add, map(lax.mul, spread[::2], spread[1::2]))
+    summed = [place for place, label in enumerate(order) if label not in result]
+    total = jnp.sum(total, axis=tuple(summed)) if summed else total
+    left = [label for label in order if label in result]
+    return total if left == list(result) else lax.transpose(total, [left.index(label) for label in result])
+
+
+def _cross_by_operations(*operands, axis: int) -> Array:
+    """The sum of the cross products of neighbouring operands by JAX's own operations."""
+
+    def cycle(x):
+        return lax.gather(
+            x, np.array([[1], [2], [0]], np.int32), _rows(x.ndim, axis), _one_row(x.shape, axis),
+            unique_indices=True, mode="promise_in_bounds",
+        )  # fmt: skip
+
+    pairs = list(zip(operands[::2], operands[1::2]))
+    forth = functools.reduce(jnp.add, [a * cycle(b) for a, b in pairs])
+    back = functools.reduce(jnp.add, [cycle(a) * b for a, b in pairs])
+    return cycle(forth - back)
+
+
+def _rows(ndim: int, axis: int) -> lax.GatherDimensionNumbers:
+    offsets = tuple(i for i in range(ndim) if i != axis)
+    return lax.GatherDimensionNumbers(offset_dims=offsets, collapsed_slice_dims=(axis,), start_index_map=(axis,))
+
+
+def _one_row(shape: tuple[int, ...], axis: int) -> list[int]:
+    return [1 if i == axis else n for i, n in enumerate(shape)]
+
+
+def _sum_type(*operands, axes: tuple[Labels, ...], result: Labels) -> ShapedArray:
+    sizes = _sizes(operands, axes)
+    return ShapedArray(tuple(sizes[label] for label in result), _dtype(operands))
+
+
+def _cross_type(*operands, axis: int) -> ShapedArray:
+    return ShapedArray(np.broadcast_shapes(*(operand.shape for operand in operands)), _dtype(operands))
+
+
+def _dtype(operands) -> np.dtype:
+    (dtype,) = {operand.dtype for operand in operands}
+    return dtype
+
+
+def _derivative(primitive: Primitive):
+    """The rule of forward mode: of a sum of products it is one, too."""
+
+    def rule(primals, tangents, **settings):
+        value = primitive.bind(*primals, **settings)
+        axes = settings.get("axes", (None,) * len(primals))
+        terms: list = []
+        for place, tangent in enumerate(tangents):
+            if type(tangent) is not ad.Zero:
+                term = [(primals[place], axes[place]), (primals[place ^ 1], axes[place ^ 1])]
+                term[0] = (tangent, axes[place])
+                terms += term if place % 2 == 0 else term[::-1]
+        if not terms:
+            return value, ad.Zero.from_primal_value(value)
+        given, labels = zip(*terms)
+        return value, primitive.bind(*given, **settings | ({"axes": labels} if "axes" in settings else {}))
+
+    return rule
+
+
+def _sum_transposed(cotangent, *operands, axes, result):
+    cotangents = [None] * len(operands)
+    for place, operand in enumerate(operands):
+        if ad.is_undefined_primal(operand):
+            if type(cotangent) is ad.Zero:
+                cotangents[place] = ad.Zero(operand.aval)
+                continue
+            other = place ^ 1
+            cotangents[place] = _sum_of_products.bind(
+                cotangent, operands[other], axes=(result, axes[other]), result=axes[place]
+            )
+    return cotangents
+
+
+def _cross_transposed(cotangent, *operands, axis):
+    cotangents = [None] * len(operands)
+    for place, operand in enumerate(operands):
+        if ad.is_undefined_primal(operand):
+            if type(cotangent) is ad.Zero:
+                cotangents[place] = ad.Zero(operand.aval)
+                continue
+            pair = (operands[place ^ 1], cotangent) if place % 2 == 0 else (cotangent, operands[place ^ 1])
+            found = _cross_product.bind(*pair, axis=axis)
+            shape = operand.aval.shape
+            spread = tuple(i for i, (n, m) in enumerate(zip(shape, found.shape)) if n != m)
+            cotangents[place] = jnp.sum(found, axis=spread, keepdims=True) if spread else found
+    return cotangents
+
+
+def _sum_batched(operands, batches, *, axes, result):
+    label = 1 + max(label for labels in axes for label in labels)
+    widened = [
+        labels if batch is None else (*labels[:batch], label, *labels[batch:])
+        for labels, batch in zip(axes, batches, strict=True)
+    ]
+    last = all(b is None or b == len(labels) for labels, b in zip(axes, batches))
+    place = len(result) if last else 0
+    result = (*result[:place], label, *result[place:])
+    return _sum_of_products.bind(*operands, axes=tuple(widened), result=result), place
+
+
+def _cross_batched(operands, batches, *, axis):
+    place = next(batch for batch in batches if batch is not None)
+    moved = [
+        x if batch == place else jnp.expand_dims(x, place) if batch is None else jnp.moveaxis(x, batch, place)
+        for x, batch in zip(operands, batches)
+    ]
+    return _cross_product.bind(*moved, axis=axis + (place <= axis)), place
+
+
+def _define(primitive: Primitive, by_operations, type_of, transposed, batched) -> None:
+    names = ("axis",) if primitive is _cross_product else ("axes", "result")
+    primitive.def_impl(jax.jit(by_operations, static_argnames=names))
+    primitive.def_abstract_eval(type_of)
+    ad.primitive_jvps[primitive] = _derivative(primitive)
+    ad.primitive_transposes[primitive] = transposed
+    batching.primitive_batchers[primitive] = batched
+    mlir.register_lowering(primitive, mlir.lower_fun(by_operations, multiple_results=False))
+
+
+_define(_sum_of_products, _sum_by_operations, _sum_type, _sum_transposed, _sum_batched)
+_define(_cross_product, _cross_by_operations, _cross_type, _cross_transposed, _cross_batched)
