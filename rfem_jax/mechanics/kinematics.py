@@ -79,6 +79,7 @@ class Motion(NamedTuple):
     axis_velocity: Float[Array, "6 freedoms"]
 
 
+@jax.jit
 def motion_of(actual: ModelWithErrors, state: State) -> Motion:
     """Positions and velocities of all links and rfes at one instant."""
     topology = actual.topology

@@ -45,7 +45,7 @@ def combine(weights: Sequence[Array | np.ndarray], matrices: Sequence[np.ndarray
     return _sum_of_products.bind(*operands, axes=(later, (0, 1)) * len(weights), result=(0, 1, *later))
 
 
-@functools.lru_cache(maxsize=None)
+@functools.cache
 def _broadcast(first: Labels, second: Labels, result: Labels, a: tuple[int, ...], b: tuple[int, ...]):
     """Labels of all axes of both arrays and of the result, and shapes of both without the axes that are broadcast."""
     a_later, b_later = a[len(first) :], b[len(second) :]
@@ -76,7 +76,7 @@ def _sizes(operands: Sequence, axes: tuple[Labels, ...]) -> dict[int, int]:
     return sizes
 
 
-@functools.lru_cache(maxsize=None)
+@functools.cache
 def product_order(axes: tuple[Labels, ...], result: Labels) -> Labels:
     """All labels, in an order in which as many operands as possible need not be transposed."""
     order: list[int] = []
@@ -147,22 +147,20 @@ def _derivative(primitive: Primitive):
     def rule(primals, tangents, **settings):
         value = primitive.bind(*primals, **settings)
         axes = settings.get("axes", (None,) * len(primals))
-        terms: list = []
-        for place, tangent in enumerate(tangents):
-            if type(tangent) is not ad.Zero:
-                term = [(primals[place], axes[place]), (primals[place ^ 1], axes[place ^ 1])]
-                term[0] = (tangent, axes[place])
-                terms += term if place % 2 == 0 else term[::-1]
-        if not terms:
-            return value, ad.Zero.from_primal_value(value)
-        given, labels = zip(*terms)
-        return value, primitive.bind(*given, **settings | ({"axes": labels} if "axes" in settings else {}))
+        terms = []
+        for first in range(0, len(primals), 2):
+            for moving in (first, first + 1):
+                if type(tangents[moving]) is not ad.Zero:
+                    pair = [tangents[i] if i == moving else primals[i] for i in (first, first + 1)]
+                    terms += zip(pair, axes[first : first + 2], strict=True)
+        given, of_terms = zip(*terms)
+        return value, primitive.bind(*given, **settings | ({"axes": of_terms} if "axes" in settings else {}))
 
     return rule
 
 
 def _sum_transposed(cotangent, *operands, axes, result):
-    cotangents = [None] * len(operands)
+    cotangents: list = [None] * len(operands)
     for place, operand in enumerate(operands):
         if ad.is_undefined_primal(operand):
             if type(cotangent) is ad.Zero:
@@ -176,7 +174,7 @@ def _sum_transposed(cotangent, *operands, axes, result):
 
 
 def _cross_transposed(cotangent, *operands, axis):
-    cotangents = [None] * len(operands)
+    cotangents: list = [None] * len(operands)
     for place, operand in enumerate(operands):
         if ad.is_undefined_primal(operand):
             if type(cotangent) is ad.Zero:

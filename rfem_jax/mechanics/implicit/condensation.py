@@ -65,6 +65,7 @@ def local_interfaces(topology: Topology, link: int) -> tuple[int, ...]:
     return tuple(k - first for k in topology.interfaces if first <= k < last)
 
 
+@jax.jit
 def link_operators(
     actual: ModelWithErrors, q_factor: Float[Array, ""], v_factor: Float[Array, ""]
 ) -> tuple[LinkOperator | None, ...]:

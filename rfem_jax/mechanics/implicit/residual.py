@@ -99,6 +99,7 @@ def residual_forces(
     return jnp.concatenate([part.reshape(-1) for part in parts])
 
 
+@jax.jit
 def evaluate_residual(
     actual: ModelWithErrors,
     state: State,

@@ -1,0 +1,119 @@
+"""Products as primitives against JAX's own operations: values, derivatives of both modes and of second order, batches
+on any axis; and each is one equation under every transformation."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from rfem_jax.compilation.scalarisation import scalarised
+from rfem_jax.mechanics import algebra, products
+from tests.numpy_evaluation import by_numpy
+
+rng = np.random.default_rng(0)
+
+# Name: function, the same by JAX's operations, shapes of its arguments.
+CASES = {
+    "dot": (algebra.dot, lambda a, b: jnp.sum(a * b, axis=0), (3, 4), (3, 4)),
+    "apply": (algebra.apply, lambda a, b: jnp.einsum("mnk,nk->mk", a, b), (2, 3, 4), (3, 4)),
+    "apply_transposed": (algebra.apply_transposed, lambda a, b: jnp.einsum("nmk,nk->mk", a, b), (3, 2, 4), (3, 4)),
+    "product": (algebra.product, lambda a, b: jnp.einsum("mnk,npk->mpk", a, b), (2, 3, 4), (3, 5, 4)),
+    "product_transposed": (
+        algebra.product_transposed, lambda a, b: jnp.einsum("mnk,pnk->mpk", a, b), (2, 3, 4), (5, 3, 4),
+    ),
+    "without later axes": (algebra.product, lambda a, b: a @ b, (2, 3), (3, 5)),
+    "broadcast": (algebra.apply, lambda a, b: jnp.einsum("mnkl,nl->mkl", a, b[:, 0]), (2, 3, 4, 5), (3, 1, 5)),
+    "broadcast both": (algebra.dot, lambda a, b: jnp.sum(a * b, axis=0), (3, 1, 5), (3, 4, 1)),
+    "cross": (algebra.cross, lambda a, b: jnp.cross(a, b, axis=0), (3, 4), (3, 4)),
+    "cross, broadcast": (algebra.cross, lambda a, b: jnp.cross(a, b, axis=0), (3, 1, 4), (3, 5, 4)),
+    "cross, both broadcast": (algebra.cross, lambda a, b: jnp.cross(a, b, axis=0), (3, 1, 4), (3, 5, 1)),
+}  # fmt: skip
+
+
+@pytest.fixture(params=list(CASES))
+def case(request):
+    function, plain, *shapes = CASES[request.param]
+    return function, plain, tuple(jnp.asarray(rng.normal(size=shape)) for shape in shapes)
+
+
+def weighed(function, shape):
+    """A scalar function that depends on every entry of a product, and not linearly."""
+    weights = np.random.default_rng(1).normal(size=shape)
+    return lambda a, b: jnp.sum(jnp.sin(function(a, b)) * weights)
+
+
+def names(program):
+    return [equation.primitive.name for equation in program.jaxpr.eqns]
+
+
+@pytest.mark.parametrize("run", [lambda f: f, jax.jit, by_numpy, lambda f: jax.jit(scalarised(f))])
+def test_values(case, run):
+    function, plain, given = case
+    np.testing.assert_allclose(run(function)(*given), plain(*given), rtol=1e-14, atol=1e-15)
+
+
+def test_derivatives_of_both_modes_and_of_second_order(case):
+    function, plain, given = case
+    shape = plain(*given).shape
+    ours, theirs = weighed(function, shape), weighed(plain, shape)
+    for derivative in (jax.jacfwd, jax.jacrev, jax.hessian):
+        for place in (0, 1, (0, 1)):
+            pairs = zip(*(jax.tree.leaves(jax.jit(derivative(f, place))(*given)) for f in (ours, theirs)), strict=True)
+            for a, b in pairs:
+                np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-14)
+
+
+def test_a_tangent_of_one_argument_and_of_none(case):
+    function, plain, (a, b) = case
+    tangent = rng.normal(size=b.shape)
+    found = jax.jit(lambda a, b: jax.jvp(lambda b: function(a, b), (b,), (tangent,)))(a, b)
+    for x, y in zip(found, jax.jvp(lambda b: plain(a, b), (b,), (tangent,)), strict=True):
+        np.testing.assert_allclose(x, y, rtol=1e-14, atol=1e-15)
+    through_constants = jax.jvp(lambda c: c + jnp.sum(function(a, b)), (1.0,), (2.0,))[1]
+    assert through_constants == 2.0
+
+
+@pytest.mark.parametrize("axes", [(0, 0), (-1, -1), (0, None), (None, 0), (1, 0), (-1, None), (0, -1)])
+def test_batches_on_any_axis(case, axes):
+    function, plain, given = case
+    stacked = [
+        x if axis is None else jnp.stack([x, 2.0 * x, -x], axis=axis) for x, axis in zip(given, axes, strict=True)
+    ]
+    shape = plain(*given).shape
+    for ours, theirs in (
+        (function, plain), (jax.grad(weighed(function, shape), (0, 1)), jax.grad(weighed(plain, shape), (0, 1))),
+    ):  # fmt: skip
+        found, expected = (jax.jit(jax.vmap(f, in_axes=axes))(*stacked) for f in (ours, theirs))
+        for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
+            np.testing.assert_allclose(a, b, rtol=1e-13, atol=1e-14)
+
+
+@pytest.mark.parametrize("name", ["apply", "product", "cross"])
+def test_a_product_is_one_operation_and_so_is_its_derivative(name):
+    function, _, *shapes = CASES[name]
+    given = tuple(jnp.ones(shape) for shape in shapes)
+    kind = "cross_product" if name == "cross" else "sum_of_products"
+    assert names(jax.make_jaxpr(function)(*given)) == [kind]
+    assert names(jax.make_jaxpr(lambda a, b: jax.jvp(function, (a, b), (a, b)))(*given)) == [kind, kind]
+    batch = tuple(jnp.ones((7, *shape)) for shape in shapes)
+    assert names(jax.make_jaxpr(jax.vmap(function))(*batch)) == [kind]
+    assert names(jax.make_jaxpr(lambda a, b: jax.vjp(function, a, b)[1](function(a, b)))(*given)).count(kind) <= 4
+
+
+@pytest.mark.parametrize("run", [lambda f: f, by_numpy, lambda f: jax.jit(scalarised(f))])
+def test_a_sum_of_constant_matrices(run):
+    first, second, weights = rng.normal(size=(3, 3)), rng.normal(size=(3, 3)), rng.normal(size=(2, 5))
+
+    def summed(w):
+        return products.combine((jnp.sin(w[0]), w[1]), (first, second))
+
+    expected = np.einsum("k,mn->mnk", np.sin(weights[0]), first) + np.einsum("k,mn->mnk", weights[1], second)
+    np.testing.assert_allclose(run(summed)(jnp.asarray(weights)), expected, rtol=1e-14, atol=1e-15)
+
+
+@pytest.mark.wrong_types
+def test_arrays_that_do_not_fit_are_refused():
+    with pytest.raises(ValueError, match="not equally many axes"):
+        algebra.apply(np.ones((3, 3, 2)), np.ones(3))
+    with pytest.raises(ValueError, match="axes of 3 and 2 entries"):
+        algebra.apply(np.ones((3, 3)), np.ones(2))
