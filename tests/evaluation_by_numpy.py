@@ -6,15 +6,17 @@ have: the time is counted in operations, so that every machine does the same.
 """
 
 import functools
+import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import NamedTuple
 
 import jax
 import numpy as np
 import pytest
 from jax._src import pjit
 
-from tests.numpy_evaluation import TooLong, Work, counted, interpreted, is_key
+from tests.numpy_evaluation import TooLong, Work, counted, interpreted, is_key, without_idle
 
 SMALL = 400  # equations of a program that is compiled at once
 RATIO = 100.0  # operations of NumPy in the time in which XLA compiles one
@@ -30,59 +32,48 @@ def within(equation) -> list:
     return found
 
 
-def equations(jaxpr) -> Iterator:
-    """All equations of a jaxpr and of those within it; a jaxpr that is called twice counts once."""
-    seen, waiting = set(), [jaxpr]
-    while waiting:
-        one = waiting.pop()
-        if id(one) not in seen:
-            seen.add(id(one))
-            for equation in one.eqns:
-                yield equation
-                waiting += within(equation)
+class _Summary(NamedTuple):
+    """Of a jaxpr with what it calls: equations as XLA is given them; operations of one evaluation in which every
+    `while` loop takes one turn; whether NumPy can evaluate it."""
+
+    size: int
+    least: float
+    possible: bool
 
 
-def can_be_evaluated(jaxpr) -> bool:
-    """Without effects and calls into Python; keys of random numbers within one turn of a loop only."""
-    if jaxpr.effects or any(map(is_key, (*jaxpr.in_avals, *jaxpr.out_avals))):
-        return False
-    for equation in equations(jaxpr):
-        name = equation.primitive.name
-        if any(word in name for word in FOREIGN):
-            return False
-        if name in LOOPS and any(is_key(x.aval) for x in (*equation.invars, *equation.outvars)):
-            return False
-    return True
+_SUMMARIES: weakref.WeakKeyDictionary = weakref.WeakKeyDictionary()
 
 
-def least_operations(jaxpr) -> float:
-    """Operations of one evaluation in which every `while` loop takes one turn."""
-    known: dict[int, float] = {}
-
-    def count(one):
-        if id(one) not in known:
-            known[id(one)] = sum(map(of_equation, one.eqns))
-        return known[id(one)]
-
-    def of_equation(equation):
-        inner = [count(x) for x in within(equation)]
-        if equation.primitive.name == "scan":
-            return equation.params["length"] * sum(inner)
-        if equation.primitive.name == "cond":
-            return min(inner)
-        return 1.0 + sum(inner)
-
-    return count(jaxpr)
+def summary(jaxpr) -> _Summary:
+    """Of a jaxpr, closed or not; NumPy calls no Python, and keeps keys of random numbers for one turn of a loop."""
+    inner = getattr(jaxpr, "jaxpr", jaxpr)
+    found = _SUMMARIES.get(inner)
+    if found is None:
+        size, least, possible = 0, 0.0, not inner.effects
+        for equation in inner.eqns:
+            name, parts = equation.primitive.name, [summary(x) for x in within(equation)]
+            size += 1 + sum(x.size for x in parts)
+            operations = [x.least for x in parts]
+            if name == "scan":
+                least += equation.params["length"] * sum(operations)
+            else:
+                least += min(operations) if name == "cond" else 1.0 + sum(operations)
+            keys = name in LOOPS and any(is_key(x.aval) for x in (*equation.invars, *equation.outvars))
+            foreign = any(word in name for word in FOREIGN)
+            possible = possible and not foreign and not keys and all(x.possible for x in parts)
+        found = _SUMMARIES[inner] = _Summary(size, least, possible)
+    return found
 
 
 class _Tier:
     """What has been spent on the evaluations of one program; `compiled`: it is compiled from now on."""
 
     def __init__(self, jaxpr):
-        self.jaxpr = jaxpr
-        size = sum(1 for _ in equations(jaxpr))
+        self.jaxpr, self.program = jaxpr, None
+        size, least, possible = summary(jaxpr)
+        possible = possible and not any(map(is_key, (*jaxpr.in_avals, *jaxpr.out_avals)))
         self.left = RATIO * size
-        self.compiled = size < SMALL or least_operations(jaxpr) > self.left or not can_be_evaluated(jaxpr)
+        self.compiled = size < SMALL or least > self.left or not possible
 
 
 @contextmanager
@@ -97,9 +88,10 @@ def instead_of_compilation() -> Iterator[None]:
             tier = tiers[id(jaxpr)] = _Tier(jaxpr)
         if not tier.compiled:
             work = Work(tier.left)
+            tier.program = tier.program or without_idle(jaxpr)
             try:
                 with counted(work), np.errstate(all="ignore"):
-                    results = interpreted(jaxpr)([np.asarray(x) for x in arguments])
+                    results = interpreted(tier.program)([np.asarray(x) for x in arguments])
             except TooLong:
                 tier.compiled = True
             else:

@@ -16,6 +16,7 @@ import jax
 import numpy as np
 from jax.core import Tracer
 from jax.extend.core import ClosedJaxpr, Literal
+from jax.interpreters import partial_eval
 
 CALLS = frozenset(["jit", "pjit", "closed_call", "checkpoint", "remat", "remat2", "custom_jvp_call", "custom_vjp_call"])
 ELEMENTWISE: dict[str, Callable] = {
@@ -189,6 +190,12 @@ def interpreted(program) -> Interpreted:
         closed = program if is_closed else ClosedJaxpr(program, ())
         found = _INTERPRETED[id(program)] = Interpreted(closed, program)
     return found
+
+
+def without_idle(program: ClosedJaxpr) -> ClosedJaxpr:
+    """The program without what its results do not depend on."""
+    kept, _ = partial_eval.dce_jaxpr(program.jaxpr, [True] * len(program.jaxpr.outvars), instantiate=True)
+    return ClosedJaxpr(kept, program.consts)
 
 
 def forget_programs() -> None:

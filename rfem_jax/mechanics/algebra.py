@@ -21,23 +21,18 @@ from jax import Array
 from jaxtyping import Float
 
 from rfem_jax.mechanics import products
-from rfem_jax.mechanics.products import combine, contract
+from rfem_jax.mechanics.products import combine, contract, contract_constant
 from rfem_jax.mechanics.reordering import reorder
 
 Scalar = Float[Array, ""] | float
 
 IDENTITY = np.eye(3)
-CYCLED = IDENTITY[[1, 2, 0]]
+CROSSED = np.cross(IDENTITY[:, None], IDENTITY[None]).transpose(0, 2, 1)  # [k]: of the vector product by unit vector k
 
 
 def cross(a: Float[Array, "3 *#n"], b: Float[Array, "3 *#n"]) -> Float[Array, "3 ..."]:
     """Vector product."""
     return products.cross(a, b)
-
-
-def _cycle(a: Array) -> Array:
-    """Components (y, z, x)."""
-    return reorder(a, (1, 2, 0))
 
 
 def dot(a: Float[Array, "n *#k"], b: Float[Array, "n *#k"]) -> Float[Array, "..."]:
@@ -84,8 +79,7 @@ def transpose(matrix: Float[Array, "m n *k"]) -> Float[Array, "n m *k"]:
 
 def cross_matrix(a: Float[Array, " 3 *k"]) -> Float[Array, "3 3 *k"]:
     """The matrix of the vector product `a x`."""
-    column, shape = a[:, None], (3, 3) + (1,) * (a.ndim - 1)
-    return _cycle(column * CYCLED.reshape(shape) - _cycle(column) * IDENTITY.reshape(shape))
+    return contract_constant((0,), (1, 2, 0), (1, 2), a, CROSSED)
 
 
 def rotation_x(angle: Float[Array, "*k"]) -> Float[Array, "3 3 *k"]:

@@ -38,6 +38,14 @@ def contract(first: Labels, second: Labels, result: Labels, a: Array | np.ndarra
     return _sum_of_products.bind(a, b, axes=axes[:2], result=axes[2])
 
 
+def contract_constant(
+    first: Labels, second: Labels, result: Labels, a: Array | np.ndarray, constant: np.ndarray
+) -> Array:
+    """`contract` with an array that has no later axes."""
+    later = tuple(range(100, 100 + np.ndim(a) - len(first)))
+    return _sum_of_products.bind(a, constant, axes=((*first, *later), second), result=(*result, *later))
+
+
 def combine(weights: Sequence[Array | np.ndarray], matrices: Sequence[np.ndarray]) -> Array:
     """Sum of constant matrices (m, n) with weights (...), all of one shape, as one matrix (m, n, ...)."""
     later = tuple(range(2, 2 + weights[0].ndim))

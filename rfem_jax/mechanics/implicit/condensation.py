@@ -65,13 +65,16 @@ def local_interfaces(topology: Topology, link: int) -> tuple[int, ...]:
     return tuple(k - first for k in topology.interfaces if first <= k < last)
 
 
-@jax.jit
 def link_operators(
     actual: ModelWithErrors, q_factor: Float[Array, ""], v_factor: Float[Array, ""]
 ) -> tuple[LinkOperator | None, ...]:
     """Operators of all links (None for rigid ones), undeformed, for steps in which a change of the
     accelerations changes coordinates by q_factor [s^2] and rates by v_factor [s] times as much."""
-    actual = jax.lax.stop_gradient(actual)
+    return _link_operators(jax.lax.stop_gradient(actual), q_factor, v_factor)
+
+
+@jax.jit
+def _link_operators(actual, q_factor, v_factor):
     topology, n = actual.topology, actual.topology.n_links
     springs = elasticity.stiffness_blocks(actual)
     zeros = jnp.zeros_like(actual.rest)

@@ -9,6 +9,7 @@ and for unit multipliers of the cut joints at once; the multipliers follow from 
 (7.13)).  One matrix serves all iterations of a step.
 """
 
+import functools
 from typing import NamedTuple
 
 import jax
@@ -108,6 +109,7 @@ class NewtonIncrement(NamedTuple):
     multipliers: Float[Array, " constraints"]
 
 
+@functools.partial(jax.jit, static_argnames="held")
 def iteration_matrix(
     actual: ModelWithErrors,
     operators: tuple[LinkOperator | None, ...],
@@ -210,6 +212,7 @@ def newton_increment(topology: Topology, matrix: IterationMatrix, residual: Resi
     return increment_and_wrenches(topology, matrix, residual)[0]
 
 
+@functools.partial(jax.jit, static_argnums=0)
 def increment_and_wrenches(
     topology: Topology, matrix: IterationMatrix, residual: Residual
 ) -> tuple[NewtonIncrement, list[Float[Array, "6"]]]:
