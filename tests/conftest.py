@@ -26,6 +26,7 @@ import jax  # noqa: E402
 import pytest  # noqa: E402
 from jax._src import compiler  # noqa: E402
 
+from rfem_jax.simulation import stepping  # noqa: E402
 from tests.evaluation_by_numpy import instead_of_compilation  # noqa: E402
 from tests.numpy_evaluation import forget_programs  # noqa: E402
 
@@ -81,8 +82,9 @@ def _compilation(request):
 
 @pytest.fixture(scope="module")
 def quick_compilation(request):
-    """For many programs that run a few times each: compile without most optimisations, and evaluate by NumPy what is
-    not worth that, unless the module says `ALWAYS_COMPILED`, because it compares results to the last bit."""
+    """For many programs that run a few times each: compile without most optimisations and what is not scalarised, and
+    evaluate by NumPy what is not worth that, unless the module says `ALWAYS_COMPILED`, because it compares results to
+    the last bit."""
     before, made = jax.config.read("jax_disable_most_optimizations"), compiler.get_compile_options
 
     def quick(*args, **kwargs):
@@ -92,6 +94,7 @@ def quick_compilation(request):
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(compiler, "get_compile_options", quick)
+        patch.setattr(stepping, "explicit_methods_scalarised", lambda: False)
         jax.config.update("jax_disable_most_optimizations", True)
         with nullcontext() if getattr(request.module, "ALWAYS_COMPILED", False) else instead_of_compilation():
             yield

@@ -77,6 +77,7 @@ class Accelerations(NamedTuple):
     frame_loads: FrameLoads | None = None
 
 
+@jax.jit
 def accelerations(
     actual: ModelWithErrors, state: State, drive: DriveInput, stabilisation: Stabilisation
 ) -> Accelerations:

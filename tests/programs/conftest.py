@@ -1,16 +1,21 @@
-"""Programs run as a user runs them, in processes of their own, on small inputs."""
+"""Programs run as a user runs them, on small inputs."""
 
+import io
 import os
+import runpy
 import subprocess
 import sys
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
+import jax
 import pytest
 
+from rfem_jax.report import command_line
 from tests.conftest import QUICK_OPTIONS
 
 ROOT = Path(__file__).parents[2]
-LAUNCH = Path(__file__).with_name("launch.py")
+COMMAND_LINE = "rfem_jax.report.command_line"
 # Compiled without most optimisations, and kept by JAX for the next test and the next session.
 ENVIRONMENT = {
     "PYTHONPATH": str(ROOT),
@@ -61,22 +66,59 @@ step = 1e-5
 """
 
 
+def in_a_process_of_its_own(program, arguments):
+    """Exit code, what is printed, and errors of a program that is compiled as it is."""
+    environment = {**os.environ, **ENVIRONMENT, "XLA_FLAGS": QUICK_FLAGS, "RFEM_JAX_NO_CACHE": "1"}
+    start = [program] if program.endswith(".py") else ["-m", program]
+    command = [sys.executable, *start, *arguments]
+    answer = subprocess.run(command, env=environment, cwd=ROOT, capture_output=True, text=True)
+    return answer.returncode, answer.stdout, answer.stderr
+
+
+def in_this_process(program, arguments):
+    """The same of a program in this process: what is not worth its compilation is evaluated by NumPy, and what was
+    traced before is not traced again."""
+    said, errors = io.StringIO(), io.StringIO()
+    with (
+        pytest.MonkeyPatch.context() as patch,
+        redirect_stdout(said),
+        redirect_stderr(errors),
+        jax.numpy_dtype_promotion("standard"),
+        jax.numpy_rank_promotion("allow"),
+    ):
+        patch.chdir(ROOT)
+        patch.setattr(sys, "argv", [program, *arguments])
+        patch.setattr(command_line, "set_up_jax", lambda *_: None)  # JAX has started, with one device
+        if program == COMMAND_LINE:
+            return command_line.main(arguments), said.getvalue(), errors.getvalue()
+        before = dict(sys.modules)
+        patch.syspath_prepend(str(Path(program).parent))
+        try:
+            runpy.run_path(program, run_name="__main__")
+            code = 0
+        except SystemExit as end:
+            code = end.code or 0
+        for name in [name for name, module in sys.modules.items() if name not in before and _beside(module, program)]:
+            del sys.modules[name]
+    return code, said.getvalue(), errors.getvalue()
+
+
+def _beside(module, program):
+    """Whether a module was found beside a program; another program may have one of the same name."""
+    return Path(getattr(module, "__file__", None) or "").parent == Path(program).parent
+
+
 @pytest.fixture(scope="session")
 def run_program():
     """What a program of this repository prints, given its path, or its module's name, and its arguments; `compiled`:
-    as it is, without `launch.py`."""
+    as a user's process does it."""
 
     def run(program, *arguments, code=0, compiled=False):
-        environment = {**os.environ, **ENVIRONMENT}
-        environment["XLA_FLAGS"] = QUICK_FLAGS
-        environment["RFEM_JAX_NO_CACHE"] = "1"
         program = str(ROOT / program) if program.endswith(".py") else program
-        plainly = [program] if program.endswith(".py") else ["-m", program]
-        start = plainly if compiled else [str(LAUNCH), program]
-        command = [sys.executable, *start, *map(str, arguments)]
-        answer = subprocess.run(command, env=environment, cwd=ROOT, capture_output=True, text=True)
-        assert answer.returncode == code, answer.stdout[-2000:] + answer.stderr[-4000:]
-        return answer.stdout
+        run_it = in_a_process_of_its_own if compiled else in_this_process
+        found, said, errors = run_it(program, [*map(str, arguments)])
+        assert found == code, said[-2000:] + errors[-4000:]
+        return said
 
     return run
 
