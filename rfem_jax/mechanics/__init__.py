@@ -20,7 +20,8 @@ loads                       joint loads, energies, balance of momentum
 implicit                    residual of the equations for given accelerations, its Newton increments
 statics                     assembled start state and preload
 status                      what can happen to an assembly or a run
-algebra, reordering         vectors, rotations, spatial vectors; permutations of rows
+algebra                     vectors, rotations, spatial vectors
+products, reordering        products of these, permutations of rows: each one operation to JAX
 """
 
 from rfem_jax.mechanics.designs import Design, design, designed, parameters

@@ -1,5 +1,7 @@
 """Programs that are compiled ahead, side by side, are those that are used: each is traced once."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -15,12 +17,18 @@ from rfem_jax.tolerancing.problems.quadratic_model import expand_by_differences,
 from rfem_jax.tolerancing.problems.simulated_problem import Problem
 from rfem_jax.tolerancing.sensitivities import sensitivity
 from tests.compilation.functions import covered
-from tests.mechanisms import four_bar
+from tests.mechanisms import four_bar, link
 
 COMPILED_AS_SHIPPED = True
 
 DRIVE, DURATION = MomentRamp("A", 0.5, 0.01), 0.02
 WIDTHS = {"D.delta_x": 0.01}
+
+
+def with_a_flexible_coupler():
+    """The four-bar with one flexible link: its programs are compiled as shipped."""
+    links = [link("crank", 0.12), link("coupler", 0.3, 2), link("rocker", 0.3)]
+    return dataclasses.replace(four_bar(2), links=links)
 
 
 @pytest.fixture
@@ -40,7 +48,7 @@ def traced(monkeypatch, tmp_path):
 @pytest.fixture
 def problem():
     return Problem(
-        discretise(four_bar(2)), DRIVE, DURATION, "A.mean_square_moment", Method("generalised_alpha", step=2e-3)
+        discretise(with_a_flexible_coupler()), DRIVE, DURATION, "A.mean_square_moment", Method("generalised_alpha", step=2e-3)
     )
 
 
@@ -59,7 +67,7 @@ def test_values_after_an_expansion(traced, problem):
 
 
 def stepped(step, save_every=4e-3, method="generalised_alpha"):
-    model = discretise(four_bar(2))
+    model = discretise(with_a_flexible_coupler())
     return Problem(model, DRIVE, DURATION, "A.mean_square_moment", Method(method, step=step), save_every)
 
 
@@ -83,7 +91,7 @@ def test_one_program_serves_all_steps(traced):
 
 
 def test_parts_of_a_simulation_serve_all_steps(traced):
-    model, forces = discretise(four_bar(2)), []
+    model, forces = discretise(with_a_flexible_coupler()), []
     for step in (2e-3, 1e-3):
         method = Method("generalised_alpha", step=step)
         run = simulate(model, drive=DRIVE, duration=DURATION, method=method, save_every=4e-3)
@@ -131,5 +139,5 @@ def test_few_steps_are_compiled_quickly(problem):
 
 def test_trials_of_auto(traced):
     jax.clear_caches()
-    assert choose_method(discretise(four_bar(2)), Method("auto"), DRIVE, DURATION).step > 0.0
+    assert choose_method(discretise(with_a_flexible_coupler()), Method("auto"), DRIVE, DURATION).step > 0.0
     assert [traced.count(name) for name in ("prepare_trials", "loads_of_trials")] == [1, 1]
