@@ -106,7 +106,7 @@ def _sum_by_operations(*operands, axes: tuple[Labels, ...], result: Labels) -> A
         spread.append(lax.broadcast_in_dim(operand, [sizes[label] for label in order], sorted(places)))
     total = functools.reduce(lax.add, map(lax.mul, spread[::2], spread[1::2]))
     summed = [place for place, label in enumerate(order) if label not in result]
-    total = jnp.sum(total, axis=tuple(summed)) if summed else total
+    total = lax.reduce_sum(total, summed) if summed else total
     left = [label for label in order if label in result]
     return total if left == list(result) else lax.transpose(total, [left.index(label) for label in result])
 

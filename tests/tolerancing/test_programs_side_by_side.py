@@ -47,9 +47,8 @@ def traced(monkeypatch, tmp_path):
 
 @pytest.fixture
 def problem():
-    return Problem(
-        discretise(with_a_flexible_coupler()), DRIVE, DURATION, "A.mean_square_moment", Method("generalised_alpha", step=2e-3)
-    )
+    model, method = discretise(with_a_flexible_coupler()), Method("generalised_alpha", step=2e-3)
+    return Problem(model, DRIVE, DURATION, "A.mean_square_moment", method)
 
 
 def test_sensitivities_with_a_finer_step(traced, problem):
