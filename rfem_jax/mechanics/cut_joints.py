@@ -182,7 +182,7 @@ class _Side(NamedTuple):
     centre_bias: Float[Array, "3 n"]
 
 
-@jax.jit
+@jax.jit  # traced once for all its places
 def closure(actual: ModelWithErrors, motion: Motion, scale: Scalar) -> Closure | None:
     """Constraints of all cut joints (None without any); `scale` [m] multiplies the equations of axes."""
     topology = actual.topology

@@ -77,7 +77,7 @@ class Accelerations(NamedTuple):
     frame_loads: FrameLoads | None = None
 
 
-@jax.jit
+@jax.jit  # traced once for all its places
 def accelerations(
     actual: ModelWithErrors, state: State, drive: DriveInput, stabilisation: Stabilisation
 ) -> Accelerations:

@@ -79,7 +79,7 @@ class Motion(NamedTuple):
     axis_velocity: Float[Array, "6 freedoms"]
 
 
-@jax.jit
+@jax.jit  # traced once for all its places
 def motion_of(actual: ModelWithErrors, state: State) -> Motion:
     """Positions and velocities of all links and rfes at one instant."""
     topology = actual.topology
@@ -254,13 +254,6 @@ def node_frames(topology: Topology, motion: Motion, nodes: Sequence[int]) -> Fra
 
 def spread(topology: Topology, values: Float[Array, "*k links"]) -> Float[Array, "*k rfes"]:
     """Values by link repeated for every free rfe of the link."""
-    flexible = [l for l, n in enumerate(topology.elements) if n > 1]
-    counts = {topology.elements[l] - 1 for l in flexible}
-    if len(counts) == 1 and flexible == list(range(flexible[0], flexible[-1] + 1)):
-        (count,) = counts
-        chosen = values[..., flexible[0] : flexible[-1] + 1]
-        repeated = jnp.broadcast_to(chosen[..., None], (*chosen.shape, count))
-        return repeated.reshape(*values.shape[:-1], len(flexible) * count)
     by_link = [
         jnp.broadcast_to(values[..., l : l + 1], values.shape[:-1] + (n - 1,)) for l, n in enumerate(topology.elements)
     ]

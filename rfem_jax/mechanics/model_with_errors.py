@@ -168,7 +168,7 @@ class ModelWithErrors(eqx.Module):
     springs: dict[str, CompliantSpring] | None = None
 
 
-@jax.jit
+@jax.jit  # traced once for all its places
 def apply_errors(model: Model, errors: AssemblyErrors) -> ModelWithErrors:
     """Apply the errors to the model; deviations of parameters are applied before, by `designed`."""
     assert not errors.parameters, "`designed` has not been called"

@@ -20,6 +20,7 @@ from rfem_jax import (
     simulate,
 )
 from rfem_jax.description.study import Case, Study
+from rfem_jax.mechanics import kinematics
 from rfem_jax.mechanics.status import DIVERGED, NOT_ASSEMBLED
 from rfem_jax.simulation import integration, stepping
 from tests.mechanisms import STEEL, four_bar, link
@@ -53,6 +54,23 @@ def test_program_does_not_grow_with_the_number_of_rfes(small, counts, monkeypatc
         sizes.append(equations_in(program.jaxpr))
     assert len(set(sizes)) == 1
     assert sizes[0] > 1000
+
+
+@pytest.mark.parametrize("transformed", [lambda f: f, jax.jacfwd, jax.grad], ids=["value", "forward", "reverse"])
+def test_kinematics_are_traced_once_for_all_their_places(transformed, monkeypatch):
+    """They stand in static start, steps, matrix, loads and balances; a second time for what has no batch axis there."""
+    places, plain = [], kinematics.relative_motion
+    monkeypatch.setattr(kinematics, "relative_motion", lambda *given: places.append(1) or plain(*given))
+    model, method = discretise(four_bar(2)), Method("generalised_alpha", step=1e-3)
+
+    def force(tilt):
+        errors = assembly_errors(model, {"D.delta_x": tilt})
+        run = simulate(model, errors, drive=MomentRamp("A", 1.0, 0.01), duration=4e-3, method=method, save_every=1e-3)
+        return run.metrics.mean_square_force["A"]
+
+    jax.clear_caches()
+    jax.make_jaxpr(transformed(force))(1e-3)
+    assert 1 <= len(places) <= 2
 
 
 def test_new_numbers_do_not_retrace(small):

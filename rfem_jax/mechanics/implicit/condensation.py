@@ -73,7 +73,7 @@ def link_operators(
     return _link_operators(jax.lax.stop_gradient(actual), q_factor, v_factor)
 
 
-@jax.jit
+@jax.jit  # traced once for all its places
 def _link_operators(actual, q_factor, v_factor):
     topology, n = actual.topology, actual.topology.n_links
     springs = elasticity.stiffness_blocks(actual)

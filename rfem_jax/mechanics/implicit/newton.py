@@ -109,7 +109,7 @@ class NewtonIncrement(NamedTuple):
     multipliers: Float[Array, " constraints"]
 
 
-@functools.partial(jax.jit, static_argnames="held")
+@functools.partial(jax.jit, static_argnames="held")  # as `motion_of`
 def iteration_matrix(
     actual: ModelWithErrors,
     operators: tuple[LinkOperator | None, ...],
@@ -212,7 +212,7 @@ def newton_increment(topology: Topology, matrix: IterationMatrix, residual: Resi
     return increment_and_wrenches(topology, matrix, residual)[0]
 
 
-@functools.partial(jax.jit, static_argnums=0)
+@functools.partial(jax.jit, static_argnums=0)  # as `motion_of`
 def increment_and_wrenches(
     topology: Topology, matrix: IterationMatrix, residual: Residual
 ) -> tuple[NewtonIncrement, list[Float[Array, "6"]]]:

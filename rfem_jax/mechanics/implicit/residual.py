@@ -99,7 +99,7 @@ def residual_forces(
     return jnp.concatenate([part.reshape(-1) for part in parts])
 
 
-@jax.jit
+@jax.jit  # traced once for all its places
 def evaluate_residual(
     actual: ModelWithErrors,
     state: State,
