@@ -3,9 +3,9 @@
 Place in the pipeline: used by algebra.
 
 Written by JAX's operations, a product of matrices is four of them and a cross product six, and Python traces each of
-these by itself, differentiates, transposes and batches it: for a derivative of a simulation that is half of the time
-before XLA sees a program.  Here either is one operation to all these transformations, and so is a sum of such products,
-which is what the derivative of one is.  XLA is given the same products and sums as before.
+these by itself, differentiates, transposes and batches it, before XLA sees a program.  Here either is one operation to
+all these transformations, and so is a sum of such products, which is what the derivative of one is.  XLA is given the
+products and sums that these operations were.
 """
 
 import functools
@@ -18,6 +18,8 @@ from jax import Array, lax
 from jax.core import ShapedArray
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
+
+from rfem_jax.mechanics.reordering import reorder
 
 Labels = tuple[int, ...]
 
@@ -85,7 +87,7 @@ def _sizes(operands: Sequence, axes: tuple[Labels, ...]) -> dict[int, int]:
 
 
 @functools.cache
-def product_order(axes: tuple[Labels, ...], result: Labels) -> Labels:
+def _order(axes: tuple[Labels, ...], result: Labels) -> Labels:
     """All labels, in an order in which as many operands as possible need not be transposed."""
     order: list[int] = []
     for labels in (result, *axes):
@@ -98,7 +100,7 @@ def product_order(axes: tuple[Labels, ...], result: Labels) -> Labels:
 
 def _sum_by_operations(*operands, axes: tuple[Labels, ...], result: Labels) -> Array:
     """The sum of the products of neighbouring operands by JAX's own operations."""
-    order, sizes = product_order(axes, result), _sizes(operands, axes)
+    order, sizes = _order(axes, result), _sizes(operands, axes)
     spread = []
     for operand, labels in zip(operands, axes):
         places = [order.index(label) for label in labels]
@@ -115,24 +117,12 @@ def _cross_by_operations(*operands, axis: int) -> Array:
     """The sum of the cross products of neighbouring operands by JAX's own operations."""
 
     def cycle(x):
-        return lax.gather(
-            x, np.array([[1], [2], [0]], np.int32), _rows(x.ndim, axis), _one_row(x.shape, axis),
-            unique_indices=True, mode="promise_in_bounds",
-        )  # fmt: skip
+        return reorder(x, (1, 2, 0), axis)
 
     pairs = list(zip(operands[::2], operands[1::2]))
     forth = functools.reduce(jnp.add, [a * cycle(b) for a, b in pairs])
     back = functools.reduce(jnp.add, [cycle(a) * b for a, b in pairs])
     return cycle(forth - back)
-
-
-def _rows(ndim: int, axis: int) -> lax.GatherDimensionNumbers:
-    offsets = tuple(i for i in range(ndim) if i != axis)
-    return lax.GatherDimensionNumbers(offset_dims=offsets, collapsed_slice_dims=(axis,), start_index_map=(axis,))
-
-
-def _one_row(shape: tuple[int, ...], axis: int) -> list[int]:
-    return [1 if i == axis else n for i, n in enumerate(shape)]
 
 
 def _sum_type(*operands, axes: tuple[Labels, ...], result: Labels) -> ShapedArray:
@@ -167,33 +157,30 @@ def _derivative(primitive: Primitive):
     return rule
 
 
-def _sum_transposed(cotangent, *operands, axes, result):
-    cotangents: list = [None] * len(operands)
-    for place, operand in enumerate(operands):
-        if ad.is_undefined_primal(operand):
-            if type(cotangent) is ad.Zero:
-                cotangents[place] = ad.Zero(operand.aval)
-                continue
-            other = place ^ 1
-            cotangents[place] = _sum_of_products.bind(
-                cotangent, operands[other], axes=(result, axes[other]), result=axes[place]
-            )
-    return cotangents
+def _transposed(back):
+    """The rule of reverse mode; `back`: cotangent of the operand at a place from that of the result."""
+
+    def rule(cotangent, *operands, **settings):
+        cotangents: list = [None] * len(operands)
+        for place, operand in enumerate(operands):
+            if ad.is_undefined_primal(operand):
+                nothing = type(cotangent) is ad.Zero
+                cotangents[place] = ad.Zero(operand.aval) if nothing else back(cotangent, operands, place, **settings)
+        return cotangents
+
+    return rule
 
 
-def _cross_transposed(cotangent, *operands, axis):
-    cotangents: list = [None] * len(operands)
-    for place, operand in enumerate(operands):
-        if ad.is_undefined_primal(operand):
-            if type(cotangent) is ad.Zero:
-                cotangents[place] = ad.Zero(operand.aval)
-                continue
-            pair = (operands[place ^ 1], cotangent) if place % 2 == 0 else (cotangent, operands[place ^ 1])
-            found = _cross_product.bind(*pair, axis=axis)
-            shape = operand.aval.shape
-            spread = tuple(i for i, (n, m) in enumerate(zip(shape, found.shape)) if n != m)
-            cotangents[place] = jnp.sum(found, axis=spread, keepdims=True) if spread else found
-    return cotangents
+def _sum_back(cotangent, operands, place: int, *, axes, result):
+    other = place ^ 1
+    return _sum_of_products.bind(cotangent, operands[other], axes=(result, axes[other]), result=axes[place])
+
+
+def _cross_back(cotangent, operands, place: int, *, axis):
+    pair = (operands[place ^ 1], cotangent) if place % 2 == 0 else (cotangent, operands[place ^ 1])
+    found, shape = _cross_product.bind(*pair, axis=axis), operands[place].aval.shape
+    spread = tuple(i for i, (n, m) in enumerate(zip(shape, found.shape)) if n != m)
+    return jnp.sum(found, axis=spread, keepdims=True) if spread else found
 
 
 def _sum_batched(operands, batches, *, axes, result):
@@ -217,15 +204,15 @@ def _cross_batched(operands, batches, *, axis):
     return _cross_product.bind(*moved, axis=axis + (place <= axis)), place
 
 
-def _define(primitive: Primitive, by_operations, type_of, transposed, batched) -> None:
+def _define(primitive: Primitive, by_operations, type_of, back, batched) -> None:
     names = ("axis",) if primitive is _cross_product else ("axes", "result")
     primitive.def_impl(jax.jit(by_operations, static_argnames=names))
     primitive.def_abstract_eval(type_of)
     ad.primitive_jvps[primitive] = _derivative(primitive)
-    ad.primitive_transposes[primitive] = transposed
+    ad.primitive_transposes[primitive] = _transposed(back)
     batching.primitive_batchers[primitive] = batched
     mlir.register_lowering(primitive, mlir.lower_fun(by_operations, multiple_results=False))
 
 
-_define(_sum_of_products, _sum_by_operations, _sum_type, _sum_transposed, _sum_batched)
-_define(_cross_product, _cross_by_operations, _cross_type, _cross_transposed, _cross_batched)
+_define(_sum_of_products, _sum_by_operations, _sum_type, _sum_back, _sum_batched)
+_define(_cross_product, _cross_by_operations, _cross_type, _cross_back, _cross_batched)
