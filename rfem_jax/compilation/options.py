@@ -194,8 +194,11 @@ def own_options_hold() -> bool:
     """Make JAX compile this package's own programs with their own options; returns whether it does.
 
     Options of this kind cannot be given to `jax.jit`, so JAX's function that makes the options of a program is wrapped.
+    They are those of a CPU's compiler, some of which others refuse.
     """
-    if not settle().set:
+    import jax
+
+    if not settle().set or jax.default_backend() != "cpu":
         return False
     from jax._src.interpreters import pxla
 

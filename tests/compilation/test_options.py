@@ -175,6 +175,14 @@ def test_kernels_are_made_without_mlir_in_own_programs_without_scalars():
     assert overridden(options.OwnProgram()) == chosen and overridden(options.OwnProgram(scalarised=True)) == []
 
 
+def test_options_of_a_cpu_are_not_given_to_other_compilers(monkeypatch):
+    # A GPU's compiler refuses one of them, and programs fail.
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    assert not options.own_options_hold()
+    monkeypatch.undo()
+    assert options.own_options_hold()
+
+
 def test_an_older_jaxlib_gets_no_options_and_a_newer_one_is_tried_once(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr(options, "user_cache_folder", lambda: tmp_path / "cache")

@@ -15,6 +15,7 @@ import pytest
 import rfem_jax
 from rfem_jax.description.errors import InputError
 from rfem_jax.tolerancing import progress as progress_module
+from rfem_jax.tolerancing.problems import execution
 from rfem_jax.tolerancing.problems.distributions import Normal, Uniform
 from rfem_jax.tolerancing.problems.joint_distributions import CorrelatedNormal
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
@@ -150,6 +151,28 @@ def test_one_program_serves_all_chunks_and_new_widths():
         study = monte_carlo(problem, Tolerances({"a": Uniform(width)}), n, KEY, batch=batch)
         assert np.abs(study.values).max() > 0.5 * width
     assert len(traces) == 1
+
+
+@pytest.mark.parametrize(("lanes", "launches"), [(4, 9), (9, 5), (16, 3), (1000, 1)])
+def test_small_chunks_are_launched_together(lanes, launches, monkeypatch, tmp_path):
+    sizes = []
+
+    def counted(problem, tolerances, points, lanes):
+        sizes.append(len(points))
+        return evaluate(problem, tolerances, points, lanes)
+
+    evaluate = execution.evaluate
+    monkeypatch.setattr(jax, "local_device_count", lambda: 1)
+    alone = monte_carlo(VIBRATION, TOLERANCES, 60, KEY, batch=60)
+    monkeypatch.setattr(execution, "evaluate", counted)
+    first = monte_carlo(VIBRATION, TOLERANCES, 27, KEY, batch=4, lanes=lanes, resume=tmp_path)
+    sizes.clear()
+    # The last chunk of three samples is completed, seven are there, eight are new.
+    study = monte_carlo(VIBRATION, TOLERANCES, 60, KEY, batch=4, lanes=lanes, resume=tmp_path)
+    assert (first.chunks_computed, study.chunks_computed) == (7, 9)
+    assert sum(sizes) == 33 and len(sizes) == launches
+    np.testing.assert_array_equal(study.errors, alone.errors)
+    np.testing.assert_allclose(study.values, alone.values, rtol=1e-14)
 
 
 def test_failures_are_counted_by_cause_and_not_averaged():
