@@ -2,7 +2,8 @@
 
 import gc
 import os
-from contextlib import nullcontext
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
 # SciPy's LAPACK keeps its threads spinning after a call, on the core of the other worker.
@@ -26,6 +27,7 @@ import jax  # noqa: E402
 import pytest  # noqa: E402
 from jax._src import compiler  # noqa: E402
 
+from rfem_jax.report import output, style  # noqa: E402
 from rfem_jax.simulation import stepping  # noqa: E402
 from tests.evaluation_by_numpy import instead_of_compilation  # noqa: E402
 from tests.numpy_evaluation import forget_programs  # noqa: E402
@@ -80,11 +82,10 @@ def _compilation(request):
         request.getfixturevalue("quick_compilation")
 
 
-@pytest.fixture(scope="module")
-def quick_compilation(request):
-    """For many programs that run a few times each: compile without most optimisations and what is not scalarised, and
-    evaluate by NumPy what is not worth that, unless the module says `ALWAYS_COMPILED`, because it compares results to
-    the last bit."""
+@contextmanager
+def compiled_quickly(always_compiled: bool = False) -> Iterator[None]:
+    """In which programs are compiled without most optimisations and what is not scalarised, for many programs that run
+    a few times each; unless `always_compiled`, NumPy evaluates what is not worth that."""
     before, made = jax.config.read("jax_disable_most_optimizations"), compiler.get_compile_options
 
     def quick(*args, **kwargs):
@@ -96,9 +97,27 @@ def quick_compilation(request):
         patch.setattr(compiler, "get_compile_options", quick)
         patch.setattr(stepping, "explicit_methods_scalarised", lambda: False)
         jax.config.update("jax_disable_most_optimizations", True)
-        with nullcontext() if getattr(request.module, "ALWAYS_COMPILED", False) else instead_of_compilation():
+        with nullcontext() if always_compiled else instead_of_compilation():
             yield
     jax.config.update("jax_disable_most_optimizations", before)
+
+
+@pytest.fixture(scope="module")
+def quick_compilation(request):
+    """As `compiled_quickly`; NumPy evaluates nothing where the module says `ALWAYS_COMPILED`, because it compares
+    results to the last bit, or its programs run long. Session fixtures, which come first, do it themselves."""
+    with compiled_quickly(getattr(request.module, "ALWAYS_COMPILED", False)):
+        yield
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _rough_pictures(request):
+    """Pictures are small and not laid out, a third of the work, unless the module says `PICTURES_AS_SHIPPED`."""
+    with pytest.MonkeyPatch.context() as patch:
+        if not getattr(request.module, "PICTURES_AS_SHIPPED", False):
+            patch.setitem(style.SETTINGS, "savefig.dpi", 20)
+            patch.setattr(output, "_lay_out", lambda figure: figure.set_layout_engine("none"))
+        yield
 
 
 def memory_maps() -> int:

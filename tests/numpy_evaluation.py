@@ -18,6 +18,9 @@ from jax.core import Tracer
 from jax.extend.core import ClosedJaxpr, Literal
 from jax.interpreters import partial_eval
 
+from rfem_jax.compilation import options
+from rfem_jax.compilation.unbatched_calls import keep_unbatched_calls
+
 CALLS = frozenset(["jit", "pjit", "closed_call", "checkpoint", "remat", "remat2", "custom_jvp_call", "custom_vjp_call"])
 ELEMENTWISE: dict[str, Callable] = {
     **{name: getattr(np, name) for name in "sin cos tan exp exp2 log log1p expm1 sqrt tanh sinh cosh abs".split()},
@@ -52,7 +55,7 @@ def by_numpy(function: Callable) -> Callable:
     def evaluated(*arguments):
         if any(isinstance(x, Tracer) for x in jax.tree.leaves(arguments)):
             return function(*arguments)
-        program, shapes = jax.make_jaxpr(function, return_shape=True)(*arguments)
+        program, shapes = _traced(function, *arguments)
         with np.errstate(all="ignore"):
             results = _evaluate(program, [np.asarray(x) for x in jax.tree.leaves(arguments)])
         return jax.tree.unflatten(jax.tree.structure(shapes), [np.array(x) for x in results])
@@ -66,12 +69,19 @@ def each_by_numpy(function: Callable) -> Callable:
     @functools.wraps(function)
     def evaluated(*arguments):
         samples = [[np.asarray(x) for x in jax.tree.leaves(sample)] for sample in _samples(arguments)]
-        program, shapes = jax.make_jaxpr(function, return_shape=True)(*_samples(arguments)[0])
+        program, shapes = _traced(function, *_samples(arguments)[0])
         with np.errstate(all="ignore"):
             results = zip(*(_evaluate(program, sample) for sample in samples), strict=True)
         return jax.tree.unflatten(jax.tree.structure(shapes), [np.stack(x) for x in results])
 
     return evaluated
+
+
+def _traced(function: Callable, *arguments):
+    """As a program of this package, and the shapes of its results."""
+    keep_unbatched_calls()
+    with options.own_program():
+        return jax.make_jaxpr(function, return_shape=True)(*arguments)
 
 
 def _samples(trees: tuple) -> list[tuple]:

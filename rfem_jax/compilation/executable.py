@@ -24,6 +24,7 @@ from jaxlib.lapack import prepare_lapack_call
 
 from rfem_jax.compilation import keys, options
 from rfem_jax.compilation.stages import on_stage
+from rfem_jax.compilation.unbatched_calls import keep_unbatched_calls
 
 # In the text of programs that call LAPACK on the CPU.  JAX looks up LAPACK's functions when it lowers such a program;
 # before that, the addresses that a loaded program calls are null.
@@ -121,6 +122,7 @@ def trace(
     """Trace and lower a function for arrays, or for their shapes; `facts` is called afterwards."""
     what = function.__name__.strip("_").replace("_", " ")
     on_stage(f"Tracing the program {what!r}")
+    keep_unbatched_calls()
     with without_collections(), options.own_program() as program:
         traced = jax.jit(function).trace(*arrays)
         lowered = traced.lower()

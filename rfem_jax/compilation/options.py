@@ -171,6 +171,11 @@ def own_program(scalarised: bool = False) -> Iterator[OwnProgram]:
         _own.program = before
 
 
+def in_own_program() -> bool:
+    """Whether this thread traces or compiles a program of this package."""
+    return getattr(_own, "program", None) is not None
+
+
 def note_scalarised() -> None:
     """Record that the program which this thread is tracing has a scalarised jaxpr in it."""
     program = getattr(_own, "program", None)

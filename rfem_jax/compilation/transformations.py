@@ -7,7 +7,7 @@ Place in the pipeline: `program` binds it where the user transforms without `jit
     reverse mode    the results at once, and the linear part later, whose transpose is the vjp of the call
     inside `jit`    the function itself, traced
 
-The only module that uses private names of JAX: they say which transformations are in progress.
+The private names of JAX that it uses say which transformations are in progress.
 """
 
 from collections.abc import Callable, Sequence

@@ -10,6 +10,7 @@ derivatives of both are formed independently, by 4 x 4 matrices and automatic di
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -17,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.flatten_util import ravel_pytree
+from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from rfem_jax.description.joint_kinds import JointKind
@@ -30,27 +32,29 @@ from rfem_jax.mechanics.joint_springs import CompliantSpring
 from rfem_jax.mechanics.model import BASE, Coordinates, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 
+NOT_MOVED: Any = np.eye(4)  # the transform of the base
 
-def _transform(rotation: Array, position: Array) -> Array:
-    top = jnp.concatenate([rotation, position[:, None]], axis=1)
-    return jnp.concatenate([top, jnp.array([[0.0, 0.0, 0.0, 1.0]])])
+
+def _transform(rotation: ArrayLike, position: ArrayLike) -> Array:
+    top = jnp.concatenate([rotation, jnp.reshape(position, (3, 1))], axis=1)
+    return jnp.concatenate([top, np.array([[0.0, 0.0, 0.0, 1.0]])])
 
 
 def _about(axis: int, angle: Array) -> Array:
     """Rotation about a coordinate axis."""
-    c, s = jnp.cos(angle), jnp.sin(angle)
+    along, turning = np.zeros((3, 3)), np.zeros((3, 3))
     i, j = (axis + 1) % 3, (axis + 2) % 3
-    matrix = jnp.eye(3)
-    return matrix.at[i, i].set(c).at[j, j].set(c).at[i, j].set(-s).at[j, i].set(s)
+    along[axis, axis], turning[j, i], turning[i, j] = 1.0, 1.0, -1.0
+    return jnp.cos(angle) * (np.eye(3) - along) + jnp.sin(angle) * turning + along
 
 
 def _changed(topology: Topology, position: Coordinates, change: Coordinates) -> Coordinates:
     """The position with its plain numbers changed."""
-    joints = position.joints
+    chosen = np.zeros((position.joints.shape[0], change.joints.shape[0]))
     for l in range(topology.n_links):
         for k, rate in list(zip(topology.positions[l], topology.coordinates[l]))[: topology.plain(l)]:
-            joints = joints.at[k].add(change.joints[rate])
-    return Coordinates(joints, position.elastic + change.elastic)
+            chosen[k, rate] = 1.0
+    return Coordinates(position.joints + chosen @ change.joints, position.elastic + change.elastic)
 
 
 def _turned(q: Array) -> Array:
@@ -71,14 +75,14 @@ def transforms(
         position = _changed(topology, position, change)
     seat = [_transform(actual.seat_rotation[:, :, j], actual.seat_position[:, j]) for j in range(len(topology.joints))]
     bore = [_transform(actual.bore_rotation[:, :, j], actual.bore_position[:, j]) for j in range(len(topology.joints))]
-    frames = {BASE: jnp.eye(4)}
+    frames: dict[int, Any] = {BASE: NOT_MOVED}
     for l, (a, b) in enumerate(topology.ranges):
         hinge = frames[topology.parents[l]] @ seat[l]
         at = topology.positions[l]
         for freedom, k in zip(topology.kind(l).freedoms[: topology.plain(l)], at):
             q = position.joints[k]
-            along = _transform(jnp.eye(3), jnp.eye(3)[freedom.axis] * q)
-            hinge = hinge @ (_transform(_about(freedom.axis, q), jnp.zeros(3)) if freedom.rotation else along)
+            along = _transform(np.eye(3), np.eye(3)[freedom.axis] * q)
+            hinge = hinge @ (_transform(_about(freedom.axis, q), np.zeros(3)) if freedom.rotation else along)
         if topology.kind(l).ball:
             rotation = _turned(position.joints[at.stop - 4 : at.stop])
             if change is not None:
@@ -86,7 +90,7 @@ def transforms(
                 x, y, z = change.joints[stop - 3 : stop]
                 skew = jnp.array([[0.0 * x, -z, y], [z, 0.0 * x, -x], [-y, x, 0.0 * x]])
                 rotation = (jnp.eye(3) + skew + 0.5 * skew @ skew) @ rotation
-            hinge = hinge @ _transform(rotation, jnp.zeros(3))
+            hinge = hinge @ _transform(rotation, np.zeros(3))
         frames[l] = hinge @ jnp.linalg.inv(bore[l])
         for k in range(a, b):
             x, y, z, phi_x, phi_y, phi_z = position.elastic[:, k]
@@ -94,7 +98,7 @@ def transforms(
             if topology.exact:
                 outer = _about(1, phi_y) @ _about(2, phi_z)
             rotation = outer @ _about(0, phi_x)
-            rest = jnp.array([1.0, 0.0, 0.0]) * actual.rest[k]
+            rest = np.array([1.0, 0.0, 0.0]) * actual.rest[k]
             relative = _transform(rotation, rest + jnp.stack([x, y, z]))
             frames[topology.n_links + k] = frames[l] @ relative
     return [frames[node] for node in range(topology.n_links + topology.n_rfes)]
@@ -117,7 +121,7 @@ def joint_frames(
     parent, child = actual.topology.parents[joint], actual.topology.children[joint]
     seat = _transform(actual.seat_rotation[:, :, joint], actual.seat_position[:, joint])
     bore = _transform(actual.bore_rotation[:, :, joint], actual.bore_position[:, joint])
-    return (jnp.eye(4) if parent == BASE else frames[parent]) @ seat, frames[child] @ bore
+    return (NOT_MOVED if parent == BASE else frames[parent]) @ seat, frames[child] @ bore
 
 
 def joint_rows(kind: JointKind, left: Float[Array, "4 4"], right: Float[Array, "4 4"], scale: Scalar) -> Array:
@@ -370,8 +374,7 @@ def reference_accelerations(
     mass = jnp.einsum("nabi,nbc,nacj->ij", derivatives, pseudo_inertia, derivatives)
     inertial = jnp.einsum("nabi,nbc,nac->i", derivatives, pseudo_inertia, bias)
 
-    def potential(q):
-        frames = matrices(q)
+    def potential(frames, q):
         weights = jnp.einsum("nabc,nc->nab", frames[:, :3, None, :], pseudo_inertia[:, :, 3])
         of_gravity = -jnp.sum(weights[:, :, 0] @ actual.gravity)
         if topology.exact:
@@ -388,7 +391,8 @@ def reference_accelerations(
             return 0.5 * jnp.sum(actual.stiffness * actual.damping[None] * rate**2)
         return 0.5 * elasticity.dissipated_power(actual, State(state.position, unravel(qd)))
 
-    force = -inertial - jax.grad(potential)(q) - jax.grad(rayleigh)(qd)
+    by_frames, directly = jax.grad(potential, (0, 1))(matrices(q), q)
+    force = -inertial - jnp.einsum("nab,nabi->i", by_frames, derivatives) - directly - jax.grad(rayleigh)(qd)
     force = force + _along_joints(actual, state, drive, unravel) + (0.0 if applied is None else applied)
     force = force + _of_elements(actual, drive, matrices(q), derivatives, qd)
 

@@ -23,6 +23,8 @@ from rfem_jax import (
 )
 from tests.mechanisms import four_bar, link
 
+ALWAYS_COMPILED = True  # programs of many steps, for which NumPy takes too long
+
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("quick_compilation")]
 
 KINDS = ("delta_x", "delta_z", "d_x", "d_y", "d_z")
