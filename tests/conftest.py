@@ -27,7 +27,7 @@ import jax  # noqa: E402
 import pytest  # noqa: E402
 from jax._src import compiler  # noqa: E402
 
-from rfem_jax.report import output, style  # noqa: E402
+from rfem_jax.report import pictures, style  # noqa: E402
 from rfem_jax.simulation import stepping  # noqa: E402
 from tests.evaluation_by_numpy import instead_of_compilation  # noqa: E402
 from tests.numpy_evaluation import forget_programs  # noqa: E402
@@ -116,7 +116,8 @@ def _rough_pictures(request):
     with pytest.MonkeyPatch.context() as patch:
         if not getattr(request.module, "PICTURES_AS_SHIPPED", False):
             patch.setitem(style.SETTINGS, "savefig.dpi", 20)
-            patch.setattr(output, "_lay_out", lambda figure: figure.set_layout_engine("none"))
+            patch.setattr(pictures, "_lay_out", lambda figure: figure.set_layout_engine("none"))
+            patch.setattr(pictures, "draw_beside", lambda: None)
         yield
 
 

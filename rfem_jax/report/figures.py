@@ -18,7 +18,7 @@ from rfem_jax.description.study import Study
 from rfem_jax.report.annotations import Figure, Run, Summaries
 from rfem_jax.report.contact_figures import orbit_figures
 from rfem_jax.report.driven_motions_report import drive_quantities, has_driven_joint
-from rfem_jax.report.output import write_pictures
+from rfem_jax.report.pictures import write_pictures
 from rfem_jax.report.quantities import (
     MAX_AXIAL_FORCE,
     MAX_NORMAL_FORCE,

@@ -15,18 +15,13 @@ import json
 import math
 import platform
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import UInt8
 
-from rfem_jax.report.annotations import Figure
 from rfem_jax.whole_files import replacing
-
-Pixels = UInt8[np.ndarray, "height width 4"]
 
 _PACKAGES = ("rfem_jax", "jax", "jaxlib", "diffrax", "equinox", "optimistix", "lineax", "numpy")
 
@@ -91,48 +86,3 @@ def csv_cell(value: Any) -> Any:
         return "" if np.isnan(value) else f"{value:.12g}"
     # A spreadsheet takes such a text for a formula: with an apostrophe before it it is a text.
     return f"'{value}" if isinstance(value, str) and value.startswith(("=", "+", "-", "@")) else value
-
-
-def write_pictures(folder: str | Path, figures: Mapping[str, Figure]) -> list[Path]:
-    """Write {name: figure} into `folder` as PNG (200 dpi); returns their paths."""
-    from matplotlib import rc_context
-
-    from rfem_jax.report.style import SETTINGS
-
-    # A picture is compressed while the next one is drawn.
-    with rc_context(SETTINGS), ThreadPoolExecutor(1) as pool:
-        written = [
-            pool.submit(_write_picture, Path(folder) / f"{name}.png", _drawn(figure), figure.dpi)
-            for name, figure in figures.items()
-        ]
-    return [one.result() for one in written]
-
-
-def _drawn(figure: Figure) -> Pixels:
-    """The pixels that `Figure.savefig` writes, with the layout found once: it draws a figure twice for it."""
-    from matplotlib import rcParams
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-
-    figure.set_dpi(rcParams["savefig.dpi"])
-    figure.set_facecolor(rcParams["savefig.facecolor"])
-    canvas = FigureCanvasAgg(figure)
-    _lay_out(figure)
-    canvas.draw()
-    return np.asarray(canvas.buffer_rgba())
-
-
-def _lay_out(figure: Figure) -> None:
-    if (engine := figure.get_layout_engine()) is not None:
-        engine.execute(figure)
-        figure.set_layout_engine("none")
-
-
-def _write_picture(path: Path, pixels: Pixels, dpi: float) -> Path:
-    """Write a PNG file, without a channel that is opaque everywhere; zlib's usual level would take five times as long
-    for files a fifth smaller."""
-    from PIL import Image
-
-    with replacing(path) as temporary:
-        opaque = Image.fromarray(pixels).convert("RGB")
-        opaque.save(temporary, format="png", dpi=(dpi, dpi), compress_level=1)
-    return path

@@ -9,7 +9,7 @@ from pathlib import Path
 from matplotlib import rc_context
 
 from rfem_jax.report.annotations import Figure
-from rfem_jax.report.output import write_pictures
+from rfem_jax.report.pictures import write_pictures
 from rfem_jax.report.style import CASE_COLOURS, LINE_STYLES, MARKERS, SETTINGS, new_figure
 from rfem_jax.validation.lines import Picture
 

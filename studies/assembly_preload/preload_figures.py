@@ -10,7 +10,7 @@ from matplotlib import rc_context
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
-from rfem_jax.report.output import write_pictures
+from rfem_jax.report.pictures import write_pictures
 from rfem_jax.report.style import SETTINGS, add_titles, line_style, panel_grid
 
 AT_D = {"D.delta_x": "1 deg", "D.delta_z": "1 deg", "D.d_y": "1 mm"}

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from rfem_jax.report.output import write_pictures
+from rfem_jax.report.pictures import write_pictures
 from rfem_jax.report.style import BAR_COLOURS, SETTINGS, add_titles, bar_style, line_style, panel_grid
 
 RANGES = (("rubber\nbushings", 1e5, 1e7), ("plain and rolling\nbearings", 1e7, 1e9))

@@ -8,7 +8,7 @@ from pathlib import Path
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from rfem_jax.report.output import write_pictures
+from rfem_jax.report.pictures import write_pictures
 from rfem_jax.report.style import SETTINGS, add_titles, line_style
 
 PANELS = (("force", "N", "N"), ("moment", "Nm", "N m"))

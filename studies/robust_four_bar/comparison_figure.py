@@ -10,7 +10,7 @@ from typing import Any
 from matplotlib import rc_context
 
 from rfem_jax import Study
-from rfem_jax.report.output import write_pictures
+from rfem_jax.report.pictures import write_pictures
 from rfem_jax.report.style import CASE_COLOURS, SETTINGS, add_titles, new_figure
 
 

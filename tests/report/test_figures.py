@@ -18,7 +18,7 @@ from matplotlib.path import Path
 from rfem_jax.description import Compliance, Joint
 from rfem_jax.report import shapes
 from rfem_jax.report.figures import component_figure, draw_figures, shown_joints, write_figures
-from rfem_jax.report.output import write_pictures
+from rfem_jax.report.pictures import write_pictures
 from rfem_jax.report.quantities import RMS_MOMENT
 from rfem_jax.report.shapes import (
     assembly_figure,

@@ -15,7 +15,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.image import imread
 
 from rfem_jax.description import load_study
-from rfem_jax.report.output import write_pictures
+from rfem_jax.report.pictures import write_pictures
 from rfem_jax.report.tasks import study_problem
 from rfem_jax.report.tasks.monte_carlo import _most_felt
 from rfem_jax.report.tasks.sensitivity import Derivatives

@@ -13,7 +13,8 @@ from rfem_jax.description.study import Study
 from rfem_jax.mechanics.model import Model
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors
 from rfem_jax.report.annotations import Figure
-from rfem_jax.report.output import write_json, write_pictures
+from rfem_jax.report.output import write_json
+from rfem_jax.report.pictures import write_pictures
 from rfem_jax.report.summary import PLOTS_HINT, study_note
 from rfem_jax.simulation import cases
 

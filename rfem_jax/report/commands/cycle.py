@@ -17,6 +17,7 @@ from rfem_jax.report.commands.steps import (
     announce,
     discretise_study,
     files_document,
+    prepare_pictures,
     read_study,
     settle_method,
     write_page,
@@ -59,6 +60,7 @@ def act(arguments: argparse.Namespace) -> Answer:
     require_constant_rate(discretise_study(study), study.designed_drive)
     study = settle_method(study)
     folder = open_folder(arguments.out)
+    prepare_pictures()
     cycles = _cycles(study, arguments.tolerance, arguments.most)
     runs = {name: cycle.run for name, cycle in cycles.items()}
     statuses = {name: STATUS[int(run.status)] for name, run in runs.items()}

@@ -12,6 +12,7 @@ from rfem_jax.report.commands.steps import (
     announce,
     discretise_study,
     files_document,
+    prepare_pictures,
     read_study,
     write_page,
 )
@@ -46,6 +47,7 @@ def act(arguments: argparse.Namespace) -> Answer:
 
     require_folder(arguments.out)
     model = discretise_study(study)
+    prepare_pictures(many=False)
     announce("Finding natural frequencies")
     result = report.compute_modes(study, model, arguments.count, not arguments.free)
     folder = open_folder(arguments.out)

@@ -6,10 +6,8 @@ pictures -> the reports on tasks.
 
 import argparse
 import sys
-import threading
 import time
 from collections.abc import Sequence
-from contextlib import suppress
 from pathlib import Path
 
 from rfem_jax.report.annotations import Run, Study, Summaries
@@ -18,6 +16,7 @@ from rfem_jax.report.commands.folders import cannot_write, open_folder, require_
 from rfem_jax.report.commands.steps import (
     announce,
     files_document,
+    prepare_pictures,
     read_study,
     require_task_folders,
     settle_method,
@@ -61,7 +60,7 @@ def act(arguments: argparse.Namespace) -> Answer:
     require_task_folders(study, study.tasks.declared, arguments.out)
     study = settle_method(study)
     folder = open_folder(arguments.out)
-    load_plotting()
+    prepare_pictures()
     runs = _simulate(study, folder)
     statuses = {name: STATUS[int(run.status)] for name, run in runs.items()}
     summaries = summarise(study, runs, statuses)
@@ -142,18 +141,6 @@ def _simulate(study: Study, folder: Path) -> dict[str, Run]:
             f"{kept}; the same command goes on from there."
         ) from None
     return runs
-
-
-def load_plotting() -> None:
-    """Import what pictures need in the background, while a simulation computes."""
-
-    def load():
-        with suppress(Exception):  # said where they are drawn
-            import matplotlib.backends.backend_agg  # noqa: F401
-
-            import rfem_jax.report.figures  # noqa: F401
-
-    threading.Thread(target=load, daemon=True).start()
 
 
 def write_run_pictures(folder: Path, study: Study, runs: dict[str, Run], summaries: Summaries) -> list[Path]:

@@ -4,9 +4,10 @@ Place in the pipeline: used by the subcommands; imports what it needs when it is
 """
 
 import json
+import threading
 import time
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -150,6 +151,22 @@ def require_task_folders(study: Study, tasks: Sequence[str], out: str | Path) ->
 
     for task in tasks:
         report_on(study, task).require_folder(Path(out))
+
+
+def prepare_pictures(many: bool = True) -> None:
+    """Import what pictures need in the background, while something is computed; `many`: in the process that draws half
+    of them, too."""
+    from rfem_jax.report.pictures import draw_beside
+
+    def load():
+        with suppress(Exception):  # said where they are drawn
+            import matplotlib.backends.backend_agg  # noqa: F401
+
+            import rfem_jax.report.figures  # noqa: F401
+
+    if many:
+        draw_beside()
+    threading.Thread(target=load, daemon=True).start()
 
 
 def files_document(folder: Path | None, files: Iterable[Path]) -> dict[str, Any]:

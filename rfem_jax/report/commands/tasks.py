@@ -17,6 +17,7 @@ from rfem_jax.report.commands.command import (
 from rfem_jax.report.commands.folders import open_folder, require_folder
 from rfem_jax.report.commands.steps import (
     files_document,
+    prepare_pictures,
     read_study,
     require_task_folders,
     settle_method,
@@ -59,6 +60,7 @@ def _do(task: str, arguments: argparse.Namespace) -> Answer:
     require_task(study, task)
     require_folder(arguments.out)
     require_task_folders(study, (task,), arguments.out)
+    prepare_pictures()
     study = settle_method(study, task)
     folder = open_folder(arguments.out)
     good, written = write_task(study, task, folder)

@@ -14,6 +14,7 @@ from rfem_jax.report.commands.steps import (
     announce,
     discretise_study,
     files_document,
+    prepare_pictures,
     read_study,
     write_page,
 )
@@ -52,6 +53,7 @@ def act(arguments: argparse.Namespace) -> Answer:
     model = discretise_study(study)
     start, stop = (_position(getattr(arguments, name), name, model) for name in ("start", "stop"))
     positions = turn_positions(model, arguments.positions, start, stop)
+    prepare_pictures(many=False)
     announce(f"Finding equilibria at {len(positions)} positions")
     turn = report.compute_turn(study, model, positions)
     folder = open_folder(arguments.out)

@@ -23,8 +23,8 @@ from rfem_jax.description.study import Study
 from rfem_jax.description.tasks.task import Task
 from rfem_jax.description.tolerances import SpecifiedTolerances
 from rfem_jax.report.annotations import Figure
-from rfem_jax.report.output import write_pictures
 from rfem_jax.report.overview import format_error
+from rfem_jax.report.pictures import write_pictures
 from rfem_jax.report.progress_line import note, remark, show
 from rfem_jax.report.style import SETTINGS
 from rfem_jax.report.summary import PLOTS_HINT
