@@ -303,6 +303,18 @@ def _reordered(equation):
     return lambda x: x[places]
 
 
+def _repeated(equation):
+    counts, axis = equation.params["counts"], equation.params["axis"]
+    places = (slice(None),) * axis + (np.repeat(np.arange(len(counts)), counts),)
+    return lambda x: x[places]
+
+
+def _groups_summed(equation):
+    axis, ends = equation.params["axis"], np.cumsum(equation.params["counts"]).tolist()
+    places = [(slice(None),) * axis + (slice(*limits),) for limits in zip([0, *ends], ends)]
+    return lambda x: np.stack([np.add.reduce(x[place], axis=axis) for place in places], axis)
+
+
 def _sum_of_products(equation):
     """Products in all their axes, those of the result first; then the sum over the others."""
     axes, result = equation.params["axes"], equation.params["result"]
@@ -532,11 +544,13 @@ PREPARED: dict[str, Callable] = {
     "expand_dims": _reshaped,
     "integer_pow": _power,
     "reorder": _reordered,
+    "repeat_rows": _repeated,
     "reshape": _reshaped,
     "select_n": _selected,
     "slice": _slice,
     "squeeze": _reshaped,
     "stack": _stacked,
     "sum_of_products": _sum_of_products,
+    "sum_row_groups": _groups_summed,
     "transpose": _transposed,
 }

@@ -312,6 +312,12 @@ def _reduced(function, nothing, values, axes):
     return _each(lambda *terms: functools.reduce(function, terms), terms)
 
 
+def _groups_summed(equation, x):
+    counts, axis = equation.params["counts"], equation.params["axis"]
+    parts = np.split(x, np.cumsum(counts)[:-1], axis)
+    return [np.stack([_reduced(_add, 0.0, part, (axis,)) for part in parts], axis)]
+
+
 def _broadcast(equation, x):
     shape, axes = equation.params["shape"], equation.params["broadcast_dimensions"]
     lengths = [1] * len(shape)
@@ -475,6 +481,7 @@ SPECIAL = {
     "expand_dims": lambda e, x: [np.expand_dims(x, e.params["dimensions"])],
     "integer_pow": _power,
     "reorder": lambda e, x: [np.take(x, e.params["order"], e.params["axis"])],
+    "repeat_rows": lambda e, x: [np.repeat(x, e.params["counts"], e.params["axis"])],
     "reshape": lambda e, x: [x.reshape(e.params["new_sizes"])],
     "rev": lambda e, x: [np.flip(x, e.params["dimensions"])],
     "scan": _scan,
@@ -484,6 +491,7 @@ SPECIAL = {
     "squeeze": lambda e, x: [np.squeeze(x, e.params["dimensions"])],
     "stack": lambda e, *parts: [np.stack(parts, e.params["axis"])],
     "sum_of_products": _products_summed,
+    "sum_row_groups": _groups_summed,
     "stop_gradient": lambda _, x: [_each(lambda a: a if _known(a) else lax.stop_gradient(a), [x])],
     "transpose": lambda e, x: [x.transpose(e.params["permutation"])],
     "while": _while,

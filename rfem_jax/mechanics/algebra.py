@@ -40,6 +40,11 @@ def dot(a: Float[Array, "n *#k"], b: Float[Array, "n *#k"]) -> Float[Array, "...
     return contract((0,), (0,), (), a, b)
 
 
+def scaled(factor: Float[Array, "*#k"], vector: Float[Array, "n *#k"]) -> Float[Array, "n ..."]:
+    """Factor times vector."""
+    return contract((), (0,), (0,), factor, vector)
+
+
 def apply(matrix: Float[Array, "m n *#k"], vector: Float[Array, "n *#k"]) -> Float[Array, "m ..."]:
     """Matrix times vector."""
     return contract((0, 1), (1,), (0,), matrix, vector)

@@ -223,7 +223,7 @@ def _interface_tree(
         inertia = algebra.product_transposed(product(rotation, actual.inertia[:, :, indices]), rotation)
         mass = jnp.broadcast_to(actual.mass[indices], inertia.shape[2:])
         inertia = algebra.spatial_inertia(mass, centre, inertia)
-        gravity = mass[None] * actual.gravity[:, None]
+        gravity = algebra.scaled(mass, actual.gravity[:, None])
         weight = algebra.wrench_at_origin(jnp.zeros_like(gravity), gravity, centre)
         gyroscopic = algebra.force_cross(velocity, apply(inertia, velocity))
         at_joints = by_freedom(topology, point[:, :n])
@@ -295,7 +295,7 @@ def _articulated_bodies(
                 axis, bias = tree.axis[:, k], tree.bias[:, k]
                 if k in drive.motions:
                     acceleration = drive.motions[k][2]
-                    given = axis * acceleration[None] + bias
+                    given = algebra.scaled(acceleration, axis) + bias
                     steps[k] = (axis, given[:, None] * first[None], acceleration[None] * first, None)
                     load = load - apply(inertia, given)[:, None] * first[None]
                     continue

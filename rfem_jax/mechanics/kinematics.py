@@ -21,10 +21,11 @@ from jax import Array
 from jaxtyping import Float
 
 from rfem_jax.mechanics import algebra
-from rfem_jax.mechanics.algebra import apply, columns, cross, product
+from rfem_jax.mechanics.algebra import apply, columns, cross, product, scaled
 from rfem_jax.mechanics.model import BASE, Coordinates, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 from rfem_jax.mechanics.orientations import rotation_of
+from rfem_jax.mechanics.reordering import repeat, sum_groups
 
 LINEAR_LIMIT = np.radians(60.0)
 EXACT_LIMIT = np.radians(80.0)
@@ -108,36 +109,22 @@ def relative_motion(actual: ModelWithErrors, position: Coordinates, velocity: Co
     linear elements, R_y R_z R_x for exact ones, so that in-plane bending has no limit."""
     u, phi = position.elastic[:3], position.elastic[3:]
     u_dot, rate = velocity.elastic[:3], velocity.elastic[3:]
-    (cx, cy, cz), (sx, sy, sz) = jnp.cos(phi), jnp.sin(phi)
-    zero, one = jnp.zeros_like(cx), jnp.ones_like(cx)
-    # Columns a, b, c of the two outer rotations, then the axes of the middle and the outer one.
-    if actual.topology.exact:
-        a = jnp.stack([cy * cz, sz, -sy * cz])
-        b = jnp.stack([-cy * sz, cz, sy * sz])
-        c = jnp.stack([sy, zero, cy])
-        middle, outer = c, jnp.stack([zero, one, zero])
-        middle_rate, outer_rate = rate[2], rate[1]
-        axes = [a, outer, middle]
-    else:
-        a = jnp.stack([cz * cy, sz * cy, -sy])
-        b = jnp.stack([-sz, cz, zero])
-        c = jnp.stack([cz * sy, sz * sy, cy])
-        middle, outer = b, jnp.stack([zero, zero, one])
-        middle_rate, outer_rate = rate[1], rate[2]
-        axes = [a, middle, outer]
-    rotation = jnp.stack([a, sx[None] * c + cx[None] * b, cx[None] * c - sx[None] * b], axis=1)
-    # w = phi_x' a + ...: the outer rate rotates the middle axis, both rotate a.
-    about_outer = outer_rate[None] * outer
-    about_both = about_outer + middle_rate[None] * middle
-    about_x = rate[0][None] * a
-    rest = jnp.asarray(np.eye(3)[0]).reshape((3, 1)) * actual.rest[None]
+    last, middle = (1, 2) if actual.topology.exact else (2, 1)
+    about = [algebra.rotation_about(axis, phi[axis]) for axis in range(3)]
+    outer = product(about[last], about[middle])
+    # Axes about which the rfe is turned: the last one stays, it turns that of the middle, and both turn that of x.
+    last_axis = jnp.broadcast_to(algebra.IDENTITY[last][:, None], phi.shape)
+    axes = {last: last_axis, middle: about[last][:, middle], 0: outer[:, 0]}
+    about_last, about_middle, about_x = (scaled(rate[axis], axes[axis]) for axis in (last, middle, 0))
+    about_both = about_last + about_middle
+    rest = scaled(actual.rest, algebra.IDENTITY[0][:, None])
     return RelativeMotion(
-        rotation=rotation,
+        rotation=product(outer, about[0]),
         position=rest + u,
-        rate_matrix=jnp.stack(axes, axis=1),
+        rate_matrix=jnp.stack([axes[axis] for axis in range(3)], axis=1),
         angular=about_both + about_x,
         linear=u_dot,
-        rate_bias=cross(about_outer, about_both) + cross(about_both, about_x),
+        rate_bias=cross(about_last, about_middle) + cross(about_both, about_x),
     )
 
 
@@ -207,7 +194,7 @@ def _place_link(actual: ModelWithErrors, state: State, index: int, parent: Frame
         direction = basis[:, freedom.axis]
         if not freedom.rotation:
             axis = algebra.spatial(jnp.zeros_like(direction), direction)
-            centre = centre + direction * state.position.joints[at[n]][None]
+            centre = centre + scaled(state.position.joints[at[n]], direction)
         else:
             axis = algebra.spatial(direction, cross(centre, direction))
             if freedom.any_axis and freedom.first:
@@ -216,7 +203,7 @@ def _place_link(actual: ModelWithErrors, state: State, index: int, parent: Frame
                 turned = product(turned, algebra.rotation_about(freedom.axis, state.position.joints[at[n]]))
         axes.append(axis)
         velocities.append(before)
-        velocity = velocity + axis * rate[None]
+        velocity = velocity + scaled(rate, axis)
         if n < kind.to_hinge_frame:
             hinge = turned
     rotation = algebra.product_transposed(turned, actual.bore_rotation[:, :, index])
@@ -254,10 +241,7 @@ def node_frames(topology: Topology, motion: Motion, nodes: Sequence[int]) -> Fra
 
 def spread(topology: Topology, values: Float[Array, "*k links"]) -> Float[Array, "*k rfes"]:
     """Values by link repeated for every free rfe of the link."""
-    by_link = [
-        jnp.broadcast_to(values[..., l : l + 1], values.shape[:-1] + (n - 1,)) for l, n in enumerate(topology.elements)
-    ]
-    return jnp.concatenate(by_link, axis=-1)
+    return repeat(values, [n - 1 for n in topology.elements])
 
 
 def by_freedom(topology: Topology, values: Float[Array, "*k links"]) -> Float[Array, "*k freedoms"]:
@@ -268,7 +252,7 @@ def by_freedom(topology: Topology, values: Float[Array, "*k links"]) -> Float[Ar
 
 def total(topology: Topology, values: Float[Array, "*k rfes"]) -> Float[Array, "*k links"]:
     """Sums over the free rfes of every link."""
-    return jnp.stack([jnp.sum(values[..., a:b], axis=-1) for a, b in topology.ranges], axis=-1)
+    return sum_groups(values, [n - 1 for n in topology.elements])
 
 
 def all_frames(topology: Topology, motion: Motion) -> tuple[Float[Array, "3 3 nodes"], Float[Array, "3 nodes"]]:

@@ -22,7 +22,7 @@ from jax import Array
 from jaxtyping import Float
 
 from rfem_jax.mechanics import algebra
-from rfem_jax.mechanics.algebra import apply, apply_transposed, cross, dot
+from rfem_jax.mechanics.algebra import apply, apply_transposed, cross, dot, scaled
 from rfem_jax.mechanics.clearances import clearance_name
 from rfem_jax.mechanics.cut_joints import Closure, columns, cut_spring_energy
 from rfem_jax.mechanics.dynamics import Accelerations, link_axes
@@ -282,7 +282,7 @@ def inertial_loads(
     rotation = jnp.concatenate([identity, motion.relative.rotation], axis=2)
     centre = apply(rotation, actual.centre)
     of_centre = linear + cross(angular, centre) + cross(spin, cross(spin, centre))
-    force = actual.mass[None] * (of_centre - gravity)
+    force = scaled(actual.mass, of_centre - gravity)
     body_spin, body_angular = apply_transposed(rotation, spin), apply_transposed(rotation, angular)
     inertia = actual.inertia
     rate = apply(inertia, body_angular) + cross(body_spin, apply(inertia, body_spin))
@@ -319,7 +319,7 @@ def velocities(
 def momentum(actual: ModelWithErrors, state: State) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
     """Total linear momentum [N s] and angular momentum about the global origin [N m s]."""
     rotation, centre, velocity, spin = velocities(actual, motion_of(actual, state))
-    linear = actual.mass[None] * velocity
+    linear = scaled(actual.mass, velocity)
     spin_momentum = apply(rotation, apply(actual.inertia, apply_transposed(rotation, spin)))
     return jnp.sum(linear, axis=1), jnp.sum(spin_momentum + cross(centre, linear), axis=1)
 

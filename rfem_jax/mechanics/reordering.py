@@ -1,11 +1,13 @@
-"""Permutation of the rows of an array as one primitive of JAX.
+"""Rows of an array exchanged, repeated and summed: each one primitive of JAX.
 
-Place in the pipeline: used by algebra and the elements where rows are exchanged within a formula.
+Place in the pipeline: used by algebra and the elements where rows are exchanged within a formula, by kinematics where
+values by link are those of its rfes, or sums over them.
 
 Concatenated slices would do the same, but XLA fuses them into the formulas around them: every entry is then
 selected by branches, and where such formulas are nested, every branch has its own copy of the inner one.  A
 gather has no branches.  Its transpose in JAX is a scatter, which XLA compiles to a loop over the rows; here it is
-the gather of the inverse permutation.
+the gather of the inverse permutation.  Repeated rows and sums of neighbouring rows are the transposes of each other;
+by slices either would be several operations for each group, all of which Python traces and differentiates.
 """
 
 from collections.abc import Sequence
@@ -13,6 +15,7 @@ from collections.abc import Sequence
 import jax
 import numpy as np
 from jax import Array, lax
+from jax.core import ShapedArray
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
@@ -39,7 +42,8 @@ def _gather(values: Array | np.ndarray, *, order: tuple[int, ...], axis: int) ->
         start_index_map=(axis,),
     )
     places = np.asarray(order, np.int32)[:, None]
-    return lax.gather(values, places, numbers, sizes, unique_indices=True, mode="promise_in_bounds")
+    unique = len(set(order)) == len(order)
+    return lax.gather(values, places, numbers, sizes, unique_indices=unique, mode="promise_in_bounds")
 
 
 def _implementation(values: Array | np.ndarray, *, order: tuple[int, ...], axis: int) -> Array:
@@ -61,3 +65,64 @@ _reorder.def_abstract_eval(lambda values, *, order, axis: values)
 ad.deflinear2(_reorder, _transpose)
 batching.primitive_batchers[_reorder] = _batch
 mlir.register_lowering(_reorder, mlir.lower_fun(_gather, multiple_results=False))
+
+
+def repeat(values: Array | np.ndarray, counts: Sequence[int], axis: int = -1) -> Array:
+    """Row i of an axis `counts[i]` times, one after the other."""
+    return _grouped(_repeat, values, counts, axis, len(counts))
+
+
+def sum_groups(values: Array | np.ndarray, counts: Sequence[int], axis: int = -1) -> Array:
+    """Sums of the first `counts[0]` rows of an axis, of the next `counts[1]`, and so on."""
+    return _grouped(_sum_groups, values, counts, axis, sum(counts))
+
+
+_repeat, _sum_groups = Primitive("repeat_rows"), Primitive("sum_row_groups")
+
+
+def _grouped(primitive: Primitive, values, counts: Sequence[int], axis: int, rows: int) -> Array:
+    if values.shape[axis] != rows:
+        raise ValueError(f"counts {tuple(counts)} are not for {values.shape[axis]} rows")
+    return primitive.bind(values, counts=tuple(int(n) for n in counts), axis=axis % values.ndim)
+
+
+def _repeated(values: Array, *, counts: tuple[int, ...], axis: int) -> Array:
+    order = tuple(row for row, n in enumerate(counts) for _ in range(n))
+    return values if order == tuple(range(len(counts))) else _gather(values, order=order, axis=axis)
+
+
+def _sums(values: Array, *, counts: tuple[int, ...], axis: int) -> Array:
+    ends = np.cumsum(counts)
+    parts = [lax.slice_in_dim(values, end - n, end, axis=axis) for end, n in zip(ends.tolist(), counts)]
+    return lax.concatenate([lax.expand_dims(lax.reduce_sum(part, [axis]), [axis]) for part in parts], axis)
+
+
+def _with_rows(values, axis: int, rows: int) -> ShapedArray:
+    return ShapedArray((*values.shape[:axis], rows, *values.shape[axis + 1 :]), values.dtype)
+
+
+def _repeated_type(values, *, counts, axis) -> ShapedArray:
+    return _with_rows(values, axis, sum(counts))
+
+
+def _sums_type(values, *, counts, axis) -> ShapedArray:
+    return _with_rows(values, axis, len(counts))
+
+
+def _add_rules(primitive: Primitive, by_operations, type_of, other: Primitive) -> None:
+    """Rules of a linear primitive whose transpose is `other`."""
+
+    def batch(arguments, axes, *, counts, axis):
+        (values,), (place,) = arguments, axes
+        return primitive.bind(values, counts=counts, axis=axis + (place <= axis)), place
+
+    compiled = jax.jit(by_operations, static_argnames=("counts", "axis"))
+    primitive.def_impl(lambda values, *, counts, axis: compiled(values, counts=counts, axis=axis))
+    primitive.def_abstract_eval(type_of)
+    ad.deflinear2(primitive, lambda cotangent, _, **settings: [other.bind(cotangent, **settings)])
+    batching.primitive_batchers[primitive] = batch
+    mlir.register_lowering(primitive, mlir.lower_fun(by_operations, multiple_results=False))
+
+
+_add_rules(_repeat, _repeated, _repeated_type, _sum_groups)
+_add_rules(_sum_groups, _sums, _sums_type, _repeat)

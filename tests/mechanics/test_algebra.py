@@ -30,6 +30,13 @@ def test_the_matrix_of_a_cross_product():
     np.testing.assert_allclose(found, np.cross(a, b, axis=0), rtol=1e-14)
 
 
+@pytest.mark.parametrize(("factors", "vectors"), [((), (3,)), ((5,), (6, 5)), ((5,), (3, 1)), ((2, 1), (3, 2, 5))])
+def test_vectors_are_scaled_by_factors_of_their_own(factors, vectors):
+    factor, vector = rng.normal(size=factors), rng.normal(size=vectors)
+    found = algebra.scaled(jnp.asarray(factor), jnp.asarray(vector))
+    np.testing.assert_array_equal(found, factor[None] * vector)
+
+
 @pytest.mark.parametrize("n", [1, 2, 3, 5, 8])
 def test_inverses_of_positive_matrices(n):
     root = rng.normal(size=(4, n, n))

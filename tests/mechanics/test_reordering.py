@@ -1,11 +1,13 @@
-"""Permutations of rows: values, both modes of derivatives, batches on any axis, no scatter."""
+"""Rows exchanged, repeated and summed: values, both modes of derivatives, batches on any axis, no scatter."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax.mechanics.reordering import reorder
+from rfem_jax.compilation.scalarisation import scalarised
+from rfem_jax.mechanics.reordering import reorder, repeat, sum_groups
+from tests.numpy_evaluation import by_numpy
 
 ORDER = (2, 0, 3, 1)
 X = np.random.default_rng(1).normal(size=(3, 4, 5))
@@ -51,3 +53,46 @@ def test_batches_on_any_axis(axis):
 def test_reverse_mode_scatters_nothing():
     program = jax.jit(jax.grad(lambda x: jnp.sum(weighed(x)))).lower(X).as_text()
     assert "gather" in program and "scatter" not in program
+
+
+COUNTS = [(1, 2, 0, 3), (0, 0, 4, 0), (1, 1, 1, 1), (0, 0, 0, 0), (2, 1, 1, 1)]
+
+
+def repeated(counts):
+    return lambda x: repeat(x, counts, 1), lambda x: jnp.repeat(x, np.array(counts), axis=1)
+
+
+def summed(counts):
+    def plain(x):
+        ends = np.cumsum(counts)
+        return jnp.stack([jnp.sum(x[:, end - n : end], axis=1) for end, n in zip(ends, counts)], axis=1)
+
+    return lambda x: sum_groups(x, counts, 1), plain
+
+
+@pytest.mark.parametrize("counts", COUNTS)
+@pytest.mark.parametrize("pair", [repeated, summed])
+@pytest.mark.parametrize("run", [lambda f: f, jax.jit, by_numpy, scalarised])
+def test_groups_of_rows(counts, pair, run):
+    found, expected = pair(counts)
+    x = np.random.default_rng(3).normal(size=(3, 4 if pair is repeated else sum(counts), 5))
+    np.testing.assert_allclose(run(found)(jnp.asarray(x)), expected(x), rtol=1e-15)
+
+
+@pytest.mark.parametrize("counts", COUNTS[:3])
+@pytest.mark.parametrize("pair", [repeated, summed])
+def test_derivatives_and_batches_of_groups(counts, pair):
+    found, expected = (lambda x, f=f: jnp.sum(jnp.sin(f(x * x)), axis=0) for f in pair(counts))
+    x = np.random.default_rng(3).normal(size=(3, 4 if pair is repeated else sum(counts), 5))
+    for derivative in (jax.jacfwd, jax.jacrev, lambda f: jax.jacfwd(jax.grad(lambda x: f(x)[0, 0] + f(x)[-1, -1]))):
+        np.testing.assert_allclose(derivative(found)(x), derivative(expected)(x), rtol=1e-14, atol=1e-14)
+    for axis in (0, 1, 2, 3):
+        batch = np.stack([x, 2.0 * x], axis=axis)
+        both = jax.vmap(found, in_axes=axis)(batch)
+        np.testing.assert_allclose(both, np.stack([found(x), found(2.0 * x)]), rtol=1e-15)
+
+
+def test_counts_that_do_not_fit_are_refused():
+    for function, counts in ((repeat, (1, 2)), (sum_groups, (1, 2))):
+        with pytest.raises(ValueError, match="are not for 4 rows"):
+            function(X, counts, axis=1)
