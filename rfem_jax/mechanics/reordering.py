@@ -42,8 +42,7 @@ def _gather(values: Array | np.ndarray, *, order: tuple[int, ...], axis: int) ->
         start_index_map=(axis,),
     )
     places = np.asarray(order, np.int32)[:, None]
-    unique = len(set(order)) == len(order)
-    return lax.gather(values, places, numbers, sizes, unique_indices=unique, mode="promise_in_bounds")
+    return lax.gather(values, places, numbers, sizes, unique_indices=True, mode="promise_in_bounds")
 
 
 def _implementation(values: Array | np.ndarray, *, order: tuple[int, ...], axis: int) -> Array:
@@ -87,8 +86,10 @@ def _grouped(primitive: Primitive, values, counts: Sequence[int], axis: int, row
 
 
 def _repeated(values: Array, *, counts: tuple[int, ...], axis: int) -> Array:
-    order = tuple(row for row, n in enumerate(counts) for _ in range(n))
-    return values if order == tuple(range(len(counts))) else _gather(values, order=order, axis=axis)
+    rows = [lax.slice_in_dim(values, row, row + 1, axis=axis) for row in range(len(counts))]
+    shapes = [(*values.shape[:axis], n, *values.shape[axis + 1 :]) for n in counts]
+    every = range(values.ndim)
+    return lax.concatenate([lax.broadcast_in_dim(row, shape, every) for row, shape in zip(rows, shapes)], axis)
 
 
 def _sums(values: Array, *, counts: tuple[int, ...], axis: int) -> Array:
