@@ -84,8 +84,7 @@ def monte_carlo(
         tolerances: of the errors that vary, or a study that specifies them; all other errors are zero.
         n: number of random samples; with Sobol' points best a power of 2, at least 64.
         key: JAX random key; a sample depends on it and on its own index alone.
-        batch: samples per chunk, the unit that is stored, and that is lost when a run is killed; chunks of fewer
-            samples than the devices compute at once are computed together.
+        batch: samples per chunk, the unit that is stored, and that is lost when a run is killed.
         sampling: "sobol" (scrambled Sobol' points) or "pseudo_random".
         limits: {metric name: largest value, or (low, high) with None for an open end}.
         quantiles: fractions in (0, 1); confidence: of every interval (see `statistics`).
@@ -95,8 +94,8 @@ def monte_carlo(
         resume: folder of chunks. An interrupted study continues there, and a larger n extends a finished one; the
             result is bitwise that of a single run.
         progress: True for a bar with rate and remaining time, or a function of (done, total).
-        lanes: samples that each device computes at once (None: 16 on a CPU, 4096 elsewhere). A chunk takes
-            ceil(batch / (lanes x devices)) launches. The last bit of a result may depend on lanes, on nothing else.
+        lanes: samples that each device computes at once (None: 16 on a CPU, 4096 elsewhere). Smaller chunks are
+            computed together. The last bit of a result may depend on lanes, on nothing else.
         description: of what the problem is made, {name: text}, kept in the folder for `study_identity.require_folder`.
     Raises: InputError for unknown names, bad numbers, and a folder of another study; ChunkWriteError (an OSError) when
         the disk is full: finished chunks are kept.
