@@ -40,7 +40,9 @@ def dot(a: Float[Array, "n *#k"], b: Float[Array, "n *#k"]) -> Float[Array, "...
     return contract((0,), (0,), (), a, b)
 
 
-def scaled(factor: Float[Array, "*#k"], vector: Float[Array, "n *#k"]) -> Float[Array, "n ..."]:
+def scaled(
+    factor: Float[Array, "*#k"], vector: Float[Array, "n *#k"] | Float[np.ndarray, "n *#k"]
+) -> Float[Array, "n ..."]:
     """Factor times vector."""
     return contract((), (0,), (0,), factor, vector)
 
