@@ -21,7 +21,7 @@ implicit                    residual of the equations for given accelerations, i
 statics                     assembled start state and preload
 status                      what can happen to an assembly or a run
 algebra                     vectors, rotations, spatial vectors
-products, reordering        products of these, permutations of rows: each one operation to JAX
+products, reordering        products of these, rows exchanged, repeated, summed: each one operation to JAX
 """
 
 from rfem_jax.mechanics.designs import Design, design, designed, parameters
