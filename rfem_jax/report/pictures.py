@@ -93,8 +93,9 @@ class _OtherProcess:
         return problem is None
 
     def end(self) -> None:
-        """End it, as its last picture is written."""
-        with suppress(OSError):
+        """End it, without waiting for what it may still import: `draw` returns when a picture is written."""
+        with suppress(OSError, KeyboardInterrupt):
+            self.process.kill()
             self.process.communicate()
 
 
