@@ -112,11 +112,11 @@ def quick_compilation(request):
 
 @pytest.fixture(scope="module", autouse=True)
 def _rough_pictures(request):
-    """Pictures are small and not laid out, a third of the work, unless the module says `PICTURES_AS_SHIPPED`."""
+    """Pictures have few pixels, two thirds of the work, and one process draws them, unless the module says
+    `PICTURES_AS_SHIPPED`."""
     with pytest.MonkeyPatch.context() as patch:
         if not getattr(request.module, "PICTURES_AS_SHIPPED", False):
-            patch.setitem(style.SETTINGS, "savefig.dpi", 20)
-            patch.setattr(pictures, "_lay_out", lambda figure: figure.set_layout_engine("none"))
+            patch.setitem(style.SETTINGS, "savefig.dpi", 50)
             patch.setattr(pictures, "draw_beside", lambda: None)
         yield
 

@@ -185,7 +185,7 @@ def note_scalarised() -> None:
 
 def fusion_holds() -> bool:
     """Whether XLA makes fusions with several results in what this thread compiles now."""
-    return settle().set and (_attempt.fusion or (getattr(_own, "program", None) is not None and own_options_hold()))
+    return settle().set and (_attempt.fusion or (in_own_program() and own_options_hold()))
 
 
 def explicit_methods_scalarised() -> bool:

@@ -13,7 +13,7 @@ from jax.interpreters import batching
 
 from rfem_jax.compilation import options
 
-WITH_BODIES = ("jit", "scan", "while", "cond", "checkpoint", "custom_linear_solve")
+WITH_BODIES = ("jit", "scan", "while", "cond", "remat2", "custom_linear_solve")
 
 
 def keep_unbatched_calls() -> None:

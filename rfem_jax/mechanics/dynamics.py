@@ -300,14 +300,14 @@ def _articulated_bodies(
                     load = load - apply(inertia, given)[:, None] * first[None]
                     continue
                 u = apply(inertia, axis)
-                scaled = u / dot(axis, u)[None]
+                by_inertia = u / dot(axis, u)[None]
                 torque = dot(axis[:, None], load)
                 force = forces.get(k)
                 if force is not None:
                     torque = torque + force[None] * first
-                steps[k] = (axis, bias[:, None] * first[None], torque / dot(axis, u)[None], scaled)
-                inertia = inertia - u[:, None] * scaled[None]
-                load = load - apply(inertia, bias)[:, None] * first[None] - scaled[:, None] * torque[None]
+                steps[k] = (axis, bias[:, None] * first[None], torque / dot(axis, u)[None], by_inertia)
+                inertia = inertia - u[:, None] * by_inertia[None]
+                load = load - apply(inertia, bias)[:, None] * first[None] - by_inertia[:, None] * torque[None]
             if node != BASE:
                 inertias[node] = inertias[node] + inertia
                 loads[node] = loads[node] + load
@@ -318,10 +318,10 @@ def _articulated_bodies(
         for l in range(topology.n_links):
             acceleration = accelerations.get(topology.parents[l])
             for k in topology.coordinates[l]:
-                axis, given, rate, scaled = steps[k]
+                axis, given, rate, by_inertia = steps[k]
                 acceleration = given if acceleration is None else given + acceleration
-                if scaled is not None:
-                    rate = rate - dot(scaled[:, None], acceleration)
+                if by_inertia is not None:
+                    rate = rate - dot(by_inertia[:, None], acceleration)
                     acceleration = acceleration + axis[:, None] * rate[None]
                 rates.append(rate)
             accelerations[l] = jnp.zeros_like(loads[l]) if acceleration is None else acceleration

@@ -10,6 +10,7 @@ the gather of the inverse permutation.  Repeated rows and sums of neighbouring r
 by slices either would be several operations for each group, all of which Python traces and differentiates.
 """
 
+import functools
 from collections.abc import Sequence
 
 import jax
@@ -19,7 +20,7 @@ from jax.core import ShapedArray
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
-_reorder = Primitive("reorder")
+_reorder, _repeat, _sum_groups = Primitive("reorder"), Primitive("repeat_rows"), Primitive("sum_row_groups")
 
 
 def reorder(values: Array | np.ndarray, order: Sequence[int] | np.ndarray, axis: int = 0) -> Array:
@@ -45,27 +46,6 @@ def _gather(values: Array | np.ndarray, *, order: tuple[int, ...], axis: int) ->
     return lax.gather(values, places, numbers, sizes, unique_indices=True, mode="promise_in_bounds")
 
 
-def _implementation(values: Array | np.ndarray, *, order: tuple[int, ...], axis: int) -> Array:
-    return jax.jit(_gather, static_argnames=("order", "axis"))(values, order=order, axis=axis)
-
-
-def _transpose(cotangent, values, *, order, axis):
-    inverse = tuple(int(place) for place in np.argsort(np.array(order, int)))
-    return [_reorder.bind(cotangent, order=inverse, axis=axis)]
-
-
-def _batch(arguments, axes, *, order, axis):
-    (values,), (batch,) = arguments, axes
-    return _reorder.bind(values, order=order, axis=axis + (batch <= axis)), batch
-
-
-_reorder.def_impl(_implementation)
-_reorder.def_abstract_eval(lambda values, *, order, axis: values)
-ad.deflinear2(_reorder, _transpose)
-batching.primitive_batchers[_reorder] = _batch
-mlir.register_lowering(_reorder, mlir.lower_fun(_gather, multiple_results=False))
-
-
 def repeat(values: Array | np.ndarray, counts: Sequence[int], axis: int = -1) -> Array:
     """Row i of an axis `counts[i]` times, one after the other."""
     return _grouped(_repeat, values, counts, axis, len(counts))
@@ -74,9 +54,6 @@ def repeat(values: Array | np.ndarray, counts: Sequence[int], axis: int = -1) ->
 def sum_groups(values: Array | np.ndarray, counts: Sequence[int], axis: int = -1) -> Array:
     """Sums of the first `counts[0]` rows of an axis, of the next `counts[1]`, and so on."""
     return _grouped(_sum_groups, values, counts, axis, sum(counts))
-
-
-_repeat, _sum_groups = Primitive("repeat_rows"), Primitive("sum_row_groups")
 
 
 def _grouped(primitive: Primitive, values, counts: Sequence[int], axis: int, rows: int) -> Array:
@@ -110,20 +87,26 @@ def _sums_type(values, *, counts, axis) -> ShapedArray:
     return _with_rows(values, axis, len(counts))
 
 
-def _add_rules(primitive: Primitive, by_operations, type_of, other: Primitive) -> None:
-    """Rules of a linear primitive whose transpose is `other`."""
+def _add_rules(primitive: Primitive, by_operations, type_of, transpose) -> None:
+    """Rules of a linear primitive along an axis; `transpose`: of a cotangent, with the settings of the primitive."""
 
-    def batch(arguments, axes, *, counts, axis):
+    def batch(arguments, axes, *, axis, **settings):
         (values,), (place,) = arguments, axes
-        return primitive.bind(values, counts=counts, axis=axis + (place <= axis)), place
+        return primitive.bind(values, axis=axis + (place <= axis), **settings), place
 
-    compiled = jax.jit(by_operations, static_argnames=("counts", "axis"))
-    primitive.def_impl(lambda values, *, counts, axis: compiled(values, counts=counts, axis=axis))
+    # Operation by operation outside of `jit` it would be compiled as many times.
+    compiled = functools.cache(lambda **settings: jax.jit(functools.partial(by_operations, **settings)))
+    primitive.def_impl(lambda values, **settings: compiled(**settings)(values))
     primitive.def_abstract_eval(type_of)
-    ad.deflinear2(primitive, lambda cotangent, _, **settings: [other.bind(cotangent, **settings)])
+    ad.deflinear2(primitive, lambda cotangent, _, **settings: [transpose(cotangent, **settings)])
     batching.primitive_batchers[primitive] = batch
     mlir.register_lowering(primitive, mlir.lower_fun(by_operations, multiple_results=False))
 
 
-_add_rules(_repeat, _repeated, _repeated_type, _sum_groups)
-_add_rules(_sum_groups, _sums, _sums_type, _repeat)
+def _back(cotangent, *, order, axis):
+    return _reorder.bind(cotangent, order=tuple(int(place) for place in np.argsort(np.array(order, int))), axis=axis)
+
+
+_add_rules(_reorder, _gather, lambda values, *, order, axis: values, _back)
+_add_rules(_repeat, _repeated, _repeated_type, _sum_groups.bind)
+_add_rules(_sum_groups, _sums, _sums_type, _repeat.bind)

@@ -127,15 +127,11 @@ def _drawn(figure: Figure) -> Pixels:
     figure.set_dpi(rcParams["savefig.dpi"])
     figure.set_facecolor(rcParams["savefig.facecolor"])
     canvas = FigureCanvasAgg(figure)
-    _lay_out(figure)
-    canvas.draw()
-    return np.asarray(canvas.buffer_rgba())
-
-
-def _lay_out(figure: Figure) -> None:
     if (engine := figure.get_layout_engine()) is not None:
         engine.execute(figure)
         figure.set_layout_engine("none")
+    canvas.draw()
+    return np.asarray(canvas.buffer_rgba())
 
 
 def _write_picture(path: Path, pixels: Pixels, dpi: float) -> None:

@@ -2,7 +2,6 @@
 
 import os
 import signal
-import threading
 
 import numpy as np
 import pytest
@@ -12,7 +11,6 @@ pytest.importorskip("matplotlib", reason="pictures need the extra `plots`")
 from matplotlib.ticker import FuncFormatter
 
 from rfem_jax.report import pictures
-from rfem_jax.report.commands.steps import prepare_pictures
 from rfem_jax.report.style import SETTINGS, new_figure
 
 PICTURES_AS_SHIPPED = True
@@ -101,13 +99,3 @@ def test_one_core_draws_alone(monkeypatch):
     monkeypatch.setattr(os, "cpu_count", lambda: 1)
     pictures.draw_beside()
     assert pictures._other is None
-
-
-def test_commands_prepare_for_pictures(monkeypatch):
-    started = []
-    monkeypatch.setattr(pictures, "draw_beside", lambda: started.append(True))
-    before = threading.active_count()
-    prepare_pictures(many=False)
-    assert not started and threading.active_count() <= before + 1
-    prepare_pictures()
-    assert started == [True]

@@ -16,7 +16,7 @@ import pytest
 import rfem_jax.simulation
 from rfem_jax.compilation.stages import listening
 from rfem_jax.description import Method, load_study
-from rfem_jax.report import command_line
+from rfem_jax.report import command_line, pictures
 from rfem_jax.report.command_line import main
 from rfem_jax.report.tasks import study_problem, task_report, worst_case
 from rfem_jax.report.tasks.task_overview import tasks_text
@@ -142,6 +142,16 @@ def test_sensitivity(task_file, tmp_path, capsys):
     assert "Change with the finer step" in text
     assert "+1.00 D.delta_x" in text
     assert "damping" not in text
+
+
+@pytest.mark.parametrize("command", ["run", "sensitivity"])
+def test_the_process_that_draws_is_started_before_anything_is_computed(command, task_file, tmp_path, monkeypatch, runs):
+    order = []
+    monkeypatch.setattr(pictures, "draw_beside", lambda: order.append("started"))
+    monkeypatch.setattr(rfem_jax.simulation, "run_cases", lambda *_, **__: order.append("cases") or (None, runs))
+    monkeypatch.setattr(task_report, "do_task", lambda *_: order.append("task") or (True, []))
+    assert call(command, task_file, tmp_path / "out") == 0
+    assert order[0] == "started" and order[1] in ("cases", "task") and order.count("started") == 1
 
 
 def test_a_report_of_derivatives_says_that_there_is_no_damping(task_file, tmp_path, capsys, monkeypatch):
