@@ -1,8 +1,8 @@
 """Programs that run for a short time are evaluated by NumPy instead of being compiled, which would take longer.
 
-`instead_of_compilation()` replaces the function of JAX that compiles and runs a program.  A program is compiled all the
-same if it is small, if NumPy cannot evaluate it, and as soon as its evaluations have taken as long as compilation would
-have: the time is counted in operations, so that every machine does the same.
+`instead_of_compilation()` replaces the function of JAX that compiles and runs a program, also one of a single operation
+outside of `jit`.  A program is compiled all the same if NumPy cannot evaluate it, and as soon as its evaluations have
+taken as long as compilation would have: the time is counted in operations, so that every machine does the same.
 """
 
 import functools
@@ -15,11 +15,14 @@ import jax
 import numpy as np
 import pytest
 from jax._src import pjit
+from jax._src.array import ArrayImpl
 
-from tests.numpy_evaluation import TooLong, Work, counted, interpreted, is_key, without_idle
+from tests.numpy_evaluation import TooLong, Work, counted, has_rule, interpreted, is_key, without_idle
 
-SMALL = 400  # equations of a program that is compiled at once
-RATIO = 100.0  # operations of NumPy in the time in which XLA compiles one
+# In operations of NumPy: the time in which XLA compiles any program, and in which it compiles an operation more; that
+# of the call of a program that is evaluated.
+ANY, RATIO, CALL = 10_000.0, 200.0, 50.0
+SMALL = 400  # equations of a program that is compiled if NumPy has no rule for one of them
 FOREIGN = ("callback", "debug", "print", "infeed", "outfeed", "shard_map", "custom_partitioning")
 LOOPS = ("scan", "while", "cond")
 
@@ -34,11 +37,12 @@ def within(equation) -> list:
 
 class _Summary(NamedTuple):
     """Of a jaxpr with what it calls: equations as XLA is given them; operations of one evaluation in which every
-    `while` loop takes one turn; whether NumPy can evaluate it."""
+    `while` loop takes one turn; whether NumPy can evaluate it, and whether it has rules for all that is in it."""
 
     size: int
     least: float
     possible: bool
+    by_rules: bool
 
 
 _SUMMARIES: weakref.WeakKeyDictionary = weakref.WeakKeyDictionary()
@@ -49,7 +53,7 @@ def summary(jaxpr) -> _Summary:
     inner = getattr(jaxpr, "jaxpr", jaxpr)
     found = _SUMMARIES.get(inner)
     if found is None:
-        size, least, possible = 0, 0.0, not inner.effects
+        size, least, possible, by_rules = 0, 0.0, not inner.effects, True
         for equation in inner.eqns:
             name, parts = equation.primitive.name, [summary(x) for x in within(equation)]
             size += 1 + sum(x.size for x in parts)
@@ -61,7 +65,8 @@ def summary(jaxpr) -> _Summary:
             keys = name in LOOPS and any(is_key(x.aval) for x in (*equation.invars, *equation.outvars))
             foreign = any(word in name for word in FOREIGN)
             possible = possible and not foreign and not keys and all(x.possible for x in parts)
-        found = _SUMMARIES[inner] = _Summary(size, least, possible)
+            by_rules = by_rules and has_rule(name) and all(x.by_rules for x in parts)
+        found = _SUMMARIES[inner] = _Summary(size, least, possible, by_rules)
     return found
 
 
@@ -70,10 +75,27 @@ class _Tier:
 
     def __init__(self, jaxpr):
         self.jaxpr, self.program = jaxpr, None
-        size, least, possible = summary(jaxpr)
-        possible = possible and not any(map(is_key, (*jaxpr.in_avals, *jaxpr.out_avals)))
-        self.left = RATIO * size
-        self.compiled = size < SMALL or least > self.left or not possible
+        size, least, possible, by_rules = summary(jaxpr)
+        # What has no rule is a program of its own when its turn comes.
+        possible = possible and (by_rules or size >= SMALL) and all(map(_is_plain, (*jaxpr.in_avals, *jaxpr.out_avals)))
+        self.left = ANY + RATIO * size
+        self.compiled = least > self.left or not possible
+
+
+def _is_plain(aval) -> bool:
+    """Whether NumPy knows values of this kind."""
+    return not is_key(aval) and aval.dtype != jax.dtypes.float0
+
+
+def _on_chosen_devices(arguments) -> bool:
+    return any(isinstance(x, jax.Array) and x.committed for x in arguments)
+
+
+def _of_jax(results, avals) -> list[jax.Array]:
+    """Results of an evaluation as the compiled program's."""
+    found = jax.device_put([np.asarray(x, aval.dtype) for x, aval in zip(results, avals, strict=True)])
+    weak = [aval.weak_type for aval in avals]
+    return [ArrayImpl(aval, x.sharding, [x], committed=False) if w else x for aval, x, w in zip(avals, found, weak)]
 
 
 @contextmanager
@@ -86,7 +108,7 @@ def instead_of_compilation() -> Iterator[None]:
         tier = tiers.get(id(jaxpr))
         if tier is None:
             tier = tiers[id(jaxpr)] = _Tier(jaxpr)
-        if not tier.compiled:
+        if not tier.compiled and not _on_chosen_devices(arguments):
             work = Work(tier.left)
             tier.program = tier.program or without_idle(jaxpr)
             try:
@@ -95,10 +117,8 @@ def instead_of_compilation() -> Iterator[None]:
             except TooLong:
                 tier.compiled = True
             else:
-                tier.left -= work.done
-                kinds = [x.aval.dtype for x in jaxpr.jaxpr.outvars]
-                found = [np.asarray(x, dtype) for x, dtype in zip(results, kinds, strict=True)]
-                return jax.device_put(found), None, None, []
+                tier.left -= work.done + CALL
+                return _of_jax(results, jaxpr.out_avals), None, None, []
         return compile_and_run(*arguments, jaxpr=jaxpr, **settings)
 
     with pytest.MonkeyPatch.context() as patch:

@@ -6,7 +6,10 @@ steps, which are compiled (`evaluation_by_numpy`), by the commands that are run 
 """
 
 import functools
+import itertools
 import math
+import operator
+import string
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import contextmanager
@@ -14,9 +17,11 @@ from typing import Any
 
 import jax
 import numpy as np
+import scipy.linalg
 from jax.core import Tracer
 from jax.extend.core import ClosedJaxpr, Literal
 from jax.interpreters import partial_eval
+from numpy._core.multiarray import c_einsum  # `np.einsum` without its choice of an order, twice as fast
 
 from rfem_jax.compilation import options
 from rfem_jax.compilation.unbatched_calls import keep_unbatched_calls
@@ -31,6 +36,7 @@ ELEMENTWISE: dict[str, Callable] = {
     "ge": np.greater_equal, "eq": np.equal, "ne": np.not_equal, "and": np.bitwise_and, "or": np.bitwise_or,
     "xor": np.bitwise_xor, "not": np.invert, "is_finite": np.isfinite, "stop_gradient": np.asarray,
     "convert_element_type": np.asarray, "copy": np.asarray, "copy_p": np.asarray, "name": np.asarray,
+    "stage": np.asarray, "shift_right_arithmetic": np.right_shift,
     "rsqrt": lambda x: 1.0 / np.sqrt(x), "clamp": lambda low, x, high: np.clip(x, low, high),
 }  # fmt: skip
 REDUCED: dict[str, Callable] = {
@@ -133,6 +139,7 @@ class Interpreted:
             self._place(variable, value if is_key(variable.aval) else np.asarray(value))
         self.inputs = [self._place(variable) for variable in jaxpr.invars]
         self.operations = [self._operation(equation) for equation in jaxpr.eqns]
+        self.operations = [(act, _taking(places), *rest) for act, places, *rest in self.operations]
         self.outputs = [self._read(variable) for variable in jaxpr.outvars]
         sizes = [math.prod(x.aval.shape) for equation in jaxpr.eqns for x in equation.outvars]
         self.work = sum(1.0 + size / ENTRIES for size in sizes)
@@ -170,8 +177,8 @@ class Interpreted:
         values = self.first.copy()
         for place, value in zip(self.inputs, given, strict=True):
             values[place] = value
-        for act, arguments, results, types in self.operations:
-            found = act(*[values[place] for place in arguments])
+        for act, arguments_from, results, types in self.operations:
+            found = act(*arguments_from(values))
             if types is None:
                 values[results] = found
             else:
@@ -180,9 +187,22 @@ class Interpreted:
         return [values[place] for place in self.outputs]
 
 
+def _taking(places: list[int]) -> Callable[[list], Sequence]:
+    """The fastest function that returns the entries of a list at these places."""
+    if len(places) > 1:
+        return operator.itemgetter(*places)
+    first = places[0] if places else 0
+    return operator.itemgetter(slice(first, first + len(places)))
+
+
 def is_key(aval) -> bool:
     """Whether values of this kind are keys of random numbers, which NumPy does not know."""
     return jax.dtypes.issubdtype(aval.dtype, jax.dtypes.extended)
+
+
+def has_rule(name: str) -> bool:
+    """Whether NumPy carries out the operations of this name; if not, JAX does, one by one."""
+    return any(name in rules for rules in (CALLS, ELEMENTWISE, REDUCED, PREPARED, SPECIAL))
 
 
 def _typed(act, dtype, *parts):
@@ -316,38 +336,37 @@ def _groups_summed(equation):
 
 
 def _sum_of_products(equation):
-    """Products in all their axes, those of the result first; then the sum over the others."""
     axes, result = equation.params["axes"], equation.params["result"]
-    sizes = {label: n for labels, x in zip(axes, equation.invars) for label, n in zip(labels, x.aval.shape)}
-    order = [*result, *(label for label in sizes if label not in result)]
-    forms = []
-    for labels in axes:
-        there = sorted(range(len(labels)), key=lambda place, labels=labels: order.index(labels[place]))
-        forms.append((there, [sizes[label] if label in labels else 1 for label in order]))
-    summed = tuple(range(len(result), len(order)))
+    letters = {label: string.ascii_letters[i] for i, label in enumerate({x for part in axes for x in part})}
     shape = equation.outvars[0].aval.shape
+    pairs = []
+    for a, b in zip(axes[::2], axes[1::2]):
+        there = [label in (*a, *b) for label in result]
+        words = ("".join(letters[label] for label in labels) for labels in (a, b, itertools.compress(result, there)))
+        lengths = None if all(there) else [n if is_one else 1 for n, is_one in zip(shape, there)]
+        pairs.append(("{},{}->{}".format(*words), lengths))
 
     def total(*parts):
-        spread = [
-            x.reshape(lengths) if there == sorted(there) else x.transpose(there).reshape(lengths)
-            for x, (there, lengths) in zip(parts, forms)
-        ]
-        found = spread[0] * spread[1]
-        for a, b in zip(spread[2::2], spread[3::2]):
-            found = found + a * b
-        return np.add.reduce(found, axis=summed) if summed else found if found.shape == shape else found.reshape(shape)
+        found = None
+        for (formula, lengths), a, b in zip(pairs, parts[::2], parts[1::2]):
+            product = c_einsum(formula, a, b)
+            product = product if lengths is None else product.reshape(lengths)
+            found = product if found is None else found + product
+        return found if found.shape == shape else np.broadcast_to(found, shape)
 
     return total
 
 
 def _cross_product(equation):
-    axis = equation.params["axis"]
-    following, last = ((slice(None),) * axis + (np.array(order),) for order in ([1, 2, 0], [2, 0, 1]))
+    axis, following, last = equation.params["axis"], np.array([1, 2, 0]), np.array([2, 0, 1])
+
+    def product(a, b):
+        return a.take(following, axis) * b.take(last, axis) - a.take(last, axis) * b.take(following, axis)
 
     def total(*parts):
-        found = 0.0
-        for a, b in zip(parts[::2], parts[1::2]):
-            found = found + (a[following] * b[last] - a[last] * b[following])
+        found = product(parts[0], parts[1])
+        for a, b in zip(parts[2::2], parts[3::2]):
+            found = found + product(a, b)
         return found
 
     return total
@@ -503,6 +522,42 @@ def _linear_solve(equation, *parts):
     return _evaluate(settings["jaxprs"].solve, [*constants, *rest])
 
 
+def _sorted(equation, *parts):
+    """All operands in the order of the first ones."""
+    settings = equation.params
+    axis = settings["dimension"]
+    order = np.lexsort(parts[: settings["num_keys"]][::-1], axis)
+    return [np.take_along_axis(part, order, axis) for part in parts]
+
+
+def _triangular_solve(equation, a, b):
+    settings = equation.params
+    if not settings["left_side"]:
+        a, b = np.swapaxes(a, -1, -2), np.swapaxes(b, -1, -2)
+    rules = {
+        "lower": settings["lower"] == settings["left_side"],
+        "trans": int(settings["transpose_a"]),
+        "unit_diagonal": settings["unit_diagonal"],
+        "check_finite": False,
+    }
+    found = np.empty_like(b)
+    for place in np.ndindex(b.shape[:-2]):
+        found[place] = scipy.linalg.solve_triangular(a[place], b[place], **rules)
+    return [found if settings["left_side"] else np.swapaxes(found, -1, -2)]
+
+
+def _lu(equation, x):
+    """Factors, pivots and the permutation of rows that they stand for."""
+    factors, pivots, permutation = (np.empty(variable.aval.shape, variable.aval.dtype) for variable in equation.outvars)
+    for place in np.ndindex(x.shape[:-2]):
+        factors[place], pivots[place] = scipy.linalg.lu_factor(x[place], check_finite=False)
+        order = np.arange(x.shape[-2])
+        for row, other in enumerate(pivots[place]):
+            order[[row, other]] = order[[other, row]]
+        permutation[place] = order
+    return [factors, pivots, permutation]
+
+
 def _unstack(equation, x):
     return list(np.moveaxis(x, equation.params["axis"], 0))
 
@@ -521,8 +576,10 @@ SPECIAL: dict[str, Callable] = {
     "custom_linear_solve": _linear_solve,
     "dynamic_slice": _dynamic_slice,
     "dynamic_update_slice": _dynamic_update_slice,
+    "empty2": lambda e: [np.zeros(variable.aval.shape, variable.aval.dtype) for variable in e.outvars],
     "gather": _gather,
     "iota": _iota,
+    "lu": _lu,
     "optimization_barrier": lambda _, *parts: list(parts),
     "pad": _padded,
     "rev": lambda e, x: [np.flip(x, e.params["dimensions"])],
@@ -530,7 +587,9 @@ SPECIAL: dict[str, Callable] = {
     "scatter": _scatter,
     "scatter-add": lambda e, *parts: _scatter(e, *parts, combine=np.add),
     "scatter_add": lambda e, *parts: _scatter(e, *parts, combine=np.add),
+    "sort": _sorted,
     "split": _split,
+    "triangular_solve": _triangular_solve,
     "unstack": _unstack,
     "while": _while,
 }

@@ -1,10 +1,13 @@
 """What NumPy evaluates instead of a compiled program is the same, and loops of many turns are compiled."""
 
+import itertools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from rfem_jax.mechanics.algebra import dot, rotation_about
 from tests import evaluation_by_numpy
 from tests.evaluation_by_numpy import instead_of_compilation, summary
 from tests.numpy_evaluation import by_numpy
@@ -26,13 +29,8 @@ def everything(x):
     return jnp.concatenate([last, signs * grown, squares, rows[::2].at[0, 1].add(x[0]).ravel()])
 
 
-@pytest.fixture
-def for_small_programs(monkeypatch):
-    monkeypatch.setattr(evaluation_by_numpy, "SMALL", 20)
-
-
 @pytest.mark.parametrize("of", [everything, jax.jacfwd(everything)], ids=["values", "derivatives"])
-def test_evaluated_and_compiled_are_the_same(for_small_programs, of):
+def test_evaluated_and_compiled_are_the_same(of):
     x = jnp.asarray([0.3, -0.2, 0.7])
     compiled = jax.jit(lambda x: of(x))(x)
     with instead_of_compilation():
@@ -57,7 +55,7 @@ def compilations(run):
     return names
 
 
-def test_what_takes_long_is_compiled(for_small_programs):
+def test_what_takes_long_is_compiled():
     def steps(count):
         def move(x):
             for _ in range(30):
@@ -80,3 +78,53 @@ def test_what_takes_long_is_compiled(for_small_programs):
     assert compilations(lambda: (jax.jit(known)(1.0), jax.jit(counted)(1.0))) == []
     once = jax.jit(known)
     assert "few" in compilations(lambda: [once(float(x)) for x in range(200)])
+
+
+def test_operations_outside_of_programs_are_evaluated():
+    x = jnp.arange(6.0).reshape(2, 3)
+    assert compilations(lambda: jnp.sin(x)[1:] @ jnp.ones(3) + 2.0 * jnp.asarray([1.0])) == []
+    # What NumPy has no rule for is compiled, and so is everything after many evaluations.
+    assert "erf" in compilations(lambda: jax.lax.erf(x))
+    assert "add" in compilations(lambda: [x + float(i) for i in range(500)])
+
+
+def test_results_are_of_the_kind_of_the_compiled_program_s():
+    def kinds():
+        x = jnp.asarray(2.0) * 3.0
+        return [(y.dtype, y.weak_type, y.aval, y.sharding) for y in (x, jnp.sin(2.0), jnp.ones(3) > 0.0, jnp.int32(3))]
+
+    compiled = kinds()
+    with instead_of_compilation():
+        assert kinds() == compiled
+
+
+RNG = np.random.default_rng(3)
+MATRICES = RNG.normal(size=(2, 4, 4)) + 4.0 * np.eye(4)
+ORDERED = np.round(RNG.normal(size=(4, 5)))
+ORDERED[2, 1] = np.nan
+
+
+@pytest.mark.parametrize("how", list(itertools.product(*[(False, True)] * 4)))
+def test_triangular_systems(how):
+    names = ("left_side", "lower", "transpose_a", "unit_diagonal")
+    loads = RNG.normal(size=(2, 4, 3) if how[0] else (2, 3, 4))
+
+    def solve(a, b):
+        return jax.lax.linalg.triangular_solve(a, b, **dict(zip(names, how)))
+
+    np.testing.assert_allclose(by_numpy(solve)(MATRICES, loads), solve(MATRICES, loads), rtol=1e-12, atol=1e-14)
+
+
+OTHERS = {
+    "factors": lambda: jax.lax.linalg.lu(MATRICES + 0.0),
+    "rows in order": lambda: jax.lax.sort((ORDERED + 0.0, jnp.cos(ORDERED)), dimension=1, num_keys=2),
+    "order of columns": lambda: jnp.argsort(ORDERED + 0.0, axis=0),
+    "sums with constants": lambda: rotation_about(1, jnp.asarray([0.1, 0.2])),
+    "a batch of sums": lambda: jax.vmap(lambda a: dot(a, jnp.ones(3)) + rotation_about(2, a[0])[0, 1])(ORDERED[:, :3]),
+}
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_other_operations(name):
+    for evaluated, compiled in zip(jax.tree.leaves(by_numpy(OTHERS[name])()), jax.tree.leaves(OTHERS[name]())):
+        np.testing.assert_allclose(evaluated, compiled, rtol=1e-13, atol=1e-15)
