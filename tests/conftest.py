@@ -29,6 +29,7 @@ from jax._src import compiler  # noqa: E402
 
 from rfem_jax.report import pictures, style  # noqa: E402
 from rfem_jax.simulation import stepping  # noqa: E402
+from tests import evaluation_by_numpy  # noqa: E402
 from tests.evaluation_by_numpy import instead_of_compilation  # noqa: E402
 from tests.numpy_evaluation import forget_programs  # noqa: E402
 
@@ -108,6 +109,12 @@ def quick_compilation(request):
     results to the last bit, or its programs run long. Session fixtures, which come first, do it themselves."""
     with compiled_quickly(getattr(request.module, "ALWAYS_COMPILED", False)):
         yield
+
+
+@pytest.fixture
+def large_programs_compiled(monkeypatch):
+    """For a test whose programs run so long that NumPy need not try them first."""
+    monkeypatch.setattr(evaluation_by_numpy, "RATIO", 0.0)
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -205,9 +205,9 @@ class Outcome(NamedTuple):
     seconds: float
 
 
-def compute(programs: dict[tuple, Program], progress: Callable[[str], None]) -> dict[tuple, Outcome]:
-    """Compile all programs, then run them; short ones several times, for their time."""
-    outcomes, compiled = {}, {}
+def compile_all(programs: dict[tuple, Program], progress: Callable[[str], None]) -> dict[tuple, Callable]:
+    """Their functions compiled, two at a time."""
+    compiled = {}
     with ThreadPoolExecutor(2) as pool:
         started = {
             key: pool.submit(lambda p: p.function.lower(*p.arguments).compile(), program)
@@ -216,11 +216,17 @@ def compute(programs: dict[tuple, Program], progress: Callable[[str], None]) -> 
         for key, future in started.items():
             compiled[key] = future.result()
             progress(f"compiled {len(compiled)} of {len(programs)}: {_words(key)}")
+    return compiled
+
+
+def compute(programs: dict[tuple, Program], is_trial: bool, progress: Callable[[str], None]) -> dict[tuple, Outcome]:
+    """Compile all programs, then run them; short ones several times, for their time, which a trial does not need."""
+    outcomes, compiled = {}, {} if is_trial else compile_all(programs, progress)
     for key, program in programs.items():
-        times = []
-        while not times or (sum(times) < 1.0 and len(times) < 5):
+        run, times = compiled.get(key, program.function), []
+        while not times or (not is_trial and sum(times) < 1.0 and len(times) < 5):
             start = time.process_time()
-            values = jax.block_until_ready(compiled[key](*program.arguments))
+            values = jax.block_until_ready(run(*program.arguments))
             times.append(time.process_time() - start)
         outcomes[key] = Outcome(jax.tree.map(np.asarray, values), min(times) / program.samples)
         progress(f"ran {len(outcomes)} of {len(programs)}: {_words(key)}, {sum(times):.1f} s CPU")
@@ -476,7 +482,7 @@ def main() -> None:
     note = "Substitute for the paper's lost data." + (" A trial (--quick)." if options.quick else "")
     study = replace(study, title="Steel four-bar", note=note)
     joints = sorted(joint.name for joint in study.mechanism.joints)
-    outcomes = compute(programs_of(study, plan, options.questions), progress)
+    outcomes = compute(programs_of(study, plan, options.questions), options.quick, progress)
     require_success(outcomes)
     tables = tables_of(outcomes, joints, plan, options.questions)
     for name, rows in tables.items():
