@@ -77,14 +77,11 @@ class _Tier:
         self.jaxpr, self.program = jaxpr, None
         size, least, possible, by_rules = summary(jaxpr)
         # What has no rule is a program of its own when its turn comes.
-        possible = possible and (by_rules or size >= SMALL) and all(map(_is_plain, (*jaxpr.in_avals, *jaxpr.out_avals)))
+        possible = (
+            possible and (by_rules or size >= SMALL) and not any(map(is_key, (*jaxpr.in_avals, *jaxpr.out_avals)))
+        )
         self.left = ANY + RATIO * size
         self.compiled = least > self.left or not possible
-
-
-def _is_plain(aval) -> bool:
-    """Whether NumPy knows values of this kind."""
-    return not is_key(aval) and aval.dtype != jax.dtypes.float0
 
 
 def _on_chosen_devices(arguments) -> bool:

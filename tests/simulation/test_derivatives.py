@@ -1,6 +1,6 @@
 """Derivatives through assembly, the drive's jump and the whole motion: forward = reverse = differences.
 
-The study's four-bar for 0.5 s on one discretisation, all kinds of errors on all sides of all joints,
+The study's four-bar for 0.12 s on one discretisation, all kinds of errors on all sides of all joints,
 all metrics.  Differences are the sixth-order combination of central differences at three distances
 (Richardson's extrapolation).  Their error is rounding, 1e-14 of mean squares and 3e-13 of peaks: 1e-7 of a derivative
 at steps small enough for an extrapolation error below 1e-7.
