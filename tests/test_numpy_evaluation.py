@@ -90,8 +90,12 @@ def test_operations_outside_of_programs_are_evaluated():
 
 def test_results_are_of_the_kind_of_the_compiled_program_s():
     def kinds():
-        x = jnp.asarray(2.0) * 3.0
-        return [(y.dtype, y.weak_type, y.aval, y.sharding) for y in (x, jnp.sin(2.0), jnp.ones(3) > 0.0, jnp.int32(3))]
+        """Of new programs, which JAX has not compiled before."""
+        placed = jax.device_put(jnp.ones(3), jax.devices()[0])
+        functions = (lambda x: 3.0 * x, lambda x: x > 0.0, lambda x: jnp.int32(2) + jnp.asarray(x).astype("int32"))
+        results = [jax.jit(lambda x, f=f: f(x))(x) for f in functions for x in (2.0, jnp.ones(3), placed)]
+        of_integers = jax.jit(lambda x: jax.jvp(lambda x: x.astype(int), (x,), (x,)))(jnp.ones(2))[1]
+        return of_integers.dtype, [(y.dtype, y.weak_type, y.aval, y.sharding, y.committed) for y in results]
 
     compiled = kinds()
     with instead_of_compilation():
