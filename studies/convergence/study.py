@@ -205,28 +205,27 @@ class Outcome(NamedTuple):
     seconds: float
 
 
-def compile_all(programs: dict[tuple, Program], progress: Callable[[str], None]) -> dict[tuple, Callable]:
-    """Their functions compiled, two at a time."""
-    compiled = {}
-    with ThreadPoolExecutor(2) as pool:
-        started = {
-            key: pool.submit(lambda p: p.function.lower(*p.arguments).compile(), program)
-            for key, program in programs.items()
-        }
-        for key, future in started.items():
-            compiled[key] = future.result()
-            progress(f"compiled {len(compiled)} of {len(programs)}: {_words(key)}")
-    return compiled
+def compiled_function(program: Program, is_trial: bool) -> Callable:
+    """Its function, compiled: that of a trial by a first call, which takes no time there."""
+    if is_trial:
+        jax.block_until_ready(program.function(*program.arguments))
+        return program.function
+    return program.function.lower(*program.arguments).compile()
 
 
 def compute(programs: dict[tuple, Program], is_trial: bool, progress: Callable[[str], None]) -> dict[tuple, Outcome]:
-    """Compile all programs, then run them; short ones several times, for their time, which a trial does not need."""
-    outcomes, compiled = {}, {} if is_trial else compile_all(programs, progress)
+    """Compile all programs, then run them; short ones several times, for their time."""
+    outcomes, compiled = {}, {}
+    with ThreadPoolExecutor(2) as pool:
+        started = {key: pool.submit(compiled_function, program, is_trial) for key, program in programs.items()}
+        for key, future in started.items():
+            compiled[key] = future.result()
+            progress(f"compiled {len(compiled)} of {len(programs)}: {_words(key)}")
     for key, program in programs.items():
-        run, times = compiled.get(key, program.function), []
-        while not times or (not is_trial and sum(times) < 1.0 and len(times) < 5):
+        times = []
+        while not times or (sum(times) < 1.0 and len(times) < 5):
             start = time.process_time()
-            values = jax.block_until_ready(run(*program.arguments))
+            values = jax.block_until_ready(compiled[key](*program.arguments))
             times.append(time.process_time() - start)
         outcomes[key] = Outcome(jax.tree.map(np.asarray, values), min(times) / program.samples)
         progress(f"ran {len(outcomes)} of {len(programs)}: {_words(key)}, {sum(times):.1f} s CPU")
