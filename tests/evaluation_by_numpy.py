@@ -76,12 +76,10 @@ class _Tier:
     def __init__(self, jaxpr):
         self.jaxpr, self.program = jaxpr, None
         size, least, possible, by_rules = summary(jaxpr)
-        # What has no rule is a program of its own when its turn comes.
-        possible = (
-            possible and (by_rules or size >= SMALL) and not any(map(is_key, (*jaxpr.in_avals, *jaxpr.out_avals)))
-        )
+        has_keys = any(map(is_key, (*jaxpr.in_avals, *jaxpr.out_avals)))
         self.left = ANY + RATIO * size
-        self.compiled = least > self.left or not possible
+        # What has no rule is a program of its own when its turn comes.
+        self.compiled = least > self.left or not possible or has_keys or not (by_rules or size >= SMALL)
 
 
 def _on_chosen_devices(arguments) -> bool:

@@ -206,7 +206,7 @@ class Outcome(NamedTuple):
 
 
 def compiled_function(program: Program, is_trial: bool) -> Callable:
-    """Its function, compiled: that of a trial by a first call, which takes no time there."""
+    """Its function, compiled: that of a trial by a first call, which takes no time and which tests can answer."""
     if is_trial:
         jax.block_until_ready(program.function(*program.arguments))
         return program.function

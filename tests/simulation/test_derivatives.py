@@ -111,8 +111,9 @@ def test_forward_mode_equals_differences(values, jacobian):
     assert gap.max() < 1e-6, f"{METRICS[metric]} by {NAMES[error]}"
 
 
-def test_reverse_mode_equals_forward_mode(problem, jacobian):
-    """The gradient of a sum of all metrics, each weighted so that it counts."""
+def test_reverse_mode_equals_forward_mode(problem, jacobian, large_programs_compiled):
+    """The gradient of a sum of all metrics, each weighted so that it counts; by XLA, which has compiled wrong programs
+    of loops in reverse mode, where the Jacobian is NumPy's."""
     weights = np.random.default_rng(7).uniform(0.5, 1.0, len(METRICS))
     weights = weights / (np.abs(jacobian) * TYPICAL).max(axis=1)
     function = stacked(problem)
@@ -153,8 +154,8 @@ def loop_with_one_flexible_link(rfes):
     return Mechanism(links, four_bar().joints, driven_joint="A")
 
 
-def test_geometrically_exact_elements():
-    """Three errors of different kinds, by all three ways."""
+def test_geometrically_exact_elements(large_programs_compiled):
+    """Three errors of different kinds, by all three ways, all compiled."""
     model = discretise(loop_with_one_flexible_link(3), elements="geometrically_exact")
     problem = Problem(
         model, MomentRamp("A", 1.5, 0.06), 0.12,
