@@ -23,6 +23,7 @@ from jax.typing import ArrayLike
 from jaxlib.lapack import prepare_lapack_call
 
 from rfem_jax.compilation import keys, options
+from rfem_jax.compilation.same_context import same_context
 from rfem_jax.compilation.stages import on_stage
 from rfem_jax.compilation.unbatched_calls import keep_unbatched_calls
 
@@ -123,7 +124,7 @@ def trace(
     what = function.__name__.strip("_").replace("_", " ")
     on_stage(f"Tracing the program {what!r}")
     keep_unbatched_calls()
-    with without_collections(), options.own_program() as program:
+    with without_collections(), same_context(), options.own_program() as program:
         traced = jax.jit(function).trace(*arrays)
         lowered = traced.lower()
     results = tuple((x.shape, x.dtype, x.weak_type) for x in traced.jaxpr.out_avals)

@@ -20,6 +20,7 @@ import jax
 from rfem_jax.compilation import keeping, keys, options
 from rfem_jax.compilation.call import call_of, kind
 from rfem_jax.compilation.executable import Place
+from rfem_jax.compilation.same_context import same_context
 from rfem_jax.compilation.transformations import Transformable, bind, no_staging, no_transformation
 
 options.settle()
@@ -54,11 +55,16 @@ class Program:
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
         if not (keeping.wanted() and no_staging()) or _watched():
-            return self._jitted(*args, **kwargs)
+            return self._plainly(args, kwargs)
         call, arrays = self._call_with(args, kwargs)
         if call is None:
-            return self._jitted(*args, **kwargs)
+            return self._plainly(args, kwargs)
         return _filled(call, call.run(arrays) if no_transformation() else bind(call, arrays))
+
+    def _plainly(self, args, kwargs) -> Any:
+        """The result without a program to be kept, as within another one."""
+        with same_context():
+            return self._jitted(*args, **kwargs)
 
     def ahead(self, *args: Any, **kwargs: Any) -> Any:
         """Start to compile or load, in the background, what a call with these arguments will need.

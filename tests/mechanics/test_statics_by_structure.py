@@ -58,6 +58,7 @@ def without_matrix(function, at, *others):
 def test_recursion_alone_finds_the_equilibrium_and_its_derivatives(make, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(search, "linearised", without_matrix)
+        patch.setattr(search, "solve_dense", lambda equations, linear, value: jnp.full_like(value, jnp.nan))
         *found, status = with_derivatives(equilibria(make))
         assert status == OK
     with monkeypatch.context() as patch:

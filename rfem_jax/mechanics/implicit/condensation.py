@@ -22,6 +22,7 @@ in the link's axes as soon as a link is bent by more than its thickness: their o
 present deflection.
 """
 
+import functools
 from typing import NamedTuple
 
 import jax
@@ -79,36 +80,51 @@ def _link_operators(actual, q_factor, v_factor):
     springs = elasticity.stiffness_blocks(actual)
     zeros = jnp.zeros_like(actual.rest)
     middle = jnp.stack([actual.rest, zeros, zeros])
-    centre, inertia = actual.centre[:, n:], actual.inertia[:, :, n:]
+    bodies = _rigid_bodies(actual, actual.centre[:, n:], actual.inertia[:, :, n:], middle)
 
     def operator(l, a, b):
-        mass, coupling, rigid = _rigid_link(actual, l, centre[:, a:b], inertia[:, :, a:b], middle[:, a:b])
+        mass, coupling, rigid = bodies.of_link(topology, l)
         s = q_factor + actual.damping[a] * v_factor
-        factored = factor(mass + s * springs.diagonal[a:b], s * springs.lower[a:b])
-        return _condense(factored, coupling, rigid, local_interfaces(topology, l))
+        stiffness = mass + s * springs.diagonal[a:b], s * springs.lower[a:b]
+        return _condense(*stiffness, coupling, rigid, interfaces=local_interfaces(topology, l))
 
     return tuple(operator(l, a, b) if b > a else None for l, (a, b) in enumerate(topology.ranges))
 
 
-def _rigid_link(
-    actual: ModelWithErrors, link: int, centre: Array, inertia: Array, middle: Array
-) -> tuple[Array, Array, Array]:
-    """Inertias M (m, 6, 6) of the free rfes of a link with centres (3, m) and central inertias (3, 3, m); M X
-    (m, 6, 6) for their middles (3, m) in the link frame; inertia (6, 6) of the whole link, rigid, at its frame."""
-    a, b = actual.topology.ranges[link]
+class _RigidBodies(NamedTuple):
+    """Inertia of the bodies of all links, in the links' axes.
+
+    mass (rfes, 6, 6): M of the free rfes; coupling (rfes, 6, 6): M X; moved (rfes, 6, 6): X^T M X; roots (6, 6, links):
+    of the rfes 0 at their frames.
+    """
+
+    mass: Float[Array, "rfes 6 6"]
+    coupling: Float[Array, "rfes 6 6"]
+    moved: Float[Array, "rfes 6 6"]
+    roots: Float[Array, "6 6 links"]
+
+    def of_link(self, topology: Topology, link: int) -> tuple[Array, Array, Array]:
+        """M (m, 6, 6) and M X (m, 6, 6) of the free rfes of a link; inertia (6, 6) of the whole link, rigid, at its
+        frame."""
+        a, b = topology.ranges[link]
+        rigid = self.roots[:, :, link] + jnp.sum(self.moved[a:b], axis=0)
+        return self.mass[a:b], self.coupling[a:b], rigid
+
+
+def _rigid_bodies(actual: ModelWithErrors, centre: Array, inertia: Array, middle: Array) -> _RigidBodies:
+    """Bodies of links whose free rfes have centres (3, rfes), central inertias (3, 3, rfes) and middles (3, rfes)."""
     n = actual.topology.n_links
-    mass = algebra.spatial_inertia(actual.mass[n + a : n + b], centre, inertia)
-    mass = jnp.moveaxis(mass, 2, 0)
+    mass = jnp.moveaxis(algebra.spatial_inertia(actual.mass[n:], centre, inertia), 2, 0)
     # Motion of the rfes' middles when the link frame moves: linear += angular x position.
     shift = jnp.moveaxis(algebra.cross_matrix(middle), 2, 0)
-    rigid_modes = jnp.broadcast_to(jnp.eye(6), (b - a, 6, 6)).at[:, 3:, :3].set(-shift)
-    coupling = jnp.einsum("mij,mjk->mik", mass, rigid_modes)
-    root = root_inertia(actual, link)
-    return mass, coupling, root + jnp.einsum("mji,mjk->ik", rigid_modes, coupling)
+    rigid_modes = jnp.broadcast_to(jnp.eye(6), mass.shape).at[:, 3:, :3].set(-shift)
+    coupling = mass @ rigid_modes
+    moved = rigid_modes.swapaxes(1, 2) @ coupling
+    return _RigidBodies(mass, coupling, moved, root_inertia(actual, slice(n)))
 
 
-def root_inertia(actual: ModelWithErrors, link: int) -> Float[Array, "6 6"]:
-    """Spatial inertia of a link's rfe 0 at its frame, in its axes."""
+def root_inertia(actual: ModelWithErrors, link: int | slice) -> Float[Array, "6 6 *links"]:
+    """Spatial inertia of a link's rfe 0, or that of several links, at its frame, in its axes."""
     return algebra.spatial_inertia(actual.mass[link], actual.centre[:, link], actual.inertia[:, :, link])
 
 
@@ -127,22 +143,27 @@ def present_operators(
     # From rates of the coordinates, whose angles are about the rfe's present axes, to twists in link axes.
     rates = jnp.zeros((topology.n_rfes, 6, 6)).at[:, 3:, 3:].set(jnp.eye(3))
     rates = rates.at[:, :3, :3].set(jnp.moveaxis(relative.rate_matrix, 2, 0))
+    bodies = _rigid_bodies(actual, centre, inertia, relative.position)
 
     def operator(l, a, b):
-        middle = relative.position[:, a:b]
-        mass, coupling, rigid = _rigid_link(actual, l, centre[:, a:b], inertia[:, :, a:b], middle)
+        mass, coupling, rigid = bodies.of_link(topology, l)
         s, t = q_factor + actual.damping[a] * v_factor, rates[a:b]
         diagonal = jnp.einsum("mji,mjk,mkl->mil", t, mass + s * springs.diagonal[a:b], t)
         left = jnp.roll(t, 1, axis=0)
         lower = s * jnp.einsum("mji,mjk,mkl->mil", t, springs.lower[a:b], left)
         coupling = jnp.einsum("mji,mjk->mik", t, coupling)
-        return _condense(factor(diagonal, lower), coupling, rigid, local_interfaces(topology, l))
+        return _condense(diagonal, lower, coupling, rigid, interfaces=local_interfaces(topology, l))
 
     return tuple(operator(l, a, b) if b > a else None for l, (a, b) in enumerate(topology.ranges))
 
 
-def _condense(factored: Factored, coupling: Array, rigid: Array, interfaces: tuple[int, ...]) -> LinkOperator:
-    """The operator from the factored M + s K, M X (m, 6, 6) and the rigid link's inertia (6, 6)."""
+@functools.partial(jax.jit, static_argnames="interfaces")  # traced once for links of one shape
+def _condense(
+    diagonal: Array, lower: Array, coupling: Array, rigid: Array, *, interfaces: tuple[int, ...]
+) -> LinkOperator:
+    """The operator from the blocks (m, 6, 6) of M + s K on and below the diagonal, M X (m, 6, 6) and the rigid link's
+    inertia (6, 6)."""
+    factored = factor(diagonal, lower)
     m = coupling.shape[0]
     rows = np.array([k + m * c for k in interfaces for c in range(6)], dtype=int)
     unit = jnp.zeros((6, m, len(rows)))

@@ -76,7 +76,7 @@ def chord(
 
 def solve_dense(equations: Equations, linear: Linear, value: Float[Array, " n"]) -> Float[Array, " n"]:
     """Solution of linear(x) = value with the dense matrix of a linear function."""
-    return equations.solve(linearised(linear, jnp.zeros_like(value))[1], value)
+    return equations.solve(jax.vmap(linear, out_axes=1)(_units(jnp.zeros_like(value))[0]), value)
 
 
 def solve_linear(
@@ -137,12 +137,17 @@ def _size(x: Array) -> Array:
 
 
 def linearised(function: Callable, at: Array, *others: Any) -> tuple[Array, Array]:
-    """Value and Jacobian of a function at one place.  The barrier keeps the Jacobian in place: much of it is
-    constant, and XLA would move that out of a loop that is seldom entered."""
-    rows, at, others = jax.lax.optimization_barrier((jnp.arange(at.size), at, others))
-    units = (rows[:, None] == rows[None]).astype(at.dtype)
-    value, jvp = jax.linearize(lambda x: function(x, *others), at)
-    return value, jax.vmap(jvp, out_axes=1)(units)
+    """Value and Jacobian of a function at one place."""
+    units, (at, others) = _units(at, others)
+    along = jax.vmap(lambda unit: jax.jvp(lambda x: function(x, *others), (at,), (unit,)), out_axes=(None, 1))
+    return along(units)
+
+
+def _units(at: Array, *others: Any) -> tuple[Array, tuple]:
+    """Unit vectors as rows, and what a matrix is made from with them.  The barrier keeps the matrix in place: much of
+    it is constant, and XLA would move that out of a loop that is seldom entered."""
+    rows, *given = jax.lax.optimization_barrier((jnp.arange(at.size), at, *others))
+    return (rows[:, None] == rows[None]).astype(at.dtype), tuple(given)
 
 
 def newton(
