@@ -325,9 +325,15 @@ def observe_ends(
         seen = observe(here, state, now, end.trajectory.integrals, instant, squares)
         return seen._replace(asked=instant_records(model, actual, state, instant, asked)) if asked else seen
 
-    entries_and_ends = _entries(grid), ends
-    form = jax.eval_shape(record, jax.tree.map(lambda x: x[0], entries_and_ends))
-    return unpack(jax.lax.map(lambda one: pack(record(one)), entries_and_ends), form)
+    forms = []
+
+    def packed(entry_and_end):
+        seen = record(entry_and_end)
+        forms.append(jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), seen))
+        return pack(seen)
+
+    records = jax.lax.map(packed, (_entries(grid), ends))
+    return unpack(records, forms[0])
 
 
 def conclude(
