@@ -47,6 +47,11 @@ def scaled(
     return contract((), (0,), (0,), factor, vector)
 
 
+def outer(a: Float[Array, " m"], b: Float[Array, " n"]) -> Float[Array, "m n"]:
+    """Matrix of the products of all entries of two vectors."""
+    return contract((0,), (1,), (0, 1), a, b)
+
+
 def apply(matrix: Float[Array, "m n *#k"], vector: Float[Array, "n *#k"]) -> Float[Array, "m ..."]:
     """Matrix times vector."""
     return contract((0, 1), (1,), (0,), matrix, vector)

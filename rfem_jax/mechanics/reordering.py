@@ -34,6 +34,11 @@ def reorder(values: Array | np.ndarray, order: Sequence[int] | np.ndarray, axis:
     return _reorder.bind(values, order=order, axis=axis)
 
 
+def rows(values: Array | np.ndarray, places: Sequence[int] | np.ndarray, axis: int = 0) -> Array:
+    """Rows at known places of an axis, each at most once."""
+    return _gather(values, order=tuple(int(place) for place in places), axis=axis)
+
+
 def _gather(values: Array | np.ndarray, *, order: tuple[int, ...], axis: int) -> Array:
     sizes = list(values.shape)
     sizes[axis] = 1

@@ -32,6 +32,6 @@ def like_batched(tree: Tree, *sources: Array, differentiated: bool = False) -> T
     never = jnp.zeros((), bool)
 
     def chosen(x):
-        return jax.lax.select_n(jnp.broadcast_to(never, x.shape), x, jnp.broadcast_to(token.astype(x.dtype), x.shape))
+        return jax.lax.select_n(never, x, jnp.broadcast_to(token.astype(x.dtype), x.shape))
 
     return jax.tree.map(chosen, tree)

@@ -31,6 +31,7 @@ from rfem_jax.mechanics.designs import Design, designed, with_status
 from rfem_jax.mechanics.model import Model, State
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors, ModelWithErrors, apply_errors, assembly_errors
 from rfem_jax.mechanics.orientations import angles_of
+from rfem_jax.mechanics.reordering import rows
 from rfem_jax.mechanics.statics.assembly import (
     Load,
     held_angles,
@@ -351,8 +352,8 @@ def conclude(
     record = observe_ends(model, prepared.actual, drive, ends, grid, method, steps, asked)
     # The maxima are taken at the starts of steps: the last instant is still missing.
     carry = carry._replace(peaks=jnp.maximum(carry.peaks, jnp.max(record.squares, axis=0)))
-    record = jax.tree.map(lambda x: x[grid.saved], record)
-    times = jnp.asarray(grid.starts + grid.lengths)[grid.saved]
+    record = jax.tree.map(lambda x: rows(x, grid.saved), record)
+    times = rows(jnp.asarray(grid.starts + grid.lengths), grid.saved)
     energy, drift, error = record.energy, jnp.max(record.drift), _balance_error(record.energy)
     residual = carry.residual / _safe(_force_scale(model, carry, energy, times))
     relative = jnp.max(record.momentum_residual, axis=0) / _safe(jnp.max(record.largest_load, axis=0))
@@ -394,7 +395,7 @@ def conclude(
         nominal_lines=link_lines(model, apply_errors(model, assembly_errors(model)), model.start_coordinates()),
         friction_losses=_by_friction(model, record.friction_losses),
         recorded=finished_records(model, prepared.actual, record.asked, record.friction_losses, asked),
-        positions=jax.tree.map(lambda x: x[grid.saved], ends.trajectory.position),
+        positions=jax.tree.map(lambda x: rows(x, grid.saved), ends.trajectory.position),
     )
 
 

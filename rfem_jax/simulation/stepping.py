@@ -17,7 +17,7 @@ import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int, PyTree
+from jaxtyping import Array, Bool, Float, Int, PyTree, Shaped
 
 from rfem_jax.compilation.options import explicit_methods_scalarised
 from rfem_jax.compilation.scalarisation import nothing_known, scalarised
@@ -96,13 +96,18 @@ def step_intervals(
 
     def step_over(carry, entry):
         start, length, phase, kind = entry
-        chosen = jax.tree.map(lambda x: x[kind], operators)
+        chosen = jax.tree.map(lambda x: _row(x, kind), operators)
         conditions = Conditions(actual, drives, phase, stabilisation, chosen)
         if method.adaptive:
             return _adaptive(solver, carry, start, length, conditions, method, adjoint)
         return _fixed(solver, carry, start, length, steps, conditions, tolerance)
 
     return step_over
+
+
+def _row(values: Shaped[Array, "rows ..."], place: Int[Array, ""]) -> Shaped[Array, "..."]:
+    """A row at a place that is not negative."""
+    return jax.lax.dynamic_index_in_dim(values, place, keepdims=False, allow_negative_indices=False)
 
 
 def contact_tolerance_of(model: Model, method: Method) -> float | None:

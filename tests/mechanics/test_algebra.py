@@ -24,6 +24,11 @@ def test_a_rotation_turns_about_its_axis_from_the_next_axis_to_the_one_after(axi
         np.testing.assert_allclose(np.linalg.det(found[:, :, k]), 1.0, rtol=1e-14)
 
 
+def test_the_outer_product_is_numpys():
+    a, b = np.arange(1.0, 4.0), np.array([2.0, -1.0])
+    np.testing.assert_array_equal(algebra.outer(a, b), np.outer(a, b))
+
+
 def test_the_matrix_of_a_cross_product():
     a, b = rng.normal(size=(2, 3, 5))
     found = np.einsum("ijk,jk->ik", np.asarray(algebra.cross_matrix(jnp.asarray(a))), b)

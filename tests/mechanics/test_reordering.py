@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rfem_jax.compilation.scalarisation import scalarised
-from rfem_jax.mechanics.reordering import reorder, repeat, sum_groups
+from rfem_jax.mechanics.reordering import reorder, repeat, rows, sum_groups
 from tests.numpy_evaluation import by_numpy
 
 ORDER = (2, 0, 3, 1)
@@ -23,6 +23,14 @@ def test_rows_are_taken(run):
     np.testing.assert_array_equal(run(lambda x: reorder(x, ORDER, axis=1))(X), X[:, ORDER])
     np.testing.assert_array_equal(run(lambda x: reorder(x, (1, 2, 0)))(X), X[[1, 2, 0]])
     assert run(lambda x: reorder(x, ()))(np.zeros((0, 4))).shape == (0, 4)
+
+
+@pytest.mark.parametrize("places", [(3, 1), np.array([0, 2, 3]), ()])
+def test_some_rows_are_taken(places):
+    found = rows(X, places, axis=1)
+    np.testing.assert_array_equal(found, X[:, np.array(places, int)])
+    back = jax.grad(lambda x: jnp.sum(rows(x, places, axis=1)))(X)
+    np.testing.assert_array_equal(back, np.isin(np.arange(4), places)[None, :, None] * np.ones(X.shape))
 
 
 @pytest.mark.parametrize("order", [(0, 1, 2), (0, 1, 1, 2), (0, 1, 2, 4)])

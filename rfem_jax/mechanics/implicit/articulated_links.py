@@ -29,6 +29,7 @@ from rfem_jax.mechanics.algebra import (
     constant_product,
     cross,
     dot,
+    outer,
     product,
     transpose,
 )
@@ -198,7 +199,7 @@ def eliminate(
                 if k in joint_tangent:
                     pivot = pivot + joint_tangent[k]
                 hinge = Hinge(force_rows / pivot[None], pivot)
-                inertia = inertia - force_rows[:, None] * hinge.scaled[None]
+                inertia = inertia - outer(force_rows, hinge.scaled)
             axes.append(axis)
             hinges.append(hinge)
         node = topology.parents[l]
@@ -281,10 +282,10 @@ def respond(
             interface_wrenches[l] = wrench
         subtree_loads[l] = load
         for k, axis, hinge in zip(reversed(topology.coordinates[l]), reversed(link.axes), reversed(link.hinges)):
-            torque = joint_loads[k] + dot(axis[:, None], load)
+            torque = joint_loads[k] + apply_transposed(load, axis)
             joint_torques[k] = torque
             if hinge is not None:
-                load = load - hinge.scaled[:, None] * torque[None]
+                load = load - outer(hinge.scaled, torque)
         node = topology.parents[l]
         if node != BASE:
             loads[node] = loads.get(node, 0.0) + load
@@ -312,8 +313,8 @@ def _accelerate(
         for k, axis, hinge in zip(topology.coordinates[l], link.axes, link.hinges):
             rate = jnp.zeros_like(zeros[0])
             if hinge is not None:
-                rate = joint_torques[k] / hinge.pivot[None] - dot(hinge.scaled[:, None], acceleration)
-                acceleration = acceleration + axis[:, None] * rate[None]
+                rate = joint_torques[k] / hinge.pivot[None] - apply_transposed(acceleration, hinge.scaled)
+                acceleration = acceleration + outer(axis, rate)
             rates.append(rate)
         of_links.append(acceleration)
         at[l] = acceleration
