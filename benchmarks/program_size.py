@@ -1,11 +1,12 @@
 """What XLA is given, and what it makes of it: programs of the main study's loads and of their gradient.
 
-    python benchmarks/program_size.py [--folders FOLDER ...] [--gradient]
+    python benchmarks/program_size.py [--folders FOLDER ...] [--gradient [MODE]]
 
 For every checkout of the project (default: this one) a process of its own: equations of the traced program, inner ones
 included; processor time to trace and lower it and to compile it; shortest run of 30.  RMS loads with errors at joint D,
-by Runge-Kutta 4 with the study's step and by generalised alpha with 2.5 ms; `--gradient`: instead the reverse-mode
-derivative of the sum of all mean-square forces by these errors.  What was compiled before is not used.
+by Runge-Kutta 4 with the study's step and by generalised alpha with 2.5 ms; `--gradient`: instead the derivative of the
+sum of all mean-square forces by these errors, in `reverse` (default) or `forward` mode.  What was compiled before is
+not used.
 """
 
 import argparse
@@ -34,7 +35,7 @@ def count_equations(jaxpr) -> int:
     return total
 
 
-def measure(folder: Path, gradient: bool) -> None:
+def measure(folder: Path, gradient: str | None) -> None:
     """Print a line for every program of the checkout that is imported here."""
     import jax
 
@@ -65,14 +66,16 @@ def measure(folder: Path, gradient: bool) -> None:
 
         values = {error: jnp.asarray(size) for error, size in ERRORS.items()}
         start = time.process_time()
-        traced = jax.jit(jax.grad(mean_square) if gradient else rms).trace(values)
+        function = {"reverse": jax.grad, "forward": jax.jacfwd}[gradient](mean_square) if gradient else rms
+        traced = jax.jit(function).trace(values)
         lowered = traced.lower()
         middle = time.process_time()
         compiled = lowered.compile()
         end = time.process_time()
         shortest = min(timed(compiled, values) for _ in range(RUNS))
+        what = f"{name} gradient, {gradient}" if gradient else name
         print(
-            f"{folder.name}, {name}{' gradient' if gradient else ''}: {count_equations(traced.jaxpr.jaxpr)} equations, "
+            f"{folder.name}, {what}: {count_equations(traced.jaxpr.jaxpr)} equations, "
             f"traced in {middle - start:.1f} s, compiled in {end - middle:.1f} s, run {1e3 * shortest:.2f} ms",
             flush=True,
         )
@@ -91,7 +94,9 @@ def main() -> int:
     """The command."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--folders", type=Path, nargs="+", default=[HERE.parents[1]], help="checkouts of the project")
-    parser.add_argument("--gradient", action="store_true", help="the reverse-mode derivative")
+    parser.add_argument(
+        "--gradient", nargs="?", const="reverse", choices=["reverse", "forward"], help="a derivative, in this mode"
+    )
     parser.add_argument("--here", type=Path, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.here:
@@ -99,7 +104,8 @@ def main() -> int:
         return 0
     for folder in options.folders:
         environment = {**os.environ, "PYTHONPATH": str(folder.resolve()), "RFEM_JAX_NO_CACHE": "1"}
-        command = [sys.executable, str(HERE), "--here", str(folder.resolve()), *["--gradient"] * options.gradient]
+        command = [sys.executable, str(HERE), "--here", str(folder.resolve())]
+        command += ["--gradient", options.gradient] if options.gradient else []
         subprocess.run(command, env=environment, check=True)
     return 0
 

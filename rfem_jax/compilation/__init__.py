@@ -8,6 +8,7 @@
     transformations  the same as a primitive of JAX
     program          `Program`, which is used in place of `eqx.filter_jit`
     parts            functions that are sequences of programs
+    tracing_context  the same for functions and for the rules of their derivatives
     unbatched_calls  calls within `jax.vmap` that have no batch
     scalarisation    jaxprs of arrays as jaxprs of scalars
     stages           what is being computed, for whoever shows it

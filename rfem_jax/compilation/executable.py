@@ -23,8 +23,8 @@ from jax.typing import ArrayLike
 from jaxlib.lapack import prepare_lapack_call
 
 from rfem_jax.compilation import keys, options
-from rfem_jax.compilation.same_context import same_context
 from rfem_jax.compilation.stages import on_stage
+from rfem_jax.compilation.tracing_context import same_context
 from rfem_jax.compilation.unbatched_calls import keep_unbatched_calls
 
 # In the text of programs that call LAPACK on the CPU.  JAX looks up LAPACK's functions when it lowers such a program;

@@ -20,7 +20,7 @@ import jax
 from rfem_jax.compilation import keeping, keys, options
 from rfem_jax.compilation.call import call_of, kind
 from rfem_jax.compilation.executable import Place
-from rfem_jax.compilation.same_context import same_context
+from rfem_jax.compilation.tracing_context import same_context
 from rfem_jax.compilation.transformations import Transformable, bind, no_staging, no_transformation
 
 options.settle()

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rfem_jax.compilation.program import Program
-from rfem_jax.compilation.same_context import same_context
+from rfem_jax.compilation.tracing_context import same_context
 
 traced = []
 
