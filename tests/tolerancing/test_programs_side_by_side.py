@@ -1,13 +1,11 @@
 """Programs that are compiled ahead, side by side, are those that are used: each is traced once."""
 
-import dataclasses
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax import Method, MomentRamp, discretise, simulate
+from rfem_jax import Joint, Mechanism, Method, MomentRamp, discretise, simulate
 from rfem_jax.compilation import call
 from rfem_jax.simulation.accuracy import choose_method
 from rfem_jax.tolerancing.problems.evaluation import evaluate_points, split_errors
@@ -17,18 +15,17 @@ from rfem_jax.tolerancing.problems.quadratic_model import expand_by_differences,
 from rfem_jax.tolerancing.problems.simulated_problem import Problem
 from rfem_jax.tolerancing.sensitivities import sensitivity
 from tests.compilation.functions import covered
-from tests.mechanisms import four_bar, link
+from tests.mechanisms import link
 
 COMPILED_AS_SHIPPED = True
 
 DRIVE, DURATION = MomentRamp("A", 0.5, 0.01), 0.02
-WIDTHS = {"D.delta_x": 0.01}
+WIDTHS = {"A.delta_x": 0.01}
 
 
-def with_a_flexible_coupler():
-    """The four-bar with one flexible link: its programs are compiled as shipped."""
-    links = [link("crank", 0.12), link("coupler", 0.3, 2), link("rocker", 0.3)]
-    return dataclasses.replace(four_bar(2), links=links)
+def flexible_arm():
+    """One flexible link: programs are compiled as shipped."""
+    return Mechanism([link("arm", 0.3, 2)], [Joint("A", "base", "arm", angle=0.4)], driven_joint="A")
 
 
 @pytest.fixture
@@ -47,7 +44,7 @@ def traced(monkeypatch, tmp_path):
 
 @pytest.fixture
 def problem():
-    model, method = discretise(with_a_flexible_coupler()), Method("generalised_alpha", step=2e-3)
+    model, method = discretise(flexible_arm()), Method("generalised_alpha", step=2e-3)
     return Problem(model, DRIVE, DURATION, "A.mean_square_moment", method)
 
 
@@ -66,13 +63,13 @@ def test_values_after_an_expansion(traced, problem):
 
 
 def stepped(step, save_every=4e-3, method="generalised_alpha"):
-    model = discretise(with_a_flexible_coupler())
+    model = discretise(flexible_arm())
     return Problem(model, DRIVE, DURATION, "A.mean_square_moment", Method(method, step=step), save_every)
 
 
 def test_one_program_serves_all_steps(traced):
     jax.clear_caches()
-    at, tilts, found = {"D.d_y": jnp.asarray(2e-4)}, [[0.002], [0.01]], []
+    at, tilts, found = {"arm.length": jnp.asarray(2e-4)}, [[0.002], [0.01]], []
     for step in (2e-3, 1e-3):
         problem = stepped(step)
         values, statuses = evaluate_points(problem, tuple(WIDTHS), at, tilts)
@@ -84,13 +81,13 @@ def test_one_program_serves_all_steps(traced):
     for one, other in zip(*found):
         assert np.all(one != other) and np.allclose(one, other, rtol=0.2)
     # A program of this step alone, of values and in reverse mode.
-    alone, gradient = jax.value_and_grad(lambda x: problem({"D.delta_x": x, **at})[0]["A.mean_square_moment"])(0.01)
+    alone, gradient = jax.value_and_grad(lambda x: problem({"A.delta_x": x, **at})[0]["A.mean_square_moment"])(0.01)
     np.testing.assert_allclose(alone, found[1][0][1], rtol=1e-12)
     np.testing.assert_allclose(gradient, found[1][1][1], rtol=1e-6)
 
 
 def test_parts_of_a_simulation_serve_all_steps(traced):
-    model, forces = discretise(with_a_flexible_coupler()), []
+    model, forces = discretise(flexible_arm()), []
     for step in (2e-3, 1e-3):
         method = Method("generalised_alpha", step=step)
         run = simulate(model, drive=DRIVE, duration=DURATION, method=method, save_every=4e-3)
@@ -119,7 +116,7 @@ def test_the_form_that_serves_all_steps():
 
 def test_a_problem_is_shown_in_a_line(problem):
     """JAX asks for it in every transformation."""
-    said = "crank, rocker, coupler: A.mean_square_moment over 0.02 s by generalised_alpha with steps of 0.002 s"
+    said = "arm: A.mean_square_moment over 0.02 s by generalised_alpha with steps of 0.002 s"
     assert repr(problem) == f"<Problem of {said}>"
 
 
@@ -138,5 +135,5 @@ def test_few_steps_are_compiled_quickly(problem):
 
 def test_trials_of_auto(traced):
     jax.clear_caches()
-    assert choose_method(discretise(with_a_flexible_coupler()), Method("auto"), DRIVE, DURATION).step > 0.0
+    assert choose_method(discretise(flexible_arm()), Method("auto"), DRIVE, DURATION).step > 0.0
     assert [traced.count(name) for name in ("prepare_trials", "loads_of_trials")] == [1, 1]
