@@ -1,5 +1,7 @@
 """Programs that are compiled ahead, side by side, are those that are used: each is traced once."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -15,7 +17,7 @@ from rfem_jax.tolerancing.problems.quadratic_model import expand_by_differences,
 from rfem_jax.tolerancing.problems.simulated_problem import Problem
 from rfem_jax.tolerancing.sensitivities import sensitivity
 from tests.compilation.functions import covered
-from tests.mechanisms import link
+from tests.mechanisms import four_bar, link
 
 COMPILED_AS_SHIPPED = True
 
@@ -84,10 +86,13 @@ def test_one_program_serves_all_steps(traced):
     alone, gradient = jax.value_and_grad(lambda x: problem({"A.delta_x": x, **at})[0]["A.mean_square_moment"])(0.01)
     np.testing.assert_allclose(alone, found[1][0][1], rtol=1e-12)
     np.testing.assert_allclose(gradient, found[1][1][1], rtol=1e-6)
+    assert abs(gradient) * WIDTHS["A.delta_x"] > 0.1 * alone
 
 
 def test_parts_of_a_simulation_serve_all_steps(traced):
-    model, forces = discretise(flexible_arm()), []
+    """Of a loop with one flexible link."""
+    links = [link("crank", 0.12), link("coupler", 0.3, 2), link("rocker", 0.3)]
+    model, forces = discretise(dataclasses.replace(four_bar(), links=links)), []
     for step in (2e-3, 1e-3):
         method = Method("generalised_alpha", step=step)
         run = simulate(model, drive=DRIVE, duration=DURATION, method=method, save_every=4e-3)
