@@ -1,12 +1,12 @@
 """What XLA is given, and what it makes of it: programs of the main study's loads and of their gradient.
 
-    python benchmarks/program_size.py [--folders FOLDER ...] [--gradient [MODE]]
+    python benchmarks/program_size.py [--folders FOLDER ...] [--gradient [MODE]] [--batch N]
 
 For every checkout of the project (default: this one) a process of its own: equations of the traced program, inner ones
 included; processor time to trace and lower it and to compile it; shortest run of 30.  RMS loads with errors at joint D,
 by Runge-Kutta 4 with the study's step and by generalised alpha with 2.5 ms; `--gradient`: instead the derivative of the
-sum of all mean-square forces by these errors, in `reverse` (default) or `forward` mode.  What was compiled before is
-not used.
+sum of all mean-square forces by these errors, in `reverse` (default) or `forward` mode; `--batch`: of N samples at once,
+whose errors are from half to one and a half times as large.  What was compiled before is not used.
 """
 
 import argparse
@@ -35,7 +35,7 @@ def count_equations(jaxpr) -> int:
     return total
 
 
-def measure(folder: Path, gradient: str | None) -> None:
+def measure(folder: Path, gradient: str | None, batch: int | None) -> None:
     """Print a line for every program of the checkout that is imported here."""
     import jax
 
@@ -64,9 +64,11 @@ def measure(folder: Path, gradient: str | None) -> None:
         def mean_square(values, metrics=metrics):
             return jnp.sum(jnp.stack(list(metrics(values).mean_square_force.values())))
 
-        values = {error: jnp.asarray(size) for error, size in ERRORS.items()}
-        start = time.process_time()
+        share = jnp.linspace(0.5, 1.5, batch) if batch else 1.0
+        values = {error: jnp.asarray(size * share) for error, size in ERRORS.items()}
         function = {"reverse": jax.grad, "forward": jax.jacfwd}[gradient](mean_square) if gradient else rms
+        function = jax.vmap(function) if batch else function
+        start = time.process_time()
         traced = jax.jit(function).trace(values)
         lowered = traced.lower()
         middle = time.process_time()
@@ -74,6 +76,7 @@ def measure(folder: Path, gradient: str | None) -> None:
         end = time.process_time()
         shortest = min(timed(compiled, values) for _ in range(RUNS))
         what = f"{name} gradient, {gradient}" if gradient else name
+        what += f", batch of {batch}" if batch else ""
         print(
             f"{folder.name}, {what}: {count_equations(traced.jaxpr.jaxpr)} equations, "
             f"traced in {middle - start:.1f} s, compiled in {end - middle:.1f} s, run {1e3 * shortest:.2f} ms",
@@ -97,15 +100,17 @@ def main() -> int:
     parser.add_argument(
         "--gradient", nargs="?", const="reverse", choices=["reverse", "forward"], help="a derivative, in this mode"
     )
+    parser.add_argument("--batch", type=int, help="samples at once")
     parser.add_argument("--here", type=Path, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.here:
-        measure(options.here, options.gradient)
+        measure(options.here, options.gradient, options.batch)
         return 0
     for folder in options.folders:
         environment = {**os.environ, "PYTHONPATH": str(folder.resolve()), "RFEM_JAX_NO_CACHE": "1"}
         command = [sys.executable, str(HERE), "--here", str(folder.resolve())]
         command += ["--gradient", options.gradient] if options.gradient else []
+        command += ["--batch", str(options.batch)] if options.batch else []
         subprocess.run(command, env=environment, check=True)
     return 0
 

@@ -1,4 +1,4 @@
-"""XLA's options on a CPU: loops over steps are compiled as one kernel.
+"""XLA's options on a CPU: loops over steps of few samples are compiled as one kernel.
 
 Place in the pipeline: set when the package is imported, before XLA reads its options; they change nothing but speed.
 
@@ -23,8 +23,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-# Loops of any size are one kernel; XLA does not unroll loops over axes, which would double the time of compilation.
-OPTIONS = ("xla_cpu_small_while_loop_byte_threshold=1000000000000000", "xla_cpu_disable_loop_unrolling=true")
+# A loop is one kernel if a turn of it accesses less than 4 MB: in a larger one the calls of its operations take a small
+# part of the time, and LLVM compiles many small kernels in half the time of a large one (derivatives of a batch of eight,
+# say).  XLA does not unroll loops over axes, which would double the time of compilation.
+OPTIONS = ("xla_cpu_small_while_loop_byte_threshold=4000000", "xla_cpu_disable_loop_unrolling=true")
 FUSION = "xla_cpu_use_multi_output_fusion=true"
 # No loop rotation by LLVM: it serves to vectorise loops over axes, but searches the entire kernel for each of them,
 # which is half of the time of compilation and saves a tenth of the time of a step.  For this package's kept programs

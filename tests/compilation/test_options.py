@@ -20,7 +20,7 @@ import rfem_jax
 import jax
 jax.config.update("jax_enable_x64", True)
 from tests.compilation.test_options import compiled_loop
-print(*compiled_loop())
+print(*compiled_loop(), compiled_loop(30_000)[0])
 """
 SAID = """
 import os, sys, warnings
@@ -41,23 +41,24 @@ print(*(str(one.message) for one in said))
 """
 
 
-def compiled_loop():
-    """Number of loops compiled as one kernel, and results, of a program that rotates axes of 300 bodies 50 times."""
+def compiled_loop(n=300):
+    """Number of loops compiled as one kernel, and results, of a program that rotates axes of n bodies 50 times."""
 
     def rotate(x, _):
-        c, s = jnp.cos(x[:300]), jnp.sin(x[:300])
+        c, s = jnp.cos(x[:n]), jnp.sin(x[:n])
         axes = jnp.stack([jnp.stack([c, -s, s * c]), jnp.stack([s, c, c * c]), jnp.stack([c * s, s, c])])
-        rotated = jnp.einsum("ijk,jk->ik", axes, x[300:].reshape(3, 300))
-        return x + 1e-2 * jnp.concatenate([rotated[0], -rotated.reshape(900)]), None
+        rotated = jnp.einsum("ijk,jk->ik", axes, x[n:].reshape(3, n))
+        return x + 1e-2 * jnp.concatenate([rotated[0], -rotated.reshape(3 * n)]), None
 
-    program = jax.jit(lambda x: jax.lax.scan(rotate, x, None, length=50)[0]).lower(jnp.ones(1200)).compile()
-    return program.as_text().count('xla_cpu_small_call="true"'), *program(jnp.linspace(0.1, 0.6, 1200))[::100].tolist()
+    program = jax.jit(lambda x: jax.lax.scan(rotate, x, None, length=50)[0]).lower(jnp.ones(4 * n)).compile()
+    values = program(jnp.linspace(0.1, 0.6, 4 * n))[:: n // 3].tolist()
+    return program.as_text().count('xla_cpu_small_call="true"'), *values
 
 
-def test_a_loop_over_steps_is_one_kernel_with_the_same_results():
-    kernels, *values = in_a_new_process(LOOP, "early").split()
-    none, *expected = in_a_new_process(LOOP, "late").split()
-    assert int(kernels) == 1
+def test_a_loop_over_steps_is_one_kernel_with_the_same_results_unless_it_is_large():
+    kernels, *values, kernels_of_large = in_a_new_process(LOOP, "early").split()
+    none, *expected, _ = in_a_new_process(LOOP, "late").split()
+    assert int(kernels) == 1 and int(kernels_of_large) == 0
     if jax.__version__.startswith("0.10."):  # later ones make this loop a kernel by themselves
         assert int(none) == 0
     assert [float(x) for x in values] == pytest.approx([float(x) for x in expected], rel=1e-12)
