@@ -5,8 +5,8 @@
 For every checkout of the project (default: this one) a process of its own: equations of the traced program, inner ones
 included; processor time to trace and lower it and to compile it; shortest run of 30.  RMS loads with errors at joint D,
 by Runge-Kutta 4 with the study's step and by generalised alpha with 2.5 ms; `--gradient`: instead the derivative of the
-sum of all mean-square forces by these errors, in `reverse` (default) or `forward` mode; `--batch`: of N samples at once,
-whose errors are from half to one and a half times as large.  What was compiled before is not used.
+sum of all mean-square forces by these errors, in `reverse` (default) or `forward` mode; `--batch`: of N samples at
+once, whose errors are from half to one and a half times as large.  What was compiled before is not used.
 """
 
 import argparse

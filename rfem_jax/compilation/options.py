@@ -23,9 +23,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-# A loop is one kernel if a turn of it accesses less than 4 MB: in a larger one the calls of its operations take a small
-# part of the time, and LLVM compiles many small kernels in half the time of a large one (derivatives of a batch of eight,
-# say).  XLA does not unroll loops over axes, which would double the time of compilation.
+# A loop is one kernel if a turn of it accesses less than 4 MB: in a larger one (derivatives of a batch of eight, say)
+# the calls of its operations take a small part of the time, and LLVM compiles many small kernels in half the time of a
+# large one.  XLA does not unroll loops over axes, which would double the time of compilation.
 OPTIONS = ("xla_cpu_small_while_loop_byte_threshold=4000000", "xla_cpu_disable_loop_unrolling=true")
 FUSION = "xla_cpu_use_multi_output_fusion=true"
 # No loop rotation by LLVM: it serves to vectorise loops over axes, but searches the entire kernel for each of them,
