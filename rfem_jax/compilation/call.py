@@ -17,7 +17,6 @@ it has a cotangent; `axes` the batch axis (None) of each argument.  Each step tr
 import functools
 import threading
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from typing import Any
 
 import equinox as eqx
@@ -30,58 +29,12 @@ from jax.custom_derivatives import SymbolicZero
 from jax.tree_util import PyTreeDef
 from jax.typing import ArrayLike
 
-from rfem_jax.compilation import keeping, keys
-from rfem_jax.compilation.executable import Executable, Packed, Place, Traced, trace, unpack
+from rfem_jax.compilation import keeping, keys, last_time
+from rfem_jax.compilation.executable import Executable, Place, trace, unpack
+from rfem_jax.compilation.pending import Pending
 from rfem_jax.compilation.transformations import has_batch_axis
 
 _tracing = threading.RLock()
-
-
-class Pending:
-    """An executable that the first thread to ask for it makes, while others wait.
-
-    **Arguments:** `program`: is finished for it; `instead`: makes another one if that fails; `made`: is called with
-    the executable.
-    """
-
-    def __init__(
-        self,
-        program: Traced | Packed,
-        instead: "Callable[[], Pending] | None" = None,
-        made: Callable[[Executable], None] | None = None,
-    ):
-        self.head = program.head
-        self._program, self._instead, self._made = program, instead, made
-        self._lock = threading.Lock()
-        self._executable: Executable | None = None
-
-    def get(self) -> Executable:
-        """The executable; compiles or loads it if that has not been done."""
-        if self._executable is None:
-            with self._lock:
-                if self._executable is None:
-                    self._executable = self._finish(self._program)
-                    del self._program, self._instead
-        return self._executable
-
-    def begin(self) -> None:
-        """Make it in the background; an exception there is raised again by `get`."""
-        threading.Thread(target=self._quietly, daemon=True).start()
-
-    def _quietly(self) -> None:
-        with suppress(Exception):
-            self.get()
-
-    def _finish(self, program: Traced | Packed) -> Executable:
-        try:
-            executable = program.finish()
-        except Exception:
-            if self._instead is None:
-                raise
-            return self._instead().get()
-        if self._made is not None:
-            self._made(executable)
-        return executable
 
 
 class Call:
@@ -141,18 +94,21 @@ class Call:
 
     def _find(self, kinds, arrays) -> Pending:
         key = keys.digest_named((self.name, kinds))
-        content = keeping.read(key)
-        if content is not None:
+        last_time.note(key)
+        kept = last_time.take(key)
+        content = keeping.read(key) if kept is None else None
+        if kept is not None or content is not None:
             try:
-                packed = unpack(content)
-                for call, facts in zip(self.chain(), packed.head.facts, strict=True):
+                kept = kept or Pending(unpack(content or b""))
+                for call, facts in zip(self.chain(), kept.head.facts, strict=True):
                     call.facts = facts
             except Exception:  # written by another version of something that is not in the key
                 keeping.forget(key)
             else:
                 keeping.statistics.loaded += 1
                 shapes = [x if isinstance(x, jax.ShapeDtypeStruct) else jax.typeof(x) for x in arrays]
-                return Pending(packed, instead=lambda: self._make_anew(key, shapes))
+                kept.instead = lambda: self._make_anew(key, shapes)
+                return kept
         return self._trace(key, arrays)
 
     def _make_anew(self, key: str, arrays) -> Pending:
@@ -177,8 +133,8 @@ class Call:
         except Exception as reason:  # a program with a callback into Python, say
             keeping.note_unkept(str(self.name), str(reason))
             return
-        if keys.read_sources() == keys.hash_sources():
-            keeping.write(key, content)
+        if keys.read_sources() == keys.hash_sources() and keeping.write(key, content):
+            keeping.statistics.written += 1
 
 
 def kind(array: ArrayLike | jax.ShapeDtypeStruct) -> tuple:

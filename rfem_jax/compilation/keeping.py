@@ -85,12 +85,13 @@ def read(key: str) -> bytes | None:
     return None
 
 
-def write(key: str, content: bytes) -> None:
-    """Keep a program; where the disk is full, say, the next process compiles it again."""
+def write(key: str, content: bytes) -> bool:
+    """Keep a program; returns whether that was done. Where the disk is full, say, the next process compiles it."""
     if _choice.folder is not None:
         with suppress(OSError, UnsafeFolder):
             _choice.folder.write(key, content)
-            statistics.written += 1
+            return True
+    return False
 
 
 def forget(key: str) -> None:

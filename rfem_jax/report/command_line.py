@@ -16,7 +16,7 @@ import gc
 import json
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from typing import Any, NoReturn
 
 from rfem_jax.report.commands.catalogue import all_commands
@@ -84,9 +84,11 @@ def _act(arguments: argparse.Namespace, line: ProgressLine) -> Answer:
     set_up_jax(count_devices(arguments), getattr(arguments, "cache", True), getattr(arguments, "out", None))
     join_processes(arguments)
     require_platform()
+    from rfem_jax.compilation.last_time import loading
     from rfem_jax.compilation.stages import listening
 
-    with listening(line):
+    study = getattr(arguments, "study", None)
+    with listening(line), nullcontext() if study is None else loading(arguments.command, study):
         return command.act(arguments)
 
 

@@ -1,0 +1,54 @@
+"""Executables that are still being compiled or loaded.
+
+Place in the pipeline: `call` makes them of traced programs and of those read from disk, `last_time` of the latter.
+"""
+
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+
+from rfem_jax.compilation.executable import Executable, Packed, Traced
+
+
+class Pending:
+    """An executable that the first thread to ask for it makes, while others wait.
+
+    **Arguments:** `program`: is finished for it; `made`: is called with the executable.
+
+    Attributes: head: what is known of the program; instead: makes another one if the program cannot be finished.
+    """
+
+    def __init__(self, program: Traced | Packed, made: Callable[[Executable], None] | None = None):
+        self.head = program.head
+        self.instead: Callable[[], Pending] | None = None
+        self._program, self._made = program, made
+        self._lock = threading.Lock()
+        self._executable: Executable | None = None
+
+    def get(self) -> Executable:
+        """The executable; compiles or loads it if that has not been done."""
+        if self._executable is None:
+            with self._lock:
+                if self._executable is None:
+                    self._executable = self._finish(self._program)
+                    del self._program
+        return self._executable
+
+    def begin(self) -> None:
+        """Make it in the background; an exception there is raised again by `get`."""
+        threading.Thread(target=self._quietly, daemon=True).start()
+
+    def _quietly(self) -> None:
+        with suppress(Exception):
+            self.get()
+
+    def _finish(self, program: Traced | Packed) -> Executable:
+        try:
+            executable = program.finish()
+        except Exception:
+            if self.instead is None:
+                raise
+            return self.instead().get()
+        if self._made is not None:
+            self._made(executable)
+        return executable
