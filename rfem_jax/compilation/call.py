@@ -30,8 +30,8 @@ from jax.tree_util import PyTreeDef
 from jax.typing import ArrayLike
 
 from rfem_jax.compilation import keeping, keys, last_time
-from rfem_jax.compilation.executable import Executable, Place, trace, unpack
-from rfem_jax.compilation.pending import Pending
+from rfem_jax.compilation.executable import Executable, Place, trace
+from rfem_jax.compilation.pending import Pending, read_kept
 from rfem_jax.compilation.transformations import has_batch_axis
 
 _tracing = threading.RLock()
@@ -95,21 +95,20 @@ class Call:
     def _find(self, kinds, arrays) -> Pending:
         key = keys.digest_named((self.name, kinds))
         last_time.note(key)
-        kept = last_time.take(key)
-        content = keeping.read(key) if kept is None else None
-        if kept is not None or content is not None:
-            try:
-                kept = kept or Pending(unpack(content or b""))
+        try:
+            kept = last_time.take(key) or read_kept(key)
+            if kept is not None:
                 for call, facts in zip(self.chain(), kept.head.facts, strict=True):
                     call.facts = facts
-            except Exception:  # written by another version of something that is not in the key
-                keeping.forget(key)
-            else:
-                keeping.statistics.loaded += 1
-                shapes = [x if isinstance(x, jax.ShapeDtypeStruct) else jax.typeof(x) for x in arrays]
-                kept.instead = lambda: self._make_anew(key, shapes)
-                return kept
-        return self._trace(key, arrays)
+        except Exception:  # written by another version of something that is not in the key
+            keeping.forget(key)
+            kept = None
+        if kept is None:
+            return self._trace(key, arrays)
+        keeping.statistics.loaded += 1
+        shapes = [x if isinstance(x, jax.ShapeDtypeStruct) else jax.typeof(x) for x in arrays]
+        kept.instead = lambda: self._make_anew(key, shapes)
+        return kept
 
     def _make_anew(self, key: str, arrays) -> Pending:
         """Replaces a kept program that cannot be loaded."""

@@ -13,8 +13,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from rfem_jax.compilation import keeping
-from rfem_jax.compilation.executable import unpack
-from rfem_jax.compilation.pending import Pending
+from rfem_jax.compilation.pending import Pending, read_kept
 
 MOST = 8  # programs that are loaded ahead
 KEY = re.compile(r"[0-9a-f]{64}")
@@ -59,8 +58,8 @@ def _keys(content: bytes | None) -> list[str]:
 
 
 def _begin(key: str) -> None:
-    content = keeping.read(key)
-    if content is not None:
-        with suppress(Exception):  # a damaged program is made anew when it is asked for
-            _ahead[key] = Pending(unpack(content))
-            _ahead[key].begin()
+    with suppress(Exception):  # a damaged program is made anew when it is asked for
+        kept = read_kept(key)
+        if kept is not None:
+            kept.begin()
+            _ahead[key] = kept

@@ -7,7 +7,8 @@ import threading
 from collections.abc import Callable
 from contextlib import suppress
 
-from rfem_jax.compilation.executable import Executable, Packed, Traced
+from rfem_jax.compilation import keeping
+from rfem_jax.compilation.executable import Executable, Packed, Traced, unpack
 
 
 class Pending:
@@ -52,3 +53,9 @@ class Pending:
         if self._made is not None:
             self._made(executable)
         return executable
+
+
+def read_kept(key: str) -> Pending | None:
+    """The program kept under a key, still to be loaded; None if there is none. Raises: an exception for other bytes."""
+    content = keeping.read(key)
+    return None if content is None else Pending(unpack(content))
