@@ -23,10 +23,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-# A loop is one kernel if a turn of it accesses less than 4 MB: in a larger one (derivatives of a batch of eight, say)
-# the calls of its operations take a small part of the time, and LLVM compiles many small kernels in half the time of a
-# large one.  XLA does not unroll loops over axes, which would double the time of compilation.
-OPTIONS = ("xla_cpu_small_while_loop_byte_threshold=4000000", "xla_cpu_disable_loop_unrolling=true")
+# A loop is one kernel if a turn of it accesses less than 8 MB.  A larger one (derivatives of a batch of 16, say) is
+# many small kernels, which LLVM compiles in half the time or less; their calls take as much after hundreds of runs.
+# XLA does not unroll loops over axes, which would double the time of compilation.
+OPTIONS = ("xla_cpu_small_while_loop_byte_threshold=8000000", "xla_cpu_disable_loop_unrolling=true")
 FUSION = "xla_cpu_use_multi_output_fusion=true"
 # No loop rotation by LLVM: it serves to vectorise loops over axes, but searches the entire kernel for each of them,
 # which is half of the time of compilation and saves a tenth of the time of a step.  For this package's kept programs
