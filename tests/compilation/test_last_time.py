@@ -8,7 +8,7 @@ import pytest
 
 from rfem_jax.compilation import keeping, last_time
 from rfem_jax.compilation.executable import Packed
-from tests.compilation.functions import covered, oscillator, swing_kept
+from tests.compilation.functions import oscillator, swing_kept
 
 COMPILED_AS_SHIPPED = True
 
@@ -16,15 +16,8 @@ X = jnp.linspace(0.2, 0.9, 3)
 
 
 @pytest.fixture
-def kept(tmp_path):
-    """Statistics of a folder of kept programs that is empty."""
-    with covered(tmp_path / "programs") as statistics:
-        yield statistics
-
-
-@pytest.fixture
 def threads(monkeypatch):
-    """Names of the threads that loaded programs, in their order."""
+    """The threads that loaded programs, in their order."""
     found, finish = [], Packed.finish
 
     def watched(packed):
@@ -62,7 +55,8 @@ def test_a_changed_study_takes_its_own_programs_and_is_known_by_them_then(kept, 
     assert (kept.traced, kept.loaded) == (2, 0) and changed.shape[0] == 4
     del threads[:]
     np.testing.assert_array_equal(take(steps=4), changed)
-    assert (kept.traced, kept.loaded) == (2, 1) and threads[0] is not threading.main_thread()
+    assert (kept.traced, kept.loaded) == (2, 1)
+    assert len(threads) == 1 and threads[0] is not threading.main_thread()
 
 
 def test_a_program_that_xla_cannot_load_is_traced_anew(kept, monkeypatch):
@@ -77,23 +71,26 @@ def test_a_program_that_xla_cannot_load_is_traced_anew(kept, monkeypatch):
 
 
 @pytest.mark.parametrize("what", ["list", "program"])
-def test_what_is_damaged_is_not_used(kept, tmp_path, what):
+def test_what_is_damaged_is_not_used(kept, tmp_path, what, monkeypatch):
     first = take()
     for file in (tmp_path / "programs").iterdir():
         is_list = len(file.read_bytes()) < 200
         if is_list == (what == "list"):
-            keeping.write(file.stem, b"\xff../../nonsense\nwhole, but no program")
-    np.testing.assert_array_equal(take(), first)
-    assert kept.traced == (1 if what == "list" else 2)
-    np.testing.assert_array_equal(take(), first)
-    assert kept.traced == (1 if what == "list" else 2)
+            keeping.write(file.stem, b"\xff\n../../nonsense\nwhole, but no program")
+    asked, read = [], keeping.read
+    monkeypatch.setattr(keeping, "read", lambda key: asked.append(key) or read(key))
+    for _ in range(2):
+        np.testing.assert_array_equal(take(), first)
+        assert kept.traced == (1 if what == "list" else 2)
+    assert all(last_time.KEY.fullmatch(key) for key in asked)  # others could lead out of the folder
 
 
-def test_where_programs_are_not_kept_nothing_is_loaded_or_remembered(tmp_path):
+def test_where_programs_are_not_kept_nothing_is_read_or_remembered(monkeypatch):
     keeping.keep_programs(None)
+    for name in ("read", "write"):
+        monkeypatch.setattr(keeping, name, lambda *_: pytest.fail("without a folder"))
     take()
     take()
-    assert not list(tmp_path.iterdir())
 
 
 def test_what_was_loaded_in_vain_is_forgotten(kept):

@@ -10,7 +10,7 @@ from rfem_jax.compilation import executable
 from rfem_jax.compilation.call import Call
 from rfem_jax.compilation.parts import ProgramInParts
 from rfem_jax.compilation.program import Program
-from tests.compilation.functions import covered, ended, journey, oscillator, turned, walked
+from tests.compilation.functions import ended, journey, oscillator, turned, walked
 
 COMPILED_AS_SHIPPED = True
 PARTS = 3
@@ -19,11 +19,10 @@ BATCH = jnp.stack([X, X + 0.1])
 
 
 @pytest.fixture
-def kept(tmp_path):
-    """Statistics of a folder of kept programs that is empty."""
-    with covered(tmp_path / "programs") as statistics:
-        journey.clear()
-        yield statistics
+def kept(kept):
+    """Without what earlier tests left in memory."""
+    journey.clear()
+    yield kept
     journey.clear()
 
 

@@ -21,13 +21,6 @@ COMPILED_AS_SHIPPED = True
 X = jnp.linspace(0.2, 0.9, 3)
 
 
-@pytest.fixture
-def kept(tmp_path):
-    """Statistics of a folder of kept programs that is empty."""
-    with covered(tmp_path / "programs") as statistics:
-        yield statistics
-
-
 def again():
     """Empty the memory, as in the next process."""
     swing_kept.clear()
