@@ -1,12 +1,14 @@
 """What XLA is given, and what it makes of it: programs of the main study's loads and of their gradient.
 
-    python benchmarks/program_size.py [--folders FOLDER ...] [--gradient [MODE]] [--batch N]
+    python benchmarks/program_size.py [--folders FOLDER ...] [--gradient [MODE]] [--batch N] [--kept]
 
 For every checkout of the project (default: this one) a process of its own: equations of the traced program, inner ones
 included; processor time to trace and lower it and to compile it; shortest run of 30.  RMS loads with errors at joint D,
 by Runge-Kutta 4 with the study's step and by generalised alpha with 2.5 ms; `--gradient`: instead the derivative of the
 sum of all mean-square forces by these errors, in `reverse` (default) or `forward` mode; `--batch`: of N samples at
-once, whose errors are from half to one and a half times as large.  What was compiled before is not used.
+once, whose errors are from half to one and a half times as large; `--kept`: compiled as programs that are kept for the
+next process (`jax.vmap` and `jax.jacfwd` of a `Problem`), not as in a `jax.jit` of the user.  What was compiled before
+is not used.
 """
 
 import argparse
@@ -14,6 +16,7 @@ import os
 import subprocess
 import sys
 import time
+from contextlib import nullcontext
 from pathlib import Path
 
 HERE = Path(__file__).resolve()
@@ -35,7 +38,7 @@ def count_equations(jaxpr) -> int:
     return total
 
 
-def measure(folder: Path, gradient: str | None, batch: int | None) -> None:
+def measure(folder: Path, gradient: str | None, batch: int | None, kept: bool) -> None:
     """Print a line for every program of the checkout that is imported here."""
     import jax
 
@@ -44,6 +47,7 @@ def measure(folder: Path, gradient: str | None, batch: int | None) -> None:
     import jax.numpy as jnp
 
     from rfem_jax import Method, assembly_errors, discretise, load_study, simulate
+    from rfem_jax.compilation import options
 
     study = load_study(folder / "studies" / "four_bar" / "study.toml")
     model = discretise(study.mechanism)
@@ -68,15 +72,17 @@ def measure(folder: Path, gradient: str | None, batch: int | None) -> None:
         values = {error: jnp.asarray(size * share) for error, size in ERRORS.items()}
         function = {"reverse": jax.grad, "forward": jax.jacfwd}[gradient](mean_square) if gradient else rms
         function = jax.vmap(function) if batch else function
-        start = time.process_time()
-        traced = jax.jit(function).trace(values)
-        lowered = traced.lower()
-        middle = time.process_time()
-        compiled = lowered.compile()
-        end = time.process_time()
+        with options.own_program() if kept and options.own_options_hold() else nullcontext():
+            start = time.process_time()
+            traced = jax.jit(function).trace(values)
+            lowered = traced.lower()
+            middle = time.process_time()
+            compiled = lowered.compile()
+            end = time.process_time()
         shortest = min(timed(compiled, values) for _ in range(RUNS))
         what = f"{name} gradient, {gradient}" if gradient else name
         what += f", batch of {batch}" if batch else ""
+        what += ", kept" if kept else ""
         print(
             f"{folder.name}, {what}: {count_equations(traced.jaxpr.jaxpr)} equations, "
             f"traced in {middle - start:.1f} s, compiled in {end - middle:.1f} s, run {1e3 * shortest:.2f} ms",
@@ -101,16 +107,18 @@ def main() -> int:
         "--gradient", nargs="?", const="reverse", choices=["reverse", "forward"], help="a derivative, in this mode"
     )
     parser.add_argument("--batch", type=int, help="samples at once")
+    parser.add_argument("--kept", action="store_true", help="with the options of kept programs")
     parser.add_argument("--here", type=Path, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.here:
-        measure(options.here, options.gradient, options.batch)
+        measure(options.here, options.gradient, options.batch, options.kept)
         return 0
     for folder in options.folders:
         environment = {**os.environ, "PYTHONPATH": str(folder.resolve()), "RFEM_JAX_NO_CACHE": "1"}
         command = [sys.executable, str(HERE), "--here", str(folder.resolve())]
         command += ["--gradient", options.gradient] if options.gradient else []
         command += ["--batch", str(options.batch)] if options.batch else []
+        command += ["--kept"] if options.kept else []
         subprocess.run(command, env=environment, check=True)
     return 0
 

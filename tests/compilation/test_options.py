@@ -166,14 +166,27 @@ def test_expensive_passes_are_left_out_of_own_programs_without_scalars():
     assert left_out(options.OwnProgram()) and not left_out(options.OwnProgram(scalarised=True))
 
 
-def test_kernels_are_made_without_mlir_in_own_programs_without_scalars():
+def test_own_programs_without_scalars_are_made_without_mlir_and_notes_on_overlaps():
     from jaxlib import xla_client
 
     def overridden(program):
         return program.add_to(xla_client.CompileOptions()).env_option_overrides
 
-    chosen = [(options.EMITTERS, False)] if options._version() < options.EMITTERS_CHOSEN_BEFORE else []
-    assert overridden(options.OwnProgram()) == chosen and overridden(options.OwnProgram(scalarised=True)) == []
+    without = {name for name, value in overridden(options.OwnProgram()) if not value}
+    assert without >= set(options.NOTES_ON_OVERLAPS)
+    assert (options.EMITTERS in without) == (options._version() < options.EMITTERS_CHOSEN_BEFORE)
+    assert overridden(options.OwnProgram(scalarised=True)) == []
+
+
+def test_own_programs_are_optimised_by_a_low_level_and_no_more_than_was_asked_for():
+    from jaxlib import xla_client
+
+    def level(asked):
+        made = xla_client.CompileOptions()
+        made.executable_build_options.debug_options.xla_backend_optimization_level = asked
+        return options.OwnProgram().add_to(made).executable_build_options.debug_options.xla_backend_optimization_level
+
+    assert [level(asked) for asked in (0, 1, 3)] == [0, 1, 1]
 
 
 def test_options_of_a_cpu_are_not_given_to_other_compilers(monkeypatch):
