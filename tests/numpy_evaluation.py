@@ -358,10 +358,13 @@ def _sum_of_products(equation):
 
 
 def _cross_product(equation):
-    axis, following, last = equation.params["axis"], np.array([1, 2, 0]), np.array([2, 0, 1])
+    axis, following, last = equation.params["axis"], [1, 2, 0], [2, 0, 1]
+    both, swapped = np.array(following + last), np.array(last + following)
+    first, second = ((slice(None),) * axis + (half,) for half in (slice(0, 3), slice(3, 6)))
 
     def product(a, b):
-        return a.take(following, axis) * b.take(last, axis) - a.take(last, axis) * b.take(following, axis)
+        products = a.take(both, axis) * b.take(swapped, axis)
+        return products[first] - products[second]
 
     def total(*parts):
         found = product(parts[0], parts[1])
@@ -480,22 +483,55 @@ def _windows_of(numbers, batch, inserted, indices, shape, size):
         yield place, window if inside else None
 
 
+def _clipped(indices, numbers, shape, size):
+    """Starts of windows that are within an operand."""
+    last = np.array(shape) - np.array(size)
+    return np.clip(indices, 0, last[list(numbers)])
+
+
+MANY = 16  # windows that are taken together
+
+
+def _entries_of(numbers, batch, inserted, indices, shape, size):
+    """Indices of the entries of all windows, which are the first axes, then those within a window; and which windows
+    are within the operand: as `_windows`, for many."""
+    places = indices.shape[:-1]
+    starts = np.zeros((*places, len(shape)), int)
+    starts[..., list(numbers)] = indices
+    for axis, other in zip(*batch, strict=True):
+        starts[..., axis] = np.arange(places[other]).reshape([-1 if i == other else 1 for i in range(len(places))])
+    inside = ((starts >= 0) & (starts + np.array(size) <= np.array(shape))).all(-1)
+    starts = np.where(inside[..., None], starts, 0)
+    kept = [axis for axis in range(len(shape)) if axis not in inserted]
+    entries = []
+    for axis in range(len(shape)):
+        index = starts[..., axis].reshape(places + (1,) * len(kept))
+        if axis in kept:
+            index = index + np.arange(size[axis]).reshape([-1 if other == axis else 1 for other in kept])
+        entries.append(index)
+    return tuple(entries), inside
+
+
 def _gather(equation, operand, indices):
     settings = equation.params
     numbers, size = settings["dimension_numbers"], settings["slice_sizes"]
     if settings["mode"] is None or "CLIP" in str(settings["mode"]):
-        last = np.array(operand.shape)[list(numbers.start_index_map)] - np.array(size)[list(numbers.start_index_map)]
-        indices = np.clip(indices, 0, last)
+        indices = _clipped(indices, numbers.start_index_map, operand.shape, size)
     gone = (*numbers.collapsed_slice_dims, *numbers.operand_batching_dims)
     places = indices.shape[:-1]
     fill = settings["fill_value"]
     taken = np.full((*places, *(n for i, n in enumerate(size) if i not in gone)), np.nan if fill is None else fill)
     taken = taken.astype(operand.dtype) if operand.dtype.kind == "f" else np.zeros(taken.shape, operand.dtype)
     batch = numbers.operand_batching_dims, numbers.start_indices_batching_dims
-    for place, window in _windows(numbers.start_index_map, batch, gone, indices, operand.shape, size):
-        assert window is not None or operand.dtype.kind == "f"
-        if window is not None:
-            taken[place] = operand[window]
+    if math.prod(places) > MANY:
+        entries, inside = _entries_of(numbers.start_index_map, batch, gone, indices, operand.shape, size)
+        assert inside.all() or operand.dtype.kind == "f"
+        taken[inside] = operand[entries][inside]
+    else:
+        for place, window in _windows(numbers.start_index_map, batch, gone, indices, operand.shape, size):
+            assert window is not None or operand.dtype.kind == "f"
+            if window is not None:
+                taken[place] = operand[window]
     return [np.moveaxis(taken, range(len(places), taken.ndim), numbers.offset_dims)]
 
 
@@ -506,6 +542,16 @@ def _scatter(equation, operand, indices, updates, combine=None):
     own = iter(numbers.update_window_dims)
     size = [1 if i in gone else updates.shape[next(own)] for i in range(operand.ndim)]
     updates = np.moveaxis(updates, numbers.update_window_dims, range(indices.ndim - 1, updates.ndim))
+    if "CLIP" in str(equation.params["mode"]):
+        indices = _clipped(indices, numbers.scatter_dims_to_operand_dims, operand.shape, size)
+    if math.prod(indices.shape[:-1]) > MANY:
+        entries, inside = _entries_of(numbers.scatter_dims_to_operand_dims, batch, gone, indices, operand.shape, size)
+        entries = tuple(np.broadcast_to(entry, updates.shape)[inside] for entry in entries)
+        if combine is None:
+            changed[entries] = updates[inside]
+        else:
+            combine.at(changed, entries, updates[inside])
+        return [changed]
     targets = _windows(numbers.scatter_dims_to_operand_dims, batch, gone, indices, operand.shape, size)
     for place, window in targets:
         if window is not None:

@@ -119,6 +119,28 @@ def test_triangular_systems(how):
     np.testing.assert_allclose(by_numpy(solve)(MATRICES, loads), solve(MATRICES, loads), rtol=1e-12, atol=1e-14)
 
 
+FEW, MANY = np.array([1, 3, 1, 9]), RNG.integers(-2, 6, size=40)  # places of five rows; some twice, some outside
+TABLE = RNG.normal(size=(5, 3, 4))
+CHANGES = {
+    "rows taken": lambda x, places: x.at[places].get(mode="fill"),
+    "last columns taken": lambda x, places: x.at[..., places].get(mode="clip"),
+    "entries taken": lambda x, places: x.at[places, 1, places].get(mode="fill", fill_value=7.0),
+    "rows taken of each": lambda x, places: jax.vmap(lambda y, i: y.at[places + i].get(mode="fill"))(x, jnp.arange(5)),
+    "sums": lambda x, places: x.at[places].add(jnp.cos(jnp.arange(12.0 * len(places)).reshape(-1, 3, 4))),
+    "sums in the middle": lambda x, places: x.at[:, places].add(jnp.ones((5, len(places), 4))),
+    "sums of each": lambda x, places: jax.vmap(lambda y: y.at[places].add(y[:1] + 0.5))(x),
+    "rows put in": lambda x, places: x.at[places].set(2.0, mode="drop"),
+    "windows put in": lambda x, places: jax.vmap(lambda i: jax.lax.dynamic_update_slice(x, x[:2], (i, 0, 0)))(places),
+}
+
+
+@pytest.mark.parametrize("places", [FEW, MANY], ids=["few", "many"])
+@pytest.mark.parametrize("name", CHANGES)
+def test_entries_by_their_places(name, places):
+    evaluated, compiled = by_numpy(CHANGES[name])(TABLE, places), CHANGES[name](jnp.asarray(TABLE), jnp.asarray(places))
+    np.testing.assert_allclose(evaluated, compiled, rtol=1e-13, atol=1e-14)
+
+
 OTHERS = {
     "factors": lambda: jax.lax.linalg.lu(MATRICES + 0.0),
     "rows in order": lambda: jax.lax.sort((ORDERED + 0.0, jnp.cos(ORDERED)), dimension=1, num_keys=2),
