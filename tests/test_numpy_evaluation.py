@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax.mechanics.algebra import dot, rotation_about
+from rfem_jax.mechanics.algebra import cross, dot, rotation_about
 from tests import evaluation_by_numpy
 from tests.evaluation_by_numpy import instead_of_compilation, summary
 from tests.numpy_evaluation import by_numpy
@@ -146,6 +146,8 @@ OTHERS = {
     "rows in order": lambda: jax.lax.sort((ORDERED + 0.0, jnp.cos(ORDERED)), dimension=1, num_keys=2),
     "order of columns": lambda: jnp.argsort(ORDERED + 0.0, axis=0),
     "sums with constants": lambda: rotation_about(1, jnp.asarray([0.1, 0.2])),
+    "vector products": lambda: cross(TABLE[:3, 0] + 0.0, TABLE[2:, 1, :1]),
+    "a batch of vector products": lambda: jax.jvp(jax.vmap(lambda a: cross(a, TABLE[:3, 2])), (TABLE,), (TABLE**2,)),
     "a batch of sums": lambda: jax.vmap(lambda a: dot(a, jnp.ones(3)) + rotation_about(2, a[0])[0, 1])(ORDERED[:, :3]),
 }
 
