@@ -72,7 +72,9 @@ def measure(folder: Path, gradient: str | None, batch: int | None, kept: bool) -
         values = {error: jnp.asarray(size * share) for error, size in ERRORS.items()}
         function = {"reverse": jax.grad, "forward": jax.jacfwd}[gradient](mean_square) if gradient else rms
         function = jax.vmap(function) if batch else function
-        with options.own_program() if kept and options.own_options_hold() else nullcontext():
+        if kept and not options.own_options_hold():
+            raise SystemExit("The options of kept programs do not hold here: they are those of a CPU's compiler.")
+        with options.own_program() if kept else nullcontext():
             start = time.process_time()
             traced = jax.jit(function).trace(values)
             lowered = traced.lower()

@@ -52,6 +52,7 @@ SAME_TYPE = frozenset(
     "sin cos tan exp log sqrt tanh abs add add_any sub mul neg max min lt le gt ge eq ne and or not is_finite".split()
 )
 ENTRIES = 2000  # of a result, which take as long as the call of its operation
+MANY = 16  # windows of a gather or scatter, above which they are taken together
 
 
 def by_numpy(function: Callable) -> Callable:
@@ -487,9 +488,6 @@ def _clipped(indices, numbers, shape, size):
     """Starts of windows that are within an operand."""
     last = np.array(shape) - np.array(size)
     return np.clip(indices, 0, last[list(numbers)])
-
-
-MANY = 16  # windows that are taken together
 
 
 def _entries_of(numbers, batch, inserted, indices, shape, size):

@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 # A loop is one kernel if a turn of it accesses less than 8 MB.  A larger one (derivatives of a batch of 16, say) is
-# many small kernels, which LLVM compiles in half the time; their calls take as much again after a thousand runs or so.
+# many small kernels, which LLVM compiles in two thirds of the time, and which take a tenth longer to run.
 # XLA does not unroll loops over axes, which would double the time of compilation.
 OPTIONS = ("xla_cpu_small_while_loop_byte_threshold=8000000", "xla_cpu_disable_loop_unrolling=true")
 FUSION = "xla_cpu_use_multi_output_fusion=true"
@@ -37,10 +37,10 @@ NO_LOOP_ROTATION = "-rotation-max-header-size=0"
 WITHOUT_FUSION = f"--xla_cpu_experimental_ynn_fusion_type= --xla_backend_extra_options={','.join(OPTIONS)}"
 FLAGS = f"{WITHOUT_FUSION},{FUSION}"
 FUSION_SAFE_FROM = (0, 12)  # jaxlib
-# XLA's notes for LLVM on which arrays may overlap take a tenth of the time of compilation.  They serve loops over
-# samples, which scalarised programs have.  LLVM's higher levels of optimisation take another tenth and gain next to
-# nothing.  For kept programs only.
-NOTES_ON_OVERLAPS = ("xla_llvm_enable_noalias_metadata", "xla_llvm_enable_alias_scope_metadata")
+# XLA's alias metadata, which tell LLVM what arrays may overlap, take a tenth of the time of compilation.  They serve
+# loops over samples, which scalarised programs have.  LLVM's higher levels of optimisation take another tenth and gain
+# next to nothing.  For kept programs only.
+ALIAS_METADATA = ("xla_llvm_enable_noalias_metadata", "xla_llvm_enable_alias_scope_metadata")
 OPTIMISATION_LEVEL = 1
 # Kernels made by way of MLIR take much of the time of compilation, most in programs that run once, and run no faster;
 # scalarised programs would take longer without it.  XLA has the choice before jaxlib 0.12.  For kept programs only.
@@ -165,7 +165,7 @@ class OwnProgram:
         if not self.scalarised:
             # LLVM's vectorisers find next to nothing in loops that are not rotated, and take a quarter of the time.
             debug.xla_llvm_disable_expensive_passes = True
-            without = [*NOTES_ON_OVERLAPS, *([EMITTERS] if _version() < EMITTERS_CHOSEN_BEFORE else [])]
+            without = [*ALIAS_METADATA, *([EMITTERS] if _version() < EMITTERS_CHOSEN_BEFORE else [])]
             options.env_option_overrides = [*options.env_option_overrides, *((name, False) for name in without)]
         return options
 

@@ -166,14 +166,14 @@ def test_expensive_passes_are_left_out_of_own_programs_without_scalars():
     assert left_out(options.OwnProgram()) and not left_out(options.OwnProgram(scalarised=True))
 
 
-def test_own_programs_without_scalars_are_made_without_mlir_and_notes_on_overlaps():
+def test_own_programs_without_scalars_are_made_without_mlir_and_alias_metadata():
     from jaxlib import xla_client
 
     def overridden(program):
         return program.add_to(xla_client.CompileOptions()).env_option_overrides
 
     without = {name for name, value in overridden(options.OwnProgram()) if not value}
-    assert without >= set(options.NOTES_ON_OVERLAPS)
+    assert without >= set(options.ALIAS_METADATA)
     assert (options.EMITTERS in without) == (options._version() < options.EMITTERS_CHOSEN_BEFORE)
     assert overridden(options.OwnProgram(scalarised=True)) == []
 
