@@ -38,8 +38,8 @@ WITHOUT_FUSION = f"--xla_cpu_experimental_ynn_fusion_type= --xla_backend_extra_o
 FLAGS = f"{WITHOUT_FUSION},{FUSION}"
 FUSION_SAFE_FROM = (0, 12)  # jaxlib
 # XLA's alias metadata, which tell LLVM what arrays may overlap, take a tenth of the time of compilation.  They serve
-# loops over samples, which scalarised programs have.  LLVM's higher levels of optimisation take another tenth and gain
-# next to nothing.  For kept programs only.
+# loops over samples, which scalarised programs have.  LLVM's higher levels of optimisation take another tenth.  Without
+# both a run takes up to a tenth longer.  For kept programs only.
 ALIAS_METADATA = ("xla_llvm_enable_noalias_metadata", "xla_llvm_enable_alias_scope_metadata")
 OPTIMISATION_LEVEL = 1
 # Kernels made by way of MLIR take much of the time of compilation, most in programs that run once, and run no faster;
