@@ -8,8 +8,8 @@ cost: for 3 errors (joint D) and 30 (both sides of all joints), alone and in a b
 (`jacfwd` of the mean-square moments of all joints) and reverse mode (`grad` of one); with `--parameters` last of all
 for so many parameters of the description, one of every kind first, with the 3 errors.  The implicit
 method runs the whole 0.5 s of the main study with steps of 2 ms, Runge-Kutta 4 its first 10 ms.  Times are
-those of the processor (one thread, so that other programs do not count), the least of several runs,
-compilation apart; memory is what the compiler reserves for intermediates.
+those of the processor (one thread, so that other programs do not count), on a GPU those of the clock; the least of
+several runs, compilation apart; memory is what the compiler reserves for intermediates.
 
 accuracy: derivatives of all mean squares at tolerances from loose to tight, against those at a tolerance
 of 1e-11; the errors of five kinds at 0.05 to 3 times their sizes.  Differences are relative to the
@@ -88,7 +88,8 @@ def chosen_parameters(problem: Problem, count: int) -> tuple[str, ...]:
 
 
 def measure(label: str, function, points, base: float | None, repeats: int) -> float:
-    """One row; returns the least processor time [s] of a run."""
+    """One row; returns the least time [s] of a run, of the processor or, on a GPU, of the clock."""
+    clock = time.process_time if jax.default_backend() == "cpu" else time.perf_counter
     start = time.perf_counter()
     compiled = jax.jit(jax.vmap(function) if len(points) > 1 else lambda x: function(x[0]))
     compiled = compiled.lower(points).compile()
@@ -96,9 +97,9 @@ def measure(label: str, function, points, base: float | None, repeats: int) -> f
     jax.block_until_ready(compiled(points))
     times = []
     for _ in range(repeats):
-        start = time.process_time()
+        start = clock()
         jax.block_until_ready(compiled(points))
-        times.append(time.process_time() - start)
+        times.append(clock() - start)
     least = min(times)
     ratio = 1.0 if base is None else least / base
     memory = compiled.memory_analysis().temp_size_in_bytes / 1e6 / len(points)
