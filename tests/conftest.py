@@ -113,8 +113,8 @@ def quick_compilation(request):
 
 @pytest.fixture
 def large_programs_compiled(monkeypatch):
-    """For a test whose programs run so long that NumPy need not try them first."""
-    monkeypatch.setattr(evaluation_by_numpy, "RATIO", 0.0)
+    """For a test whose loops run so long that NumPy need not try them first."""
+    monkeypatch.setattr(evaluation_by_numpy, "RATIO_OF_LOOPS", 0.0)
 
 
 @pytest.fixture(scope="module", autouse=True)

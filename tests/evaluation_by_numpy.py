@@ -2,7 +2,8 @@
 
 `instead_of_compilation()` replaces the function of JAX that compiles and runs a program, also one of a single operation
 outside of `jit`.  A program is compiled all the same if NumPy cannot evaluate it, and as soon as its evaluations have
-taken as long as compilation would have: the time is counted in operations, so that every machine does the same.
+taken as long as compilation would have: the time is counted in operations, so that every machine does the same.  A loop
+that is not within another one is compiled by itself, since most of a program stands outside of its longest loop.
 """
 
 import functools
@@ -17,14 +18,14 @@ import pytest
 from jax._src import pjit
 from jax._src.array import ArrayImpl
 
-from tests.numpy_evaluation import TooLong, Work, counted, has_rule, interpreted, is_key, without_idle
+from tests.numpy_evaluation import Loop, TooLong, Work, counted, has_rule, interpreted, is_key, without_idle
 
 # In operations of NumPy: the time in which XLA compiles any program, and in which it compiles an operation more; that
-# of the call of a program that is evaluated.
-ANY, RATIO, CALL = 10_000.0, 200.0, 50.0
+# of the call of a program that is evaluated.  Loops have a ratio of their own, for tests of which all are long.
+ANY, RATIO, RATIO_OF_LOOPS, CALL = 10_000.0, 200.0, 200.0, 50.0
 SMALL = 400  # equations of a program that is compiled if NumPy has no rule for one of them
 FOREIGN = ("callback", "debug", "print", "infeed", "outfeed", "shard_map", "custom_partitioning")
-LOOPS = ("scan", "while", "cond")
+CONTROL = ("scan", "while", "cond")
 
 
 def within(equation) -> list:
@@ -37,10 +38,12 @@ def within(equation) -> list:
 
 class _Summary(NamedTuple):
     """Of a jaxpr with what it calls: equations as XLA is given them; operations of one evaluation in which every
-    `while` loop takes one turn; whether NumPy can evaluate it, and whether it has rules for all that is in it."""
+    `while` loop takes one turn, and those outside of loops; whether NumPy can evaluate it, and whether it has rules for
+    all that is in it."""
 
     size: int
     least: float
+    outside: float
     possible: bool
     by_rules: bool
 
@@ -53,33 +56,49 @@ def summary(jaxpr) -> _Summary:
     inner = getattr(jaxpr, "jaxpr", jaxpr)
     found = _SUMMARIES.get(inner)
     if found is None:
-        size, least, possible, by_rules = 0, 0.0, not inner.effects, True
+        size, least, outside, possible, by_rules = 0, 0.0, 0.0, not inner.effects, True
         for equation in inner.eqns:
             name, parts = equation.primitive.name, [summary(x) for x in within(equation)]
             size += 1 + sum(x.size for x in parts)
-            operations = [x.least for x in parts]
-            if name == "scan":
-                least += equation.params["length"] * sum(operations)
-            else:
-                least += min(operations) if name == "cond" else 1.0 + sum(operations)
-            keys = name in LOOPS and any(is_key(x.aval) for x in (*equation.invars, *equation.outvars))
+            least += _least(equation, [x.least for x in parts])
+            outside += 1.0 if name in ("scan", "while") else _least(equation, [x.outside for x in parts])
+            keys = name in CONTROL and any(is_key(x.aval) for x in (*equation.invars, *equation.outvars))
             foreign = any(word in name for word in FOREIGN)
             possible = possible and not foreign and not keys and all(x.possible for x in parts)
             by_rules = by_rules and has_rule(name) and all(x.by_rules for x in parts)
-        found = _SUMMARIES[inner] = _Summary(size, least, possible, by_rules)
+        found = _SUMMARIES[inner] = _Summary(size, least, outside, possible, by_rules)
     return found
 
 
+def _least(equation, of_parts: list[float]) -> float:
+    """Operations of an equation, of which its parts take so many."""
+    name = equation.primitive.name
+    if name == "scan":
+        return equation.params["length"] * sum(of_parts)
+    return min(of_parts) if name == "cond" else 1.0 + sum(of_parts)
+
+
 class _Tier:
-    """What has been spent on the evaluations of one program; `compiled`: it is compiled from now on."""
+    """What has been spent on the evaluations of one program, but for its loops; `compiled`: it is compiled from now
+    on."""
 
     def __init__(self, jaxpr):
-        self.jaxpr, self.program = jaxpr, None
-        size, least, possible, by_rules = summary(jaxpr)
+        self.jaxpr, self.program, self.loops = jaxpr, None, {}
+        size, _, outside, possible, by_rules = summary(jaxpr)
         has_keys = any(map(is_key, (*jaxpr.in_avals, *jaxpr.out_avals)))
         self.left = ANY + RATIO * size
         # What has no rule is a program of its own when its turn comes.
-        self.compiled = least > self.left or not possible or has_keys or not (by_rules or size >= SMALL)
+        self.compiled = outside > self.left or not possible or has_keys or not (by_rules or size >= SMALL)
+
+    def loop_of(self, equation) -> Loop:
+        """What is known of one of the outermost loops."""
+        found = self.loops.get(id(equation))
+        if found is None:
+            parts = [summary(x) for x in within(equation)]
+            left = ANY + RATIO_OF_LOOPS * sum(x.size for x in parts)
+            least = _least(equation, [x.least for x in parts])
+            found = self.loops[id(equation)] = Loop(equation, left if least <= left else 0.0)
+        return found
 
 
 def _on_chosen_devices(arguments) -> bool:
@@ -104,7 +123,7 @@ def instead_of_compilation() -> Iterator[None]:
         if tier is None:
             tier = tiers[id(jaxpr)] = _Tier(jaxpr)
         if not tier.compiled and not _on_chosen_devices(arguments):
-            work = Work(tier.left)
+            work = Work(tier.left, tier.loop_of)
             tier.program = tier.program or without_idle(jaxpr)
             try:
                 with counted(work), np.errstate(all="ignore"):

@@ -102,15 +102,35 @@ class TooLong(Exception):
 
 
 class Work:
-    """Counts operations, each as one and a part by the size of its result; raises TooLong beyond `allowed`."""
+    """Counts operations, each as one and a part by the size of its result; raises TooLong beyond `allowed`.
 
-    def __init__(self, allowed: float = math.inf):
-        self.done, self.allowed = 0.0, allowed
+    `loop_of`: of the equation of an outermost loop, whose operations are not among these; None for loops that are
+    like all other operations.
+    """
+
+    def __init__(self, allowed: float = math.inf, loop_of: Callable[[Any], "Loop"] | None = None):
+        self.done, self.allowed, self.loop_of = 0.0, allowed, loop_of
 
     def add(self, operations: float) -> None:
         self.done += operations
         if self.done > self.allowed:
             raise TooLong
+
+
+class Loop:
+    """A loop that is compiled when NumPy has carried out `left` operations of it."""
+
+    def __init__(self, equation, left: float):
+        self.equation, self.left, self.program = equation, left, None
+
+    def compiled(self, *parts) -> list:
+        """Results of the loop, or of the rest of it."""
+        if self.program is None:
+            act = functools.partial(self.equation.primitive.bind, **self.equation.params)
+            types = [jax.ShapeDtypeStruct(x.aval.shape, x.aval.dtype) for x in self.equation.invars]
+            self.program = jax.jit(act).lower(*types).compile()
+        given = [np.asarray(x, variable.aval.dtype) for x, variable in zip(parts, self.equation.invars, strict=True)]
+        return self.program(*given)
 
 
 _counted = threading.local()
@@ -388,6 +408,35 @@ def _power(equation):
     return np.square if exponent == 2 else lambda x: x**exponent
 
 
+def _loop(turns: Callable) -> Callable:
+    """The rule of a loop, from a generator of the operands with which it would go on after each turn, whose return
+    value are the results."""
+
+    @functools.wraps(turns)
+    def rule(equation, *parts):
+        work = getattr(_counted, "work", None)
+        loop = None if work is None or work.loop_of is None else work.loop_of(equation)
+        if loop is not None and loop.left <= 0.0:
+            return loop.compiled(*parts)
+        made, within = turns(equation, *parts), work if loop is None else Work(loop.left)
+        try:
+            with counted(within):
+                while True:
+                    parts = next(made)
+        except StopIteration as end:
+            return end.value
+        except TooLong:
+            if loop is None:
+                raise
+            return loop.compiled(*parts)
+        finally:
+            if loop is not None:
+                loop.left -= within.done
+
+    return rule
+
+
+@_loop
 def _while(equation, *parts):
     settings = equation.params
     first, second = settings["cond_nconsts"], settings["cond_nconsts"] + settings["body_nconsts"]
@@ -399,14 +448,15 @@ def _while(equation, *parts):
     while (going := goes_on()).any():
         # Under vmap the condition may be one of each sample.
         results = _evaluate(settings["body_jaxpr"], [*of_body, *values])
-        if not going.ndim:
-            values = results
-            continue
-        pairs = zip(results, values, strict=True)
-        values = [np.where(going.reshape(going.shape + (1,) * (x.ndim - going.ndim)), x, y) for x, y in pairs]
+        if going.ndim:
+            pairs = zip(results, values, strict=True)
+            results = [np.where(going.reshape(going.shape + (1,) * (x.ndim - going.ndim)), x, y) for x, y in pairs]
+        values = results
+        yield [*parts[:second], *values]
     return values
 
 
+@_loop
 def _scan(equation, *parts):
     settings = equation.params
     if "num_carry" in settings:
@@ -416,6 +466,7 @@ def _scan(equation, *parts):
         first, carried = len(constants), len(carry)
     fixed, carry, rows = parts[:first], list(parts[first : first + carried]), parts[first + carried :]
     made = []
+    yield parts
     turns = range(settings["length"])
     for i in reversed(turns) if settings["reverse"] else turns:
         results = _evaluate(settings["jaxpr"], [*fixed, *carry, *(x[i] for x in rows)])

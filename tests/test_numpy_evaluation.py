@@ -10,7 +10,7 @@ import pytest
 from rfem_jax.mechanics.algebra import cross, dot, rotation_about
 from tests import evaluation_by_numpy
 from tests.evaluation_by_numpy import instead_of_compilation, summary
-from tests.numpy_evaluation import by_numpy
+from tests.numpy_evaluation import Loop, by_numpy
 
 COMPILED_AS_SHIPPED = True  # so that programs are evaluated only within the blocks of these tests
 
@@ -40,7 +40,7 @@ def test_evaluated_and_compiled_are_the_same(of):
 
 
 def compilations(run):
-    """Names of the programs that are compiled while `run()` is carried out."""
+    """Names of the programs that are compiled, and kinds of the loops that are, while `run()` is carried out."""
     names = []
     made = evaluation_by_numpy.pjit._pjit_call_impl_python
 
@@ -48,36 +48,69 @@ def compilations(run):
         names.append(settings["name"])
         return made(*arguments, **settings)
 
+    class Noted(Loop):
+        def compiled(self, *parts):
+            names.extend([self.equation.primitive.name] if self.program is None else [])
+            return super().compiled(*parts)
+
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(evaluation_by_numpy.pjit, "_pjit_call_impl_python", noted)
+        patch.setattr(evaluation_by_numpy, "Loop", Noted)
         with instead_of_compilation():
             run()
     return names
 
 
-def test_what_takes_long_is_compiled():
-    def steps(count):
-        def move(x):
-            for _ in range(30):
-                x = jnp.sin(x) + 0.1
-            return x
+def move(x):
+    """Thirty pairs of operations."""
+    for _ in range(30):
+        x = jnp.sin(x) + 0.1
+    return x
 
-        def few(x):
-            return jax.lax.scan(lambda c, _: (move(c), None), x, length=count)[0]
 
-        def unknown(x):
-            return jax.lax.while_loop(lambda c: c[1] < count, lambda c: (move(c[0]), c[1] + 1), (x, 0))[0]
+def loops(count):
+    """A function with a loop of known length, and one whose length is not known, with another one in it."""
 
-        return few, unknown
+    def known(x):
+        return jax.lax.scan(lambda c, row: (move(c), c + row), x, jnp.arange(float(count)))
 
-    known, counted = steps(10_000)
-    assert summary(jax.make_jaxpr(known)(1.0)).least > 1e5
-    assert "few" in compilations(lambda: jax.jit(known)(1.0))
-    assert "unknown" in compilations(lambda: jax.jit(counted)(1.0))
-    known, counted = steps(2)
-    assert compilations(lambda: (jax.jit(known)(1.0), jax.jit(counted)(1.0))) == []
-    once = jax.jit(known)
-    assert "few" in compilations(lambda: [once(float(x)) for x in range(200)])
+    def unknown(x):
+        def turn(carry):
+            inner = jax.lax.fori_loop(0, 3, lambda _, c: move(c), carry[0])
+            return inner, carry[1] + 1
+
+        return jax.lax.while_loop(lambda c: c[1] < count, turn, (x, 0))
+
+    return known, unknown
+
+
+@pytest.mark.parametrize("which", [0, 1], ids=["known", "unknown"])
+@pytest.mark.parametrize("wrapped", [lambda f: f, jax.vmap], ids=["alone", "in a batch"])
+def test_a_long_loop_is_compiled_and_what_is_around_it_is_not(which, wrapped):
+    function, found = loops(1000)[which], []
+    x = jnp.asarray([1.0, 0.5])
+
+    def around(x):
+        return jax.tree.map(lambda y: y + 1.0, wrapped(function)(jnp.cos(x)))
+
+    assert compilations(lambda: found.append(jax.jit(around)(x))) == [["scan", "while"][which]]
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-13), found[0], jax.jit(around)(x))
+
+
+def test_a_loop_that_was_compiled_in_the_midst_of_it_serves_further_calls():
+    _, unknown = loops(1000)
+    function, found = jax.jit(unknown), []
+    assert compilations(lambda: found.extend(function(x) for x in (1.0, 0.5))) == ["while"]
+    for x, (last, count) in zip((1.0, 0.5), found):
+        np.testing.assert_allclose(last, jax.jit(unknown)(x)[0], rtol=1e-13)
+        assert count == 1000
+
+
+def test_what_is_called_often_is_compiled():
+    assert summary(jax.make_jaxpr(loops(1000)[0])(1.0)).least > 6e4
+    assert compilations(lambda: [jax.jit(f)(1.0) for f in loops(2)]) == []
+    program = jax.jit(lambda x: move(move(x)))
+    assert "<lambda>" in compilations(lambda: [program(float(x)) for x in range(400)])
 
 
 def test_operations_outside_of_programs_are_evaluated():

@@ -74,6 +74,11 @@ def product_transposed(a: Float[Array, "m n *#k"], b: Float[Array, "p n *#k"]) -
     return contract((0, 1), (2, 1), (0, 2), a, b)
 
 
+def transposed_product(a: Float[Array, "n m *#k"], b: Float[Array, "n p *#k"]) -> Float[Array, "m p ..."]:
+    """Transpose of a matrix times matrix."""
+    return contract((0, 1), (0, 2), (1, 2), a, b)
+
+
 def constant_product(matrix: Float[Array, "m n"], b: Float[Array, " n *k"]) -> Float[Array, " m *k"]:
     """Matrix without later axes times vectors with any."""
     return jnp.tensordot(matrix, b, axes=1)
@@ -207,7 +212,7 @@ def invert_positive(matrix: Float[Array, "n n *k"]) -> Float[Array, "n n *k"]:
     a, b, d = matrix[:k, :k], matrix[:k, k:], matrix[k:, k:]
     a_inverse = invert_positive(a)
     ab = product(a_inverse, b)
-    schur_inverse = invert_positive(d - product(transpose(b), ab))
+    schur_inverse = invert_positive(d - transposed_product(b, ab))
     corner = -product(ab, schur_inverse)
     top = jnp.concatenate([a_inverse - product_transposed(corner, ab), corner], axis=1)
     bottom = jnp.concatenate([transpose(corner), schur_inverse], axis=1)

@@ -382,7 +382,7 @@ def _multipliers(
         points = _points_of(topology, motion, tree)
         sides = set(topology.parents[topology.n_links :]) | set(topology.children[topology.n_links :])
         units = ((node, unit_columns(topology, cuts, node, points[node])) for node in sorted(sides) if node != BASE)
-        rows = sum((product(algebra.transpose(unit), responses[node]) for node, unit in units), start=0.0)
+        rows = sum((algebra.transposed_product(unit, responses[node]) for node, unit in units), start=0.0)
         rows = jnp.asarray(rows)
 
         baumgarte = -stabilisation.velocity_gain * cuts.rate - stabilisation.position_gain * cuts.residual

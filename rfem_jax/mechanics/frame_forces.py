@@ -121,7 +121,7 @@ def pose_between(
     linear = difference[3:] + cross(difference[:3], place)
     return Pose(
         position=algebra.apply_transposed(rotation, place - origin),
-        rotation=algebra.product(algebra.transpose(rotation), of_child),
+        rotation=algebra.transposed_product(rotation, of_child),
         linear=algebra.apply_transposed(rotation, linear),
         angular=algebra.apply_transposed(rotation, difference[:3]),
     )

@@ -198,7 +198,7 @@ def apply_errors(model: Model, errors: AssemblyErrors) -> ModelWithErrors:
         )
         pin = algebra.product(algebra.rotation_z(errors.pin[1]), algebra.rotation_x(errors.pin[0]))
         start = algebra.rotation_y(_start_angles(model))
-        pin_in_child = algebra.product(algebra.transpose(start), algebra.product(pin, start))
+        pin_in_child = algebra.transposed_product(start, algebra.product(pin, start))
         sides = (algebra.product(seat[0], pin), seat[1]), (algebra.product(bore[0], pin_in_child), bore[1])
         mass, centre, inertia = _bodies(model, length, scale)
         n = topology.n_links

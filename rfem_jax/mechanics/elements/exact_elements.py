@@ -29,7 +29,7 @@ from jax import Array
 from jaxtyping import Float
 
 from rfem_jax.mechanics import algebra
-from rfem_jax.mechanics.algebra import cross, dot, product, transpose
+from rfem_jax.mechanics.algebra import cross, dot, product, transpose, transposed_product
 from rfem_jax.mechanics.kinematics import RelativeMotion
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 from rfem_jax.mechanics.reordering import reorder
@@ -156,7 +156,7 @@ def on_both_rfes(
     the left one at their middles, in link axes."""
     force, couple, shared = _midway_loads(actual, deflected)
     in_link = jnp.stack([force, -couple - shared, couple - shared], axis=1)
-    in_link = product(transpose(deflected.midway), in_link)
+    in_link = transposed_product(deflected.midway, in_link)
     force = in_link[:, 0]
     return force, in_link[:, 1:] - cross(deflected.arms, jnp.stack([force, -force], axis=1))
 

@@ -31,7 +31,9 @@ from rfem_jax.mechanics.algebra import (
     dot,
     outer,
     product,
+    product_transposed,
     transpose,
+    transposed_product,
 )
 from rfem_jax.mechanics.implicit.block_tridiagonal import solve
 from rfem_jax.mechanics.implicit.condensation import LinkOperator, root_inertia
@@ -140,7 +142,8 @@ def _rotated_back(rotations: Sequence[Array], wrench: Array) -> Array:
 def _congruent(rotations: Sequence[Array], matrix: Array) -> Array:
     """A symmetric matrix (6 c, 6 c) with rows and columns rotated."""
     once = _rotated(rotations, matrix)
-    return _rotated(rotations, transpose(once))
+    both = [product_transposed(r, once[:, 3 * i : 3 * i + 3]) for i, r in enumerate(rotations)]
+    return jnp.concatenate(both)
 
 
 def _inverse_transposed(rotations: Sequence[Array]) -> tuple[Array, ...]:
@@ -181,14 +184,14 @@ def eliminate(
         rotation, operator = motion.links.rotation[:, :, l], operators[l]
         frame = _wrench_transform(rotation, motion.links.point[:, l] - points[l])
         in_link = root_inertia(actual, l) if operator is None else operator.inertia
-        inertia = algebra.product_transposed(product(frame, in_link), frame)
+        inertia = product_transposed(product(frame, in_link), frame)
         inertia = inertia + outboard.get(l, 0.0)
         interfaces, rotations = None, _interface_rotations(topology, motion, l)
         if operator is not None and rotations:
             interfaces = _interface_operator(topology, l, operator, frame, rotations, points, outboard)
             if interfaces.outboard is not None:
                 transfer, reduced = interfaces.transfer, product(*interfaces.outboard)
-                inertia = inertia + product(product(transfer, reduced), transpose(transfer))
+                inertia = inertia + product_transposed(product(transfer, reduced), transfer)
         before, axes, hinges = inertia, [], []
         for k in reversed(topology.coordinates[l]):
             axis = algebra.spatial(motion.axis[:3, k], motion.axis[3:, k] + cross(motion.axis[:3, k], points[l]))
@@ -224,7 +227,7 @@ def _interface_operator(
     nodes, identity = _interfaces_of(topology, link), np.eye(3)
     shift = jnp.concatenate([_wrench_transform(identity, points[k] - points[link]) for k in nodes], axis=1)
     frame_to_interface = _rotated(rotations, operator.frame_to_interface)
-    transfer = shift - product(frame, transpose(frame_to_interface))
+    transfer = shift - product_transposed(frame, frame_to_interface)
     compliance = _congruent(rotations, operator.compliance)
     if not any(node in outboard for node in nodes):
         return InterfaceOperator(transfer, compliance, None)
@@ -320,7 +323,7 @@ def _accelerate(
         at[l] = acceleration
         if interfaces is None:
             continue
-        with_frame = product(transpose(interfaces.transfer), acceleration)
+        with_frame = transposed_product(interfaces.transfer, acceleration)
         wrench = wrenches[l]
         if interfaces.outboard is not None:
             with_frame = product(interfaces.outboard.transmissibility, with_frame)

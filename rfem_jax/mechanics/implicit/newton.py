@@ -26,7 +26,7 @@ from rfem_jax.mechanics.algebra import (
     constant_product,
     cross,
     product,
-    transpose,
+    transposed_product,
 )
 from rfem_jax.mechanics.cut_joints import Closure, invert_closure, unit_columns
 from rfem_jax.mechanics.element_loads import ElementTangents
@@ -142,7 +142,7 @@ def iteration_matrix(
         joint_loads = jnp.zeros((topology.n_freedoms, columns))
         responses = respond(topology, links, joint_loads, {}, {}, units, columns)
         responses = _with_elements(topology, elements, responses)
-        rows = sum(product(transpose(unit), of_node(topology, responses, node)) for node, unit in units.items())
+        rows = sum(transposed_product(unit, of_node(topology, responses, node)) for node, unit in units.items())
         if cut_tangent:
             rows = rows + np.diag(np.arange(columns) >= topology.n_constraints).astype(float)
         rows = jnp.asarray(rows)
@@ -170,7 +170,7 @@ def _element_matrix(
         for node, wrench in tangents.units.items()
     }
     responses = respond(topology, links, jnp.zeros((topology.n_freedoms, k)), {}, {}, units, k)
-    rows = sum(product(transpose(unit), of_node(topology, responses, node)) for node, unit in units.items())
+    rows = sum(transposed_product(unit, of_node(topology, responses, node)) for node, unit in units.items())
     stiffness = tangents.stiffness
     gain = -jnp.linalg.solve(jnp.eye(k) + product(stiffness, jnp.asarray(rows)), stiffness)
     return ElementMatrix(units, responses, gain)
@@ -181,7 +181,7 @@ def _with_elements(topology: Topology, elements: ElementMatrix | None, response:
     if elements is None:
         return response
     units, by_element, gain = elements
-    rows = sum(product(transpose(unit), of_node(topology, response, node)) for node, unit in units.items())
+    rows = sum(transposed_product(unit, of_node(topology, response, node)) for node, unit in units.items())
     exerted = product(gain, jnp.asarray(rows))
     return jax.tree.map(lambda a, b: a + product(b, exerted), response, by_element)
 
