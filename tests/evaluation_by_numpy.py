@@ -18,13 +18,13 @@ import pytest
 from jax._src import pjit
 from jax._src.array import ArrayImpl
 
-from tests.numpy_evaluation import Loop, TooLong, Work, counted, has_rule, interpreted, is_key, without_idle
+from tests.numpy_evaluation import Loop, TooLong, Work, cost, counted, has_rule, interpreted, is_key, without_idle
 
 # In operations of NumPy: the time in which XLA compiles any program, and in which it compiles an operation more; that
 # of the call of a program that is evaluated.  Loops have a ratio of their own, for tests of which all are long.
 ANY, RATIO, RATIO_OF_LOOPS, CALL = 10_000.0, 200.0, 200.0, 50.0
 SMALL = 400  # equations of a program that is compiled if NumPy has no rule for one of them
-FOREIGN = ("callback", "debug", "print", "infeed", "outfeed", "shard_map", "custom_partitioning")
+FOREIGN = ("io_callback", "debug", "print", "infeed", "outfeed", "shard_map", "custom_partitioning")
 CONTROL = ("scan", "while", "cond")
 
 
@@ -52,7 +52,7 @@ _SUMMARIES: weakref.WeakKeyDictionary = weakref.WeakKeyDictionary()
 
 
 def summary(jaxpr) -> _Summary:
-    """Of a jaxpr, closed or not; NumPy calls no Python, and keeps keys of random numbers for one turn of a loop."""
+    """Of a jaxpr, closed or not; NumPy has no effects, and keeps keys of random numbers for one turn of a loop."""
     inner = getattr(jaxpr, "jaxpr", jaxpr)
     found = _SUMMARIES.get(inner)
     if found is None:
@@ -75,7 +75,7 @@ def _least(equation, of_parts: list[float]) -> float:
     name = equation.primitive.name
     if name == "scan":
         return equation.params["length"] * sum(of_parts)
-    return min(of_parts) if name == "cond" else 1.0 + sum(of_parts)
+    return min(of_parts) if name == "cond" else cost(name) + sum(of_parts)
 
 
 class _Tier:
@@ -95,7 +95,7 @@ class _Tier:
         found = self.loops.get(id(equation))
         if found is None:
             parts = [summary(x) for x in within(equation)]
-            left = ANY + RATIO_OF_LOOPS * sum(x.size for x in parts)
+            left = ANY + (RATIO_OF_LOOPS * sum(x.size for x in parts) if all(x.by_rules for x in parts) else 0.0)
             least = _least(equation, [x.least for x in parts])
             found = self.loops[id(equation)] = Loop(equation, left if least <= left else 0.0)
         return found

@@ -51,7 +51,8 @@ REDUCED: dict[str, Callable] = {
 SAME_TYPE = frozenset(
     "sin cos tan exp log sqrt tanh abs add add_any sub mul neg max min lt le gt ge eq ne and or not is_finite".split()
 )
-ENTRIES = 2000  # of a result, which take as long as the call of its operation
+ENTRIES = 2000  # of a result, which take as long as the call of an operation of NumPy
+OF_JAX = 1000.0  # calls of NumPy's operations that take as long as that of one by JAX
 MANY = 16  # windows of a gather or scatter, above which they are taken together
 
 
@@ -163,7 +164,7 @@ class Interpreted:
         self.operations = [(act, _taking(places), *rest) for act, places, *rest in self.operations]
         self.outputs = [self._read(variable) for variable in jaxpr.outvars]
         sizes = [math.prod(x.aval.shape) for equation in jaxpr.eqns for x in equation.outvars]
-        self.work = sum(1.0 + size / ENTRIES for size in sizes)
+        self.work = sum(sizes) / ENTRIES + sum(cost(equation.primitive.name) for equation in jaxpr.eqns)
         del self.places
 
     def _place(self, variable, value=None) -> int:
@@ -224,6 +225,11 @@ def is_key(aval) -> bool:
 def has_rule(name: str) -> bool:
     """Whether NumPy carries out the operations of this name; if not, JAX does, one by one."""
     return any(name in rules for rules in (CALLS, ELEMENTWISE, REDUCED, PREPARED, SPECIAL))
+
+
+def cost(name: str) -> float:
+    """Of the call of an operation of this name."""
+    return 1.0 if has_rule(name) else OF_JAX
 
 
 def _typed(act, dtype, *parts):
@@ -416,8 +422,6 @@ def _loop(turns: Callable) -> Callable:
     def rule(equation, *parts):
         work = getattr(_counted, "work", None)
         loop = None if work is None or work.loop_of is None else work.loop_of(equation)
-        if loop is not None and loop.left <= 0.0:
-            return loop.compiled(*parts)
         made, within = turns(equation, *parts), work if loop is None else Work(loop.left)
         try:
             with counted(within):
@@ -443,7 +447,8 @@ def _while(equation, *parts):
     of_condition, of_body, values = parts[:first], parts[first:second], list(parts[second:])
 
     def goes_on():
-        return _evaluate(settings["cond_jaxpr"], [*of_condition, *values])[0]
+        with counted(Work()):  # a loop without a turn is not compiled
+            return _evaluate(settings["cond_jaxpr"], [*of_condition, *values])[0]
 
     while (going := goes_on()).any():
         # Under vmap the condition may be one of each sample.

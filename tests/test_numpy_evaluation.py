@@ -106,6 +106,15 @@ def test_a_loop_that_was_compiled_in_the_midst_of_it_serves_further_calls():
         assert count == 1000
 
 
+def test_a_loop_without_a_turn_is_not_compiled():
+    def function(x):
+        return jax.lax.while_loop(lambda c: c < 0.0, lambda c: loops(10_000)[0](c)[0], x)
+
+    found = []
+    assert compilations(lambda: found.append(jax.jit(function)(1.0))) == [] and found == [1.0]
+    assert compilations(lambda: jax.jit(function)(-1.0)) == ["while"]
+
+
 def test_what_is_called_often_is_compiled():
     assert summary(jax.make_jaxpr(loops(1000)[0])(1.0)).least > 6e4
     assert compilations(lambda: [jax.jit(f)(1.0) for f in loops(2)]) == []
