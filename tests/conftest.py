@@ -117,6 +117,12 @@ def large_programs_compiled(monkeypatch):
     monkeypatch.setattr(evaluation_by_numpy, "RATIO_OF_LOOPS", 0.0)
 
 
+@pytest.fixture
+def often_called_programs_compiled(monkeypatch):
+    """For a test whose programs are called so often that NumPy need not try them first."""
+    monkeypatch.setattr(evaluation_by_numpy, "RATIO", 0.0)
+
+
 @pytest.fixture(scope="module", autouse=True)
 def _rough_pictures(request):
     """Pictures have few pixels, two thirds of the work, and one process draws them, unless the module says

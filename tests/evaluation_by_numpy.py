@@ -22,7 +22,7 @@ from tests.numpy_evaluation import Loop, TooLong, Work, cost, counted, has_rule,
 
 # In operations of NumPy: the time in which XLA compiles any program, and in which it compiles an operation more; that
 # of the call of a program that is evaluated.  Loops have a ratio of their own, for tests of which all are long.
-ANY, RATIO, RATIO_OF_LOOPS, CALL = 10_000.0, 200.0, 200.0, 50.0
+ANY, RATIO, RATIO_OF_LOOPS, CALL = 10_000.0, 100.0, 100.0, 50.0
 SMALL = 400  # equations of a program that is compiled if NumPy has no rule for one of them
 FOREIGN = ("io_callback", "debug", "print", "infeed", "outfeed", "shard_map", "custom_partitioning")
 CONTROL = ("scan", "while", "cond")

@@ -51,7 +51,7 @@ REDUCED: dict[str, Callable] = {
 SAME_TYPE = frozenset(
     "sin cos tan exp log sqrt tanh abs add add_any sub mul neg max min lt le gt ge eq ne and or not is_finite".split()
 )
-ENTRIES = 2000  # of a result, which take as long as the call of an operation of NumPy
+ENTRIES = 400  # of a result, which take as long as the call of an operation of NumPy
 OF_JAX = 1000.0  # calls of NumPy's operations that take as long as that of one by JAX
 MANY = 16  # windows of a gather or scatter, above which they are taken together
 

@@ -111,7 +111,7 @@ def test_clearance(run_program, tmp_path):
     assert taken[0] == pytest.approx(0.25 * (force[0] - force[1]) / (force[0] - force[3]))
 
 
-def test_robust_four_bar(large_programs_compiled, run_program, tmp_path):
+def test_robust_four_bar(often_called_programs_compiled, run_program, tmp_path):
     """Every way is answered, and its price is that of its mass and its tolerances. The step of the trial is too long
     for some of the fresh mechanisms."""
     said = run_program("studies/robust_four_bar/study.py", "--quick", "--reserves", 1.5, "--out", tmp_path)
