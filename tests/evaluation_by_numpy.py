@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from jax._src import pjit
 from jax._src.array import ArrayImpl
+from jax.sharding import NamedSharding, PartitionSpec
 
 from tests.numpy_evaluation import Loop, TooLong, Work, cost, counted, has_rule, interpreted, is_key, without_idle
 
@@ -24,7 +25,7 @@ from tests.numpy_evaluation import Loop, TooLong, Work, cost, counted, has_rule,
 # of the call of a program that is evaluated.  Loops have a ratio of their own, for tests of which all are long.
 ANY, RATIO, RATIO_OF_LOOPS, CALL = 10_000.0, 100.0, 100.0, 50.0
 SMALL = 400  # equations of a program that is compiled if NumPy has no rule for one of them
-FOREIGN = ("io_callback", "debug", "print", "infeed", "outfeed", "shard_map", "custom_partitioning")
+FOREIGN = ("io_callback", "debug", "print", "infeed", "outfeed", "custom_partitioning")
 CONTROL = ("scan", "while", "cond")
 
 
@@ -63,7 +64,9 @@ def summary(jaxpr) -> _Summary:
             least += _least(equation, [x.least for x in parts])
             outside += 1.0 if name in ("scan", "while") else _least(equation, [x.outside for x in parts])
             keys = name in CONTROL and any(is_key(x.aval) for x in (*equation.invars, *equation.outvars))
-            foreign = any(word in name for word in FOREIGN)
+            foreign = any(word in name for word in FOREIGN) or (
+                name == "shard_map" and equation.params["mesh"].size > 1
+            )
             possible = possible and not foreign and not keys and all(x.possible for x in parts)
             by_rules = by_rules and has_rule(name) and all(x.by_rules for x in parts)
         found = _SUMMARIES[inner] = _Summary(size, least, outside, possible, by_rules)
@@ -101,13 +104,18 @@ class _Tier:
         return found
 
 
-def _on_chosen_devices(arguments) -> bool:
-    return any(isinstance(x, jax.Array) and x.committed for x in arguments)
+def _chosen(arguments) -> set:
+    """Meshes of devices that were chosen for arguments, None for other choices."""
+    placed = [x.sharding for x in arguments if isinstance(x, jax.Array) and x.committed]
+    return {sharding.mesh if isinstance(sharding, NamedSharding) else None for sharding in placed}
 
 
-def _of_jax(results, avals) -> list[jax.Array]:
+def _of_jax(results, avals, chosen: set) -> list[jax.Array]:
     """Results of an evaluation as the compiled program's."""
-    found = jax.device_put([np.asarray(x, aval.dtype) for x, aval in zip(results, avals, strict=True)])
+    found = [np.asarray(x, aval.dtype) for x, aval in zip(results, avals, strict=True)]
+    if chosen:
+        return jax.device_put(found, NamedSharding(*chosen, PartitionSpec()))
+    found = jax.device_put(found)
     weak = [aval.weak_type for aval in avals]
     return [ArrayImpl(aval, x.sharding, [x], committed=False) if w else x for aval, x, w in zip(avals, found, weak)]
 
@@ -122,7 +130,8 @@ def instead_of_compilation() -> Iterator[None]:
         tier = tiers.get(id(jaxpr))
         if tier is None:
             tier = tiers[id(jaxpr)] = _Tier(jaxpr)
-        if not tier.compiled and not _on_chosen_devices(arguments):
+        chosen = _chosen(arguments)
+        if not tier.compiled and all(mesh is not None and mesh.size == 1 for mesh in chosen):
             work = Work(tier.left, tier.loop_of)
             tier.program = tier.program or without_idle(jaxpr)
             try:
@@ -132,7 +141,7 @@ def instead_of_compilation() -> Iterator[None]:
                 tier.compiled = True
             else:
                 tier.left -= work.done + CALL
-                return _of_jax(results, jaxpr.out_avals), None, None, []
+                return _of_jax(results, jaxpr.out_avals, chosen), None, None, []
         return compile_and_run(*arguments, jaxpr=jaxpr, **settings)
 
     with pytest.MonkeyPatch.context() as patch:

@@ -482,6 +482,12 @@ def _scan(equation, *parts):
     return carry + ([np.stack(column) for column in zip(*made, strict=True)] if made else empty)
 
 
+def _on_one_device(equation, *parts):
+    if equation.params["mesh"].size != 1:
+        raise NotImplementedError("NumPy has one device")
+    return _evaluate(equation.params["jaxpr"], parts)
+
+
 def _split(equation, x):
     stops = np.cumsum(equation.params["sizes"])[:-1]
     return np.split(x, stops, equation.params["axis"])
@@ -684,6 +690,7 @@ SPECIAL: dict[str, Callable] = {
     "pad": _padded,
     "rev": lambda e, x: [np.flip(x, e.params["dimensions"])],
     "scan": _scan,
+    "shard_map": _on_one_device,
     "scatter": _scatter,
     "scatter-add": lambda e, *parts: _scatter(e, *parts, combine=np.add),
     "scatter_add": lambda e, *parts: _scatter(e, *parts, combine=np.add),

@@ -1,5 +1,6 @@
 """What NumPy evaluates instead of a compiled program is the same, and loops of many turns are compiled."""
 
+import functools
 import itertools
 
 import jax
@@ -142,6 +143,24 @@ def test_results_are_of_the_kind_of_the_compiled_program_s():
     compiled = kinds()
     with instead_of_compilation():
         assert kinds() == compiled
+
+
+def test_a_program_on_a_mesh_of_one_device_is_evaluated():
+    mesh = jax.sharding.Mesh(np.array(jax.devices()[:1]), ("rows",))
+    over_rows = jax.sharding.PartitionSpec("rows")
+    given = jax.device_put(jnp.arange(6.0).reshape(3, 2), jax.sharding.NamedSharding(mesh, over_rows))
+
+    def function(x):
+        sharded = functools.partial(jax.shard_map, in_specs=over_rows, out_specs=over_rows, check_vma=False)
+        return sharded(lambda x: jnp.sin(x) + 1.0, mesh=mesh)(x)
+
+    found = []
+    assert compilations(lambda: found.append(jax.jit(function)(given))) == []
+    np.testing.assert_allclose(found[0], np.sin(given) + 1.0, rtol=1e-15)
+    assert found[0].committed and found[0].sharding.mesh == mesh
+    two = jax.sharding.AbstractMesh((2,), ("rows",), (jax.sharding.AxisType.Auto,))
+    split = jax.shard_map(jnp.sin, mesh=two, in_specs=over_rows, out_specs=over_rows)
+    assert not summary(jax.make_jaxpr(split)(jnp.ones(4))).possible
 
 
 RNG = np.random.default_rng(3)
