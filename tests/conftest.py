@@ -112,7 +112,7 @@ def quick_compilation(request):
 
 
 @pytest.fixture
-def large_programs_compiled(monkeypatch):
+def long_loops_compiled(monkeypatch):
     """For a test whose loops run so long that NumPy need not try them first."""
     monkeypatch.setattr(evaluation_by_numpy, "RATIO_OF_LOOPS", 0.0)
 

@@ -67,7 +67,7 @@ def test_bearing_stiffness(run_program, tmp_path):
         assert len(own) == 12 and (low < sums).all() and (sums < high).all()
 
 
-def test_clearance_in_motion(large_programs_compiled, run_program, tmp_path):
+def test_clearance_in_motion(long_loops_compiled, run_program, tmp_path):
     said = run_program("studies/clearance/motion.py", "--quick", "--out", tmp_path)
     assert "The 95 % RMS force of D is least" in said
     assert {path.stem for path in tmp_path.glob("*.png")} == {"motion_over_clearance"}

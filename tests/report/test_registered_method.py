@@ -15,7 +15,6 @@ from rfem_jax.report.command_line import main
 from rfem_jax.simulation.solvers import catalogue
 from tests.programs.conftest import PENDULUM
 
-
 RK4 = PENDULUM.replace("duration = 0.5", "duration = 0.02\nsave_every = 1e-3").replace("rfes = 2", "rfes = 1")
 
 

@@ -111,7 +111,7 @@ def test_forward_mode_equals_differences(values, jacobian):
     assert gap.max() < 1e-6, f"{METRICS[metric]} by {NAMES[error]}"
 
 
-def test_reverse_mode_equals_forward_mode(problem, jacobian, large_programs_compiled):
+def test_reverse_mode_equals_forward_mode(problem, jacobian, long_loops_compiled):
     """The gradient of a sum of all metrics, each weighted so that it counts; by XLA, which has compiled wrong programs
     of loops in reverse mode, where the Jacobian is NumPy's."""
     weights = np.random.default_rng(7).uniform(0.5, 1.0, len(METRICS))
@@ -154,7 +154,7 @@ def loop_with_one_flexible_link(rfes):
     return Mechanism(links, four_bar().joints, driven_joint="A")
 
 
-def test_geometrically_exact_elements(large_programs_compiled):
+def test_geometrically_exact_elements(long_loops_compiled):
     """Three errors of different kinds, by all three ways, all compiled."""
     model = discretise(loop_with_one_flexible_link(3), elements="geometrically_exact")
     problem = Problem(

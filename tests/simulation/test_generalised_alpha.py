@@ -239,7 +239,7 @@ def test_auto_takes_no_step_longer_than_between_saved_times(save_every, monkeypa
         assert chosen.name == name
 
 
-def test_auto_on_rigid_links_that_errors_keep_from_closing(large_programs_compiled):
+def test_auto_on_rigid_links_that_errors_keep_from_closing(long_loops_compiled):
     study = load_study(STUDY)
     links = [replace(link, rigid=True) for link in study.mechanism.links]
     rigid = replace(study.mechanism, links=links, redundant_reactions="minimum_norm")

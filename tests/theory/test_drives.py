@@ -56,7 +56,7 @@ class TestForceOnASlide:
     @pytest.mark.parametrize(
         ("method", "accuracy"), [(Method("leapfrog", step=1e-5), 1e-8), (IMPLICIT, 1e-6)], ids=["leapfrog", "implicit"]
     )
-    def test_motion_load_and_work(self, large_programs_compiled, method, accuracy):
+    def test_motion_load_and_work(self, long_loops_compiled, method, accuracy):
         drive = ForceRamp("G", "6 N", "50 ms")
         run = simulate(self.model(), drive=drive, duration=0.1, method=method, save_every=0.01)
         assert int(run.status) == 0

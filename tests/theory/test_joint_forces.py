@@ -28,7 +28,6 @@ from rfem_jax.simulation import vibration
 from rfem_jax.simulation.stability import eigenvalues, largest_stable_step
 from tests.mechanisms import four_bar, link
 
-
 NO_MASS = GivenSection(1e6, 1e6, 1e6, 1e2, 1e2, 1e2, 1e-9, 1e-15, 1e-15, 1e-15)
 MASS, STIFFNESS, DAMPING, REST, PRELOAD, START = 0.5, 80.0, 2.5, 0.1, 3.0, 0.24
 METHODS = (Method("rk4", step=1e-4), Method("leapfrog", step=2e-5), Method("generalised_alpha", step=1e-4))
