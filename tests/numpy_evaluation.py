@@ -1,8 +1,8 @@
 """Functions evaluated operation by operation with NumPy: for programs that run once, which take long to compile.
 
 `by_numpy(f)` traces a function of arrays, derivatives and vmap included, and carries out its jaxpr.  What has no rule
-here is carried out by JAX as one operation.  What XLA makes of them is tested by tests/compilation, by the runs of many
-steps, which are compiled (`evaluation_by_numpy`), by the commands that are run as they are, and by the gallery.
+here is carried out by JAX as one operation.  What XLA makes of them is tested by tests/compilation, by loops of many
+turns, which are compiled (`evaluation_by_numpy`), by the commands that are run as they are, and by the gallery.
 """
 
 import functools
