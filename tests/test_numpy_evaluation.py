@@ -64,9 +64,9 @@ def compilations(run):
 
 
 def move(x):
-    """Thirty pairs of operations."""
+    """Some operations, by which a number goes on growing."""
     for _ in range(30):
-        x = jnp.sin(x) + 0.1
+        x = jnp.sqrt(x * x + 1.0)
     return x
 
 
@@ -99,7 +99,7 @@ def test_a_long_loop_is_compiled_and_what_is_around_it_is_not(which, wrapped):
         return jax.tree.map(lambda y: y + 1.0, wrapped(function)(jnp.cos(x)))
 
     assert compilations(lambda: found.append(jax.jit(around)(x))) == [KINDS[which]]
-    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-13), found[0], jax.jit(around)(x))
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-12), found[0], jax.jit(around)(x))
 
 
 def test_a_loop_that_was_compiled_in_the_midst_of_it_serves_further_calls():
@@ -107,7 +107,7 @@ def test_a_loop_that_was_compiled_in_the_midst_of_it_serves_further_calls():
     function, found = jax.jit(unknown), []
     assert compilations(lambda: found.extend(function(x) for x in (1.0, 0.5))) == [KINDS[1]]
     for x, results in zip((1.0, 0.5), found):
-        np.testing.assert_allclose(results, jax.jit(unknown)(x), rtol=1e-13)
+        np.testing.assert_allclose(results, jax.jit(unknown)(x), rtol=1e-12)
 
 
 def test_a_loop_without_a_turn_is_not_compiled():
