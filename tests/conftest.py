@@ -26,6 +26,7 @@ options.take_process()
 import jax  # noqa: E402
 import pytest  # noqa: E402
 from jax._src import compiler  # noqa: E402
+from matplotlib.layout_engine import ConstrainedLayoutEngine  # noqa: E402
 
 from rfem_jax.report import pictures, style  # noqa: E402
 from rfem_jax.simulation import stepping  # noqa: E402
@@ -125,10 +126,11 @@ def often_called_programs_compiled(monkeypatch):
 
 @pytest.fixture(scope="module", autouse=True)
 def _rough_pictures(request):
-    """Pictures have few pixels, two thirds of the work, and one process draws them, unless the module says
-    `PICTURES_AS_SHIPPED`."""
+    """Pictures have few pixels, their parts stay where they are put first, and one process draws them, unless the
+    module says `PICTURES_AS_SHIPPED`: less than half the work."""
     with pytest.MonkeyPatch.context() as patch:
         if not getattr(request.module, "PICTURES_AS_SHIPPED", False):
+            patch.setattr(ConstrainedLayoutEngine, "execute", lambda engine, figure: None)
             patch.setitem(style.SETTINGS, "savefig.dpi", 50)
             patch.setattr(pictures, "draw_beside", lambda: None)
         yield
