@@ -21,6 +21,9 @@ CASES = {
     "product_transposed": (
         algebra.product_transposed, lambda a, b: jnp.einsum("mnk,pnk->mpk", a, b), (2, 3, 4), (5, 3, 4),
     ),
+    "transposed_product": (
+        algebra.transposed_product, lambda a, b: jnp.einsum("nmk,npk->mpk", a, b), (3, 2, 4), (3, 5, 4),
+    ),
     "without later axes": (algebra.product, lambda a, b: a @ b, (2, 3), (3, 5)),
     "broadcast": (algebra.apply, lambda a, b: jnp.einsum("mnkl,nl->mkl", a, b[:, 0]), (2, 3, 4, 5), (3, 1, 5)),
     "broadcast both": (algebra.dot, lambda a, b: jnp.sum(a * b, axis=0), (3, 1, 5), (3, 4, 1)),
