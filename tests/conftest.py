@@ -2,7 +2,8 @@
 
 import gc
 import os
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
@@ -24,6 +25,7 @@ from rfem_jax.compilation import options  # noqa: E402
 options.take_process()
 
 import jax  # noqa: E402
+import numpy as np  # noqa: E402
 import pytest  # noqa: E402
 from jax._src import compiler  # noqa: E402
 from matplotlib.layout_engine import ConstrainedLayoutEngine  # noqa: E402
@@ -39,7 +41,7 @@ if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
     cache = Path(__file__).parents[1] / ".pytest_cache" / "compiled"
     jax.config.update("jax_compilation_cache_dir", str(cache))
 # Tracing makes millions of lasting objects, among which nothing is to be collected.
-gc.set_threshold(200_000, 20, 20)
+gc.set_threshold(500_000, 20, 1_000)
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
@@ -124,13 +126,36 @@ def often_called_programs_compiled(monkeypatch):
     monkeypatch.setattr(evaluation_by_numpy, "RATIO", 0.0)
 
 
+def drawn_first(draw: Callable) -> Callable:
+    """Draws what has parts that no figure before had; the others stay white."""
+    known = set()
+
+    def drawn(figure):
+        parts = tuple(
+            (axes.get_title(), axes.get_xlabel(), axes.get_ylabel(), axes.get_xscale(), axes.get_yscale(),
+             *sorted(Counter(type(part).__name__ for part in axes.get_children()).items()))
+            for axes in figure.axes
+        )  # fmt: skip
+        if parts not in known:
+            known.add(parts)
+            return draw(figure)
+        width, height = (figure.get_size_inches() * style.SETTINGS["savefig.dpi"]).astype(int)
+        return np.full((height, width, 4), 255, np.uint8)
+
+    return drawn
+
+
+draw_first = drawn_first(pictures._drawn)
+
+
 @pytest.fixture(scope="module", autouse=True)
 def _rough_pictures(request):
-    """Pictures have few pixels, their parts stay where they are put first, and one process draws them, unless the
-    module says `PICTURES_AS_SHIPPED`: less than half the work."""
+    """Pictures have few pixels, their parts stay where they are put first, one process draws them, and each kind once,
+    unless the module says `PICTURES_AS_SHIPPED`: a fifth of the work."""
     with pytest.MonkeyPatch.context() as patch:
         if not getattr(request.module, "PICTURES_AS_SHIPPED", False):
             patch.setattr(ConstrainedLayoutEngine, "execute", lambda engine, figure: None)
+            patch.setattr(pictures, "_drawn", draw_first)
             patch.setitem(style.SETTINGS, "savefig.dpi", 50)
             patch.setattr(pictures, "draw_beside", lambda: None)
         yield
@@ -142,11 +167,16 @@ def memory_maps() -> int:
     return len(maps.read_bytes().splitlines()) if maps.exists() else 0
 
 
+def pytest_sessionfinish():
+    """What is left is not looked through for garbage, as pytest would do at the end for ten seconds."""
+    gc.freeze()
+
+
 @pytest.fixture(scope="module", autouse=True)
 def _drop_old_programs():
     """Programs of past modules go: compiled ones before there are so many that the next one crashes."""
     yield
     forget_programs()
-    if memory_maps() > 15_000:
+    if memory_maps() > 30_000:
         jax.clear_caches()
         gc.collect()

@@ -163,8 +163,8 @@ class Interpreted:
         self.operations = [self._operation(equation) for equation in jaxpr.eqns]
         self.operations = [(act, _taking(places), *rest) for act, places, *rest in self.operations]
         self.outputs = [self._read(variable) for variable in jaxpr.outvars]
-        sizes = [math.prod(x.aval.shape) for equation in jaxpr.eqns for x in equation.outvars]
-        self.work = sum(sizes) / ENTRIES + sum(cost(equation.primitive.name) for equation in jaxpr.eqns)
+        sizes = sum(math.prod(x.aval.shape) for equation in jaxpr.eqns for x in equation.outvars)
+        self.work = sizes / ENTRIES + sum(cost(equation.primitive.name) for equation in jaxpr.eqns)
         del self.places
 
     def _place(self, variable, value=None) -> int:
@@ -224,7 +224,7 @@ def is_key(aval) -> bool:
 
 def has_rule(name: str) -> bool:
     """Whether NumPy carries out the operations of this name; if not, JAX does, one by one."""
-    return any(name in rules for rules in (CALLS, ELEMENTWISE, REDUCED, PREPARED, SPECIAL))
+    return name in RULES
 
 
 def cost(name: str) -> float:
@@ -720,3 +720,5 @@ PREPARED: dict[str, Callable] = {
     "sum_row_groups": _groups_summed,
     "transpose": _transposed,
 }
+SIMPLE = frozenset([*ELEMENTWISE, *REDUCED, *PREPARED])  # one function of NumPy, of one result
+RULES = SIMPLE.union(CALLS, SPECIAL)

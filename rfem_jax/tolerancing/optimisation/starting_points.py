@@ -196,9 +196,9 @@ def distinct(
     points: Float[np.ndarray, "n k"], values: Float[np.ndarray, " n"], distance: float = 1e-3
 ) -> Int[np.ndarray, " kept"]:
     """Indices of the points (n, k) that differ from every better one, best value first; none with value NaN."""
-    kept = []
+    kept: list[int] = []
     for i in np.argsort(-values, kind="stable"):
-        if np.isfinite(values[i]) and all(np.max(np.abs(points[i] - points[j])) > distance for j in kept):
+        if np.isfinite(values[i]) and (np.abs(points[kept] - points[i]).max(axis=1, initial=0.0) > distance).all():
             kept.append(i)
     return np.array(kept, dtype=int)
 
