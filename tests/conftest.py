@@ -2,8 +2,7 @@
 
 import gc
 import os
-from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
@@ -25,7 +24,6 @@ from rfem_jax.compilation import options  # noqa: E402
 options.take_process()
 
 import jax  # noqa: E402
-import numpy as np  # noqa: E402
 import pytest  # noqa: E402
 from jax._src import compiler  # noqa: E402
 from matplotlib.layout_engine import ConstrainedLayoutEngine  # noqa: E402
@@ -33,6 +31,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine  # noqa: E402
 from rfem_jax.report import pictures, style  # noqa: E402
 from rfem_jax.simulation import stepping  # noqa: E402
 from tests import evaluation_by_numpy  # noqa: E402
+from tests.drawn_first import drawn_first  # noqa: E402
 from tests.evaluation_by_numpy import instead_of_compilation  # noqa: E402
 from tests.numpy_evaluation import forget_programs  # noqa: E402
 
@@ -126,26 +125,13 @@ def often_called_programs_compiled(monkeypatch):
     monkeypatch.setattr(evaluation_by_numpy, "RATIO", 0.0)
 
 
-def drawn_first(draw: Callable) -> Callable:
-    """Draws what has parts that no figure before had; the others stay white."""
-    known = set()
-
-    def drawn(figure):
-        parts = tuple(
-            (axes.get_title(), axes.get_xlabel(), axes.get_ylabel(), axes.get_xscale(), axes.get_yscale(),
-             *sorted(Counter(type(part).__name__ for part in axes.get_children()).items()))
-            for axes in figure.axes
-        )  # fmt: skip
-        if parts not in known:
-            known.add(parts)
-            return draw(figure)
-        width, height = (figure.get_size_inches() * style.SETTINGS["savefig.dpi"]).astype(int)
-        return np.full((height, width, 4), 255, np.uint8)
-
-    return drawn
+draw, draw_first = pictures._drawn, drawn_first(pictures._drawn)
 
 
-draw_first = drawn_first(pictures._drawn)
+@pytest.fixture
+def every_picture_drawn(monkeypatch):
+    """For a test that compares pictures of one kind."""
+    monkeypatch.setattr(pictures, "_drawn", draw)
 
 
 @pytest.fixture(scope="module", autouse=True)
