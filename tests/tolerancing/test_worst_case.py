@@ -7,7 +7,7 @@ import pytest
 
 from rfem_jax.description.errors import InputError
 from rfem_jax.tolerancing.optimisation.projected_gradient import climb, project_ball
-from rfem_jax.tolerancing.optimisation.starting_points import maximise_quadratic, quadratic_bound
+from rfem_jax.tolerancing.optimisation.starting_points import distinct, maximise_quadratic, quadratic_bound
 from rfem_jax.tolerancing.problems.distributions import Uniform
 from rfem_jax.tolerancing.problems.joint_distributions import CorrelatedNormal
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
@@ -193,3 +193,12 @@ def test_the_mirror_image_of_the_best_point_is_tried():
     found = [worst_case(make(lambda x, s=s: x[0] ** 2 + s * x[0], 1), widths([1.0]), "f", **one) for s in (-0.01, 0.01)]
     assert {result.found_by for result in found} == {"search", "mirror"}
     assert all(result.value == pytest.approx(1.01) for result in found)
+
+
+def test_of_points_that_are_near_each_other_the_best_is_kept():
+    points = np.array([[0.0, 0.0], [0.0, 5e-4], [0.0, 2e-3], [1.0, 1.0], [1.0 + 5e-4, 1.0], [2.0, 2.0]])
+    values = np.array([1.0, 3.0, 2.0, 4.0, 4.0, np.nan])
+    # Largest coordinate of a distance; the first of equals; 1.5e-3 apart is far enough.
+    assert distinct(points, values).tolist() == [3, 1, 2]
+    assert distinct(points, values, 1e-2).tolist() == [3, 1]
+    assert distinct(points[5:], values[5:]).tolist() == distinct(points[:0], values[:0]).tolist() == []
