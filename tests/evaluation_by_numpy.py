@@ -30,7 +30,7 @@ from tests.numpy_evaluation import (
     interpreted,
     is_key,
     without_idle,
-)  # fmt: skip
+)
 
 # In operations of NumPy: the time in which XLA compiles any program, and in which it compiles an operation more; that
 # of the call of a program that is evaluated.  Loops have a ratio of their own, for tests of which all are long.
