@@ -136,8 +136,8 @@ def every_picture_drawn(monkeypatch):
 
 @pytest.fixture(scope="module", autouse=True)
 def _rough_pictures(request):
-    """Pictures have few pixels, their parts stay where they are put first, one process draws them, and each kind once,
-    unless the module says `PICTURES_AS_SHIPPED`: a fifth of the work."""
+    """Pictures have few pixels, their parts stay where they are put first, one process draws them, and the first of
+    each kind only, unless the module says `PICTURES_AS_SHIPPED`."""
     with pytest.MonkeyPatch.context() as patch:
         if not getattr(request.module, "PICTURES_AS_SHIPPED", False):
             patch.setattr(ConstrainedLayoutEngine, "execute", lambda engine, figure: None)
@@ -154,7 +154,7 @@ def memory_maps() -> int:
 
 
 def pytest_sessionfinish():
-    """What is left is not looked through for garbage, as pytest would do at the end for ten seconds."""
+    """What is left is not looked through for garbage, as pytest would do at the end for seconds."""
     gc.freeze()
 
 

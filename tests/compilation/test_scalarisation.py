@@ -292,7 +292,7 @@ getattr(test_scalarisation, sys.argv[1])(*sys.argv[2:])
 
 BATCHES = {
     "driven pendulum, rk4": (
-        Mechanism([link("bar", 0.3, 1)], [Joint("A", "base", "bar", angle=0.4)], driven_joint="A"),
+        Mechanism([link("bar", 0.3, 2)], [Joint("A", "base", "bar", angle=0.4)], driven_joint="A"),
         PrescribedRate("A", 3.0),
         Method("rk4", step=1e-5),
     ),
