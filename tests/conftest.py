@@ -76,6 +76,7 @@ QUICK_OPTIONS = {
     "xla_llvm_enable_invariant_load_metadata": False,
     **({"xla_cpu_use_fusion_emitters": False} if jax.__version_info__ < (0, 12) else {}),
 }
+QUICK_FLAGS = " ".join(f"--{name}={str(value).lower()}" for name, value in QUICK_OPTIONS.items())
 
 
 @pytest.fixture(scope="module", autouse=True)

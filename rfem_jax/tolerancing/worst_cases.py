@@ -43,7 +43,6 @@ from rfem_jax.tolerancing.optimisation.starting_points import (
     start_points,
 )
 from rfem_jax.tolerancing.problems.evaluation import (
-    Base,
     evaluate_points,
     metric_index,
     select_half_widths,
@@ -54,6 +53,7 @@ from rfem_jax.tolerancing.problems.named_tolerances import Tolerances, distribut
 from rfem_jax.tolerancing.problems.problem import Metric, ToleranceProblem
 from rfem_jax.tolerancing.problems.quadratic_model import QuadraticModel, expand_by_differences
 from rfem_jax.tolerancing.problems.reproduction import require_reproduced
+from rfem_jax.tolerancing.problems.sample_values import Base
 from rfem_jax.tolerancing.sampling.sequences import RandomKey
 
 STARTS = {"corners": 4, "random": 4, "sobol": 8}

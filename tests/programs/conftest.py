@@ -12,7 +12,7 @@ import jax
 import pytest
 
 from rfem_jax.report import command_line
-from tests.conftest import QUICK_OPTIONS
+from tests.conftest import QUICK_FLAGS
 
 ROOT = Path(__file__).parents[2]
 COMMAND_LINE = "rfem_jax.report.command_line"
@@ -24,8 +24,6 @@ ENVIRONMENT = {
     "JAX_COMPILATION_CACHE_DIR": str(ROOT / ".pytest_cache" / "compiled"),
     "MPLBACKEND": "agg",
 }
-
-QUICK_FLAGS = " ".join(f"--{name}={str(value).lower()}" for name, value in QUICK_OPTIONS.items())
 
 PENDULUM = """
 title = "A driven flexible link"

@@ -51,8 +51,8 @@ def reduced(name, pendulum=False, change=None):
             del bounds[error]
     for task, sizes in {
         "monte_carlo": {"n": 8, "batch": 4},
-        "worst_case": {"evaluations": 4, "batch": 4},
-        "allocation": {"samples": 16, "verify_samples": 16, "batch": 4},
+        "worst_case": {"evaluations": 4, "batch": 16},
+        "allocation": {"samples": 16, "verify_samples": 16, "batch": 16},
     }.items():
         if task in content:
             content[task] |= {key: size for key, size in sizes.items() if key in content[task]}
@@ -185,7 +185,7 @@ def test_slider_crank(run_command):
 
     def change(content):
         of_few_errors("G.delta_z", "P.delta_x")(content)
-        content["sensitivity"]["metrics"] = ["G.mean_square_moment"]
+        content["sensitivity"]["metrics"] = content["worst_case"]["metrics"] = ["G.mean_square_moment"]
         content["allocation"]["limits"] = {"G.mean_square_moment": 1e6}
 
     out, said = run_command("run", reduced("slider_crank/study.toml", change=change))

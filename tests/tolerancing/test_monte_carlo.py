@@ -307,11 +307,13 @@ print(len(jax.local_devices()), jax.process_count(), study.chunks_computed)
 
 
 def start(folder, port, process, devices):
+    from tests.conftest import QUICK_FLAGS  # not for the processes, which import this module
+
     library = str(Path(rfem_jax.__file__).parents[1])
     environment = {**os.environ, "JAX_PLATFORMS": "cpu", "PYTHONPATH": library}
-    environment["XLA_FLAGS"] = f"--xla_force_host_platform_device_count={devices}"
+    # Other settings of the compiler may round the last bit in another way.
+    environment["XLA_FLAGS"] = f"--xla_force_host_platform_device_count={devices} {QUICK_FLAGS}"
     environment["NPROC"] = "4"
-    # Other compilers' settings may round the last bit otherwise.
     quick = jax.config.read("jax_disable_most_optimizations")
     environment["JAX_DISABLE_MOST_OPTIMIZATIONS"] = str(quick)
     script = SCRIPT.format(tests=str(Path(__file__).parent))

@@ -10,11 +10,14 @@ import pytest
 from rfem_jax import Joint, Mechanism, Method, MomentRamp, discretise, simulate
 from rfem_jax.compilation import call
 from rfem_jax.simulation.accuracy import choose_method
+from rfem_jax.tolerancing.problems.distributions import Uniform
 from rfem_jax.tolerancing.problems.evaluation import evaluate_points, split_errors
 from rfem_jax.tolerancing.problems.linearisation import linearise_points
+from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.problem import FunctionProblem
 from rfem_jax.tolerancing.problems.quadratic_model import expand_by_differences, plan_expansion
 from rfem_jax.tolerancing.problems.simulated_problem import Problem
+from rfem_jax.tolerancing.sampling.monte_carlo_study import monte_carlo
 from rfem_jax.tolerancing.sensitivities import sensitivity
 from tests.compilation.functions import covered
 from tests.mechanisms import four_bar, link
@@ -23,6 +26,7 @@ COMPILED_AS_SHIPPED = True
 
 DRIVE, DURATION = MomentRamp("A", 0.5, 0.01), 0.02
 WIDTHS = {"A.delta_x": 0.01}
+KEY = jax.random.key(1)
 
 
 def flexible_arm():
@@ -57,11 +61,16 @@ def test_sensitivities_with_a_finer_step(traced, problem):
 
 
 def test_values_after_an_expansion(traced, problem):
+    """And those of a Monte Carlo study, whose distribution has a program of its own."""
     expand_by_differences(problem, None, WIDTHS, values_follow=True)
     base, _ = split_errors(problem, None, tuple(WIDTHS))
     values, _ = evaluate_points(problem, tuple(WIDTHS), base, [[0.0], [0.01]])
     assert np.all(np.isfinite(values))
-    assert sorted(traced) == ["_evaluate_chunk", "_linearise"]
+    assert sorted(traced) == ["_linearise", "evaluate_lanes"]
+    study = monte_carlo(problem, Tolerances({name: Uniform(width) for name, width in WIDTHS.items()}), 4, KEY)
+    assert study.good == 4 and sorted(traced) == ["_draw", "_linearise", "evaluate_lanes"]
+    again, _ = evaluate_points(problem, tuple(WIDTHS), base, study.errors)
+    np.testing.assert_array_equal(again, study.values)
 
 
 def stepped(step, save_every=4e-3, method="generalised_alpha"):
@@ -79,7 +88,7 @@ def test_one_program_serves_all_steps(traced):
         assert not statuses.any()
         np.testing.assert_allclose(same, values, rtol=1e-12)
         found.append((values[:, 0], jacobians[:, 0, 0]))
-    assert sorted(traced) == ["_evaluate_chunk", "_linearise"]
+    assert sorted(traced) == ["_linearise", "evaluate_lanes"]
     for one, other in zip(*found):
         assert np.all(one != other) and np.allclose(one, other, rtol=0.2)
     # A program of this step alone, of values and in reverse mode.

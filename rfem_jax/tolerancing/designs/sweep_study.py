@@ -26,10 +26,11 @@ from rfem_jax.tolerancing.designs.response_surface import ResponseSurface, fit_r
 from rfem_jax.tolerancing.layout import show_error, show_number
 from rfem_jax.tolerancing.problems.distributions import DISTRIBUTIONS
 from rfem_jax.tolerancing.problems.evaluation import read_point
-from rfem_jax.tolerancing.problems.execution import default_lanes, fingerprint_problem, run_chunks
+from rfem_jax.tolerancing.problems.execution import fingerprint_problem, run_chunks
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem
 from rfem_jax.tolerancing.problems.results_store import ResultsStore, require_study
+from rfem_jax.tolerancing.problems.sample_values import default_lanes
 from rfem_jax.tolerancing.progress import ProgressOption
 from rfem_jax.tolerancing.sampling.sequences import RandomKey, unit_points
 from rfem_jax.tolerancing.sampling.study_identity import identify_request

@@ -20,15 +20,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Shaped
 
-from rfem_jax.compilation.program import Program
 from rfem_jax.description.errors import InputError
 from rfem_jax.tolerancing.checks import ErrorValues, check_known, error_value
-from rfem_jax.tolerancing.problems.execution import default_lanes
 from rfem_jax.tolerancing.problems.kept_evaluations import remembered
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
-from rfem_jax.tolerancing.problems.problem import Metric, Status, ToleranceProblem, of_any_step
-
-Base = dict[str, Float[Array, ""]]
+from rfem_jax.tolerancing.problems.problem import Metric, ToleranceProblem, of_any_step
+from rfem_jax.tolerancing.problems.sample_values import Base, default_lanes, evaluate_lanes, one_device
 
 
 def select_half_widths(
@@ -90,15 +87,6 @@ def metric_index(problem: ToleranceProblem, metric: str | Metric, what: str = "m
     return names.index(name)
 
 
-def stack_metrics(
-    problem: ToleranceProblem, names: Sequence[str], base: Base, x: Float[Array, " k"]
-) -> tuple[Float[Array, " m"], Status]:
-    """Values (m,) of all metrics and the status at one point x (k,); traced."""
-    errors = {**base, **{name: x[i] for i, name in enumerate(names)}}
-    values, status = problem(errors)
-    return jnp.stack([jnp.asarray(values[m.name]) for m in problem.metrics]), status
-
-
 def map_chunks(function: Callable[[Array], Any], rows: Shaped[Array, "n ..."], batch: int) -> Any:
     """`function` of every row of `rows`, vectorised over chunks of `batch` rows; traced.
 
@@ -140,11 +128,6 @@ def run_in_chunks(
     return tuple(np.concatenate(part) for part in zip(*parts, strict=True))
 
 
-@Program
-def _evaluate_chunk(problem, names, base, points):
-    return jax.vmap(lambda x: stack_metrics(problem, names, base, x))(points)
-
-
 def evaluate_points(
     problem: ToleranceProblem,
     names: Sequence[str],
@@ -158,9 +141,9 @@ def evaluate_points(
         batch, the most points at once (fewer where the device gains nothing by more).
     Returns: values (n, m), NaN where the sample failed, and status (n,).
     """
-    points, shared = np.asarray(points, dtype=np.float64), of_any_step(problem)
+    points, shared, mesh = np.asarray(points, dtype=np.float64), of_any_step(problem), one_device()
     values, statuses = run_in_chunks(
-        lambda chunk: _evaluate_chunk(shared, names, base, chunk), min(batch, default_lanes()), points,
+        lambda chunk: evaluate_lanes(shared, names, base, chunk, mesh), min(batch, default_lanes()), points,
         of=(problem, ("values", tuple(names), base)),
     )  # fmt: skip
     return np.where((statuses == 0)[:, None], values, np.nan), statuses
@@ -169,7 +152,7 @@ def evaluate_points(
 def prepare_points(problem: ToleranceProblem, names: Sequence[str], base: Base, batch: int = 256) -> None:
     """Start to compile or load, in the background, the program of `evaluate_points` with these arguments."""
     points = jax.ShapeDtypeStruct((min(batch, default_lanes()), len(names)), jnp.float64)
-    _evaluate_chunk.ahead(of_any_step(problem), names, base, points)
+    evaluate_lanes.ahead(of_any_step(problem), names, base, points, one_device())
 
 
 def describe_status(problem: ToleranceProblem, status: int | Int[Array, ""] | np.integer) -> str:

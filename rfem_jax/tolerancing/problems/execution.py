@@ -29,11 +29,9 @@ import time
 from collections.abc import Sequence
 from typing import Protocol, runtime_checkable
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Float
 
 from rfem_jax.compilation import keys
@@ -42,10 +40,9 @@ from rfem_jax.description.errors import InputError
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem, of_any_step
 from rfem_jax.tolerancing.problems.results_store import ResultsStore
+from rfem_jax.tolerancing.problems.sample_values import evaluate_lanes, mesh_of, over_samples
 from rfem_jax.tolerancing.progress import ProgressBar, ProgressOption
 
-LANES = {"cpu": 16}  # enough for a core's vector units; little waste on samples that run long
-LANES_ELSEWHERE = 4096  # with 65536 an H200 takes 0.4 times as long for each, and much memory
 POLL = 0.05  # s
 PATIENCE = 3600.0  # s without a new chunk of another process
 
@@ -60,11 +57,6 @@ class Device(Protocol):
     def platform(self) -> str:
         """ "cpu", "gpu" or "tpu"."""
         ...
-
-
-def default_lanes() -> int:
-    """Samples that a device computes at once by default."""
-    return LANES.get(jax.default_backend(), LANES_ELSEWHERE)
 
 
 def require_threads(devices: Sequence[Device]) -> None:
@@ -90,45 +82,36 @@ def require_threads(devices: Sequence[Device]) -> None:
 
 
 @Program
-def _launch(problem, tolerances, points, mesh):
-    """Errors, values and status of points (devices * lanes, d), sharded over the mesh; traced."""
-    dynamic, static = eqx.partition((problem, tolerances), eqx.is_array)
+def _draw(tolerances, points):
+    """Errors (n, d) of points (n, d), columns in the order of the tolerances' names; traced."""
 
-    def sample(dynamic, point):
-        problem, tolerances = eqx.combine(dynamic, static)
+    def of_one(point):
         errors = tolerances.errors(point)
-        values, status = problem(errors)
-        stacked = jnp.stack([jnp.asarray(values[m.name], jnp.float64) for m in problem.metrics])
-        drawn = jnp.stack([errors[name] for name in tolerances.names])
-        return drawn, stacked, jnp.asarray(status, jnp.int32)
+        return jnp.stack([errors[name] for name in tolerances.names])
 
-    # Device-varying types are not checked: solvers from outside do not annotate their loops.
-    over_samples = PartitionSpec("samples")
-    return jax.shard_map(
-        jax.vmap(sample, in_axes=(None, 0)),
-        mesh=mesh,
-        in_specs=(PartitionSpec(), over_samples),
-        out_specs=over_samples,
-        check_vma=False,
-    )(dynamic, points)
+    return jax.vmap(of_one)(points)
 
 
 def evaluate(problem: ToleranceProblem, tolerances: Tolerances, points: Float[np.ndarray, "N d"], lanes: int) -> Arrays:
     """Evaluate points (N, d) on all local devices, launch by launch.
 
+    The program of the values is that of `evaluate_points`, and serves distributions of any kind.
     Returns: {"errors": (N, d), "values": (N, m), "status": (N,)}.
     """
-    mesh = Mesh(np.array(jax.local_devices()), ("samples",))
-    sharding = NamedSharding(mesh, PartitionSpec("samples"))
+    mesh, names, problem = mesh_of(jax.local_devices()), tolerances.names, of_any_step(problem)
     width, count = lanes * mesh.size, len(points)
-    fill = np.repeat(points[-1:], -count % width, axis=0)
-    points = np.concatenate([points, fill])
-    parts, problem = [], of_any_step(problem)
+    if mesh.size == 1:
+        evaluate_lanes.ahead(problem, names, {}, jax.ShapeDtypeStruct((width, len(names)), jnp.float64), mesh)
+    points = np.concatenate([points, np.repeat(points[-1:], -count % width, axis=0)])
+    blocks = np.split(points, len(points) // lanes)
+    errors = np.concatenate([np.asarray(_draw(tolerances, jnp.asarray(block))) for block in blocks])
+    parts = []
     for first in range(0, len(points), width):
-        block = jax.device_put(points[first : first + width], sharding)
-        parts.append(jax.device_get(_launch(problem, tolerances, block, mesh)))
-    errors, values, status = (np.concatenate(part)[:count] for part in zip(*parts, strict=True))
-    return {"errors": errors, "values": values, "status": status}
+        rows = errors[first : first + width]
+        rows = jnp.asarray(rows) if mesh.size == 1 else jax.device_put(rows, over_samples(mesh))
+        parts.append(jax.device_get(evaluate_lanes(problem, names, {}, rows, mesh)))
+    values, status = (np.concatenate(part)[:count] for part in zip(*parts, strict=True))
+    return {"errors": errors[:count], "values": values, "status": status}
 
 
 def run_chunks(

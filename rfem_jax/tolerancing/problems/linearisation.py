@@ -20,9 +20,9 @@ from jaxtyping import Array, Float, Int
 
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.errors import InputError
-from rfem_jax.tolerancing.problems.evaluation import Base, map_chunks, run_in_chunks, stack_metrics
-from rfem_jax.tolerancing.problems.execution import default_lanes
+from rfem_jax.tolerancing.problems.evaluation import map_chunks, run_in_chunks
 from rfem_jax.tolerancing.problems.problem import Status, ToleranceProblem, of_any_step
+from rfem_jax.tolerancing.problems.sample_values import Base, default_lanes, stack_metrics
 
 MODES = ("auto", "forward", "reverse")
 REVERSE_COST = 3

@@ -30,11 +30,9 @@ from rfem_jax.description.errors import InputError
 from rfem_jax.description.precision import require_float64
 from rfem_jax.tolerancing.checks import ErrorValues, check_known
 from rfem_jax.tolerancing.problems.evaluation import (
-    Base,
     prepare_points,
     select_half_widths,
     split_errors,
-    stack_metrics,
 )
 from rfem_jax.tolerancing.problems.kept_evaluations import remembered
 from rfem_jax.tolerancing.problems.linearisation import (
@@ -49,6 +47,7 @@ from rfem_jax.tolerancing.problems.linearisation import (
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.problem import ImplicitProblem, Status, ToleranceProblem, of_any_step
 from rfem_jax.tolerancing.problems.reproduction import require_reproduced
+from rfem_jax.tolerancing.problems.sample_values import Base, stack_metrics
 from rfem_jax.tolerancing.progress import ProgressBar, ProgressOption
 
 STEP = 0.01  # of a tolerance

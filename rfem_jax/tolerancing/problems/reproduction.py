@@ -14,9 +14,9 @@ import numpy as np
 from jaxtyping import Float
 
 from rfem_jax.description.errors import InputError
-from rfem_jax.tolerancing.problems.evaluation import Base
 from rfem_jax.tolerancing.problems.linearisation import linearise_points
 from rfem_jax.tolerancing.problems.problem import StrikingProblem, ToleranceProblem
+from rfem_jax.tolerancing.problems.sample_values import Base
 
 REPRODUCED = 0.1  # change of a derivative, times its tolerance, over a metric's largest effect
 LEAST = 1e-6  # largest effect over the value of a metric, below which errors have none

@@ -12,10 +12,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from rfem_jax.tolerancing.problems.evaluation import Base, evaluate_points, prepare_points
+from rfem_jax.tolerancing.problems.evaluation import evaluate_points, prepare_points
 from rfem_jax.tolerancing.problems.linearisation import linearise_points
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem
 from rfem_jax.tolerancing.problems.reproduction import require_reproduced
+from rfem_jax.tolerancing.problems.sample_values import Base
 from rfem_jax.tolerancing.robust_design.variables import Variables
 
 

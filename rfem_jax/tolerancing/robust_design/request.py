@@ -13,9 +13,10 @@ from jaxtyping import Float
 from rfem_jax.description.errors import InputError
 from rfem_jax.tolerancing.allocation.cost_models import CostModel, assign_costs
 from rfem_jax.tolerancing.checks import ErrorValue, check_known, error_value, read_limits
-from rfem_jax.tolerancing.problems.evaluation import Base, metric_index, split_errors
+from rfem_jax.tolerancing.problems.evaluation import metric_index, split_errors
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem
+from rfem_jax.tolerancing.problems.sample_values import Base
 from rfem_jax.tolerancing.robust_design.criteria import NormalisedLimit
 from rfem_jax.tolerancing.robust_design.variables import Variables, separate_widths
 

@@ -30,11 +30,12 @@ from rfem_jax.description.study import Study
 from rfem_jax.description.tasks.settings import whole_number
 from rfem_jax.tolerancing.checks import check_known, read_limits
 from rfem_jax.tolerancing.problems.evaluation import describe_status
-from rfem_jax.tolerancing.problems.execution import Arrays, default_lanes, run_chunks
+from rfem_jax.tolerancing.problems.execution import Arrays, run_chunks
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances, distributions_of
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem
 from rfem_jax.tolerancing.problems.quadratic_model import QuadraticModel, expand_by_differences
 from rfem_jax.tolerancing.problems.results_store import ResultsStore
+from rfem_jax.tolerancing.problems.sample_values import default_lanes
 from rfem_jax.tolerancing.progress import ProgressOption
 from rfem_jax.tolerancing.sampling.monte_carlo_result import (
     NOT_FINITE,

@@ -15,10 +15,11 @@ import jax
 import numpy as np
 
 from rfem_jax.description.study import Study
-from rfem_jax.tolerancing.problems.execution import default_lanes, fingerprint_problem
+from rfem_jax.tolerancing.problems.execution import fingerprint_problem
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances, distributions_of
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem
 from rfem_jax.tolerancing.problems.results_store import require_study
+from rfem_jax.tolerancing.problems.sample_values import default_lanes
 from rfem_jax.tolerancing.sampling.sequences import RandomKey, key_words
 
 FORMAT = 3  # of the content of a chunk, and of the order and drawing of points
