@@ -25,11 +25,13 @@ options.take_process()
 
 import jax  # noqa: E402
 import pytest  # noqa: E402
+from _pytest.runner import runtestprotocol  # noqa: E402
 from jax._src import compiler  # noqa: E402
 from matplotlib.layout_engine import ConstrainedLayoutEngine  # noqa: E402
 
 from rfem_jax.report import pictures, style  # noqa: E402
 from rfem_jax.simulation import stepping  # noqa: E402
+from rfem_jax.stack_room import with_room  # noqa: E402
 from tests import evaluation_by_numpy  # noqa: E402
 from tests.drawn_first import drawn_first  # noqa: E402
 from tests.evaluation_by_numpy import instead_of_compilation  # noqa: E402
@@ -39,8 +41,8 @@ if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
     # The two workers, and the next session, compile the same programs.
     cache = Path(__file__).parents[1] / ".pytest_cache" / "compiled"
     jax.config.update("jax_compilation_cache_dir", str(cache))
-# Tracing makes millions of lasting objects, among which nothing is to be collected.
-gc.set_threshold(500_000, 20, 1_000)
+# Tracing makes millions of lasting objects: each is looked at once, and nothing in it is to be collected.
+gc.set_threshold(2_000_000, 1_000, 1_000)
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
@@ -152,6 +154,14 @@ def memory_maps() -> int:
     """Number of memory maps of this process; Linux allows 65530, and a program takes several."""
     maps = Path("/proc/self/maps")
     return len(maps.read_bytes().splitlines()) if maps.exists() else 0
+
+
+def pytest_runtest_protocol(item, nextitem):
+    """As pytest's own, with room for the frames of tests, which begin tens of calls deep."""
+    item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
+    with_room(runtestprotocol)(item, nextitem=nextitem)
+    item.ihook.pytest_runtest_logfinish(nodeid=item.nodeid, location=item.location)
+    return True
 
 
 def pytest_sessionfinish():

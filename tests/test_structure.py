@@ -15,6 +15,7 @@ BESIDE = (
     "labelled_data",
     "lazy_names",
     "rich_text",
+    "stack_room",
     "text_layout",
     "whole_files",
 )  # modules that all packages may import

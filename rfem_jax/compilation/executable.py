@@ -26,6 +26,7 @@ from rfem_jax.compilation import keys, options
 from rfem_jax.compilation.stages import on_stage
 from rfem_jax.compilation.tracing_context import same_context
 from rfem_jax.compilation.unbatched_calls import keep_unbatched_calls
+from rfem_jax.stack_room import with_room
 
 # In the text of programs that call LAPACK on the CPU.  JAX looks up LAPACK's functions when it lowers such a program;
 # before that, the addresses that a loaded program calls are null.
@@ -114,6 +115,7 @@ class Packed(NamedTuple):
         return Executable(compiled, self.head)
 
 
+@with_room
 def trace(
     function: Callable,
     arrays: Sequence[ArrayLike | jax.ShapeDtypeStruct | ShapedArray],

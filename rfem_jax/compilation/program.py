@@ -22,6 +22,7 @@ from rfem_jax.compilation.call import call_of, kind
 from rfem_jax.compilation.executable import Place
 from rfem_jax.compilation.tracing_context import same_context
 from rfem_jax.compilation.transformations import Transformable, bind, no_staging, no_transformation
+from rfem_jax.stack_room import with_room
 
 options.settle()
 
@@ -61,6 +62,7 @@ class Program:
             return self._plainly(args, kwargs)
         return _filled(call, call.run(arrays) if no_transformation() else bind(call, arrays))
 
+    @with_room
     def _plainly(self, args, kwargs) -> Any:
         """The result without a program to be kept, as within another one."""
         with same_context():

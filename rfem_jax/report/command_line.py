@@ -23,6 +23,7 @@ from rfem_jax.report.commands.catalogue import all_commands
 from rfem_jax.report.commands.command import EXIT_CODES, INTERRUPTED, UNREAD, WRONG_INPUT, Answer, Command, Interrupted
 from rfem_jax.report.process import count_devices, join_processes, require_platform, set_up_jax
 from rfem_jax.report.progress_line import ClosedPipe, ProgressLine, discard, paint, print_document, say, speaking
+from rfem_jax.stack_room import with_room
 
 NOTHING_DONE = "nothing was done yet; start the same command again."
 
@@ -92,6 +93,7 @@ def _act(arguments: argparse.Namespace, line: ProgressLine) -> Answer:
         return command.act(arguments)
 
 
+@with_room
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command with the arguments `argv` (default: those of the process).
 
