@@ -62,8 +62,14 @@ def pytest_report_header():
     return "tests/browser (needs Chromium), tests/documents: only by name, as in `python -m pytest -n0 tests/browser`"
 
 
+# Files that take most of a minute: no worker begins one of them when the other is about to end.
+LONG = ("test_study_files.py", "test_studies.py", "test_derivatives.py", "test_joint_benchmarks.py")
+
+
 def pytest_collection_modifyitems(items):
-    """The checker is faster than the messages of functions that are given a value of a wrong type."""
+    """Long files first; and the checker is faster than the messages of functions that are given a value of a wrong
+    type."""
+    items.sort(key=lambda item: item.path.name not in LONG)
     for item in items:
         if TYPES_CHECKED and item.get_closest_marker("wrong_types"):
             item.add_marker(pytest.mark.skip(reason="types are checked at run time"))
