@@ -19,7 +19,7 @@ WORDS = 1 << 17  # of the stack that are asked for, and at least as many left; m
 
 
 def with_room(function: Callable[P, R]) -> Callable[P, R]:
-    """The function, with room for the frames of all that it calls, which costs some ten microseconds a call."""
+    """The function, with room for the frames of all that it calls; each call of it asks for one chunk."""
 
     def roomy(*args: P.args, **kwargs: P.kwargs) -> R:
         return function(*args, **kwargs)

@@ -62,14 +62,17 @@ def pytest_report_header():
     return "tests/browser (needs Chromium), tests/documents: only by name, as in `python -m pytest -n0 tests/browser`"
 
 
-# Files that take most of a minute: no worker begins one of them when the other is about to end.
-LONG = ("test_study_files.py", "test_studies.py", "test_derivatives.py", "test_joint_benchmarks.py")
+# No worker begins one of the longest files when the other one is about to end.
+LONG = (
+    "programs/test_study_files.py", "programs/test_studies.py", "simulation/test_derivatives.py",
+    "validation/test_joint_benchmarks.py",
+)  # fmt: skip
 
 
 def pytest_collection_modifyitems(items):
     """Long files first; and the checker is faster than the messages of functions that are given a value of a wrong
     type."""
-    items.sort(key=lambda item: item.path.name not in LONG)
+    items.sort(key=lambda item: not item.path.as_posix().endswith(LONG))
     for item in items:
         if TYPES_CHECKED and item.get_closest_marker("wrong_types"):
             item.add_marker(pytest.mark.skip(reason="types are checked at run time"))

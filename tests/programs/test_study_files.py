@@ -185,7 +185,7 @@ def test_slider_crank(run_command):
 
     def change(content):
         of_few_errors("G.delta_z", "P.delta_x")(content)
-        content["sensitivity"]["metrics"] = content["worst_case"]["metrics"] = ["G.mean_square_moment"]
+        content["sensitivity"]["metrics"] = ["G.mean_square_moment"]
         content["allocation"]["limits"] = {"G.mean_square_moment": 1e6}
 
     out, said = run_command("run", reduced("slider_crank/study.toml", change=change))

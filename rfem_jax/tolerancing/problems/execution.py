@@ -108,6 +108,7 @@ def evaluate(problem: ToleranceProblem, tolerances: Tolerances, points: Float[np
     parts = []
     for first in range(0, len(points), width):
         rows = errors[first : first + width]
+        # As `evaluate_points` does it: where an array was put by choice is part of a program's key.
         rows = jnp.asarray(rows) if mesh.size == 1 else jax.device_put(rows, over_samples(mesh))
         parts.append(jax.device_get(evaluate_lanes(problem, names, {}, rows, mesh)))
     values, status = (np.concatenate(part)[:count] for part in zip(*parts, strict=True))
