@@ -85,10 +85,9 @@ def run_command(run_program, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["four_bar/study.toml", "four_bar/undamped.toml"])
-def test_four_bar(run_command, name):
-    """Compiled, as all that users run."""
-    out, said = run_command("run", reduced(name), compiled=True)
+def test_undamped_four_bar(run_command):
+    """`test_main_study.py` has the study beside it."""
+    out, said = run_command("run", reduced("four_bar/undamped.toml"))
     cases = json.loads((out / "results.json").read_text())["cases"]
     assert list(cases) == ["P1", "P2", "P3", "P4", "P5"]
     assert all(case["status"] == "ok" for case in cases.values())

@@ -10,6 +10,8 @@ import pytest
 from rfem_jax import Joint, Mechanism, Method, MomentRamp, discretise, simulate
 from rfem_jax.compilation import call
 from rfem_jax.simulation.accuracy import choose_method
+from rfem_jax.simulation.integration import grid_for
+from rfem_jax.simulation.time_grid import of_any_step
 from rfem_jax.tolerancing.problems.distributions import Uniform
 from rfem_jax.tolerancing.problems.evaluation import evaluate_points, split_errors
 from rfem_jax.tolerancing.problems.linearisation import linearise_points
@@ -126,6 +128,19 @@ def test_the_form_that_serves_all_steps():
     finer = problem.refined()
     assert (finer.method.step, finer.save_every) == (0.5 * 1.3e-3, 4e-3)
     assert jax.tree.structure(finer.of_any_step()) == jax.tree.structure(shared)
+
+
+def test_programs_of_cases_serve_any_step():
+    """What they are kept by is the same for two steps of an implicit method, whose number is traced."""
+    taken = []
+    for step in (4e-4, 3e-4):
+        method = Method("generalised_alpha", step=step)
+        grid, steps = grid_for(None, 0.01, method, 1e-3)
+        taken.append((steps, *of_any_step(method, grid, steps)))
+    (few, first, traced), (more, second, _) = taken
+    assert few < more and first == second and int(traced) == few and isinstance(traced, jax.Array)
+    explicit = Method("rk4", step=1e-4)
+    assert of_any_step(explicit, grid, 10) == (explicit, 10)
 
 
 def test_a_problem_is_shown_in_a_line(problem):
