@@ -71,7 +71,7 @@ def _rare_collections() -> Iterator[None]:
     """Hundreds of thousands of objects of JAX and matplotlib live as long as the command: looking through them for
     garbage as often as Python does by itself takes a tenth of the time."""
     before = gc.get_threshold()
-    gc.set_threshold(50_000, 20, 100)
+    gc.set_threshold(50_000, 200, 100)
     try:
         yield
     finally:

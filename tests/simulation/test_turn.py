@@ -77,28 +77,29 @@ def test_contacts_of_a_turn_are_those_of_assemblies_and_loads_have_derivatives_b
     wrong = {"D.delta_x": TILT, "D.d_y": 5e-4}
     poses = closed_poses(model, positions := np.array([-0.4, 1.1]))
 
-    @jax.jit
     def turned(deviation):
         def turn(deviation):
             return turn_over(model, assembly_errors(model, {**wrong, "D.clearance.radial": deviation}), poses)
 
         found, change = jax.jvp(turn, (deviation,), (jnp.ones(()),))
-        return found, change.loads["D"], change.contacts["D"].penetration
+        return (found.status, found.loads["D"], found.contacts["D"]), change.loads["D"], change.contacts["D"].penetration
 
-    tight = -5e-5
-    turn, slope, deeper = turned(jnp.asarray(tight))
-    assert not np.asarray(turn.status).any()
-    states = [carrying(depth) for depth in turn.contacts["D"].penetration]
+    tight, step = -5e-5, 1e-7
+    found = by_numpy(jax.vmap(turned))(jnp.asarray([tight, tight + step, tight - step]))
+    ((status, *turn), slope, deeper), ((_, *high), *_), ((_, *low), *_) = (
+        jax.tree.map(lambda value: value[i], found) for i in range(3)
+    )
+    assert not np.asarray(status).any()
+    loads, contacts = turn
+    states = [carrying(depth) for depth in contacts.penetration]
     assert states == [("start", "end", "axial")] * 2
     for i, position in enumerate(positions):
         one = assemble(model, assembly_errors(model, {**wrong, "D.clearance.radial": tight}), hold={"A": position})
         assert int(one.status) == 0 and one.contacts["D"].carrying == states[i]
-        for values, other in ((turn.contacts["D"], one.contacts["D"]), (turn.loads["D"], one.preload["D"])):
+        for values, other in ((contacts, one.contacts["D"]), (loads, one.preload["D"])):
             for name, part in values._asdict().items():
                 np.testing.assert_allclose(part[i], getattr(other, name), rtol=1e-7, atol=1e-11, err_msg=name)
-    step = 1e-7
-    (high, *_), (low, *_) = turned(jnp.asarray(tight + step)), turned(jnp.asarray(tight - step))
-    difference = (high.loads["D"].moment - low.loads["D"].moment) / (2.0 * step)
+    difference = (high[0].moment - low[0].moment) / (2.0 * step)
     np.testing.assert_allclose(slope.moment, difference, rtol=1e-5, atol=1e-5 * np.abs(difference).max())
-    difference = (high.contacts["D"].penetration - low.contacts["D"].penetration) / (2.0 * step)
+    difference = (high[1].penetration - low[1].penetration) / (2.0 * step)
     np.testing.assert_allclose(deeper, difference, rtol=1e-5)

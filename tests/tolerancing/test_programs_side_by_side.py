@@ -31,9 +31,9 @@ WIDTHS = {"A.delta_x": 0.01}
 KEY = jax.random.key(1)
 
 
-def flexible_arm():
-    """One flexible link: programs are compiled as shipped."""
-    return Mechanism([link("arm", 0.3, 2)], [Joint("A", "base", "arm", angle=0.4)], driven_joint="A")
+def arm():
+    """One rigid link: programs are compiled as shipped."""
+    return Mechanism([link("arm", 0.3)], [Joint("A", "base", "arm", angle=0.4)], driven_joint="A")
 
 
 @pytest.fixture
@@ -52,7 +52,7 @@ def traced(monkeypatch, tmp_path):
 
 @pytest.fixture
 def problem():
-    model, method = discretise(flexible_arm()), Method("generalised_alpha", step=2e-3)
+    model, method = discretise(arm()), Method("generalised_alpha", step=2e-3)
     return Problem(model, DRIVE, DURATION, "A.mean_square_moment", method)
 
 
@@ -76,7 +76,7 @@ def test_values_after_an_expansion(traced, problem):
 
 
 def stepped(step, save_every=4e-3, method="generalised_alpha"):
-    model = discretise(flexible_arm())
+    model = discretise(arm())
     return Problem(model, DRIVE, DURATION, "A.mean_square_moment", Method(method, step=step), save_every)
 
 
@@ -164,5 +164,5 @@ def test_few_steps_are_compiled_quickly(problem):
 
 def test_trials_of_auto(traced):
     jax.clear_caches()
-    assert choose_method(discretise(flexible_arm()), Method("auto"), DRIVE, DURATION).step > 0.0
+    assert choose_method(discretise(arm()), Method("auto"), DRIVE, DURATION).step > 0.0
     assert [traced.count(name) for name in ("prepare_trials", "loads_of_trials")] == [1, 1]

@@ -14,15 +14,16 @@ Source: A. Ben-Tal, L. El Ghaoui, A. Nemirovski, Robust Optimization (2009), ch.
 J. E. Falk, J. Optim. Theory Appl. 19 (1976) 261-281 (exchange of worst points).
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
+from rfem_jax.compilation.program import Program
 from rfem_jax.description.errors import InputError, require_choice
 from rfem_jax.description.precision import require_float64
 from rfem_jax.tolerancing.allocation.cost_models import CostModel, total_cost
@@ -70,6 +71,14 @@ class _Settings:
     distribution: Callable[[float], Tolerance]
     samples: int
     verify_samples: int
+
+
+@Program
+def _price(
+    models: Sequence[CostModel], widths: Float[Array, " free"]
+) -> tuple[Float[Array, ""], Float[Array, " free"]]:
+    """Total cost of tolerances [rad, m], and its derivatives by them; asked for at every point of a search."""
+    return jax.value_and_grad(lambda t: total_cost(models, t))(widths)
 
 
 def optimise(
@@ -169,7 +178,7 @@ class _Study:
         """Cost of the tolerances to be found, and its derivatives by their variables."""
         variables, models = self.request.variables, self.request.costs
         widths = jnp.asarray(variables.widths(y)[list(variables.free)])
-        price, slope = jax.value_and_grad(lambda t: total_cost(models, t))(widths)
+        price, slope = _price(models, widths)
         return float(price), np.asarray(slope) * variables.width_slopes(y)
 
     def begin(self, starts: int, key: RandomKey) -> list[Float[np.ndarray, " p"]]:
