@@ -82,7 +82,8 @@ def test_contacts_of_a_turn_are_those_of_assemblies_and_loads_have_derivatives_b
             return turn_over(model, assembly_errors(model, {**wrong, "D.clearance.radial": deviation}), poses)
 
         found, change = jax.jvp(turn, (deviation,), (jnp.ones(()),))
-        return (found.status, found.loads["D"], found.contacts["D"]), change.loads["D"], change.contacts["D"].penetration
+        own = found.status, found.loads["D"], found.contacts["D"]
+        return own, change.loads["D"], change.contacts["D"].penetration
 
     tight, step = -5e-5, 1e-7
     found = by_numpy(jax.vmap(turned))(jnp.asarray([tight, tight + step, tight - step]))

@@ -16,7 +16,7 @@ from rfem_jax.tolerancing.problems.distributions import Uniform
 from rfem_jax.tolerancing.problems.evaluation import evaluate_points, split_errors
 from rfem_jax.tolerancing.problems.linearisation import linearise_points
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
-from rfem_jax.tolerancing.problems.problem import FunctionProblem
+from rfem_jax.tolerancing.problems.problem import FunctionProblem, Metric, shared_form
 from rfem_jax.tolerancing.problems.quadratic_model import expand_by_differences, plan_expansion
 from rfem_jax.tolerancing.problems.simulated_problem import Problem
 from rfem_jax.tolerancing.sampling.monte_carlo_study import monte_carlo
@@ -29,6 +29,11 @@ COMPILED_AS_SHIPPED = True
 DRIVE, DURATION = MomentRamp("A", 0.5, 0.01), 0.02
 WIDTHS = {"A.delta_x": 0.01}
 KEY = jax.random.key(1)
+
+
+def flexible_arm():
+    """One flexible link."""
+    return Mechanism([link("arm", 0.3, 2)], [Joint("A", "base", "arm", angle=0.4)], driven_joint="A")
 
 
 def arm():
@@ -98,6 +103,50 @@ def test_one_program_serves_all_steps(traced):
     np.testing.assert_allclose(alone, found[1][0][1], rtol=1e-12)
     np.testing.assert_allclose(gradient, found[1][1][1], rtol=1e-6)
     assert abs(gradient) * WIDTHS["A.delta_x"] > 0.1 * alone
+
+
+def test_tasks_of_a_study_share_their_programs(traced):
+    """Each has its own metrics, and the values and derivatives of a problem that has these alone."""
+    model, method = discretise(arm()), Method("generalised_alpha", step=2e-3)
+    all_metrics = ("A.rms_moment", "A.mean_square_moment", "A.mean_square_force", "A.rms_force")
+    tilts, found = [[0.002], [0.01]], {}
+    for asked in (("A.mean_square_force",), ("A.rms_moment", "A.mean_square_force"), ("A.mean_square_moment",)):
+        problem = Problem(model, DRIVE, DURATION, asked, method, others=all_metrics)
+        values, _ = evaluate_points(problem, tuple(WIDTHS), {}, tilts)
+        same, jacobians, _ = linearise_points(problem, tuple(WIDTHS), {}, tilts, mode="forward")
+        np.testing.assert_allclose(same, values, rtol=1e-12)
+        for i, name in enumerate(asked):
+            found.setdefault(name, []).append((values[:, i], jacobians[:, i, 0]))
+    assert sorted(traced) == ["_linearise", "evaluate_lanes"]
+    study = monte_carlo(problem, Tolerances({name: Uniform(width) for name, width in WIDTHS.items()}), 4, KEY)
+    assert sorted(traced) == ["_draw", "_linearise", "evaluate_lanes"] and study.values.shape == (4, 1)
+    again, _ = evaluate_points(problem, tuple(WIDTHS), {}, study.errors)
+    np.testing.assert_array_equal(again, study.values)
+    np.testing.assert_array_equal(*found["A.mean_square_force"])
+    alone = Problem(model, DRIVE, DURATION, "A.rms_moment", method)
+    values, jacobians, _ = linearise_points(alone, tuple(WIDTHS), {}, tilts, mode="forward")
+    ((own, slopes),) = found["A.rms_moment"]
+    np.testing.assert_allclose(own, values[:, 0], rtol=1e-12)
+    np.testing.assert_allclose(slopes, jacobians[:, 0, 0], rtol=1e-9)
+
+
+def test_what_is_computed_beside_the_metrics_asked_for():
+    """Nothing that needs more of a run, nor functions of the user's; what is asked for stays as it is."""
+    model, method = discretise(flexible_arm()), Method("generalised_alpha", step=2e-3)
+    own = Metric("turned", function=lambda run: run.angle[-1])
+    others = ("arm.peak_stress", own, "A.rms_force", "A.mean_square_moment")
+
+    def names(asked, others):
+        problem = Problem(model, DRIVE, DURATION, asked, method, others=others)
+        wide, rows = shared_form(problem)
+        assert [wide.metrics[i].name for i in rows] == [one.name for one in problem.metrics]
+        assert shared_form(problem, "reverse").problem.metrics == problem.metrics
+        return [one.name for one in wide.metrics]
+
+    assert names("A.rms_force", others) == ["A.mean_square_moment", "A.rms_force"]
+    assert names((own, "A.rms_force"), others) == ["A.mean_square_moment", "A.rms_force", "turned"]
+    assert names("arm.peak_stress", others) == ["A.mean_square_moment", "A.rms_force", "arm.peak_stress"]
+    assert names(("A.rms_force", "A.mean_square_force"), ()) == ["A.rms_force", "A.mean_square_force"]
 
 
 def test_parts_of_a_simulation_serve_all_steps(traced):

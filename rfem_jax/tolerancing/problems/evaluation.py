@@ -5,8 +5,8 @@ Place in the pipeline: between a problem(errors) -> (values, status) and the stu
 other errors have the fixed values `base`.
 
 Compiling a simulation takes far longer than running it. For each problem and set of errors all studies therefore
-share one program for values and one for values with derivatives (`quadratic_model`), each of one shape. The host
-passes points to them in chunks and fills up the last one.
+share one program for values and one for values with derivatives (`quadratic_model`), each of one shape and with the
+metrics of all tasks of a study. The host passes points to them in chunks and fills up the last one.
 
 Symbols: k errors, m metrics, n points; x (k,) errors; t (k,) half-widths of the tolerances [as x]; status 0 is a good
 sample, any other integer a failure (its values are not used).
@@ -24,7 +24,7 @@ from rfem_jax.description.errors import InputError
 from rfem_jax.tolerancing.checks import ErrorValues, check_known, error_value
 from rfem_jax.tolerancing.problems.kept_evaluations import remembered
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
-from rfem_jax.tolerancing.problems.problem import Metric, ToleranceProblem, of_any_step
+from rfem_jax.tolerancing.problems.problem import Metric, ToleranceProblem, shared_form
 from rfem_jax.tolerancing.problems.sample_values import Base, default_lanes, evaluate_lanes, one_device
 
 
@@ -141,18 +141,18 @@ def evaluate_points(
         batch, the most points at once (fewer where the device gains nothing by more).
     Returns: values (n, m), NaN where the sample failed, and status (n,).
     """
-    points, shared, mesh = np.asarray(points, dtype=np.float64), of_any_step(problem), one_device()
+    points, (shared, rows), mesh = np.asarray(points, dtype=np.float64), shared_form(problem), one_device()
     values, statuses = run_in_chunks(
         lambda chunk: evaluate_lanes(shared, names, base, chunk, mesh), min(batch, default_lanes()), points,
         of=(problem, ("values", tuple(names), base)),
     )  # fmt: skip
-    return np.where((statuses == 0)[:, None], values, np.nan), statuses
+    return np.where((statuses == 0)[:, None], values[:, rows], np.nan), statuses
 
 
 def prepare_points(problem: ToleranceProblem, names: Sequence[str], base: Base, batch: int = 256) -> None:
     """Start to compile or load, in the background, the program of `evaluate_points` with these arguments."""
     points = jax.ShapeDtypeStruct((min(batch, default_lanes()), len(names)), jnp.float64)
-    evaluate_lanes.ahead(of_any_step(problem), names, base, points, one_device())
+    evaluate_lanes.ahead(shared_form(problem).problem, names, base, points, one_device())
 
 
 def describe_status(problem: ToleranceProblem, status: int | Int[Array, ""] | np.integer) -> str:

@@ -38,7 +38,7 @@ from rfem_jax.compilation import keys
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.errors import InputError
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
-from rfem_jax.tolerancing.problems.problem import ToleranceProblem, of_any_step
+from rfem_jax.tolerancing.problems.problem import ToleranceProblem, shared_form
 from rfem_jax.tolerancing.problems.results_store import ResultsStore
 from rfem_jax.tolerancing.problems.sample_values import evaluate_lanes, mesh_of, over_samples
 from rfem_jax.tolerancing.progress import ProgressBar, ProgressOption
@@ -98,7 +98,7 @@ def evaluate(problem: ToleranceProblem, tolerances: Tolerances, points: Float[np
     The program of the values is that of `evaluate_points`, and serves distributions of any kind.
     Returns: {"errors": (N, d), "values": (N, m), "status": (N,)}.
     """
-    mesh, names, problem = mesh_of(jax.local_devices()), tolerances.names, of_any_step(problem)
+    mesh, names, (problem, metrics) = mesh_of(jax.local_devices()), tolerances.names, shared_form(problem)
     width, count = lanes * mesh.size, len(points)
     if mesh.size == 1:
         evaluate_lanes.ahead(problem, names, {}, jax.ShapeDtypeStruct((width, len(names)), jnp.float64), mesh)
@@ -112,7 +112,7 @@ def evaluate(problem: ToleranceProblem, tolerances: Tolerances, points: Float[np
         rows = jnp.asarray(rows) if mesh.size == 1 else jax.device_put(rows, over_samples(mesh))
         parts.append(jax.device_get(evaluate_lanes(problem, names, {}, rows, mesh)))
     values, status = (np.concatenate(part)[:count] for part in zip(*parts, strict=True))
-    return {"errors": errors[:count], "values": values, "status": status}
+    return {"errors": errors[:count], "values": values[:, metrics], "status": status}
 
 
 def run_chunks(

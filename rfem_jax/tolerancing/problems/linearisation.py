@@ -21,7 +21,7 @@ from jaxtyping import Array, Float, Int
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.errors import InputError
 from rfem_jax.tolerancing.problems.evaluation import map_chunks, run_in_chunks
-from rfem_jax.tolerancing.problems.problem import Status, ToleranceProblem, of_any_step
+from rfem_jax.tolerancing.problems.problem import Status, ToleranceProblem, shared_form
 from rfem_jax.tolerancing.problems.sample_values import Base, default_lanes, stack_metrics
 
 MODES = ("auto", "forward", "reverse")
@@ -139,14 +139,15 @@ def linearise_points(
     if mode == "forward":
         width = max(1, min(width, POINTS_WITH_TANGENTS * default_lanes() // k))
 
-    shared = of_any_step(problem, mode)
+    shared, rows = shared_form(problem, mode)
 
     def run(points, weights):
         of = problem, ("derivatives", tuple(names), base, mode)
         return run_in_chunks(lambda x, w: _linearise(shared, names, base, x, w, mode), width, points, weights, of=of)
 
     if mode == "forward":
-        values, jacobians, status = run(points, np.zeros((n, m)))
+        values, jacobians, status = run(points, np.zeros((n, len(shared.metrics))))
+        values, jacobians = values[:, rows], jacobians[:, rows]
         return values, jacobians if metric is None else jacobians[np.arange(n), metric], status
     if metric is None:  # the program has one gradient per point: each point once per metric
         values, gradients, status = run(np.repeat(points, m, axis=0), np.tile(np.eye(m), (n, 1)))

@@ -17,7 +17,7 @@ of the metrics; status, scalar int32, 0 for a good sample.
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -141,6 +141,23 @@ def of_any_step(problem: ToleranceProblem, mode: str = "forward") -> TolerancePr
     program for all steps of the method, but in reverse mode."""
     shared = getattr(problem, "of_any_step", None)
     return problem if shared is None or mode == "reverse" else shared()
+
+
+class Shared(NamedTuple):
+    """A problem in the form whose programs several studies share; rows (m,): where its own metrics are among those of
+    this form."""
+
+    problem: ToleranceProblem
+    rows: list[int]
+
+
+def shared_form(problem: ToleranceProblem, mode: str = "forward") -> Shared:
+    """As `of_any_step`, and with the metrics that other studies of the same mechanism ask for; in reverse mode each
+    problem has its own."""
+    with_others = getattr(problem, "with_others", None)
+    whole = problem if with_others is None or mode == "reverse" else with_others()
+    names = [one.name for one in whole.metrics]
+    return Shared(of_any_step(whole, mode), [names.index(one.name) for one in problem.metrics])
 
 
 class FunctionProblem(eqx.Module):

@@ -4,6 +4,7 @@ Place in the pipeline: model, drive, metrics, method -> **Problem** -> all toler
 The only place where tolerance studies meet the mechanics.
 """
 
+import functools
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
@@ -14,6 +15,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
+from rfem_jax.compilation import keys
 from rfem_jax.compilation.parts import ProgramInParts, in_parts
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.drive_numbers import drive_number_unit
@@ -64,6 +66,8 @@ class Problem(eqx.Module):
         trials: {error name: its values (n,)} of n assemblies by which the method "auto" chooses its step, such as
             `first_samples` gives; None, or where none of its steps is accurate for these: the perfect one, to whose
             small loads errors are largest, and one with all joints tilted and shifted.
+        others: names of metrics that other studies of this mechanism ask for; samples have them, too, so that all
+            these studies share their programs (see `with_others`).
     Raises: InputError for unknown and repeated metrics, metrics without a function and of joints that do not exist.
     """
 
@@ -74,6 +78,7 @@ class Problem(eqx.Module):
     method: Method = eqx.field(static=True)
     save_every: float | None = eqx.field(static=True)
     design: Design | None = None
+    others: tuple[Metric, ...] = eqx.field(static=True, default=())
     steps: Float[Array, ""] | None = eqx.field(init=False)  # in an interval, where it is traced
 
     def __init__(
@@ -86,11 +91,13 @@ class Problem(eqx.Module):
         save_every: float | int | None = None,
         design: Design | None = None,
         trials: Mapping[str, ArrayLike] | None = None,
+        others: Iterable[str | Metric] = (),
     ):
         self.model, self.drive, self.design, self.steps = model, drive, design, None
         metrics = (metrics,) if isinstance(metrics, (str, Metric)) else metrics
         self.metrics = tuple(_known_metric(model, m) for m in metrics)
         check_distinct((m.name for m in self.metrics), "metrics")
+        self.others = tuple(_known_metric(model, m) for m in others)
         _check_angle(model, self.metrics)
         self.duration, self.save_every = float(duration), None if save_every is None else float(save_every)
         self.method = choose_method(model, method, drive, self.duration, trials, self.save_every)
@@ -179,7 +186,18 @@ class Problem(eqx.Module):
         adaptive method; times between which balances are made stay."""
         finer = finer_method(self.method, contacts=bool(self.model.topology.clearances))
         every = self.save_every if self.method.adaptive else self._interval
-        return Problem(self.model, self.drive, self.duration, self.metrics, finer, every, self.design)
+        settings = {"save_every": every, "design": self.design, "others": self.others}
+        return Problem(self.model, self.drive, self.duration, self.metrics, finer, **settings)
+
+    def with_others(self) -> "Problem":
+        """The same problem with the metrics of `others` beside its own, in an order that does not depend on which are
+        its own; without those that need more of a run than its own do, or are functions of the user's."""
+        added = [one for one in self.others if set(one.records) <= set(self.records) and _of_this_package(one)]
+        named = {one.name: one for one in (*self.metrics, *added)}
+        if len(named) == len(self.metrics):
+            return self
+        metrics, every = [named[name] for name in sorted(named)], self.save_every
+        return Problem(self.model, self.drive, self.duration, metrics, self.method, every, self.design)
 
     @property
     def implicit_steps(self) -> float:
@@ -284,6 +302,16 @@ def _values_of(metrics, model, errors, prepared, drive, carry, ends, grid, metho
 def _records_of(metrics: Iterable[Metric]) -> tuple[str, ...]:
     """What runs record beside their loads, because a metric reads it."""
     return tuple(dict.fromkeys(name for one in metrics for name in one.records))
+
+
+@functools.cache
+def _of_this_package(one: Metric) -> bool:
+    """Whether programs with it can be kept."""
+    try:
+        keys.digest_value(one)
+    except keys.NotDigestible:
+        return False
+    return True
 
 
 def _check_angle(model: Model, metrics: Iterable[Metric]) -> None:
