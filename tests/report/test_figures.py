@@ -12,6 +12,7 @@ pytest.importorskip("matplotlib", reason="pictures need the extra `plots`")
 import matplotlib
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.image import imread
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 from matplotlib.path import Path
 
@@ -44,6 +45,13 @@ NAMES = {
 @pytest.fixture
 def figures(study, runs, statuses):
     return draw_figures(study, runs, summarise(study, runs, statuses))
+
+
+@pytest.fixture
+def _coarse(monkeypatch):
+    """Few pixels and no search for a layout, for tests of whether pictures are drawn at all."""
+    monkeypatch.setitem(SETTINGS, "savefig.dpi", 30)
+    monkeypatch.setattr(ConstrainedLayoutEngine, "execute", lambda engine, figure: None)
 
 
 def texts(figure):
@@ -92,6 +100,7 @@ def test_the_note_is_the_caption_of_every_picture(study, runs, statuses):
         assert "Substitute data." in texts(figure), name
 
 
+@pytest.mark.usefixtures("_coarse")
 def test_a_dollar_in_the_title_is_a_dollar(tmp_path, study, runs, statuses):
     priced = replace(study, title=r"Costs $5, not $\alpha_{", note="$ and $")
     written = write_figures(tmp_path, priced, runs, summarise(priced, runs, statuses))
@@ -143,6 +152,7 @@ def test_joints_of_the_base_and_the_most_loaded_ones_have_their_pictures(figures
     assert shown_joints(study, summaries) == ["A", "D", "C", "B"]
 
 
+@pytest.mark.usefixtures("_coarse")
 def test_a_failed_case_is_marked_and_does_not_break_pictures(tmp_path, study, runs, statuses):
     run = runs["P2"]
     run.angle[3:] = np.nan

@@ -52,7 +52,7 @@ def test_a_linear_metric_has_its_variances(found):
 
 
 def test_the_shares_of_a_quadratic_are_its_sobol_indices(found):
-    samples = monte_carlo(PROBLEM, TOLERANCES, 8192, jax.random.key(1), sobol_indices=True, batch=8192)
+    samples = monte_carlo(PROBLEM, TOLERANCES, 4096, jax.random.key(1), sobol_indices=True, batch=4096)
     indices = samples.sobol_indices["quadratic"]
     assert samples.statistics["quadratic"].std.value == pytest.approx(found.shares.std[0], rel=0.02)
     np.testing.assert_allclose([i.value for i in indices.first_order.values()], found.shares.first_order[0], atol=0.02)

@@ -40,7 +40,7 @@ class Counted(Problem):
 @pytest.fixture(scope="module")
 def problem():
     model = discretise(four_bar(3))
-    return Counted(model, MomentRamp("A", 1.5, 5e-4), 1e-3, METRICS, Method("rk4", step=2.5e-5), 2.5e-4)
+    return Counted(model, MomentRamp("A", 1.5, 2.5e-4), 5e-4, METRICS, Method("rk4", step=2.5e-5), 2.5e-4)
 
 
 @pytest.fixture(scope="module")
