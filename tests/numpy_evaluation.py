@@ -305,6 +305,11 @@ def _slice(equation):
     return lambda x: x[part]
 
 
+def _tiled(equation):
+    reps = equation.params["reps"]
+    return lambda x: np.tile(x, reps)
+
+
 def _reshaped(equation):
     shape = equation.outvars[0].aval.shape
     return lambda x: x.reshape(shape)
@@ -718,6 +723,7 @@ PREPARED: dict[str, Callable] = {
     "stack": _stacked,
     "sum_of_products": _sum_of_products,
     "sum_row_groups": _groups_summed,
+    "tile": _tiled,
     "transpose": _transposed,
 }
 SIMPLE = frozenset([*ELEMENTWISE, *REDUCED, *PREPARED])  # one function of NumPy, of one result

@@ -27,7 +27,7 @@ def everything(x):
     grown = jax.lax.while_loop(lambda c: c[0] < 10.0, lambda c: c * c + 1.0, x)
     signs = jax.random.rademacher(jax.random.key(0), (3,), float)
     squares = jax.vmap(lambda y: jax.nn.softplus(y @ x) ** 3)(rows)
-    return jnp.concatenate([last, signs * grown, squares, rows[::2].at[0, 1].add(x[0]).ravel()])
+    return jnp.concatenate([last, signs * grown, squares, jnp.tile(x, 2), rows[::2].at[0, 1].add(x[0]).ravel()])
 
 
 @pytest.mark.parametrize("of", [everything, jax.jacfwd(everything)], ids=["values", "derivatives"])
