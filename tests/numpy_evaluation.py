@@ -669,6 +669,18 @@ def _lu(equation, x):
     return [factors, pivots, permutation]
 
 
+def _eigenvectors(equation, x):
+    values, vectors = np.linalg.eigh(x, "L" if equation.params["lower"] else "U")
+    return [vectors, values]
+
+
+def _summed_up(equation):
+    axis, reverse = equation.params["axis"], equation.params["reverse"]
+    if reverse:
+        return lambda x: np.flip(np.cumsum(np.flip(x, axis), axis), axis)
+    return lambda x: np.cumsum(x, axis)
+
+
 def _unstack(equation, x):
     return list(np.moveaxis(x, equation.params["axis"], 0))
 
@@ -687,6 +699,7 @@ SPECIAL: dict[str, Callable] = {
     "custom_linear_solve": _linear_solve,
     "dynamic_slice": _dynamic_slice,
     "dynamic_update_slice": _dynamic_update_slice,
+    "eigh": _eigenvectors,
     "empty2": lambda e: [np.zeros(variable.aval.shape, variable.aval.dtype) for variable in e.outvars],
     "gather": _gather,
     "iota": _iota,
@@ -710,6 +723,7 @@ PREPARED: dict[str, Callable] = {
     "broadcast_in_dim": _broadcast,
     "concatenate": _joined,
     "cross_product": _cross_product,
+    "cumsum": _summed_up,
     "div": _divided,
     "dot_general": _dot,
     "expand_dims": _reshaped,

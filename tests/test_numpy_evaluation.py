@@ -17,7 +17,7 @@ COMPILED_AS_SHIPPED = True  # so that programs are evaluated only within the blo
 
 
 def everything(x):
-    """Loops, branches, a linear solver, signs by chance, a rule of derivatives, and a batch."""
+    """Loops, branches, a linear solver, eigenvectors, sums, signs by chance, a rule of derivatives, and a batch."""
 
     def turn(carry, row):
         changed = jax.lax.cond(carry.sum() > 0.0, jnp.sin, lambda c: 2.0 * c, carry)
@@ -27,7 +27,12 @@ def everything(x):
     grown = jax.lax.while_loop(lambda c: c[0] < 10.0, lambda c: c * c + 1.0, x)
     signs = jax.random.rademacher(jax.random.key(0), (3,), float)
     squares = jax.vmap(lambda y: jax.nn.softplus(y @ x) ** 3)(rows)
-    return jnp.concatenate([last, signs * grown, squares, jnp.tile(x, 2), rows[::2].at[0, 1].add(x[0]).ravel()])
+    sums = jax.lax.cumsum(rows[:, 0]) * jax.lax.cumsum(x[1] * rows[:, 1], reverse=True)
+    values, vectors = jnp.linalg.eigh(jnp.diag(jnp.array([1.0, 2.0, 4.0])) + jnp.outer(x, x))
+    along = vectors @ (values * (vectors.T @ x))
+    return jnp.concatenate(
+        [last, signs * grown, squares, jnp.tile(x, 2), sums, values, along, rows[::2].at[0, 1].add(x[0]).ravel()]
+    )
 
 
 @pytest.mark.parametrize("of", [everything, jax.jacfwd(everything)], ids=["values", "derivatives"])
