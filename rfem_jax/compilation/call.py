@@ -141,7 +141,9 @@ def kind(array: ArrayLike | jax.ShapeDtypeStruct) -> tuple:
 
     Not JAX's abstract value, which newer versions compare by identity.
     """
-    aval = array if isinstance(array, jax.ShapeDtypeStruct) else jax.typeof(array)
+    if isinstance(array, jax.ShapeDtypeStruct):
+        return array.shape, array.dtype, array.weak_type, array.sharding
+    aval = jax.typeof(array)
     chosen = array.sharding if isinstance(array, jax.Array) and _committed(array) else None
     return aval.shape, aval.dtype, aval.weak_type, chosen
 

@@ -302,6 +302,11 @@ import numpy as np
 from test_monte_carlo import KEY, TOLERANCES, VIBRATION, monte_carlo
 study = monte_carlo(VIBRATION, TOLERANCES, 150, KEY, batch=20, resume=folder)
 np.savez(f"{{folder}}-{{process}}.npz", errors=study.errors, values=study.values)
+from rfem_jax.tolerancing.problems.evaluation import evaluate_points
+from rfem_jax.tolerancing.problems.sample_values import evaluate_lanes
+programs = evaluate_lanes._jitted._cached._cache_size()
+np.testing.assert_array_equal(evaluate_points(VIBRATION, TOLERANCES.names, {{}}, study.errors)[0], study.values)
+assert evaluate_lanes._jitted._cached._cache_size() == programs
 print(len(jax.local_devices()), jax.process_count(), study.chunks_computed)
 """
 

@@ -130,6 +130,29 @@ def test_tasks_of_a_study_share_their_programs(traced):
     np.testing.assert_allclose(slopes, jacobians[:, 0, 0], rtol=1e-9)
 
 
+def test_tasks_share_a_program_of_gradients(traced):
+    """In reverse mode, at zero error too, where some metrics that others ask for have a kink."""
+    model, method = discretise(arm()), Method("generalised_alpha", step=2e-3)
+    others, tilts = ("A.rms_moment", "A.mean_square_moment", "A.mean_square_force"), [[0.0], [0.01]]
+    found = {}
+    for asked in (("A.mean_square_force",), ("A.mean_square_moment", "A.mean_square_force")):
+        problem = Problem(model, DRIVE, DURATION, asked, method, others=others)
+        values, gradients, _ = linearise_points(problem, tuple(WIDTHS), {}, tilts, mode="reverse")
+        last = len(asked) - 1
+        one, gradient, _ = linearise_points(problem, tuple(WIDTHS), {}, tilts, metric=last, mode="reverse")
+        np.testing.assert_array_equal(one, values)
+        np.testing.assert_array_equal(gradient, gradients[:, last])
+        found[asked] = values[:, last], gradient[:, 0], gradients
+    assert traced == ["_linearise"]
+    (value, gradient, _), (same, again, both) = found.values()
+    np.testing.assert_array_equal(value, same)
+    np.testing.assert_array_equal(gradient, again)
+    problem = Problem(model, DRIVE, DURATION, asked, method)
+    _, jacobians, _ = linearise_points(problem, tuple(WIDTHS), {}, tilts, mode="forward")
+    assert np.all(np.isfinite(both)) and np.all(np.abs(both[1]) > 0.0)
+    np.testing.assert_allclose(both, jacobians, rtol=1e-6, atol=1e-9 * np.abs(jacobians).max())
+
+
 def test_what_is_computed_beside_the_metrics_asked_for():
     """Nothing that needs more of a run, nor functions of the user's; what is asked for stays as it is."""
     model, method = discretise(flexible_arm()), Method("generalised_alpha", step=2e-3)
@@ -140,7 +163,7 @@ def test_what_is_computed_beside_the_metrics_asked_for():
         problem = Problem(model, DRIVE, DURATION, asked, method, others=others)
         wide, rows = shared_form(problem)
         assert [wide.metrics[i].name for i in rows] == [one.name for one in problem.metrics]
-        assert shared_form(problem, "reverse").problem.metrics == problem.metrics
+        assert shared_form(problem, "reverse").problem.metrics == wide.metrics
         return [one.name for one in wide.metrics]
 
     assert names("A.rms_force", others) == ["A.mean_square_moment", "A.rms_force"]

@@ -25,7 +25,14 @@ from rfem_jax.tolerancing.checks import ErrorValues, check_known, error_value
 from rfem_jax.tolerancing.problems.kept_evaluations import remembered
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.problem import Metric, ToleranceProblem, shared_form
-from rfem_jax.tolerancing.problems.sample_values import Base, default_lanes, evaluate_lanes, one_device
+from rfem_jax.tolerancing.problems.sample_values import (
+    Base,
+    default_lanes,
+    divided,
+    evaluate_lanes,
+    local_mesh,
+    rows_of,
+)
 
 
 def select_half_widths(
@@ -138,21 +145,22 @@ def evaluate_points(
     """All metrics at many points, chunk by chunk from the host (one compiled program).
 
     Args: names (k) of the errors that vary and base, the others, as `split_errors` gives them; points (n, k) [rad, m];
-        batch, the most points at once (fewer where the device gains nothing by more).
+        batch, the most points at once on each device (fewer where it gains nothing by more).
     Returns: values (n, m), NaN where the sample failed, and status (n,).
     """
-    points, (shared, rows), mesh = np.asarray(points, dtype=np.float64), shared_form(problem), one_device()
+    points, (shared, rows), mesh = np.asarray(points, dtype=np.float64), shared_form(problem), local_mesh()
     values, statuses = run_in_chunks(
-        lambda chunk: evaluate_lanes(shared, names, base, chunk, mesh), min(batch, default_lanes()), points,
-        of=(problem, ("values", tuple(names), base)),
+        lambda chunk: evaluate_lanes(shared, names, base, divided(mesh, chunk), mesh),
+        min(batch, default_lanes()) * mesh.size, points, of=(problem, ("values", tuple(names), base)),
     )  # fmt: skip
     return np.where((statuses == 0)[:, None], values[:, rows], np.nan), statuses
 
 
 def prepare_points(problem: ToleranceProblem, names: Sequence[str], base: Base, batch: int = 256) -> None:
     """Start to compile or load, in the background, the program of `evaluate_points` with these arguments."""
-    points = jax.ShapeDtypeStruct((min(batch, default_lanes()), len(names)), jnp.float64)
-    evaluate_lanes.ahead(shared_form(problem).problem, names, base, points, one_device())
+    mesh = local_mesh()
+    points = rows_of(mesh, min(batch, default_lanes()), len(names))
+    evaluate_lanes.ahead(shared_form(problem).problem, names, base, points, mesh)
 
 
 def describe_status(problem: ToleranceProblem, status: int | Int[Array, ""] | np.integer) -> str:

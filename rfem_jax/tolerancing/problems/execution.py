@@ -27,7 +27,6 @@ import os
 import re
 import time
 from collections.abc import Sequence
-from typing import Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -40,7 +39,14 @@ from rfem_jax.description.errors import InputError
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem, shared_form
 from rfem_jax.tolerancing.problems.results_store import ResultsStore
-from rfem_jax.tolerancing.problems.sample_values import evaluate_lanes, mesh_of, over_samples
+from rfem_jax.tolerancing.problems.sample_values import (
+    Device,
+    divided,
+    evaluate_lanes,
+    mesh_of,
+    rows_of,
+    too_few_threads,
+)
 from rfem_jax.tolerancing.progress import ProgressBar, ProgressOption
 
 POLL = 0.05  # s
@@ -49,30 +55,12 @@ PATIENCE = 3600.0  # s without a new chunk of another process
 Arrays = dict[str, np.ndarray]  # "errors", "values", "status" of some samples
 
 
-@runtime_checkable
-class Device(Protocol):
-    """The part of a JAX device that `require_threads` reads."""
-
-    @property
-    def platform(self) -> str:
-        """ "cpu", "gpu" or "tpu"."""
-        ...
-
-
 def require_threads(devices: Sequence[Device]) -> None:
-    """Refuse several CPU `devices` that share too few threads. Raises InputError.
-
-    XLA's pool has NPROC threads (an environment variable, read when JAX starts), without it one for each core that the
-    process may use, and never fewer than devices.
-    """
-    count = len(devices)
-    if count < 2 or devices[0].platform != "cpu":
-        return
-    usable = getattr(os, "sched_getaffinity", None)
-    cores = len(usable(0)) if usable else os.cpu_count() or 1
-    specified = os.environ.get("NPROC", "")
-    threads = max(int(specified) if specified.isdecimal() else cores, count)
-    if threads < 2 * count:
+    """Refuse several CPU `devices` that share too few threads. Raises InputError."""
+    threads, count = too_few_threads(devices), len(devices)
+    if threads is not None:
+        usable = getattr(os, "sched_getaffinity", None)
+        cores = len(usable(0)) if usable else os.cpu_count() or 1
         raise InputError(
             f"Argument `jax_num_cpu_devices` must leave two threads for each device, but {count} "
             f"CPU devices share {threads}, and samples could wait for each other without end; put "
@@ -100,16 +88,13 @@ def evaluate(problem: ToleranceProblem, tolerances: Tolerances, points: Float[np
     """
     mesh, names, (problem, metrics) = mesh_of(jax.local_devices()), tolerances.names, shared_form(problem)
     width, count = lanes * mesh.size, len(points)
-    if mesh.size == 1:
-        evaluate_lanes.ahead(problem, names, {}, jax.ShapeDtypeStruct((width, len(names)), jnp.float64), mesh)
+    evaluate_lanes.ahead(problem, names, {}, rows_of(mesh, lanes, len(names)), mesh)
     points = np.concatenate([points, np.repeat(points[-1:], -count % width, axis=0)])
     blocks = np.split(points, len(points) // lanes)
     errors = np.concatenate([np.asarray(_draw(tolerances, jnp.asarray(block))) for block in blocks])
     parts = []
     for first in range(0, len(points), width):
-        rows = errors[first : first + width]
-        # As `evaluate_points` does it: where an array was put by choice is part of a program's key.
-        rows = jnp.asarray(rows) if mesh.size == 1 else jax.device_put(rows, over_samples(mesh))
+        rows = divided(mesh, errors[first : first + width])
         parts.append(jax.device_get(evaluate_lanes(problem, names, {}, rows, mesh)))
     values, status = (np.concatenate(part)[:count] for part in zip(*parts, strict=True))
     return {"errors": errors[:count], "values": values[:, metrics], "status": status}

@@ -149,8 +149,9 @@ def linearise_points(
         values, jacobians, status = run(points, np.zeros((n, len(shared.metrics))))
         values, jacobians = values[:, rows], jacobians[:, rows]
         return values, jacobians if metric is None else jacobians[np.arange(n), metric], status
+    picked = np.eye(len(shared.metrics))[rows]  # weights that pick a metric
     if metric is None:  # the program has one gradient per point: each point once per metric
-        values, gradients, status = run(np.repeat(points, m, axis=0), np.tile(np.eye(m), (n, 1)))
-        return values[::m], gradients.reshape(n, m, k), status[::m]
-    values, gradients, status = run(points, np.eye(m)[np.broadcast_to(metric, (n,))])
-    return values, gradients, status
+        values, gradients, status = run(np.repeat(points, m, axis=0), np.tile(picked, (n, 1)))
+        return values[::m, rows], gradients.reshape(n, m, k), status[::m]
+    values, gradients, status = run(points, picked[np.broadcast_to(metric, (n,))])
+    return values[:, rows], gradients, status

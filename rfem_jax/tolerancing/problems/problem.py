@@ -152,10 +152,9 @@ class Shared(NamedTuple):
 
 
 def shared_form(problem: ToleranceProblem, mode: str = "forward") -> Shared:
-    """As `of_any_step`, and with the metrics that other studies of the same mechanism ask for; in reverse mode each
-    problem has its own."""
+    """As `of_any_step`, and with the metrics that other studies of the same mechanism ask for."""
     with_others = getattr(problem, "with_others", None)
-    whole = problem if with_others is None or mode == "reverse" else with_others()
+    whole = problem if with_others is None else with_others()
     names = [one.name for one in whole.metrics]
     return Shared(of_any_step(whole, mode), [names.index(one.name) for one in problem.metrics])
 

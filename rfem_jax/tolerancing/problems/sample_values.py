@@ -5,7 +5,9 @@ Place in the pipeline: Monte Carlo (`execution`) and studies that evaluate point
 Symbols: k errors, m metrics, n samples; x (k,) errors [rad, m].
 """
 
+import os
 from collections.abc import Sequence
+from typing import Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -14,6 +16,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Float
 
+from rfem_jax.compilation import keys
 from rfem_jax.compilation.program import Program
 from rfem_jax.tolerancing.problems.problem import Status, ToleranceProblem
 
@@ -47,9 +50,57 @@ def one_device() -> Mesh:
     return mesh_of(list(jnp.asarray(np.zeros(())).devices()))
 
 
+@runtime_checkable
+class Device(Protocol):
+    """The part of a JAX device that `too_few_threads` reads."""
+
+    @property
+    def platform(self) -> str:
+        """ "cpu", "gpu" or "tpu"."""
+        ...
+
+
+def too_few_threads(devices: Sequence[Device]) -> int | None:
+    """The number of threads that CPU devices share, where it is so small that samples on several of them could wait for
+    each other without end (see `execution`); None where it is enough.
+
+    XLA's pool has NPROC threads (an environment variable, read when JAX starts), without it one for each core that the
+    process may use, and never fewer than devices.
+    """
+    count = len(devices)
+    if count < 2 or devices[0].platform != "cpu":
+        return None
+    usable = getattr(os, "sched_getaffinity", None)
+    cores = len(usable(0)) if usable else os.cpu_count() or 1
+    specified = os.environ.get("NPROC", "")
+    threads = max(int(specified) if specified.isdecimal() else cores, count)
+    return threads if threads < 2 * count else None
+
+
+def local_mesh() -> Mesh:
+    """All devices of this process, whose programs for values of samples are those of a Monte Carlo study; the default
+    one alone where it was chosen, and where several have too few threads."""
+    devices = jax.local_devices()
+    if keys.read_setting("jax_default_device") is not None or too_few_threads(devices) is not None:
+        return one_device()
+    return mesh_of(devices)
+
+
 def over_samples(mesh: Mesh) -> NamedSharding:
     """Rows divided among the devices of a mesh."""
     return NamedSharding(mesh, PartitionSpec("samples"))
+
+
+def rows_of(mesh: Mesh, lanes: int, errors: int) -> jax.ShapeDtypeStruct:
+    """Form of the points, `lanes` on each device, that `evaluate_lanes` is given."""
+    # Where an array was put by choice is part of a program's key: on one device nothing is.
+    sharding = None if mesh.size == 1 else over_samples(mesh)
+    return jax.ShapeDtypeStruct((lanes * mesh.size, errors), jnp.float64, sharding=sharding)
+
+
+def divided(mesh: Mesh, rows: Float[np.ndarray, "n k"]) -> Float[Array, "n k"]:
+    """Points (n, k) as `rows_of` has them, on their devices."""
+    return jnp.asarray(rows) if mesh.size == 1 else jax.device_put(rows, over_samples(mesh))
 
 
 @Program
