@@ -14,6 +14,7 @@ from rfem_jax.simulation.integration import grid_for
 from rfem_jax.simulation.time_grid import of_any_step
 from rfem_jax.tolerancing.problems.distributions import Uniform
 from rfem_jax.tolerancing.problems.evaluation import evaluate_points, split_errors
+from rfem_jax.tolerancing.problems.execution import fingerprint_problem
 from rfem_jax.tolerancing.problems.linearisation import linearise_points
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.problem import FunctionProblem, Metric, shared_form
@@ -164,6 +165,10 @@ def test_what_is_computed_beside_the_metrics_asked_for():
         wide, rows = shared_form(problem)
         assert [wide.metrics[i].name for i in rows] == [one.name for one in problem.metrics]
         assert shared_form(problem, "reverse").problem.metrics == wide.metrics
+        # Samples of a Monte Carlo study serve whatever else is asked.
+        alone = Problem(model, DRIVE, DURATION, asked, method)
+        if asked != (own, "A.rms_force"):
+            assert fingerprint_problem(problem) == fingerprint_problem(alone)
         return [one.name for one in wide.metrics]
 
     assert names("A.rms_force", others) == ["A.mean_square_moment", "A.rms_force"]

@@ -8,6 +8,7 @@ import functools
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -186,8 +187,11 @@ class Problem(eqx.Module):
         adaptive method; times between which balances are made stay."""
         finer = finer_method(self.method, contacts=bool(self.model.topology.clearances))
         every = self.save_every if self.method.adaptive else self._interval
-        settings = {"save_every": every, "design": self.design, "others": self.others}
-        return Problem(self.model, self.drive, self.duration, self.metrics, finer, **settings)
+        return self._changed(method=finer, save_every=every)
+
+    def alone(self) -> "Problem":
+        """The same problem without `others`: what its results are known by."""
+        return self._changed(others=()) if self.others else self
 
     def with_others(self) -> "Problem":
         """The same problem with the metrics of `others` beside its own, in an order that does not depend on which are
@@ -196,8 +200,11 @@ class Problem(eqx.Module):
         named = {one.name: one for one in (*self.metrics, *added)}
         if len(named) == len(self.metrics):
             return self
-        metrics, every = [named[name] for name in sorted(named)], self.save_every
-        return Problem(self.model, self.drive, self.duration, metrics, self.method, every, self.design)
+        return self._changed(metrics=[named[name] for name in sorted(named)], others=())
+
+    def _changed(self, **settings: Any) -> "Problem":
+        kept = ("metrics", "method", "save_every", "design", "others")
+        return Problem(self.model, self.drive, self.duration, **{name: getattr(self, name) for name in kept} | settings)
 
     @property
     def implicit_steps(self) -> float:
@@ -213,7 +220,7 @@ class Problem(eqx.Module):
         method, steps = of_any_step(self.method, grid, count)
         if isinstance(steps, int) or self.steps is not None:
             return self
-        same = Problem(self.model, self.drive, self.duration, self.metrics, method, self._interval, self.design)
+        same = self._changed(method=method, save_every=self._interval, others=())
         return eqx.tree_at(lambda one: one.steps, same, steps, is_leaf=lambda x: x is None)
 
     @property
