@@ -17,7 +17,7 @@ import pytest
 
 import rfem_jax
 from rfem_jax.description.errors import InputError
-from rfem_jax.tolerancing.problems import execution, results_store
+from rfem_jax.tolerancing.problems import execution, results_store, sample_values
 from rfem_jax.tolerancing.problems.distributions import Uniform
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.problem import FunctionProblem
@@ -410,6 +410,20 @@ def test_a_study_on_devices_without_spare_threads_runs_nothing(monkeypatch, tmp_
     with pytest.raises(InputError, match="NPROC"):
         run(tmp_path)
     assert not marks(tmp_path)
+
+
+def test_other_studies_evaluate_on_the_chosen_device_or_on_one_where_threads_are_few(monkeypatch):
+    device = jax.local_devices()[0]
+    if device.platform != "cpu":
+        pytest.skip("threads are of CPU devices")
+    # Of the devices of this process only their number counts here.
+    monkeypatch.setattr(sample_values, "mesh_of", len)
+    monkeypatch.setattr(jax, "local_devices", lambda: [device] * 4)
+    for threads, used in (("4", 1), ("8", 4)):
+        monkeypatch.setenv("NPROC", threads)
+        assert sample_values.local_mesh() == used
+    with jax.default_device(device):
+        assert sample_values.local_mesh() == 1
 
 
 def test_a_folder_is_judged_before_there_is_a_problem(tmp_path):
