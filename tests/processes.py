@@ -8,6 +8,14 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 
 
+def path_without_matplotlib(folder):
+    """PYTHONPATH of a process that finds this repository, and no matplotlib: for commands whose pictures are not the
+    subject.  `folder` is empty or not there."""
+    folder.mkdir(exist_ok=True)
+    (folder / "sitecustomize.py").write_text('import sys\n\nsys.modules["matplotlib"] = None\n', encoding="utf-8")
+    return os.pathsep.join([str(folder), str(ROOT)])
+
+
 def in_a_new_process(code, *arguments, flags=""):
     """What a program prints that starts with the given XLA_FLAGS."""
     answer = subprocess.run(

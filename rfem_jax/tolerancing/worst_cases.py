@@ -181,7 +181,7 @@ def worst_case(
         centre (default the tolerances' means, else nominal); sense "max" or "min"; corners "auto" (all of them when
         k <= 12), True or False; model, a QuadraticModel at the centre in the same errors (None: by differences of
         gradients, False: none); mode of the gradient; evaluations, the largest number of them in each search;
-        tolerance on the KKT residual; batch, the most samples at once.
+        tolerance on the KKT residual; batch, the most samples at once on each device.
     Returns: WorstCase. Failed samples are counted, and never maximisers.
     Raises: InputError for unknown names or options.
     """

@@ -47,17 +47,20 @@ Ends = dict[str, tuple[float, float]]
 
 
 def smaller(study: Study) -> Study:
-    """A short motion of one flexible link of two rfes."""
+    """A short motion of one flexible link of two rfes, whose section is to be found."""
     links = [replace(link, rigid=link.name != "rocker", rfes=2) for link in study.mechanism.links]
     return replace(
         study, mechanism=replace(study.mechanism, links=links), duration=1e-2, save_every=5e-3,
         method=replace(study.method, step=5e-3),
+        design={name: ends for name, ends in study.design.items() if name.startswith("rocker")},
     )  # fmt: skip
 
 
 def lighter(task: Any) -> Any:
-    """The first of the limits alone, and a few steps from two starts."""
-    return replace(task, limits=dict([*task.limits.items()][:1]), starts=2, searches=1, steps=4)
+    """The first of the limits and two of the tolerances alone, and a few steps from two starts."""
+    limits, bounds = dict([*task.limits.items()][:1]), dict([*task.bounds.items()][:2])
+    costs = {name: task.costs[name] for name in bounds}
+    return replace(task, limits=limits, bounds=bounds, costs=costs, starts=2, searches=1, steps=4)
 
 
 def fixed(values: dict[str, float]) -> Ends:

@@ -123,7 +123,7 @@ def test_robust_four_bar(often_called_programs_compiled, run_program, tmp_path):
         objective, mass, cost = (float(row[name]) for name in ("objective", "mass_kg", "cost"))
         assert objective == pytest.approx(10.0 * mass + cost, rel=1e-9)
         assert int(row["failed"]) < int(row["samples"]) and float(row["largest_A.mean_square_moment"]) > 0.0
-    assert float(rows["as drawn"]["coupler_bar.height_m"]) == pytest.approx(0.01, rel=1e-8)
+    assert float(rows["as drawn"]["rocker_bar.height_m"]) == pytest.approx(0.01, rel=1e-8)
 
 
 QUESTIONS = ("rfes", "steps", "elements", "crank", "damping")

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.processes import path_without_matplotlib
 from tests.study_texts import STEEL, hinge, link, rectangle
 
 ROOT = Path(__file__).parents[2]
@@ -41,7 +42,8 @@ def run(folder, out, *options, angle="-90"):
     command = [sys.executable, "-m", "rfem_jax.report.command_line", "run", str(study), "--out", str(folder / out)]
     environment = {key: value for key, value in os.environ.items() if not key.startswith(("JAX_", "RFEM_"))}
     environment |= dict.fromkeys(("HOME", "XDG_CACHE_HOME", "LOCALAPPDATA"), str(folder / "home"))
-    environment |= {"JAX_PLATFORMS": "cpu", "JAX_DISABLE_MOST_OPTIMIZATIONS": "1", "PYTHONPATH": str(ROOT)}
+    environment |= {"JAX_PLATFORMS": "cpu", "JAX_DISABLE_MOST_OPTIMIZATIONS": "1"}
+    environment["PYTHONPATH"] = path_without_matplotlib(folder / "path")
     answer = subprocess.run([*command, *options], env=environment, cwd=ROOT, capture_output=True, text=True)
     assert answer.returncode == 0, answer.stderr
     results = json.loads((folder / out / "results.json").read_text(encoding="utf-8"))

@@ -24,6 +24,7 @@ from rfem_jax.tolerancing import Tolerances, monte_carlo
 from rfem_jax.tolerancing import worst_case as search
 from rfem_jax.tolerancing.problems.results_store import ResultsStore
 from rfem_jax.tolerancing.problems.simulated_problem import finer_method
+from tests.processes import path_without_matplotlib
 from tests.study_texts import ROUND, STEEL, hinge, link
 
 from . import closed_form
@@ -426,10 +427,11 @@ def test_two_processes_share_the_samples(task_file, tmp_path):
         probe.bind(("127.0.0.1", 0))
         address = f"127.0.0.1:{probe.getsockname()[1]}"
     out, root = tmp_path / "out", Path(__file__).parents[2]
+    # Without pictures: these are drawn by one process as by two.
     alone = [sys.executable, "-c", PROCESS, "monte-carlo", str(task_file), "--devices", "1", "--out"]
     command = [*alone, str(out), "--coordinator", address, "--processes", "2", "--process-id"]
     environment = {**os.environ, "JAX_PLATFORMS": "cpu"}
-    environment["PYTHONPATH"] = os.pathsep.join([str(root), environment.get("PYTHONPATH", "")])
+    environment["PYTHONPATH"] = path_without_matplotlib(tmp_path / "path")
     started = [
         subprocess.Popen(
             [*command, str(number)],

@@ -18,6 +18,7 @@ from rfem_jax.tolerancing import progress as progress_module
 from rfem_jax.tolerancing.problems import execution
 from rfem_jax.tolerancing.problems.distributions import Normal, Uniform
 from rfem_jax.tolerancing.problems.joint_distributions import CorrelatedNormal
+from rfem_jax.tolerancing.problems.linearisation import linearise_points
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.problem import FunctionProblem, Metric
 from rfem_jax.tolerancing.problems.quadratic_model import expand
@@ -301,12 +302,14 @@ if port != "0":
 import numpy as np
 from test_monte_carlo import KEY, TOLERANCES, VIBRATION, monte_carlo
 study = monte_carlo(VIBRATION, TOLERANCES, 150, KEY, batch=20, resume=folder)
-np.savez(f"{{folder}}-{{process}}.npz", errors=study.errors, values=study.values)
 from rfem_jax.tolerancing.problems.evaluation import evaluate_points
+from rfem_jax.tolerancing.problems.linearisation import linearise_points
 from rfem_jax.tolerancing.problems.sample_values import evaluate_lanes
 programs = evaluate_lanes._jitted._cached._cache_size()
 np.testing.assert_array_equal(evaluate_points(VIBRATION, TOLERANCES.names, {{}}, study.errors)[0], study.values)
 assert evaluate_lanes._jitted._cached._cache_size() == programs
+_, jacobians, _ = linearise_points(VIBRATION, TOLERANCES.names, {{}}, study.errors)
+np.savez(f"{{folder}}-{{process}}.npz", errors=study.errors, values=study.values, jacobians=jacobians)
 print(len(jax.local_devices()), jax.process_count(), study.chunks_computed)
 """
 
@@ -341,6 +344,7 @@ def test_processes_and_devices_give_the_one_process_result(tmp_path):
     if jax.default_backend() != "cpu":
         pytest.skip("the processes of this test run on the CPU")
     reference = monte_carlo(VIBRATION, TOLERANCES, 150, KEY, batch=20)
+    _, jacobians, _ = linearise_points(VIBRATION, TOLERANCES.names, {}, reference.errors)
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
@@ -352,6 +356,7 @@ def test_processes_and_devices_give_the_one_process_result(tmp_path):
         found = np.load(tmp_path / f"{name}.npz")
         np.testing.assert_array_equal(found["errors"], reference.errors)
         np.testing.assert_array_equal(found["values"], reference.values)
+        np.testing.assert_allclose(found["jacobians"], jacobians, rtol=1e-12, atol=1e-12 * np.abs(jacobians).max())
     for index in range(8):  # the files too: a study may go on with another number of processes
         name = f"chunk-{index:06d}.npz"
         one, two = (tmp_path / kind / name for kind in ("processes", "devices"))

@@ -62,7 +62,7 @@ class AllocationTask(Task):
         scales: further allocations, with every limit's distance to the nominal value multiplied by these.
         seed: of random starts and samples.
         mode: of differentiation: "auto", "forward" or "reverse".
-        batch: simulations at once.
+        batch: simulations at once on each device.
     Raises: InputError for settings that are out of range or do not fit each other.
     """
 

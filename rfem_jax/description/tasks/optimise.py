@@ -58,7 +58,7 @@ class OptimiseTask(Task):
         front: weights of the second of two terms of the objective, from 0 to 1, for a Pareto front.
         seed: of random starts and samples.
         mode: of differentiation: "auto", "forward" or "reverse".
-        batch: simulations at once.
+        batch: simulations at once on each device.
     Raises: InputError for settings that are out of range or do not fit each other.
     """
 

@@ -36,7 +36,7 @@ class ReliabilityTask(Task):
         seed: of the searches and samples.
         confidence: of the intervals, between 0 and 1.
         mode: of differentiation: "auto", "forward" or "reverse".
-        batch: simulations at once.
+        batch: simulations at once on each device.
     Raises: InputError for settings that are out of range or do not fit each other.
     """
 

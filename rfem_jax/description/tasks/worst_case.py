@@ -32,7 +32,7 @@ class WorstCaseTask(Task):
         corners: True to compute all corners of the box, False for none; None = only where there are few.
         evaluations: largest number of evaluations of each search.
         mode: of differentiation: "auto", "forward" or "reverse".
-        batch: simulations at once.
+        batch: simulations at once on each device.
     Raises: InputError for settings that are out of range or do not fit each other.
     """
 

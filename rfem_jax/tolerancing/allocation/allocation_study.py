@@ -167,7 +167,7 @@ def allocate(
         rounds of correction until an answer settles and a fresh run checks it (a few times at most, each after a
         correction by the last run); tolerance on limits (of the headroom) and cost, ten times as much on the cost of a
         yield; model, a QuadraticModel of order 2 at the centre in the errors of `bounds` (None: by differences of
-        gradients); mode of the gradients; batch, the most samples at once.
+        gradients); mode of the gradients; batch, the most samples at once on each device.
     The full problem is compiled twice, whatever the rounds: for values, and for values with derivatives.
     Raises: InputError for unknown names, bad bounds or options.
     """

@@ -22,7 +22,14 @@ from rfem_jax.compilation.program import Program
 from rfem_jax.description.errors import InputError
 from rfem_jax.tolerancing.problems.evaluation import map_chunks, run_in_chunks
 from rfem_jax.tolerancing.problems.problem import Status, ToleranceProblem, shared_form
-from rfem_jax.tolerancing.problems.sample_values import Base, default_lanes, stack_metrics
+from rfem_jax.tolerancing.problems.sample_values import (
+    Base,
+    default_lanes,
+    divided,
+    local_mesh,
+    on_devices,
+    stack_metrics,
+)
 
 MODES = ("auto", "forward", "reverse")
 REVERSE_COST = 3
@@ -96,22 +103,27 @@ def differentiate_twice(
 
 
 @Program
-def _linearise(problem, names, base, points, weights, mode):
+def _linearise(problem, names, base, points, weights, mode, mesh):
     """Values (w, m), derivatives and status of points (w, k): Jacobians (w, m, k) in forward mode, in reverse mode the
-    gradients (w, k) of weights (w, m) . metrics."""
+    gradients (w, k) of weights (w, m) . metrics; divided among the devices of a mesh."""
 
-    def function(x):
-        return stack_metrics(problem, names, base, x)
+    def of_rows(given, points, weights):
+        problem, base = given
 
-    def one(x, weight):
-        if mode == "reverse":
-            value, pull, status = jax.vjp(function, x, has_aux=True)
-            derivatives = pull(weight)[0]
-        else:
-            value, derivatives, status = differentiate(function, x, mode, DIRECTIONS)
-        return jnp.where(status == 0, value, jnp.nan), derivatives, status
+        def function(x):
+            return stack_metrics(problem, names, base, x)
 
-    return jax.vmap(one)(points, weights)
+        def one(x, weight):
+            if mode == "reverse":
+                value, pull, status = jax.vjp(function, x, has_aux=True)
+                derivatives = pull(weight)[0]
+            else:
+                value, derivatives, status = differentiate(function, x, mode, DIRECTIONS)
+            return jnp.where(status == 0, value, jnp.nan), derivatives, status
+
+        return jax.vmap(one)(points, weights)
+
+    return on_devices(mesh, of_rows, (problem, base), points, weights)
 
 
 def linearise_points(
@@ -128,7 +140,8 @@ def linearise_points(
 
     Args: names (k), base as `split_errors` gives them; points (n, k) [rad, m]; metric None for the derivatives of all
         metrics, or the index of one, or (n,) indices, one for each point; mode as everywhere ("auto" counts the
-        metrics whose derivatives are asked for); batch, the most points at once (fewer where the device gains nothing).
+        metrics whose derivatives are asked for); batch, the most points at once on each device (fewer where it gains
+        nothing).
     Returns: values (n, m), NaN where the sample failed; Jacobians (n, m, k), or with `metric` gradients (n, k);
         status (n,).
     """
@@ -139,11 +152,14 @@ def linearise_points(
     if mode == "forward":
         width = max(1, min(width, POINTS_WITH_TANGENTS * default_lanes() // k))
 
-    shared, rows = shared_form(problem, mode)
+    (shared, rows), mesh = shared_form(problem, mode), local_mesh()
+
+    def program(*of_points):
+        return _linearise(shared, names, base, *(divided(mesh, one) for one in of_points), mode, mesh)
 
     def run(points, weights):
         of = problem, ("derivatives", tuple(names), base, mode)
-        return run_in_chunks(lambda x, w: _linearise(shared, names, base, x, w, mode), width, points, weights, of=of)
+        return run_in_chunks(program, width * mesh.size, points, weights, of=of)
 
     if mode == "forward":
         values, jacobians, status = run(points, np.zeros((n, len(shared.metrics))))

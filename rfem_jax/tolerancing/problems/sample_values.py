@@ -6,8 +6,8 @@ Symbols: k errors, m metrics, n samples; x (k,) errors [rad, m].
 """
 
 import os
-from collections.abc import Sequence
-from typing import Protocol, runtime_checkable
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -103,6 +103,22 @@ def divided(mesh: Mesh, rows: Float[np.ndarray, "n k"]) -> Float[Array, "n k"]:
     return jnp.asarray(rows) if mesh.size == 1 else jax.device_put(rows, over_samples(mesh))
 
 
+def on_devices(mesh: Mesh, function: Callable[..., Any], given: Any, *rows: Array) -> Any:
+    """`function(given, *rows)` of the rows of each device of a mesh; traced.
+
+    Args: function, returns arrays with as many rows; given, a pytree that all devices have.
+    """
+    arrays, static = eqx.partition(given, eqx.is_array)
+
+    def of_device(arrays, *rows):
+        return function(eqx.combine(arrays, static), *rows)
+
+    divided = over_samples(mesh).spec
+    places = PartitionSpec(), *[divided] * len(rows)
+    # Device-varying types are not checked: solvers from outside do not annotate their loops.
+    return jax.shard_map(of_device, mesh=mesh, in_specs=places, out_specs=divided, check_vma=False)(arrays, *rows)
+
+
 @Program
 def evaluate_lanes(problem, names, base, points, mesh):
     """Values (n, m) and status (n,) at points (n, k), whose errors have these names, with the errors `base` fixed;
@@ -110,14 +126,9 @@ def evaluate_lanes(problem, names, base, points, mesh):
 
     Each device of the mesh computes equally many points, and sees no other.
     """
-    arrays, static = eqx.partition((problem, base), eqx.is_array)
 
-    def values_of(arrays, points):
-        problem, base = eqx.combine(arrays, static)
+    def values_of(given, points):
+        problem, base = given
         return jax.vmap(lambda x: stack_metrics(problem, names, base, x))(points)
 
-    rows = over_samples(mesh).spec
-    # Device-varying types are not checked: solvers from outside do not annotate their loops.
-    return jax.shard_map(values_of, mesh=mesh, in_specs=(PartitionSpec(), rows), out_specs=rows, check_vma=False)(
-        arrays, points
-    )
+    return on_devices(mesh, values_of, (problem, base), points)
