@@ -19,7 +19,7 @@ not drive the motion.
 """
 
 from collections.abc import Sequence
-from functools import partial
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -144,12 +144,17 @@ class Vibration:
         for spring in self.bearings:
             readers += [self._coordinate_reader(k, placed) for k in spring.coordinates]
             readers += [self._closure_reader(k, placed) for k in spring.rows]
-            tangents += self._tangents(spring)
+        tangents += self._bearing_tangents
         stiffness, damping = np.maximum(np.array(tangents, float).reshape(-1, 2).T, 0.0)
         return self._relative_rates(placed, readers) @ self.inverse_root, stiffness, damping
 
+    @cached_property
+    def _bearing_tangents(self) -> list[np.ndarray]:
+        """Stiffness and damping of the coordinates, or rows [m], of the springs of compliant joints without load; the
+        same at all positions."""
+        return [one for spring in self.bearings for one in self._tangents(spring)]
+
     def _tangents(self, spring: CompliantSpring) -> list[np.ndarray]:
-        """Stiffness and damping of the coordinates, or rows [m], of a compliant joint's spring without load."""
         zeros = jnp.zeros(len(spring.coordinates) or len(spring.rows))
         exerted = spring.along
         if spring.rows:
