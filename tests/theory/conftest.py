@@ -224,12 +224,6 @@ def expected_loads(cut, crank, rate, acceleration):
     return out, moment
 
 
-@pytest.fixture(scope="module", autouse=True)
-def _quick(quick_compilation):
-    """All modules of this folder compile quickly."""
-    yield
-
-
 @pytest.fixture(scope="session")
 def exact_four_bar():
     return ExactFourBar()
