@@ -132,6 +132,15 @@ def long_loops_compiled(monkeypatch):
 
 
 @pytest.fixture
+def long_loops_optimised(long_loops_compiled):
+    """For a test whose loops run so long that their optimisation pays."""
+    before = jax.config.read("jax_disable_most_optimizations")
+    jax.config.update("jax_disable_most_optimizations", False)
+    yield
+    jax.config.update("jax_disable_most_optimizations", before)
+
+
+@pytest.fixture
 def often_called_programs_compiled(monkeypatch):
     """For a test whose programs are called so often that NumPy need not try them first."""
     monkeypatch.setattr(evaluation_by_numpy, "RATIO", 0.0)
