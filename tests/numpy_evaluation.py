@@ -706,6 +706,7 @@ SPECIAL: dict[str, Callable] = {
     "lu": _lu,
     "optimization_barrier": lambda _, *parts: list(parts),
     "pad": _padded,
+    "reshard": lambda _, x: [x],
     "rev": lambda e, x: [np.flip(x, e.params["dimensions"])],
     "scan": _scan,
     "shard_map": _on_one_device,

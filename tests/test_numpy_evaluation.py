@@ -161,11 +161,12 @@ def test_a_program_on_a_mesh_of_one_device_is_evaluated():
 
     def function(x):
         sharded = functools.partial(jax.shard_map, in_specs=over_rows, out_specs=over_rows, check_vma=False)
-        return sharded(lambda x: jnp.sin(x) + 1.0, mesh=mesh)(x)
+        return sharded(lambda x: jnp.sin(x) + given, mesh=mesh)(x)  # what is not an argument is put on the mesh anew
 
     found = []
+    assert "reshard" in str(jax.make_jaxpr(function)(given))
     assert compilations(lambda: found.append(jax.jit(function)(given))) == []
-    np.testing.assert_allclose(found[0], np.sin(given) + 1.0, rtol=1e-15)
+    np.testing.assert_allclose(found[0], np.sin(given) + given, rtol=1e-15)
     assert found[0].committed and found[0].sharding.mesh == mesh
     two = jax.sharding.AbstractMesh((2,), ("rows",), (jax.sharding.AxisType.Auto,))
     split = jax.shard_map(jnp.sin, mesh=two, in_specs=over_rows, out_specs=over_rows)

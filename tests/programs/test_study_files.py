@@ -316,6 +316,7 @@ def shaft_in_two_bearings(content):
     joints = {joint["name"]: joint for joint in mechanism["joints"]}
     beside = [0.0, "50 mm", 0.0]
     second = {"position": beside, "child_position": beside, "child": "crank", "cut": True}
+    content["sensitivity"]["order"] = 1
     mechanism["links"] = mechanism["links"][:1]
     mechanism["joints"] = [joints["A"], {**without(joints["D"], "angle"), **second}]
 
