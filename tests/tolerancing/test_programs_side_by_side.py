@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax import Joint, Mechanism, Method, MomentRamp, discretise, simulate
+from rfem_jax import ForceRamp, InputError, Joint, Mechanism, Method, MomentRamp, discretise, simulate
 from rfem_jax.compilation import call
 from rfem_jax.simulation.accuracy import choose_method
 from rfem_jax.simulation.integration import grid_for
@@ -178,6 +178,17 @@ def test_what_is_computed_beside_the_metrics_asked_for():
     assert names((own, "A.rms_force"), others) == ["A.mean_square_moment", "A.rms_force", "turned"]
     assert names("arm.peak_stress", others) == ["A.mean_square_moment", "A.rms_force", "arm.peak_stress"]
     assert names(("A.rms_force", "A.mean_square_force"), ()) == ["A.rms_force", "A.mean_square_force"]
+
+
+def test_the_angle_is_of_no_slide():
+    """Asked for it is refused, beside other metrics it is left out."""
+    block = Mechanism([link("block", 0.1)], [Joint("P", "base", "block", kind="prismatic")], driven_joint="P")
+    given = discretise(block), ForceRamp("P", 5.0, 0.01), DURATION
+    method = Method("generalised_alpha", step=2e-3)
+    with pytest.raises(InputError, match="moves `P` along an axis"):
+        Problem(*given, "angle_error", method)
+    problem = Problem(*given, "P.rms_force", method, others=("angle_error", "P.rms_moment"))
+    assert [one.name for one in problem.with_others().metrics] == ["P.rms_force", "P.rms_moment"]
 
 
 def test_parts_of_a_simulation_serve_all_steps(traced):

@@ -196,7 +196,11 @@ class Problem(eqx.Module):
     def with_others(self) -> "Problem":
         """The same problem with the metrics of `others` beside its own, in an order that does not depend on which are
         its own; without those that need more of a run than its own do, or are functions of the user's."""
-        added = [one for one in self.others if set(one.records) <= set(self.records) and _of_this_package(one)]
+        added = [
+            one
+            for one in self.others
+            if set(one.records) <= set(self.records) and _of_this_package(one) and _fits_drive(self.model, one)
+        ]
         named = {one.name: one for one in (*self.metrics, *added)}
         if len(named) == len(self.metrics):
             return self
@@ -321,9 +325,13 @@ def _of_this_package(one: Metric) -> bool:
     return True
 
 
-def _check_angle(model: Model, metrics: Iterable[Metric]) -> None:
+def _fits_drive(model: Model, one: Metric) -> bool:
     driven = model.topology.driven_coordinate
-    if driven is not None and model.topology.slides[driven] and "angle_error" in [m.name for m in metrics]:
+    return one.name != "angle_error" or driven is None or not model.topology.slides[driven]
+
+
+def _check_angle(model: Model, metrics: Iterable[Metric]) -> None:
+    if not all(_fits_drive(model, one) for one in metrics):
         raise InputError(
             "Argument `metrics` must fit the drive, but `angle_error` is of an angle and the first drive moves "
             f"`{model.topology.drive_labels[0]}` along an axis; leave it out, or give a Metric of the displacement."
