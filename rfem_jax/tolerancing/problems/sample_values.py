@@ -98,7 +98,7 @@ def rows_of(mesh: Mesh, lanes: int, errors: int) -> jax.ShapeDtypeStruct:
     return jax.ShapeDtypeStruct((lanes * mesh.size, errors), jnp.float64, sharding=sharding)
 
 
-def divided(mesh: Mesh, rows: Float[np.ndarray, "n k"]) -> Float[Array, "n k"]:
+def divided(mesh: Mesh, rows: Float[np.ndarray, "n k"] | Float[Array, "n k"]) -> Float[Array, "n k"]:
     """Points (n, k) as `rows_of` has them, on their devices."""
     return jnp.asarray(rows) if mesh.size == 1 else jax.device_put(rows, over_samples(mesh))
 
