@@ -17,6 +17,7 @@ BESIDE = (
     "rich_text",
     "stack_room",
     "text_layout",
+    "usable_cores",
     "whole_files",
 )  # modules that all packages may import
 

@@ -25,6 +25,7 @@ from jax.core import ShapedArray, Tracer
 from jax.sharding import Mesh
 
 from rfem_jax.compilation import options
+from rfem_jax.usable_cores import usable_cores
 
 PACKAGE = "rfem_jax"
 # Their versions are part of the key.
@@ -230,8 +231,7 @@ def _processor():
     except OSError:
         lines = []
     found = sorted({line for line in lines if line.split(":")[0].strip() in words})
-    usable = getattr(os, "sched_getaffinity", None)
-    cores = os.cpu_count(), len(usable(0)) if usable else None
+    cores = os.cpu_count(), usable_cores()
     return platform.platform(), platform.machine(), platform.processor(), str(cores), tuple(found)
 
 

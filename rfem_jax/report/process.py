@@ -8,6 +8,8 @@ import os
 import sys
 from pathlib import Path
 
+from rfem_jax.usable_cores import usable_cores
+
 MOST_DEVICES = 64  # on a machine with fewer cores
 
 
@@ -75,8 +77,7 @@ def count_devices(arguments: argparse.Namespace) -> int | None:
     if not hasattr(arguments, "study"):
         return None
     if getattr(arguments, "devices", None) is None:
-        usable = getattr(os, "sched_getaffinity", None)
-        return len(usable(0)) if usable else os.cpu_count() or 1
+        return usable_cores()
     if arguments.devices < 1:
         raise InputError(
             f"Argument `--devices` must be at least 1, but is {arguments.devices}; leave it out to use all cores."

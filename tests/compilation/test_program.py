@@ -314,7 +314,9 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from tests.compilation.functions import covered, oscillator, spread_kept, swing_kept
 with covered(sys.argv[1]) as statistics:
     mesh = Mesh(np.array(jax.devices()), ("rows",))
-    x = jax.device_put(np.arange(8.0).reshape(4, 2), NamedSharding(mesh, PartitionSpec("rows")))
+    rows = NamedSharding(mesh, PartitionSpec("rows"))
+    spread_kept.ahead(jax.ShapeDtypeStruct((4, 2), np.float64, sharding=rows), mesh)
+    x = jax.device_put(np.arange(8.0).reshape(4, 2), rows)
     found = spread_kept(x, mesh)
     second = swing_kept(oscillator(), jax.device_put(np.ones(3), jax.devices()[1])).path
     devices = (d.id for d in second.devices())
@@ -323,6 +325,7 @@ print(statistics.traced, statistics.loaded, len(found.devices()), *devices, *np.
 
 
 def test_programs_of_several_devices_and_of_the_second_one(tmp_path):
+    """What is compiled ahead for rows on several devices is what serves them."""
     first = in_a_new_process(ON_TWO_DEVICES, str(tmp_path / "programs")).split()
     second = in_a_new_process(ON_TWO_DEVICES, str(tmp_path / "programs")).split()
     assert first[:2] == ["2", "0"] and second[:2] == ["0", "2"]

@@ -19,6 +19,7 @@ from rfem_jax.tolerancing.allocation.models import Moments, Quadratic, quantile_
 from rfem_jax.tolerancing.optimisation.augmented_lagrangian import minimise
 from rfem_jax.tolerancing.problems.distributions import Uniform
 from rfem_jax.tolerancing.problems.problem import FunctionProblem
+from rfem_jax.tolerancing.robust_design.optimisation import _price
 
 jax.config.update("jax_enable_x64", True)
 
@@ -231,6 +232,20 @@ def test_cost_models_add_up_and_their_input_is_checked():
         assign_costs({"a": Reciprocal()}, ("a", "c"))
     with pytest.raises(InputError, match="`factor` of Reciprocal must be positive"):
         Reciprocal(-1.0)
+
+
+def test_a_cost_model_may_be_an_object_without_a_hash():
+    class Own:
+        __hash__ = None
+
+        def __call__(self, t):
+            return 1.0 / t
+
+    models, known = (assign_costs({"a": model}, ("a",)) for model in (Own(), Reciprocal()))
+    assert len({models, models}) == 1
+    t = jnp.array([0.5])
+    for found, expected in zip(_price(models, t), _price(known, t), strict=True):
+        np.testing.assert_allclose(found, expected, rtol=1e-15)
 
 
 def test_bad_requests_are_refused():

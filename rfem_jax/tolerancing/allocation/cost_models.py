@@ -14,6 +14,7 @@ optimization, Int. J. Adv. Manuf. Technol. 107 (2020) 4859-4912, section on tole
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import jax.numpy as jnp
@@ -111,7 +112,16 @@ def assign_costs(cost: CostModel | Mapping[str, CostModel], names: Sequence[str]
                 f"Argument `cost` must be a callable of one tolerance (or a mapping of them), but for "
                 f"`{name}` it is {model!r}; use Reciprocal(factor) for example."
             )
-    return models
+    return tuple(model if _hashable(model) else partial(model) for model in models)
+
+
+def _hashable(model: CostModel) -> bool:
+    """Whether programs can be found by it; a function of it always can."""
+    try:
+        hash(model)
+    except TypeError:
+        return False
+    return True
 
 
 def total_cost(models: Sequence[CostModel], tolerances: Float[Array, " k"]) -> Float[Array, ""]:

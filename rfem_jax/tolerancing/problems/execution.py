@@ -23,7 +23,6 @@ Source: none; the layout is this library's own.
 """
 
 import hashlib
-import os
 import re
 import time
 from collections.abc import Sequence
@@ -48,6 +47,7 @@ from rfem_jax.tolerancing.problems.sample_values import (
     too_few_threads,
 )
 from rfem_jax.tolerancing.progress import ProgressBar, ProgressOption
+from rfem_jax.usable_cores import usable_cores
 
 POLL = 0.05  # s
 PATIENCE = 3600.0  # s without a new chunk of another process
@@ -59,12 +59,10 @@ def require_threads(devices: Sequence[Device]) -> None:
     """Refuse several CPU `devices` that share too few threads. Raises InputError."""
     threads, count = too_few_threads(devices), len(devices)
     if threads is not None:
-        usable = getattr(os, "sched_getaffinity", None)
-        cores = len(usable(0)) if usable else os.cpu_count() or 1
         raise InputError(
             f"Argument `jax_num_cpu_devices` must leave two threads for each device, but {count} "
             f"CPU devices share {threads}, and samples could wait for each other without end; put "
-            f'os.environ["NPROC"] = "{2 * max(count, cores)}" before the first array, or use one '
+            f'os.environ["NPROC"] = "{2 * max(count, usable_cores())}" before the first array, or use one '
             "device."
         )
 

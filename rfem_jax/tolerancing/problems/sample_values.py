@@ -19,6 +19,7 @@ from jaxtyping import Array, Float
 from rfem_jax.compilation import keys
 from rfem_jax.compilation.program import Program
 from rfem_jax.tolerancing.problems.problem import Status, ToleranceProblem
+from rfem_jax.usable_cores import usable_cores
 
 LANES = {"cpu": 16}  # enough for a core's vector units; little waste on samples that run long
 LANES_ELSEWHERE = 4096  # with 65536 an H200 takes 0.4 times as long for each, and much memory
@@ -70,10 +71,8 @@ def too_few_threads(devices: Sequence[Device]) -> int | None:
     count = len(devices)
     if count < 2 or devices[0].platform != "cpu":
         return None
-    usable = getattr(os, "sched_getaffinity", None)
-    cores = len(usable(0)) if usable else os.cpu_count() or 1
     specified = os.environ.get("NPROC", "")
-    threads = max(int(specified) if specified.isdecimal() else cores, count)
+    threads = max(int(specified) if specified.isdecimal() else usable_cores(), count)
     return threads if threads < 2 * count else None
 
 
@@ -113,10 +112,10 @@ def on_devices(mesh: Mesh, function: Callable[..., Any], given: Any, *rows: Arra
     def of_device(arrays, *rows):
         return function(eqx.combine(arrays, static), *rows)
 
-    divided = over_samples(mesh).spec
-    places = PartitionSpec(), *[divided] * len(rows)
+    by_rows = over_samples(mesh).spec
+    places = PartitionSpec(), *[by_rows] * len(rows)
     # Device-varying types are not checked: solvers from outside do not annotate their loops.
-    return jax.shard_map(of_device, mesh=mesh, in_specs=places, out_specs=divided, check_vma=False)(arrays, *rows)
+    return jax.shard_map(of_device, mesh=mesh, in_specs=places, out_specs=by_rows, check_vma=False)(arrays, *rows)
 
 
 @Program
