@@ -241,11 +241,9 @@ def test_a_cost_model_may_be_an_object_without_a_hash():
         def __call__(self, t):
             return 1.0 / t
 
-    models, known = (assign_costs({"a": model}, ("a",)) for model in (Own(), Reciprocal()))
-    assert len({models, models}) == 1
-    t = jnp.array([0.5])
-    for found, expected in zip(_price(models, t), _price(known, t), strict=True):
-        np.testing.assert_allclose(found, expected, rtol=1e-15)
+    models = assign_costs({"a": Own()}, ("a",))
+    price, slope = _price(models, jnp.array([0.5]))
+    assert float(price) == pytest.approx(2.0) and np.asarray(slope) == pytest.approx([-4.0])
 
 
 def test_bad_requests_are_refused():
