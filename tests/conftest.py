@@ -19,7 +19,7 @@ if TYPES_CHECKED:
 
     jaxtyping.install_import_hook("rfem_jax", "beartype.beartype")
 
-from rfem_jax.compilation import options  # noqa: E402
+from rfem_jax.compilation import keeping, options  # noqa: E402
 
 options.take_process()
 
@@ -29,6 +29,7 @@ from _pytest.runner import runtestprotocol  # noqa: E402
 from jax._src import compiler  # noqa: E402
 from matplotlib.layout_engine import ConstrainedLayoutEngine  # noqa: E402
 
+from rfem_jax.compilation.program import Program  # noqa: E402
 from rfem_jax.report import pictures, style  # noqa: E402
 from rfem_jax.simulation import stepping  # noqa: E402
 from rfem_jax.stack_room import with_room  # noqa: E402
@@ -144,6 +145,27 @@ def long_loops_optimised(long_loops_compiled):
 def often_called_programs_compiled(monkeypatch):
     """For a test whose programs are called so often that NumPy need not try them first."""
     monkeypatch.setattr(evaluation_by_numpy, "RATIO", 0.0)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _programs_within_others():
+    """JAX transforms the programs of this package and finds what it has traced for another one, as within a program of
+    the user; except where a test says where programs are kept, or that none are (`keep_programs`)."""
+    call, ahead = Program.__call__, Program.ahead
+
+    def within():
+        return not keeping.wanted() and keeping._choice.asked is keeping.DEFAULT
+
+    def called(program, *args, **kwargs):
+        return program._plainly(args, kwargs) if within() else call(program, *args, **kwargs)
+
+    def not_ahead(program, *args, **kwargs):
+        return None if within() else ahead(program, *args, **kwargs)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Program, "__call__", called)
+        patch.setattr(Program, "ahead", not_ahead)
+        yield
 
 
 draw, draw_first = pictures._drawn, drawn_first(pictures._drawn)

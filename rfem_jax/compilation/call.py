@@ -1,4 +1,4 @@
-"""A function of flat arrays whose compiled program is kept, and its transformations.
+"""A function of flat arrays that is a program by itself, kept where its content is known, and its transformations.
 
 Place in the pipeline: `program` makes a `Call` of a function and its static arguments, `transformations` the calls
 that are its derivatives and batches.
@@ -29,7 +29,7 @@ from jax.custom_derivatives import SymbolicZero
 from jax.tree_util import PyTreeDef
 from jax.typing import ArrayLike
 
-from rfem_jax.compilation import keeping, keys, last_time
+from rfem_jax.compilation import keeping, keys, last_time, options
 from rfem_jax.compilation.executable import Executable, Place, trace
 from rfem_jax.compilation.pending import Pending, read_kept
 from rfem_jax.compilation.transformations import has_batch_axis
@@ -40,8 +40,8 @@ _tracing = threading.RLock()
 class Call:
     """A function from arrays to a list of arrays.
 
-    **Arguments:** `name`: of what it computes, for the key; `before` and `step`: the call that it transforms, and how;
-    `quick`: compile in less time, for less speed.
+    **Arguments:** `name`: of what it computes, for the key; None if it depends on something whose content is not known;
+    `before` and `step`: the call that it transforms, and how; `quick`: compile in less time, for less speed.
 
     Attributes: facts, known once the function has been traced or loaded: of a function, the tree of its results with
     a `Place` for each array; of ("jvp", ...), which results change, that is, have tangents; of ("linear", ...), which
@@ -51,7 +51,7 @@ class Call:
     def __init__(
         self,
         function: Callable[..., list],
-        name: tuple,
+        name: tuple | None,
         before: "Call | None" = None,
         step: tuple | None = None,
         quick: bool = False,
@@ -93,6 +93,8 @@ class Call:
         return [self] if self.before is None else [self, *self.before.chain()]
 
     def _find(self, kinds, arrays) -> Pending:
+        if self.name is None or not keeping.wanted():
+            return self._trace(None, arrays)
         key = keys.digest_named((self.name, kinds))
         last_time.note(key)
         try:
@@ -117,14 +119,16 @@ class Call:
         with _tracing:
             return self._trace(key, arrays)
 
-    def _trace(self, key: str, arrays) -> Pending:
+    def _trace(self, key: str | None, arrays) -> Pending:
+        """The program traced; to be kept under the key, if there is one."""
         keeping.statistics.traced += 1
 
         def facts():
             return [call.facts for call in self.chain()]
 
-        program = trace(self.function, arrays, facts, self.quick)
-        return Pending(program, made=lambda executable: self._keep(key, executable))
+        own = options.OwnProgram(alone=self.name is not None)
+        program = trace(self.function, arrays, facts, self.quick, own, key is not None)
+        return Pending(program, made=None if key is None else lambda executable: self._keep(key, executable))
 
     def _keep(self, key: str, made: Executable) -> None:
         try:
@@ -162,11 +166,12 @@ def call_of(
 
     **Arguments:** `tree`, `static`: structure and leaves of (arguments, keyword arguments), with a `Place` for each
     array; `quick`: as `Call`.
-
-    **Raises:** `NotDigestible` if it depends on something whose content is not known.
     """
-    arguments = jax.tree.unflatten(tree, static)
-    name = keys.canonical(function), keys.canonical(arguments), quick
+    try:
+        name = keys.canonical(function), keys.canonical(jax.tree.unflatten(tree, static)), quick
+    except keys.NotDigestible as reason:
+        keeping.note_unkept(function.__qualname__, str(reason))
+        name = None
 
     def flat(*arrays):
         remaining = iter(arrays)
@@ -280,7 +285,7 @@ def _batched(call: Call, step) -> Call:
 
 def _named(function, call: Call, step) -> Call:
     function.__name__ = function.__qualname__ = f"{step[0]}_{call.function.__name__}"
-    return Call(function, (call.name, step), call, step, call.quick)
+    return Call(function, call.name and (call.name, step), call, step, call.quick)
 
 
 _TRANSFORMED = {"jvp": _pushed, "linear": _pushed, "vjp": _pulled, "vmap": _batched}

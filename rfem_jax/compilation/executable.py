@@ -9,7 +9,7 @@ import gc
 import pickle
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -82,13 +82,14 @@ class Traced(NamedTuple):
     lowered: jax.stages.Lowered
     what: str
     quick: bool
-    scalarised: bool
+    own: options.OwnProgram
+    kept: bool  # whether it is to be serialised
 
     def finish(self) -> Executable:
         """Compile it."""
         on_stage(f"Compiling the program {self.what!r}, once for all models of its kind")
         options.own_options_hold()
-        with _without_jaxs_cache, options.own_program(self.scalarised):
+        with _without_jaxs_cache if self.kept else nullcontext(), options.own_program(self.own):
             quick = QUICK if self.quick else None
             return Executable(self.lowered.compile(quick), self.head)  # pyright: ignore[reportArgumentType] # numbers are allowed
 
@@ -121,16 +122,21 @@ def trace(
     arrays: Sequence[ArrayLike | jax.ShapeDtypeStruct | ShapedArray],
     facts: Callable[[], list],
     quick: bool,
+    own: options.OwnProgram,
+    kept: bool,
 ) -> Traced:
-    """Trace and lower a function for arrays, or for their shapes; `facts` is called afterwards."""
+    """Trace and lower a function for arrays, or for their shapes; `facts` is called afterwards.
+
+    **Arguments:** `quick`: as `Call`; `own`: the kind of program; `kept`: whether it is to be serialised.
+    """
     what = function.__name__.strip("_").replace("_", " ")
     on_stage(f"Tracing the program {what!r}")
     keep_unbatched_calls()
-    with without_collections(), same_context(), options.own_program() as program:
+    with without_collections(), same_context(), options.own_program(own):
         traced = jax.jit(function).trace(*arrays)
         lowered = traced.lower()
     results = tuple((x.shape, x.dtype, x.weak_type) for x in traced.jaxpr.out_avals)
-    return Traced(Head(len(arrays), results, facts()), lowered, what, quick, program.scalarised)
+    return Traced(Head(len(arrays), results, facts()), lowered, what, quick, own, kept)
 
 
 def unpack(content: bytes) -> Packed:

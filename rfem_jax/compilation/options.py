@@ -148,14 +148,16 @@ def warning() -> str:
 
 
 class OwnProgram:
-    """A program of this package, while it is traced and compiled; scalarised: whether parts of it were scalarised."""
+    """A program of this package, while it is traced and compiled; scalarised: whether parts of it were scalarised;
+    alone: whether no function of the user is in it, which may have what crashes XLA."""
 
-    def __init__(self, scalarised: bool = False):
-        self.scalarised = scalarised
+    def __init__(self, scalarised: bool = False, alone: bool = True):
+        self.scalarised, self.alone = scalarised, alone
 
     def options(self) -> list[str]:
         """Its options besides those of the process."""
-        return ([] if _attempt.fusion else [FUSION]) + ([] if self.scalarised else [NO_LOOP_ROTATION])
+        fusion = [FUSION] if self.alone and not _attempt.fusion else []
+        return fusion + ([] if self.scalarised else [NO_LOOP_ROTATION])
 
     def add_to(self, options: Any) -> Any:
         """The options of a compilation with these."""
@@ -171,9 +173,10 @@ class OwnProgram:
 
 
 @contextmanager
-def own_program(scalarised: bool = False) -> Iterator[OwnProgram]:
-    """Declare that what this thread traces and compiles within the block is a program of this package alone."""
-    before, _own.program = getattr(_own, "program", None), OwnProgram(scalarised)
+def own_program(program: OwnProgram | None = None) -> Iterator[OwnProgram]:
+    """Declare that what this thread traces and compiles within the block is a program of this package (default: without
+    a function of the user)."""
+    before, _own.program = getattr(_own, "program", None), program or OwnProgram()
     try:
         yield _own.program
     finally:
@@ -194,7 +197,8 @@ def note_scalarised() -> None:
 
 def fusion_holds() -> bool:
     """Whether XLA makes fusions with several results in what this thread compiles now."""
-    return settle().set and (_attempt.fusion or (in_own_program() and own_options_hold()))
+    program = getattr(_own, "program", None)
+    return settle().set and (_attempt.fusion or (program is not None and program.alone and own_options_hold()))
 
 
 def explicit_methods_scalarised() -> bool:

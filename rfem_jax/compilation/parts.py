@@ -43,10 +43,8 @@ class ProgramInParts(Program):
         functools.update_wrapper(self, sequence)
         self.sequence = sequence
 
-    def _call_of(self, tree, static) -> Transformable | None:
-        whole = super()._call_of(tree, static)
-        if not isinstance(whole, Call):
-            return None
+    def _call_of(self, tree, static) -> Transformable:
+        whole = call_of(self.function, tree, static, self.quick)
         return CallInParts(self.sequence, jax.tree.unflatten(tree, static)[0], whole)
 
 
@@ -95,7 +93,7 @@ class CallInParts:
         step: tuple | None = None,
     ):
         self.sequence, self.arguments, self.whole, self.before, self.step = sequence, arguments, whole, before, step
-        self.function = whole.function
+        self.function, self.name = whole.function, whole.name
         self.facts: Any = None
         self._next: dict[tuple, CallInParts] = {}
         self._plans: dict[tuple, _Plan] = {}
@@ -206,9 +204,10 @@ class _Plan:
     def _add(self, program: Program, *arguments: Any) -> Any:
         """Take a program as the next part; returns its results as names."""
         leaves, tree = jax.tree.flatten((arguments, {}))
-        static = [Place() if isinstance(leaf, _Named) else leaf for leaf in leaves]
+        static = tuple(Place() if isinstance(leaf, _Named) else leaf for leaf in leaves)
         taken: list[Name] = [leaf.name for leaf in leaves if isinstance(leaf, _Named)]
-        base = call = call_of(program.function, tree, static, program.quick)
+        base = call = program.call(tree, static, tuple(kind(self.forms[name]) for name in taken))
+        assert isinstance(call, Call)  # a part has no parts
         steps = []
         for level in self.levels:
             step = level.step(taken)

@@ -4,10 +4,12 @@ Place in the pipeline: mechanics, simulation and tolerancing decorate their entr
 
     call         structure and static values of the arguments make a `Call` of the arrays
     executable   in memory, on disk (`cache`, under a key of `keys`), or compiled and kept
-    derivatives  and batches of a call are kept, too (`transformations`)
+    derivatives  and batches of a call are programs, too (`transformations`)
 
 A second process that does the same traces nothing.  `jax.export` with JAX's own cache of compiled programs would do
-so, too, but take half a second more a program, and a package (flatbuffers) that JAX does not require.
+so, too, but take half a second more a program, and a package (flatbuffers) that JAX does not require.  Where nothing is
+kept, programs are made in the same way; those with a function of the user are made in every process, and JAX makes
+their derivatives.
 """
 
 import functools
@@ -17,7 +19,7 @@ from typing import Any
 import equinox as eqx
 import jax
 
-from rfem_jax.compilation import keeping, keys, options
+from rfem_jax.compilation import options
 from rfem_jax.compilation.call import call_of, kind
 from rfem_jax.compilation.executable import Place
 from rfem_jax.compilation.tracing_context import same_context
@@ -52,19 +54,20 @@ class Program:
         functools.update_wrapper(self, function)
         self.function, self.quick = function, quick
         self._jitted = eqx.filter_jit(function)
-        self._calls: dict[tuple, Transformable | None] = {}
+        self._calls: dict[tuple, Transformable] = {}
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
-        if not (keeping.wanted() and no_staging()) or _watched():
+        if not no_staging() or _watched():
             return self._plainly(args, kwargs)
         call, arrays = self._call_with(args, kwargs)
-        if call is None:
-            return self._plainly(args, kwargs)
-        return _filled(call, call.run(arrays) if no_transformation() else bind(call, arrays))
+        if no_transformation():
+            return _filled(call, call.run(arrays))
+        # What a function of the user depends on may be transformed, too.
+        return self._plainly(args, kwargs) if call.name is None else _filled(call, bind(call, arrays))
 
     @with_room
     def _plainly(self, args, kwargs) -> Any:
-        """The result without a program to be kept, as within another one."""
+        """The result without a program of its own, as within another one."""
         with same_context():
             return self._jitted(*args, **kwargs)
 
@@ -73,38 +76,38 @@ class Program:
 
         **Arguments:** those of the call; arrays may be given as `jax.ShapeDtypeStruct`.
 
-        **Returns:** the result of the call with `jax.ShapeDtypeStruct` for arrays; None where programs are not kept,
-        and nothing was started.
+        **Returns:** the result of the call with `jax.ShapeDtypeStruct` for arrays; None where the call will be a part
+        of another program, and nothing was started.
         """
-        if not (keeping.wanted() and no_transformation()) or _watched():
+        if not no_transformation() or _watched():
             return None
         call, arrays = self._call_with(args, kwargs)
-        return None if call is None else _filled(call, call.ahead(arrays))
+        return _filled(call, call.ahead(arrays))
 
-    def _call_with(self, args, kwargs) -> tuple[Transformable | None, list]:
-        """The call (None: its program cannot be kept) and its arrays."""
+    def _call_with(self, args, kwargs) -> tuple[Transformable, list]:
+        """The call and its arrays."""
         leaves, tree = jax.tree.flatten((args, kwargs))
         is_array = [eqx.is_array(leaf) or isinstance(leaf, jax.ShapeDtypeStruct) for leaf in leaves]
         arrays = [leaf for leaf, is_one in zip(leaves, is_array) if is_one]
         static = tuple(_PLACE if is_one else leaf for leaf, is_one in zip(leaves, is_array))
-        key = tree, static, tuple(map(type, static)), tuple(map(kind, arrays)), _settings()
+        return self.call(tree, static, tuple(map(kind, arrays))), arrays
+
+    def call(self, tree, static: tuple, kinds: tuple) -> Transformable:
+        """The call of arguments and keyword arguments with this structure and these leaves, a `Place` for each array,
+        and arrays of these kinds; the same object each time."""
+        key = tree, static, tuple(map(type, static)), kinds, _settings()
         if key not in self._calls:
             self._calls[key] = self._call_of(tree, static)
             if len(self._calls) > MOST:
                 del self._calls[next(iter(self._calls))]
-        return self._calls[key], arrays
+        return self._calls[key]
 
     def clear(self) -> None:
         """Forget the programs in memory."""
         self._calls.clear()
 
-    def _call_of(self, tree, static) -> Transformable | None:
-        """None for a function that depends on something whose content is not known."""
-        try:
-            return call_of(self.function, tree, static, self.quick)
-        except keys.NotDigestible as reason:
-            keeping.note_unkept(self.function.__qualname__, str(reason))
-            return None
+    def _call_of(self, tree, static) -> Transformable:
+        return call_of(self.function, tree, static, self.quick)
 
 
 def _filled(call: Transformable, arrays) -> Any:

@@ -32,6 +32,7 @@ class Transformable(Protocol):
     """What this module and `program` need of `call.Call`, which says more, and of `parts.CallInParts`."""
 
     function: Callable[..., list]
+    name: tuple | None
     before: Any
     step: tuple | None
     facts: Any

@@ -83,18 +83,21 @@ def oscillator(rate=0.7, steps=3):
     return Oscillator(jnp.asarray(rate), jnp.arange(2), steps)
 
 
+def forget():
+    """Empty the memory, as in the next process."""
+    for program in (swing_kept, solve_kept, spread_kept, turned, walked, ended, journey):
+        program.clear()
+
+
 @contextmanager
 def covered(folder):
     """Programs of this file are kept in `folder`, as those of the package are."""
-    before = keys.COVERED, keeping.statistics
+    before = keys.COVERED, keeping.statistics, keeping._choice
     keys.COVERED, keeping.statistics = keys.COVERED | {__name__.split(".")[0]}, keeping.Statistics()
     keeping.keep_programs(folder)
-    swing_kept.clear()
-    solve_kept.clear()
-    spread_kept.clear()
+    forget()
     try:
         yield keeping.statistics
     finally:
-        keys.COVERED, keeping.statistics = before
-        keeping.keep_programs(None)
-        swing_kept.clear()
+        keys.COVERED, keeping.statistics, keeping._choice = before
+        forget()

@@ -86,7 +86,7 @@ def test_what_is_damaged_is_not_used(kept, tmp_path, what, monkeypatch):
 
 
 def test_where_programs_are_not_kept_nothing_is_read_or_remembered(monkeypatch):
-    keeping.keep_programs(None)
+    monkeypatch.setattr(keeping, "_choice", keeping._Choice(None))
     for name in ("read", "write"):
         monkeypatch.setattr(keeping, name, lambda *_: pytest.fail("without a folder"))
     take()

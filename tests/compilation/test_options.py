@@ -98,10 +98,14 @@ import rfem_jax, jax, numpy as np
 from tests.compilation.test_options import add_twice, fused
 x, places = np.ones((6, 5)), np.array([1, 3, 4])
 from rfem_jax.compilation import options
+from rfem_jax.compilation.program import Program
 print(*(float(part.sum()) for part in jax.jit(add_twice)(x, 2.0 * x, places, np.ones((6, 3)))))
 print(fused(jax.jit(lambda x: (x + 1.0, x - 1.0))))
 with options.own_program():
     print(options.fusion_holds(), fused(jax.jit(lambda x: (x + 2.0, x - 2.0))))
+with_function = Program(lambda function, *arrays: (*function(*arrays), options.fusion_holds()))
+*sums, holds = with_function(lambda *arrays: add_twice(*arrays), x, 2.0 * x, places, np.ones((6, 3)))
+print(*(float(part.sum()) for part in sums), holds)
 """
 
 
@@ -116,9 +120,10 @@ def fused(program):
 
 
 def test_programs_of_the_user_are_not_at_risk_and_own_ones_are_fused():
-    sums, users, own = in_a_new_process(SCATTERS).splitlines()
-    assert sums == "48.0 78.0" and own == "True True"
-    assert users == str(options._version() >= options.FUSION_SAFE_FROM)
+    sums, users, own, with_function = in_a_new_process(SCATTERS).splitlines()
+    safe = str(options._version() >= options.FUSION_SAFE_FROM)
+    assert sums == "48.0 78.0" and users == safe
+    assert own == "True True" and with_function == f"48.0 78.0 {safe}"
 
 
 OWN = """

@@ -10,20 +10,12 @@ from rfem_jax.compilation import executable
 from rfem_jax.compilation.call import Call
 from rfem_jax.compilation.parts import ProgramInParts
 from rfem_jax.compilation.program import Program
-from tests.compilation.functions import ended, journey, oscillator, turned, walked
+from tests.compilation.functions import covered, ended, forget, journey, oscillator, turned, walked
 
 COMPILED_AS_SHIPPED = True
 PARTS = 3
 X = jnp.linspace(0.2, 0.9, 3)
 BATCH = jnp.stack([X, X + 0.1])
-
-
-@pytest.fixture
-def kept(kept):
-    """Without what earlier tests left in memory."""
-    journey.clear()
-    yield kept
-    journey.clear()
 
 
 def whole(oscillator, x, rate):
@@ -66,7 +58,7 @@ def test_transformations_are_those_of_the_whole(kept, transform):
         for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
             assert one.shape == other.shape
             np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-13)
-        journey.clear()
+        forget()
 
 
 def test_the_tree_of_the_results_has_its_static_values(kept):
@@ -80,7 +72,7 @@ def test_the_tree_of_the_results_has_its_static_values(kept):
 def test_every_part_is_kept_and_loaded_as_one_program(kept):
     first = journey(oscillator(), X, 0.7)
     assert (kept.traced, kept.loaded, kept.written) == (PARTS, 0, PARTS)
-    journey.clear()
+    forget()
     again = journey(oscillator(), X, 0.7)
     assert (kept.traced, kept.loaded, kept.written) == (PARTS, PARTS, PARTS)
     for one, other in zip(jax.tree.leaves(first), jax.tree.leaves(again), strict=True):
@@ -121,7 +113,7 @@ def test_a_part_has_a_batch_axis_in_what_depends_on_the_arguments(kept, monkeypa
     found = steps_of_parts(monkeypatch, lambda f: jax.vmap(f, in_axes=(None, 0))(X, jnp.array([0.7, 0.8])))
     assert [[axis for axis in axes if axis is not None] for _, _, axes in found["turned"]] == [[0]]
     assert all(len(steps) == 1 for steps in found.values())
-    journey.clear()
+    forget()
     found = steps_of_parts(monkeypatch, lambda f: jax.vmap(f, in_axes=(1, None))(BATCH.T, 0.7))
     assert found["turned"] == []
     assert [[axis for axis in axes if axis is not None] for _, _, axes in found["walked"]] == [[1]]
@@ -138,13 +130,25 @@ def test_parts_compile_side_by_side(kept, monkeypatch):
 
 
 def test_what_depends_on_something_unknown_is_computed_and_not_kept(kept):
+    scaled = Program(lambda walk, unknown: walk)
+
     @ProgramInParts
     def ours(run, oscillator, x, rate, unknown):
-        return run(ended, 2.0, run(walked, oscillator, run(turned, oscillator, rate), x))
+        return run(ended, 2.0, run(scaled, run(walked, oscillator, run(turned, oscillator, rate), x), unknown))
 
     found, expected = ours(oscillator(), X, 0.7, object()), whole(oscillator(), X, 0.7)
     np.testing.assert_allclose(found.path, expected.path, rtol=1e-13)
-    assert kept.written == 0
+    assert (kept.traced, kept.written) == (PARTS + 1, PARTS)
+
+
+def test_functions_have_their_common_parts_in_memory_once(kept):
+    @ProgramInParts
+    def shorter(run, oscillator, x, rate):
+        return run(walked, oscillator, run(turned, oscillator, rate), x)
+
+    journey(oscillator(), X, 0.7)
+    shorter(oscillator(), X, 0.7)
+    assert (kept.traced, kept.loaded) == (PARTS, 0)
 
 
 @pytest.mark.parametrize("transform", [TRANSFORMED["value"], TRANSFORMED["batch of derivatives"]])
@@ -159,8 +163,8 @@ def test_on_a_device_of_the_users_choice_it_is_one_program(kept, transform, monk
         np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-13)
 
 
-def test_without_a_folder_it_is_one_program():
-    found, expected = journey(oscillator(), X, 0.7), whole(oscillator(), X, 0.7)
-    np.testing.assert_allclose(found.path, expected.path, rtol=1e-13)
-    assert not journey._calls
-    assert isinstance(journey, Program)
+def test_without_a_folder_it_is_in_parts_too():
+    with covered(None) as statistics:
+        found, expected = journey(oscillator(), X, 0.7), whole(oscillator(), X, 0.7)
+        np.testing.assert_allclose(found.path, expected.path, rtol=1e-13)
+        assert (statistics.traced, statistics.written) == (PARTS, 0)

@@ -13,17 +13,12 @@ import pytest
 
 from rfem_jax.compilation import keeping, options
 from rfem_jax.compilation.program import Program
-from tests.compilation.functions import covered, oscillator, swing, swing_kept
+from tests.compilation.functions import covered, forget, oscillator, swing, swing_kept
 from tests.processes import in_a_new_process
 
 COMPILED_AS_SHIPPED = True
 
 X = jnp.linspace(0.2, 0.9, 3)
-
-
-def again():
-    """Empty the memory, as in the next process."""
-    swing_kept.clear()
 
 
 def by_jax(*arguments):
@@ -50,7 +45,7 @@ def test_what_was_kept_gives_the_same_bits_without_tracing(kept):
     assert counts(kept) == (1, 0, 1)
     swing_kept(oscillator(), X)
     assert counts(kept) == (1, 0, 1)
-    again()
+    forget()
     assert_same_bits(swing_kept(oscillator(), X), expected)
     assert counts(kept) == (1, 1, 1)
 
@@ -65,11 +60,13 @@ def test_ahead_compiles_or_loads_in_the_background_what_the_call_needs(kept):
         assert [np.shape(x) for x in jax.tree.leaves(form)] == [np.shape(x) for x in jax.tree.leaves(expected)]
         assert_same_bits(swing_kept(oscillator(), X), expected)
         assert counts(kept) == count
-        again()
+        forget()
 
 
-def test_ahead_does_nothing_where_programs_are_not_kept():
-    assert Program(swing).ahead(oscillator(), X) is None
+def test_ahead_does_nothing_within_another_program(kept):
+    found = []
+    jax.make_jaxpr(lambda x: found.append(swing_kept.ahead(oscillator(), X)))(1.0)
+    assert found == [None] and counts(kept) == (0, 0, 0)
 
 
 def test_a_quick_program_is_another_one_with_the_same_results(kept):
@@ -108,7 +105,7 @@ def test_another_structure_type_or_place_is_another_program(kept, other):
 
 def test_a_kept_program_that_xla_cannot_load_is_traced_anew(kept, monkeypatch):
     expected = swing_kept(oscillator(), X)
-    again()
+    forget()
 
     def fail(packed):
         raise RuntimeError("of another processor")
@@ -128,7 +125,7 @@ def test_a_kept_program_that_xla_cannot_load_is_traced_anew(kept, monkeypatch):
 )
 def test_settings_of_jax_are_part_of_the_key(kept, setting):
     swing_kept(oscillator(), X)
-    again()
+    forget()
     with setting():
         swing_kept(oscillator(), X)
     assert counts(kept) == (2, 0, 2)
@@ -138,14 +135,14 @@ def test_a_damaged_or_unreadable_program_is_compiled_again(kept, tmp_path):
     expected = swing_kept(oscillator(), X)
     (file,) = (tmp_path / "programs").iterdir()
     file.write_bytes(file.read_bytes()[:-5])
-    again()
+    forget()
     assert_same_bits(swing_kept(oscillator(), X), expected)
     assert counts(kept) == (2, 0, 2)
     keeping.write(file.stem, b"whole, but no program")
-    again()
+    forget()
     assert_same_bits(swing_kept(oscillator(), X), expected)
     assert kept.traced == 3
-    again()
+    forget()
     swing_kept(oscillator(), X)
     assert kept.traced == 3 and kept.loaded == 1
 
@@ -158,8 +155,12 @@ def test_functions_of_the_user_are_not_kept(kept, tmp_path):
     with_function = Program(lambda function, x: function(x))
     np.testing.assert_array_equal(with_function(own, X), X**2)
     np.testing.assert_array_equal(with_function(user["triple"], X), 3.0 * X)
+    with_function(own, X)
+    assert counts(kept) == (2, 0, 0) and len(kept.unkept) == 1
+    # Their derivatives are JAX's, also by what a function has from outside.
     np.testing.assert_allclose(jax.jacfwd(lambda x: with_function(own, x))(X), jnp.diag(2.0 * X))
-    assert counts(kept) == (0, 0, 0) and len(kept.unkept) == 1
+    np.testing.assert_allclose(jax.jacfwd(lambda a: with_function(lambda x: a**2 * x, X))(3.0), 6.0 * X)
+    assert counts(kept) == (2, 0, 0) and len(kept.unkept) == 1
     assert not list((tmp_path / "programs").iterdir())
 
 
@@ -187,10 +188,10 @@ def test_programs_from_jaxs_own_cache_are_not_kept_broken(kept, tmp_path):
         for _ in range(2):
             for file in (tmp_path / "programs").iterdir():
                 file.unlink()
-            again()
+            forget()
             jax.clear_caches()
             swing_kept(oscillator(), X)
-            again()
+            forget()
             assert_same_bits(swing_kept(oscillator(), X), expected)
         assert kept.loaded == 2
     finally:
@@ -236,7 +237,7 @@ TRANSFORMED = {
 def test_transformations_are_right_and_kept(kept, name):
     expected = TRANSFORMED[name](swing)
     for _ in range(2):
-        again()
+        forget()
         found = TRANSFORMED[name](swing_kept)
         assert jax.tree.structure(found) == jax.tree.structure(expected)
         for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
@@ -255,11 +256,19 @@ def test_in_a_jit_it_is_traced_like_any_function(kept):
     assert counts(kept) == (0, 0, 0)
 
 
-def test_where_programs_are_not_kept_nothing_is(tmp_path):
+def test_where_programs_are_not_kept_they_are_made_in_the_same_way(tmp_path, monkeypatch):
+    monkeypatch.setattr(keeping, "write", lambda *_: pytest.fail("without a folder"))
+    expected = by_jax(oscillator(), X)
     with covered(None) as statistics:
-        swing_kept(oscillator(), X)
+        assert swing_kept.ahead(oscillator(), X).steps == 3
+        assert_same_bits(swing_kept(oscillator(), X), expected)
         assert keeping.state()["kept_programs"] == "not used: switched off"
-        assert counts(statistics) == (0, 0, 0)
+        assert counts(statistics) == (1, 0, 0)
+        for _ in range(2):
+            np.testing.assert_allclose(
+                jax.grad(lambda x: total(x, swing_kept))(X), jax.grad(lambda x: total(x, swing))(X), rtol=1e-12
+            )
+            assert counts(statistics) == (2, 0, 0)
 
 
 def test_a_folder_inside_of_jaxs_cache_is_refused(tmp_path):
