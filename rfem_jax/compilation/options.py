@@ -43,7 +43,8 @@ FUSION_SAFE_FROM = (0, 12)  # jaxlib
 ALIAS_METADATA = ("xla_llvm_enable_noalias_metadata", "xla_llvm_enable_alias_scope_metadata")
 OPTIMISATION_LEVEL = 1
 # Kernels made by way of MLIR take much of the time of compilation, most in programs that run once, and run no faster;
-# scalarised programs would take longer without it.  XLA has the choice before jaxlib 0.12.  For kept programs only.
+# scalarised programs would take longer without it.  XLA has the choice before jaxlib 0.12.  For this package's programs,
+# and those of the user that have one of them inside.
 EMITTERS, EMITTERS_CHOSEN_BEFORE = "xla_cpu_use_fusion_emitters", (0, 12)
 OF_THIS_KIND = ("xla_backend_extra_options", "ynn_fusion")
 # Versions of jaxlib tested with the flags, from the first to before the second.  XLA ends the process at a flag that it
@@ -73,6 +74,7 @@ class Compilation(NamedTuple):
 
 _attempt = _Attempt()
 _own = threading.local()
+_functions: set[str] = set()
 
 
 def user_cache_folder() -> Path:
@@ -234,9 +236,24 @@ class _WithOwnOptions:
     def __init__(self, made: Callable):
         self.made = made
 
-    def __call__(self, *args, **kwargs):
-        options, program = self.made(*args, **kwargs), getattr(_own, "program", None)
-        return options if program is None else program.add_to(options)
+    def __call__(self, module, *args, **kwargs):
+        options, program = self.made(module, *args, **kwargs), getattr(_own, "program", None)
+        if program is not None:
+            return program.add_to(options)
+        if _version() < EMITTERS_CHOSEN_BEFORE and _has_own_function(module):
+            options.env_option_overrides = [*options.env_option_overrides, (EMITTERS, False)]
+        return options
+
+
+def note_function(name: str) -> None:
+    """Record the name of a function of this package that users call, and may have inside of their programs."""
+    _functions.add(name)
+
+
+def _has_own_function(module) -> bool:
+    """Whether a module (MLIR) has a function with the name of one of this package's."""
+    names = (str(operation.attributes["sym_name"]).strip('"') for operation in module.body.operations)
+    return any(name.rstrip("0123456789").rstrip("_") in _functions or name in _functions for name in names)
 
 
 def _with(more: list[str], options):

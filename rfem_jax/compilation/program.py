@@ -52,6 +52,7 @@ class Program:
 
     def __init__(self, function: Callable, quick: bool = False):
         functools.update_wrapper(self, function)
+        options.note_function(function.__name__)
         self.function, self.quick = function, quick
         self._jitted = eqx.filter_jit(function)
         self._calls: dict[tuple, Transformable] = {}
@@ -68,6 +69,7 @@ class Program:
     @with_room
     def _plainly(self, args, kwargs) -> Any:
         """The result without a program of its own, as within another one."""
+        options.own_options_hold()
         with same_context():
             return self._jitted(*args, **kwargs)
 

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import pytest
 
 from rfem_jax.compilation import options
+from tests.compilation.functions import oscillator, swing_kept
 from tests.processes import in_a_new_process
 
 COMPILED_AS_SHIPPED = True
@@ -181,6 +182,25 @@ def test_own_programs_without_scalars_are_made_without_mlir_and_alias_metadata()
     assert without >= set(options.ALIAS_METADATA)
     assert (options.EMITTERS in without) == (options._version() < options.EMITTERS_CHOSEN_BEFORE)
     assert overridden(options.OwnProgram(scalarised=True)) == []
+
+
+def test_programs_of_the_user_with_one_of_ours_inside_are_made_without_mlir(monkeypatch):
+    found, call = [], options._WithOwnOptions.__call__
+    monkeypatch.setattr(options._WithOwnOptions, "__call__", lambda *a: (found.append(call(*a)), found[-1])[1])
+
+    def overridden(program):
+        del found[:]
+        program(jnp.linspace(0.1, 0.9, 3))
+        return found[-1].env_option_overrides
+
+    def ours(x):
+        return jnp.sum(swing_kept(oscillator(), x).path)
+
+    before = (options.EMITTERS, False) if options._version() < options.EMITTERS_CHOSEN_BEFORE else None
+    expected = [] if before is None else [before]
+    for program in ours, jax.grad(ours), jax.vmap(jax.grad(ours), in_axes=None, axis_size=2):
+        assert overridden(jax.jit(program)) == expected
+    assert overridden(jax.jit(lambda x: x * 2.0)) == []
 
 
 def test_own_programs_are_optimised_by_a_low_level_and_no_more_than_was_asked_for():
