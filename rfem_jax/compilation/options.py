@@ -43,7 +43,7 @@ FUSION_SAFE_FROM = (0, 12)  # jaxlib
 ALIAS_METADATA = ("xla_llvm_enable_noalias_metadata", "xla_llvm_enable_alias_scope_metadata")
 OPTIMISATION_LEVEL = 1
 # Kernels made by way of MLIR take much of the time of compilation, most in programs that run once, and run no faster;
-# scalarised programs would take longer without it.  XLA has the choice before jaxlib 0.12.  For this package's programs,
+# scalarised programs would take longer without it.  XLA has the choice before jaxlib 0.12.  For the package's programs,
 # and those of the user that have one of them inside.
 EMITTERS, EMITTERS_CHOSEN_BEFORE = "xla_cpu_use_fusion_emitters", (0, 12)
 OF_THIS_KIND = ("xla_backend_extra_options", "ynn_fusion")
