@@ -127,6 +127,12 @@ def test_programs_of_the_user_are_not_at_risk_and_own_ones_are_fused():
     assert own == "True True" and with_function == f"48.0 78.0 {safe}"
 
 
+def test_fusions_are_not_asked_for_where_a_function_of_the_user_takes_part(monkeypatch):
+    monkeypatch.setattr(options._attempt, "fusion", False)
+    assert options.FUSION in options.OwnProgram().options()
+    assert options.FUSION not in options.OwnProgram(alone=False).options()
+
+
 OWN = """
 import sys, jax, numpy as np
 from rfem_jax.compilation import options

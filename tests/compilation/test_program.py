@@ -175,29 +175,47 @@ def test_a_program_that_calls_python_is_not_kept_but_runs(kept, monkeypatch):
     assert counts(kept) == (1, 0, 0) and "no serialisation" in str(kept.unkept)
 
 
-def test_programs_from_jaxs_own_cache_are_not_kept_broken(kept, tmp_path):
-    """XLA cannot serialise an executable that it has deserialised."""
+@pytest.fixture
+def jaxs_cache(tmp_path):
+    """Folder of JAX's own cache, empty."""
     from jax.experimental.compilation_cache import compilation_cache
 
     before = jax.config.jax_compilation_cache_dir
     jax.config.update("jax_compilation_cache_dir", str(tmp_path / "jax"))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     compilation_cache.reset_cache()
-    try:
-        expected = swing_kept(oscillator(), X)
-        for _ in range(2):
-            for file in (tmp_path / "programs").iterdir():
-                file.unlink()
-            forget()
-            jax.clear_caches()
-            swing_kept(oscillator(), X)
-            forget()
-            assert_same_bits(swing_kept(oscillator(), X), expected)
-        assert kept.loaded == 2
-    finally:
-        jax.config.update("jax_compilation_cache_dir", before)
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 1.0)
-        compilation_cache.reset_cache()
+    yield tmp_path / "jax"
+    jax.config.update("jax_compilation_cache_dir", before)
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 1.0)
+    compilation_cache.reset_cache()
+
+
+def test_programs_from_jaxs_own_cache_are_not_kept_broken(kept, tmp_path, jaxs_cache):
+    """XLA cannot serialise an executable that it has deserialised."""
+    expected = swing_kept(oscillator(), X)
+    for _ in range(2):
+        for file in (tmp_path / "programs").iterdir():
+            file.unlink()
+        forget()
+        jax.clear_caches()
+        swing_kept(oscillator(), X)
+        forget()
+        assert_same_bits(swing_kept(oscillator(), X), expected)
+    assert kept.loaded == 2
+
+
+def test_jaxs_own_cache_has_what_is_not_kept(kept, jaxs_cache):
+    def written():
+        return {path.name for path in jaxs_cache.iterdir() if "of_users" in path.name}
+
+    jnp.zeros(3).block_until_ready()  # JAX makes the folder
+    swing_kept(oscillator(), X)
+    assert not any("swing" in path.name for path in jaxs_cache.iterdir()) and not written()
+
+    user = {"__name__": "__main__"}
+    exec("def of_users(x): return x + 0.125", user)
+    Program(user["of_users"])(X)
+    assert written() and kept.written == 1
 
 
 def end(x, function):
