@@ -252,8 +252,10 @@ def note_function(name: str) -> None:
 
 def _has_own_function(module) -> bool:
     """Whether a module (MLIR) has a function with the name of one of this package's."""
-    names = (str(operation.attributes["sym_name"]).strip('"') for operation in module.body.operations)
-    return any(name.rstrip("0123456789").rstrip("_") in _functions or name in _functions for name in names)
+    named = (operation.attributes for operation in module.body.operations if "sym_name" in operation.attributes)
+    names = (str(attributes["sym_name"]).strip('"') for attributes in named)
+    # JAX numbers functions of one name.
+    return any(name in _functions or name.rstrip("0123456789").removesuffix("_") in _functions for name in names)
 
 
 def _with(more: list[str], options):
