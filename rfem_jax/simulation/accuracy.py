@@ -42,7 +42,6 @@ from rfem_jax.simulation.stepping import Carry
 from rfem_jax.simulation.time_grid import TimeGrid
 
 TRIAL_INTERVALS = 50
-TOGETHER = 8  # trial assemblies in a program
 FIRST, LAST = 2, 256  # steps in an interval
 FEW = 32  # up to so many, running a quickly compiled program takes less time than compiling it thoroughly would
 # Changes are relative to the load of the joint, but at least to this share of the largest load of its kind.
@@ -150,14 +149,10 @@ def _longer(error: float, error_of_twice: float | None, accuracy: float) -> floa
 
 
 def _assemblies(model: Model, errors) -> AssemblyErrors:
-    if not isinstance(errors, AssemblyErrors):
-        names = model.topology.error_names
-        known = {name: jnp.asarray(value) for name, value in (errors or {}).items() if name in names}
-        errors = jax.vmap(lambda one: assembly_errors(model, one))(known) if known else trial_errors(model)
-    count = jax.tree.leaves(errors)[0].shape[0]
-    # The last ones again, so that there is one program for the trials of cases and those of samples.
-    rows = np.minimum(np.arange(-(-count // TOGETHER) * TOGETHER), count - 1)
-    return jax.tree.map(lambda leaf: leaf[rows], errors)
+    if isinstance(errors, AssemblyErrors):
+        return errors
+    known = {name: jnp.asarray(value) for name, value in (errors or {}).items() if name in model.topology.error_names}
+    return jax.vmap(lambda one: assembly_errors(model, one))(known) if known else trial_errors(model)
 
 
 def estimate_change(

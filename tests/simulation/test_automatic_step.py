@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from rfem_jax import Method, MomentRamp, assembly_errors, discretise
-from rfem_jax.simulation import accuracy
 from rfem_jax.simulation.accuracy import _longer, choose_method, estimate_change
 from rfem_jax.tolerancing.problems.distributions import Uniform
 from rfem_jax.tolerancing.problems.evaluation import evaluate_points
@@ -65,26 +64,6 @@ def test_a_sample_that_fails_does_not_spoil_the_choice(model, monkeypatch):
     assert choose_method(*settings, spoilt) == choose_method(*settings, others)
     monkeypatch.setattr("rfem_jax.simulation.accuracy._longest_step", lambda *given: None if given[-1] else 1e-3)
     assert choose_method(*settings, samples).step == 1e-3
-
-
-def test_cases_and_samples_have_the_same_programs(model, monkeypatch):
-    """The last assemblies are taken again where there are fewer than fit."""
-    given = []
-
-    def ahead(model, errors, drive, method):
-        given.append(errors.seat)
-        raise InterruptedError
-
-    monkeypatch.setattr(accuracy.prepare_trials, "ahead", ahead)
-    for samples in None, first_samples(TOLERANCES, KEY, 3), first_samples(TOLERANCES, KEY, 9):
-        with pytest.raises(InterruptedError):
-            choose_method(model, Method("auto", accuracy=ACCURACY), DRIVE, DURATION, samples)
-    own, few, many = given
-    assert [one.shape[0] for one in given] == [accuracy.TOGETHER, accuracy.TOGETHER, 2 * accuracy.TOGETHER]
-    np.testing.assert_array_equal(own[:2], accuracy.trial_errors(model).seat)
-    for one, count in (own, 2), (few, 3), (many, 9):
-        assert len(np.unique(one, axis=0)) == count
-        np.testing.assert_array_equal(one[count:], np.broadcast_to(one[count - 1], one[count:].shape))
 
 
 def test_the_first_samples_are_those_of_the_study():
