@@ -43,7 +43,7 @@ if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
     cache = Path(__file__).parents[1] / ".pytest_cache" / "compiled"
     jax.config.update("jax_compilation_cache_dir", str(cache))
 # Tracing makes millions of lasting objects: each is looked at once, and nothing in it is to be collected.
-gc.set_threshold(2_000_000, 1_000, 1_000)
+gc.set_threshold(10_000_000, 1_000, 1_000)
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
