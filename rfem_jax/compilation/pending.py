@@ -3,12 +3,15 @@
 Place in the pipeline: `call` makes them of traced programs and of those read from disk, `last_time` of the latter.
 """
 
+import atexit
 import threading
 from collections.abc import Callable
 from contextlib import suppress
 
 from rfem_jax.compilation import keeping
 from rfem_jax.compilation.executable import Executable, Packed, Traced, unpack
+
+_threads: set[threading.Thread] = set()
 
 
 class Pending:
@@ -37,11 +40,14 @@ class Pending:
 
     def begin(self) -> None:
         """Make it in the background; an exception there is raised again by `get`."""
-        threading.Thread(target=self._quietly, daemon=True).start()
+        thread = threading.Thread(target=self._quietly, daemon=True)
+        _threads.add(thread)
+        thread.start()
 
     def _quietly(self) -> None:
         with suppress(Exception):
             self.get()
+        _threads.discard(threading.current_thread())
 
     def _finish(self, program: Traced | Packed) -> Executable:
         try:
@@ -53,6 +59,18 @@ class Pending:
         if self._made is not None:
             self._made(executable)
         return executable
+
+
+def in_progress() -> bool:
+    """Whether programs are made in the background."""
+    return bool(_threads)
+
+
+@atexit.register
+def _wait() -> None:
+    """The process would be aborted if Python ended while a thread of it is in XLA's compiler."""
+    for thread in tuple(_threads):
+        thread.join()
 
 
 def read_kept(key: str) -> Pending | None:

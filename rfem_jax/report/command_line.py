@@ -14,9 +14,10 @@ Imports that take seconds (JAX, matplotlib) are inside the functions: `--help` i
 import argparse
 import gc
 import json
+import os
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from typing import Any, NoReturn
 
 from rfem_jax.report.commands.catalogue import all_commands
@@ -114,6 +115,12 @@ def run_process() -> int:
     code = main()
     # What is left is not looked through for garbage: half a second, for nothing.
     gc.freeze()
+    pending = sys.modules.get("rfem_jax.compilation.pending")
+    if pending is not None and pending.in_progress():  # after wrong input or an interruption: nobody waits for it
+        for stream in (sys.stdout, sys.stderr):
+            with suppress(OSError, ValueError):
+                stream.flush()
+        os._exit(code)
     return code
 
 
