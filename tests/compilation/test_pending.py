@@ -49,6 +49,7 @@ def test_a_command_ends_at_once_with_its_code_and_all_that_it_says():
     assert (answer.returncode, answer.stdout, answer.stderr) == (7, "said\n", "")
 
 
+@pytest.mark.wrong_types  # a program that waits
 @pytest.mark.parametrize("fails", [False, True])
 def test_what_is_done_is_not_in_progress(fails):
     class Program:
