@@ -87,7 +87,8 @@ class Traced(NamedTuple):
 
     def finish(self) -> Executable:
         """Compile it."""
-        on_stage(f"Compiling the program {self.what!r}, once for all models of its kind")
+        once = ", once for all models of its kind" if self.kept else ""
+        on_stage(f"Compiling the program {self.what!r}{once}")
         options.own_options_hold()
         with _without_jaxs_cache if self.kept else nullcontext(), options.own_program(self.own):
             quick = QUICK if self.quick else None

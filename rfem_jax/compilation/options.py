@@ -178,28 +178,33 @@ class OwnProgram:
 def own_program(program: OwnProgram | None = None) -> Iterator[OwnProgram]:
     """Declare that what this thread traces and compiles within the block is a program of this package (default: without
     a function of the user)."""
-    before, _own.program = getattr(_own, "program", None), program or OwnProgram()
+    before, _own.program = _present(), program or OwnProgram()
     try:
         yield _own.program
     finally:
         _own.program = before
 
 
+def _present() -> OwnProgram | None:
+    """The program of this package that this thread traces or compiles."""
+    return getattr(_own, "program", None)
+
+
 def in_own_program() -> bool:
     """Whether this thread traces or compiles a program of this package."""
-    return getattr(_own, "program", None) is not None
+    return _present() is not None
 
 
 def note_scalarised() -> None:
     """Record that the program which this thread is tracing has a scalarised jaxpr in it."""
-    program = getattr(_own, "program", None)
+    program = _present()
     if program is not None:
         program.scalarised = True
 
 
 def fusion_holds() -> bool:
     """Whether XLA makes fusions with several results in what this thread compiles now."""
-    program = getattr(_own, "program", None)
+    program = _present()
     return settle().set and (_attempt.fusion or (program is not None and program.alone and own_options_hold()))
 
 
@@ -237,7 +242,7 @@ class _WithOwnOptions:
         self.made = made
 
     def __call__(self, module, *args, **kwargs):
-        options, program = self.made(module, *args, **kwargs), getattr(_own, "program", None)
+        options, program = self.made(module, *args, **kwargs), _present()
         if program is not None:
             return program.add_to(options)
         if _version() < EMITTERS_CHOSEN_BEFORE and _has_own_function(module):

@@ -21,7 +21,16 @@ from contextlib import contextmanager, nullcontext, suppress
 from typing import Any, NoReturn
 
 from rfem_jax.report.commands.catalogue import all_commands
-from rfem_jax.report.commands.command import EXIT_CODES, INTERRUPTED, UNREAD, WRONG_INPUT, Answer, Command, Interrupted
+from rfem_jax.report.commands.command import (
+    DONE,
+    EXIT_CODES,
+    INTERRUPTED,
+    UNREAD,
+    WRONG_INPUT,
+    Answer,
+    Command,
+    Interrupted,
+)
 from rfem_jax.report.process import count_devices, join_processes, require_platform, set_up_jax
 from rfem_jax.report.progress_line import ClosedPipe, ProgressLine, discard, paint, print_document, say, speaking
 from rfem_jax.stack_room import with_room
@@ -116,7 +125,8 @@ def run_process() -> int:
     # What is left is not looked through for garbage: half a second, for nothing.
     gc.freeze()
     pending = sys.modules.get("rfem_jax.compilation.pending")
-    if pending is not None and pending.in_progress():  # after wrong input or an interruption: nobody waits for it
+    # After wrong input or an interruption nobody waits for programs.
+    if code != DONE and pending is not None and pending.in_progress():
         for stream in (sys.stdout, sys.stderr):
             with suppress(OSError, ValueError):
                 stream.flush()

@@ -30,7 +30,7 @@ from rfem_jax.report import command_line
 
 def main():
     print("said")
-    return 7
+    return int(sys.argv[2])
 
 command_line.main = main
 sys.exit(command_line.run_process())
@@ -41,12 +41,12 @@ def test_python_ends_when_it_is_done():
     assert in_a_new_process(SLOW, "0.5") == "made"
 
 
-def test_a_command_ends_at_once_with_its_code_and_all_that_it_says():
+@pytest.mark.parametrize(["code", "lasts", "said"], [(7, 600, "said\n"), (0, 0.5, "said\nmade\n")])
+def test_a_command_that_fails_ends_at_once_with_its_code_and_all_that_it_says(code, lasts, said):
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "JAX_PLATFORMS": "cpu", "PYTHONUNBUFFERED": ""}
-    answer = subprocess.run(
-        [sys.executable, "-c", COMMAND, "600"], env=environment, capture_output=True, text=True, timeout=300
-    )
-    assert (answer.returncode, answer.stdout, answer.stderr) == (7, "said\n", "")
+    command = [sys.executable, "-c", COMMAND, str(lasts), str(code)]
+    answer = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300)
+    assert (answer.returncode, sorted(answer.stdout.split()), answer.stderr) == (code, sorted(said.split()), "")
 
 
 @pytest.mark.wrong_types  # a program that waits

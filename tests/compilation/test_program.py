@@ -289,6 +289,16 @@ def test_where_programs_are_not_kept_they_are_made_in_the_same_way(tmp_path, mon
             assert counts(statistics) == (2, 0, 0)
 
 
+@pytest.mark.parametrize("folder", [None, "programs"])
+def test_what_is_compiled_is_said_and_whether_it_is_kept(tmp_path, monkeypatch, folder):
+    said = []
+    monkeypatch.setattr("rfem_jax.compilation.executable.on_stage", said.append)
+    with covered(folder and tmp_path / folder):
+        swing_kept(oscillator(), X)
+    once = ", once for all models of its kind" if folder else ""
+    assert said == ["Tracing the program 'swing'", f"Compiling the program 'swing'{once}"]
+
+
 def test_a_folder_inside_of_jaxs_cache_is_refused(tmp_path):
     before = jax.config.jax_compilation_cache_dir
     jax.config.update("jax_compilation_cache_dir", str(tmp_path))

@@ -1,0 +1,60 @@
+"""Drives and metrics of the user's own, in programs that are made by themselves: the same values as within one program
+of the user, and derivatives by the numbers of such a drive."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from rfem_jax import Joint, Mechanism, Method, MomentFunction, Problem, discretise
+from rfem_jax.compilation import keeping
+from rfem_jax.tolerancing.problems.problem import Metric
+from tests.mechanisms import link
+
+
+class Sine(eqx.Module):
+    """A moment with a number to differentiate by."""
+
+    moment: jax.Array
+
+    def __call__(self, t, phase):
+        return self.moment * jnp.sin(200.0 * t)
+
+
+DURATION, ERROR = 0.02, 2e-3
+METRIC = Metric("mean_square", "N^2", function=lambda run: jnp.mean(run.loads["A"].force ** 2))
+
+
+@pytest.fixture(scope="module")
+def model():
+    return discretise(Mechanism([link("arm", 0.3)], [Joint("A", "base", "arm")], driven_joint="A"))
+
+
+@pytest.fixture
+def traced(monkeypatch):
+    """Programs that are made by themselves, as for a user who keeps none."""
+    monkeypatch.setattr(keeping, "_choice", keeping._Choice(None))
+    monkeypatch.setattr(keeping, "statistics", keeping.Statistics())
+    return keeping.statistics
+
+
+METHODS = {"rk4": Method("rk4", step=1e-3), "generalised_alpha": Method("generalised_alpha", step=1e-3)}
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_values_and_derivatives_are_those_of_one_program(model, traced, method):
+    def mean_square(moment, tilt):
+        problem = Problem(model, MomentFunction("A", Sine(moment)), DURATION, METRIC, METHODS[method])
+        return problem({"A.delta_x": tilt})[0]["mean_square"]
+
+    at = jnp.asarray(0.7), jnp.asarray(ERROR)
+    value = mean_square(*at)
+    assert traced.traced > 0 and traced.written == 0
+    np.testing.assert_allclose(value, jax.jit(mean_square)(*at), rtol=1e-12)
+    gradient = jax.grad(mean_square, argnums=(0, 1))(*at)
+    np.testing.assert_allclose(jax.jacfwd(mean_square, argnums=(0, 1))(*at), gradient, rtol=1e-9, atol=1e-12)
+    step = 1e-4 * np.array([0.7, ERROR])
+    for i, slope in enumerate(gradient):
+        apart = [mean_square(*(x + sign * step[i] * (i == k) for k, x in enumerate(at))) for sign in (1, -1)]
+        np.testing.assert_allclose(slope, (apart[0] - apart[1]) / (2.0 * step[i]), rtol=1e-6, atol=1e-9 * abs(value))
