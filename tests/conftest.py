@@ -9,6 +9,9 @@ from pathlib import Path
 # SciPy's LAPACK keeps its threads spinning after a call, on the core of the other worker.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+# Results are compared to the last bit, and programs compiled with options of a CPU's compiler.
+os.environ.setdefault("JAX_PLATFORMS", "cpu")
+
 # Tests replace parts of the package, which the key of a kept program does not see.
 os.environ.setdefault("RFEM_JAX_NO_CACHE", "1")
 
