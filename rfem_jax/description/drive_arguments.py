@@ -1,21 +1,19 @@
 """The arguments of drives: how they are checked, and made arrays or static times.
 
-Place in the pipeline: units, errors -> **drive_arguments** -> drives, translation_drives.
+Place in the pipeline: units, errors, own_functions -> **drive_arguments** -> drives, translation_drives.
 """
 
 from collections.abc import Callable
 from typing import Any
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jax.tree_util import Partial
 from jaxtyping import Array, Float, Int
 
 from rfem_jax.description.errors import ABSENT, Checks, InputError, require_choice, require_name, subject
 from rfem_jax.description.joint_kinds import KINDS
+from rfem_jax.description.own_functions import as_tree, checked
 from rfem_jax.description.precision import require_float64
 from rfem_jax.description.units import Quantities, quantity, sequence
 
@@ -117,27 +115,13 @@ def checked_breakpoints(breakpoints: Quantities) -> tuple[float, ...]:
     return times
 
 
-def as_tree(function: object) -> Any:
-    """A function as a pytree: an equinox Module keeps its leaves, a plain function is static."""
-    if not callable(function):
-        raise InputError(
-            f"Argument `function` must be a function of time, but was {function!r}; pass for example lambda t: 0.6 * t."
-        )
-    return function if isinstance(function, (eqx.Module, Partial)) else Partial(function)
+def function_of_time(function: object) -> Any:
+    """A function as a pytree."""
+    return as_tree(function, "`function`", "time", "pass for example lambda t: 0.6 * t")
 
 
-def check_scalar(function: Callable[..., Any], with_phase: bool) -> None:
-    """Refuse a function of time that does not return a float64 scalar."""
-    t, phase = jax.ShapeDtypeStruct((), jnp.float64), jax.ShapeDtypeStruct((), jnp.int32)
-    signature = "(t, phase)" if with_phase else "(t)"
-    try:
-        result = eqx.filter_eval_shape(function, *((t, phase) if with_phase else (t,)))
-    except Exception as error:
-        raise InputError(
-            f"Argument `function` must be callable as function{signature} in JAX, but raised "
-            f"{type(error).__name__}: {error}; use jax.numpy and these arguments."
-        ) from error
-    if getattr(result, "shape", None) != () or result.dtype != jnp.float64:
-        raise InputError(
-            f"Argument `function` must return a float64 scalar, but returned {result}; return one jax.numpy value."
-        )
+def checked_function_of_time(function: Callable[..., Any], with_phase: bool) -> Any:
+    """A function of time, and of the phase, that returns a float64 scalar."""
+    if with_phase:
+        return checked(function, "`function`", "t, phase", ("float64", "int32"))
+    return checked(function, "`function`", "t", ("float64",))

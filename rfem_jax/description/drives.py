@@ -27,11 +27,11 @@ from rfem_jax.description.drive_arguments import (
     Scalar,
     Time,
     as_phase,
-    as_tree,
-    check_scalar,
     checked_breakpoints,
+    checked_function_of_time,
     column,
     drive_checks,
+    function_of_time,
     leaf,
     table_changes,
     table_times,
@@ -159,8 +159,8 @@ class MomentFunction(MomentDrive):
 
     Args:
         joint: the joint's name.
-        function: (t [s], phase) -> moment [N m], a float64 scalar; smooth within a phase. An
-            `equinox.Module` with `__call__` may hold parameters to differentiate.
+        function: (t [s], phase) -> moment [N m], a float64 scalar; smooth within a phase. It may
+            close over parameters to differentiate, or be an `equinox.Module` that holds them.
         breakpoints: times [s] > 0 at which the moment jumps, increasing.
         motion: which free motion of the joint, as "R_y" or "T_x" (a rotation about y, a translation along x); None =
             the joint's only one.
@@ -173,9 +173,9 @@ class MomentFunction(MomentDrive):
     def __init__(self, joint: str, function: Law, breakpoints: Quantities = (), motion: str | None = None):
         checks = drive_checks(self, joint, motion)
         checks.set("times", breakpoints, checked_breakpoints)
-        checks.set("function", function, as_tree)
+        checks.set("function", function, function_of_time)
         checks.refuse()
-        check_scalar(self.function, with_phase=True)
+        self.function = checked_function_of_time(self.function, with_phase=True)
 
     def breakpoints(self) -> tuple[float, ...]:
         return self.times
@@ -296,15 +296,16 @@ class PrescribedFunction(PrescribedDrive):
     def __init__(self, joint: str, function: Law, breakpoints: Quantities = (), motion: str | None = None):
         checks = drive_checks(self, joint, motion)
         checks.set("times", breakpoints, checked_breakpoints)
-        checks.set("function", function, as_tree)
+        checks.set("function", function, function_of_time)
         checks.refuse()
-        check_scalar(self.function, with_phase=bool(self.times))
+        checked_function = checked_function_of_time(self.function, with_phase=bool(self.times))
         start = self._angle(jnp.zeros((), jnp.float64), 0)
         if not isinstance(start, Tracer) and not abs(float(start)) <= 1e-12:
             raise InputError(
                 f"Argument `function` must be 0 at t = 0, but was {float(start)}; return the change "
                 "of the angle or displacement since the start."
             )
+        self.function = checked_function
 
     def breakpoints(self) -> tuple[float, ...]:
         return self.times

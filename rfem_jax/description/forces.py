@@ -14,16 +14,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax.tree_util import Partial
 
 from rfem_jax.description.driven_motions import plain_motion
 from rfem_jax.description.errors import ChecksItself, InputError, require_choice, require_name
 from rfem_jax.description.joint_kinds import KINDS, Freedom
 from rfem_jax.description.joints import Joint
+from rfem_jax.description.own_functions import as_tree, checked
 from rfem_jax.description.units import (
     Quantities,
     Quantity,
@@ -156,8 +153,8 @@ class JointForceFunction(ChecksItself, JointForce):
     Args:
         name: a word.
         joint: name of a joint that is not cut.
-        function: (position [rad, m], rate [rad/s, m/s]) -> moment [N m] or force [N], a float64 scalar. An
-            `equinox.Module` with `__call__` may hold parameters to differentiate.
+        function: (position [rad, m], rate [rad/s, m/s]) -> moment [N m] or force [N], a float64 scalar. It may
+            close over parameters to differentiate, or be an `equinox.Module` that holds them.
         motion: which free motion of the joint, as "R_y" or "T_x" (a rotation about y, a translation along x); None =
             the joint's only one.
     Raises:
@@ -171,29 +168,9 @@ class JointForceFunction(ChecksItself, JointForce):
 
     def __post_init__(self):
         _check_names(self)
-        if not callable(self.function):
-            raise InputError(
-                f"Argument `function` of force `{self.name}` must be a function of position and rate, but was "
-                f"{self.function!r}; pass for example lambda q, v: -3.0 * q**3."
-            )
-        if not isinstance(self.function, (eqx.Module, Partial)):
-            object.__setattr__(self, "function", Partial(self.function))
-        self._check_result()
-
-    def _check_result(self) -> None:
-        number = jax.ShapeDtypeStruct((), jnp.float64)
-        try:
-            result = eqx.filter_eval_shape(self.function, number, number)
-        except Exception as error:
-            raise InputError(
-                f"Argument `function` of force `{self.name}` must be callable as function(position, rate) in JAX, but "
-                f"raised {type(error).__name__}: {error}; use jax.numpy and these arguments."
-            ) from error
-        if getattr(result, "shape", None) != () or result.dtype != jnp.float64:
-            raise InputError(
-                f"Argument `function` of force `{self.name}` must return a float64 scalar, but returned {result}; "
-                "return one jax.numpy value."
-            )
+        where = f"`function` of force `{self.name}`"
+        tree = as_tree(self.function, where, "position and rate", "pass for example lambda q, v: -3.0 * q**3")
+        object.__setattr__(self, "function", checked(tree, where, "position, rate", ("float64", "float64")))
 
     def resolved(self, joint: Joint) -> "JointForceFunction":
         _freedom_of(self, joint)

@@ -13,12 +13,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 
-from rfem_jax.description.drive_arguments import as_tree, checked_breakpoints, table_times
+from rfem_jax.description.drive_arguments import checked_breakpoints, table_times
 from rfem_jax.description.errors import (
     ABSENT,
     Checks,
@@ -31,6 +28,7 @@ from rfem_jax.description.errors import (
 )
 from rfem_jax.description.forces import Force
 from rfem_jax.description.links import Link, place_on_link
+from rfem_jax.description.own_functions import as_tree, checked
 from rfem_jax.description.units import Quantities, Quantity, non_negative_quantity, quantity, sequence, vector
 
 if TYPE_CHECKING:
@@ -185,7 +183,8 @@ class PointSpringFunction(BetweenPoints):
         points: its point on each, (x, y, z) [m] in the frame of the link (for the base: global); a single number x
             means on the axis.
         function: (distance of the points [m], its rate [m/s]) -> tension [N], a float64 scalar, positive where the
-            points are pulled together. An `equinox.Module` with `__call__` may hold parameters to differentiate.
+            points are pulled together. It may close over parameters to differentiate,
+            or be an `equinox.Module` that holds them.
     Raises:
         InputError: a value is of the wrong kind.
     """
@@ -367,22 +366,5 @@ def _function(
     function: Any, of: str, names: str, shape: tuple[int, ...], kinds: tuple[str, ...], argument: str = "function"
 ) -> Any:
     """A function as a pytree, tried with arguments of given names and kinds for a float64 result of a shape."""
-    if not callable(function):
-        raise InputError(
-            f"Argument `{argument}` {of} must be a function of {names}, but was {function!r}; pass one written in JAX."
-        )
-    tree = as_tree(function)
-    numbers = (jax.ShapeDtypeStruct((), jnp.dtype(kind)) for kind in kinds)
-    try:
-        result = eqx.filter_eval_shape(tree, *numbers)
-    except Exception as error:
-        raise InputError(
-            f"Argument `{argument}` {of} must be callable as function({names}) in JAX, but raised "
-            f"{type(error).__name__}: {error}; use jax.numpy and these arguments."
-        ) from error
-    if getattr(result, "shape", None) != shape or result.dtype != jnp.float64:
-        wanted = f"a float64 array of {shape[0]}" if shape else "a float64 scalar"
-        raise InputError(
-            f"Argument `{argument}` {of} must return {wanted}, but returned {result}; return one jax.numpy value."
-        )
-    return tree
+    where = f"`{argument}` {of}"
+    return checked(as_tree(function, where, names), where, names, kinds, shape)

@@ -19,11 +19,11 @@ from rfem_jax.description.drive_arguments import (
     Scalar,
     Time,
     as_phase,
-    as_tree,
-    check_scalar,
     checked_breakpoints,
+    checked_function_of_time,
     column,
     drive_checks,
+    function_of_time,
     leaf,
     table_changes,
     table_times,
@@ -112,8 +112,8 @@ class ForceFunction(ForceDrive):
 
     Args:
         joint: the joint's name.
-        function: (t [s], phase) -> force [N], a float64 scalar; smooth within a phase. An
-            `equinox.Module` with `__call__` may hold parameters to differentiate.
+        function: (t [s], phase) -> force [N], a float64 scalar; smooth within a phase. It may
+            close over parameters to differentiate, or be an `equinox.Module` that holds them.
         breakpoints: times [s] > 0 at which the force jumps, increasing.
         motion: which translation of the joint, as "T_x" (along x); None = the joint's only motion.
     """
@@ -125,9 +125,9 @@ class ForceFunction(ForceDrive):
     def __init__(self, joint: str, function: Law, breakpoints: Quantities = (), motion: str | None = None):
         checks = drive_checks(self, joint, motion)
         checks.set("times", breakpoints, checked_breakpoints)
-        checks.set("function", function, as_tree)
+        checks.set("function", function, function_of_time)
         checks.refuse()
-        check_scalar(self.function, with_phase=True)
+        self.function = checked_function_of_time(self.function, with_phase=True)
 
     def breakpoints(self) -> tuple[float, ...]:
         return self.times

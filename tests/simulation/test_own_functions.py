@@ -7,7 +7,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax import Joint, Mechanism, Method, MomentFunction, Problem, discretise
+from rfem_jax import (
+    Joint,
+    JointForceFunction,
+    Mechanism,
+    Method,
+    MomentFunction,
+    PointForce,
+    Problem,
+    discretise,
+    simulate,
+)
 from rfem_jax.compilation import keeping
 from rfem_jax.tolerancing.problems.problem import Metric
 from tests.mechanisms import link
@@ -26,9 +36,13 @@ DURATION, ERROR = 0.02, 2e-3
 METRIC = Metric("mean_square", "N^2", function=lambda run: jnp.mean(run.loads["A"].force ** 2))
 
 
+def arm(forces=()):
+    return Mechanism([link("arm", 0.3)], [Joint("A", "base", "arm")], driven_joint="A", forces=forces)
+
+
 @pytest.fixture(scope="module")
 def model():
-    return discretise(Mechanism([link("arm", 0.3)], [Joint("A", "base", "arm")], driven_joint="A"))
+    return discretise(arm())
 
 
 @pytest.fixture
@@ -58,3 +72,22 @@ def test_values_and_derivatives_are_those_of_one_program(model, traced, method):
     for i, slope in enumerate(gradient):
         apart = [mean_square(*(x + sign * step[i] * (i == k) for k, x in enumerate(at))) for sign in (1, -1)]
         np.testing.assert_allclose(slope, (apart[0] - apart[1]) / (2.0 * step[i]), rtol=1e-6, atol=1e-9 * abs(value))
+
+
+def test_functions_may_close_over_what_is_differentiated():
+    """By the implicit method, whose rules of differentiation see the leaves of a function alone."""
+
+    def mean_square(x):
+        drive = MomentFunction("A", lambda t, phase: x[0] * jnp.sin(200.0 * t))
+        spring = JointForceFunction("spring", "A", lambda angle, rate: -x[1] * angle)
+        force = PointForce("force", "arm", 0.2, lambda t, phase: x[2] * jnp.stack([t, 0.0 * t, t]))
+        changed = discretise(arm(forces=[spring, force]))
+        run = simulate(changed, drive=drive, duration=5e-3, method=METHODS["generalised_alpha"], save_every=5e-3)
+        return run.metrics.mean_square_force["A"]
+
+    at = jnp.asarray([1.0, 50.0, 500.0])
+    slopes = jax.grad(mean_square)(at)
+    np.testing.assert_allclose(jax.jacfwd(mean_square)(at), slopes, rtol=1e-9)
+    for slope, step in zip(slopes, 1e-4 * jnp.diag(at)):
+        differences = (mean_square(at + step) - mean_square(at - step)) / 2.0
+        np.testing.assert_allclose(slope * step.sum(), differences, rtol=1e-5)
