@@ -45,8 +45,8 @@ if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
     # The two workers, and the next session, compile the same programs.
     cache = Path(__file__).parents[1] / ".pytest_cache" / "compiled"
     jax.config.update("jax_compilation_cache_dir", str(cache))
-# Tracing makes millions of lasting objects: each is looked at once, and nothing in it is to be collected.
-gc.set_threshold(10_000_000, 1_000, 1_000)
+# Tracing makes millions of lasting objects; to look through them for garbage, of which there is little, takes long.
+gc.disable()
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
