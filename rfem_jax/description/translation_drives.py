@@ -113,7 +113,7 @@ class ForceFunction(ForceDrive):
     Args:
         joint: the joint's name.
         function: (t [s], phase) -> force [N], a float64 scalar; smooth within a phase. It may
-            close over parameters to differentiate, or be an `equinox.Module` that holds them.
+            close over parameters to differentiate; an `equinox.Module` that holds them is compiled once for all values.
         breakpoints: times [s] > 0 at which the force jumps, increasing.
         motion: which translation of the joint, as "T_x" (along x); None = the joint's only motion.
     """
