@@ -160,7 +160,8 @@ class MomentFunction(MomentDrive):
     Args:
         joint: the joint's name.
         function: (t [s], phase) -> moment [N m], a float64 scalar; smooth within a phase. It may
-            close over parameters to differentiate; an `equinox.Module` that holds them is compiled once for all values.
+            close over what is differentiated; an `equinox.Module` that has it as arrays is compiled once for all
+            values.
         breakpoints: times [s] > 0 at which the moment jumps, increasing.
         motion: which free motion of the joint, as "R_y" or "T_x" (a rotation about y, a translation along x); None =
             the joint's only one.

@@ -154,7 +154,8 @@ class JointForceFunction(ChecksItself, JointForce):
         name: a word.
         joint: name of a joint that is not cut.
         function: (position [rad, m], rate [rad/s, m/s]) -> moment [N m] or force [N], a float64 scalar. It may
-            close over parameters to differentiate; an `equinox.Module` that holds them is compiled once for all values.
+            close over what is differentiated; an `equinox.Module` that has it as arrays is compiled once for all
+            values.
         motion: which free motion of the joint, as "R_y" or "T_x" (a rotation about y, a translation along x); None =
             the joint's only one.
     Raises:

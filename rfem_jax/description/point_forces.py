@@ -183,8 +183,8 @@ class PointSpringFunction(BetweenPoints):
         points: its point on each, (x, y, z) [m] in the frame of the link (for the base: global); a single number x
             means on the axis.
         function: (distance of the points [m], its rate [m/s]) -> tension [N], a float64 scalar, positive where the
-            points are pulled together. It may close over parameters to differentiate;
-            an `equinox.Module` that holds them is compiled once for all values.
+            points are pulled together. It may close over what is differentiated;
+            an `equinox.Module` that has it as arrays is compiled once for all values.
     Raises:
         InputError: a value is of the wrong kind.
     """

@@ -113,7 +113,8 @@ class ForceFunction(ForceDrive):
     Args:
         joint: the joint's name.
         function: (t [s], phase) -> force [N], a float64 scalar; smooth within a phase. It may
-            close over parameters to differentiate; an `equinox.Module` that holds them is compiled once for all values.
+            close over what is differentiated; an `equinox.Module` that has it as arrays is compiled once for all
+            values.
         breakpoints: times [s] > 0 at which the force jumps, increasing.
         motion: which translation of the joint, as "T_x" (along x); None = the joint's only motion.
     """
