@@ -18,7 +18,7 @@ def path_without_matplotlib(folder):
 
 def in_a_new_process(code, *arguments, flags=""):
     """What a program prints that starts with the given XLA_FLAGS."""
-    # Tracing makes lasting objects, and to look through them for garbage takes a fifth of its time.
+    # Tracing makes lasting objects, and to look through them for garbage takes long.
     answer = subprocess.run(
         [sys.executable, "-c", f"import gc\ngc.disable()\n{code}", *arguments],
         env={**os.environ, "XLA_FLAGS": flags, "PYTHONPATH": str(ROOT), "JAX_PLATFORMS": "cpu"},

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, Int
 
 from rfem_jax.description.errors import ABSENT, Checks, InputError, require_choice, require_name, subject
 from rfem_jax.description.joint_kinds import KINDS
-from rfem_jax.description.own_functions import as_tree, checked
+from rfem_jax.description.own_functions import as_tree, checked_function
 from rfem_jax.description.precision import require_float64
 from rfem_jax.description.units import Quantities, quantity, sequence
 
@@ -123,5 +123,5 @@ def function_of_time(function: object) -> Any:
 def checked_function_of_time(function: Callable[..., Any], with_phase: bool) -> Any:
     """A function of time, and of the phase, that returns a float64 scalar."""
     if with_phase:
-        return checked(function, "`function`", "t, phase", ("float64", "int32"))
-    return checked(function, "`function`", "t", ("float64",))
+        return checked_function(function, "`function`", "t, phase", ("float64", "int32"))
+    return checked_function(function, "`function`", "t", ("float64",))

@@ -299,14 +299,14 @@ class PrescribedFunction(PrescribedDrive):
         checks.set("times", breakpoints, checked_breakpoints)
         checks.set("function", function, function_of_time)
         checks.refuse()
-        checked_function = checked_function_of_time(self.function, with_phase=bool(self.times))
+        function_with_leaves = checked_function_of_time(self.function, with_phase=bool(self.times))
         start = self._angle(jnp.zeros((), jnp.float64), 0)
         if not isinstance(start, Tracer) and not abs(float(start)) <= 1e-12:
             raise InputError(
                 f"Argument `function` must be 0 at t = 0, but was {float(start)}; return the change "
                 "of the angle or displacement since the start."
             )
-        self.function = checked_function
+        self.function = function_with_leaves
 
     def breakpoints(self) -> tuple[float, ...]:
         return self.times

@@ -20,7 +20,7 @@ from rfem_jax.description.driven_motions import plain_motion
 from rfem_jax.description.errors import ChecksItself, InputError, require_choice, require_name
 from rfem_jax.description.joint_kinds import KINDS, Freedom
 from rfem_jax.description.joints import Joint
-from rfem_jax.description.own_functions import as_tree, checked
+from rfem_jax.description.own_functions import as_tree, checked_function
 from rfem_jax.description.units import (
     Quantities,
     Quantity,
@@ -171,7 +171,8 @@ class JointForceFunction(ChecksItself, JointForce):
         _check_names(self)
         where = f"`function` of force `{self.name}`"
         tree = as_tree(self.function, where, "position and rate", "pass for example lambda q, v: -3.0 * q**3")
-        object.__setattr__(self, "function", checked(tree, where, "position, rate", ("float64", "float64")))
+        tree = checked_function(tree, where, "position, rate", ("float64", "float64"))
+        object.__setattr__(self, "function", tree)
 
     def resolved(self, joint: Joint) -> "JointForceFunction":
         _freedom_of(self, joint)

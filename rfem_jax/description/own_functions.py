@@ -38,7 +38,9 @@ class _WithValues(eqx.Module):
         return self.function(*arguments, *self.values)
 
 
-def checked(tree: Callable, where: str, names: str, kinds: tuple[str, ...], shape: tuple[int, ...] = ()) -> Any:
+def checked_function(
+    tree: Callable, where: str, names: str, kinds: tuple[str, ...], shape: tuple[int, ...] = ()
+) -> Any:
     """A function as a pytree, tried with scalars of given names and kinds for a float64 result of a shape.
 
     What it closes over and JAX is differentiating is among its leaves then: rules of differentiation, as those of the

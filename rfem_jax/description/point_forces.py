@@ -28,7 +28,7 @@ from rfem_jax.description.errors import (
 )
 from rfem_jax.description.forces import Force
 from rfem_jax.description.links import Link, place_on_link
-from rfem_jax.description.own_functions import as_tree, checked
+from rfem_jax.description.own_functions import as_tree, checked_function
 from rfem_jax.description.units import Quantities, Quantity, non_negative_quantity, quantity, sequence, vector
 
 if TYPE_CHECKING:
@@ -367,4 +367,4 @@ def _function(
 ) -> Any:
     """A function as a pytree, tried with arguments of given names and kinds for a float64 result of a shape."""
     where = f"`{argument}` {of}"
-    return checked(as_tree(function, where, names), where, names, kinds, shape)
+    return checked_function(as_tree(function, where, names), where, names, kinds, shape)

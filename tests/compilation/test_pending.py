@@ -42,7 +42,7 @@ def test_python_ends_when_it_is_done():
 
 
 @pytest.mark.parametrize(["code", "lasts", "said"], [(7, 600, "said\n"), (0, 0.5, "said\nmade\n")])
-def test_a_command_that_fails_ends_at_once_with_its_code_and_all_that_it_says(code, lasts, said):
+def test_a_command_ends_with_its_code_and_all_that_it_says_and_at_once_if_it_fails(code, lasts, said):
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "JAX_PLATFORMS": "cpu", "PYTHONUNBUFFERED": ""}
     command = [sys.executable, "-c", COMMAND, str(lasts), str(code)]
     answer = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300)

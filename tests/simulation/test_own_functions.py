@@ -1,5 +1,5 @@
-"""Drives and metrics of the user's own, in programs that are made by themselves: the same values as within one program
-of the user, and derivatives by the numbers of such a drive."""
+"""Drives, forces and metrics of the user's own: in programs that are made by themselves the same values as within one
+program of the user, and derivatives by the numbers that they hold or close over."""
 
 import equinox as eqx
 import jax
