@@ -28,6 +28,7 @@ class TaskKind:
         command: the subcommand that does it alone; None makes it of `name`, with "-" for "_".
         many_processes: True if several processes can share its work (the command then has options for them).
         kept: what an interrupted run leaves for the same command to continue with; "" for nothing.
+        tables: names without ending of the CSV files that it writes besides NAME.csv; no case may have them.
     """
 
     name: str
@@ -39,6 +40,7 @@ class TaskKind:
     command: str | None = None
     many_processes: bool = False
     kept: str = ""
+    tables: tuple[str, ...] = ()
 
     def __post_init__(self):
         if not self.name.isidentifier() or not self.name.isascii():
@@ -61,6 +63,8 @@ class TaskKind:
 
 # Names that study files and the command line use for something else.
 RESERVED_TABLES = ("title", "note", "mechanism", "drive", "drives", "design", "simulation", "cases", "tolerances")
+# CSV files, without their ending, of the subcommands that are no tasks.
+OTHER_TABLES = ("turn", "modes", "cycle", "comparison", "comparison_tasks", "validation")
 # Subcommands that are no tasks, in the order of `--help`: each is a file of `rfem_jax.report.commands` of that name.
 COMMANDS = ("init", "run", "modes", "turn", "cycle", "check", "compare", "keys", "parameters", "report", "validate")
 
@@ -70,6 +74,11 @@ _kinds: dict[str, TaskKind] = {}
 def task_kinds() -> dict[str, TaskKind]:
     """{name: kind} of all kinds that are known, in the order in which a study's tasks are done."""
     return dict(_kinds)
+
+
+def names_of_tables() -> tuple[str, ...]:
+    """Names without ending of the CSV files in a folder of results that are no case's."""
+    return (*OTHER_TABLES, *(name for kind in _kinds.values() for name in (kind.name, *kind.tables)))
 
 
 def register_task(kind: TaskKind) -> TaskKind:
@@ -136,6 +145,7 @@ register_task(
         command="allocate",
         purpose="the cheapest tolerances that keep limits on loads",
         results="tolerances before and after, verified margins, cost against limits",
+        tables=("allocation_front",),
     )
 )
 register_task(
@@ -166,5 +176,6 @@ register_task(
         purpose="the best dimensions and tolerances that keep limits",
         results="dimensions and tolerances before and after, verified margins, Pareto front",
         kept="evaluations of an optimisation",
+        tables=("optimise_limits", "optimise_front"),
     )
 )

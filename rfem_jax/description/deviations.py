@@ -10,12 +10,12 @@ which share a drive.
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 
 from rfem_jax.description.drive_numbers import NUMBER_DIMENSIONS, drive_number_dimension, each_drive_number
 from rfem_jax.description.driven_motions import AnyDrive, driven_motion, motion_label
 from rfem_jax.description.error_catalogue import error_dimension, parameters_being_read, reading_parameters
-from rfem_jax.description.errors import InputError, Problems, subject, suggestion
+from rfem_jax.description.errors import ABSENT, InputError, Problems, subject, suggestion
 from rfem_jax.description.mechanism import Mechanism
 from rfem_jax.description.parameters import parameters_of
 from rfem_jax.description.units import DIMENSIONS
@@ -77,10 +77,11 @@ def require_sizes(mechanism: Mechanism, sizes: Mapping[str, float], where: str) 
 @contextmanager
 def known_while_reading(mechanism: object, drives: Sequence[AnyDrive] | None = ()) -> Iterator[None]:
     """Within the block names of the parameters of a mechanism and of the numbers of its drives have dimensions wherever
-    names of errors do (`drives` None: they could not be read, and may have any number); nothing happens for what is no
-    mechanism."""
+    names of errors do (`drives` None: they could not be read, and may have any number). Of a mechanism that could not
+    be read (ABSENT) they are not known, and no name is refused; nothing happens for what is no mechanism."""
     if not isinstance(mechanism, Mechanism):
-        yield
+        with reading_parameters(None) if mechanism is ABSENT else nullcontext():
+            yield
         return
     dimensions = _drive_dimensions(mechanism, drives)
     named = parameters_of(mechanism)

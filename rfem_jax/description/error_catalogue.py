@@ -15,13 +15,13 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from types import MappingProxyType
 
-from rfem_jax.description.errors import InputError, suggestion
+from rfem_jax.description.errors import InputError, nearest, suggestion
 from rfem_jax.description.joint_kinds import KINDS, joint_errors
 
 JOINT_ERRORS = {name: dimension for kind in KINDS.values() for name, dimension in joint_errors(kind).items()}
 LINK_ERRORS = {"length": "length", "twist": "angle"}
 _KNOWN = {**JOINT_ERRORS, **LINK_ERRORS}
-_parameters: ContextVar[Mapping[str, str]] = ContextVar("parameters", default=MappingProxyType({}))
+_parameters: ContextVar[Mapping[str, str] | None] = ContextVar("parameters", default=MappingProxyType({}))
 
 
 def error_dimension(name: object) -> str:
@@ -29,10 +29,15 @@ def error_dimension(name: object) -> str:
     a parameter while a study with it is read (`reading_parameters`).
 
     Raises:
-        InputError: the part after the joint's or link's name is no error's name.
+        InputError: the part after the joint's or link's name is no error's name; without a sentence where it is not
+            near to one, and may be a parameter of a mechanism that could not be read.
     """
     parameters = _parameters.get()
     owner, dot, component = str(name).partition(".")
+    if parameters is None:
+        if not (owner and dot) or nearest(component, _KNOWN) is None:
+            raise InputError()
+        parameters = {}
     if component not in _KNOWN and str(name) in parameters:
         return parameters[str(name)]
     if not (owner and dot):
@@ -50,7 +55,7 @@ def error_dimension(name: object) -> str:
 
 def parameters_being_read() -> Mapping[str, str]:
     """{name: dimension} of the parameters of the study that is read now; empty outside of `reading_parameters`."""
-    return _parameters.get()
+    return _parameters.get() or {}
 
 
 def knows_dimension(name: object) -> bool:
@@ -70,9 +75,9 @@ def _nearest(name: str, component: str, parameters: Mapping[str, str]) -> str:
 
 
 @contextmanager
-def reading_parameters(dimensions: Mapping[str, str]) -> Iterator[None]:
+def reading_parameters(dimensions: Mapping[str, str] | None) -> Iterator[None]:
     """Within the block `error_dimension` knows the dimensions {name: dimension} of a mechanism's parameters, too: what
-    a study file gives deviations to."""
+    a study file gives deviations to. None: the mechanism could not be read, and may have any parameter."""
     before = _parameters.set(dimensions)
     try:
         yield

@@ -6,27 +6,38 @@ Every refusal is one sentence of the form "Argument `x` must ..., but ...", and 
 a mistake, it collects the sentences (`Problems`).
 """
 
-from collections.abc import Callable, Collection, Iterable, Iterator
+import re
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from difflib import get_close_matches
 from typing import Any
 
 # By difflib, "legnth" is like "length" by 0.83, "rk5" like "rk4" by 0.67, but so is "other" like "note".
 LIKENESS, LIKENESS_OF_SAME_LETTER = 0.7, 0.65
+# Characters of a value, and of a remark in parentheses, beyond which a sentence quotes their beginning.
+LONGEST_QUOTE, LONGEST_REMARK, QUOTED = 120, 300, 60
+CLOSING = {"[": "]", "{": "}", "(": ")", "'": "'", '"': '"', "`": "`"}
+MOST_ALIKE, MOST_NAMED = 2, 8  # sentences of one kind that are told each by itself; names told of the others
 
 
 class InputError(ValueError):
     """What the user wrote cannot be used; the message says where, why, and how to fix it.
 
-    Args: problems, a sentence for each mistake; the message has a line for each.
+    Args: problems, a sentence for each mistake; the message has a line for each, in which whole data are cut short.
     """
 
     def __init__(self, *problems: str):
+        problems = tuple(map(with_short_quotes, problems))
         super().__init__(*problems)
         self.problems = problems
 
     def __str__(self) -> str:
         return "\n".join(self.problems)
+
+
+class WrongSetting(InputError):
+    """A setting of the process is wrong, not the input that was being read when it was found: no place is put before
+    the sentence, and nothing is told beside it."""
 
 
 class WrongKeys(InputError):
@@ -69,6 +80,8 @@ class Problems:
         """Note an InputError that the block raises, and go on after the block."""
         try:
             yield
+        except WrongSetting:
+            raise
         except InputError as error:
             self.failed = True
             self.found += error.problems
@@ -106,6 +119,8 @@ class Checks(Problems):
             if value is ABSENT:
                 raise InputError()
             return convert(value, *arguments)
+        except WrongSetting:
+            raise
         except InputError as error:
             self.wrong.add(field)
             self.failed = True
@@ -216,8 +231,59 @@ def require_flag(value: object, where: str) -> bool:
 
 @contextmanager
 def located(place: str) -> Iterator[None]:
-    """Prefix the message of an InputError raised inside with `place` (a table of a study file)."""
+    """Prefix the message of an InputError raised inside with `place` (a table of a study file), unless it has it."""
     try:
         yield
+    except WrongSetting:
+        raise
     except InputError as error:
-        raise InputError(*(f"{place}: {problem}" for problem in error.problems)) from None
+        placed = (one if one.startswith(f"{place}: ") else f"{place}: {one}" for one in error.problems)
+        raise InputError(*placed) from None
+
+
+def with_short_quotes(sentence: str) -> str:
+    """A sentence in which values that are quoted at length are cut: lists, tables, texts, names."""
+    if len(sentence) <= LONGEST_QUOTE:
+        return sentence
+    parts, at = [], 0
+    while at < len(sentence):
+        end = _end_of_quote(sentence, at) if sentence[at] in CLOSING else at + 1
+        quote = sentence[at:end]
+        most = LONGEST_REMARK if quote[0] == "(" else LONGEST_QUOTE
+        parts.append(quote if len(quote) <= most else f"{quote[:QUOTED]}... ({len(quote)} characters)")
+        at = end
+    return "".join(parts)
+
+
+def _end_of_quote(sentence: str, start: int) -> int:
+    """The place after the quotation that begins at `start`; the next place where nothing ends it."""
+    mark, closing, depth = sentence[start], CLOSING[sentence[start]], 0
+    if mark == closing:  # an apostrophe within a word begins nothing
+        found = -1 if sentence[start - 1 : start].isalnum() else sentence.find(closing, start + 1)
+        return found + 1 or start + 1
+    for place in range(start, len(sentence)):
+        depth += {mark: 1, closing: -1}.get(sentence[place], 0)
+        if depth == 0:
+            return place + 1
+    return start + 1
+
+
+def condensed(problems: Sequence[str]) -> tuple[str, ...]:
+    """Sentences of which those that differ only in the names they quote are told once, with the names of the others:
+    one mistake may be found in many places, and many have been made at once."""
+    alike: dict[str, list[str]] = {}
+    for problem in problems:
+        alike.setdefault(_NAMES.sub("``", problem), []).append(problem)
+    return tuple(one for group in alike.values() for one in (group if len(group) <= MOST_ALIKE else [_together(group)]))
+
+
+_NAMES = re.compile(r"`[^`]*`|'[^']*'|number \d+")
+
+
+def _together(group: Sequence[str]) -> str:
+    """The first of sentences that differ in names, and what the others name."""
+    told = {*_NAMES.findall(group[0])}
+    others = list(dict.fromkeys(name for one in group[1:] for name in _NAMES.findall(one) if name not in told))
+    named = ", ".join(others[:MOST_NAMED])
+    more = f"{named} and more" if len(others) > MOST_NAMED else named
+    return f"{group[0].removesuffix('.')} (so for {more}; {len(group)} in all)."

@@ -153,16 +153,20 @@ class Mechanism(ChecksItself):
 
     def _check_references(self) -> None:
         names = [link.name for link in self.links]
-        problems = []
+        unknown: dict[str, list[tuple[str, str]]] = {}
         for joint in self.joints:
             for side, known in (("parent", ["base", *names]), ("child", names)):
-                name = getattr(joint, side)
-                if name not in known:
-                    problems.append(
-                        f"Argument `{side}` of joint `{joint.name}` must be "
-                        f"{'the base or ' if side == 'parent' else ''}a link of the mechanism, but "
-                        f"there is no link `{name}`; {suggestion(name, known)}"
-                    )
+                if getattr(joint, side) not in known:
+                    unknown.setdefault(getattr(joint, side), []).append((side, joint.name))
+        problems = []
+        for name, sides in unknown.items():
+            known = names if sides[0][0] == "child" else ["base", *names]
+            also = "".join(f", and `{side}` of `{joint}`," for side, joint in sides[1:])
+            problems.append(
+                f"Argument `{sides[0][0]}` of joint `{sides[0][1]}`{also} must be "
+                f"{'the base or ' if sides[0][0] == 'parent' else ''}a link of the mechanism, but "
+                f"there is no link `{name}`; {suggestion(name, known)}"
+            )
         if problems:
             raise InputError(*problems)
 

@@ -5,13 +5,13 @@ Place in the pipeline: the first thing that happens wherever arrays are made or 
 
 import jax
 
-from rfem_jax.description.errors import InputError
+from rfem_jax.description.errors import WrongSetting
 
 
 def require_float64() -> None:
-    """Raise InputError if JAX works in single precision."""
+    """Raise WrongSetting, an InputError, if JAX works in single precision."""
     if not jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]  # JAX adds it at run time
-        raise InputError(
+        raise WrongSetting(
             "Argument `jax_enable_x64` must be True, but JAX computes in single precision; put "
             'jax.config.update("jax_enable_x64", True) before the first array.'
         )

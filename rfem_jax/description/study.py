@@ -24,7 +24,17 @@ from rfem_jax.description.driven_motions import (
 )
 from rfem_jax.description.drives import PrescribedDrive, PrescribedTable
 from rfem_jax.description.error_catalogue import error_dimension
-from rfem_jax.description.errors import ABSENT, Checks, ChecksItself, InputError, Problems, located, suggestion
+from rfem_jax.description.errors import (
+    ABSENT,
+    Checks,
+    ChecksItself,
+    InputError,
+    Problems,
+    WrongSetting,
+    condensed,
+    located,
+    suggestion,
+)
 from rfem_jax.description.mechanism import Mechanism
 from rfem_jax.description.methods import Method
 from rfem_jax.description.metric_subjects import require_metric, subjects_of
@@ -36,10 +46,12 @@ from rfem_jax.description.tasks.study_tasks import Tasks, read_tasks
 from rfem_jax.description.tolerances import SpecifiedTolerances
 from rfem_jax.description.translation_drives import PrescribedDisplacements
 from rfem_jax.description.units import positive_quantity, quantity
-from rfem_jax.task_kinds import task_kinds
+from rfem_jax.task_kinds import names_of_tables, task_kinds
 
 MOST_STEPS, MOST_SAVED = 1e9, 1e6
 LONGEST_NAME = 100
+# No file of Windows can have these names, whatever its ending.
+DEVICES = {"con", "prn", "aux", "nul", *(f"{port}{n}" for port in ("com", "lpt") for n in range(10))}
 # And those of tasks.
 STUDY_KEYS = (
     ("mechanism", "simulation"),
@@ -285,8 +297,13 @@ def load_study(path: str | Path) -> Study:
     """
     path = Path(path)
     content = read_toml(path)
-    with located(f"Study file `{path}`"):
-        return _read_study(content, path)
+    try:
+        with located(f"Study file `{path}`"):
+            return _read_study(content, path)
+    except WrongSetting:
+        raise
+    except InputError as error:
+        raise InputError(*condensed(error.problems)) from None
 
 
 def _read_study(content: dict[str, Any], path: Path) -> Study:
@@ -395,5 +412,15 @@ def _file_name(name: Any) -> str:
         raise InputError(
             f"Argument `name` of a case must have at most {LONGEST_NAME} characters, but has {len(text)}; it is used "
             "as a file name."
+        )
+    if text.lower() in names_of_tables():
+        raise InputError(
+            f"Argument `name` of a case must not be that of a file with other results, but was `{name}`; write for "
+            f"example `{name}_case`."
+        )
+    if text.lower().partition(".")[0] in DEVICES:
+        raise InputError(
+            f"Argument `name` of a case must not be that of a device of Windows, but was `{name}`; write for example "
+            f"`case_{name}`: it is used as a file name."
         )
     return name

@@ -17,6 +17,7 @@ from rfem_jax.description.errors import (
     InputError,
     Problems,
     WrongKeys,
+    WrongSetting,
     located,
     nearest,
     require_choice,
@@ -24,6 +25,8 @@ from rfem_jax.description.errors import (
 )
 
 Part = TypeVar("Part")
+
+DEEPEST = 50  # tables and lists within each other; studies have less than ten
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -47,17 +50,33 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise InputError(
             f"Study file `{path}` must be UTF-8 text, but byte {error.start} is not; save it again as UTF-8."
         ) from None
+    nested = InputError(
+        f"Study file `{path}` must nest brackets and dotted names a few levels deep, but nests more than "
+        f"{DEEPEST}; close brackets earlier, or shorten the name."
+    )
     try:
-        return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+        content = tomllib.loads(text)
+    except RecursionError:
+        raise nested from None
+    except ValueError as error:  # of TOML, or a number of thousands of digits
         raise InputError(
             f"Study file `{path}` must be valid TOML, but: {error}; correct this line (strings and "
             "numbers with units stand in quotes)."
         ) from None
-    except RecursionError:
-        raise InputError(
-            f"Study file `{path}` must nest brackets a few levels deep, but nests hundreds; close them earlier."
-        ) from None
+    if not _is_shallow(content):
+        raise nested
+    return content
+
+
+def _is_shallow(content: dict[str, Any]) -> bool:
+    """Whether tables and lists are nested so few times that they can be compared and printed."""
+    level: list[Any] = [content]
+    for _ in range(DEEPEST):
+        inner = [one.values() if isinstance(one, dict) else one for one in level]
+        level = [entry for entries in inner for entry in entries if isinstance(entry, (dict, list))]
+        if not level:
+            return True
+    return False
 
 
 def keys_of(kind: type, omit: Collection[str] = ()) -> tuple[list[str], list[str]]:
@@ -76,15 +95,20 @@ def checked_table(
         data: what stands in the file.
         place: the table's header, for the message, such as "[simulation]".
     Raises:
-        InputError: not a table.
+        InputError: not a table, or one without any known key, of which nothing else is told.
         WrongKeys: an unknown key (with the nearest known one), a missing key.
     """
     if not isinstance(data, dict):
         raise InputError(f"{place} must be a table, but was {data!r}; write it as {place}.")
     known = (*required, *optional)
+    if not data and len(required) > 1:
+        listed = ", ".join(f"`{key}`" for key in required)
+        raise InputError(f"{place} must have the keys {listed}, but is empty; add them there.")
     unknown = [key for key in data if key not in known]
     problems = [f"{place} must have known keys only, but has `{key}`; {suggestion(key, known)}" for key in unknown]
     meant = [nearest(key, known) for key in unknown]
+    if required and len(unknown) == len(data) and not any(meant):
+        raise InputError(*problems)
     problems += [
         f"{place} must have the key `{key}`, but it is missing; add `{key}` there."
         for key in required
@@ -135,6 +159,8 @@ def build_by_trial(kind: Callable[..., Part], settings: dict[str, Any], place: s
             if whole:
                 raise
             return None  # a required argument is absent, or was left out
+        except WrongSetting:
+            raise
         except InputError as error:
             named = {match[1] for problem in error.problems if (match := re.match(r"Argument `(\w+)`", problem))}
             # Where an argument is left out, what is said of one that is not there may be a consequence of that.

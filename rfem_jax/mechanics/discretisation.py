@@ -91,7 +91,8 @@ def discretise(mechanism: Mechanism, rfes: int | None = None, elements: str | No
             f"{structure.constraints} closure equations have rank {structure.rank}: rigid loops with "
             "parallel axes or slides are statically indeterminate. Make one link of each loop flexible between its "
             "joints of the loop, give joints of each loop a compliance or a freer kind, or set redundant_reactions = "
-            '"minimum_norm" to get the reactions of least norm.' + locks
+            '"minimum_norm" in the table [mechanism] (an argument of `Mechanism`) to get the reactions of least norm.'
+            + locks
         )
     if structure.redundant:
         require_unique_normal_loads(model)

@@ -217,7 +217,10 @@ def count_lines(mechanism: Mechanism, description: Structure) -> list[str]:
     lines.append("Redundant constraints: the joint reactions are not unique.")
     if mechanism.redundant_reactions == "minimum_norm":
         return [*lines, "The smallest ones (minimum norm) are reported, as the study asks."]
-    fix = 'Make a link flexible, give joints a compliance, or choose redundant_reactions = "minimum_norm".'
+    fix = (
+        "Make a link flexible, give joints a compliance, or choose redundant_reactions = "
+        '"minimum_norm" in the table [mechanism].'
+    )
     return [*lines, fix]
 
 

@@ -19,7 +19,7 @@ import signal
 import subprocess
 import sys
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
@@ -36,12 +36,13 @@ Waiting = deque[tuple[str, Figure]]
 
 
 def write_pictures(folder: str | Path, figures: Mapping[str, Figure]) -> list[Path]:
-    """Write {name: figure} into `folder` as PNG (200 dpi); returns their paths. Raises: OSError."""
+    """Write {name: figure} into `folder` as PNG (200 dpi), each into a file of its own where upper and lower case count
+    as equal, too; returns their paths. Raises: OSError."""
     from matplotlib import rc_context
 
     from rfem_jax.report.style import SETTINGS
 
-    paths, waiting = {name: Path(folder) / f"{name}.png" for name in figures}, deque(figures.items())
+    paths, waiting = _paths(Path(folder), figures), deque(figures.items())
     with rc_context(SETTINGS), ThreadPoolExecutor(2) as pool:
         try:
             beside = pool.submit(_draw_last, waiting, paths, SETTINGS)
@@ -57,6 +58,16 @@ def write_pictures(folder: str | Path, figures: Mapping[str, Figure]) -> list[Pa
     for one in written:
         one.result()
     return list(paths.values())
+
+
+def _paths(folder: Path, names: Iterable[str]) -> dict[str, Path]:
+    """{name: file}; the second of joints "a" and "A", say, has a number."""
+    found: dict[str, Path] = {}
+    for name in names:
+        taken = {one.name.lower() for one in found.values()}
+        numbered = (f"{name}{number}.png" for number in ("", *(f"_{i}" for i in range(2, len(taken) + 2))))
+        found[name] = folder / next(one for one in numbered if one.lower() not in taken)
+    return found
 
 
 def draw_beside() -> None:

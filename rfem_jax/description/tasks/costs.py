@@ -69,7 +69,7 @@ def read_with_costs(
     problems = Problems()
     settings = problems.usable(lambda: dict(checked_table(table, place, *keys)))
     bounds, cost = settings.get("bounds", {}), settings.pop("cost", {})
-    if not isinstance(bounds, dict):  # then any error may have a cost
+    if not isinstance(bounds, dict) or not bounds:  # then any error may have a cost
         bounds = {name: None for name in cost if "." in name} if isinstance(cost, dict) else {}
     widths = {} if tolerances is None else tolerances.half_widths()
     costs: Any = ABSENT
@@ -127,7 +127,12 @@ def _read_cost(place: str, name: str, table: object, shared: dict[str, Any], def
     own = problems.usable(lambda: checked_table(table, f"{place} `{name}`", *keys_of(ErrorCost)))
     at = own.get("at", default)
     with problems.noted(), located(place):
-        dimension = error_dimension(name)
+        try:
+            dimension = error_dimension(name)
+            if "at" not in own:
+                at = positive_quantity(at, dimension, f"`{name}`")
+        except InputError:
+            raise InputError() from None  # told of the bounds
         if at is not ABSENT:
             at = positive_quantity(at, dimension, f"`at` of the cost of `{name}`")
     return build(ErrorCost, {**shared, **own, "at": at}, place, problems)
