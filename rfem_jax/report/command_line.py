@@ -2,8 +2,8 @@
 
 Place in the pipeline: the outermost layer; it parses the arguments, sets up the process and calls a subcommand of
 `report.commands`; `progress_line` shows what is being done. Exit codes: 0 done; 2 the input
-is wrong (one sentence on standard error); 3 a case or a task failed (results are written all the same); 1 nobody reads
-what is printed any more; 130 interrupted.
+is wrong (one sentence on standard error); 3 a case or a task failed (results are written all the same); 1 what is
+printed could not be (nobody reads it any more; files are written all the same); 130 interrupted.
 
 With `--json` standard output has one JSON document and nothing else: `command`, `exit_code`, `problems` (a list of
 sentences, empty where the input is right), and what the subcommand answers. All else is on standard error.
@@ -15,9 +15,11 @@ import argparse
 import gc
 import json
 import os
+import signal
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext, suppress
+from functools import partial
 from typing import Any, NoReturn
 
 from rfem_jax.report.commands.catalogue import all_commands
@@ -31,8 +33,17 @@ from rfem_jax.report.commands.command import (
     Command,
     Interrupted,
 )
+from rfem_jax.report.console import (
+    Reading,
+    end_early_by,
+    ends_early,
+    flush,
+    open_closed_streams,
+    printable,
+    write,
+)
 from rfem_jax.report.process import count_devices, join_processes, require_platform, set_up_jax
-from rfem_jax.report.progress_line import ClosedPipe, ProgressLine, discard, paint, print_document, say, speaking
+from rfem_jax.report.progress_line import ProgressLine, clear_lines, paint, print_document, say, speaking
 from rfem_jax.stack_room import with_room
 
 NOTHING_DONE = "nothing was done yet; start the same command again."
@@ -110,28 +121,48 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns the exit code; wrong input, an interruption and files that cannot be written become
     one sentence on standard error, anything else is a fault of this program and raises.
     """
-    try:
-        code = _main(argv)
-        sys.stdout.flush()
-    except (ClosedPipe, BrokenPipeError):
-        discard(sys.stdout)
-        return UNREAD
-    return code
+    Reading.ends = False
+    with printable():
+        try:
+            code = _main(argv)
+        except KeyboardInterrupt:  # before or after the subcommand
+            say(f"Interrupted: {NOTHING_DONE}")
+            code = INTERRUPTED
+        return code if flush() or code != DONE else UNREAD
 
 
 def run_process() -> int:
-    """`main` as the last thing that a process does."""
+    """`main` as all that a process does."""
+    open_closed_streams()
+    end_early_by(partial(_end_at_once, None))
     code = main()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # all is done
     # What is left is not looked through for garbage: half a second, for nothing.
     gc.freeze()
     pending = sys.modules.get("rfem_jax.compilation.pending")
     # After wrong input or an interruption nobody waits for programs.
     if code != DONE and pending is not None and pending.in_progress():
-        for stream in (sys.stdout, sys.stderr):
-            with suppress(OSError, ValueError):
-                stream.flush()
-        os._exit(code)
+        _leave(code)
     return code
+
+
+def _leave(code: int) -> NoReturn:
+    """End the process without waiting for its threads."""
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError, ValueError):
+            stream.flush()
+    os._exit(code)
+
+
+def _end_at_once(arguments: argparse.Namespace | None) -> NoReturn:
+    """End the process, which is interrupted before anything is done."""
+    sentence = f"Interrupted: {NOTHING_DONE}"
+    clear_lines()
+    write(sys.stderr, f"{paint(sentence, 'yellow', sys.stderr)}\n")
+    if arguments is not None and arguments.json:
+        content = {"command": arguments.command, "exit_code": INTERRUPTED, "problems": [sentence]}
+        write(sys.stdout, f"{json.dumps(content, indent=2)}\n")
+    _leave(INTERRUPTED)
 
 
 def _main(argv: Sequence[str] | None) -> int:
@@ -139,6 +170,8 @@ def _main(argv: Sequence[str] | None) -> int:
         arguments = build_parser().parse_args(argv)
     except SystemExit as end:
         return int(end.code or 0)
+    if ends_early():
+        end_early_by(partial(_end_at_once, arguments))
     with speaking(document=arguments.json, quiet=arguments.quiet):
         answer, problems = _answer(arguments)
     if arguments.json:
@@ -166,7 +199,7 @@ def _answer(arguments: argparse.Namespace) -> tuple[Answer, list[str]]:
     except KeyboardInterrupt as end:
         interrupted = end if isinstance(end, Interrupted) else Interrupted(NOTHING_DONE)
         sentence = f"Interrupted: {interrupted.sentence}"
-        print(paint(sentence, "yellow", sys.stderr), file=sys.stderr)
+        say(paint(sentence, "yellow", sys.stderr))
         return Answer(INTERRUPTED, interrupted.document), [sentence]
 
 

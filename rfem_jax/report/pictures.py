@@ -18,6 +18,7 @@ import pickle
 import signal
 import subprocess
 import sys
+import warnings
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -138,10 +139,13 @@ def _drawn(figure: Figure) -> Pixels:
     figure.set_dpi(rcParams["savefig.dpi"])
     figure.set_facecolor(rcParams["savefig.facecolor"])
     canvas = FigureCanvasAgg(figure)
-    if (engine := figure.get_layout_engine()) is not None:
-        engine.execute(figure)
-        figure.set_layout_engine("none")
-    canvas.draw()
+    with warnings.catch_warnings():
+        # Characters of titles and names that the font lacks are drawn as boxes.
+        warnings.filterwarnings("ignore", r"Glyph \d+ .* missing from font")
+        if (engine := figure.get_layout_engine()) is not None:
+            engine.execute(figure)
+            figure.set_layout_engine("none")
+        canvas.draw()
     return np.asarray(canvas.buffer_rgba())
 
 

@@ -16,9 +16,11 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TextIO
+
+from rfem_jax.report.console import write
 
 PATIENCE = 0.5  # s that a stage takes before it is worth a line of its own in a log
 TICK = 1.0  # s
@@ -139,24 +141,14 @@ class ProgressLine:
         self._write(f"{self.text()}\n")
 
     def _write(self, text):
-        try:
-            self.stream.write(text)
-            self.stream.flush()
-        except BrokenPipeError:  # nobody reads it; the work goes on
-            discard(self.stream)
+        write(self.stream, text)
 
 
-class ClosedPipe(Exception):
-    """Nobody reads what is printed any more, as of `rfem-jax keys | head`. No OSError: it is none of a file."""
-
-
-def discard(stream: TextIO) -> None:
-    """Let what is written to a stream whose reader is gone, and what it still holds, go nowhere
-    (https://docs.python.org/3/library/signal.html#note-on-sigpipe)."""
-    with suppress(OSError, ValueError):  # a stream that is no file
-        nowhere = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nowhere, stream.fileno())
-        os.close(nowhere)
+def clear_lines() -> None:
+    """Take what is shown off the terminal, in a process that ends: nobody is waited for who may be writing."""
+    for line in _lines:
+        if line.width:
+            line._write("\r" + " " * line.width + "\r")
 
 
 COLOURS = {"red": "31", "yellow": "33", "bold": "1"}
@@ -171,43 +163,38 @@ def paint(text: str, colour: str, stream: TextIO) -> str:
 
 
 def show(text: str = "", end: str = "\n") -> None:
-    """Print a result on standard output, above the progress line, unless a document has it. Raises: ClosedPipe."""
+    """Print a result on standard output, above the progress line, unless a document has it."""
     if not _manner.document:
         _print(text, end, sys.stdout)
 
 
 def note(text: str) -> None:
-    """Print a remark on the results beside them; on standard error where standard output is a document's.
-    Raises: ClosedPipe."""
+    """Print a remark on the results beside them; on standard error where standard output is a document's."""
     if not _manner.quiet:
         _print(text, "\n", sys.stderr if _manner.document else sys.stdout)
 
 
 def remark(text: str) -> None:
-    """Print a remark on standard error, above the progress line. Raises: ClosedPipe."""
+    """Print a remark on standard error, above the progress line."""
     if not _manner.quiet:
         say(text)
 
 
 def say(text: str) -> None:
-    """Print on standard error, above the progress line, what must be known. Raises: ClosedPipe."""
+    """Print on standard error, above the progress line, what must be known."""
     _print(text, "\n", sys.stderr)
 
 
 def print_document(text: str) -> None:
-    """Print the one document that standard output is for. Raises: ClosedPipe."""
+    """Print the one document that standard output is for."""
     _print(text, "\n", sys.stdout)
 
 
 def _print(text, end, stream):
-    try:
-        if not _lines:
-            print(text, end=end, file=stream, flush=True)
-            return
-        line = _lines[-1]
-        with line.lock:
-            line.clear()
-            print(text, end=end, file=stream, flush=True)
-    except BrokenPipeError:
-        discard(stream)
-        raise ClosedPipe from None
+    if not _lines:
+        write(stream, text + end)
+        return
+    line = _lines[-1]
+    with line.lock:
+        line.clear()
+        write(stream, text + end)

@@ -1,4 +1,4 @@
-"""A command whose output is no longer read ends quietly, as the documentation of Python's `signal` recommends."""
+"""What nobody reads ends no command: it does its work, and then says so by its exit code."""
 
 import io
 import os
@@ -82,6 +82,8 @@ def test_it_is_no_folder_that_cannot_be_written(packages, study_file, tmp_path, 
     options = ["--out", str(tmp_path / "out")] if command == "run" else []
     assert command_line.main([command, str(study_file), *options]) == 1
     assert "--out" not in capsys.readouterr().err
+    if command == "run":
+        assert (tmp_path / "out" / "results.json").exists() and (tmp_path / "out" / "P1.csv").exists()
 
 
 def test_a_progress_line_that_nobody_reads_stops_no_work():

@@ -6,6 +6,8 @@ Place in the pipeline: used by the subcommands that write.
 import os
 from pathlib import Path
 
+from rfem_jax.report.console import work_begins
+
 
 def require_folder(out: str | Path) -> None:
     """See that a folder for the results can be made, without making it. Raises InputError."""
@@ -26,6 +28,7 @@ def open_folder(out: str | Path) -> Path:
 
     Raises InputError before anything is simulated, not after.
     """
+    work_begins()
     folder = Path(out)
     try:
         folder.mkdir(parents=True, exist_ok=True)

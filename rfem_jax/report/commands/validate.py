@@ -8,6 +8,7 @@ import argparse
 from rfem_jax.report.commands.command import CASE_FAILED, DONE, Answer, Command, Interrupted, add_cache
 from rfem_jax.report.commands.folders import cannot_write, open_folder
 from rfem_jax.report.commands.steps import announce, files_document
+from rfem_jax.report.console import work_begins
 from rfem_jax.report.progress_line import show
 
 
@@ -36,6 +37,7 @@ def act(arguments: argparse.Namespace) -> Answer:
     from rfem_jax.report.validation_tables import has_failed, line_rows
 
     folder = None if arguments.out is None else open_folder(arguments.out)
+    work_begins()
     try:
         lines, written = validate(arguments.only, arguments.full, folder, announce)
     except OSError as problem:
