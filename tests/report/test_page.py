@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from rfem_jax.description import load_study
+from rfem_jax.description import InputError, load_study
 from rfem_jax.report.command_line import main
+from rfem_jax.report.commands.steps import write_page
 from rfem_jax.report.page.animation import FILE, pack_animation, quaternions_of, read_animation, rotation_vectors
 from rfem_jax.report.page.document import ASSETS, LIBRARY, SCRIPTS, page_text, write_folder
 from rfem_jax.report.page.histories import quantities_of, read_table
@@ -148,14 +149,55 @@ def test_cases_are_not_read_from_outside_the_folder(folder, name):
 
 
 def test_other_files_than_ours_are_left_out(folder):
-    np.savez(folder / FILE, description=np.array({"cases": []}, dtype=object))  # pickled
     (folder / "P1.csv").write_text("time_s,rate_rad_s\n0,one\n", encoding="utf-8")
     (folder / "P2.csv").write_bytes(b"\xff\xfe\x00")
-    (folder / "sensitivity.json").write_text("[1, 2", encoding="utf-8")
-    (folder / "allocation.json").write_text("[" * 100_000, encoding="utf-8")
+    (folder / "sensitivity.json").write_text("[1, 2]", encoding="utf-8")
     content = content_of(write_folder(folder))
-    assert content["animation"] is None and content["tasks"] == []
+    assert content["tasks"] == []
     assert [one["case"] for one in content["histories"]["cases"]] == ["P3"]
+
+
+def pickled(path):
+    with path.open("wb") as file:
+        np.savez(file, description=np.array({"cases": []}, dtype=object))
+
+
+def cut(path):
+    content = path.read_bytes()
+    path.write_bytes(content[: len(content) // 2])
+
+
+def overwritten(path):
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 0xFF
+    path.write_bytes(content)
+
+
+@pytest.mark.parametrize(
+    ("name", "damage"),
+    [
+        *((FILE, damage) for damage in (pickled, cut, overwritten, lambda path: path.write_bytes(b""))),
+        ("results.json", cut),
+        ("results.json", overwritten),  # then it is no UTF-8
+        ("sensitivity.json", lambda path: path.write_text("[1, 2", encoding="utf-8")),
+        ("allocation.json", lambda path: path.write_text("[" * 100_000, encoding="utf-8")),
+    ],
+)
+def test_damaged_files_are_named_in_one_sentence(folder, capsys, name, damage):
+    damage(folder / name)
+    assert main(["report", str(folder)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert f"`{folder / name}` is damaged" in line and "compute it again" in line
+    if name != FILE:
+        assert main(["compare", str(folder), str(folder)]) == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert name in line
+
+
+def test_a_damaged_file_of_another_task_loses_no_results(folder, capsys):
+    (folder / "sensitivity.json").write_text("[1, 2", encoding="utf-8")
+    assert write_page(folder) == []
+    assert "report.html is not written" in capsys.readouterr().err
 
 
 def test_arrays_of_another_size_are_refused(folder, study, runs):
@@ -164,7 +206,8 @@ def test_arrays_of_another_size_are_refused(folder, study, runs):
     cases[1]["points"] = cases[1]["points"][:, :-1]
     arrays = {f"{i}_{part}": values for i, case in enumerate(cases) for part, values in case.items()}
     np.savez(folder / FILE, description=np.array(json.dumps(description)), **arrays)
-    assert read_animation(folder) is None
+    with pytest.raises(InputError, match="is damaged"):
+        read_animation(folder)
 
 
 def test_the_command_writes_the_page_again(folder, capsys):

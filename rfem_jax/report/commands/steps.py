@@ -133,12 +133,17 @@ def timed(study: Study, task: str = "", left: str = "") -> Iterator[None]:
 
 
 def write_page(folder: Path) -> list[Path]:
-    """Write the page of all results that the folder has. Raises InputError."""
+    """Write the page of all results that the folder has; says which other file in it is damaged, and writes none then.
+    Raises InputError."""
+    from rfem_jax.description.errors import InputError
     from rfem_jax.report.page.document import write_folder
 
     announce("Writing report.html")
     try:
         return [write_folder(folder)]
+    except InputError as problem:
+        remark(f"report.html is not written: {problem}")
+        return []
     except OSError as problem:
         raise cannot_write(folder, problem) from problem
 

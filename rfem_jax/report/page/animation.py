@@ -9,7 +9,9 @@ that seat_rotation, seat_centre, bore_rotation: the frames of the joints on pare
 text: names of cases, links and joints.
 """
 
+import io
 import json
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -20,6 +22,7 @@ from jaxtyping import Float
 
 from rfem_jax.report.annotations import Run
 from rfem_jax.report.page.packing import Packed, pack_integers, some_rows
+from rfem_jax.report.page.task_results import damaged
 from rfem_jax.whole_files import replacing
 
 FILE = "animation.npz"
@@ -100,20 +103,30 @@ def write_arrays(folder: str | Path, description: dict[str, Any], cases: list[Ar
 
 
 def read_animation(folder: str | Path) -> tuple[dict[str, Any], list[Arrays]] | None:
-    """What `write_animation` has written; None where there is no such file, or another one.
+    """What `write_animation` has written; None where there is no such file, or a larger one.
 
     Nothing in the file is executed: arrays of objects are refused.
+    Raises: InputError for a file that is damaged.
     """
     path = Path(folder) / FILE
     try:
         if path.stat().st_size > LARGEST:
             return None
-        with np.load(path, allow_pickle=False) as file:
-            description = json.loads(str(file["description"]))
-            cases = [{part: file[f"{i}_{part}"] for part in ALL_PARTS} for i in range(len(description["cases"]))]
-    except (OSError, ValueError, KeyError, TypeError, EOFError):
+        content = io.BytesIO(path.read_bytes())
+    except FileNotFoundError:
         return None
-    return (description, cases) if _fits(description, cases) else None
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # on headers that NumPy has not written
+            with np.load(content, allow_pickle=False) as file:
+                description = json.loads(str(file["description"]))
+                cases = [{part: file[f"{i}_{part}"] for part in ALL_PARTS} for i in range(len(description["cases"]))]
+        good = _fits(description, cases)
+    except Exception:  # NumPy, zipfile and zlib raise ten kinds of errors, depending on the byte that is wrong
+        good = False
+    if not good:
+        raise damaged(path, "is damaged")
+    return description, cases
 
 
 def _fits(description: Any, cases: list[Arrays]) -> bool:

@@ -23,7 +23,8 @@ RESULTS = "results.json"
 def folder_content(folder: str | Path) -> dict[str, Any]:
     """What the page of a folder shows.
 
-    Raises: InputError for a folder that has neither results.json nor the JSON of a task.
+    Raises: InputError for a folder that has neither results.json nor the JSON of a task, and for files of results that
+        are damaged.
     """
     folder = Path(folder)
     results, tasks = read_json(folder / RESULTS), read_tasks(folder)

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from rfem_jax.description.errors import InputError
 from rfem_jax.report.output import without_nan
 from rfem_jax.report.page.histories import read_table
 from rfem_jax.report.page.packing import pack_floats, some_rows
@@ -24,14 +25,31 @@ ANALYSES = {"turn": "Turn", "modes": "Modes", "cycle": "Cycle"}  # files of `rep
 
 
 def read_json(path: Path) -> dict[str, Any] | None:
-    """A JSON object without NaN; None where there is no such file, or it holds something else."""
+    """A JSON object without NaN; None where there is no such file, or it holds something else.
+
+    Raises: InputError for a file that is damaged or too large.
+    """
     try:
         if path.stat().st_size > LARGEST:
-            return None
+            raise damaged(path, f"is larger than {LARGEST // 10**6} MB")
         found = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
+        return without_nan(found) if isinstance(found, dict) else None
+    except (FileNotFoundError, NotADirectoryError):
         return None
-    return without_nan(found) if isinstance(found, dict) else None
+    except InputError:
+        raise
+    except OSError as problem:
+        raise damaged(path, f"cannot be read ({problem.strerror or problem})") from None
+    except (ValueError, RecursionError):
+        raise damaged(path, "is damaged") from None
+
+
+def damaged(path: Path, finding: str) -> InputError:
+    """What is said of a file in a folder of results that cannot be used."""
+    return InputError(
+        f"Argument `DIR` must be a folder with whole files as `rfem-jax` writes them, but `{path}` {finding}; compute "
+        "it again, or delete it."
+    )
 
 
 def read_tasks(folder: Path) -> list[dict[str, Any]]:
