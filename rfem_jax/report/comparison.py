@@ -25,7 +25,8 @@ OF_RUN = "-"  # in the place of a joint
 
 @dataclass(frozen=True)
 class Difference:
-    """A quantity of a joint (`OF_RUN`: of the driven joint) in a case: both values, NaN where there is none."""
+    """A quantity of a joint (`OF_RUN`: of the driven joint) in a case: both values, NaN where there is none;
+    `complete`: whether both are those of a complete run."""
 
     case: str
     joint: str
@@ -34,6 +35,12 @@ class Difference:
     first: float
     second: float
     scale: float
+    complete: bool = True
+
+    @property
+    def mark(self) -> str:
+        """An asterisk where not both values are those of a complete run."""
+        return "" if self.complete else "*"
 
     @property
     def difference(self) -> float:
@@ -79,7 +86,7 @@ class Comparison:
         if not known:
             return "There is no value to compare."
         most = max(known, key=lambda one: abs(one.relative))
-        where = f"{most.quantity.replace('_', ' ')}, case {most.case}"
+        where = f"{most.quantity.replace('_', ' ')}, case {most.case}{most.mark}"
         where += "" if most.joint == OF_RUN else f", joint {most.joint}"
         return f"Largest relative difference: {100.0 * most.relative:+.3g} % ({where})."
 
@@ -118,11 +125,15 @@ def compare_results(first: Mapping[str, Any], second: Mapping[str, Any]) -> Comp
     cases = _common("cases", first["cases"], second["cases"], remarks)
     scales: dict[str, float] = {}
     found: list[tuple[str, str, Quantity, float, float]] = []
+    incomplete = set()
     for case in cases:
         one, other = first["cases"][case], second["cases"][case]
         for what in ("errors", "status"):
             if one.get(what) != other.get(what):
                 remarks.append(f"Case {case}: {what} {one.get(what)} in the first, {other.get(what)} in the second.")
+        if any(of.get("status") not in ("ok", None) for of in (one, other)):
+            incomplete.add(case)
+            remarks.append(f"* Case {case}: {_failures(one, other)}; these numbers are not of a complete run.")
         for joint in _common(f"joints of case {case}", one["joints"], other["joints"], remarks):
             for quantity in JOINT_METRICS:
                 first_value, second_value = (_number(of["joints"][joint], quantity.name) for of in (one, other))
@@ -133,8 +144,16 @@ def compare_results(first: Mapping[str, Any], second: Mapping[str, Any]) -> Comp
     found = [one for one in found if not (math.isnan(one[3]) and math.isnan(one[4]))]
     for _, _, quantity, *pair in found:
         scales[quantity.name] = max(scales.get(quantity.name, 0.0), *(abs(x) for x in pair if math.isfinite(x)), 0.0)
-    differences = tuple(Difference(c, j, q.name, q.unit, a, b, scales[q.name]) for c, j, q, a, b in found)
+    differences = tuple(
+        Difference(c, j, q.name, q.unit, a, b, scales[q.name], c not in incomplete) for c, j, q, a, b in found
+    )
     return Comparison(differences, tuple(remarks))
+
+
+def _failures(first: Mapping[str, Any], second: Mapping[str, Any]) -> str:
+    """What happened to a case in both results, of which one at least is not complete."""
+    one, other = (str(of.get("status")).replace("_", " ") for of in (first, second))
+    return f"{one} in both" if one == other else f"{one} in the first, {other} in the second"
 
 
 def _common(what: str, first: Mapping[str, Any], second: Mapping[str, Any], remarks: list[str]) -> list[str]:
@@ -165,7 +184,7 @@ def _table(rows: Sequence[Difference]) -> str:
     changes = ["0" if abs(one.difference) <= small else f"{one.difference:+.3g}" for one in rows]
     shares = [f"{100.0 * one.relative:+.3g} %" if math.isfinite(one.relative) else "-" for one in rows]
     cells = [
-        [one.case, one.joint, texts[2 * i], texts[2 * i + 1], changes[i].replace("+nan", "-"), shares[i]]
+        [one.case + one.mark, one.joint, texts[2 * i], texts[2 * i + 1], changes[i].replace("+nan", "-"), shares[i]]
         for i, one in enumerate(rows)
     ]
     return format_table(["case", "joint", "first", "second", "difference", "relative"], cells, words=(0, 1))

@@ -11,6 +11,7 @@ from rfem_jax.description.clearance import Clearance
 from rfem_jax.description.study import Study
 from rfem_jax.report.annotations import Figure, Run
 from rfem_jax.report.style import add_legend, add_titles, line_style, new_figure
+from rfem_jax.report.summary import in_legend, status_of
 
 MILLI = 1e3
 POINTS_OF_A_CIRCLE = 181
@@ -33,7 +34,8 @@ def _orbit_figure(study: Study, runs: Mapping[str, Run], joint: str, clearance: 
         axes.plot(radius * np.cos(angles), radius * np.sin(angles), color="0.4", linewidth=0.8, label="clearance")
         for index, case in enumerate(study.cases):
             places = MILLI * np.asarray(runs[case.name].contacts[joint].eccentricity)[:, end]
-            axes.plot(*places.T, label=case.name, **{**line_style(index, len(places)), "linewidth": 0.9})
+            label = in_legend(case.name, status_of(runs[case.name]))
+            axes.plot(*places.T, label=label, **{**line_style(index, len(places)), "linewidth": 0.9})
         axes.set_aspect("equal")
         axes.set_title(f"({letter}) {'start' if end == 0 else 'end'} of the pin", loc="left")
         axes.set_xlabel("x of the bush, mm")

@@ -7,7 +7,7 @@ energies J, lengths m; force components in the joint's frame H (y along a hinge,
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -30,19 +30,27 @@ from rfem_jax.report.quantities import (
 )
 from rfem_jax.report.shapes import assembly_figure
 from rfem_jax.report.style import SETTINGS, add_legend, add_titles, bar_style, line_style, new_figure
-from rfem_jax.report.summary import joint_names, reference_case, total_energy
+from rfem_jax.report.summary import in_legend, joint_names, reference_case, status_of, total_energy
 
 MOST_BASE_JOINTS = 3
 ROUNDING = 1e-6  # of the largest component: drawn as zero, as the moment about a hinge is that Newton's method leaves
 
-# {case: times and values}
-Histories = dict[str, tuple[Float[np.ndarray, " times"], Float[np.ndarray, " times"]]]
+
+class History(NamedTuple):
+    """A curve of one case, and its name in the legend."""
+
+    times: Float[np.ndarray, " times"]
+    values: Float[np.ndarray, " times"]
+    label: str
+
+
+Histories = dict[str, History]
 
 
 def history_figure(study: Study, histories: Histories, heading: str, label: str) -> Figure:
     """Curves of one quantity for all cases, and below them their differences from a reference.
 
-    Arguments: histories, {case: (times (T,) s, values (T,))}; heading, what is shown; label, the
+    Arguments: histories, {case: its history}; heading, what is shown; label, the
     axis name with its unit. The reference is the case without errors (else the first).
     """
     reference = reference_case(study)
@@ -51,9 +59,9 @@ def history_figure(study: Study, histories: Histories, heading: str, label: str)
     figure = new_figure(7.2, 3.4 + 2.2 * (panels - 1))
     heights = [1.6, 1.0][:panels]
     axes = figure.subplots(panels, 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
-    for index, (case, (times, values)) in enumerate(histories.items()):
-        axes[0].plot(times, values, label=case, **line_style(index, len(times)))
-        base_times, base = histories[reference]
+    for index, (case, (times, values, name)) in enumerate(histories.items()):
+        axes[0].plot(times, values, label=name, **line_style(index, len(times)))
+        base_times, base, _ = histories[reference]
         if case != reference:
             # Adaptive runs save at times of their own.
             difference = values - np.interp(times, base_times, base)
@@ -91,7 +99,8 @@ def component_figure(
     largest = max(np.max(np.abs(values), initial=0.0, where=np.isfinite(values)) for values in loads.values())
     for case, values in loads.items():
         times = np.asarray(runs[case].times)
-        label = f"{case}, {'with' if any(summaries[case]['errors'].values()) else 'no'} errors"
+        name = in_legend(case, summaries[case]["status"])
+        label = f"{name}, {'with' if any(summaries[case]['errors'].values()) else 'no'} errors"
         values = np.where(np.abs(values) < ROUNDING * largest, 0.0, values)
         for axis in range(3):
             style = line_style(order.index(case), len(times))
@@ -169,7 +178,8 @@ def bars_figure(
             values = np.array([np.linalg.norm(joints[name][quantity.name]) for name in names])
             places = np.arange(len(names)) + (index - (len(cases) - 1) / 2) * width
             heights = np.where(np.isfinite(values), values, 0.0)
-            axes.bar(places, heights, width, label=case, **bar_style(index))
+            label = in_legend(case, summaries[case]["status"])
+            axes.bar(places, heights, width, label=label, **bar_style(index))
             for place in places[~np.isfinite(values)]:
                 axes.text(place, 0.0, " n/a", rotation=90, ha="center", va="bottom", fontsize=7)
         axes.set_xticks(np.arange(len(names)), names)
@@ -185,7 +195,11 @@ def bars_figure(
 
 
 def _histories(study: Study, runs: Mapping[str, Run], values: Callable[[Run], Any]) -> Histories:
-    return {case.name: (np.asarray(runs[case.name].times), np.asarray(values(runs[case.name]))) for case in study.cases}
+    shown = {case.name: runs[case.name] for case in study.cases}
+    return {
+        name: History(np.asarray(run.times), np.asarray(values(run)), in_legend(name, status_of(run)))
+        for name, run in shown.items()
+    }
 
 
 def _motion_figures(study: Study, runs: Mapping[str, Run]) -> dict[str, Figure]:

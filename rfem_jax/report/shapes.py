@@ -28,6 +28,7 @@ from rfem_jax.report.joint_symbols import (
     legend_handles,
 )
 from rfem_jax.report.style import CASE_COLOURS, LINE_STYLES, add_titles, new_figure
+from rfem_jax.report.summary import in_legend, status_of
 
 _MOST_PANELS = 6
 _LEGEND_ROW, _LEGEND_FOOT = 0.1875, 0.45  # inches
@@ -244,7 +245,7 @@ def assembly_figure(study: Study, runs: Mapping[str, Run], places: Mapping[str, 
         axes = figure.add_subplot(rows, columns, index + 1, projection="3d", facecolor="none")
         _draw_mechanism(axes, study.mechanism, run, factor, places, guides)
         _format_axes(axes, low, high)
-        axes.set_title(f"{case}: {_deflection_text(run)}", y=1.0)
+        axes.set_title(f"{in_legend(case, status_of(run))}: {_deflection_text(run)}", y=1.0)
     # Layout by hand: the automatic one knows neither labels nor legends of 3D axes.
     below = 0.75 + _LEGEND_ROW * max(_add_legend(figure, study.mechanism), 4)
     height += below - 1.5

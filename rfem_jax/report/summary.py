@@ -14,6 +14,7 @@ from jaxtyping import Array, Float
 from rfem_jax.description.metric_catalogue import metric_of
 from rfem_jax.description.study import Study
 from rfem_jax.mechanics.bush_contacts import CLOSED, CONTACT_NAMES, ContactState, carrying
+from rfem_jax.mechanics.status import STATUS
 from rfem_jax.report.annotations import Run, Summaries
 from rfem_jax.report.driven_motions_report import drive_quantities, has_driven_joint
 from rfem_jax.report.quantities import (
@@ -27,6 +28,7 @@ from rfem_jax.report.quantities import (
     RMS_COMPONENTS,
 )
 
+OK = STATUS[0].name
 PLOTS_HINT = 'No pictures were drawn: matplotlib is not installed (pip install "rfem_jax[plots]").'
 
 
@@ -156,6 +158,26 @@ def summarise(study: Study, runs: Mapping[str, Run], statuses: Mapping[str, tupl
             **summarise_run(study, runs[case.name]),
         }
     return summaries
+
+
+def marked(case: str, status: str) -> str:
+    """Name of a case where its numbers are shown: with an asterisk where they are not those of a complete run."""
+    return case if status == OK else f"{case}*"
+
+
+def in_legend(case: str, status: str) -> str:
+    """Name of a case in a picture, which has no line for what the asterisk means."""
+    return case if status == OK else f"{marked(case, status)} ({status.replace('_', ' ')})"
+
+
+def marked_cases(summaries: Summaries) -> dict[str, str]:
+    """{case: its name where its numbers are shown}."""
+    return {case: marked(case, one["status"]) for case, one in summaries.items()}
+
+
+def status_of(run: Run) -> str:
+    """Short name of what happened to a run."""
+    return STATUS[int(run.status)].name
 
 
 def reference_case(study: Study) -> str:

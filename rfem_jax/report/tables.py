@@ -16,7 +16,7 @@ from rfem_jax.description.study import Study
 from rfem_jax.report.annotations import Summaries
 from rfem_jax.report.driven_motions_report import drive_quantities, has_driven_joint
 from rfem_jax.report.quantities import BALANCES, DRIVEN_JOINT, JOINT_METRICS, Quantity
-from rfem_jax.report.summary import joint_names, study_note
+from rfem_jax.report.summary import OK, joint_names, marked, marked_cases, study_note
 from rfem_jax.text_layout import align_columns
 
 _WIDTH = 96
@@ -58,10 +58,10 @@ def format_numbers(values: Sequence[float], digits: int = 6) -> list[str]:
 
 def joint_table(summaries: Summaries, names: Sequence[str], quantity: Quantity) -> str:
     """One metric for all cases (rows) and joints (columns)."""
-    cases = list(summaries)
+    cases = marked_cases(summaries)
     values = [summaries[case]["joints"][name][quantity.name] for case in cases for name in names]
     texts = format_numbers(values)
-    rows = [[case, *texts[len(names) * row : len(names) * (row + 1)]] for row, case in enumerate(cases)]
+    rows = [[case, *texts[len(names) * row : len(names) * (row + 1)]] for row, case in enumerate(cases.values())]
     blocks = [
         format_table(
             ["case", *names[first : first + 8]],
@@ -74,7 +74,7 @@ def joint_table(summaries: Summaries, names: Sequence[str], quantity: Quantity) 
 
 def driven_joint_table(study: Study, summaries: Summaries) -> str:
     """End of the driven joint or joints (where there are any) and status of all cases."""
-    header, columns = ["case", "status"], [list(summaries)]
+    header, columns = ["case", "status"], [list(marked_cases(summaries).values())]
     columns.append([one["status"] for one in summaries.values()])
     ends = [(one.end, ("drives", one.label)) for one in drive_quantities(study)]
     if has_driven_joint(study):
@@ -98,7 +98,10 @@ def _shown(unit: str) -> tuple[str, float]:
 def balance_table(summaries: Summaries) -> str:
     """Balances of all cases, with what each of them means."""
     header = ["case", *(quantity.title for quantity in BALANCES)]
-    rows = [[case, *(_exponent(one[quantity.name]) for quantity in BALANCES)] for case, one in summaries.items()]
+    rows = [
+        [marked(case, one["status"]), *(_exponent(one[quantity.name]) for quantity in BALANCES)]
+        for case, one in summaries.items()
+    ]
     meanings = [f"  {quantity.label}: {quantity.description}" for quantity in BALANCES]
     return "\n".join(["Balances", format_table(header, rows), *meanings])
 
@@ -113,7 +116,7 @@ def _metrics_table(study: Study, summaries: Summaries) -> str:
     for name in study.metrics:
         values = [one["metrics"][name] for one in summaries.values()]
         rows.append([name, unit_of(name) or "1", *(f"{x:.5g}" if math.isfinite(x) else "-" for x in values)])
-    return "Metrics\n" + format_table(["metric", "unit", *summaries], rows, (0, 1))
+    return "Metrics\n" + format_table(["metric", "unit", *marked_cases(summaries).values()], rows, (0, 1))
 
 
 def _contacts_table(summaries: Summaries) -> str:
@@ -124,8 +127,16 @@ def _contacts_table(summaries: Summaries) -> str:
             shares = [f"{100.0 * share:.0f} %" for share in contact["carrying_share"].values()]
             numbers = 1e6 * contact["largest_penetration"], contact["largest_contact_force"]
             at_start = contact["carrying_at_start"]
-            rows.append([case, joint, "+".join(at_start) or "none", *shares, *(f"{x:.5g}" for x in numbers)])
-            if not at_start and one["status"] == "ok":
+            rows.append(
+                [
+                    marked(case, one["status"]),
+                    joint,
+                    "+".join(at_start) or "none",
+                    *shares,
+                    *(f"{x:.5g}" for x in numbers),
+                ]
+            )
+            if not at_start and one["status"] == OK:
                 floating.append(f"{joint} (case {case})")
     if not rows:
         return ""
@@ -150,9 +161,9 @@ def results_text(study: Study, summaries: Summaries) -> str:
     if contacts := _contacts_table(summaries):
         parts.append(contacts)
     parts += [balance_table(summaries), driven_joint_table(study, summaries)]
-    failed = [f"Case {case}: {one['message']}" for case, one in summaries.items() if one["status"] != "ok"]
+    failed = {case: one for case, one in summaries.items() if one["status"] != OK}
     if failed:
-        parts.append("\n".join(failed))
+        parts.append("\n".join(f"* Case {case}: {one['message']}" for case, one in failed.items()))
     return "\n\n".join(parts)
 
 

@@ -98,6 +98,8 @@ def compare_tasks(first: Path, second: Path) -> TaskComparison:
         rows = [row for asked in QUANTITIES.get(task, ()) for row in _rows(task, *asked, one, other)]
         if rows:
             differences[task] = tuple(rows)
+        if not all(row.complete for row in rows):
+            remarks.append(f"* Results of {task}: the status of one of both says that it is not complete.")
         if one.get("title") != other.get("title"):
             remarks.append(f"Results of {task} are of two studies: {one.get('title')}; {other.get('title')}.")
     return TaskComparison(differences, tuple(remarks))
@@ -105,13 +107,18 @@ def compare_tasks(first: Path, second: Path) -> TaskComparison:
 
 def _rows(task: str, place: Place, quantity: str, unit: str, one: Any, other: Any) -> list[Difference]:
     """Both values of all numbers at a place, by the names on the way to them."""
-    found = [dict(_numbers(content, place)) for content in (one, other)]
-    names = list(dict.fromkeys([*found[0], *found[1]]))
+    good: dict[tuple[str, ...], bool] = {}
+    found: list[dict[tuple[str, ...], float]] = []
+    for content in (one, other):
+        numbers = list(_numbers(content, place))
+        found.append({name: number for name, number, _ in numbers})
+        good |= {name: complete and good.get(name, True) for name, _, complete in numbers}
+    names = list(good)
     pairs = [tuple(numbers.get(name, math.nan) for numbers in found) for name in names]
     largest = max((abs(x) for pair in pairs for x in pair if math.isfinite(x)), default=0.0)
     units = one.get("units") if isinstance(one.get("units"), dict) else {}
     return [
-        Difference(task, ", ".join(name) or "-", quantity, unit or _unit(units, name), *pair, scale=largest)
+        Difference(task, ", ".join(name) or "-", quantity, unit or _unit(units, name), *pair, largest, good[name])
         for name, pair in zip(names, pairs, strict=True)
     ]
 
@@ -121,22 +128,25 @@ def _unit(units: Mapping[str, Any], name: Sequence[str]) -> str:
     return next((str(units[word]) for word in name if word in units), NONE)
 
 
-def _numbers(content: Any, place: Place, name: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], float]]:
-    """(names on the way, number) of all numbers at a place."""
+def _numbers(
+    content: Any, place: Place, name: tuple[str, ...] = (), complete: bool = True
+) -> Iterator[tuple[tuple[str, ...], float, bool]]:
+    """(names on the way, number, whether no status on the way says that something failed) of all numbers at a place."""
     if not place:
         if isinstance(content, (int, float)) and not isinstance(content, bool):
-            yield name, float(content)
+            yield name, float(content), complete
         return
+    complete = complete and not (isinstance(content, dict) and content.get("status") not in (None, "ok"))
     key, rest = place[0], place[1:]
     if key != "*":
         if isinstance(content, dict) and key in content:
-            yield from _numbers(content[key], rest, name)
+            yield from _numbers(content[key], rest, name, complete)
         return
     entries = list(content.items()) if isinstance(content, dict) else []
     if isinstance(content, list):
         entries = [(str(i + 1), entry) for i, entry in enumerate(content)]
     for word, entry in entries:
-        yield from _numbers(entry, rest, (*name, word))
+        yield from _numbers(entry, rest, (*name, word), complete)
 
 
 def _table(rows: Sequence[Difference]) -> str:
@@ -148,5 +158,7 @@ def _table(rows: Sequence[Difference]) -> str:
             change = "0" if abs(one.difference) <= ROUNDING * one.scale else f"{one.difference:+.3g}"
             share = f"{100.0 * one.relative:+.3g} %" if math.isfinite(one.relative) else "-"
             shown = "" if unit == NONE else unit
-            cells.append([one.joint, shown, texts[2 * i], texts[2 * i + 1], change.replace("+nan", "-"), share])
+            cells.append(
+                [one.joint + one.mark, shown, texts[2 * i], texts[2 * i + 1], change.replace("+nan", "-"), share]
+            )
     return format_table(["of", "unit", "first", "second", "difference", "relative"], cells, words=(0, 1))

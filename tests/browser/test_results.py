@@ -2,9 +2,12 @@
 
 import csv
 import json
+import shutil
 
 import numpy as np
 import pytest
+
+from rfem_jax.report.page.document import write_folder
 
 
 def shown_number(value):
@@ -73,6 +76,27 @@ def test_checks(page, results):
         assert float(row[6]) == pytest.approx(found["momentum_balance_error"], rel=1e-2)
     text = page.text("#page-checks")
     assert results["versions"]["jax"] in text and "rk4" in text
+
+
+def test_numbers_of_a_case_that_failed_carry_a_mark(open_page, folder, tmp_path):
+    out = tmp_path / "failed"
+    shutil.copytree(folder, out)
+    content = json.loads((out / "results.json").read_text(encoding="utf-8"))
+    content["cases"]["P2"]["status"] = "diverged"
+    (out / "results.json").write_text(json.dumps(content), encoding="utf-8")
+    page = open_page(write_folder(out))
+    assert not [
+        text
+        for text in page.run("return [...document.querySelectorAll('.finding')].map((e) => e.textContent)")
+        if "P2" in text
+    ]
+    for selector in ("ul.cases strong", "button.case"):
+        names = page.run("return [...document.querySelectorAll(arguments[0])].map((e) => e.textContent)", selector)
+        assert "P2*" in names and "P2" not in names
+    page.tab("Tables")
+    _, rows = table(page, "#loads-table")
+    assert {row[0] for row in rows} == {"P1", "P2*", "P3"}
+    assert page.text("#page-tables .failed") == "* P2: diverged."
 
 
 def task_tab(page, title):

@@ -101,6 +101,22 @@ def test_what_only_one_has_is_said(folders, capsys):
     assert "There is no value to compare." in capsys.readouterr().out
 
 
+def test_numbers_of_cases_that_failed_carry_a_mark(folders, tmp_path, capsys):
+    first, second, change = folders
+    change(lambda content: content["cases"]["P2"].update(status="diverged"))
+    for folder, statuses in (("a", ("ok", "ok")), ("b", ("ok", "not_assembled"))):
+        cases = {name: {"status": one, "modes": [{"frequency": 3.0}]} for name, one in zip(("P1", "P3"), statuses)}
+        path = tmp_path / folder / "modes.json"
+        path.write_text(json.dumps({"title": "Study", "cases": cases}), encoding="utf-8")
+    assert main(["compare", first, second]) == 0
+    text = capsys.readouterr().out
+    named = {line.split()[0] for line in text.splitlines() if line.startswith(("P1", "P2", "P3"))}
+    assert named >= {"P1", "P2*", "P3"} and not {"P2", "P1*", "P3*"} & named
+    assert "P3, 1*" in text and "P1, 1*" not in text
+    assert "* Case P2: ok in the first, diverged in the second; these numbers are not of a complete run." in text
+    assert "* Results of modes: the status of one of both says that it is not complete." in text
+
+
 @pytest.mark.parametrize(
     "content",
     ["", "[]", "{}", '{"cases": 3}', '{"cases": {"P1": 3}}', '{"cases": {"P1": {"joints": []}}}'],

@@ -37,7 +37,7 @@ def history():
 
 
 def run_with(contacts) -> Any:
-    return SimpleNamespace(contacts=contacts)
+    return SimpleNamespace(status=0, contacts=contacts)
 
 
 def test_a_pin_moves_within_the_circle_of_its_clearance(study):

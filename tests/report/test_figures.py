@@ -17,6 +17,7 @@ from matplotlib.lines import Line2D
 from matplotlib.path import Path
 
 from rfem_jax.description import Compliance, Joint
+from rfem_jax.mechanics import STATUS
 from rfem_jax.report import shapes
 from rfem_jax.report.figures import component_figure, draw_figures, shown_joints, write_figures
 from rfem_jax.report.pictures import write_pictures
@@ -52,6 +53,17 @@ def _coarse(monkeypatch):
     """Few pixels and no search for a layout, for tests of whether pictures are drawn at all."""
     monkeypatch.setitem(SETTINGS, "savefig.dpi", 30)
     monkeypatch.setattr(ConstrainedLayoutEngine, "execute", lambda engine, figure: None)
+
+
+@pytest.mark.usefixtures("_coarse")
+def test_a_case_that_failed_is_marked_in_every_picture(study, runs, statuses):
+    statuses["P2"] = ("diverged", "The run diverged; reduce the step.")
+    code = next(number for number, one in enumerate(STATUS) if one.name == "diverged")
+    runs = runs | {"P2": SimpleNamespace(**vars(runs["P2"]) | {"status": np.asarray(code)})}
+    figures = draw_figures(study, runs, summarise(study, runs, statuses))
+    for name, figure in figures.items():
+        assert "P2* (diverged)" in texts(figure), name
+        assert "P1*" not in texts(figure) and "P3*" not in texts(figure), name
 
 
 def texts(figure):

@@ -77,8 +77,12 @@ def test_many_joints_are_broken_into_blocks(study, runs, statuses):
 def test_a_failed_case_says_why(study, runs, statuses):
     statuses["P2"] = ("diverged", "The run diverged at 0.2 s; reduce the step.")
     text = results_text(study, summarise(study, runs, statuses))
-    assert "Case P2: The run diverged at 0.2 s; reduce the step." in text
+    assert "* Case P2: The run diverged at 0.2 s; reduce the step." in text
     assert "Case P1" not in text
+    rows = [line.split() for line in text.splitlines()]
+    named = [row[0] for row in rows if row and row[0].startswith("P2")]
+    assert len(named) > 5 and set(named) == {"P2*"}  # wherever its numbers are
+    assert not [row for row in rows if row and row[0] in ("P1*", "P3*")]
 
 
 def test_the_note_of_a_study_is_shown(study, runs, statuses):

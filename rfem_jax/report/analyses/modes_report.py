@@ -26,6 +26,7 @@ from rfem_jax.report.analyses.analysis import draw, error_names, errors_of_cases
 from rfem_jax.report.annotations import Figure
 from rfem_jax.report.output import write_csv
 from rfem_jax.report.style import add_titles, new_figure
+from rfem_jax.report.summary import in_legend, marked
 from rfem_jax.report.tables import format_table, title_text
 from rfem_jax.simulation.modes import REPEATED, NaturalModes, natural_frequencies
 
@@ -84,7 +85,8 @@ def _of_cases(
 
 def modes_text(study: Study, result: ModesResult) -> str:
     """Tables of frequencies, and of their derivatives in the first case."""
-    modes, cases = result.modes, [case.name for case in study.cases]
+    modes, found = result.modes, statuses(result)
+    cases = [marked(case.name, status) for case, status in zip(study.cases, found, strict=True)]
     rows = []
     for m in range(modes.frequency.shape[1]):
         frequencies = [f"{value:.6g}" for value in modes.frequency[:, m]]
@@ -99,6 +101,10 @@ def modes_text(study: Study, result: ModesResult) -> str:
         )
     if modes.asymmetry.max() > 1e-6:
         parts.append("Forces that have no potential act: the symmetric part of the stiffness was taken.")
+    failed = [code for code in modes.status.tolist() if code]
+    if failed:
+        messages = dict.fromkeys(STATUS[code].message for code in failed)
+        parts.append("\n".join(f"* {message}" for message in messages))
     return "\n\n".join(parts)
 
 
@@ -215,5 +221,6 @@ def modes_figure(study: Study, result: ModesResult, shapes: Shapes) -> Figure:
         axes.set_title(f"mode {m + 1}: {result.modes.frequency[0, m]:.5g} Hz\n{view}, m", loc="left", fontsize=8.5)
         axes.set_aspect("equal", adjustable="datalim")
         axes.tick_params(labelsize=7)
-    add_titles(figure, f"Natural modes of case {study.cases[0].name} (amplitude arbitrary)", study)
+    case = in_legend(study.cases[0].name, statuses(result)[0])
+    add_titles(figure, f"Natural modes of case {case} (amplitude arbitrary)", study)
     return figure

@@ -22,7 +22,7 @@ from rfem_jax.report.annotations import Figure
 from rfem_jax.report.files import contact_columns
 from rfem_jax.report.output import write_csv
 from rfem_jax.report.style import add_titles, line_style, new_figure
-from rfem_jax.report.summary import joint_names
+from rfem_jax.report.summary import in_legend, joint_names, marked
 from rfem_jax.report.tables import format_table, title_text
 from rfem_jax.simulation.turn import ClosedPose, Turn, closed_poses, turn_over
 
@@ -146,7 +146,8 @@ def turn_text(study: Study, model: Model, turn: Turn) -> str:
             for name, one in peaks["joints"].items()
         ]
         header = ["joint", "max force, N", f"at, {unit}", "max moment, N m", f"at, {unit}"]
-        text = f"Case {case.name}: largest loads of the mechanism held still\n{format_table(header, rows)}"
+        name = marked(case.name, statuses(turn)[c])
+        text = f"Case {name}: largest loads of the mechanism held still\n{format_table(header, rows)}"
         if peaks["stress"]:
             rows = [
                 [name, f"{one['max_stress'] / 1e6:.5g}", f"{scale * one['max_stress_at']:.5g}"]
@@ -160,7 +161,7 @@ def turn_text(study: Study, model: Model, turn: Turn) -> str:
             text += f"\n\nThe drive holds with {low:.5g} to {high:.5g} {force}."
         failed = int((turn.status[c] != 0).sum())
         if failed:
-            text += f"\n{failed} of {turn.status.shape[1]} positions were not assembled ({statuses(turn)[c]})."
+            text += f"\n* {failed} of {turn.status.shape[1]} positions were not assembled ({statuses(turn)[c]})."
         parts.append(text)
     return "\n\n".join(parts)
 
@@ -223,7 +224,7 @@ def turn_figure(study: Study, model: Model, turn: Turn) -> Figure:
                 size = np.linalg.norm(getattr(turn.loads[name], load)[c], axis=-1)
                 axes.plot(x, size * good, label=name, **line_style(k, len(x)))
             axes.set_ylabel(label)
-        panels[c, 0].set_title(f"case {case.name}", loc="left")
+        panels[c, 0].set_title(f"case {in_legend(case.name, statuses(turn)[c])}", loc="left")
         panels[c, 2].plot(x, turn.holding[c] * good, **line_style(0, len(x)))
         panels[c, 2].set_ylabel("holding force, N" if _slides(model) else "holding moment, N m")
         curves = [(name, k) for name in turn.contacts for k in range(len(CONTACT_NAMES))]

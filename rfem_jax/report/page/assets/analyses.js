@@ -199,7 +199,7 @@ function rmsOfCycle() {
   const rows = content.cases.flatMap((one) => one.joints.map((joint) => ({ name: one.name, joint })));
   if (!rows.length) return null;
   const columns = [
-    { label: "case", value: (row) => row.name }, { label: "joint", value: (row) => row.joint.name },
+    { label: "case", value: (row) => shownCase(row.name) }, { label: "joint", value: (row) => row.joint.name },
     { label: "RMS force", unit: "N", loads: true, value: (row) => row.joint.rms_force }, { label: "RMS moment", unit: "N m", loads: true, value: (row) => row.joint.rms_moment },
   ];
   return section("Loads of one revolution", sortableTable("RMS of one revolution of the cycle", columns, rows, { id: "cycle-loads" }));
@@ -217,7 +217,7 @@ function orbitSection() {
     const most = Math.max(1e-300, ...found.flatMap((one) => [...one.x, ...one.y].map(Math.abs)).filter(Number.isFinite)) * 1.08;
     const drawn = found.map((one) => ({ ...one, class: `curve case-${one.index % 7}`, dash: caseDash(one.index) }));
     clear(holder).append(lineChart(drawn, `force x of ${name}, N`, `force z of ${name}, N`, `Force in ${name} over one revolution`,
-      { width: 460, height: 454, xRange: [-most, most], yRange: [-most, most] }), lineLegend(found.map((one) => [one.name, one.index])));
+      { width: 460, height: 454, xRange: [-most, most], yRange: [-most, most] }), lineLegend(found.map((one) => [shownCase(one.name), one.index])));
   };
   show(names[0]);
   return section("Force of a joint over one revolution", choice("Joint", names.map((name) => [name, name]), names[0], show, { id: "orbit-joint" }), holder,

@@ -2,7 +2,7 @@
 function checksPage() {
   const rows = content.cases;
   const columns = [
-    { label: "case", value: (row) => row.name }, { label: "status", value: (row) => row.status },
+    { label: "case", value: (row) => shownCase(row.name) }, { label: "status", value: (row) => row.status },
     { label: "what it means", value: (row) => row.message },
     ...content.balances.map((one) => ({ label: one.label, unit: one.unit, title: one.text, value: (row) => (row.numbers || {})[one.name], digits: 3 })),
   ];

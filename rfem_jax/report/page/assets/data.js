@@ -22,6 +22,22 @@ function referenceCase() {
   return Math.max(without, 0);
 }
 
+// Whether the numbers of a case are not those of a complete run.
+function hasFailed(entry) {
+  return Boolean(entry && entry.status && entry.status !== "ok");
+}
+
+// Name of a case where its numbers are shown: with an asterisk where it has failed.
+function shownCase(name) {
+  return hasFailed(content.cases.find((one) => one.name === name)) ? `${name}*` : name;
+}
+
+// What the asterisks mean, one line for each case that has failed; null where none has.
+function failedNote() {
+  const bad = content.cases.filter(hasFailed);
+  return bad.length ? make("p", { class: "hint failed" }, bad.map((one) => `* ${one.name}: ${one.status}`).join("; "), ".") : null;
+}
+
 function jointOf(entry, name) {
   return entry.joints.find((joint) => joint.name === name) || {};
 }
@@ -32,7 +48,7 @@ function largestMetric(metric) {
   return Math.max(0, ...sizes.filter(Number.isFinite));
 }
 
-// The largest change from the reference case by errors: {case, joint, metric, from, to}, or null.
+// The largest change from the reference case by errors, of complete runs: {case, joint, metric, from, to}, or null.
 function largestChange(metric) {
   const reference = content.cases[referenceCase()];
   let found = null;
@@ -40,7 +56,7 @@ function largestChange(metric) {
     for (const joint of one.joints) {
       const from = jointOf(reference, joint.name)[metric];
       const to = joint[metric];
-      if (!Number.isFinite(from) || !Number.isFinite(to) || one === reference) continue;
+      if (!Number.isFinite(from) || !Number.isFinite(to) || one === reference || hasFailed(one)) continue;
       if (!found || to - from > found.to - found.from) found = { case: index, joint: joint.name, metric, from, to };
     }
   });

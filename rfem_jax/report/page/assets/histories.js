@@ -91,7 +91,7 @@ class HistoryPlot {
       axes: [{ ...axis("time, s"), size: 30, labelSize: 18 }, { ...axis(this.title()), size: 56 }],
       hooks: { draw: [() => this.moveCursor()] },
       series: [{}, ...this.cases.map((one) => ({
-        label: one.name, stroke: () => caseColour(one.index), width: 1.6, dash: caseDash(one.index),
+        label: shownCase(one.name), stroke: () => caseColour(one.index), width: 1.6, dash: caseDash(one.index),
         points: { show: false }, spanGaps: !times,
       }))],
     };
@@ -119,7 +119,7 @@ class HistoryPlot {
       const value = make("output", { class: "readout" });
       const sample = draw("svg", { viewBox: "0 0 30 8", width: 30, height: 8, "aria-hidden": "true" },
         draw("line", { x1: 0, x2: 30, y1: 4, y2: 4, stroke: caseColour(one.index), "stroke-width": 2.5, "stroke-dasharray": caseDash(one.index).join(" ") || null }));
-      this.legend.append(make("span", { class: "entry" }, sample, one.name, value));
+      this.legend.append(make("span", { class: "entry" }, sample, shownCase(one.name), value));
       return value;
     });
   }

@@ -109,7 +109,7 @@ class MechanismView {
       const y = panel.y + 24 + 20 * i;
       stroke(context, [{ x: panel.x + 14, y: y - 5 }, { x: panel.x + 36, y: y - 5 }],
         { colour: caseColour(index), width: 4, dash: caseDash(index) });
-      const words = `${content.animation.cases[index]}${without ? ", no errors" : ""}`;
+      const words = `${shownCase(content.animation.cases[index])}${without ? ", no errors" : ""}`;
       write(context, words, panel.x + 44, y, palette.ink, "600 14px system-ui, sans-serif");
     });
     if (!actors.length) {

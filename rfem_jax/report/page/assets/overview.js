@@ -8,7 +8,7 @@ function headline() {
     const nothing = change.from < 1e-6 * change.to;
     const times = !nothing && change.to > 1.05 * change.from ? `, ${showNumber(change.to / change.from, 2)} times as much` : "";
     return make("p", { class: "finding" }, `${words} in joint `, make("strong", {}, change.joint), ": ",
-      make("strong", {}, nothing ? `0 ${unitName}` : withUnit(change.from, unitName, 3)), ` in ${reference.name}, `,
+      make("strong", {}, nothing ? `0 ${unitName}` : withUnit(change.from, unitName, 3)), ` in ${shownCase(reference.name)}, `,
       make("strong", {}, withUnit(change.to, unitName, 3)), ` in ${content.cases[change.case].name}${times}.`);
   });
   const bad = content.cases.filter((one) => one.status !== "ok");
@@ -21,7 +21,7 @@ function caseList() {
   const rows = content.cases.map((one, index) => {
     const words = one.errors.filter((error) => error[1]).map(errorWords);
     const mark = draw("svg", { viewBox: "0 0 16 16", width: 16, height: 16, "aria-hidden": "true" }, caseMark(index, 8, 8, 5));
-    return make("li", {}, mark, make("strong", {}, one.name), make("span", {}, words.join("; ") || "no errors"));
+    return make("li", {}, mark, make("strong", {}, shownCase(one.name)), make("span", {}, words.join("; ") || "no errors"));
   });
   return make("ul", { class: "cases" }, rows);
 }
@@ -34,7 +34,7 @@ function loadCharts() {
       label: joint.name,
       marks: content.cases.map((one, index) => {
         const value = jointOf(one, joint.name)[metric];
-        return { index, value, title: `${one.name}, joint ${joint.name}: ${withUnit(value, unitName)}` };
+        return { index, value, title: `${shownCase(one.name)}, joint ${joint.name}: ${withUnit(value, unitName)}` };
       }),
     }));
     return make("figure", {}, make("figcaption", {}, title), dotChart(rows, title, `${title}, by joint and case`, referenceCase()));
@@ -102,7 +102,7 @@ function caseToggles(draw) {
       draw();
       page.rebuildCurves();
     }, { class: "chip case", "data-case": index });
-    button.append(mark(), document.createTextNode(name));
+    button.append(mark(), document.createTextNode(shownCase(name)));
     return button;
   });
 }
@@ -125,7 +125,7 @@ function tablesPage() {
   const norm = (value) => (Array.isArray(value) ? Math.hypot(...value.map(Number)) : value);
   const rows = content.cases.flatMap((one) => one.joints.map((joint) => ({ case: one.name, joint })));
   const columns = [
-    { label: "case", value: (row) => row.case },
+    { label: "case", value: (row) => shownCase(row.case) },
     { label: "joint", value: (row) => row.joint && row.joint.name },
     { label: "kind", value: (row) => row.joint && row.joint.kind },
     ...content.metrics.map((metric) => ({
@@ -135,7 +135,7 @@ function tablesPage() {
   ];
   const ends = content.cases.map((one) => ({ case: one.name, status: one.status, values: new Map(one.driven) }));
   const endColumns = [
-    { label: "case", value: (row) => row.case }, { label: "status", value: (row) => row.status },
+    { label: "case", value: (row) => shownCase(row.case) }, { label: "status", value: (row) => row.status },
     ...content.ends.map((one) => ({ label: one.label, unit: one.unit, value: (row) => row.values && row.values.get(one.name), digits: 8 })),
   ];
   const errors = content.cases.flatMap((one) => one.errors.map((error) => ({ case: one.name, error })));
@@ -144,7 +144,7 @@ function tablesPage() {
     { label: "value", value: (row) => row.error && row.error[1], show: (value, row) => showError(value, row.error[2]) },
   ];
   return [
-    section("Loads in the joints", sortableTable("Loads by case and joint; a preload is the resultant at the start", columns, rows, { id: "loads-table" })),
+    section("Loads in the joints", sortableTable("Loads by case and joint; a preload is the resultant at the start", columns, rows, { id: "loads-table" }), failedNote()),
     section("Assembly errors", errors.length ? sortableTable("Errors by case", errorColumns, errors) : make("p", {}, "No case has errors.")),
     content.driven_joint ? section(`Driven joint ${content.driven_joint}`, sortableTable("End of the run", endColumns, ends)) : null,
   ];
