@@ -51,6 +51,24 @@ def test_what_stands_beside_the_packages_imports_none_of_them(name):
     assert not [one for one in imported_modules(ROOT / "rfem_jax" / f"{name}.py") if one.startswith("rfem_jax")]
 
 
+TEXTS = {"read_text", "write_text", "savetxt", "loadtxt", "genfromtxt"}
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(ROOT / "rfem_jax")))
+def test_texts_in_files_have_an_encoding(path):
+    """That of the system is not UTF-8 everywhere."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if not isinstance(node, ast.Call):
+            continue
+        named = getattr(node.func, "attr", getattr(node.func, "id", ""))
+        given = {keyword.arg for keyword in node.keywords}
+        modes = [one.value for one in node.args[1:2] if isinstance(one, ast.Constant)]
+        opened = named == "open" and not (isinstance(node.func, ast.Attribute) and ast.unparse(node.func) == "os.open")
+        if named in TEXTS or (opened and not any("b" in str(mode) for mode in modes)):
+            of_a_stream = named == "loadtxt" and ast.unparse(node.args[0]) == "file"
+            assert "encoding" in given or of_a_stream, f"{path}:{node.lineno}"
+
+
 def imported_files(path: Path):
     """Names of all modules of this project that a file imports; `from package import module` names a module too."""
     yield from (name for name in imported_modules(path) if name.startswith("rfem_jax."))

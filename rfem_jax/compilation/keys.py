@@ -175,7 +175,7 @@ def surroundings() -> tuple:
     variables = tuple(sorted(x for x in os.environ.items() if x[0].startswith(VARIABLES)))
     flags = os.environ.get("XLA_FLAGS", "").strip()
     if flags and not flags.startswith("-"):
-        variables += (Path(flags).read_text(),)
+        variables += (Path(flags).read_text(encoding="utf-8", errors="replace"),)
     fixed = _versions(), _processor(), hash_sources(), tuple(options.settle()), options.FLAGS, _own_options()
     return *fixed, changing, variables, _devices()
 
@@ -227,7 +227,7 @@ def _processor():
     """Model and features of the processor, and the number of cores, for which programs are divided."""
     words = {"model name", "flags", "Features", "CPU part"}
     try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
         lines = []
     found = sorted({line for line in lines if line.split(":")[0].strip() in words})

@@ -313,8 +313,8 @@ def _known_to_newer(version: str) -> bool:
     """Whether a version of jaxlib newer than the tested ones accepts the flags; tried once for each version."""
     verdict = user_cache_folder() / f"options_{version}"
     try:
-        kept = verdict.read_text().splitlines()
-    except OSError:
+        kept = verdict.read_text(encoding="utf-8").splitlines()
+    except (OSError, ValueError):
         kept = []
     if len(kept) != 2 or kept[0] != FLAGS:
         environment = {**os.environ, "XLA_FLAGS": FLAGS}
@@ -322,7 +322,7 @@ def _known_to_newer(version: str) -> bool:
         kept = [FLAGS, "yes" if child.returncode == 0 else "no"]
         try:
             verdict.parent.mkdir(parents=True, exist_ok=True)
-            verdict.write_text("\n".join(kept))
+            verdict.write_text("\n".join(kept), encoding="utf-8")
         except OSError:
             pass  # tried again next time
     return kept[1] == "yes"

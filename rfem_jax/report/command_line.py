@@ -42,7 +42,7 @@ from rfem_jax.report.console import (
     printable,
     write,
 )
-from rfem_jax.report.process import count_devices, join_processes, require_platform, set_up_jax
+from rfem_jax.report.process import count_devices, require_platform, set_up_jax, sharing
 from rfem_jax.report.progress_line import ProgressLine, clear_lines, paint, print_document, say, speaking
 from rfem_jax.stack_room import with_room
 
@@ -104,13 +104,12 @@ def _act(arguments: argparse.Namespace, line: ProgressLine) -> Answer:
     if not command.computes:
         return command.act(arguments)
     set_up_jax(count_devices(arguments), getattr(arguments, "cache", True), getattr(arguments, "out", None))
-    join_processes(arguments)
     require_platform()
     from rfem_jax.compilation.last_time import loading
     from rfem_jax.compilation.stages import listening
 
     study = getattr(arguments, "study", None)
-    with listening(line), nullcontext() if study is None else loading(arguments.command, study):
+    with listening(line), sharing(arguments), nullcontext() if study is None else loading(arguments.command, study):
         return command.act(arguments)
 
 

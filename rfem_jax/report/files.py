@@ -143,7 +143,8 @@ def write_history(path: str | Path, study: Study, run: Run) -> Path:
     columns = history_columns(study, run)
     table = np.stack(list(columns.values()), axis=1)
     with replacing(path) as temporary:
-        np.savetxt(temporary, table, fmt="%.12g", delimiter=",", header=",".join(map(csv_cell, columns)), comments="")
+        header = ",".join(map(csv_cell, columns))
+        np.savetxt(temporary, table, fmt="%.12g", delimiter=",", header=header, comments="", encoding="utf-8")
     return Path(path)
 
 

@@ -1,4 +1,4 @@
-"""The process of a command: precision, devices, compiler, cache of programs, other processes.
+"""The process of a command: precision, devices, compiler, cache of programs, other processes with which it shares.
 
 Place in the pipeline: command_line calls it before anything else; JAX reads most of it only once.
 """
@@ -6,6 +6,7 @@ Place in the pipeline: command_line calls it before anything else; JAX reads mos
 import argparse
 import os
 import sys
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
 from rfem_jax.usable_cores import usable_cores
@@ -91,30 +92,22 @@ def count_devices(arguments: argparse.Namespace) -> int | None:
     return arguments.devices
 
 
-def join_processes(arguments: argparse.Namespace) -> None:
-    """Join the other processes of a Monte Carlo study, if the command names them.
+def sharing(arguments: argparse.Namespace) -> AbstractContextManager[None]:
+    """Context in which this process does its part of the work of several, if the command names them.
 
-    Raises InputError for an incomplete or impossible set of options, and when the coordinator does
-    not answer.
+    They meet in the folder of results alone; `--coordinator` of earlier versions is not needed.
+    Raises InputError for an incomplete or impossible set of options.
     """
-    given = [getattr(arguments, name, None) for name in ("coordinator", "processes", "process_id")]
-    if all(one is None for one in given):
-        return
+    processes, process = (getattr(arguments, name, None) for name in ("processes", "process_id"))
+    if processes is None and process is None:
+        return nullcontext()
     from rfem_jax.description.errors import InputError
 
-    address, processes, process = given
-    if address is None or processes is None or process is None or processes < 1 or not 0 <= process < processes:
+    if processes is None or process is None or processes < 1 or not 0 <= process < processes:
         raise InputError(
-            "Arguments `--coordinator`, `--processes` and `--process-id` must all be given, with "
-            f"0 <= I < N, but are {address}, {processes} and {process}; complete them."
+            f"Arguments `--processes` N and `--process-id` I must both be given, with 0 <= I < N, but are {processes} "
+            f"and {process}; complete them."
         )
-    import jax
+    from rfem_jax.tolerancing.problems.sharing import shared_among
 
-    try:
-        jax.distributed.initialize(address, processes, process)
-    except (RuntimeError, ValueError) as problem:
-        raise InputError(
-            f"Argument `--coordinator` must be the address of process 0, but {address} could not "
-            f"be used ({str(problem).splitlines()[0]}); start all {processes} processes with the "
-            "same address."
-        ) from problem
+    return shared_among(process, processes)

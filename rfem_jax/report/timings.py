@@ -20,6 +20,7 @@ import jax
 
 from rfem_jax.compilation import keeping, keys, options
 from rfem_jax.description.study import Study
+from rfem_jax.tolerancing.problems.sharing import process_count
 from rfem_jax.whole_files import replacing
 
 MOST = 500  # entries; the oldest go
@@ -45,7 +46,7 @@ def key_of(study: Study, task: str) -> str | None:
     try:
         return keys.digest_value(
             (task, asked, tolerances, study.mechanism, study.drive, study.duration, method, study.save_every)
-            + (jax.local_device_count(), jax.process_count(), os.cpu_count() or 1)
+            + (jax.local_device_count(), process_count(), os.cpu_count() or 1)
         )
     except keys.NotDigestible:
         return None

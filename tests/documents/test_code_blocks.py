@@ -104,7 +104,7 @@ def test_commands(path, in_workplace, capsys):
             assert arguments[1] in (ROOT / "tests" / "programs" / "test_studies.py").read_text(encoding="utf-8")
             continue
         assert arguments[0] == "rfem-jax", arguments
-        if "--coordinator" in arguments or tuple(arguments[1:3]) in ELSEWHERE:
+        if "--processes" in arguments or tuple(arguments[1:3]) in ELSEWHERE:
             build_parser().parse_args(arguments[1:])
             continue
         if path.name == "first_steps.md":

@@ -3,7 +3,6 @@
 import json
 import math
 import os
-import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -22,6 +21,7 @@ from rfem_jax.report.tasks import study_problem, task_report, worst_case
 from rfem_jax.report.tasks.task_overview import tasks_text
 from rfem_jax.tolerancing import Tolerances, monte_carlo
 from rfem_jax.tolerancing import worst_case as search
+from rfem_jax.tolerancing.problems import sharing
 from rfem_jax.tolerancing.problems.results_store import ResultsStore
 from rfem_jax.tolerancing.problems.simulated_problem import finer_method
 from tests.processes import path_without_matplotlib
@@ -337,7 +337,8 @@ def test_a_command_without_its_table_is_refused(study_file, tmp_path, capsys):
     [
         (("--devices", "0"), "`--devices`"),
         (("--processes", "2"), "`--process-id`"),
-        (("--coordinator", "h:1", "--processes", "2", "--process-id", "2"), "0 <= I < N"),
+        (("--processes", "2", "--process-id", "2"), "0 <= I < N"),
+        (("--process-id", "0"), "`--processes`"),
     ],
 )
 def test_wrong_options_are_one_sentence(task_file, tmp_path, capsys, options, word):
@@ -423,13 +424,10 @@ sys.exit(command_line.main(sys.argv[1:]))
 
 @pytest.mark.slow
 def test_two_processes_share_the_samples(task_file, tmp_path):
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        address = f"127.0.0.1:{probe.getsockname()[1]}"
     out, root = tmp_path / "out", Path(__file__).parents[2]
     # Without pictures: these are drawn by one process as by two.
     alone = [sys.executable, "-c", PROCESS, "monte-carlo", str(task_file), "--devices", "1", "--out"]
-    command = [*alone, str(out), "--coordinator", address, "--processes", "2", "--process-id"]
+    command = [*alone, str(out), "--processes", "2", "--process-id"]
     environment = {**os.environ, "JAX_PLATFORMS": "cpu"}
     environment["PYTHONPATH"] = path_without_matplotlib(tmp_path / "path")
     started = [
@@ -450,6 +448,17 @@ def test_two_processes_share_the_samples(task_file, tmp_path):
     subprocess.run([*alone, str(tmp_path / "alone")], cwd=root, env=environment, check=True, capture_output=True)
     for name in ("monte_carlo.json", "monte_carlo.csv"):
         assert (out / name).read_bytes() == (tmp_path / "alone" / name).read_bytes()
+    assert not list((out / "monte_carlo").glob("*.alive"))
+
+
+def test_a_process_whose_partner_stops_says_so(task_file, monkeypatch, tmp_path, capsys, closed):
+    monkeypatch.setattr(sharing.SignsOfLife, "stopped", lambda signs: [1])
+    out = tmp_path / "out"
+    assert call("monte-carlo", task_file, out, "--processes", "2", "--process-id", "0") == 3
+    (sentence,) = [line for line in capsys.readouterr().err.splitlines() if "stopped" in line]
+    assert "Process 1 has stopped" in sentence and "finished chunks are kept" in sentence
+    assert "--out" not in sentence and list((out / "monte_carlo").glob("chunk-*.npz"))
+    assert call("monte-carlo", task_file, out) == 0
 
 
 PENDULUM = f"""

@@ -89,8 +89,8 @@ def add_processes(parser: argparse.ArgumentParser) -> None:
     """Several processes for one task."""
     group = parser.add_argument_group(
         "several processes or machines",
-        "Start the same command once per process; they share the folder DIR.",
+        "Start the same command once per process; they share the folder DIR, and need nothing else of each other.",
     )
-    group.add_argument("--coordinator", metavar="HOST:PORT", help="address of process 0")
+    group.add_argument("--coordinator", metavar="HOST:PORT", help="not needed any more")
     group.add_argument("--processes", metavar="N", type=int, help="number of processes")
     group.add_argument("--process-id", metavar="I", type=int, help="number of this process, from 0")

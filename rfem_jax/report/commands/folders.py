@@ -4,6 +4,7 @@ Place in the pipeline: used by the subcommands that write.
 """
 
 import os
+import secrets
 from pathlib import Path
 
 from rfem_jax.report.console import work_begins
@@ -32,7 +33,7 @@ def open_folder(out: str | Path) -> Path:
     folder = Path(out)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        probe = folder / f".{os.getpid()}.part"
+        probe = folder / f".{secrets.token_hex(8)}.part"
         probe.touch()
         probe.unlink()
     except OSError as problem:

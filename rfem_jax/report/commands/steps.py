@@ -4,6 +4,7 @@ Place in the pipeline: used by the subcommands; imports what it needs when it is
 """
 
 import json
+import sys
 import threading
 import time
 from collections.abc import Iterable, Iterator, Sequence
@@ -14,7 +15,7 @@ from typing import Any
 from rfem_jax.report.annotations import Model, Study
 from rfem_jax.report.commands.command import Interrupted
 from rfem_jax.report.commands.folders import cannot_write
-from rfem_jax.report.progress_line import note, remark
+from rfem_jax.report.progress_line import note, paint, remark, say
 
 
 def announce(stage: str, done: float | None = None) -> None:
@@ -87,8 +88,12 @@ def write_task(study: Study, task: str, folder: Path) -> tuple[bool, list[Path]]
     """Do a task of a study; returns whether it succeeded, and the files written. Raises: InputError; Interrupted."""
     from rfem_jax.report.tasks.task_report import do_task, report_on
 
-    with _interruptible(study, task, folder), timed(study, task, report_on(study, task).left(folder)):
-        return do_task(study, task, folder)
+    try:
+        with _interruptible(study, task, folder), timed(study, task, report_on(study, task).left(folder)):
+            return do_task(study, task, folder)
+    except TimeoutError as problem:  # another process that shares the work has stopped
+        say(paint(str(problem), "red", sys.stderr))
+        return False, []
 
 
 @contextmanager
@@ -98,6 +103,8 @@ def _interruptible(study: Study, task: str, folder: Path) -> Iterator[None]:
 
     try:
         yield
+    except TimeoutError:
+        raise
     except OSError as problem:
         raise cannot_write(folder, problem) from problem
     except KeyboardInterrupt:

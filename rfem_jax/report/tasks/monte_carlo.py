@@ -37,6 +37,7 @@ from rfem_jax.report.tasks.task_report import GRADIENT, TaskReport
 from rfem_jax.text_layout import size_text
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.results_store import StudyFolderError
+from rfem_jax.tolerancing.problems.sharing import process_count, process_index
 from rfem_jax.tolerancing.sampling.monte_carlo_result import MonteCarloResult
 from rfem_jax.tolerancing.sampling.monte_carlo_study import first_samples
 from rfem_jax.tolerancing.sampling.monte_carlo_study import monte_carlo as sample_problem
@@ -72,7 +73,7 @@ class MonteCarloReport(TaskReport[MonteCarloTask, MonteCarloResult]):
         task, tolerances = self.task, Tolerances.of(self.study)
         stage = (
             f"Sampling {task.n} mechanisms on {jax.local_device_count()} devices"
-            f" of {jax.process_count()} process{'es' if jax.process_count() > 1 else ''}"
+            f" of {process_count()} process{'es' if process_count() > 1 else ''}"
         )
         on_stage(stage)
 
@@ -112,7 +113,7 @@ class MonteCarloReport(TaskReport[MonteCarloTask, MonteCarloResult]):
         return str(result)
 
     def text_of_helper(self, result: MonteCarloResult) -> str:
-        return f"Process {jax.process_index()} computed {result.chunks_computed} chunks."
+        return f"Process {process_index()} computed {result.chunks_computed} chunks."
 
     def write(self, folder: Path, result: MonteCarloResult) -> list[Path]:
         """Write monte_carlo.json and monte_carlo.csv (one row per sample: status, errors, metrics, with their units in

@@ -32,6 +32,7 @@ from rfem_jax.tolerancing.designs.response_surface import ResponseSurface
 from rfem_jax.tolerancing.designs.sweep_study import SweepResult, ranges, require_sweep_folder
 from rfem_jax.tolerancing.designs.sweep_study import sweep as run_sweep
 from rfem_jax.tolerancing.problems.results_store import StudyFolderError
+from rfem_jax.tolerancing.problems.sharing import process_index
 
 MOST_EACH = 4  # errors and metrics of the responses
 MOST_PANELS = 8
@@ -94,7 +95,7 @@ class SweepReport(TaskReport[SweepTask, SweepResult]):
         return str(result)
 
     def text_of_helper(self, result: SweepResult) -> str:
-        return f"Process {jax.process_index()} computed {result.chunks_computed} chunks."
+        return f"Process {process_index()} computed {result.chunks_computed} chunks."
 
     def write(self, folder: Path, result: SweepResult) -> list[Path]:
         """Write sweep.json (ranges and the response surface, about the middle of the ranges, by m and rad) and

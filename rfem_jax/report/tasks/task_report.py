@@ -13,7 +13,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-import jax
 from jax.typing import ArrayLike
 
 from rfem_jax.compilation.stages import on_stage
@@ -31,6 +30,7 @@ from rfem_jax.report.summary import PLOTS_HINT
 from rfem_jax.report.tables import title_text
 from rfem_jax.task_kinds import task_kinds
 from rfem_jax.tolerancing.problems.kept_evaluations import count_kept, kept_in
+from rfem_jax.tolerancing.problems.sharing import process_index
 
 GRADIENT = 3.0  # simulations that one with first derivatives takes (benchmarks/gradients.py)
 
@@ -83,7 +83,7 @@ class TaskReport(abc.ABC, Generic[Asked, Result]):
 
     def text_of_helper(self, result: Result) -> str:
         """What is printed by all processes but the first, which do not write (a task shared by several)."""
-        return f"Process {jax.process_index()} is done."
+        return f"Process {process_index()} is done."
 
     @property
     def tolerances(self) -> SpecifiedTolerances:
@@ -144,7 +144,7 @@ class TaskReport(abc.ABC, Generic[Asked, Result]):
         with kept_in(self.unfinished(folder)):
             result = self.run(folder)
         good = self.succeeded(result)
-        if jax.process_index() != 0:
+        if process_index() != 0:
             show(self.text_of_helper(result))
             return good, []
         show(f"{title_text(self.study)}\n\n{self.text(result)}", end="\n\n")

@@ -5,12 +5,12 @@ Place in the pipeline: between the Monte Carlo study and the problem.
     launch   `lanes` samples on each local device: one compiled program, whatever the batch
     chunk    `batch` samples, the unit that is stored; chunks are launched together as far as they fit, and the last
              launch is filled up
-    process  chunk c belongs to process c modulo their number (JAX's distributed runtime)
+    process  chunk c belongs to process c modulo their number (`sharing`)
 
 Every launch has the same shape and a device sees only its own lanes (`shard_map`: no loop waits for another device).
 The numbers of a sample therefore do not depend on batch, devices or processes, to the last bit. Processes share
 nothing but the folder of chunks: each computes its own chunks with local programs and then waits for the files of the
-others.
+others, as long as these give signs of life.
 
 Several CPU devices need spare threads. The program of a device occupies a thread of XLA's pool, and its batched matrix
 factorisations wait for others of the same pool; with as many threads as devices (XLA's own choice) all of them may
@@ -35,6 +35,7 @@ from jaxtyping import Float
 from rfem_jax.compilation import keys
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.errors import InputError
+from rfem_jax.tolerancing.problems import sharing
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem, shared_form
 from rfem_jax.tolerancing.problems.results_store import ResultsStore
@@ -116,7 +117,7 @@ def run_chunks(
         ChunkWriteError; TimeoutError.
     """
     require_threads(jax.local_devices())
-    process, processes = jax.process_index(), jax.process_count()
+    process, processes = sharing.process_index(), sharing.process_count()
     if processes > 1 and store is None:
         raise InputError(
             f"Argument `resume` must name a folder that all {processes} processes share, but it is "
@@ -124,10 +125,29 @@ def run_chunks(
         )
     parts = [points[first : first + batch] for first in range(0, len(points), batch)]
     mine = range(process, len(parts), processes)
+    with sharing.SignsOfLife(None if store is None else store.folder) as signs:
+        chunks, computed = _compute_own(problem, tolerances, parts, mine, batch, lanes, store, progress)
+        if store is not None:
+            chunks |= _wait_for(store, {c: len(part) for c, part in enumerate(parts) if c not in chunks}, signs)
+    names = ("errors", "values", "status")
+    return {name: np.concatenate([chunks[c][name] for c in range(len(parts))]) for name in names}, computed
+
+
+def _compute_own(
+    problem: ToleranceProblem,
+    tolerances: Tolerances,
+    parts: list[np.ndarray],
+    mine: range,
+    batch: int,
+    lanes: int,
+    store: ResultsStore | None,
+    progress: ProgressOption,
+) -> tuple[dict[int, Arrays], int]:
+    """The chunks {index: arrays} of this process, and the number of those that were computed."""
     chunks = {} if store is None else _read(store, {c: len(parts[c]) for c in mine})
     done = sum(_rows(arrays) for arrays in chunks.values())
     computed = 0
-    shown = progress if process == 0 else False
+    shown = progress if mine.start == 0 else False
     with ProgressBar(shown, sum(len(parts[c]) for c in mine), done) as bar:
         missing = [c for c in mine if c not in chunks or _rows(chunks[c]) < len(parts[c])]
         together = max(1, lanes * jax.local_device_count() // batch)
@@ -144,10 +164,7 @@ def run_chunks(
                     store.write(c, added)
                 first, computed = first + len(points), computed + 1
                 bar.advance(len(points))
-    if store is not None:
-        chunks |= _wait_for(store, {c: len(part) for c, part in enumerate(parts) if c not in chunks})
-    names = ("errors", "values", "status")
-    return {name: np.concatenate([chunks[c][name] for c in range(len(parts))]) for name in names}, computed
+    return chunks, computed
 
 
 def _rows(arrays: Arrays) -> int:
@@ -164,8 +181,9 @@ def _read(store: ResultsStore, sizes: dict[int, int], warn: bool = True) -> dict
     return found
 
 
-def _wait_for(store: ResultsStore, missing: dict[int, int]) -> dict[int, Arrays]:
+def _wait_for(store: ResultsStore, missing: dict[int, int], signs: sharing.SignsOfLife) -> dict[int, Arrays]:
     """Chunks {index: arrays} of other processes, `missing` {index: samples}, from their files. Raises TimeoutError."""
+    processes = sharing.process_count()
     chunks, last = {}, time.monotonic()
     while len(chunks) < len(missing):
         # A damaged file is replaced by its owner, who warns; a chunk of too few samples is completed by its owner.
@@ -173,6 +191,14 @@ def _wait_for(store: ResultsStore, missing: dict[int, int]) -> dict[int, Arrays]
         found = {c: arrays for c, arrays in found.items() if _rows(arrays) == missing[c]}
         if found:
             chunks, last = chunks | found, time.monotonic()
+        owners = {c % processes for c in missing if c not in chunks}
+        stopped = [process for process in signs.stopped() if process in owners]
+        if stopped:
+            raise TimeoutError(
+                f"Process {stopped[0]} has stopped: it gave no sign of life for {sharing.SILENCE:.0f} s in "
+                f"`{store.folder}`; {len(missing) - len(chunks)} chunks are missing. Find out why, and start again, "
+                "with fewer processes if need be: finished chunks are kept."
+            )
         if time.monotonic() - last > PATIENCE:
             raise TimeoutError(
                 f"No new chunk of the other processes for {PATIENCE:.0f} s in `{store.folder}`; "

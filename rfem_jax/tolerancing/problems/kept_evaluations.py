@@ -11,6 +11,7 @@ something else; its result is the same, to the last bit. Chunks of a Monte Carlo
 A problem with a function of the user, whose content is not known, is computed again.
 """
 
+import errno
 import hashlib
 import shutil
 from collections.abc import Callable, Iterator, Sequence
@@ -23,7 +24,7 @@ import numpy as np
 
 from rfem_jax.compilation import keys
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem
-from rfem_jax.tolerancing.problems.results_store import ResultsStore
+from rfem_jax.tolerancing.problems.results_store import ChunkWriteError, ResultsStore
 
 STUDY = {"kept": "evaluations"}
 
@@ -55,7 +56,15 @@ class KeptEvaluations:
         arrays = {f"result_{i}": one for i, one in enumerate(results) if one is not None}
         if self._store is None:
             self._store = ResultsStore(self.folder, STUDY)
-        self._store.write(number, {"of": np.array(known), "length": np.array(len(results)), **arrays})
+        arrays |= {"of": np.array(known), "length": np.array(len(results))}
+        try:
+            self._store.write(number, arrays)
+        except ChunkWriteError as problem:
+            if problem.errno != errno.ENOENT:
+                raise
+            # Another process did the same, was done, and removed the folder.
+            self._store = ResultsStore(self.folder, STUDY)
+            self._store.write(number, arrays)
         return results
 
     def _digest(self, problem: ToleranceProblem) -> str | None:

@@ -8,8 +8,9 @@ Place in the pipeline: under the Monte Carlo study; knows nothing of problems an
 
 A file appears under its name only when it is whole: it is written beside it (".tmp"), synchronised to the disk,
 renamed, and the folder synchronised. A process that dies at any instant leaves finished chunks and at most one ".tmp"
-file, which the next run replaces. The checksum (SHA-256) covers the study's fingerprint, the chunk's index and every
-array, so that a damaged chunk, and a chunk of another study, are found when they are read.
+file, which the next run removes; those of processes that live stay, as several may have one folder. The checksum
+(SHA-256) covers the study's fingerprint, the chunk's index and every array, so that a damaged chunk, and a chunk of
+another study, are found when they are read.
 """
 
 import hashlib
@@ -24,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from rfem_jax.description.errors import InputError
-from rfem_jax.whole_files import UNFINISHED, write_whole
+from rfem_jax.whole_files import UNFINISHED, remove_abandoned, write_whole
 
 MANIFEST, DESCRIPTION = "manifest.json", "description"
 
@@ -101,8 +102,7 @@ class ResultsStore:
         named = {"checksum": np.array(self._checksum(index, arrays)), **arrays}
         np.savez(buffer, **named)  # pyright: ignore[reportArgumentType] - the stub takes names for `allow_pickle`
         try:
-            for stale in self.folder.glob(f"{self.path(index).name}.*{UNFINISHED}"):
-                stale.unlink(missing_ok=True)  # a run that was killed left it
+            remove_abandoned(self.path(index))
             write_whole(self.path(index), buffer.getvalue())
         except OSError as error:
             kept = len(list(self.folder.glob("chunk-*.npz")))
@@ -177,9 +177,9 @@ def _require_no_file(folder: Path) -> None:
 def _read_manifest(folder: Path) -> dict[str, Any] | None:
     """The manifest in the folder, None where there is none. Raises StudyFolderError."""
     try:
-        found = json.loads((folder / MANIFEST).read_text())
+        found = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
     except FileNotFoundError:
-        others = [p.name for p in folder.iterdir() if not p.name.endswith(".tmp")]
+        others = [p.name for p in folder.iterdir() if not p.name.endswith(UNFINISHED)]
         if others and not (folder / MANIFEST).exists():
             raise StudyFolderError(
                 f"`{folder}` holds `{sorted(others)[0]}` and no manifest",
