@@ -26,14 +26,14 @@ OFF = "RFEM_JAX_NO_CACHE"
 class Folder:
     """The folder `path` of kept programs; made if it is missing.
 
-    **Arguments:** `limit`: of the size of all files [bytes].
+    **Arguments:** `limit`: of the size of all files [bytes]; `ending`: of their names.
 
     **Raises:** `UnsafeFolder` if another user could write there, OSError if it cannot be used.
     """
 
-    def __init__(self, path: str | os.PathLike, limit: int = LIMIT):
-        self.path, self.limit = Path(path), limit
-        self.path.parent.mkdir(parents=True, exist_ok=True)
+    def __init__(self, path: str | os.PathLike, limit: int = LIMIT, ending: str = ENDING):
+        self.path, self.limit, self.ending = Path(path), limit, ending
+        self.path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         with suppress(FileExistsError):
             self.path.mkdir(mode=0o700)
         with self._opened():
@@ -42,15 +42,15 @@ class Folder:
     def read(self, key: str) -> bytes | None:
         """What was written under a key (hexadecimal), or None; marks it as used."""
         with self._opened() as folder:
-            content = _content(key + ENDING, folder)
+            content = _content(key + self.ending, folder)
             if content is None:
                 return None
             if hashlib.sha256(content[32:]).digest() != content[:32]:
                 with suppress(FileNotFoundError):
-                    os.unlink(key + ENDING, dir_fd=folder)
+                    os.unlink(key + self.ending, dir_fd=folder)
                 return None
             with suppress(OSError):
-                os.utime(key + ENDING, dir_fd=folder)
+                os.utime(key + self.ending, dir_fd=folder)
             return content[32:]
 
     def write(self, key: str, content: bytes) -> None:
@@ -61,17 +61,29 @@ class Folder:
             try:
                 with open(os.open(name, new, 0o600, dir_fd=folder), "wb") as file:
                     file.write(hashlib.sha256(content).digest() + content)
-                os.replace(name, key + ENDING, src_dir_fd=folder, dst_dir_fd=folder)
+                os.replace(name, key + self.ending, src_dir_fd=folder, dst_dir_fd=folder)
             except BaseException:
                 with suppress(FileNotFoundError):
                     os.unlink(name, dir_fd=folder)
                 raise
-            self._evict(folder, key + ENDING)
+            self._evict(folder, key + self.ending)
 
     def delete(self, key: str) -> None:
         """Delete what was kept under a key."""
         with self._opened() as folder, suppress(FileNotFoundError):
-            os.unlink(key + ENDING, dir_fd=folder)
+            os.unlink(key + self.ending, dir_fd=folder)
+
+    def trim(self) -> None:
+        """Delete the files that were used least recently, while all are larger than the limit."""
+        with self._opened() as folder:
+            self._evict(folder)
+
+    def require_parent(self) -> None:
+        """Raise UnsafeFolder if another user could put another folder in this one's place: for a library that opens
+        its files by their paths."""
+        found = os.stat(self.path.parent)
+        if found.st_uid not in (os.geteuid(), 0) or (found.st_mode & 0o022 and not found.st_mode & stat.S_ISVTX):
+            raise UnsafeFolder(f"{self.path.parent} is open to others; set its mode to 0700")
 
     @contextmanager
     def _opened(self) -> Iterator[int]:
@@ -90,7 +102,7 @@ class Folder:
         finally:
             os.close(folder)
 
-    def _evict(self, folder: int, newest: str) -> None:
+    def _evict(self, folder: int, newest: str = "") -> None:
         files = []
         for entry in os.scandir(folder):
             with suppress(FileNotFoundError):
@@ -98,8 +110,9 @@ class Folder:
                 age = time.time() - found.st_mtime
                 if entry.name.endswith(UNFINISHED) and age > PATIENCE:
                     os.unlink(entry.name, dir_fd=folder)
-                elif entry.name.endswith(ENDING):
-                    files.append((entry.name == newest, found.st_mtime_ns, entry.name, found.st_size))
+                elif entry.name.endswith(self.ending) and stat.S_ISREG(found.st_mode):
+                    used = max(found.st_mtime_ns, found.st_atime_ns)
+                    files.append((entry.name == newest, used, entry.name, found.st_size))
         total = sum(size for *_, size in files)
         for is_newest, _, name, size in sorted(files):
             if total <= self.limit or is_newest:

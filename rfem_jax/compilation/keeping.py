@@ -12,6 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from rfem_jax.compilation import cache
 from rfem_jax.compilation.cache import OFF, Folder, UnsafeFolder
 from rfem_jax.compilation.options import user_cache_folder
 
@@ -67,6 +68,24 @@ def state() -> dict[str, str | int]:
         "programs_loaded": statistics.loaded,
         "programs_traced": statistics.traced,
     }
+
+
+def folder_for_jax() -> Path | None:
+    """A folder for JAX's own cache, in which nobody else can write and which is not larger than the limit when a
+    process begins; None where nothing is to be kept, or there is no such folder."""
+    if os.environ.get(OFF):
+        return None
+    try:
+        path = user_cache_folder() / "jax"
+        if not hasattr(os, "geteuid"):
+            path.mkdir(parents=True, exist_ok=True)
+            return path
+        folder = Folder(path, cache.LIMIT, ending="")
+        folder.require_parent()
+        folder.trim()
+    except (OSError, RuntimeError, UnsafeFolder):  # no home, or none of the user's own: compiling again is all it costs
+        return None
+    return path
 
 
 def wanted() -> bool:

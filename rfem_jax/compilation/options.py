@@ -321,7 +321,7 @@ def _known_to_newer(version: str) -> bool:
         child = subprocess.run([sys.executable, "-c", PROBE], env=environment, capture_output=True)
         kept = [FLAGS, "yes" if child.returncode == 0 else "no"]
         try:
-            verdict.parent.mkdir(parents=True, exist_ok=True)
+            verdict.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
             verdict.write_text("\n".join(kept), encoding="utf-8")
         except OSError:
             pass  # tried again next time

@@ -56,11 +56,8 @@ def set_up_jax(devices: int | None = None, cache: bool = True, out: str | Path |
         return
     if jax.config.jax_compilation_cache_dir is not None:  # pyright: ignore[reportAttributeAccessIssue]  # as above
         return
-    try:
-        folder = options.user_cache_folder() / "compiled"
-        folder.mkdir(parents=True, exist_ok=True)
-    except (OSError, RuntimeError):
-        # No home, or one that cannot be written: compiling again each time is all that is lost.
+    folder = keeping.folder_for_jax()
+    if folder is None:
         return
     jax.config.update("jax_compilation_cache_dir", str(folder))
     # The default keeps only what took a second; a study has dozens of smaller programs.

@@ -96,7 +96,7 @@ def record(key: str | None, seconds: float, samples: int, compiled: bool) -> Non
     entries[key] = entry | {"surroundings": _surroundings()}
     kept = dict(list(entries.items())[-MOST:])
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         with replacing(path) as temporary:
             temporary.write_text(json.dumps(kept, indent=1), encoding="utf-8")
     except OSError:

@@ -4,6 +4,8 @@ import ast
 import io
 import json
 import os
+import signal
+import stat
 import subprocess
 import sys
 import time
@@ -17,10 +19,11 @@ import pytest
 import rfem_jax
 import rfem_jax.mechanics.designs  # the module itself serves beside the stand-in for its package
 from rfem_jax import task_kinds
+from rfem_jax.compilation import cache, keeping
 from rfem_jax.compilation.options import user_cache_folder
 from rfem_jax.compilation.stages import listening, on_stage
 from rfem_jax.description import InputError
-from rfem_jax.report import command_line
+from rfem_jax.report import command_line, console
 from rfem_jax.report.command_line import build_parser, main
 from rfem_jax.report.commands.catalogue import all_commands
 from rfem_jax.report.process import count_devices, require_platform
@@ -302,7 +305,7 @@ def settings_in_a_new_process(tmp_path, arguments="", **environment):
         f"set_up_jax({arguments}); "
         "print(jax.config.jax_enable_x64, jax.config.jax_compilation_cache_dir)"
     )
-    base = {key: value for key, value in os.environ.items() if not key.startswith("JAX_")}
+    base = {key: value for key, value in os.environ.items() if not key.startswith(("JAX_", "RFEM_JAX_NO"))}
     homes = dict.fromkeys(("HOME", "XDG_CACHE_HOME", "LOCALAPPDATA"), str(tmp_path))
     answer = subprocess.run(
         [sys.executable, "-c", code],
@@ -319,7 +322,47 @@ def test_jax_is_set_up_with_a_cache_in_the_users_folder(tmp_path):
     double, folder = settings_in_a_new_process(tmp_path)
     assert double == "True"
     assert Path(folder).is_relative_to(tmp_path)
-    assert Path(folder).is_dir()
+    for made in (Path(folder), Path(folder).parent):
+        assert stat.S_IMODE(made.stat().st_mode) == 0o700
+    assert settings_in_a_new_process(tmp_path, RFEM_JAX_NO_CACHE="1")[1] == "None"
+
+
+@pytest.fixture
+def own_cache(tmp_path, monkeypatch):
+    """The user's cache folder, of this test alone."""
+    monkeypatch.setattr(keeping, "user_cache_folder", lambda: tmp_path / "rfem_jax")
+    monkeypatch.delenv("RFEM_JAX_NO_CACHE", raising=False)
+    return tmp_path / "rfem_jax"
+
+
+def test_the_cache_of_jax_is_guarded_as_kept_programs_are(own_cache, monkeypatch):
+    assert keeping.folder_for_jax() == own_cache / "jax"
+    (own_cache / "jax").chmod(0o755)
+    assert keeping.folder_for_jax() is None
+    (own_cache / "jax").chmod(0o700)
+    own_cache.chmod(0o777)  # another user could put another folder in its place
+    assert keeping.folder_for_jax() is None
+    own_cache.chmod(0o700)
+    assert keeping.folder_for_jax() is not None
+    (own_cache / "jax").rename(own_cache / "elsewhere")
+    (own_cache / "jax").symlink_to(own_cache / "elsewhere")
+    assert keeping.folder_for_jax() is None
+    (own_cache / "jax").unlink()
+    own_cache.chmod(0o500)  # nothing can be made there, but by root
+    assert keeping.folder_for_jax() is None or os.geteuid() == 0
+    own_cache.chmod(0o700)
+
+
+def test_the_cache_of_jax_does_not_grow_without_end(own_cache, monkeypatch):
+    folder = keeping.folder_for_jax()
+    for number in range(5):
+        file = folder / f"program_{number}-cache"
+        file.write_bytes(bytes(1000))
+        os.utime(file, (1e9 + number,) * 2)
+    (folder / "folder_of_XLA").mkdir()
+    monkeypatch.setattr(cache, "LIMIT", 2500)
+    assert keeping.folder_for_jax() == folder
+    assert {one.name for one in folder.iterdir()} == {"program_3-cache", "program_4-cache", "folder_of_XLA"}
 
 
 def test_the_user_can_choose_the_cache(tmp_path):
@@ -382,7 +425,16 @@ def seen_on_a_terminal(text):
     return lines
 
 
-def test_the_command_ends_without_looking_for_garbage(monkeypatch):
+@pytest.fixture
+def own_signals():
+    """What a process that is a command does with Ctrl-C is undone."""
+    before = signal.getsignal(signal.SIGINT)
+    yield
+    console.work_begins()
+    signal.signal(signal.SIGINT, before)
+
+
+def test_the_command_ends_without_looking_for_garbage(monkeypatch, own_signals):
     asked = []
     monkeypatch.setattr(command_line, "main", lambda: 3)
     monkeypatch.setattr(command_line.gc, "freeze", lambda: asked.append("freeze"))
