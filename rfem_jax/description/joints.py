@@ -46,6 +46,13 @@ class Joint(ChecksItself):
             R_z R_y R_x; free: x, y, z and these angles); None means zeros.
         compliance: springs and dampers in directions that the kind holds, a `Compliance`; None = rigid. All
             start values, errors and angles are those of the kind without springs.
+        rate: initial rate [rad/s] of the angle of a kind that has one, of a simulation that starts as given; a joint of
+            the tree only, whose angle no drive prescribes and no other joint determines. None: it follows from the
+            rates of other joints, or is zero.
+        speed: initial speed [m/s] of the displacement of a kind that has one, as `rate`.
+        rates: initial rates of a kind with several angles or displacements, in the order of `start`, as `rate`;
+            of a spherical or free joint the angular velocity about x, y, z of the joint's frame in its parent. Zeros
+            may be of motions that follow from others.
         clearance: the play of the pin of a revolute joint in its bush, a `Clearance`, in the place of a compliance;
             None = none. Start values, errors and the angle are those of the joint without play.
         bearing: what it carries, a `Bearing`, for metrics of life and of loads against capacities; None = unknown.
@@ -68,6 +75,9 @@ class Joint(ChecksItself):
     compliance: Compliance | None = None
     bearing: Bearing | None = None
     clearance: Clearance | None = None
+    rate: float | None = None
+    speed: float | None = None
+    rates: tuple[float, ...] | None = None
 
     def _check_fields(self, checks: Checks) -> None:
         checks.convert("name", require_name, "`name` of a joint")
@@ -79,12 +89,13 @@ class Joint(ChecksItself):
         checks.convert("cut", require_flag, f"`cut` {of}")
         for field, dimension in _VECTORS.items():
             checks.convert(field, _vector, dimension, f"`{field}` {of}")
-        for field, dimension in _STARTS.items():
+        for field, dimension in {**_STARTS, **_RATES}.items():
             if getattr(self, field) is not None:
                 checks.convert(field, quantity, dimension, f"`{field}` {of}")
         checks.relation(("kind", "cut"), self._check_cut, of)
         if checks.passed("kind", "cut"):
             self._set_start(checks, of)
+            self._check_rates(checks, of)
         if self.compliance is not None:
             checks.convert("compliance", _compliance, f"`compliance` {of}")
             checks.relation(("kind", "cut", "compliance"), lambda: self.springs)
@@ -161,9 +172,42 @@ class Joint(ChecksItself):
             elif value is None:
                 object.__setattr__(self, field, 0.0)
 
+    def _check_rates(self, checks: Checks, of: str) -> None:
+        """Check `rate`, `speed` and `rates`: those that the kind has, of a joint of the tree."""
+        kind = KINDS[self.kind]
+        counts = {"rate": kind.angles, "speed": kind.displacements}
+        wanted = {field for field, count in counts.items() if count == 1} if _has_names(kind) else {"rates"}
+        for field in ("rate", "speed", "rates"):
+            value = getattr(self, field)
+            if value is not None and (self.cut or field not in wanted):
+                checks.relation((field,), self._refuse_start, of, kind, field, value, sorted(wanted))
+            elif value is not None and field == "rates":
+                checks.set(field, value, _rates, kind, of)
+
+    @property
+    def start_rates(self) -> tuple[Number | None, ...]:
+        """Initial rates of all coordinates of a joint of the tree, in the order of its motions; None: not given."""
+        kind = KINDS[self.kind]
+        if _has_names(kind):
+            return tuple(self.rate if one.rotation else self.speed for one in kind.freedoms)
+        return self.rates or (None,) * len(kind.freedoms)
+
+    def require_no_rate(self, motion: str) -> None:
+        """Raise InputError if an initial rate is given of a motion that a drive prescribes."""
+        kind = KINDS[self.kind]
+        if self.start_rates[kind.motions.index(motion)] not in (None, 0.0):
+            raise InputError(
+                f"Argument `{self.rate_field(motion.startswith('R'))}` of joint `{self.name}` must be left out where a "
+                "drive prescribes this motion, and with it its rate, but was given; remove one of the two."
+            )
+
+    def rate_field(self, rotation: bool) -> str:
+        """Name of the argument with the initial rate of a rotation or translation."""
+        return ("rate" if rotation else "speed") if _has_names(KINDS[self.kind]) else "rates"
+
     def _refuse_start(self, of: str, kind: JointKind, field: str, value: object, wanted: Sequence[str]) -> None:
         if self.cut:
-            reason, fix = "the joint is cut", f"a cut joint's {field} follows from closing the loop."
+            reason, fix = "the joint is cut", f"a cut joint's {field} follows from the other joints of the loop."
         else:
             reason = f"the joint is {kind.name}"
             fix = f"give {' and '.join(f'`{name}`' for name in wanted)}." if wanted else "it has no coordinate."
@@ -177,14 +221,23 @@ def _has_names(kind: JointKind) -> bool:
 
 def _start_values(values: object, kind: JointKind, of: str) -> tuple[float, ...]:
     """A list of as many quantities as the kind has coordinates, each of its dimension."""
-    freedoms, where = kind.freedoms, f"`start` {of}"
+    return _of_each(values, kind, f"`start` {of}", [one.dimension for one in kind.freedoms])
+
+
+def _rates(values: object, kind: JointKind, of: str) -> tuple[float, ...]:
+    """A list of as many rates and speeds as the kind has coordinates."""
+    return _of_each(values, kind, f"`rates` {of}", ["rate" if one.rotation else "speed" for one in kind.freedoms])
+
+
+def _of_each(values: object, kind: JointKind, where: str, dimensions: Sequence[str]) -> tuple[float, ...]:
+    freedoms = kind.freedoms
     if not isinstance(values, (list, tuple)) or len(values) != len(freedoms):
         raise InputError(
             f"Argument {where} must be a list of {len(freedoms)} numbers because the joint is {kind.name}, but was "
             f"{values!r}; write for example {[0.0] * len(freedoms)}."
         )
-    entries = zip(values, freedoms, strict=True)
-    return tuple(quantity(value, one.dimension, f"{where} (entry {n})") for n, (value, one) in enumerate(entries, 1))
+    entries = zip(values, dimensions, strict=True)
+    return tuple(quantity(value, one, f"{where} (entry {n})") for n, (value, one) in enumerate(entries, 1))
 
 
 def _kind_name(kind: object, where: str) -> str:
@@ -214,6 +267,7 @@ def _vector(value: Any, dimension: str, where: str) -> tuple[float, float, float
 
 
 _STARTS = {"angle": "angle", "displacement": "length"}
+_RATES = {"rate": "rate", "speed": "speed"}
 _VECTORS = {
     "position": "length",
     "orientation": "angle",

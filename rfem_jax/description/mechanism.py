@@ -25,6 +25,7 @@ from rfem_jax.description.units import vector
 Part = TypeVar("Part", Link, Joint, Force)
 
 ELEMENTS = ("linear", "geometrically_exact")
+STARTS = AS_GIVEN, EQUILIBRIUM = "as_given", "equilibrium"
 _ROUNDING = 1e-12  # a position at the end of a link may exceed its length by rounding
 
 
@@ -43,6 +44,10 @@ class Mechanism(ChecksItself):
             motions first; None = none (a study sets it from its drives).
         elements: spring-damping elements: "linear" (small deflections relative to the link frame),
             or "geometrically_exact" (of any size).
+        start: how simulations start whose `start` says nothing else: "as_given", with the freedoms that no drive holds
+            at the start values of the joints while flexible links settle, then released, at the joints' initial
+            rates; or "equilibrium", in the static equilibrium of these freedoms, at rest (a study sets it from its
+            own `start`).
         forces: JointSpring, JointFriction, JointForceTable and JointForceFunction objects along joints; PointSpring,
             PointSpringTable and PointSpringFunction objects between points of links, PointForce and PointMoment
             objects at them.
@@ -58,6 +63,7 @@ class Mechanism(ChecksItself):
     driven_joint: str | tuple[str, ...] | None = None
     elements: str = "linear"
     forces: tuple[Force, ...] = ()
+    start: str = AS_GIVEN
 
     def _repr_html_(self) -> str:
         return mechanism_html(self)
@@ -68,9 +74,11 @@ class Mechanism(ChecksItself):
         checks.convert("gravity", vector, "acceleration", "gravity")
         checks.convert("redundant_reactions", require_choice, ("refuse", "minimum_norm"), "redundant_reactions")
         checks.convert("elements", require_choice, ELEMENTS, "elements")
+        checks.convert("start", require_choice, STARTS, "start")
         checks.convert("forces", _unique, Force, "forces")
         checks.relation(("links", "joints"), self._check_structure)
         checks.relation(("links", "joints", "forces"), self._resolve_forces)
+        checks.relation(("joints", "start"), self._check_rates)
 
     def _check_structure(self) -> None:
         if not self.links:
@@ -84,6 +92,14 @@ class Mechanism(ChecksItself):
         with problems.noted():
             self._check_driven_joint()
         problems.refuse()
+
+    def _check_rates(self) -> None:
+        rated = [joint.name for joint in self.joints if any(rate is not None for rate in joint.start_rates)]
+        if rated and self.start == EQUILIBRIUM:
+            raise InputError(
+                f'Argument `start` must be "as_given" where joints have initial rates, but was "{EQUILIBRIUM}", which '
+                f"is at rest, and joint `{rated[0]}` has one; leave out `start`, or the rates."
+            )
 
     def link(self, name: str) -> Link:
         """Return the link `name`; raises InputError with the nearest name if there is none."""

@@ -60,6 +60,8 @@ FIELDS: dict[type, Fields] = {
         "orientation": ("angle", ANY),
         "child_position": ("length", ANY),
         "child_orientation": ("angle", ANY),
+        "rate": ("rate", ANY),
+        "speed": ("speed", ANY),
     },
 }
 BODY: Fields = {"mass": ("mass", POSITIVE), "centre": ("length", ANY), "orientation": ("angle", ANY)}

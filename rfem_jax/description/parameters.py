@@ -19,7 +19,7 @@ from typing import Any
 
 from rfem_jax.description.errors import InputError, subject, suggestion
 from rfem_jax.description.forces import Force, JointForce, JointForceTable, JointFriction, JointSpring
-from rfem_jax.description.joint_kinds import KINDS
+from rfem_jax.description.joint_kinds import KINDS, Freedom
 from rfem_jax.description.joints import Joint
 from rfem_jax.description.links import Link, PointMass
 from rfem_jax.description.mechanism import Mechanism
@@ -226,6 +226,9 @@ def _of_joints(parts: Parts, held: Sequence[tuple[str, str]]) -> Iterator[Parame
         yield from _fields(owner, joint, FIELDS[Joint], [path])
         for motion in [motion for name, motion in held if name == joint.name]:
             yield _start_value(owner, joint, motion, path)
+        for n, (motion, freedom) in enumerate(_numbered(joint) if joint.rates is not None else ()):
+            dimension = "rate" if freedom.rotation else "speed"
+            yield _parameter(owner, f"rates.{motion}", (dimension, ANY), [(*path, "rates", n)])
         if joint.clearance is not None:
             numbers = clearance_fields(joint.clearance)
             yield from _fields(owner, joint.clearance, numbers, [(*path, "clearance")], "clearance.")
@@ -237,6 +240,11 @@ def _of_joints(parts: Parts, held: Sequence[tuple[str, str]]) -> Iterator[Parame
             else:
                 yield _parameter(owner, name, (f"{turns}stiffness", POSITIVE), [(*at, "stiffness")])
             yield _parameter(owner, f"{name}_damping", (f"{turns}damping", NOT_NEGATIVE), [(*at, "damping")])
+
+
+def _numbered(joint: Joint) -> list[tuple[str, Freedom]]:
+    """The coordinates of a joint with names: "T_x", "R_y"."""
+    return [(f"{'TR'[one.rotation]}_{'xyz'[one.axis]}", one) for one in KINDS[joint.kind].freedoms]
 
 
 def _start_value(owner: tuple[str, str], joint: Joint, motion: str, path: Path) -> Parameter:

@@ -33,9 +33,10 @@ from rfem_jax.description.errors import (
     WrongSetting,
     condensed,
     located,
+    require_choice,
     suggestion,
 )
-from rfem_jax.description.mechanism import Mechanism
+from rfem_jax.description.mechanism import STARTS, Mechanism
 from rfem_jax.description.methods import Method
 from rfem_jax.description.metric_subjects import require_metric, subjects_of
 from rfem_jax.description.notebook_tables import study_html
@@ -100,6 +101,9 @@ class Study(ChecksItself):
             the mechanism and its drives, pairs are bounds for `optimise`.
         metrics: names of metrics that every case is reported with besides its joint loads, as "coupler.peak_stress"
             or "*.peak_stress" for all links that have it.
+        start: "as_given": freedoms that no drive holds start at the start values of the joints, at their initial rates,
+            once flexible links have settled; "equilibrium": they start in static equilibrium, at rest. None = as the
+            mechanism says ("as_given").
     Raises:
         InputError: parts do not fit each other.
     """
@@ -117,6 +121,7 @@ class Study(ChecksItself):
     asked_method: Method | None = None
     design: dict[str, Any] = field(default_factory=dict)
     metrics: tuple[str, ...] = ()
+    start: str | None = None
 
     def _repr_html_(self) -> str:
         return study_html(self)
@@ -133,6 +138,9 @@ class Study(ChecksItself):
             checks.convert("save_every", positive_quantity, "time", "save_every")
         checks.relation(("duration", "method", "save_every"), self._check_times)
         checks.relation(("mechanism", "drive"), self._check_driven_joints)
+        if self.start is not None:
+            checks.convert("start", require_choice, STARTS, "start")
+            checks.relation(("mechanism", "start"), self._set_start)
         checks.relation(("mechanism", "drive"), self._check_design)
         checks.relation(("drive", "duration"), self._check_drive_end)
         checks.relation(("mechanism", "cases"), self._check_cases)
@@ -219,13 +227,18 @@ class Study(ChecksItself):
                     raise InputError(
                         f"Argument `joint` of the drive must be a joint of the tree, but `{one.joint}` {reason}; {fix}"
                     )
-                driven_motion(one, self.mechanism.joint(one.joint).kind)
+                motion = driven_motion(one, self.mechanism.joint(one.joint).kind)
+                if isinstance(one, PrescribedDrive):
+                    self.mechanism.joint(one.joint).require_no_rate(motion)
         problems.refuse()
         # The model holds the driven joints at assembly, those of prescribed motions first.
         order = sorted(range(len(self.drives)), key=lambda i: not isinstance(self.drives[i], PrescribedDrive))
         labels = tuple(self.drive_labels[i] for i in order)
         driven = replace(self.mechanism, driven_joint=labels[0] if len(labels) == 1 else labels)
         object.__setattr__(self, "mechanism", driven)
+
+    def _set_start(self) -> None:
+        object.__setattr__(self, "mechanism", replace(self.mechanism, start=self.start))
 
     def _check_design(self) -> None:
         if self.design == {}:
@@ -333,7 +346,7 @@ def _read_study(content: dict[str, Any], path: Path) -> Study:
     with problems.noted(), known_while_reading(parts["mechanism"], drives):
         tasks = read_tasks(there)
         parts["tasks"] = ABSENT if content.get("tolerances") is ABSENT else tasks
-    times = ("duration", "method", "save_every")
+    times = ("duration", "method", "save_every", "start")
     simulation = parts.pop("simulation")
     parts |= dict.fromkeys(times, ABSENT) if simulation is ABSENT else dict(zip(times, simulation, strict=True))
     study = None

@@ -22,7 +22,7 @@ from rfem_jax.description.errors import ABSENT, InputError, Problems, located, r
 from rfem_jax.description.force_reader import read_force, read_joint, read_spring
 from rfem_jax.description.links import Link, PointMass
 from rfem_jax.description.materials import Material
-from rfem_jax.description.mechanism import Mechanism
+from rfem_jax.description.mechanism import STARTS, Mechanism
 from rfem_jax.description.methods import Method, setting_names
 from rfem_jax.description.rigid_bodies import RigidBody
 from rfem_jax.description.sections import Circle, GivenSection, Rectangle, Section, Tube
@@ -53,7 +53,7 @@ DRIVES = {
 }
 _MECHANISM_OPTIONS = ("gravity", "redundant_reactions", "elements")
 MECHANISM_KEYS = (("links", "joints"), ("materials", "sections", "springs", "forces", *_MECHANISM_OPTIONS))
-SIMULATION_KEYS = (("duration",), ("method", "save_every"))  # and the settings of the method
+SIMULATION_KEYS = (("duration",), ("method", "save_every", "start"))  # and the settings of the method
 
 
 def read_mechanism(table: object) -> Mechanism:
@@ -100,8 +100,8 @@ def read_drives(entries: object) -> tuple[AnyDrive, ...]:
     return tuple(read_list(entries, "[[drives]]", read_drive))
 
 
-def read_simulation(table: object) -> tuple[Any, Method, Any]:
-    """Return (duration, Method, save_every or None) of the table [simulation]."""
+def read_simulation(table: object) -> tuple[Any, Method, Any, Any]:
+    """Return (duration, Method, save_every or None, start or None) of the table [simulation]."""
     place = "[simulation]"
     problems = Problems()
     required, optional = SIMULATION_KEYS
@@ -113,9 +113,12 @@ def read_simulation(table: object) -> tuple[Any, Method, Any]:
         if key in content and content[key] is not ABSENT:
             with problems.noted():
                 positive_quantity(content[key], "time", key)
+    if content.get("start", ABSENT) is not ABSENT:
+        with problems.noted(), located(place):
+            require_choice(content["start"], STARTS, "start")
     problems.refuse()
     assert method is not None, "what is missing has been noted"
-    return content["duration"], method, content.get("save_every")
+    return content["duration"], method, content.get("save_every"), content.get("start")
 
 
 def _choice(value: object, known: Mapping[str, object], key: str, place: str) -> str:

@@ -12,12 +12,12 @@ import numpy as np
 from jaxtyping import Float
 
 from rfem_jax.description.errors import InputError, require_choice
-from rfem_jax.description.mechanism import ELEMENTS, Mechanism
+from rfem_jax.description.mechanism import AS_GIVEN, ELEMENTS, EQUILIBRIUM, Mechanism
 from rfem_jax.description.precision import require_float64
 from rfem_jax.mechanics.cut_joints import RANK_TOLERANCE
 from rfem_jax.mechanics.joint_laws import holds
 from rfem_jax.mechanics.model import BASE, Model, Topology
-from rfem_jax.mechanics.model_building import build_model
+from rfem_jax.mechanics.model_building import build_model, start_numbers
 from rfem_jax.mechanics.nominal_geometry import (
     NominalGeometry,
     Placed,
@@ -32,10 +32,22 @@ from rfem_jax.mechanics.nominal_geometry import (
 from rfem_jax.mechanics.normal_loads import require_unique_normal_loads
 from rfem_jax.mechanics.point_laws import PointLaw
 from rfem_jax.mechanics.sources import CLOSING_TOLERANCE
+from rfem_jax.mechanics.start_freedoms import with_start_freedoms
 
 SMALLEST_DISTANCE = 1e-9  # of two points with a force between them, of the longest link
 IDLE_TOLERANCE = 1e-3  # of a motion of size one
+ROUNDING = 1e-12  # of the longest link: of loops that close
 RIGID_CLOSING_TOLERANCE = 1e-9  # where reactions are redundant, nothing gives way
+
+
+class StartHeld(NamedTuple):
+    """How a simulation starts: "as_given" or in "equilibrium"; names of the joint coordinates, as "A" or "C.T_y", that
+    it holds first: those of drives, and those for the freedoms that no drive holds; of those with initial rates."""
+
+    kind: str
+    driven: tuple[str, ...]
+    undriven: tuple[str, ...]
+    rates: tuple[str, ...]
 
 
 class Structure(NamedTuple):
@@ -46,7 +58,7 @@ class Structure(NamedTuple):
     of freedom; rigid_*: the same with every link and every joint rigid; redundant: the multipliers, hence the joint
     loads, are not unique; gap [m]: how far the cut joint that closes worst stays open at the start with every link
     rigid; idle: names of links in a loop that could move alone if all were rigid, as a rod between two spherical joints
-    about its own axis.
+    about its own axis; start: what the start of a simulation holds.
     """
 
     coordinates: int
@@ -59,6 +71,7 @@ class Structure(NamedTuple):
     redundant: bool
     gap: float
     idle: tuple[str, ...] = ()
+    start: StartHeld = StartHeld(AS_GIVEN, (), (), ())
 
 
 def discretise(mechanism: Mechanism, rfes: int | None = None, elements: str | None = None) -> Model:
@@ -84,6 +97,7 @@ def discretise(mechanism: Mechanism, rfes: int | None = None, elements: str | No
     if structure.idle:
         idle = tuple(sorted(_idle_coordinates(model)))
         model = dataclasses.replace(model, topology=model.topology._replace(idle=idle))
+    model = _as_given(model, mechanism)
     if structure.redundant and not model.topology.minimum_norm:
         locks = "" if structure.rigid_mobility else " Nothing moves: with rigid links its joints lock (mobility 0)."
         raise InputError(
@@ -103,6 +117,46 @@ def discretise(mechanism: Mechanism, rfes: int | None = None, elements: str | No
             "flexible."
         )
     return _with_tolerance(model, RIGID_CLOSING_TOLERANCE) if structure.redundant else model
+
+
+def _as_given(model: Model, mechanism: Mechanism) -> Model:
+    """The model with the coordinates that stand for freedoms that no drive holds, these at the description's values if
+    the loops close with them as well as without."""
+    topology = with_start_freedoms(model, _rates_given(model, mechanism))
+    model = dataclasses.replace(model, topology=topology)
+    if topology.n_cuts == 0 or not topology.undriven:
+        return model
+    given = _start_given(model, mechanism)
+    joints, residual, alignment, cuts = close_at(model, given, (*topology.held, *topology.undriven))
+    before = np.abs(gaps(geometry_of(model), place(geometry_of(model), np.asarray(model.start_joints))).residual).max()
+    if not np.abs(residual).max() <= max(2.0 * before, ROUNDING) or (alignment < 0.0).any():
+        return model
+    start = tuple(jnp.asarray(values, jnp.float64) for values in (joints, cuts))
+    return eqx.tree_at(lambda m: (m.start_joints, m.cut_angles), model, start)
+
+
+def _start_given(model: Model, mechanism: Mechanism) -> Float[np.ndarray, " numbers"]:
+    """The closed start, with the coordinates that no drive holds as the description has them."""
+    topology, joints = model.topology, np.array(model.start_joints)
+    for l, name in enumerate(topology.joints[: topology.n_links]):
+        given = start_numbers(mechanism.joint(name), topology.kind(l))
+        places = [topology.place_of(k) for k in topology.coordinates[l][: topology.plain(l)] if k in topology.undriven]
+        if any(k in topology.undriven for k in topology.coordinates[l][topology.plain(l) :]):
+            places += topology.positions[l][topology.plain(l) :]
+        for place_in in places:
+            joints[place_in] = given[place_in - topology.positions[l].start]
+    return joints
+
+
+def _rates_given(model: Model, mechanism: Mechanism) -> dict[int, str]:
+    """{coordinate with an initial rate: the argument that gives it}."""
+    topology, found = model.topology, {}
+    for l, name in enumerate(topology.joints[: topology.n_links]):
+        joint = mechanism.joint(name)
+        for k, rate in zip(topology.own_coordinates[l], joint.start_rates, strict=True):
+            if rate is not None:
+                found[k] = f"`{joint.rate_field(topology.freedoms[k].rotation)}` of joint `{name}`"
+    return found
 
 
 def _with_tolerance(model: Model, closing: float) -> Model:
@@ -158,7 +212,15 @@ def describe(model: Model) -> Structure:
         redundant=rank < constraints,
         gap=float(np.abs(residual).max(initial=0.0) * np.max(np.asarray(model.length))),
         idle=tuple(dict.fromkeys(_idle_coordinates(model).values())),
+        start=start_held(model.topology),
     )
+
+
+def start_held(topology: Topology) -> StartHeld:
+    """What the start of a simulation holds."""
+    undriven = () if topology.settles else topology.undriven
+    named = (tuple(map(topology.label_of, some)) for some in (topology.held, undriven, topology.rated))
+    return StartHeld(EQUILIBRIUM if topology.settles else AS_GIVEN, *named)
 
 
 def _idle_coordinates(model: Model) -> dict[int, str]:

@@ -79,6 +79,9 @@ class Topology(NamedTuple):
     holders: nodes of the free rfes that force elements act on.
     sprung: of each joint the motions that its kind holds and that are sprung; () if no joint is compliant.
     clearances: joints with a clearance, whose motions are all sprung: by contacts, which are force elements.
+    undriven: joint coordinates that stand for the freedoms that no drive holds (theory (6.9)).
+    settles: whether a simulation starts in the equilibrium of these freedoms, and does not hold them at first.
+    rated: joint coordinates with initial rates, in the array `Model.start_rates`.
     """
 
     links: tuple[str, ...]
@@ -101,6 +104,9 @@ class Topology(NamedTuple):
     holders: tuple[int, ...] = ()
     sprung: tuple[tuple[str, ...], ...] = ()
     clearances: tuple[int, ...] = ()
+    undriven: tuple[int, ...] = ()
+    settles: bool = False
+    rated: tuple[int, ...] = ()
 
     @property
     def n_links(self) -> int:
@@ -229,6 +235,23 @@ class Topology(NamedTuple):
         return tuple(k for k in self.drives if k not in self.dependent)
 
     @property
+    def held_at_start(self) -> tuple[int, ...]:
+        """Joint coordinates that the start of a simulation holds: those of drives and, unless it settles, of all
+        further freedoms."""
+        return self.held if self.settles else (*self.held, *self.undriven)
+
+    def label_of(self, coordinate: int) -> str:
+        """Name of a coordinate for people: "A", "C.T_y" of a joint with several, "S.R_x" of one about any axis."""
+        joint = self.link_of_freedom[coordinate]
+        freedom = self.freedoms[coordinate]
+        motion = f"{'TR'[freedom.rotation]}_{'xyz'[freedom.axis]}"
+        return (
+            motion_label(self.joints[joint], self.kinds[joint], motion)
+            if not freedom.any_axis
+            else (f"{self.joints[joint]}.{motion}")
+        )
+
+    @property
     def driven(self) -> int | None:
         """Index of the tree joint of the first drive, or None."""
         return self.link_of_freedom[self.drives[0]] if self.drives else None
@@ -337,8 +360,10 @@ class Model(eqx.Module):
     moments of inertia [kg m^2] of the point masses and of the links that are bodies; point_products: their J_xy, J_xz,
     J_yz [kg m^2], None where all are zero; start_joints: coordinates of the tree joints at the closed start [rad, m];
     cut_angles: angles of the cut joints there [rad]; gravity [m/s^2] in global axes; forces: along joint coordinates,
-    by their names, None without any; frame_forces: elements between frames on nodes, likewise; springs: of compliant
-    joints, by the names of joint and direction as "A.radial", likewise; bearings: what they carry, by joint, likewise.
+    by their names, None without any; start_rates: initial rates of all coordinates of the tree joints [rad/s, m/s], of
+    which those of `Topology.rated` count, likewise; frame_forces: elements between frames on nodes, likewise; springs:
+    of compliant joints, by the names of joint and direction as "A.radial", likewise; bearings: what they carry, by
+    joint, likewise.
 
     Numbers of the description change by a `rfem_jax.design`, from which all arrays follow.  `equinox.tree_at` may
     replace what is no number of a description and leaves the geometry as it is, such as the stiffnesses of one link of
@@ -366,6 +391,7 @@ class Model(eqx.Module):
     springs: dict[str, CompliantSpring] | None = None
     source: Source | None = None
     bearings: dict[str, BearingCapacity] | None = None
+    start_rates: Float[Array, " freedoms"] | None = None
 
     @property
     def joint_names(self) -> tuple[str, ...]:

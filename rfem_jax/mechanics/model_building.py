@@ -16,7 +16,7 @@ from rfem_jax.description.forces import JointForce, JointFriction
 from rfem_jax.description.joint_kinds import KINDS, JointKind, compliant
 from rfem_jax.description.joints import Joint
 from rfem_jax.description.links import Link
-from rfem_jax.description.mechanism import Mechanism
+from rfem_jax.description.mechanism import EQUILIBRIUM, Mechanism
 from rfem_jax.description.numbers import Number, array_of, rotation_of_angles, traced
 from rfem_jax.description.parts import Parts, parts_of
 from rfem_jax.description.point_forces import AtPoint, BetweenPoints, PointLoad
@@ -83,6 +83,7 @@ def _structure_of(mechanism: Mechanism, parts: Parts, elements: dict[str, int], 
         holders=tuple(sorted({node for _, nodes in points for node in nodes if node >= len(links)})),
         sprung=tuple(j.sprung for j in joints) if any(j.compliance or j.clearance for j in joints) else (),
         clearances=tuple(n for n, j in enumerate(joints) if j.clearance),
+        settles=mechanism.start == EQUILIBRIUM,
     )
     return PartStructure(topology, points, any(any(mass.products) for _, mass in masses))
 
@@ -96,7 +97,7 @@ def arrays_of(parts: Parts, structure: PartStructure) -> Model:
     bores = zip(joints, topology.children, strict=True)
     masses = [mass for link in links for mass in _masses_of(link)]
     held = zip(topology.masses, masses, strict=True)
-    start = [_start(j, topology.kind(l)) for l, j in enumerate(joints[: len(links)])]
+    start = [start_numbers(j, topology.kind(l)) for l, j in enumerate(joints[: len(links)])]
     model = Model(
         topology=topology,
         length=_array([link.length for link in links]),
@@ -117,6 +118,7 @@ def arrays_of(parts: Parts, structure: PartStructure) -> Model:
         friction=_frictions(parts, topology) or None,
         springs=(_springs(parts, topology) or None) if topology.sprung else None,
         bearings=bearing_capacities(joints) or None,
+        start_rates=_start_rates(joints[: len(links)], topology),
     )
     return _with_clearances(model, joints) if topology.clearances else model
 
@@ -302,7 +304,7 @@ def _require_first_rfes(joints: Sequence[Joint], children: Sequence[_Attachment]
             )
 
 
-def _start(joint: Joint, kind: JointKind) -> list[Number]:
+def start_numbers(joint: Joint, kind: JointKind) -> list[Number]:
     """Start of a tree joint as numbers of the position, zero along springs: its three angles as a quaternion if it
     turns about any axis."""
     values: list[Number] = [0.0] * len(kind.freedoms)
@@ -312,6 +314,17 @@ def _start(joint: Joint, kind: JointKind) -> list[Number]:
         return values
     # No drive holds these angles: they are numbers of the description, not of a design.
     return [*values[:-3], *quaternion_of_angles(np.array(values[-3:], dtype=float)).tolist()]
+
+
+def _start_rates(joints: Sequence[Joint], topology: Topology) -> Array | None:
+    """Initial rates of the coordinates of the tree joints, zero where none is given; None if nowhere."""
+    if all(rate is None for joint in joints for rate in joint.start_rates):
+        return None
+    values: list[Number] = [0.0] * topology.n_freedoms
+    for at, joint in zip(topology.own_coordinates, joints, strict=True):
+        for k, rate in zip(at, joint.start_rates, strict=True):
+            values[k] = 0.0 if rate is None else rate
+    return _array(values)
 
 
 def _sections(links: Sequence[Link]) -> Sections:

@@ -13,14 +13,14 @@ if TYPE_CHECKING:
     from mpl_toolkits.mplot3d import Axes3D
 
     from rfem_jax.description.study import Study
-    from rfem_jax.mechanics.discretisation import Structure
+    from rfem_jax.mechanics.discretisation import StartHeld, Structure
     from rfem_jax.mechanics.model import Model
     from rfem_jax.simulation.cycle import Cycle
     from rfem_jax.simulation.run import Run
 else:
-    Axes = Axes3D = Cycle = Figure = Model = Run = Structure = Study = Any
+    Axes = Axes3D = Cycle = Figure = Model = Run = StartHeld = Structure = Study = Any
 
 # {case: the numbers of its run}, as `summary.summarise` makes them.
 Summaries = dict[str, dict[str, Any]]
 
-__all__ = ["Axes", "Axes3D", "Cycle", "Figure", "Model", "Run", "Structure", "Study", "Summaries"]
+__all__ = ["Axes", "Axes3D", "Cycle", "Figure", "Model", "Run", "StartHeld", "Structure", "Study", "Summaries"]

@@ -27,7 +27,8 @@ from rfem_jax.description.metric_catalogue import unit_of
 from rfem_jax.description.point_forces import AtPoint
 from rfem_jax.description.study import Study
 from rfem_jax.mechanics.bush_contacts import CONTACT_NAMES, ContactState
-from rfem_jax.report.annotations import Run, Summaries
+from rfem_jax.mechanics.discretisation import start_held
+from rfem_jax.report.annotations import Run, StartHeld, Summaries
 from rfem_jax.report.driven_motions_report import drive_quantities
 from rfem_jax.report.output import csv_cell, write_json
 from rfem_jax.report.quantities import ENERGIES, column_name, units
@@ -35,8 +36,15 @@ from rfem_jax.report.summary import joint_names, study_note, total_energy
 from rfem_jax.whole_files import replacing
 
 
-def write_results(path: str | Path, study: Study, summaries: Summaries) -> Path:
-    """Write `results.json`; `summaries` as `rfem_jax.report.summary.summarise` returns them."""
+def start_of(runs: Mapping[str, Run]) -> StartHeld:
+    """What the start of the runs of one study held."""
+    model = next(iter(runs.values())).model
+    assert model is not None, "runs of cases have theirs"
+    return start_held(model.topology)
+
+
+def write_results(path: str | Path, study: Study, summaries: Summaries, start: StartHeld | None = None) -> Path:
+    """Write `results.json`; `summaries` as `rfem_jax.report.summary.summarise` returns them; `start`: of all cases."""
     driven = drive_quantities(study)
     content = {
         "title": study.title,
@@ -44,6 +52,7 @@ def write_results(path: str | Path, study: Study, summaries: Summaries) -> Path:
         "duration": study.duration,
         "driven_joint": study.drives[0].joint if study.drives else None,
         "method": asdict(study.method),
+        **({} if start is None else {"start": start._asdict()}),
         **({"design": study.design_values} if study.design_values else {}),
         "cases": summaries,
         "compilation": state(),
@@ -148,10 +157,17 @@ def write_history(path: str | Path, study: Study, run: Run) -> Path:
     return Path(path)
 
 
-def write_files(folder: str | Path, study: Study, runs: Mapping[str, Run], summaries: Summaries) -> list[Path]:
-    """Write `results.json` and `<case>.csv` of every case into `folder`; returns their paths."""
+def write_files(
+    folder: str | Path,
+    study: Study,
+    runs: Mapping[str, Run],
+    summaries: Summaries,
+    start: StartHeld | None = None,
+) -> list[Path]:
+    """Write `results.json`, with what the `start` held, and `<case>.csv` of every case into `folder`; returns their
+    paths."""
     folder = Path(folder)
-    written = [write_results(folder / "results.json", study, summaries)]
+    written = [write_results(folder / "results.json", study, summaries, start)]
     for case in study.cases:
         written.append(write_history(folder / f"{case.name}.csv", study, runs[case.name]))
     return written

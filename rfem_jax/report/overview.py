@@ -16,14 +16,15 @@ from rfem_jax.description.error_catalogue import as_specified
 from rfem_jax.description.forces import Force, JointForce, JointForceTable, JointFriction
 from rfem_jax.description.joint_kinds import KINDS
 from rfem_jax.description.joints import Joint
-from rfem_jax.description.mechanism import Mechanism
+from rfem_jax.description.mechanism import EQUILIBRIUM, Mechanism
 from rfem_jax.description.parameters import parameters_of
 from rfem_jax.description.parts import parts_of
 from rfem_jax.description.point_forces import AtPoint, PointLoad
 from rfem_jax.description.sections import Section
 from rfem_jax.description.study import Case, Study
-from rfem_jax.report.annotations import Structure
+from rfem_jax.report.annotations import StartHeld, Structure
 from rfem_jax.report.tables import format_table, title_text
+from rfem_jax.text_layout import wrap_lines
 
 
 def format_error(name: str, value: float, unit: str) -> str:
@@ -224,6 +225,21 @@ def count_lines(mechanism: Mechanism, description: Structure) -> list[str]:
     return [*lines, fix]
 
 
+def start_text(start: StartHeld) -> str:
+    """What the start of a simulation holds, and what is released then, in a sentence."""
+    driven, undriven = (", ".join(names) for names in (start.driven, start.undriven))
+    held = f"; held: {driven}, by drives" if driven else ""
+    if start.kind == EQUILIBRIUM:
+        return f"Start: static equilibrium of all that no drive holds{held}."
+    if not undriven:
+        return f"Start: as given{held}; flexible links settle, and no other freedom is left."
+    rate = f"with the initial rates of {', '.join(start.rates)}" if start.rates else "from rest"
+    return (
+        f"Start: as given{held}; {undriven} {'are' if len(start.undriven) > 1 else 'is'} held at the start value "
+        f"while flexible links settle, then released {rate}."
+    )
+
+
 def study_text(study: Study, description: Structure) -> str:
     """Everything the command `check` prints, but the stable step.
 
@@ -242,6 +258,7 @@ def study_text(study: Study, description: Structure) -> str:
             format_table(joint_header, joint_rows(study), words=(0, 1, 2, 3, 5)),
             "\n".join([*count_lines(mechanism, description), f"Gravity: {gravity} m/s^2."]),
             f"{_compliance_text(mechanism)}{_clearance_text(mechanism)}{_forces_text(mechanism)}{_drives_text(study)}"
+            f"{wrap_lines(start_text(description.start))}\n"
             f"Simulation: {study.duration:g} s with {_method_text(study)}; saved {save}.",
             format_table(["case", "assembly errors"], cases, words=(0, 1)),
         ]

@@ -120,6 +120,11 @@ def require_driven(model: Model, drive: Drive) -> None:
                 f"Argument `drive` must not prescribe the angle of joint `{one.joint}` because its tilt is sprung "
                 "or has play, but does; leave its tilt rigid, drive another joint, or give a moment."
             )
+        if isinstance(one, PrescribedDrive) and coordinate in model.topology.rated:
+            raise InputError(
+                f"Argument `drive` must not prescribe a motion with an initial rate, but does that of `{label}`, whose "
+                "rate it sets; leave out the rate of the joint."
+            )
     _require_independent(model.topology, drives)
 
 

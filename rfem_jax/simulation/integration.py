@@ -34,11 +34,12 @@ from rfem_jax.mechanics.orientations import angles_of
 from rfem_jax.mechanics.reordering import rows
 from rfem_jax.mechanics.statics.assembly import (
     Load,
-    held_angles,
     length_scale,
     moving_equilibrium,
     named,
+    start_values_held,
     static_loads,
+    with_start,
 )
 from rfem_jax.mechanics.status import (
     CONTACT_NOT_RESOLVED,
@@ -101,7 +102,7 @@ def simulate(
     duration: float,
     method: Method,
     save_every: float | None = None,
-    start: State | None = None,
+    start: State | str | None = None,
     adjoint: diffrax.AbstractAdjoint | None = None,
     record: str | Iterable[str] = (),
     design: Design | None = None,
@@ -110,11 +111,13 @@ def simulate(
 
     **Arguments:** `errors` from `assembly_errors` (None: perfect); `drive`: a moment or force on the model's driven
     joint, its prescribed motion, a list of such drives on as many driven motions, or None; `duration` [s]; `method`;
-    `save_every` [s]: interval of saved times (None: 500 intervals); `start`: replaces the static assembly (the preload
-    is then unknown, NaN); `adjoint`: diffrax's adjoint, for adaptive methods only (None: forward mode; give
-    `diffrax.RecursiveCheckpointAdjoint()` for reverse mode); `design`: from `rfem_jax.design`, other values for numbers
-    of the model and its drives; `record`: what the run records besides, such as "coupler.sections" (see
-    `simulation.records`), into `run.recorded`.
+    `save_every` [s]: interval of saved times (None: 500 intervals); `start`: "as_given", with all freedoms at the start
+    values of the joints and at their initial rates, flexible links settled, or "equilibrium", in which freedoms that no
+    drive holds have settled, too (None: as the mechanism says, "as_given" unless it says another); or a `State`, which
+    replaces the static assembly (the preload is then unknown, NaN); `adjoint`: diffrax's adjoint, for adaptive methods
+    only (None: forward mode; give `diffrax.RecursiveCheckpointAdjoint()` for reverse mode); `design`: from
+    `rfem_jax.design`, other values for numbers of the model and its drives; `record`: what the run records besides,
+    such as "coupler.sections" (see `simulation.records`), into `run.recorded`.
 
     **Returns:** `Run`.  Works under jit, vmap, jacfwd; with fixed-step methods also grad, jacrev and Hessians (memory
     in reverse mode: the state at the end of every interval, and the steps of one interval; with an implicit method the
@@ -127,6 +130,8 @@ def simulate(
     require_driven(model, drive)
     grid, steps = grid_for(drive, duration, method, save_every, model)
     errors = assembly_errors(model) if errors is None else errors
+    if isinstance(start, str):
+        model, start = with_start(model, start), None
     return simulate_steps(model, errors, drive, grid, method, steps, start, adjoint, record, design)
 
 
@@ -223,10 +228,11 @@ def prepare(model: Model, errors: AssemblyErrors, drive: Drive, start: State | N
             unknown = jnp.full((3, joints), jnp.nan)
             preload = loads.JointLoads(unknown, unknown)
             return Prepared(actual, start, preload, jnp.asarray(OK, jnp.int32))
-        held = held_angles(model, None)
+        held = start_values_held(model)
         first = active_drives(model, drive).at(jnp.zeros(()), jnp.asarray(0, jnp.int32)).motions
         held |= {k: position for k, (position, _, _) in first.items()}
-        rates = {k: rate for k, (_, rate, _) in first.items()}
+        given = {} if model.start_rates is None else {k: model.start_rates[k] for k in model.topology.rated}
+        rates = given | {k: rate for k, (_, rate, _) in first.items()}
         state, multipliers, status = moving_equilibrium(model, actual, held, rates)
         resting = loads.static_state(model.topology, state.position)
         return Prepared(actual, state, static_loads(model, actual, resting, multipliers), status)

@@ -11,6 +11,7 @@ of the mechanism.
 """
 
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from typing import NamedTuple
 
 import equinox as eqx
@@ -22,7 +23,8 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import ArrayLike, Bool, Float, Int
 
 from rfem_jax.compilation.program import Program
-from rfem_jax.description.errors import InputError, suggestion
+from rfem_jax.description.errors import InputError, require_choice, suggestion
+from rfem_jax.description.mechanism import AS_GIVEN, EQUILIBRIUM, STARTS
 from rfem_jax.mechanics import loads
 from rfem_jax.mechanics.algebra import Scalar, apply_transposed, cross, dot
 from rfem_jax.mechanics.bush_contacts import ContactState, contact_states
@@ -74,21 +76,26 @@ class Assembled(NamedTuple):
 def assemble(
     model: Model,
     errors: AssemblyErrors,
-    hold: Mapping[str, ArrayLike] | None = None,
+    hold: Mapping[str, ArrayLike] | str | None = None,
     *,
     design: Design | None = None,
 ) -> Assembled:
     """Assemble the mechanism: static equilibrium with some joints held.
 
     **Arguments:** `hold`: name of a joint with one coordinate -> its angle [rad] or displacement [m]; None holds
-    the coordinates that drives act on at their start, {} holds nothing; `design`: from `rfem_jax.design`.
+    the coordinates that drives act on at their start, {} holds nothing; "as_given" holds at their start, besides, the
+    coordinates that stand for the freedoms that no drive holds, as a simulation does; `design`: from
+    `rfem_jax.design`.
 
     **Returns:** state (velocities zero), preload (gravity and holding moment included) and status
     (0 = ok; see `STATUS`). Differentiable with respect to errors, held angles and the numbers of the design.
 
     **Raises:** `InputError` if `hold` names a joint that is not a joint of the tree or has not one coordinate.
     """
-    if hold is not None:
+    if isinstance(hold, str):
+        require_choice(hold, (AS_GIVEN,), "hold")
+        model = with_start(model, AS_GIVEN)
+    elif hold is not None:
         _require_tree_joints(model, hold)
         hold = {name: jnp.asarray(angle, jnp.float64) for name, angle in hold.items()}
     made = designed(model, design, errors)
@@ -96,9 +103,10 @@ def assemble(
 
 
 @Program
-def _assemble(model: Model, errors: AssemblyErrors, hold: dict[str, Array] | None) -> Assembled:
+def _assemble(model: Model, errors: AssemblyErrors, hold: dict[str, Array] | str | None) -> Assembled:
     actual = apply_errors(model, errors)
-    position, multipliers, status = equilibrium(model, actual, held_angles(model, hold))
+    held = start_values_held(model) if isinstance(hold, str) else held_angles(model, hold)
+    position, multipliers, status = equilibrium(model, actual, held)
     state = loads.static_state(model.topology, position)
     preload = named(model, static_loads(model, actual, state, multipliers))
     contacts = contact_states(actual, motion_of(actual, state)) if model.topology.clearances else None
@@ -118,6 +126,28 @@ def held_angles(model: Model, hold: Mapping[str, ArrayLike] | None) -> dict[int,
     return {
         topology.own_coordinates[topology.joints.index(name)][0]: jnp.asarray(value) for name, value in hold.items()
     }
+
+
+def with_start(model: Model, start: str | None) -> Model:
+    """The model whose simulations start so: "as_given" or "equilibrium"; None leaves it as it is.
+
+    **Raises:** `InputError` for another word, and for an equilibrium where joints have initial rates.
+    """
+    if start is None:
+        return model
+    require_choice(start, STARTS, "start")
+    if start == EQUILIBRIUM and model.topology.rated:
+        raise InputError(
+            f'Argument `start` must be "as_given" where joints have initial rates, but was "{start}", which is at '
+            "rest; leave it out, or the rates."
+        )
+    return replace(model, topology=model.topology._replace(settles=start == EQUILIBRIUM))
+
+
+def start_values_held(model: Model) -> dict[int, Float[Array, ""]]:
+    """Index of a joint coordinate -> value [rad, m] that the start of a simulation holds (theory (6.9))."""
+    values = start_values(model).joints
+    return {k: values[k] for k in model.topology.held_at_start}
 
 
 def _require_tree_joints(model: Model, names: Iterable[str]) -> None:

@@ -77,6 +77,7 @@ def _document(study: Study, structure: Any, step: float | None) -> dict[str, Any
         "links": [{"name": one.name, "length": one.length, "mass": one.mass} for one in mechanism.links],
         "joints": joints,
         "structure": found,
+        "start": structure.start._asdict(),
         "duration": study.duration,
         "method": asdict(study.method),
         "largest_stable_step": None if step is None else float(step),

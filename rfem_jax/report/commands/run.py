@@ -51,10 +51,12 @@ def act(arguments: argparse.Namespace) -> Answer:
     started = time.perf_counter()
     study = read_study(arguments.study)
 
-    from rfem_jax.report.files import write_files
+    from rfem_jax.report.files import start_of, write_files
+    from rfem_jax.report.overview import start_text
     from rfem_jax.report.summary import summarise
     from rfem_jax.report.tables import results_text
     from rfem_jax.simulation import STATUS
+    from rfem_jax.text_layout import wrap_lines
 
     require_folder(arguments.out)
     require_task_folders(study, study.tasks.declared, arguments.out)
@@ -64,10 +66,12 @@ def act(arguments: argparse.Namespace) -> Answer:
     runs = _simulate(study, folder)
     statuses = {name: STATUS[int(run.status)] for name, run in runs.items()}
     summaries = summarise(study, runs, statuses)
+    start = start_of(runs)
     show(results_text(study, summaries), end="\n\n")
+    show(wrap_lines(start_text(start)), end="\n\n")
     written: list[Path] = []
     try:
-        written += write_files(folder, study, runs, summaries)
+        written += write_files(folder, study, runs, summaries, start)
         written += write_run_pictures(folder, study, runs, summaries)
         written += write_run_animation(folder, runs)
     except OSError as problem:
