@@ -670,8 +670,10 @@ def _lu(equation, x):
 
 
 def _eigenvectors(equation, x):
-    values, vectors = np.linalg.eigh(x, "L" if equation.params["lower"] else "U")
-    return [vectors, values]
+    finite = np.all(np.isfinite(x), axis=(-2, -1))  # JAX gives NaN of others, and NumPy raises
+    whole = np.where(finite[..., None, None], x, 0.0)
+    values, vectors = np.linalg.eigh(whole, "L" if equation.params["lower"] else "U")
+    return [np.where(finite[..., None, None], vectors, np.nan), np.where(finite[..., None], values, np.nan)]
 
 
 def _summed_up(equation):

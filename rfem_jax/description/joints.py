@@ -207,7 +207,7 @@ class Joint(ChecksItself):
 
     def _refuse_start(self, of: str, kind: JointKind, field: str, value: object, wanted: Sequence[str]) -> None:
         if self.cut:
-            reason, fix = "the joint is cut", f"a cut joint's {field} follows from the other joints of the loop."
+            reason, fix = "the joint is cut", f"a cut joint's {field} follows from closing the loop."
         else:
             reason = f"the joint is {kind.name}"
             fix = f"give {' and '.join(f'`{name}`' for name in wanted)}." if wanted else "it has no coordinate."

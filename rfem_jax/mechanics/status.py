@@ -17,7 +17,7 @@ class Status(NamedTuple):
 
 
 OK, NOT_ASSEMBLED, WRONG_SIDE, DIVERGED, DRIFTED, STEPS_EXHAUSTED, OUT_OF_RANGE, NOT_CONVERGED = range(8)
-NOT_CLOSED, DESIGN_OUT_OF_RANGE, CONTACT_NOT_RESOLVED = 8, 9, 10
+NOT_CLOSED, DESIGN_OUT_OF_RANGE, CONTACT_NOT_RESOLVED, PAST_LIMIT = 8, 9, 10, 11
 
 STATUS: tuple[Status, ...] = (
     Status("ok", "The run is complete and passed its checks."),
@@ -36,8 +36,8 @@ STATUS: tuple[Status, ...] = (
     Status(
         "diverged",
         "A coordinate became infinite or undefined. Usually the step is too large for stability "
-        "(`rfem-jax check` prints the largest stable one); a link that bends by more than 90 deg has the "
-        "same effect.",
+        "(`rfem-jax check` prints the largest stable one); a link that bends by more than 90 deg, or a drive that "
+        "prescribes positions at which the loops do not close, has the same effect.",
     ),
     Status(
         "drifted",
@@ -78,5 +78,10 @@ STATUS: tuple[Status, ...] = (
         "The energy of a mechanism with clearance is off by more than a twentieth. Usually the steps are too long for "
         "its contacts, which last some ten microseconds where parts of steel strike: take the implicit method, whose "
         "steps follow contacts, with a smaller `contact_tolerance`, an adaptive method, or steps of a tenth of that.",
+    ),
+    Status(
+        "past_limit",
+        "The drive prescribes a position at which the loops do not close: the mechanism locks there, whatever the step "
+        "(`rfem-jax check` says when and where). Prescribe less of a way, or change lengths and positions.",
     ),
 )

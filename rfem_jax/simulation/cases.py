@@ -23,6 +23,7 @@ from rfem_jax.mechanics.model import Model
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors, assembly_errors
 from rfem_jax.simulation import integration, labelled_runs
 from rfem_jax.simulation.accuracy import choose_method
+from rfem_jax.simulation.drive_limit import with_limit
 from rfem_jax.simulation.driving import require_driven
 from rfem_jax.simulation.records import require_records
 from rfem_jax.simulation.run import Run, of_model, one_of
@@ -81,7 +82,7 @@ def run_cases(
     grid, steps = integration.grid_for(drive, study.duration, method, study.save_every, model)
     asked = require_records(model, records_for(study.metrics))
     if errors.parameters is not None:
-        runs = _run_with_parameters(model, errors, drive, study, method, asked)
+        runs = with_limit(_run_with_parameters(model, errors, drive, study, method, asked), model, drive)
         return model, Runs({case.name: one_of(runs, i) for i, case in enumerate(study.cases)})
     unfinished = Unfinished(keep, (model, errors, drive, study.duration, method, study.save_every))
     method, steps = of_any_step(method, grid, steps)
@@ -90,6 +91,7 @@ def run_cases(
     try:
         carry, ends = _advance_all(model, prepared, study, carry, grid, method, steps, unfinished, progress)
         runs = _conclude(model, prepared, drive, carry, ends, grid, method, steps, asked)
+        runs = with_limit(runs, model, drive)
     except KeyboardInterrupt:
         unfinished.write()
         raise

@@ -52,6 +52,7 @@ from rfem_jax.mechanics.status import (
 )
 from rfem_jax.simulation import equations
 from rfem_jax.simulation.batches import like_batched
+from rfem_jax.simulation.drive_limit import with_limit
 from rfem_jax.simulation.driving import active_drives, all_jumps, drive_of_design, require_driven
 from rfem_jax.simulation.equations import Conditions, Scalar, Trajectory
 from rfem_jax.simulation.observation import Record, observe
@@ -132,7 +133,8 @@ def simulate(
     errors = assembly_errors(model) if errors is None else errors
     if isinstance(start, str):
         model, start = with_start(model, start), None
-    return simulate_steps(model, errors, drive, grid, method, steps, start, adjoint, record, design)
+    run = simulate_steps(model, errors, drive, grid, method, steps, start, adjoint, record, design)
+    return with_limit(run, model, drive if design is None else drive_of_design(model, drive, design))
 
 
 def simulate_steps(

@@ -41,6 +41,7 @@ def act(arguments: argparse.Namespace) -> Answer:
     from rfem_jax.report.study_cost import cost_text, times_text
     from rfem_jax.report.tasks.task_overview import tasks_text
     from rfem_jax.simulation import check_step
+    from rfem_jax.simulation.drive_limit import drive_limit
 
     model = discretise_study(study)
     structure = describe(model)
@@ -60,10 +61,13 @@ def act(arguments: argparse.Namespace) -> Answer:
         show(f"Largest stable step of {study.method.name}: {found}.")
     if text := times_text(study):
         show(text)
-    return Answer(document=_document(study, structure, step))
+    limit = drive_limit(model, study.designed_drive, study.duration)
+    if limit is not None:
+        show(f"The drive prescribes what the loops do not let it: they stop closing {limit.text}; a run is lost there.")
+    return Answer(document=_document(study, structure, step, limit))
 
 
-def _document(study: Study, structure: Any, step: float | None) -> dict[str, Any]:
+def _document(study: Study, structure: Any, step: float | None, limit: Any) -> dict[str, Any]:
     from dataclasses import asdict
 
     mechanism = study.mechanism
@@ -81,6 +85,7 @@ def _document(study: Study, structure: Any, step: float | None) -> dict[str, Any
         "duration": study.duration,
         "method": asdict(study.method),
         "largest_stable_step": None if step is None else float(step),
+        "drive_limit": None if limit is None else {"time": limit.time, "of": limit.label, "position": limit.position},
         "design": study.design,
         "cases": {case.name: {error: float(value) for error, value in case.errors.items()} for case in study.cases},
         "tasks": list(study.tasks.declared),

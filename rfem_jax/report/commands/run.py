@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from rfem_jax.report.annotations import Run, Study, Summaries
 from rfem_jax.report.commands.command import CASE_FAILED, DONE, Answer, Command, Interrupted, add_study_and_folder
@@ -51,6 +52,7 @@ def act(arguments: argparse.Namespace) -> Answer:
     started = time.perf_counter()
     study = read_study(arguments.study)
 
+    from rfem_jax.mechanics.status import PAST_LIMIT
     from rfem_jax.report.files import start_of, write_files
     from rfem_jax.report.overview import start_text
     from rfem_jax.report.summary import summarise
@@ -65,6 +67,8 @@ def act(arguments: argparse.Namespace) -> Answer:
     prepare_pictures()
     runs = _simulate(study, folder)
     statuses = {name: STATUS[int(run.status)] for name, run in runs.items()}
+    if any(int(run.status) == PAST_LIMIT for run in runs.values()):
+        statuses = _with_place(statuses, runs, study)
     summaries = summarise(study, runs, statuses)
     start = start_of(runs)
     show(results_text(study, summaries), end="\n\n")
@@ -89,6 +93,18 @@ def act(arguments: argparse.Namespace) -> Answer:
     seconds = time.perf_counter() - started
     show(f"{len(written)} files written to {folder} ({seconds:.1f} s in all).")
     return Answer(DONE if good else CASE_FAILED, files_document(folder, written))
+
+
+def _with_place(statuses: dict[str, Any], runs: dict[str, Run], study: Study) -> dict[str, Any]:
+    """The statuses of runs past the limit of their mechanism with the place of this limit in their messages."""
+    from rfem_jax.mechanics.status import PAST_LIMIT, STATUS
+    from rfem_jax.simulation.drive_limit import drive_limit
+
+    limit = drive_limit(next(iter(runs.values())).model, study.designed_drive, study.duration)
+    if limit is None:
+        return statuses
+    told = STATUS[PAST_LIMIT]._replace(message=f"{STATUS[PAST_LIMIT].message} It locks {limit.text}.")
+    return {name: told if one.name == told.name else one for name, one in statuses.items()}
 
 
 def _names(files: list[Path]) -> str:

@@ -30,9 +30,10 @@ from rfem_jax.description.precision import require_float64
 from rfem_jax.mechanics.designs import Design, NamedValue, parameters
 from rfem_jax.mechanics.model import Model
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors, assembly_errors
-from rfem_jax.mechanics.status import STATUS
+from rfem_jax.mechanics.status import PAST_LIMIT, STATUS
 from rfem_jax.simulation.accuracy import choose_method
-from rfem_jax.simulation.driving import design_with, drive_numbers, require_driven
+from rfem_jax.simulation.drive_limit import FAILED_IN_MOTION, DriveLimit, drive_limit
+from rfem_jax.simulation.driving import design_with, drive_numbers, drive_of_design, require_driven
 from rfem_jax.simulation.integration import conclude, grid_for, integrated, simulate_steps
 from rfem_jax.simulation.records import require_records
 from rfem_jax.simulation.run import RESIDUAL_LIMIT, of_model
@@ -166,8 +167,18 @@ class Problem(eqx.Module):
         return _records_of(self.metrics)
 
     def describe_status(self, code: int) -> str:
-        """Short name of a status code; "ok" for 0."""
-        return STATUS[int(code)].name
+        """Short name of a status code; "ok" for 0. Samples that have diverged are past the limit of their mechanism
+        where the perfect one locks under the drive."""
+        code = int(code)
+        if code in FAILED_IN_MOTION and self._limit is not None:
+            code = PAST_LIMIT
+        return STATUS[code].name
+
+    @property
+    def _limit(self) -> DriveLimit | None:
+        """Where the loops stop closing under the drive."""
+        drive = self.drive if self.design is None else drive_of_design(self.model, self.drive, self.design)
+        return drive_limit(self.model, drive, self.duration)
 
     @property
     def undamped(self) -> bool:
