@@ -11,6 +11,7 @@ import math
 import operator
 import string
 import threading
+import warnings
 from collections.abc import Callable, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -653,7 +654,10 @@ def _triangular_solve(equation, a, b):
     }
     found = np.empty_like(b)
     for place in np.ndindex(b.shape[:-2]):
-        found[place] = scipy.linalg.solve_triangular(a[place], b[place], **rules)
+        try:
+            found[place] = scipy.linalg.solve_triangular(a[place], b[place], **rules)
+        except np.linalg.LinAlgError:  # JAX divides by zero
+            found[place] = np.nan
     return [found if settings["left_side"] else np.swapaxes(found, -1, -2)]
 
 
@@ -661,7 +665,9 @@ def _lu(equation, x):
     """Factors, pivots and the permutation of rows that they stand for."""
     factors, pivots, permutation = (np.empty(variable.aval.shape, variable.aval.dtype) for variable in equation.outvars)
     for place in np.ndindex(x.shape[:-2]):
-        factors[place], pivots[place] = scipy.linalg.lu_factor(x[place], check_finite=False)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", scipy.linalg.LinAlgWarning)  # JAX does not tell of singular matrices
+            factors[place], pivots[place] = scipy.linalg.lu_factor(x[place], check_finite=False)
         order = np.arange(x.shape[-2])
         for row, other in enumerate(pivots[place]):
             order[[row, other]] = order[[other, row]]

@@ -18,15 +18,15 @@ class Status(NamedTuple):
 
 OK, NOT_ASSEMBLED, WRONG_SIDE, DIVERGED, DRIFTED, STEPS_EXHAUSTED, OUT_OF_RANGE, NOT_CONVERGED = range(8)
 NOT_CLOSED, DESIGN_OUT_OF_RANGE, CONTACT_NOT_RESOLVED, PAST_LIMIT = 8, 9, 10, 11
+CANNOT_CLOSE, NO_EQUILIBRIUM = 12, 13
 
 STATUS: tuple[Status, ...] = (
     Status("ok", "The run is complete and passed its checks."),
     Status(
         "not_assembled",
-        "No static equilibrium was found for the start. Usually an error is so large that the links "
-        "deflect beyond the linear spring-damping elements (use geometrically exact ones); a wrong "
-        "start angle, a missing hold, or a body that can turn without load, as one that hangs on a ball joint alone, "
-        "does the same.",
+        "No static equilibrium was found for the start. Usually an error is so large that links or bearings "
+        "deflect too far (of links beyond the linear spring-damping elements: use geometrically exact ones); a wrong "
+        "start angle, or a freedom that nothing holds, does the same.",
     ),
     Status(
         "wrong_side",
@@ -83,5 +83,17 @@ STATUS: tuple[Status, ...] = (
         "past_limit",
         "The drive prescribes a position at which the loops do not close: the mechanism locks there, whatever the step "
         "(`rfem-jax check` says when and where). Prescribe less of a way, or change lengths and positions.",
+    ),
+    Status(
+        "cannot_close",
+        "With its errors a loop of rigid links cannot be put together, because nothing in it gives. Make one of its "
+        "links flexible, or let one of its bearings give (a compliance or a clearance); or leave out the errors that "
+        "open it, in planar loops those across the plane.",
+    ),
+    Status(
+        "no_equilibrium",
+        "The rigid links have no static equilibrium that can be found: nothing holds a freedom, as of a body that "
+        'slides down a guide or hangs on a ball joint alone. Let it start as given (start = "as_given"), or hold it by '
+        "a spring or a drive.",
     ),
 )

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from rfem_jax import (
+    STATUS,
     Compliance,
     InputError,
     Joint,
@@ -291,6 +292,34 @@ class TestRates:
             simulate(discretise(falling(rate=1.0)), drive=None, duration=0.1, method=IMPLICIT, start="equilibrium")
         with pytest.raises(InputError, match="did you mean `equilibrium`"):
             simulate(discretise(falling()), drive=None, duration=0.1, method=IMPLICIT, start="equilibrum")
+
+
+class TestWhyNot:
+    """A start that is not found says which of its causes it was."""
+
+    def status(self, model, errors=None, **more):
+        return STATUS[int(assemble(model, assembly_errors(model, errors or {}), **more).status)]
+
+    def test_a_loop_in_which_nothing_gives(self):
+        loop = four_bar(None, redundant_reactions="minimum_norm")
+        for error in ("D.delta_x", "D.d_y", "B.child.delta_z"):
+            found = self.status(discretise(loop), {error: 1e-3})
+            assert found.name == "cannot_close" and "links flexible" in found.message
+        assert self.status(discretise(loop), {"D.d_x": 1e-3}).name == "ok"
+        # What gives closes it; what gives too far is another cause.
+        assert self.status(discretise(compliant_four_bar(rfes=None)), {"D.d_y": 1e-3}).name == "ok"
+        assert self.status(discretise(four_bar(2)), {"D.d_x": 0.5}).name == "not_assembled"
+
+    def test_a_freedom_that_nothing_holds(self):
+        body = Link("bar", 0.2, body=RigidBody(0.5, (0.1, 0.02, 0.0), (1e-4, 2e-3, 2e-3)))
+        for joint in (
+            Joint("S", "base", "bar", kind="spherical", start=(0.3, -0.2, 0.5)),
+            Joint("G", "base", "bar", kind="prismatic", orientation=(0.0, 0.5, 0.0)),
+        ):
+            model = discretise(Mechanism([body], [joint]))
+            found = self.status(model)
+            assert found.name == "no_equilibrium" and 'start = "as_given"' in found.message
+            assert self.status(model, hold="as_given").name == "ok"
 
 
 def ends(model, names, numbers):

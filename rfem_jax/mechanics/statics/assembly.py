@@ -28,7 +28,7 @@ from rfem_jax.description.mechanism import AS_GIVEN, EQUILIBRIUM, STARTS
 from rfem_jax.mechanics import loads
 from rfem_jax.mechanics.algebra import Scalar, apply_transposed, cross, dot
 from rfem_jax.mechanics.bush_contacts import ContactState, contact_states
-from rfem_jax.mechanics.cut_joints import closure, spring_residual, spring_row_tangent
+from rfem_jax.mechanics.cut_joints import Closure, closure, spring_residual, spring_row_tangent
 from rfem_jax.mechanics.derivative_rules import implicit_function
 from rfem_jax.mechanics.designs import Design, designed, with_status
 from rfem_jax.mechanics.element_loads import element_tangents, frame_loads
@@ -52,7 +52,9 @@ from rfem_jax.mechanics.statics.search import (
     solve_linear,
 )
 from rfem_jax.mechanics.statics.tangent import static_increment, static_tangent
-from rfem_jax.mechanics.status import NOT_ASSEMBLED, OK, OUT_OF_RANGE, WRONG_SIDE
+from rfem_jax.mechanics.status import CANNOT_CLOSE, NO_EQUILIBRIUM, NOT_ASSEMBLED, OK, OUT_OF_RANGE, WRONG_SIDE
+
+OPEN = 1e-9  # of the longest link: a loop that does not close
 
 
 class Load(NamedTuple):
@@ -300,7 +302,18 @@ def _status_of(actual: ModelWithErrors, position: Coordinates, found: Bool[Array
     cuts = closure(actual, motion_of(actual, loads.static_state(actual.topology, position)), scale)
     right_side = True if cuts is None else jnp.all(cuts.alignment > 0.0)
     status = jnp.where(right_side, jnp.where(in_range, OK, OUT_OF_RANGE), WRONG_SIDE)
-    return jnp.where(found, status, NOT_ASSEMBLED).astype(jnp.int32)
+    return jnp.where(found, status, _cause_of(actual.topology, cuts, in_range, scale)).astype(jnp.int32)
+
+
+def _cause_of(topology: Topology, cuts: Closure | None, in_range: Bool[Array, ""], scale: Scalar) -> Int[Array, ""]:
+    """Why no equilibrium was found: in a loop where nothing gives, equations that contradict each other; of rigid links
+    else loads that nothing balances; of others most likely their deflection."""
+    gives = topology.n_rfes > 0 or bool(topology.sprung)
+    other = jnp.asarray(NOT_ASSEMBLED if gives else NO_EQUILIBRIUM)
+    if cuts is None or (gives and not topology.minimum_norm):
+        return other
+    gap = jnp.max(jnp.abs(cuts.residual), initial=0.0)
+    return jnp.where((gap > OPEN * scale) & in_range, CANNOT_CLOSE, other)
 
 
 def _unloaded(model: Model) -> ModelWithErrors:
