@@ -35,8 +35,12 @@ MAX_NORMAL_FORCE = Quantity(
 )
 JOINT_METRICS = (RMS_FORCE, RMS_MOMENT, MAX_AXIAL_FORCE, MAX_NORMAL_FORCE)
 
-PRELOAD_FORCE = Quantity("preload_force", "N", "Preload force", "force at the start, x y z of the frame H")
-PRELOAD_MOMENT = Quantity("preload_moment", "N m", "Preload moment", "moment at the start, x y z of the frame H")
+PRELOAD_FORCE = Quantity(
+    "preload_force", "N", "Preload force", "force at the start, holding loads included, x y z of the frame H"
+)
+PRELOAD_MOMENT = Quantity(
+    "preload_moment", "N m", "Preload moment", "moment at the start, holding loads included, x y z of the frame H"
+)
 PRELOADS = (PRELOAD_FORCE, PRELOAD_MOMENT)
 
 ANGLE_END = Quantity("angle_end", "rad", "Angle at end", "the driven joint's own coordinate")

@@ -22,6 +22,7 @@ from rfem_jax.compilation.parts import ProgramInParts, in_parts
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.driven_motions import Drive
 from rfem_jax.description.errors import InputError
+from rfem_jax.description.mechanism import AS_GIVEN
 from rfem_jax.description.methods import Method
 from rfem_jax.description.precision import require_float64
 from rfem_jax.mechanics import loads
@@ -34,10 +35,10 @@ from rfem_jax.mechanics.orientations import angles_of
 from rfem_jax.mechanics.reordering import rows
 from rfem_jax.mechanics.statics.assembly import (
     Load,
+    held_angles,
     length_scale,
     moving_equilibrium,
     named,
-    start_values_held,
     static_loads,
     with_start,
 )
@@ -230,7 +231,7 @@ def prepare(model: Model, errors: AssemblyErrors, drive: Drive, start: State | N
             unknown = jnp.full((3, joints), jnp.nan)
             preload = loads.JointLoads(unknown, unknown)
             return Prepared(actual, start, preload, jnp.asarray(OK, jnp.int32))
-        held = start_values_held(model)
+        held = held_angles(model, None if model.topology.settles else AS_GIVEN)
         first = active_drives(model, drive).at(jnp.zeros(()), jnp.asarray(0, jnp.int32)).motions
         held |= {k: position for k, (position, _, _) in first.items()}
         given = {} if model.start_rates is None else {k: model.start_rates[k] for k in model.topology.rated}

@@ -33,7 +33,7 @@ from rfem_jax.mechanics.inputs import DriveInput
 from rfem_jax.mechanics.model import Coordinates, Model, State
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors, ModelWithErrors, apply_errors, assembly_errors
 from rfem_jax.mechanics.orientations import moved
-from rfem_jax.mechanics.statics.assembly import equilibrium, held_angles, length_scale
+from rfem_jax.mechanics.statics.assembly import checked_hold, equilibrium, held_angles, length_scale
 from rfem_jax.mechanics.statics.search import least_squares
 from rfem_jax.simulation.equations import safe_sqrt
 
@@ -72,7 +72,7 @@ def natural_frequencies(
     model: Model,
     errors: AssemblyErrors | None = None,
     *,
-    hold: Mapping[str, ArrayLike] | None = None,
+    hold: Mapping[str, ArrayLike] | str | None = None,
     locked: bool = True,
     count: int = 6,
     design: Design | None = None,
@@ -80,9 +80,9 @@ def natural_frequencies(
     """Natural frequencies and modes about the static equilibrium of a mechanism with its errors.
 
     **Arguments:** `errors` from `assembly_errors` (None: perfect); `hold`: as of `assemble`, joints at given angles
-    [rad] or displacements [m] (None: the driven ones at their start); `locked`: whether these are locked in the
-    vibration, or only held by a constant moment; `count`: number of modes, at most as many as there are; `design`: from
-    `rfem_jax.design`, other values for numbers of the model.
+    [rad] or displacements [m] (None: the driven ones at their start, all else in equilibrium); `locked`: whether these
+    are locked in the vibration, or only held by a constant moment; `count`: number of modes, at most as many as there
+    are; `design`: from `rfem_jax.design`, other values for numbers of the model.
 
     **Returns:** `NaturalModes`. Works under jit, vmap, forward and reverse mode and Hessians; derivatives of simple
     frequencies only.
@@ -92,15 +92,14 @@ def natural_frequencies(
     require_float64()
     if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < 1:
         raise InputError(f"Argument `count` must be a whole number of at least 1, but is {count!r}; 6 is usual.")
-    hold = None if hold is None else {name: jnp.asarray(value, jnp.float64) for name, value in hold.items()}
-    held_angles(model, hold)
+    hold = checked_hold(model, hold)
     made = designed(model, design, assembly_errors(model) if errors is None else errors)
     modes = _natural(made.model, made.errors, hold, bool(locked), int(count))
     return modes if made.status is None else replace(modes, status=status_of(modes.status, made))
 
 
 @Program
-def _natural(model: Model, errors: AssemblyErrors, hold: dict[str, Array] | None, locked: bool, count: int):
+def _natural(model: Model, errors: AssemblyErrors, hold: dict[str, Array] | str | None, locked: bool, count: int):
     actual, topology = apply_errors(model, errors), model.topology
     held = held_angles(model, hold)
     position, multipliers, status = equilibrium(model, actual, held)

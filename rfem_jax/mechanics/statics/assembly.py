@@ -94,12 +94,7 @@ def assemble(
 
     **Raises:** `InputError` if `hold` names a joint that is not a joint of the tree or has not one coordinate.
     """
-    if isinstance(hold, str):
-        require_choice(hold, (AS_GIVEN,), "hold")
-        model = with_start(model, AS_GIVEN)
-    elif hold is not None:
-        _require_tree_joints(model, hold)
-        hold = {name: jnp.asarray(angle, jnp.float64) for name, angle in hold.items()}
+    hold = checked_hold(model, hold)
     made = designed(model, design, errors)
     return with_status(_assemble(made.model, made.errors, hold), made)
 
@@ -107,23 +102,31 @@ def assemble(
 @Program
 def _assemble(model: Model, errors: AssemblyErrors, hold: dict[str, Array] | str | None) -> Assembled:
     actual = apply_errors(model, errors)
-    held = start_values_held(model) if isinstance(hold, str) else held_angles(model, hold)
-    position, multipliers, status = equilibrium(model, actual, held)
+    position, multipliers, status = equilibrium(model, actual, held_angles(model, hold))
     state = loads.static_state(model.topology, position)
     preload = named(model, static_loads(model, actual, state, multipliers))
     contacts = contact_states(actual, motion_of(actual, state)) if model.topology.clearances else None
     return Assembled(state, preload, status, contacts=contacts)
 
 
-def held_angles(model: Model, hold: Mapping[str, ArrayLike] | None) -> dict[int, Float[Array, ""]]:
+def checked_hold(model: Model, hold: Mapping[str, ArrayLike] | str | None) -> dict[str, Array] | str | None:
+    """What to hold, as `assemble` takes it, with arrays. Raises `InputError` as `held_angles`."""
+    if hold is None or isinstance(hold, str):
+        return None if hold is None else require_choice(hold, (AS_GIVEN,), "hold")
+    _require_tree_joints(model, hold)
+    return {name: jnp.asarray(angle, jnp.float64) for name, angle in hold.items()}
+
+
+def held_angles(model: Model, hold: Mapping[str, ArrayLike] | str | None) -> dict[int, Float[Array, ""]]:
     """Index of a joint coordinate -> held value [rad, m], by the names of joints; None: those that drives act
-    on, at their start.
+    on, at their start; "as_given": besides those for the freedoms that no drive holds (theory (6.9)).
 
     **Raises:** `InputError` for a name that is not a joint of the tree with one coordinate.
     """
     topology = model.topology
-    if hold is None:
-        return {k: model.start_joints[topology.place_of(k)] for k in topology.held}
+    if hold is None or isinstance(hold, str):
+        values = start_values(model).joints
+        return {k: values[k] for k in (*topology.held, *(() if hold is None else topology.undriven))}
     _require_tree_joints(model, hold)
     return {
         topology.own_coordinates[topology.joints.index(name)][0]: jnp.asarray(value) for name, value in hold.items()
@@ -144,12 +147,6 @@ def with_start(model: Model, start: str | None) -> Model:
             "rest; leave it out, or the rates."
         )
     return replace(model, topology=model.topology._replace(settles=start == EQUILIBRIUM))
-
-
-def start_values_held(model: Model) -> dict[int, Float[Array, ""]]:
-    """Index of a joint coordinate -> value [rad, m] that the start of a simulation holds (theory (6.9))."""
-    values = start_values(model).joints
-    return {k: values[k] for k in model.topology.held_at_start}
 
 
 def _require_tree_joints(model: Model, names: Iterable[str]) -> None:

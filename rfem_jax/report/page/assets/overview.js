@@ -144,7 +144,7 @@ function tablesPage() {
     { label: "value", value: (row) => row.error && row.error[1], show: (value, row) => showError(value, row.error[2]) },
   ];
   return [
-    section("Loads in the joints", sortableTable("Loads by case and joint; a preload is the resultant at the start", columns, rows, { id: "loads-table" }), failedNote()),
+    section("Loads in the joints", sortableTable("Loads by case and joint; a preload is the resultant at the start, holding loads included", columns, rows, { id: "loads-table" }), failedNote()),
     section("Assembly errors", errors.length ? sortableTable("Errors by case", errorColumns, errors) : make("p", {}, "No case has errors.")),
     content.driven_joint ? section(`Driven joint ${content.driven_joint}`, sortableTable("End of the run", endColumns, ends)) : null,
   ];
