@@ -124,10 +124,11 @@ def _as_given(model: Model, mechanism: Mechanism) -> Model:
     the loops close with them as well as without."""
     topology = with_start_freedoms(model, _rates_given(model, mechanism))
     model = dataclasses.replace(model, topology=topology)
-    if topology.n_cuts == 0 or not topology.undriven:
+    chosen = tuple(k for k in topology.undriven if k not in topology.idle)
+    if topology.n_cuts == 0 or not chosen:
         return model
-    given = _start_given(model, mechanism)
-    joints, residual, alignment, cuts = close_at(model, given, (*topology.held, *topology.undriven))
+    given = _start_given(model, mechanism, chosen)
+    joints, residual, alignment, cuts = close_at(model, given, (*topology.held, *chosen))
     before = np.abs(gaps(geometry_of(model), place(geometry_of(model), np.asarray(model.start_joints))).residual).max()
     if not np.abs(residual).max() <= max(2.0 * before, ROUNDING) or (alignment < 0.0).any():
         return model
@@ -135,13 +136,13 @@ def _as_given(model: Model, mechanism: Mechanism) -> Model:
     return eqx.tree_at(lambda m: (m.start_joints, m.cut_angles), model, start)
 
 
-def _start_given(model: Model, mechanism: Mechanism) -> Float[np.ndarray, " numbers"]:
-    """The closed start, with the coordinates that no drive holds as the description has them."""
+def _start_given(model: Model, mechanism: Mechanism, chosen: tuple[int, ...]) -> Float[np.ndarray, " numbers"]:
+    """The closed start, with chosen coordinates as the description has them."""
     topology, joints = model.topology, np.array(model.start_joints)
     for l, name in enumerate(topology.joints[: topology.n_links]):
         given = start_numbers(mechanism.joint(name), topology.kind(l))
-        places = [topology.place_of(k) for k in topology.coordinates[l][: topology.plain(l)] if k in topology.undriven]
-        if any(k in topology.undriven for k in topology.coordinates[l][topology.plain(l) :]):
+        places = [topology.place_of(k) for k in topology.coordinates[l][: topology.plain(l)] if k in chosen]
+        if any(k in chosen for k in topology.coordinates[l][topology.plain(l) :]):
             places += topology.positions[l][topology.plain(l) :]
         for place_in in places:
             joints[place_in] = given[place_in - topology.positions[l].start]

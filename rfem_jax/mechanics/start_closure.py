@@ -80,7 +80,7 @@ def close_start(nominal: Model, made: Model) -> ClosedStart:
 
 def _free_coordinates(topology: Topology) -> tuple[np.ndarray, np.ndarray]:
     """The joint coordinates that closing changes, and the matrix (free, F) that puts them among all."""
-    fixed = {*topology.held_at_start, *topology.sprung_coordinates}
+    fixed = {*topology.held_at_start, *topology.sprung_coordinates} - {*topology.idle}
     free = np.array([k for k in range(topology.n_freedoms) if k not in fixed], dtype=int)
     return free, (free[:, None] == np.arange(topology.n_freedoms)).astype(float)
 

@@ -36,11 +36,10 @@ from rfem_jax.report.summary import joint_names, study_note, total_energy
 from rfem_jax.whole_files import replacing
 
 
-def start_of(runs: Mapping[str, Run]) -> StartHeld:
-    """What the start of the runs of one study held."""
+def start_of(runs: Mapping[str, Run]) -> StartHeld | None:
+    """What the start of the runs of one study held; None where that is not known."""
     model = next(iter(runs.values())).model
-    assert model is not None, "runs of cases have theirs"
-    return start_held(model.topology)
+    return None if model is None else start_held(model.topology)
 
 
 def write_results(path: str | Path, study: Study, summaries: Summaries, start: StartHeld | None = None) -> Path:

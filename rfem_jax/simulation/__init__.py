@@ -14,6 +14,7 @@
     recorded_steps       steps found before, for reverse mode of adaptive methods
     stepping             one interval by any method
     integration          prepare -> advance -> conclude
+    locking              where a drive prescribes what the loops do not let it
     cases                all cases of a study as one batch
     vibration            modes of the perfect mechanism at rest, for limits of the step
     modes                natural frequencies about assembled configurations, differentiable
@@ -33,6 +34,7 @@ _names = {
     "cases": "run_cases",
     "cycle": "Cycle cycle_run steady_cycle",
     "integration": "simulate",
+    "locking": "DriveLimit drive_limit",
     "modes": "NaturalModes natural_frequencies",
     "run": "STATUS Run derivative_residual one_of",
     "solvers.catalogue": "register_method",

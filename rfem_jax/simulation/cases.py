@@ -23,8 +23,8 @@ from rfem_jax.mechanics.model import Model
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors, assembly_errors
 from rfem_jax.simulation import integration, labelled_runs
 from rfem_jax.simulation.accuracy import choose_method
-from rfem_jax.simulation.drive_limit import with_limit
 from rfem_jax.simulation.driving import require_driven
+from rfem_jax.simulation.locking import with_limit
 from rfem_jax.simulation.records import require_records
 from rfem_jax.simulation.run import Run, of_model, one_of
 from rfem_jax.simulation.time_grid import TimeGrid, of_any_step

@@ -53,9 +53,9 @@ from rfem_jax.mechanics.status import (
 )
 from rfem_jax.simulation import equations
 from rfem_jax.simulation.batches import like_batched
-from rfem_jax.simulation.drive_limit import with_limit
 from rfem_jax.simulation.driving import active_drives, all_jumps, drive_of_design, require_driven
 from rfem_jax.simulation.equations import Conditions, Scalar, Trajectory
+from rfem_jax.simulation.locking import with_limit
 from rfem_jax.simulation.observation import Record, observe
 from rfem_jax.simulation.packing import pack, unpack
 from rfem_jax.simulation.records import finished_records, instant_records, require_records

@@ -8,6 +8,7 @@ import pytest
 
 import rfem_jax.simulation
 from rfem_jax.description import load_study
+from rfem_jax.mechanics.discretisation import StartHeld
 from rfem_jax.report import command_line
 from rfem_jax.report.tasks import study_problem
 from tests.description.conftest import refused  # noqa: F401
@@ -91,6 +92,7 @@ errors = { "D.d_y" = "0.5 mm", "coupler.length" = "-0.1 mm" }
 """
 
 JOINTS = ("A", "B", "D", "C")
+START = StartHeld("as_given", ("A",), (), ())
 NOMINAL = {
     "crank": ((0.0, 0.0, 0.0), (0.0, 0.0, 0.12)),
     "coupler": ((0.0, 0.0, 0.12), (0.244, 0.0, 0.295)),
@@ -157,6 +159,7 @@ def synthetic_run(size, status=0):
         contacts={},
         contact_losses={},
         contact_changes=None,
+        model=None,
     )
 
 

@@ -29,6 +29,8 @@ from rfem_jax.report.commands.catalogue import all_commands
 from rfem_jax.report.process import count_devices, require_platform
 from rfem_jax.report.progress_line import ProgressLine, paint, show
 
+from .conftest import START
+
 STATUS = {0: ("ok", "The run is complete."), 3: ("diverged", "The run diverged; reduce the step.")}
 
 
@@ -38,9 +40,10 @@ def packages(monkeypatch, runs):
     mechanics, simulation = ModuleType("mechanics"), ModuleType("simulation")
     counts = {"coordinates": 51, "constraints": 5, "rank": 5, "mobility": 46, "rigid_mobility": 1, "gap": 0.0}
     mechanics.discretise = lambda mechanism: SimpleNamespace(mechanism=mechanism)
-    mechanics.describe = lambda model: SimpleNamespace(**counts, redundant=False, idle=())
+    mechanics.describe = lambda model: SimpleNamespace(**counts, redundant=False, idle=(), start=START)
     simulation.STATUS = STATUS
     simulation.check_step = lambda model, method, drive: 1.94e-5
+    simulation.drive_limit = lambda model, drive, duration: None
 
     def run_cases(study, progress, keep):
         progress(1.0)

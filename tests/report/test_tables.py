@@ -6,9 +6,12 @@ from types import SimpleNamespace
 import numpy as np
 
 from rfem_jax import JointForceTable, JointSpring
-from rfem_jax.report.overview import format_error, section_text, study_text
+from rfem_jax.mechanics.discretisation import StartHeld
+from rfem_jax.report.overview import format_error, section_text, start_text, study_text
 from rfem_jax.report.summary import summarise
 from rfem_jax.report.tables import format_numbers, format_table, results_text
+
+from .conftest import START
 
 COUNTS = {"coordinates": 51, "constraints": 5, "rank": 5, "mobility": 46, "rigid_mobility": 1, "gap": 0.0}
 
@@ -92,7 +95,7 @@ def test_the_note_of_a_study_is_shown(study, runs, statuses):
 
 
 def test_the_overview_says_what_was_understood(study):
-    text = study_text(study, SimpleNamespace(**COUNTS, redundant=False, idle=()))
+    text = study_text(study, SimpleNamespace(**COUNTS, redundant=False, idle=(), start=START))
     words = {line.split()[0]: line.split() for line in text.splitlines() if line}
     assert words["crank"][1:4] == ["0.12", "0.1884", "rigid"]
     # 0.3 m of steel, 10 mm x 20 mm, and a point mass of 0.1 kg.
@@ -112,7 +115,7 @@ def test_the_overview_says_what_was_understood(study):
 def test_the_overview_shows_forces(study):
     forces = [JointSpring("return", "A", "2 N m/deg", preload=-1), JointForceTable("cam", "B", [0, 1], [0, 3])]
     object.__setattr__(study, "mechanism", replace(study.mechanism, forces=forces))
-    text = study_text(study, SimpleNamespace(**COUNTS, redundant=False, idle=()))
+    text = study_text(study, SimpleNamespace(**COUNTS, redundant=False, idle=(), start=START))
     numbers = "stiffness 114.592, damping 0, rest 0, preload -1"
     assert f"Force return: joint spring on joint A, R_y (SI: {numbers}).\n" in text
     numbers = "2 rows, positions 0 to 1, forces 0 to 3"
@@ -120,17 +123,17 @@ def test_the_overview_shows_forces(study):
 
 
 def test_redundant_reactions_are_reported(study):
-    text = study_text(study, SimpleNamespace(**COUNTS, redundant=True, idle=()))
+    text = study_text(study, SimpleNamespace(**COUNTS, redundant=True, idle=(), start=START))
     assert "not unique" in text
     assert 'redundant_reactions = "minimum_norm"' in text
     object.__setattr__(study.mechanism, "redundant_reactions", "minimum_norm")
-    text = study_text(study, SimpleNamespace(**COUNTS, redundant=True, idle=()))
+    text = study_text(study, SimpleNamespace(**COUNTS, redundant=True, idle=(), start=START))
     assert "minimum norm" in text
 
 
 def test_a_study_without_a_drive(study, runs, statuses):
     object.__setattr__(study, "drive", None)
-    assert "Drive: none." in study_text(study, SimpleNamespace(**COUNTS, redundant=False, idle=()))
+    assert "Drive: none." in study_text(study, SimpleNamespace(**COUNTS, redundant=False, idle=(), start=START))
     assert "Angle at end" not in results_text(study, summarise(study, runs, statuses))
 
 
@@ -139,3 +142,23 @@ def test_errors_and_sections_in_the_units_of_people(study):
     assert format_error("coupler.length", 2.5e-4, "m") == "coupler.length = 0.25 mm"
     section = study.mechanism.links[0].section
     assert section_text(section) == "rectangle, width 10 mm, height 20 mm"
+
+
+def test_the_start_is_said_in_a_sentence(study):
+    said = {
+        StartHeld(
+            "as_given", ("A",), (), ()
+        ): "Start: as given; held: A, by drives; flexible links settle, and no other freedom is left.",
+        StartHeld("as_given", (), ("A",), ()): "Start: as given; A is held at the start value while flexible links "
+        "settle, then released from rest.",
+        StartHeld(
+            "as_given", ("A",), ("B", "S.R_x"), ("B",)
+        ): "Start: as given; held: A, by drives; B, S.R_x are held at "
+        "the start value while flexible links settle, then released with the initial rates of B.",
+        StartHeld("equilibrium", (), (), ()): "Start: static equilibrium of all that no drive holds.",
+    }
+    for start, sentence in said.items():
+        assert start_text(start) == sentence
+        assert sentence in " ".join(
+            study_text(study, SimpleNamespace(**COUNTS, redundant=False, idle=(), start=start)).split()
+        )

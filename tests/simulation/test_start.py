@@ -1,6 +1,7 @@
 """How a simulation starts: as the description says or in equilibrium, which coordinates are held, at which rates."""
 
 import dataclasses
+import json
 
 import equinox as eqx
 import jax
@@ -25,10 +26,16 @@ from rfem_jax import (
     assembly_errors,
     design,
     discretise,
+    load_study,
+    parameters,
     simulate,
 )
 from rfem_jax.mechanics.discretisation import describe
+from rfem_jax.report.files import start_of, write_files
+from rfem_jax.report.summary import summarise
 from rfem_jax.simulation import integration
+from rfem_jax.simulation.cases import run_cases
+from rfem_jax.simulation.unfinished import Unfinished
 from tests.mechanisms import (
     chain_of_kinds,
     compliant_four_bar,
@@ -39,6 +46,8 @@ from tests.mechanisms import (
     three_link_loop,
     two_loop_six_bar,
 )
+from tests.study_texts import STEEL, hinge, rectangle
+from tests.study_texts import link as study_link
 
 IMPLICIT = Method("generalised_alpha", step=1e-3, corrections=9, tolerance=1e-14)
 
@@ -377,3 +386,80 @@ def test_point_masses_hang_where_they_are_told():
     model = discretise(Mechanism([bob], [Joint("U", "base", "bob", kind="universal", start=(0.4, 0.2))]))
     run = simulate(model, drive=None, duration=2e-3, method=Method("rk4", step=1e-3), save_every=1e-3)
     np.testing.assert_allclose(run.angles["U"][0], [0.4, 0.2], atol=1e-14)
+
+
+FILE = f"""
+title = "A bar falls"
+{STEEL}
+{rectangle()}
+{study_link("bar", 0.5)}
+{hinge("bar", "angle = '30 deg'")}
+[simulation]
+duration = 0.01
+method = "rk4"
+step = 5e-3
+"""
+
+
+class TestStudyFiles:
+    def study(self, tmp_path, *changes):
+        text = FILE
+        for old, new in changes:
+            assert old in text
+            text = text.replace(old, new)
+        path = tmp_path / "study.toml"
+        path.write_text(text, encoding="utf-8")
+        return load_study(path)
+
+    def test_runs_say_what_their_start_held(self, tmp_path):
+        wanted = {
+            "as_given": ((), np.radians(30.0), ["A"]),
+            "equilibrium": ((("[simulation]", '[simulation]\nstart = "equilibrium"'),), np.pi / 2, []),
+        }
+        digests = set()
+        for kind, (changes, angle, undriven) in wanted.items():
+            study = self.study(tmp_path, *changes)
+            model, runs = run_cases(study)
+            np.testing.assert_allclose(runs["nominal"].angles["A"][0], angle, rtol=1e-9)
+            summaries = summarise(study, runs, {"nominal": ("ok", "")})
+            write_files(tmp_path, study, runs, summaries, start_of(runs))
+            written = json.loads((tmp_path / "results.json").read_text(encoding="utf-8"))["start"]
+            assert written == {"kind": kind, "driven": [], "undriven": undriven, "rates": []}
+            # What an interrupted simulation leaves is of one start.
+            digests.add(Unfinished(tmp_path / "left.npz", (model, study.duration)).digest)
+        assert len(digests) == 2
+
+    def test_initial_rates(self, tmp_path):
+        study = self.study(tmp_path, ("angle =", "rate = '10 rpm'\nangle ="))
+        assert study.mechanism.joint("A").rate == pytest.approx(np.pi / 3)
+        model = discretise(study.mechanism)
+        assert parameters(model)["A.rate"].value == pytest.approx(np.pi / 3)
+        # Other numbers of rates are the same program.
+        other = discretise(self.study(tmp_path, ("angle =", "rate = 7.0\nangle =")).mechanism)
+        assert jax.tree.structure(model) == jax.tree.structure(other)
+
+    @pytest.mark.parametrize(
+        ("change", "sentence"),
+        [
+            (("[simulation]", '[simulation]\nstart = "equilibriun"'), "did you mean `equilibrium`"),
+            (("angle =", "rate = '1 m/s'\nangle ="), "`rate` of joint `A` must be"),
+            (
+                ("angle =", "speed = 1.0\nangle ="),
+                "`speed` of joint `A` must be left out because the joint is revolute",
+            ),
+            (("angle =", "rates = [1.0]\nangle ="), "`rates` of joint `A` must be left out .* give `rate`"),
+            (
+                ("[simulation]", '[drive]\njoint = "A"\nkind = "prescribed_rate"\nrate = 1.0\n[simulation]'),
+                "`rate` of joint `A` must be left out where a drive prescribes this motion",
+            ),
+            (
+                ("[simulation]", '[simulation]\nstart = "equilibrium"'),
+                'must be "as_given" where joints have initial rates',
+            ),
+        ],
+    )
+    def test_refused(self, tmp_path, change, sentence):
+        rate = [] if change[0] == "angle =" else [("angle =", "rate = 2.0\nangle =")]
+        with pytest.raises(InputError, match=sentence) as caught:
+            self.study(tmp_path, *rate, change)
+        assert str(caught.value).count("\n") == 0

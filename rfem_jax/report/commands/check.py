@@ -40,8 +40,7 @@ def act(arguments: argparse.Namespace) -> Answer:
     from rfem_jax.report.overview import design_text, study_text
     from rfem_jax.report.study_cost import cost_text, times_text
     from rfem_jax.report.tasks.task_overview import tasks_text
-    from rfem_jax.simulation import check_step
-    from rfem_jax.simulation.drive_limit import drive_limit
+    from rfem_jax.simulation import check_step, drive_limit
 
     model = discretise_study(study)
     structure = describe(model)

@@ -72,7 +72,8 @@ def act(arguments: argparse.Namespace) -> Answer:
     summaries = summarise(study, runs, statuses)
     start = start_of(runs)
     show(results_text(study, summaries), end="\n\n")
-    show(wrap_lines(start_text(start)), end="\n\n")
+    if start is not None:
+        show(wrap_lines(start_text(start)), end="\n\n")
     written: list[Path] = []
     try:
         written += write_files(folder, study, runs, summaries, start)
@@ -98,7 +99,7 @@ def act(arguments: argparse.Namespace) -> Answer:
 def _with_place(statuses: dict[str, Any], runs: dict[str, Run], study: Study) -> dict[str, Any]:
     """The statuses of runs past the limit of their mechanism with the place of this limit in their messages."""
     from rfem_jax.mechanics.status import PAST_LIMIT, STATUS
-    from rfem_jax.simulation.drive_limit import drive_limit
+    from rfem_jax.simulation.locking import drive_limit
 
     limit = drive_limit(next(iter(runs.values())).model, study.designed_drive, study.duration)
     if limit is None:

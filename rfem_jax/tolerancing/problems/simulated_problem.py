@@ -32,9 +32,9 @@ from rfem_jax.mechanics.model import Model
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors, assembly_errors
 from rfem_jax.mechanics.status import PAST_LIMIT, STATUS
 from rfem_jax.simulation.accuracy import choose_method
-from rfem_jax.simulation.drive_limit import FAILED_IN_MOTION, DriveLimit, drive_limit
 from rfem_jax.simulation.driving import design_with, drive_numbers, drive_of_design, require_driven
 from rfem_jax.simulation.integration import conclude, grid_for, integrated, simulate_steps
+from rfem_jax.simulation.locking import FAILED_IN_MOTION, DriveLimit, drive_limit
 from rfem_jax.simulation.records import require_records
 from rfem_jax.simulation.run import RESIDUAL_LIMIT, of_model
 from rfem_jax.simulation.stepping import contact_tolerance_of

@@ -1,6 +1,6 @@
 """Where a prescribed motion asks for a position at which the loops do not close.
 
-Place in the pipeline: model, drive -> **drive_limit** -> the status of a failed run, report.
+Place in the pipeline: model, drive -> **locking** -> the status of a failed run, report.
 
 A crank that cannot turn round locks where the loop is stretched or folded: rates and loads grow without bound before,
 and a run is lost there whatever its step. The perfect rigid mechanism is followed along the prescribed motion, in NumPy

@@ -22,7 +22,7 @@ from rfem_jax import (
 )
 from rfem_jax.mechanics.status import PAST_LIMIT
 from rfem_jax.simulation.cases import run_cases
-from rfem_jax.simulation.drive_limit import drive_limit
+from rfem_jax.simulation.locking import drive_limit
 from tests.mechanisms import four_bar, link
 
 CRANK, COUPLER, ROCKER, BASE = 0.3, 0.25, 0.2, 0.3
