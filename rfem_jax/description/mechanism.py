@@ -20,7 +20,7 @@ from rfem_jax.description.joints import Joint
 from rfem_jax.description.links import Link
 from rfem_jax.description.notebook_tables import mechanism_html
 from rfem_jax.description.point_forces import PointLoad
-from rfem_jax.description.units import vector
+from rfem_jax.description.units import positive_quantity, vector
 
 Part = TypeVar("Part", Link, Joint, Force)
 
@@ -38,7 +38,7 @@ class Mechanism(ChecksItself):
         joints: Joint objects; each link is the child of exactly one that is not cut.
         gravity: (x, y, z) [m/s^2] in the global frame.
         redundant_reactions: what to do where joint loads are not unique (rigid loops with parallel
-            axes): "refuse", or "minimum_norm" for the solution of least norm.
+            axes): "refuse", or "minimum_norm" for those loads whose sum of squares over all joints is least.
         driven_joint: the joint of the tree that a drive acts on and that assembly holds at its start; with several
             free motions "joint.motion", as "C.T_y"; a list of these for several drives, those of prescribed
             motions first; None = none (a study sets it from its drives).
@@ -51,6 +51,8 @@ class Mechanism(ChecksItself):
         forces: JointSpring, JointFriction, JointForceTable and JointForceFunction objects along joints; PointSpring,
             PointSpringTable and PointSpringFunction objects between points of links, PointForce and PointMoment
             objects at them.
+        reaction_length: length [m], > 0, over which moments count beside forces in the sum of squares of
+            "minimum_norm"; None: that of the longest link.
     Raises:
         InputError: names clash or are unknown, a link is not connected, a loop is not cut, a
             joint lies off a flexible link, or a force does not fit its joint or its links.
@@ -64,6 +66,7 @@ class Mechanism(ChecksItself):
     elements: str = "linear"
     forces: tuple[Force, ...] = ()
     start: str = AS_GIVEN
+    reaction_length: float | None = None
 
     def _repr_html_(self) -> str:
         return mechanism_html(self)
@@ -73,12 +76,22 @@ class Mechanism(ChecksItself):
         checks.convert("joints", _unique, Joint, "joints")
         checks.convert("gravity", vector, "acceleration", "gravity")
         checks.convert("redundant_reactions", require_choice, ("refuse", "minimum_norm"), "redundant_reactions")
+        if self.reaction_length is not None:
+            checks.convert("reaction_length", positive_quantity, "length", "reaction_length")
+            checks.relation(("redundant_reactions", "reaction_length"), self._check_reaction_length)
         checks.convert("elements", require_choice, ELEMENTS, "elements")
         checks.convert("start", require_choice, STARTS, "start")
         checks.convert("forces", _unique, Force, "forces")
         checks.relation(("links", "joints"), self._check_structure)
         checks.relation(("links", "joints", "forces"), self._resolve_forces)
         checks.relation(("joints", "start"), self._check_rates)
+
+    def _check_reaction_length(self) -> None:
+        if self.redundant_reactions != "minimum_norm":
+            raise InputError(
+                'Argument `reaction_length` must be left out unless redundant_reactions is "minimum_norm", to whose '
+                "norm it belongs; set that, or leave it out."
+            )
 
     def _check_structure(self) -> None:
         if not self.links:

@@ -22,7 +22,8 @@ Path = tuple[str | int, ...]
 
 @dataclass(frozen=True)
 class Parts:
-    """Links, joints, springs of each joint, forces and gravity [m/s^2], in the order of the mechanism.
+    """Links, joints, springs of each joint, forces and gravity [m/s^2], in the order of the mechanism; reaction_length
+    [m]: as of the mechanism.
 
     Numbers may be traced: nothing here is checked, unlike in what a user makes.
     """
@@ -32,6 +33,7 @@ class Parts:
     springs: tuple[tuple[SprungDirection, ...], ...]
     forces: tuple[Force, ...]
     gravity: tuple[Number, Number, Number]
+    reaction_length: float | None = None
 
     def link(self, name: str) -> Link:
         """The link of a name."""
@@ -54,6 +56,7 @@ def parts_of(mechanism: Mechanism) -> Parts:
         springs=tuple(joint.springs for joint in mechanism.joints),
         forces=tuple(mechanism.forces),
         gravity=mechanism.gravity,
+        reaction_length=mechanism.reaction_length,
     )
 
 

@@ -51,7 +51,7 @@ DRIVES = {
     "prescribed_run_up": (PrescribedRunUp, ("speed", "rise_time"), ()),
     "prescribed_displacements": (PrescribedDisplacements, ("times", "displacements"), ()),
 }
-_MECHANISM_OPTIONS = ("gravity", "redundant_reactions", "elements")
+_MECHANISM_OPTIONS = ("gravity", "redundant_reactions", "reaction_length", "elements")
 MECHANISM_KEYS = (("links", "joints"), ("materials", "sections", "springs", "forces", *_MECHANISM_OPTIONS))
 SIMULATION_KEYS = (("duration",), ("method", "save_every", "start"))  # and the settings of the method
 

@@ -8,7 +8,7 @@ kinematics                  + State -> positions and velocities
 sources, designs            the numbers that a model was made of, and other ones; start_closure: its loops closed anew
 centre_lines                where the links are in space
 elements                    forces of the sdes, linear and geometrically exact
-cut_joints                  constraints of the cut joints
+cut_joints                  constraints of the cut joints; self_stress: what they leave open, the least reactions
 joint_laws                  springs, dampers, tables and functions along joint coordinates
 friction_laws, friction     friction in joints; whether its normal_loads are unique
 frame_forces, point_laws    wrenches between two frames, springs and forces at points

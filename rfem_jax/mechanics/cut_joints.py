@@ -31,8 +31,6 @@ from rfem_jax.mechanics.kinematics import Motion, node_frames
 from rfem_jax.mechanics.model import BASE, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 
-RANK_TOLERANCE = 1e-9  # of singular values, relative to the largest
-
 
 class Constraints(eqx.Module):
     """The constraints of all cut joints of one kind at one instant.
@@ -97,7 +95,8 @@ class Closure(NamedTuple):
     groups: their constraints, a group a kind; rotation (3, 3, C), centre (3, C): the frames L; right_centre: the
     joints' centres on P; alignment (C,): above 0 where a joint is closed as it is built, below 0 where its axes
     point in opposite directions (theory (5.11), (5.16)); angle (C,) [rad]: from L to P about y of L; springs: what the
-    springs of compliant joints exert, None without any.
+    springs of compliant joints exert, None without any; scale [m]: by which equations of axes are multiplied, None
+    where the least of redundant reactions are not asked for.
     """
 
     groups: tuple[Constraints, ...]
@@ -107,6 +106,7 @@ class Closure(NamedTuple):
     alignment: Float[Array, " cuts"]
     angle: Float[Array, " cuts"]
     springs: "SpringMultipliers | None" = None
+    scale: Float[Array, ""] | None = None
 
     @property
     def sprung_rows(self) -> tuple[bool, ...]:
@@ -222,6 +222,7 @@ def closure(actual: ModelWithErrors, motion: Motion, scale: Scalar) -> Closure |
             right_centre=right.centre,
             alignment=columns(groups, alignment),
             angle=jnp.arctan2(-x[2], x[0]),
+            scale=jnp.asarray(scale) if topology.minimum_norm else None,
         )
         return cuts._replace(springs=_spring_multipliers(actual, cuts, scale)) if topology.sprung_rows else cuts
 
@@ -411,15 +412,3 @@ def unit_columns(
             unit = unit - cuts.wrenches(i, "parent", point)
         columns.append(unit)
     return jnp.concatenate(columns, axis=1)
-
-
-def invert_closure(
-    topology: Topology, matrix: Float[Array, "multipliers multipliers"]
-) -> Float[Array, "multipliers multipliers"]:
-    """Inverse of the multipliers' matrix Phi_q M^-1 Phi_q^T, or its pseudo-inverse where redundant reactions
-    are to have the least norm."""
-    if not topology.minimum_norm:
-        return algebra.invert_positive(matrix)
-    last = jnp.moveaxis(matrix, (0, 1), (-2, -1))
-    inverse = jnp.linalg.pinv(last, rtol=RANK_TOLERANCE, hermitian=True)
-    return jnp.moveaxis(inverse, (-2, -1), (0, 1))

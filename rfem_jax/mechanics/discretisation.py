@@ -14,7 +14,6 @@ from jaxtyping import Float
 from rfem_jax.description.errors import InputError, require_choice
 from rfem_jax.description.mechanism import AS_GIVEN, ELEMENTS, EQUILIBRIUM, Mechanism
 from rfem_jax.description.precision import require_float64
-from rfem_jax.mechanics.cut_joints import RANK_TOLERANCE
 from rfem_jax.mechanics.joint_laws import holds
 from rfem_jax.mechanics.model import BASE, Model, Topology
 from rfem_jax.mechanics.model_building import build_model, start_numbers
@@ -27,17 +26,20 @@ from rfem_jax.mechanics.nominal_geometry import (
     joint_units,
     moved,
     node_place,
+    null_space,
     place,
+    rank,
+    shortest,
 )
 from rfem_jax.mechanics.normal_loads import require_unique_normal_loads
 from rfem_jax.mechanics.point_laws import PointLaw
-from rfem_jax.mechanics.sources import CLOSING_TOLERANCE
+from rfem_jax.mechanics.sources import CLOSING_TOLERANCE, RIGID_CLOSING_TOLERANCE
 from rfem_jax.mechanics.start_freedoms import with_start_freedoms
 
 SMALLEST_DISTANCE = 1e-9  # of two points with a force between them, of the longest link
 IDLE_TOLERANCE = 1e-3  # of a motion of size one
 ROUNDING = 1e-12  # of the longest link: of loops that close
-RIGID_CLOSING_TOLERANCE = 1e-9  # where reactions are redundant, nothing gives way
+SMALLEST_CHANGE = 1e-10  # of an equation of loops that a joint can be moved for, relative
 
 
 class StartHeld(NamedTuple):
@@ -200,17 +202,17 @@ def describe(model: Model) -> Structure:
     sprung = model.topology.sprung_coordinates
     own = [k for k in range(model.topology.n_freedoms) if k not in sprung]
     rigid = closure_jacobian(geometry, placed)[:, own]
-    rank, rigid_rank = _rank(jacobian), _rank(rigid)
+    of_all, of_rigid = rank(jacobian), rank(rigid)
     constraints, size = jacobian.shape
     return Structure(
         coordinates=size,
         constraints=constraints,
-        rank=rank,
-        mobility=size - rank,
+        rank=of_all,
+        mobility=size - of_all,
         rigid_coordinates=len(own),
-        rigid_rank=rigid_rank,
-        rigid_mobility=len(own) - rigid_rank,
-        redundant=rank < constraints,
+        rigid_rank=of_rigid,
+        rigid_mobility=len(own) - of_rigid,
+        redundant=of_all < constraints,
         gap=float(np.abs(residual).max(initial=0.0) * np.max(np.asarray(model.length))),
         idle=tuple(dict.fromkeys(_idle_coordinates(model).values())),
         start=start_held(model.topology),
@@ -245,7 +247,7 @@ def _idle_coordinates(model: Model) -> dict[int, str]:
     twists[:, 3:] /= geometry.scale
     stretched = [_stretching(model, placed, law, twists) for law in _between_points(model).values()]
     held = [closure_jacobian(geometry, placed)[:, : topology.n_freedoms], sprung, *stretched]
-    free = _null_space(np.vstack(held))
+    free = null_space(np.vstack(held))
     if free.shape[1] == 0:
         return {}
     moving = twists @ free
@@ -257,7 +259,7 @@ def _idle_coordinates(model: Model) -> dict[int, str]:
         joined = [a if b == l else b for a, b in pairs if l in (a, b)]
         if len(joined) < 2 or max(joined) < 0 or l in driven:
             continue
-        alone = _null_space(np.delete(moving, l, axis=0).reshape(-1, free.shape[1]))
+        alone = null_space(np.delete(moving, l, axis=0).reshape(-1, free.shape[1]))
         if alone.shape[1] == 0:
             continue
         size, directions = np.linalg.svd(moving[l] @ alone)[1:]
@@ -280,7 +282,7 @@ def _with_dependent_drives(model: Model, joints: Float[np.ndarray, " numbers"]) 
     for matrix in (rigid, closure_jacobian(geometry, placed, rigid=False)):
         unit, kept, following = np.eye(matrix.shape[1]), [], []
         for k in model.topology.drives:
-            adds = _rank(np.vstack([matrix, unit[[*kept, k]]])) > _rank(np.vstack([matrix, unit[kept]]))
+            adds = rank(np.vstack([matrix, unit[[*kept, k]]])) > rank(np.vstack([matrix, unit[kept]]))
             (kept if adds or not kept else following).append(k)
         found.append(tuple(following))
     return model.topology._replace(dependent=found[0], blocked=found[1])
@@ -299,21 +301,6 @@ def _stretching(model: Model, placed: Placed, law: PointLaw, twists: np.ndarray)
             arm = np.cross(other / geometry.scale, direction)  # of a force along the line, about the origin
             found += sign * (arm @ of_link[:3] + direction @ of_link[3:])
     return found
-
-
-def _null_space(matrix: np.ndarray) -> np.ndarray:
-    """Orthonormal columns that a matrix of entries of size one takes to zero."""
-    if 0 in matrix.shape:
-        return np.eye(matrix.shape[1])
-    _, singular, rows = np.linalg.svd(matrix, full_matrices=matrix.shape[0] < matrix.shape[1])
-    return rows[int(np.sum(singular > 1e3 * RANK_TOLERANCE * max(singular[0], 1.0))) :].T
-
-
-def _rank(jacobian: np.ndarray) -> int:
-    if 0 in jacobian.shape:
-        return 0
-    singular = np.linalg.svd(jacobian, compute_uv=False)
-    return int(np.sum(singular > 1e3 * RANK_TOLERANCE * singular[0]))
 
 
 def close_at(
@@ -340,7 +327,7 @@ def close_at(
     for _ in range(100):
         placed = place(geometry, joints)
         jacobian = closure_jacobian(geometry, placed)[:, free]
-        step = np.linalg.lstsq(jacobian, gaps(geometry, placed).residual, rcond=1e-10)[0]
+        step = shortest(jacobian, gaps(geometry, placed).residual, SMALLEST_CHANGE)
         largest = np.abs(step).max(initial=0.0)
         change[free] = -units * step * min(1.0, 0.5 / max(largest, 1e-300))
         joints = moved(topology, joints, change)

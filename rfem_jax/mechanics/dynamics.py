@@ -25,7 +25,7 @@ from jaxtyping import Float
 
 from rfem_jax.mechanics import algebra
 from rfem_jax.mechanics.algebra import apply, apply_transposed, cross, dot, product
-from rfem_jax.mechanics.cut_joints import Closure, closure, invert_closure, unit_columns
+from rfem_jax.mechanics.cut_joints import Closure, closure, unit_columns
 from rfem_jax.mechanics.element_loads import FrameLoads, frame_loads
 from rfem_jax.mechanics.elements.elasticity import elastic_loads
 from rfem_jax.mechanics.friction import cut_friction, node_wrenches, tree_friction, with_friction
@@ -34,6 +34,7 @@ from rfem_jax.mechanics.joint_forces import LawForces, applied_forces, law_force
 from rfem_jax.mechanics.kinematics import Motion, by_freedom, motion_of, node_frames, spread, total
 from rfem_jax.mechanics.model import BASE, Coordinates, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
+from rfem_jax.mechanics.self_stress import Redundancy, inverse_closure, redundancy
 
 
 class InterfaceTree(NamedTuple):
@@ -386,15 +387,16 @@ def _multipliers(
         rows = jnp.asarray(rows)
 
         baumgarte = -stabilisation.velocity_gain * cuts.rate - stabilisation.position_gain * cuts.residual
+        left_open = redundancy(topology, motion, cuts)
         if cuts.springs is not None:
-            return _beside_springs(topology, cuts.springs.multipliers, rows, cuts.bias, baumgarte)
-        inverse = invert_closure(topology, rows[:, 1:])
+            return _beside_springs(topology, cuts.springs.multipliers, rows, cuts.bias, baumgarte, left_open)
+        inverse = inverse_closure(rows[:, 1:], left_open)
         stabilising = apply(inverse, baumgarte)
         return stabilising - apply(inverse, cuts.bias + rows[:, 0]), stabilising
 
 
 def _beside_springs(
-    topology: Topology, springs: Array, rows: Array, bias: Array, baumgarte: Array
+    topology: Topology, springs: Array, rows: Array, bias: Array, baumgarte: Array, left_open: Redundancy | None
 ) -> tuple[Array, Array]:
     """`_multipliers` where those of springs are given: the others hold what these leave (theory (13.8))."""
     sprung = np.array(topology.sprung_rows)
@@ -404,7 +406,7 @@ def _beside_springs(
     onto = jnp.asarray(np.eye(len(sprung))[rigid])
     loaded = bias + rows[:, 0] + apply(rows[:, 1:], springs)
     matrix = jnp.stack([jnp.stack([rows[i, 1 + j] for j in rigid]) for i in rigid])
-    inverse = invert_closure(topology, matrix)
+    inverse = inverse_closure(matrix, None if left_open is None else left_open.among(rigid))
     stabilising = apply(onto.T, apply(inverse, apply(onto, baumgarte)))
     return springs + stabilising - apply(onto.T, apply(inverse, apply(onto, loaded))), stabilising
 

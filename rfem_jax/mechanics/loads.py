@@ -13,7 +13,7 @@ of motion of the rfes 0 alone, whose elastic wrenches the accelerations needed a
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -35,6 +35,7 @@ from rfem_jax.mechanics.kinematics import Motion, all_frames, motion_of, spread,
 from rfem_jax.mechanics.model import BASE, Coordinates, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 from rfem_jax.mechanics.orientations import position_rate
+from rfem_jax.mechanics.self_stress import least_reactions, redundancy
 
 
 class JointLoads(NamedTuple):
@@ -85,7 +86,10 @@ class Resting(NamedTuple):
 
 
 def joint_loads(actual: ModelWithErrors, result: Accelerations, drive: DriveInput) -> JointLoads:
-    """Loads of all joints by the equations of motion of the rfes 0 (theory (8.4))."""
+    """Loads of all joints by the equations of motion of the rfes 0 (theory (8.4)); where redundant reactions are to be
+    least, by `chain_loads`."""
+    if actual.topology.minimum_norm:
+        return chain_loads(actual, result, result.angular, result.linear, drive)[0]
     with jax.named_scope("joint_loads"):
         topology, tree, cuts = actual.topology, result.interface_tree, result.closure
         n, rows = topology.n_links, _rows(topology)
@@ -119,18 +123,36 @@ def chain_loads(
 ) -> tuple[JointLoads, Float[Array, "6"]]:
     """Loads of all joints by the recursive Newton-Euler algorithm over all rfes, for accelerations of the
     nodes in link axes, and the wrench at the origin that the base exerts."""
-    wrenches = moving_wrenches(actual, result, angular, linear)
+    result, wrenches = moving_wrenches(actual, result, angular, linear)
     return loads_of_wrenches(actual.topology, result, wrenches, drive), base_wrench(actual.topology, wrenches)
 
 
 def moving_wrenches(
     actual: ModelWithErrors, result: Solved, angular: Float[Array, "3 nodes"], linear: Float[Array, "3 nodes"]
-) -> list[Float[Array, "6"]]:
-    """The wrenches of `chain_wrenches` for accelerations of the nodes in link axes."""
+) -> tuple[Any, list[Float[Array, "6"]]]:
+    """The wrenches of `chain_wrenches` for accelerations of the nodes in link axes, and what they follow from, both
+    with the least of redundant reactions."""
     with jax.named_scope("chain_loads"):
         inertial = beyond_elements(inertial_loads(actual, result.motion, angular, linear), result.frame_loads)
         at_cuts = None if result.laws is None else result.laws.cuts
-        return chain_wrenches(actual, result.motion, result.closure, result.multipliers, inertial, at_cuts)
+        wrenches = chain_wrenches(actual, result.motion, result.closure, result.multipliers, inertial, at_cuts)
+        return with_least_reactions(actual, result, wrenches)
+
+
+def with_least_reactions(
+    actual: ModelWithErrors, result: Any, wrenches: list[Float[Array, "6"]]
+) -> tuple[Any, list[Float[Array, "6"]]]:
+    """What was solved (`Solved`), and the wrenches of all joints, with multipliers for which redundant reactions are
+    least, of models that ask for it."""
+    cuts, hinges = result.closure, result.motion.hinges
+    found = redundancy(actual.topology, result.motion, cuts)
+    if found is None:
+        return result, wrenches
+    revolute = np.array([actual.topology.kinds[j] == "revolute" for j in actual.topology.cuts])
+    points = jnp.concatenate([hinges.point, jnp.where(revolute, cuts.centre, cuts.right_centre)], axis=1)
+    assert actual.reaction_length is not None, "models that ask for least reactions have one"
+    change, wrenches = least_reactions(found, points, wrenches, actual.reaction_length)
+    return result._replace(multipliers=result.multipliers + change), wrenches
 
 
 def loads_of_wrenches(

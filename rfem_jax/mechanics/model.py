@@ -363,7 +363,8 @@ class Model(eqx.Module):
     by their names, None without any; start_rates: initial rates of all coordinates of the tree joints [rad/s, m/s], of
     which those of `Topology.rated` count, likewise; frame_forces: elements between frames on nodes, likewise; springs:
     of compliant joints, by the names of joint and direction as "A.radial", likewise; bearings: what they carry, by
-    joint, likewise.
+    joint, likewise; reaction_length [m]: over which moments count in the norm of reactions, None unless the least are
+    asked for.
 
     Numbers of the description change by a `rfem_jax.design`, from which all arrays follow.  `equinox.tree_at` may
     replace what is no number of a description and leaves the geometry as it is, such as the stiffnesses of one link of
@@ -392,6 +393,7 @@ class Model(eqx.Module):
     source: Source | None = None
     bearings: dict[str, BearingCapacity] | None = None
     start_rates: Float[Array, " freedoms"] | None = None
+    reaction_length: Float[Array, ""] | None = None
 
     @property
     def joint_names(self) -> tuple[str, ...]:

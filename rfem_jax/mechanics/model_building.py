@@ -119,8 +119,15 @@ def arrays_of(parts: Parts, structure: PartStructure) -> Model:
         springs=(_springs(parts, topology) or None) if topology.sprung else None,
         bearings=bearing_capacities(joints) or None,
         start_rates=_start_rates(joints[: len(links)], topology),
+        reaction_length=_reaction_length(parts) if topology.minimum_norm else None,
     )
     return _with_clearances(model, joints) if topology.clearances else model
+
+
+def _reaction_length(parts: Parts) -> Array:
+    """The length [m] over which moments count in the norm of reactions: the longest link unless given."""
+    longest = array_of([link.length for link in parts.links]).max()
+    return jnp.asarray(longest if parts.reaction_length is None else parts.reaction_length, jnp.float64)
 
 
 def _with_clearances(model: Model, joints: Sequence[Joint]) -> Model:

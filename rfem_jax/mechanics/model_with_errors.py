@@ -142,7 +142,8 @@ class ModelWithErrors(eqx.Module):
     gravity: acceleration [m/s^2] in global axes.
     datum: the first base joint's nominal place, the zero level of gravity's energy [m].
     forces: along joint coordinates, None without any; frame_forces: elements between frames on nodes, likewise;
-    friction: in joints of the tree and cut ones, likewise; springs: of compliant joints, likewise.
+    friction: in joints of the tree and cut ones, likewise; springs: of compliant joints, likewise; reaction_length: as
+        of the model.
     """
 
     topology: Topology = eqx.field(static=True)
@@ -166,6 +167,7 @@ class ModelWithErrors(eqx.Module):
     frame_forces: FrameForceSet | None = None
     friction: dict[str, Friction] | None = None
     springs: dict[str, CompliantSpring] | None = None
+    reaction_length: Float[Array, ""] | None = None
 
 
 @jax.jit  # traced once for all its places
@@ -219,6 +221,7 @@ def apply_errors(model: Model, errors: AssemblyErrors) -> ModelWithErrors:
             frame_forces=_frame_forces(model, scale, sides),
             friction=model.friction,
             springs=model.springs,
+            reaction_length=model.reaction_length,
             **_spring_damping_elements(model, length),
         )
 

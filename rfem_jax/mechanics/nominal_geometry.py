@@ -17,6 +17,8 @@ from jaxtyping import Float
 from rfem_jax.description.joint_kinds import JointKind
 from rfem_jax.mechanics.model import BASE, Model, Topology, rfe_fractions
 
+SMALLEST_SINGULAR_VALUE = 1e-6  # of rows with lengths over the longest link: what is below says nothing
+
 
 class NominalGeometry(NamedTuple):
     """Constants of the perfect mechanism: frames of all joints (J, 3, 3), (J, 3) in the nodes of their parents
@@ -240,6 +242,39 @@ def closure_jacobian(
                     block[:, k] += units[k] * (rows @ placed.twists[k])
                 node = topology.parents[link]
     return jacobian
+
+
+def rank(matrix: Float[np.ndarray, "m n"]) -> int:
+    """Rank of a matrix whose entries that say something are of size one: what rounding leaves of a matrix that says
+    nothing, as of a door on two hinges in line, is not compared with itself."""
+    return int(np.sum(_singular_values(matrix) > SMALLEST_SINGULAR_VALUE * largest_singular_value(matrix)))
+
+
+def null_space(matrix: Float[np.ndarray, "m n"]) -> Float[np.ndarray, "n k"]:
+    """Orthonormal columns that such a matrix takes to zero."""
+    if 0 in matrix.shape:
+        return np.eye(matrix.shape[1])
+    rows = np.linalg.svd(matrix, full_matrices=matrix.shape[0] < matrix.shape[1])[2]
+    return rows[rank(matrix) :].T
+
+
+def largest_singular_value(matrices: Float[np.ndarray, "*t m n"]) -> Float[np.ndarray, "*t"]:
+    """The largest singular value of such matrices, at least one."""
+    return np.max(_singular_values(matrices), axis=-1, initial=1.0)
+
+
+def _singular_values(matrices: np.ndarray) -> np.ndarray:
+    return np.linalg.svd(matrices, compute_uv=False) if 0 not in matrices.shape else np.zeros((*matrices.shape[:-2], 0))
+
+
+def shortest(
+    matrices: Float[np.ndarray, "*t m n"], values: Float[np.ndarray, "*t m"], smallest: float
+) -> Float[np.ndarray, "*t n"]:
+    """The shortest least-squares solutions of such equations, singular values below a share of the largest left out."""
+    left, singular, right = np.linalg.svd(matrices, full_matrices=False)
+    there = singular > smallest * largest_singular_value(matrices)[..., None]
+    along = np.einsum("...mk,...m->...k", left, values)
+    return np.einsum("...kn,...k->...n", right, np.where(there, along / np.where(there, singular, 1.0), 0.0))
 
 
 def joint_units(geometry: NominalGeometry) -> Float[np.ndarray, " freedoms"]:

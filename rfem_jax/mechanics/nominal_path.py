@@ -15,7 +15,16 @@ import numpy as np
 from jaxtyping import Float
 
 from rfem_jax.mechanics.model import Model, Topology
-from rfem_jax.mechanics.nominal_geometry import NominalGeometry, Placed, gaps, geometry_of, joint_units, moved, place
+from rfem_jax.mechanics.nominal_geometry import (
+    NominalGeometry,
+    Placed,
+    gaps,
+    geometry_of,
+    joint_units,
+    moved,
+    place,
+    shortest,
+)
 
 ITERATIONS = 12
 CLOSED = 1e-9  # of the longest link, or rad
@@ -88,8 +97,8 @@ def _close(
             break
         beside = moved(topology, np.repeat(found[:, None], len(free), axis=1), probes * units)
         change = gaps(geometry, place(geometry, beside)).residual - residual[:, None]
-        inverse = np.linalg.pinv(np.moveaxis(np.nan_to_num(change), 1, 2) / STEP, rcond=REDUNDANT)
-        step = -np.einsum("tfr,tr->tf", inverse, np.nan_to_num(residual))
+        by_unit = np.moveaxis(np.nan_to_num(change), 1, 2) / STEP
+        step = -shortest(by_unit, np.nan_to_num(residual), REDUNDANT)
         size = np.linalg.norm(step, axis=1, keepdims=True)
         step *= np.minimum(1.0, LONGEST / np.maximum(size, LONGEST))
         whole = np.zeros((len(found), topology.n_freedoms))

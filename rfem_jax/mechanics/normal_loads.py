@@ -11,7 +11,6 @@ axis, but not on a bearing's length.
 import numpy as np
 
 from rfem_jax.description.errors import InputError
-from rfem_jax.mechanics.cut_joints import RANK_TOLERANCE
 from rfem_jax.mechanics.friction_laws import Friction
 from rfem_jax.mechanics.model import BASE, Model, Topology
 from rfem_jax.mechanics.nominal_geometry import (
@@ -20,6 +19,7 @@ from rfem_jax.mechanics.nominal_geometry import (
     closure_jacobian,
     closure_rows,
     geometry_of,
+    null_space,
     place,
 )
 
@@ -33,9 +33,7 @@ def require_unique_normal_loads(model: Model) -> None:
         return
     geometry = geometry_of(model)
     placed = place(geometry, np.asarray(model.start_joints))
-    _, singular, vectors = np.linalg.svd(closure_jacobian(geometry, placed, rigid=False).T)
-    rank = int(np.sum(singular > 1e3 * RANK_TOLERANCE * singular.max(initial=0.0)))
-    for multipliers in vectors[rank:]:
+    for multipliers in null_space(closure_jacobian(geometry, placed, rigid=False).T).T:
         for name, law in loaded.items():
             if _pressing(geometry, placed, law, multipliers) > UNIQUE:
                 also = ", leave out `length`" if law.load is not None and law.load.length is not None else ""

@@ -25,6 +25,7 @@ ForceNodes = tuple[tuple[str, tuple[int, ...]], ...]
 # Of the longest link.  Overconstrained loops close only as well as their numbers were typed: with angles of six
 # decimals a Bennett linkage stays open by 2e-7.  flexible links close the remaining gap in the static start.
 CLOSING_TOLERANCE = 1e-6
+RIGID_CLOSING_TOLERANCE = 1e-9  # where reactions are redundant, nothing gives way
 NOTHING = float("nan")
 
 

@@ -17,9 +17,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from rfem_jax.description.errors import InputError
-from rfem_jax.mechanics.cut_joints import RANK_TOLERANCE
 from rfem_jax.mechanics.model import Model, Topology
-from rfem_jax.mechanics.nominal_geometry import closure_jacobian, geometry_of, place
+from rfem_jax.mechanics.nominal_geometry import closure_jacobian, geometry_of, null_space, place
 
 SHARE = 0.2
 DEPENDENT = 1e-6  # a motion of one of size one
@@ -67,11 +66,7 @@ def _motions(model: Model) -> Float[np.ndarray, "freedoms motions"]:
     jacobian = closure_jacobian(geometry, place(geometry, np.asarray(model.start_joints)))[:, np.flatnonzero(own)]
     found = np.zeros((topology.n_freedoms, int(own.sum())))
     found[own] = np.eye(int(own.sum()))
-    if 0 in jacobian.shape:
-        return found
-    _, singular, rows = np.linalg.svd(jacobian, full_matrices=True)
-    rank = int(np.sum(singular > 1e3 * RANK_TOLERANCE * singular[0]))
-    return found @ rows[rank:].T
+    return found @ null_space(jacobian)
 
 
 def _own(topology: Topology) -> Bool[np.ndarray, " freedoms"]:

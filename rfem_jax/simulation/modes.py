@@ -34,7 +34,6 @@ from rfem_jax.mechanics.model import Coordinates, Model, State
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors, ModelWithErrors, apply_errors, assembly_errors
 from rfem_jax.mechanics.orientations import moved
 from rfem_jax.mechanics.statics.assembly import checked_hold, equilibrium, held_angles, length_scale
-from rfem_jax.mechanics.statics.search import least_squares
 from rfem_jax.simulation.equations import safe_sqrt
 
 RANK_TOLERANCE = 1e-10
@@ -186,9 +185,9 @@ def _lowest(
     scale = jax.lax.stop_gradient(jnp.max(jnp.sum(jnp.abs(stiffness), axis=1)))
     scale = jnp.where(scale > 0.0, scale, 1.0)
     rows = constraints @ inverse.T
-    rows = rows / jax.lax.stop_gradient(jnp.linalg.norm(rows, axis=1, keepdims=True))
+    rows = rows / jax.lax.stop_gradient(_sizes(rows))
     args = stiffness / scale, rows
-    values, vectors, multipliers, separation = _eigenpairs(*jax.lax.stop_gradient(args), count)
+    values, vectors, multipliers, separation, left_open = _eigenpairs(*jax.lax.stop_gradient(args), count)
 
     def refined(value, vector, multiplier):
         unknowns = {"value": value, "vector": vector, "multiplier": multiplier}
@@ -198,13 +197,14 @@ def _lowest(
             return {
                 "value": 0.5 * (x["vector"] @ x["vector"] - 1.0),
                 "vector": matrix @ x["vector"] - x["value"] * x["vector"] + x["multiplier"] @ rows,
-                "multiplier": rows @ x["vector"],
+                # Rows that say nothing new leave multipliers open, which are zero.
+                "multiplier": rows @ x["vector"] + (left_open @ x["multiplier"] if redundant else 0.0),
             }
 
         def tangent_solve(linear, right):
             flat, unravel = ravel_pytree(right)
             matrix = jax.jacobian(lambda x: ravel_pytree(linear(unravel(x)))[0])(flat)
-            return unravel(least_squares(matrix, flat) if redundant else jnp.linalg.solve(matrix, flat))
+            return unravel(jnp.linalg.solve(matrix, flat))
 
         return jax.lax.custom_root(equations, unknowns, lambda _, x: x, tangent_solve)
 
@@ -212,15 +212,24 @@ def _lowest(
     return found["value"] * scale, found["vector"] @ inverse, separation
 
 
-def _eigenpairs(matrix: Array, rows: Array, count: int) -> tuple[Array, Array, Array, Array]:
+def _sizes(rows: Float[Array, "c n"]) -> Float[Array, "c 1"]:
+    """Lengths of rows; of what rounding leaves of rows that say nothing, that of the largest."""
+    sizes = jnp.linalg.norm(rows, axis=1, keepdims=True)
+    largest = jnp.max(sizes, initial=0.0)
+    return jnp.where(sizes > RANK_TOLERANCE * largest, sizes, jnp.where(largest > 0.0, largest, 1.0))
+
+
+def _eigenpairs(matrix: Array, rows: Array, count: int) -> tuple[Array, Array, Array, Array, Array]:
     """The lowest eigenpairs of a symmetric matrix on the null space of `rows`: values, vectors (modes, n), multipliers
-    (modes, c) of the rows, relative distances of the values."""
+    (modes, c) of the rows, relative distances of the values, and the projector (c, c) onto multipliers that no row
+    determines."""
     n, c = matrix.shape[0], rows.shape[0]
-    onto, inverse = jnp.zeros((n, n)), jnp.zeros((n, c))
+    onto, inverse, left_open = jnp.zeros((n, n)), jnp.zeros((n, c)), jnp.zeros((c, c))
     if c:
         left, singular, right = jnp.linalg.svd(rows, full_matrices=False)
         there = singular > RANK_TOLERANCE * jnp.max(singular)
         onto = (right * jnp.where(there, 1.0, 0.0)[:, None]).T @ right
+        left_open = jnp.eye(c) - (left * jnp.where(there, 1.0, 0.0)) @ left.T
         inverse = (right * jnp.where(there, 1.0 / jnp.where(there, singular, 1.0), 0.0)[:, None]).T @ left.T
     free = jnp.eye(n) - onto
     # What is constrained comes after all modes.
@@ -229,4 +238,4 @@ def _eigenpairs(matrix: Array, rows: Array, count: int) -> tuple[Array, Array, A
     nearest = jnp.minimum(jnp.append(gaps, jnp.inf)[:count], jnp.insert(gaps, 0, jnp.inf)[:count])
     chosen = vectors[:, :count].T
     multipliers = -(chosen @ matrix - values[:count, None] * chosen) @ inverse
-    return values[:count], chosen, multipliers, nearest / jnp.abs(values[:count])
+    return values[:count], chosen, multipliers, nearest / jnp.abs(values[:count]), left_open

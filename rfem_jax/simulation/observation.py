@@ -98,7 +98,7 @@ class Record(NamedTuple):
 
 def solved_instant(actual: ModelWithErrors, result: Accelerations, drive: DriveInput, scale: algebra.Scalar) -> Instant:
     """An instant whose equations of motion were solved for the accelerations; `scale` [m] as in `closure`."""
-    wrenches = loads.moving_wrenches(actual, result, result.angular, result.linear)
+    result, wrenches = loads.moving_wrenches(actual, result, result.angular, result.linear)
     drift, drift_angle = cut_drift(result.closure, scale)
     return Instant(
         loads=loads.loads_of_wrenches(actual.topology, result, wrenches, drive),

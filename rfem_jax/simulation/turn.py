@@ -153,7 +153,7 @@ def held_at(model: Model, errors: AssemblyErrors, pose: ClosedPose, stresses: bo
     state = loads.static_state(topology, position)
     resting = closed_at_rest(model, actual, state, multipliers)
     at_rest = jnp.zeros((3, actual.mass.shape[0]))
-    wrenches = loads.moving_wrenches(actual, resting, at_rest, at_rest)
+    resting, wrenches = loads.moving_wrenches(actual, resting, at_rest, at_rest)
     joint = loads.loads_of_wrenches(topology, resting, wrenches, DriveInput())
     k = topology.driven_coordinate
     assert k is not None, "turns are of driven mechanisms"

@@ -29,7 +29,6 @@ from scipy import sparse
 from scipy.sparse.linalg import LinearOperator, eigsh
 
 from rfem_jax.description.joint_kinds import JointKind
-from rfem_jax.mechanics.cut_joints import RANK_TOLERANCE
 from rfem_jax.mechanics.frame_forces import START, FrameForce, Pose
 from rfem_jax.mechanics.friction_laws import Friction
 from rfem_jax.mechanics.joint_laws import JointLaw, law_derivatives
@@ -53,6 +52,7 @@ from rfem_jax.simulation.vibration_matrices import (
 )
 
 MOST_BODIES = 40  # of a mechanism all of whose modes are found
+RANK_TOLERANCE = 1e-9  # of singular values of rows of length one, relative to the largest
 STIFFEST_TOLERANCE = 1e-6  # of the largest squared frequency, relative
 SAMPLES = 400  # frequencies that stand for the modes below the stiffest one
 DIFFERENCE = 1e-5  # rad

@@ -28,7 +28,7 @@ from rfem_jax.mechanics.algebra import (
     product,
     transposed_product,
 )
-from rfem_jax.mechanics.cut_joints import Closure, invert_closure, unit_columns
+from rfem_jax.mechanics.cut_joints import Closure, unit_columns
 from rfem_jax.mechanics.element_loads import ElementTangents
 from rfem_jax.mechanics.friction import joint_wrenches
 from rfem_jax.mechanics.implicit.articulated_links import (
@@ -47,6 +47,7 @@ from rfem_jax.mechanics.joint_forces import CutForces
 from rfem_jax.mechanics.kinematics import Motion
 from rfem_jax.mechanics.model import BASE, Coordinates, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
+from rfem_jax.mechanics.self_stress import inverse_closure, redundancy
 
 
 class ClosureMatrix(NamedTuple):
@@ -147,7 +148,10 @@ def iteration_matrix(
             rows = rows + np.diag(np.arange(columns) >= topology.n_constraints).astype(float)
         rows = jnp.asarray(rows)
         springs = None if row_tangent is None else _spring_rows(topology, rows, row_tangent)
-        inverse = invert_closure(topology, rows if springs is None else springs.scaled())
+        left_open = redundancy(topology, motion, cuts)
+        if left_open is not None:
+            left_open = left_open.beside(columns - topology.n_constraints)
+        inverse = inverse_closure(rows if springs is None else springs.scaled(), left_open)
         return IterationMatrix(operators, links, ClosureMatrix(units, responses, inverse, springs), elements)
 
 

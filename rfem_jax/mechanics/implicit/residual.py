@@ -29,6 +29,7 @@ from rfem_jax.mechanics.joint_forces import LawForces, applied_forces, by_coordi
 from rfem_jax.mechanics.kinematics import Motion, by_freedom, motion_of, spread
 from rfem_jax.mechanics.model import BASE, Coordinates, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
+from rfem_jax.mechanics.self_stress import redundancy
 
 
 class Residual(NamedTuple):
@@ -95,7 +96,10 @@ def residual_forces(
     closing = jnp.sum(actual.mass)
     if sprung := actual.topology.sprung_rows:
         closing = jnp.where(np.array(sprung), 1.0, closing)
-    parts = evaluation.force, moment, hinge, evaluation.closing * closing
+    found = redundancy(actual.topology, evaluation.motion, evaluation.closure)
+    # Nothing gives way to what is open in redundant directions: it is drift, no force.
+    closes = evaluation.closing if found is None else found.closed() @ evaluation.closing
+    parts = evaluation.force, moment, hinge, closes * closing
     return jnp.concatenate([part.reshape(-1) for part in parts])
 
 

@@ -40,14 +40,16 @@ from rfem_jax.mechanics.kinematics import by_freedom, motion_of, range_used
 from rfem_jax.mechanics.model import Coordinates, Model, State, Topology, length_scale
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors, ModelWithErrors, apply_errors, assembly_errors
 from rfem_jax.mechanics.orientations import moved, rates_of
+from rfem_jax.mechanics.self_stress import redundancy
+from rfem_jax.mechanics.sources import RIGID_CLOSING_TOLERANCE
 from rfem_jax.mechanics.statics.contact import search_contact
 from rfem_jax.mechanics.statics.search import (
     Equations,
     Linear,
     chord,
-    least_squares,
     load_steps,
     newton,
+    shortest_solution,
     solve_dense,
     solve_linear,
 )
@@ -196,6 +198,18 @@ class _Scaled(NamedTuple):
         works = ravel_pytree(forces)[0] * self.units / (self.force * self.length)
         return jnp.concatenate([works, closing / self._unit_of_closing()])
 
+    def with_open_multipliers(
+        self, residual: Array, unknowns: Array, actual: ModelWithErrors, position: Coordinates
+    ) -> Array:
+        """The residual with multipliers that the motion leaves open in the places of equations that say nothing new."""
+        motion = motion_of(actual, loads.static_state(self.topology, position))
+        found = redundancy(self.topology, motion, closure(actual, motion, self.length))
+        if found is None:
+            return residual
+        works, closing = residual[: self.units.size], residual[self.units.size :]
+        multipliers = unknowns[self.units.size :]
+        return jnp.concatenate([works, closing + found.open @ (multipliers - closing)])
+
     def unscaled(self, residual: Array) -> tuple[Coordinates, Array]:
         """Generalised forces and closing [m] (of springs [N]) of a flat residual."""
         works, closing = residual[: self.units.size], residual[self.units.size :]
@@ -257,6 +271,8 @@ def equilibrium(
         position, multipliers = scaled.coordinates(unknowns), scaled.multipliers(unknowns)
         hinge, elastic, closing = _static_residual(actual, position, multipliers, scaled.length)
         value = scaled.residual(Coordinates(hinge, elastic), closing)
+        if topology.minimum_norm:
+            value = scaled.with_open_multipliers(value, unknowns, *jax.lax.stop_gradient((actual, position)))
         return jnp.where(is_given, unknowns - angles @ onto, value)
 
     angles = jnp.array([*held.values()], float)
@@ -273,7 +289,7 @@ def equilibrium(
         jax.jit(lambda unknowns, args: residual(unknowns, scaled, args)),
         scaled.coordinates,
         n_coordinates=scaled.units.size,
-        solve=least_squares if topology.minimum_norm else jnp.linalg.solve,
+        solve=shortest_solution if topology.minimum_norm else jnp.linalg.solve,
     )
 
     # The search is not differentiated: its derivatives are those of the implicit function, taken at its result.
@@ -298,6 +314,10 @@ def _status_of(actual: ModelWithErrors, position: Coordinates, found: Bool[Array
     in_range = range_used(actual.topology, position) < 1.0
     cuts = closure(actual, motion_of(actual, loads.static_state(actual.topology, position)), scale)
     right_side = True if cuts is None else jnp.all(cuts.alignment > 0.0)
+    if cuts is not None and actual.topology.minimum_norm:
+        # The search does not see directions in which nothing gives way.
+        rigid = np.flatnonzero(~np.array(cuts.sprung_rows or (False,) * cuts.residual.shape[0]))
+        found = found & (jnp.max(jnp.abs(cuts.residual[rigid]), initial=0.0) <= RIGID_CLOSING_TOLERANCE * scale)
     status = jnp.where(right_side, jnp.where(in_range, OK, OUT_OF_RANGE), WRONG_SIDE)
     return jnp.where(found, status, _cause_of(actual.topology, cuts, in_range, scale)).astype(jnp.int32)
 
@@ -483,10 +503,20 @@ def moving_equilibrium(
 
 
 def _force_scale(model: Model, actual: ModelWithErrors) -> Array:
-    """A force [N] of the mechanism: its bending stiffness over a length squared, or its weight."""
+    """A force [N] of the mechanism: its bending stiffness over a length squared, or its weight and what
+    acts on its joints."""
     stiffness = model.section.bending
     bending = [stiffness[l] / model.length[l] ** 2 for l, n in enumerate(model.topology.elements) if n > 1]
     if bending:
         return jax.lax.stop_gradient(jnp.max(jnp.stack(bending)))
-    weight = jnp.sum(actual.mass) * jnp.linalg.norm(model.gravity)
-    return jax.lax.stop_gradient(weight + jnp.sum(actual.mass))
+    force = jnp.sum(actual.mass) * jnp.linalg.norm(model.gravity) + jnp.sum(actual.mass)
+    if model.topology.minimum_norm:
+        force = force + _applied(model, actual)
+    return jax.lax.stop_gradient(jnp.where(force > 0.0, force, 1.0))
+
+
+def _applied(model: Model, actual: ModelWithErrors) -> Float[Array, ""]:
+    """The largest force [N], or moment over the longest link, along a joint coordinate at the start."""
+    length, none = length_scale(model), jnp.zeros(model.topology.n_constraints)
+    along, *_ = _static_residual(actual, model.start_coordinates(), none, length)
+    return jnp.max(jnp.abs(along) * _joint_units(model.topology, length) / length, initial=0.0)

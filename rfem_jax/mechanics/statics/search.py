@@ -25,7 +25,9 @@ from jaxtyping import Bool, Float
 from rfem_jax.mechanics.model import Coordinates
 
 TOLERANCE = 1e-10
-SMALLEST_SINGULAR_VALUE = 1e-9  # of the largest, where equations contradict each other
+SMALLEST_SINGULAR_VALUE = 1e-12  # of equations whose entries are of size one
+ABSENT = 1e-9  # entries of equations in units of the mechanism below which these say nothing
+BALANCING_SWEEPS = 4
 MAX_ITERATIONS = 50
 # With a constant matrix convergence is linear, so the last step must be down to rounding.
 CHORD_TOLERANCE, CHORD_ITERATIONS = 1e-14, 30
@@ -193,7 +195,8 @@ def iterate(
         unknowns, _, count = carry
         value, step, rows = step_from(unknowns)
         small_step = _size(step[:n]) <= tolerance
-        small_residual = jnp.all(jnp.abs(value) <= TOLERANCE * rows)
+        # Of equations that say nothing, as of out-of-plane directions, rounding is left of both sides.
+        small_residual = jnp.all(jnp.abs(value) <= TOLERANCE * jnp.maximum(rows, 1.0))
         return unknowns - step, small_step & small_residual, count + 1
 
     carry = (start, jnp.asarray(found), jnp.zeros((), jnp.int32))
@@ -243,6 +246,22 @@ def load_steps(
     return unknowns, reached >= 1.0
 
 
-def least_squares(matrix: Float[Array, "n n"], value: Float[Array, " n"]) -> Float[Array, " n"]:
-    """The shortest solution of equations that may contradict each other."""
-    return jnp.linalg.pinv(matrix, rtol=SMALLEST_SINGULAR_VALUE) @ value
+def shortest_solution(matrix: Float[Array, "n n"], value: Float[Array, " n *k"]) -> Float[Array, " n *k"]:
+    """The shortest solution of equations that may leave some unknowns open, as the angle of a door without load.
+
+    Rows and columns are scaled to largest entries of one, so that a stiff spring or a large load takes no digits of
+    others; those below `ABSENT` are left as they are.
+    """
+    size = jnp.abs(matrix)
+    rows, columns = jnp.ones(size.shape[0]), jnp.ones(size.shape[1])
+
+    def balance(scales, largest, there):
+        return jnp.where(there, scales / jnp.sqrt(jnp.where(there, largest, 1.0)), 1.0)
+
+    in_rows, in_columns = jnp.max(size, axis=1) > ABSENT, jnp.max(size, axis=0) > ABSENT
+    for _ in range(BALANCING_SWEEPS):
+        scaled = rows[:, None] * size * columns[None]
+        rows = balance(rows, jnp.max(scaled, axis=1), in_rows)
+        columns = balance(columns, jnp.max(scaled, axis=0), in_columns)
+    inverse = jnp.linalg.pinv(rows[:, None] * matrix * columns[None], rtol=SMALLEST_SINGULAR_VALUE)
+    return (columns[:, None] * inverse * rows[None]) @ value

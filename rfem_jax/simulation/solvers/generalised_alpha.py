@@ -254,6 +254,7 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         evaluation = evaluate_residual(conditions.actual, state, accelerations, multipliers, drive, scale)
         forces = residual_forces(conditions.actual, self._closing_as_acceleration(evaluation, h), drive, scale)
         topology = conditions.actual.topology
+        evaluation = _with_least_reactions(conditions.actual, evaluation)
         instant = evaluated_instant(topology, evaluation, accelerations, drive, scale, forces)
         return squared_forces(memory.rates), state, drive, instant
 
@@ -460,6 +461,7 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         accelerations, multipliers = unknowns
         residual = jnp.max(jnp.abs(residual_forces(actual, evaluation, drive, scale)), initial=0.0)
         residual = jax.lax.stop_gradient(residual)
+        evaluation = _with_least_reactions(actual, evaluation)
         joint = loads.loads_of_wrenches(actual.topology, evaluation, evaluation.wrenches, drive)
         axial, normal, moment = equations.squares(actual.topology, joint)
         work = equations.applied_power(actual.topology, state, drive, joint, evaluation)
@@ -483,6 +485,12 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
                 largest_residual=most,
             ),
         )
+
+
+def _with_least_reactions(actual: ModelWithErrors, evaluation: Evaluation) -> Evaluation:
+    """The evaluation with the least of redundant reactions, which Newton's method leaves as they are."""
+    evaluation, wrenches = loads.with_least_reactions(actual, evaluation, evaluation.wrenches)
+    return evaluation._replace(wrenches=wrenches)
 
 
 def _renews(actual: ModelWithErrors) -> bool:
