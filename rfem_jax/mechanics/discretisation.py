@@ -118,7 +118,10 @@ def discretise(mechanism: Mechanism, rfes: int | None = None, elements: str | No
             "which no link can take up; give angles and positions with more decimals, or make a link of each loop "
             "flexible."
         )
-    return _with_tolerance(model, RIGID_CLOSING_TOLERANCE) if structure.redundant else model
+    if not structure.redundant:
+        return model
+    topology = model.topology._replace(redundant=structure.constraints - structure.rank)
+    return _with_tolerance(dataclasses.replace(model, topology=topology), RIGID_CLOSING_TOLERANCE)
 
 
 def _as_given(model: Model, mechanism: Mechanism) -> Model:

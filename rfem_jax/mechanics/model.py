@@ -82,6 +82,7 @@ class Topology(NamedTuple):
     undriven: joint coordinates that stand for the freedoms that no drive holds (theory (6.9)).
     settles: whether a simulation starts in the equilibrium of these freedoms, and does not hold them at first.
     rated: joint coordinates with initial rates, in the array `Model.start_rates`.
+    redundant: number of the closure equations that say nothing new at the start.
     """
 
     links: tuple[str, ...]
@@ -107,6 +108,7 @@ class Topology(NamedTuple):
     undriven: tuple[int, ...] = ()
     settles: bool = False
     rated: tuple[int, ...] = ()
+    redundant: int = 0
 
     @property
     def n_links(self) -> int:

@@ -29,6 +29,7 @@ from rfem_jax.mechanics import loads
 from rfem_jax.mechanics.bush_contacts import with_memory
 from rfem_jax.mechanics.centre_lines import link_lines
 from rfem_jax.mechanics.designs import Design, designed, with_status
+from rfem_jax.mechanics.implicit.residual import rounding_force
 from rfem_jax.mechanics.model import Model, State
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors, ModelWithErrors, apply_errors, assembly_errors
 from rfem_jax.mechanics.orientations import angles_of
@@ -364,7 +365,13 @@ def conclude(
     record = jax.tree.map(lambda x: rows(x, grid.saved), record)
     times = rows(jnp.asarray(grid.starts + grid.lengths), grid.saved)
     energy, drift, error = record.energy, jnp.max(record.drift), _balance_error(record.energy)
-    residual = carry.residual / _safe(_force_scale(model, carry, energy, times))
+    compared = _force_scale(model, carry, energy, times)
+    if method.implicit:
+        # Where nothing acts, loads are what rounding leaves.
+        lengths = jnp.asarray(grid.lengths)
+        shortest = jnp.min(jnp.where(lengths > 0.0, lengths, jnp.inf)) / steps
+        compared = jnp.maximum(compared, rounding_force(prepared.actual, length_scale(model), shortest))
+    residual = carry.residual / _safe(compared)
     relative = jnp.max(record.momentum_residual, axis=0) / _safe(jnp.max(record.largest_load, axis=0))
     drives = _histories(model, record)
     first = next(iter(drives.values()), DriveHistory(0.0 * times, 0.0 * times, record.drive_forces[0]))

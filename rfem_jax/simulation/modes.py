@@ -106,7 +106,7 @@ def _natural(model: Model, errors: AssemblyErrors, hold: dict[str, Array] | str 
     fixed = (*(held if locked else ()), *topology.idle)
     unit = np.eye(matrices.mass.shape[0])[list(dict.fromkeys(fixed))]
     constraints = jnp.concatenate([matrices.constraints, jnp.asarray(unit)])
-    count = min(count, matrices.mass.shape[0] - constraints.shape[0])
+    count = min(count, matrices.mass.shape[0] - constraints.shape[0] + topology.redundant)
     square, vectors, separation = _lowest(matrices, constraints, count, topology.minimum_norm)
     of_dampers = jnp.einsum("mi,ij,mj->m", vectors, matrices.damping, vectors)
     rate = safe_sqrt(square)
@@ -229,7 +229,7 @@ def _eigenpairs(matrix: Array, rows: Array, count: int) -> tuple[Array, Array, A
         left, singular, right = jnp.linalg.svd(rows, full_matrices=False)
         there = singular > RANK_TOLERANCE * jnp.max(singular)
         onto = (right * jnp.where(there, 1.0, 0.0)[:, None]).T @ right
-        left_open = jnp.eye(c) - (left * jnp.where(there, 1.0, 0.0)) @ left.T
+        left_open = jnp.eye(c) - (left * jnp.where(there, 1.0, 0.0)[None]) @ left.T
         inverse = (right * jnp.where(there, 1.0 / jnp.where(there, singular, 1.0), 0.0)[:, None]).T @ left.T
     free = jnp.eye(n) - onto
     # What is constrained comes after all modes.

@@ -31,6 +31,8 @@ from rfem_jax.mechanics.model import BASE, Coordinates, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 from rfem_jax.mechanics.self_stress import redundancy
 
+ROUNDING = 2e-13  # of a position over the longest link, with a margin for sums
+
 
 class Residual(NamedTuple):
     """Residual of the equations of motion: hinge (F,) [N m, N]; force [N], moment [N m] (3, N) on the free rfes;
@@ -101,6 +103,13 @@ def residual_forces(
     closes = evaluation.closing if found is None else found.closed() @ evaluation.closing
     parts = evaluation.force, moment, hinge, closes * closing
     return jnp.concatenate([part.reshape(-1) for part in parts])
+
+
+def rounding_force(actual: ModelWithErrors, scale: Scalar, h: Scalar) -> Float[Array, ""]:
+    """The force [N] that moves the mechanism within a step of length h [s] by no more than positions are rounded by:
+    a residual below it says nothing, also where no other force acts."""
+    moving = jnp.asarray(h) > 0.0
+    return jnp.where(moving, ROUNDING * jnp.sum(actual.mass) * scale / jnp.where(moving, h, 1.0) ** 2, 0.0)
 
 
 @jax.jit  # traced once for all its places

@@ -63,7 +63,13 @@ from rfem_jax.mechanics.friction import (
 )
 from rfem_jax.mechanics.implicit.condensation import LinkOperator, link_operators, present_operators
 from rfem_jax.mechanics.implicit.newton import IterationMatrix, iteration_matrix, newton_increment
-from rfem_jax.mechanics.implicit.residual import Evaluation, evaluate_residual, residual_forces, residual_of
+from rfem_jax.mechanics.implicit.residual import (
+    Evaluation,
+    evaluate_residual,
+    residual_forces,
+    residual_of,
+    rounding_force,
+)
 from rfem_jax.mechanics.inputs import DriveInput, impose
 from rfem_jax.mechanics.joint_forces import law_forces, law_tangent
 from rfem_jax.mechanics.kinematics import Motion, motion_of
@@ -227,6 +233,8 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         allowed = RESIDUAL_LIMIT * jnp.sqrt(jnp.max(jax.lax.stop_gradient(y1[1])))
         if args.actual.friction is not None:
             allowed = jnp.maximum(allowed, RESIDUAL_LIMIT * constants.largest_force)
+        rounding = rounding_force(args.actual, args.stabilisation.scale, h)
+        allowed = jnp.maximum(allowed, RESIDUAL_LIMIT * jax.lax.stop_gradient(rounding))
         result = diffrax.RESULTS.where(
             memory.residual <= allowed,
             diffrax.RESULTS.successful,
