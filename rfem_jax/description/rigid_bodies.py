@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 from rfem_jax.description.errors import Checks, ChecksItself, InputError
 from rfem_jax.description.numbers import array_of, rotation_of_angles
 from rfem_jax.description.sections import require_triangle
-from rfem_jax.description.units import positive_quantity, vector
+from rfem_jax.description.units import non_negative_quantity, vector
 
 _SYMMETRY = 1e-9  # relative to the largest entry
 Tensor = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
@@ -25,10 +25,10 @@ class RigidBody(ChecksItself):
     """Mass and inertia of a rigid link.
 
     Args:
-        mass: [kg], > 0.
+        mass: [kg], > 0, or 0 of a body that only carries loads, for positions at rest (then `inertia` is zero, too).
         centre: (x, y, z) [m] of the mass centre in the link frame.
-        inertia: about the mass centre [kg m^2], positive definite: three principal moments, or the tensor as three
-            rows, in the axes of the link.
+        inertia: about the mass centre [kg m^2], positive definite (zero without mass): three principal moments, or the
+            tensor as three rows, in the axes of the link.
         orientation: angles (about x, y, z) [rad] of the axes of `inertia` in the link frame, R = R_z R_y R_x.
     Raises:
         InputError: a value is out of range, or the inertia is that of no body.
@@ -40,11 +40,11 @@ class RigidBody(ChecksItself):
     orientation: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def _check_fields(self, checks: Checks) -> None:
-        checks.convert("mass", positive_quantity, "mass", "`mass` of a body")
+        checks.convert("mass", non_negative_quantity, "mass", "`mass` of a body")
         checks.convert("centre", vector, "length", "`centre` of a body")
         checks.convert("inertia", _inertia)
         checks.convert("orientation", vector, "angle", "`orientation` of a body")
-        checks.relation(("inertia",), self._check_inertia)
+        checks.relation(("mass", "inertia"), self._check_inertia)
 
     def _check_inertia(self) -> None:
         tensor, where = _as_tensor(self.inertia), "`inertia` of a body"
@@ -53,6 +53,13 @@ class RigidBody(ChecksItself):
                 f"Argument {where} must be symmetric, but was {tensor.tolist()}; give the products of inertia twice, "
                 "with the sign of minus the integral of x y."
             )
+        if self.mass == 0.0:
+            if np.any(tensor != 0.0):
+                raise InputError(
+                    f"Argument `mass` of a body must be greater than 0 where it has inertia, but was {self.mass}; give "
+                    "a mass, or zeros for both in a mechanism at rest."
+                )
+            return
         principal = np.linalg.eigvalsh(tensor)
         if principal[0] <= 0.0:
             raise InputError(

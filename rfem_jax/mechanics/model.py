@@ -83,6 +83,7 @@ class Topology(NamedTuple):
     settles: whether a simulation starts in the equilibrium of these freedoms, and does not hold them at first.
     rated: joint coordinates with initial rates, in the array `Model.start_rates`.
     redundant: number of the closure equations that say nothing new at the start.
+    massless: links without mass, which can only be at rest.
     """
 
     links: tuple[str, ...]
@@ -109,6 +110,7 @@ class Topology(NamedTuple):
     settles: bool = False
     rated: tuple[int, ...] = ()
     redundant: int = 0
+    massless: tuple[int, ...] = ()
 
     @property
     def n_links(self) -> int:

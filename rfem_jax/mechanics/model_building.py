@@ -84,6 +84,7 @@ def _structure_of(mechanism: Mechanism, parts: Parts, elements: dict[str, int], 
         sprung=tuple(j.sprung for j in joints) if any(j.compliance or j.clearance for j in joints) else (),
         clearances=tuple(n for n, j in enumerate(joints) if j.clearance),
         settles=mechanism.start == EQUILIBRIUM,
+        massless=tuple(i for i, link in enumerate(links) if link.mass == 0.0),
     )
     return PartStructure(topology, points, any(any(mass.products) for _, mass in masses))
 

@@ -327,7 +327,11 @@ def _bodies(
     onto = (holder[:, None] == np.arange(nodes)).astype(float)
     total = mass + model.point_mass @ onto
     moment = mass[None] * beam_centre
-    centre = (moment + (model.point_mass[None] * point) @ onto) / total[None]
+    moment = moment + (model.point_mass[None] * point) @ onto
+    centre = moment / total[None]
+    if topology.massless:
+        there = total > 0.0
+        centre = jnp.where(there[None], moment / jnp.where(there, total, 1.0)[None], 0.0)
 
     def steiner(m, r):
         identity = jnp.asarray(algebra.IDENTITY)[:, :, None]

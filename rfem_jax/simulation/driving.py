@@ -96,12 +96,23 @@ def _coordinate(topology: Topology, drive: AnyDrive) -> int:
     return topology.coordinates[joint][topology.kind(joint).motions.index(driven_motion(drive, topology.kinds[joint]))]
 
 
+def require_masses(model: Model) -> None:
+    """Raise InputError for links without mass, whose accelerations no equation tells."""
+    names = ", ".join(f"`{model.topology.links[l]}`" for l in model.topology.massless)
+    if names:
+        raise InputError(
+            f"Argument `mass` of the body of {names} must be greater than 0 in a motion, but is 0: without mass only "
+            "positions at rest can be computed (`turn`, `assemble`); give a small mass and inertia."
+        )
+
+
 def require_driven(model: Model, drive: Drive) -> None:
-    """Check that drives act on the model's driven joints, each on a motion of its own; None always passes.
+    """Check that the model can move, and that drives act on its driven joints, each on a motion of its own.
 
     **Raises:** `InputError` if the model has no driven joint, or others, and for prescribed motions that the joints do
-    not let be independent.
+    not let be independent; of links without mass.
     """
+    require_masses(model)
     drives = each_drive(drive)
     for one in drives:
         _require_joint(model, one)

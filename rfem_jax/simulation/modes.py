@@ -34,6 +34,7 @@ from rfem_jax.mechanics.model import Coordinates, Model, State
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors, ModelWithErrors, apply_errors, assembly_errors
 from rfem_jax.mechanics.orientations import moved
 from rfem_jax.mechanics.statics.assembly import checked_hold, equilibrium, held_angles, length_scale
+from rfem_jax.simulation.driving import require_masses
 from rfem_jax.simulation.equations import safe_sqrt
 
 RANK_TOLERANCE = 1e-10
@@ -92,6 +93,7 @@ def natural_frequencies(
     if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < 1:
         raise InputError(f"Argument `count` must be a whole number of at least 1, but is {count!r}; 6 is usual.")
     hold = checked_hold(model, hold)
+    require_masses(model)
     made = designed(model, design, assembly_errors(model) if errors is None else errors)
     modes = _natural(made.model, made.errors, hold, bool(locked), int(count))
     return modes if made.status is None else replace(modes, status=status_of(modes.status, made))

@@ -291,7 +291,7 @@ def test_nothing_acts_in_any_plane(method):
     np.testing.assert_allclose(run.angles["A"], np.radians(45), atol=1e-12)
 
 
-@pytest.mark.parametrize("mass", [1e-9, 1e-3, 10.0])
+@pytest.mark.parametrize("mass", [0.0, 1e-3, 10.0])
 def test_a_toggle_of_light_links_holds_its_load(mass):
     model = discretise(toggle(mass))
     turn = kinetostatic_turn(model, positions=np.array([3.966]))
@@ -328,3 +328,28 @@ def test_derivatives_of_least_reactions(name):
     assert scale > 1.0
     np.testing.assert_allclose(forward / scale, difference / scale, atol=1e-7)
     np.testing.assert_allclose(reverse / scale, forward / scale, atol=1e-11)
+
+
+def test_links_without_mass_are_for_positions_at_rest():
+    model = discretise(toggle(0.0))
+    with pytest.raises(InputError, match="`mass` of the body of `left`, .* must be greater than 0 in a motion"):
+        simulate(model, drive=None, duration=1e-3, method=Method("rk4", step=1e-4))
+    with pytest.raises(InputError, match="`mass` of the body"):
+        natural_frequencies(model)
+    with pytest.raises(InputError, match="`mass` of a body must be greater than 0 where it has inertia"):
+        RigidBody(0.0, (0.0, 0.0, 0.0), (1e-3, 1e-3, 1e-3))
+    with pytest.raises(InputError, match="must not be negative"):
+        RigidBody(-1.0, (0.0, 0.0, 0.0), (1e-3, 1e-3, 1e-3))
+
+
+def test_a_tree_without_mass_and_without_redundancy():
+    """A crank of no mass carries a weight at its end."""
+    weight = PointForce("weight", "arm", (0.4, 0.0, 0.0), force=(0.0, 0.0, -20.0))
+    mechanism = Mechanism([plain("arm", 0.4, 0.0)], [Joint("A", "base", "arm")], driven_joint="A", forces=[weight])
+    model = discretise(mechanism)
+    found = assemble(model, assembly_errors(model))
+    assert STATUS[int(found.status)].name == "ok"
+    np.testing.assert_allclose(found.preload["A"].force, (0.0, 0.0, 20.0), atol=1e-12)
+    np.testing.assert_allclose(found.preload["A"].moment, (0.0, -8.0, 0.0), atol=1e-12)
+    slope = jax.jacrev(lambda x: assemble(model, assembly_errors(model, {"arm.length": x})).preload["A"].moment[1])(0.0)
+    np.testing.assert_allclose(slope, -20.0, rtol=1e-9)

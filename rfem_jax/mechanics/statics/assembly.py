@@ -298,7 +298,7 @@ def equilibrium(
 
     def tangent_solve(linear, value, inputs, end):
         scaled, (actual, _) = inputs
-        if topology.exact or topology.minimum_norm or topology.clearances:
+        if topology.exact or topology.minimum_norm or topology.massless or topology.clearances:
             return solve_dense(equations, linear, value)
         preconditioner = _preconditioner(scaled, given, actual, end)
         return solve_linear(equations, preconditioner, linear, value)
@@ -359,7 +359,7 @@ def _search(
         return search_contact(equations, starts, perfect, loaded, (scaled.length, scaled.force))
     if topology.exact:
         return load_steps(equations, undeformed, perfect, loaded)
-    if topology.minimum_norm:
+    if topology.minimum_norm or topology.massless:
         return newton(equations, guess, loaded)
     constant = _preconditioner(scaled, given, perfect[0], undeformed)
     return chord(equations, constant, _rows(scaled, perfect[0]), guess, loaded)

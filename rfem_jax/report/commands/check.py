@@ -51,6 +51,10 @@ def act(arguments: argparse.Namespace) -> Answer:
         show(text, end="\n\n")
     show(cost_text(study), end="\n\n")
     step = None
+    if model.topology.massless:
+        names = ", ".join(model.link_names[l] for l in model.topology.massless)
+        show(f"Links without mass ({names}): only positions at rest can be computed, as by `rfem-jax turn`.")
+        return Answer(document=_document(study, structure, step))
     if study.method.name == "auto":
         study = settle_method(study)
     else:
