@@ -137,6 +137,13 @@ class Mechanism(ChecksItself):
         return tuple(force for force in self.forces if isinstance(force, PointLoad))
 
     @property
+    def norm_length(self) -> float | None:
+        """Length [m] over which moments count in the norm of redundant reactions; None where these are refused."""
+        if self.redundant_reactions != "minimum_norm":
+            return None
+        return max(link.length for link in self.links) if self.reaction_length is None else self.reaction_length
+
+    @property
     def tree_joints(self) -> tuple[Joint, ...]:
         """The joints that are not cut, one per link, by depth in the tree, else in the order of links."""
         joints, ordered, level = self._parent_joints(), [], {"base"}

@@ -32,7 +32,7 @@ from rfem_jax.report.annotations import Run, StartHeld, Summaries
 from rfem_jax.report.driven_motions_report import drive_quantities
 from rfem_jax.report.output import csv_cell, write_json
 from rfem_jax.report.quantities import ENERGIES, column_name, units
-from rfem_jax.report.summary import joint_names, study_note, total_energy
+from rfem_jax.report.summary import joint_names, reaction_norm, study_note, total_energy
 from rfem_jax.whole_files import replacing
 
 
@@ -53,6 +53,7 @@ def write_results(path: str | Path, study: Study, summaries: Summaries, start: S
         "method": asdict(study.method),
         **({} if start is None else {"start": start._asdict()}),
         **({"design": study.design_values} if study.design_values else {}),
+        **reaction_norm(study),
         "cases": summaries,
         "compilation": state(),
         "units": {"duration": "s", **units(), **{one.end.name: one.end.unit for one in driven}},

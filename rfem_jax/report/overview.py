@@ -217,7 +217,12 @@ def count_lines(mechanism: Mechanism, description: Structure) -> list[str]:
         return [*lines, "No redundant constraints: all joint reactions are unique."]
     lines.append("Redundant constraints: the joint reactions are not unique.")
     if mechanism.redundant_reactions == "minimum_norm":
-        return [*lines, "The smallest ones (minimum norm) are reported, as the study asks."]
+        of = "the longest link; `reaction_length` sets another" if mechanism.reaction_length is None else "as given"
+        return [
+            *lines,
+            "The smallest ones (minimum norm) are reported, as the study asks: the sum over all joints of force^2 + "
+            f"(moment / {mechanism.norm_length:g} m)^2 is least ({of}).",
+        ]
     fix = (
         "Make a link flexible, give joints a compliance, or choose redundant_reactions = "
         '"minimum_norm" in the table [mechanism].'

@@ -42,6 +42,12 @@ def study_note(study: Study) -> str:
     return getattr(study, "note", None) or ""
 
 
+def reaction_norm(study: Study) -> dict[str, float]:
+    """The length [m] over which moments count in the norm of redundant reactions, {} where these are refused."""
+    length = study.mechanism.norm_length
+    return {} if length is None else {"reaction_length": length}
+
+
 def total_energy(run: Run) -> Float[np.ndarray, " times"]:
     """Kinetic + elastic + gravity energy of one run, (T,) J."""
     energy = run.energy

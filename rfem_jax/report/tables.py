@@ -168,6 +168,9 @@ def results_text(study: Study, summaries: Summaries) -> str:
 
 
 def title_text(study: Study) -> str:
-    """Title of the study, underlined, and its note."""
-    lines = [study.title, "=" * len(study.title)]
-    return "\n".join([*lines, *textwrap.wrap(study_note(study), _WIDTH)])
+    """Title of the study, underlined, its note, and in what norm redundant reactions are the least."""
+    lines, length = [study.title, "=" * len(study.title)], study.mechanism.norm_length
+    lines += textwrap.wrap(study_note(study), _WIDTH)
+    if length is not None:
+        lines.append(f"Redundant reactions are the least: force^2 + (moment / {length:g} m)^2 of all joints.")
+    return "\n".join(lines)

@@ -365,13 +365,7 @@ def conclude(
     record = jax.tree.map(lambda x: rows(x, grid.saved), record)
     times = rows(jnp.asarray(grid.starts + grid.lengths), grid.saved)
     energy, drift, error = record.energy, jnp.max(record.drift), _balance_error(record.energy)
-    compared = _force_scale(model, carry, energy, times)
-    if method.implicit:
-        # Where nothing acts, loads are what rounding leaves.
-        lengths = jnp.asarray(grid.lengths)
-        shortest = jnp.min(jnp.where(lengths > 0.0, lengths, jnp.inf)) / steps
-        compared = jnp.maximum(compared, rounding_force(prepared.actual, length_scale(model), shortest))
-    residual = carry.residual / _safe(compared)
+    residual = carry.residual / _safe(_force_scale(model, prepared, carry, energy, times, grid, steps))
     relative = jnp.max(record.momentum_residual, axis=0) / _safe(jnp.max(record.largest_load, axis=0))
     drives = _histories(model, record)
     first = next(iter(drives.values()), DriveHistory(0.0 * times, 0.0 * times, record.drive_forces[0]))
@@ -458,13 +452,26 @@ def largest_force(carry: Carry) -> Float[Array, ""]:
     return equations.safe_sqrt(jnp.max(carry.peaks))
 
 
-def _force_scale(model: Model, carry: Carry, energy: Energy, times: Float[Array, " times"]) -> Float[Array, ""]:
+def _force_scale(
+    model: Model,
+    prepared: Prepared,
+    carry: Carry,
+    energy: Energy,
+    times: Float[Array, " times"],
+    grid: TimeGrid,
+    steps: int | Float[Array, ""],
+) -> Float[Array, ""]:
     """What a residual force is compared with [N]: the largest joint force, and for free links, whose joints carry
-    none, their kinetic energy over the longest link; friction may be the only load, an RMS moment over that link."""
+    none, their kinetic energy over the longest link; friction may be the only load, an RMS moment over that link; where
+    nothing acts, joints carry what rounding amounts to in the shortest step."""
     largest = largest_force(carry)
     if model.friction is not None:
         mean_square = jnp.max(carry.trajectory.integrals.moment_square) / times[-1]
         largest = jnp.maximum(largest, equations.safe_sqrt(mean_square) / length_scale(model))
+    if carry.memory is not None:
+        lengths = jnp.asarray(grid.lengths)
+        shortest = jnp.min(jnp.where(lengths > 0.0, lengths, jnp.inf)) / steps
+        largest = jnp.maximum(largest, rounding_force(prepared.actual, length_scale(model), shortest))
     if "free" not in model.topology.kinds:
         return largest
     return jnp.maximum(largest, jnp.max(energy.kinetic) / length_scale(model))

@@ -34,6 +34,7 @@ title = "Everything a file may hold"
 [mechanism]
 gravity = [0, 0, "-9.81 m/s^2"]
 redundant_reactions = "minimum_norm"
+reaction_length = "150 mm"
 [mechanism.materials.steel]
 youngs_modulus = 2.1e11
 shear_modulus = "81 GPa"
@@ -178,7 +179,7 @@ def test_both_files_say_that_they_are_a_substitute():
 def test_every_key(load):
     study = load(FULL)
     mechanism = study.mechanism
-    assert mechanism.redundant_reactions == "minimum_norm"
+    assert mechanism.redundant_reactions == "minimum_norm" and mechanism.norm_length == 0.15
     assert mechanism.gravity == (0.0, 0.0, -9.81)
     assert mechanism.link("one").section == Circle(0.01)
     assert mechanism.link("two").section == Tube(0.02, 0.002, 1.9)

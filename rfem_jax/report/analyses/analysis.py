@@ -15,7 +15,7 @@ from rfem_jax.mechanics.model_with_errors import AssemblyErrors
 from rfem_jax.report.annotations import Figure
 from rfem_jax.report.output import write_json
 from rfem_jax.report.pictures import write_pictures
-from rfem_jax.report.summary import PLOTS_HINT, study_note
+from rfem_jax.report.summary import PLOTS_HINT, reaction_norm, study_note
 from rfem_jax.simulation import cases
 
 
@@ -33,8 +33,8 @@ def error_names(study: Study) -> tuple[str, ...]:
 
 def write_analysis(path: Path, study: Study, name: str, result: dict[str, Any]) -> Path:
     """Write the JSON file of an analysis (SI units, radians)."""
-    content = {"title": study.title, "note": study_note(study) or None, "analysis": name, **result}
-    return write_json(path, content)
+    content = {"title": study.title, "note": study_note(study) or None, "analysis": name}
+    return write_json(path, {**content, **reaction_norm(study), **result})
 
 
 def draw(folder: Path, figures: Any) -> tuple[list[Path], str]:
