@@ -15,7 +15,7 @@ frame_forces, point_laws    wrenches between two frames, springs and forces at p
 element_loads               what all of these exert at one instant
 inputs, joint_forces        the drive at one instant, forces along the joint coordinates
 dynamics                    accelerations by the articulated-body algorithm
-reference_formulation       the same, dense, to test against; with reference_friction
+reference_formulation       the same, dense, to test against; with reference_loads, reference_friction
 loads                       joint loads, energies, balance of momentum
 implicit                    residual of the equations for given accelerations, its Newton increments
 statics                     assembled start state and preload

@@ -219,6 +219,15 @@ def invert_positive(matrix: Float[Array, "n n *k"]) -> Float[Array, "n n *k"]:
     return jnp.concatenate([top, bottom])
 
 
+def pseudo_inverse(matrix: Float[Array, "m n"], smallest: float) -> Float[Array, "n m"]:
+    """Pseudo-inverse of a matrix whose entries that say something are of size one; singular values below `smallest`
+    times the largest, or times one, count as zero."""
+    m, n = matrix.shape
+    # A row and a column of their own keep the largest singular value from being that of rounding.
+    framed = jnp.zeros((m + 1, n + 1)).at[:m, :n].set(matrix).at[m, n].set(1.0)
+    return jnp.linalg.pinv(framed, rtol=smallest)[:n, :m]
+
+
 def invert_block(m: Float[Array, "n n *k"]) -> Float[Array, "n n *k"]:
     """Inverse of matrices with n <= 3: adjugate over determinant."""
     if m.shape[0] == 0:

@@ -22,7 +22,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from rfem_jax.description.joint_kinds import JointKind
-from rfem_jax.mechanics.algebra import Scalar
+from rfem_jax.mechanics.algebra import Scalar, pseudo_inverse
 from rfem_jax.mechanics.elements import elasticity
 from rfem_jax.mechanics.frame_forces import START, NodeFrame, Pose
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation
@@ -33,6 +33,7 @@ from rfem_jax.mechanics.model import BASE, Coordinates, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 
 NOT_MOVED: Any = np.eye(4)  # the transform of the base
+OPEN = 1e-7  # of singular values: of combinations of closure equations that say nothing
 
 
 def _transform(rotation: ArrayLike, position: ArrayLike) -> Array:
@@ -404,21 +405,37 @@ def reference_accelerations(
     jacobian = jax.jacfwd(phi)(q)
     gamma = -jax.jvp(phi_rate, (q,), (qd,))[1]
     gamma = gamma - stabilisation.velocity_gain * phi_rate(q) - stabilisation.position_gain * phi(q)
-    found, multipliers = _solve_augmented(mass, jacobian, force, gamma, drive)
+    found, multipliers = _solve_augmented(mass, jacobian, force, gamma, drive, topology.minimum_norm)
     return unravel(found), multipliers[: topology.n_constraints - sum(topology.sprung_rows)]
 
 
 def _solve_augmented(
-    mass: Array, jacobian: Array, force: Array, gamma: Array, drive: DriveInput
+    mass: Array, jacobian: Array, force: Array, gamma: Array, drive: DriveInput, least: bool
 ) -> tuple[Array, Array]:
-    """Accelerations and multipliers [N], those of prescribed motions last."""
+    """Accelerations and multipliers [N], those of prescribed motions last; `least`: where these are not unique, of
+    least norm."""
     for k, (_, _, acceleration) in drive.motions.items():
         jacobian = jnp.concatenate([jacobian, jnp.eye(force.size)[k : k + 1]])
         gamma = jnp.concatenate([gamma, jnp.reshape(acceleration, (1,))])
     n, c = force.size, gamma.size
-    system = jnp.block([[mass, -jacobian.T], [jacobian, jnp.zeros((c, c))]])
+    corner = jnp.zeros((c, c))
+    if least:
+        corner = _open_rows(jacobian)
+        gamma = gamma - corner @ gamma
+    system = jnp.block([[mass, -jacobian.T], [jacobian, corner]])
     solution = jnp.linalg.solve(system, jnp.concatenate([force, gamma]))
     return solution[:n], solution[n:]
+
+
+def open_multipliers(actual: ModelWithErrors, state: State, scale: Scalar) -> Float[Array, "constraints constraints"]:
+    """Projector onto the multipliers that do no work on any motion of the tree."""
+    still, unravel = ravel_pytree(jax.tree.map(jnp.zeros_like, state.velocity))
+    return _open_rows(jax.jacfwd(lambda q: constraints(actual, state.position, scale, unravel(q)))(still))
+
+
+def _open_rows(jacobian: Array) -> Array:
+    """Projector onto combinations of rows that vanish."""
+    return jnp.eye(jacobian.shape[0]) - jacobian @ pseudo_inverse(jacobian, OPEN)
 
 
 def pseudo_inertias(actual: ModelWithErrors) -> Array:

@@ -1,10 +1,8 @@
 """Friction in the dense equations of motion: what friction in the recursive formulation is tested against.
 
-Place in the pipeline: reference_formulation -> **reference_friction**; slow, for tests.
+Place in the pipeline: reference_loads -> **reference_friction**; slow, for tests.
 
-The normal loads follow from the rate of momentum of all bodies outboard of a joint, summed from the transforms of
-`reference_formulation`, and from the derivatives of the closure equations by rigid displacements of its bodies.  As
-they depend on the friction, the two are found by turns.
+As normal loads (`reference_loads`) depend on the friction, the two are found by turns.
 """
 
 from collections.abc import Callable
@@ -18,16 +16,10 @@ from jaxtyping import Float
 from rfem_jax.mechanics.algebra import Scalar, cross
 from rfem_jax.mechanics.friction_laws import Friction
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation
-from rfem_jax.mechanics.model import BASE, Coordinates, State, Topology
+from rfem_jax.mechanics.model import Coordinates, State
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
-from rfem_jax.mechanics.reference_formulation import (
-    element_wrenches,
-    joint_frames,
-    joint_rows,
-    pseudo_inertias,
-    reference_accelerations,
-    transforms,
-)
+from rfem_jax.mechanics.reference_formulation import joint_frames, reference_accelerations, transforms
+from rfem_jax.mechanics.reference_loads import component_of, reference_wrenches
 
 Rates = Callable[[Array], Array]
 
@@ -72,35 +64,8 @@ def _rates(actual: ModelWithErrors, state: State, velocity: Coordinates, laws: l
             found.append(velocity.joints[law.coordinate])
         else:
             i = law.joint - actual.topology.n_links
-            found.append(_component(rate[i], at[i], law.component))
+            found.append(component_of(rate[i], at[i], law.component))
     return jnp.stack(found)
-
-
-def _component(rate: Array, relative: Array, component: int) -> Array:
-    """Rate of a displacement (component 0 to 2) or of a rotation (3 to 5) of a relative frame, about its parent's
-    axes."""
-    if component < 3:
-        return rate[component, 3]
-    i, j = (component - 3 + 2) % 3, (component - 3 + 1) % 3
-    return (rate[:3, :3] @ relative[:3, :3].T)[i, j]
-
-
-def _outboard(topology: Topology, link: int) -> list[int]:
-    """Nodes of a link and of all links outboard of it."""
-    links = [link]
-    for l in range(link + 1, topology.n_links):
-        parent = topology.parents[l]
-        if parent != BASE and topology.link_of(parent) in links:
-            links.append(l)
-    return [k for k in range(topology.n_links + topology.n_rfes) if topology.link_of(k) in links]
-
-
-def _displaced(frame: Array, twist: Array) -> Array:
-    """A transform after a small rotation and displacement (6,) about the global origin."""
-    x, y, z, u, v, w = twist
-    zero = jnp.zeros(())
-    rows = [[zero, -z, y, u], [z, zero, -x, v], [-y, x, zero, w], [zero, zero, zero, zero]]
-    return frame + jnp.stack([jnp.stack(row) for row in rows]) @ frame
 
 
 def _normal_loads(
@@ -113,70 +78,16 @@ def _normal_loads(
     scale: Scalar,
 ) -> Array:
     """Normal loads [N] of all frictions, zero of those that do not depend on them."""
-    topology = actual.topology
-    qdd, unravel = ravel_pytree(accelerations)
-    qd, _ = ravel_pytree(state.velocity)
-    still = jnp.zeros_like(qd)
-
-    def matrices(q):
-        return jnp.stack(transforms(actual, state.position, unravel(q)))
-
-    def rate(q):
-        return jax.jvp(matrices, (q,), (qd,))[1]
-
-    frames = list(matrices(still))
-    of_nodes = jax.jvp(matrices, (still,), (qdd,))[1] + jax.jvp(rate, (still,), (qd,))[1]
-    of_nodes = of_nodes.at[:, :3, 3].add(-actual.gravity)
-    change = jnp.einsum("nab,nbc,ndc->nad", of_nodes, pseudo_inertias(actual), jnp.stack(frames))
-    laws = sorted((actual.friction or {}).items())
-    on_nodes = _cut_wrenches(actual, frames, multipliers, laws, friction, scale)
-    of_elements = element_wrenches(actual, drive, jnp.stack(frames), rate(still))
+    still, unravel = ravel_pytree(jax.tree.map(jnp.zeros_like, state.velocity))
+    frames = transforms(actual, state.position, unravel(still))
+    wrenches = reference_wrenches(actual, state, drive, accelerations, multipliers, scale, friction)
     found = []
-    for _, law in laws:
-        left, right = joint_frames(actual, frames, law.joint)
+    for _, law in sorted((actual.friction or {}).items()):
         if law.load is None:
             found.append(jnp.zeros(()))
             continue
-        if law.coordinate is None:
-            wrench = on_nodes[law.joint, topology.children[law.joint]]
-        else:
-            outboard = _outboard(topology, law.joint)
-            total = jnp.sum(jnp.stack([change[k] for k in outboard]), axis=0)
-            moment = jnp.stack([total[2, 1] - total[1, 2], total[0, 2] - total[2, 0], total[1, 0] - total[0, 1]])
-            wrench = jnp.concatenate([moment, total[:3, 3]])
-            others = [(node, w) for (_, node), w in on_nodes.items()] + of_elements
-            wrench = wrench - sum((w for node, w in others if node in outboard), start=jnp.zeros(6))
-        moment = wrench[:3] - cross(right[:3, 3], wrench[3:])
-        found.append(law.load.size(wrench[3:], moment, left[:3, law.axis]))
+        left, right = joint_frames(actual, frames, law.joint)
+        moment, force = wrenches[law.joint][:3], wrenches[law.joint][3:]
+        moment = moment - cross(right[:3, 3], force)
+        found.append(law.load.size(force, moment, left[:3, law.axis]))
     return jnp.stack(found)
-
-
-def _cut_wrenches(
-    actual: ModelWithErrors,
-    frames: list[Array],
-    multipliers: Array,
-    laws: list[tuple[str, Friction]],
-    friction: Array,
-    scale: Scalar,
-) -> dict[tuple[int, int], Array]:
-    """Wrenches (6,) at the global origin of multipliers and friction in the cut joints, by (joint, node)."""
-    topology, found = actual.topology, {}
-    for joint, rows in zip(topology.cuts, topology.constraints, strict=True):
-        frictions = [(law.component, friction[i]) for i, (_, law) in enumerate(laws) if law.joint == joint]
-
-        def work(twist, moved, joint=joint, rows=rows, frictions=frictions):
-            """Of a small displacement of one node, all forces as they are."""
-            now = {node: frames[node] for node in {topology.parents[joint], topology.children[joint]} - {BASE}}
-            left, right = joint_frames(actual, now, joint)
-            at_rest = jnp.linalg.inv(left) @ right
-            now[moved] = _displaced(now[moved], twist)
-            left, right = joint_frames(actual, now, joint)
-            relative = jnp.linalg.inv(left) @ right
-            done = joint_rows(topology.kind(joint), left, right, scale) @ multipliers[rows.start : rows.stop]
-            for component, force in frictions:
-                done = done + force * _component(relative - at_rest, at_rest, component)
-            return done
-
-        for node in {topology.parents[joint], topology.children[joint]} - {BASE}:
-            found[joint, node] = jax.grad(work)(jnp.zeros(6), node)
-    return found

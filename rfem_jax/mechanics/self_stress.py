@@ -22,7 +22,7 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float
 
-from rfem_jax.mechanics.algebra import cross, invert_positive
+from rfem_jax.mechanics.algebra import cross, invert_positive, pseudo_inverse
 from rfem_jax.mechanics.cut_joints import Closure
 from rfem_jax.mechanics.kinematics import Motion
 from rfem_jax.mechanics.model import Topology
@@ -70,11 +70,8 @@ def redundancy(topology: Topology, motion: Motion, cuts: Closure | None) -> Redu
     with jax.named_scope("redundancy"):
         wrenches = _unit_wrenches(topology, cuts)
         work = _work(topology, motion, wrenches, cuts.scale)
-        # A row and column of their own keep the largest singular value from being that of rounding.
-        rows, c = work.shape
-        framed = jnp.zeros((rows + 1, c + 1)).at[:rows, :c].set(work).at[rows, c].set(1.0)
-        onto = (jnp.linalg.pinv(framed, rtol=SMALLEST_SINGULAR_VALUE) @ framed)[:c, :c]
-        return Redundancy(wrenches, jnp.eye(c) - 0.5 * (onto + onto.T))
+        onto = pseudo_inverse(work, SMALLEST_SINGULAR_VALUE) @ work
+        return Redundancy(wrenches, jnp.eye(work.shape[1]) - 0.5 * (onto + onto.T))
 
 
 def least_reactions(

@@ -24,6 +24,7 @@ from jax import Array
 from jaxtyping import Float
 
 from rfem_jax.mechanics import loads
+from rfem_jax.mechanics.algebra import pseudo_inverse
 from rfem_jax.mechanics.cut_joints import Closure, closure
 from rfem_jax.mechanics.kinematics import motion_of
 from rfem_jax.mechanics.model import Coordinates, Model, Topology, length_scale
@@ -111,7 +112,7 @@ def _follow(
         model = jax.tree.map(lambda a, b: jnp.where(share < 1.0, a + share * (b - a), b), one, other)
         value, push = jax.linearize(lambda z: residual(z, model), z)
         matrix = jax.vmap(push, out_axes=1)(jnp.eye(size))
-        of_start = jnp.eye(size) - jnp.linalg.pinv(matrix, rtol=RANK_TOLERANCE) @ matrix
+        of_start = jnp.eye(size) - pseudo_inverse(matrix, RANK_TOLERANCE) @ matrix
         kept = jnp.where(count == 0, of_start, kept)
         step = jnp.linalg.solve(matrix.T @ matrix + kept, matrix.T @ value + kept @ z)
         largest = jnp.max(jnp.abs(step), initial=0.0)

@@ -5,6 +5,7 @@ link and do no work on free motions. The least reactions are orthogonal to all o
 """
 
 from dataclasses import replace
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -24,13 +25,20 @@ from rfem_jax import (
     assemble,
     assembly_errors,
     describe,
+    design,
     discretise,
     kinetostatic_turn,
     natural_frequencies,
     simulate,
 )
 from rfem_jax.description.errors import InputError
-from rfem_jax.mechanics.nominal_geometry import geometry_of, place
+from rfem_jax.mechanics import loads as joint_loads
+from rfem_jax.mechanics.dynamics import accelerations
+from rfem_jax.mechanics.inputs import DriveInput, Stabilisation
+from rfem_jax.mechanics.model import Coordinates, State, length_scale
+from rfem_jax.mechanics.model_with_errors import apply_errors
+from rfem_jax.mechanics.nominal_geometry import closure_jacobian, geometry_of, place
+from rfem_jax.mechanics.reference_loads import reference_reactions
 from tests.mechanisms import four_bar, link, twisted_spatial_loop
 
 GRAVITY = 9.81
@@ -353,3 +361,52 @@ def test_a_tree_without_mass_and_without_redundancy():
     np.testing.assert_allclose(found.preload["A"].moment, (0.0, -8.0, 0.0), atol=1e-12)
     slope = jax.jacrev(lambda x: assemble(model, assembly_errors(model, {"arm.length": x})).preload["A"].moment[1])(0.0)
     np.testing.assert_allclose(slope, -20.0, rtol=1e-9)
+
+
+def moving_at_the_start(model, rate):
+    """The closed start, all joints moving as the first one turns at a rate [rad/s]."""
+    geometry = geometry_of(model)
+    jacobian = closure_jacobian(geometry, place(geometry, np.asarray(model.start_joints)))
+    slides = np.where(np.array(model.topology.slides, bool), geometry.scale, 1.0)
+    free = np.linalg.svd(jacobian)[2][-1] * slides
+    start = model.start_coordinates()
+    return State(start, Coordinates(jnp.asarray(rate * free / free[0]), jnp.zeros_like(start.elastic)))
+
+
+@pytest.mark.parametrize(
+    "make", [loop, partial(slider_crank, gravity=(0.5, 3.0, -9.0)), partial(door, reaction_length=0.7)]
+)
+def test_the_dense_formulation_finds_the_same_reactions(make):
+    model = turned(discretise(make()), random_rotations(1)[3])
+    actual, state = apply_errors(model, assembly_errors(model)), moving_at_the_start(model, 3.0)
+    drive = DriveInput({} if model.topology.driven_coordinate is None else {0: jnp.asarray(7.0)})
+    gains = Stabilisation(jnp.zeros(()), jnp.zeros(()), length_scale(model))
+    fast = accelerations(actual, state, drive, gains)
+    found = joint_loads.joint_loads(actual, fast, drive)
+    coordinates, dense = reference_reactions(actual, state, drive, gains)
+    np.testing.assert_allclose(fast.coordinates.joints, coordinates.joints, rtol=1e-9, atol=1e-9)
+    placed = place(geometry_of(model), np.asarray(model.start_joints))
+    for j, kind in enumerate(model.topology.kinds):
+        turn = np.eye(3)
+        if j >= model.topology.n_links:
+            turn = placed.child_rotation[j].T @ placed.joint_rotation[j]
+        force, moment = turn @ np.asarray(found.force[:, j]), turn @ np.asarray(found.moment[:, j])
+        if j == 0 and drive.forces:  # a given moment is no part of the joint's load
+            dense = dense.at[4, j].add(-7.0)
+        scale = np.abs(dense[:3]).max(), np.abs(dense[3:]).max()
+        np.testing.assert_allclose(force / scale[0], dense[:3, j] / scale[0], atol=1e-9, err_msg=kind)
+        np.testing.assert_allclose(moment / scale[1], dense[3:, j] / scale[1], atol=1e-9, err_msg=kind)
+
+
+def test_a_length_that_is_a_parameter_changes_the_norm():
+    model = discretise(door())
+
+    def across(length):
+        found = assemble(model, assembly_errors(model), {}, design=design(model, {"leaf.length": length}))
+        return found.preload["lower"].force[0]
+
+    np.testing.assert_allclose(across(1.0), 19.895, rtol=1e-4)
+    force, h, moment = across(1.3), 1.5, 13.0 * GRAVITY * 0.65
+    slope = -8.0 * 1.3 * moment * h / (h**2 + 4.0 * 1.3**2) ** 2
+    np.testing.assert_allclose(force, moment * h / (h**2 + 4.0 * 1.3**2), rtol=1e-9)
+    np.testing.assert_allclose((jax.jacfwd(across)(1.3), jax.grad(across)(1.3)), slope, rtol=1e-9)
