@@ -28,6 +28,15 @@ from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 Found = dict[str, FrictionState]
 
 
+class Ahead(NamedTuple):
+    """How friction is taken at a later rate than that of the state: a time [s], accelerations of the joint coordinates,
+    and spatial ones (6,) of the nodes, by node (theory (12.10))."""
+
+    time: Scalar
+    joints: Float[Array, " freedoms"]
+    nodes: Mapping[int, Float[Array, "6"]]
+
+
 class FrictionTangent(NamedTuple):
     """Minus the derivatives of friction with respect to the accelerations of its motion, by joint coordinate and by
     component of the load of a cut joint."""
@@ -52,7 +61,11 @@ def require_implicit(
 
 
 def tree_friction(
-    actual: ModelWithErrors, state: State, motion: Motion, wrenches: Sequence[Float[Array, "6"]] | None
+    actual: ModelWithErrors,
+    state: State,
+    motion: Motion,
+    wrenches: Sequence[Float[Array, "6"]] | None,
+    ahead: Ahead | None = None,
 ) -> Found:
     """Friction in the joints of the tree; `wrenches` at the global origin in these joints (None: no load is known)."""
     found: Found = {}
@@ -65,12 +78,17 @@ def tree_friction(
             moment, force = wrenches[law.joint][:3], wrenches[law.joint][3:]
             about_point = moment - cross(motion.hinges.point[:, law.joint], force)
             normal = law.load.size(force, about_point, motion.hinges.rotation[:, law.axis, law.joint])
-        found[name] = _at(law, rate, normal)
+        sliding = rate if ahead is None else rate + ahead.time * ahead.joints[law.coordinate]
+        found[name] = FrictionState(rate, sliding, normal, law.force(0.0, rate, normal, sliding))
     return found
 
 
 def cut_friction(
-    actual: ModelWithErrors, motion: Motion, cuts: Closure | None, multipliers: Float[Array, " constraints"] | None
+    actual: ModelWithErrors,
+    motion: Motion,
+    cuts: Closure | None,
+    multipliers: Float[Array, " constraints"] | None,
+    ahead: Ahead | None = None,
 ) -> Found:
     """Friction in the cut joints; `multipliers` [N]: None where no load is known."""
     found: Found = {}
@@ -80,15 +98,18 @@ def cut_friction(
             continue
         at = law.joint - topology.n_links
         nodes = topology.parents[law.joint], topology.children[law.joint]
-        velocity = node_frames(topology, motion, nodes).velocity
-        rate = dot(_unit_wrench(cuts, at, law.component), velocity[:, 1] - velocity[:, 0])
+        velocity, unit = node_frames(topology, motion, nodes).velocity, _unit_wrench(cuts, at, law.component)
+        rate = sliding = dot(unit, velocity[:, 1] - velocity[:, 0])
+        if ahead is not None:
+            left, right = (ahead.nodes.get(node, jnp.zeros(6)) for node in nodes)
+            sliding = rate + ahead.time * dot(unit, right - left)
         normal = None
         if law.load is not None and multipliers is not None:
             group, place = cuts.place_of(at)
             by_group = zip(cuts.groups, cuts.by_group(multipliers), strict=True)
             force, moment = group.loads(next(rows for one, rows in by_group if one is group))
             normal = law.load.size(force[:, place], moment[:, place], cuts.rotation[:, law.axis, at])
-        found[name] = _at(law, rate, normal)
+        found[name] = FrictionState(rate, sliding, normal, law.force(0.0, rate, normal, sliding))
     return found
 
 
@@ -145,13 +166,45 @@ def joint_wrenches(topology: Topology, cuts: Closure | None, forces: CutForces |
     return found
 
 
-def friction_tangent(actual: ModelWithErrors, found: Found, v_factor: Scalar, secant: bool) -> FrictionTangent:
-    """Tangents of friction under its present normal load for the given derivative of the rate [s], at least zero;
-    `secant`: of the chord from rest instead."""
+class FrictionLine(NamedTuple):
+    """What an increment takes a friction for: a force [N, N m] at a rate [m/s, rad/s], and minus the slope from there;
+    needed: what it must be at this rate for the other forces, as far as the increment before knows them."""
+
+    rate: Float[Array, ""]
+    force: Float[Array, ""]
+    slope: Float[Array, ""]
+    needed: Float[Array, ""]
+
+
+def friction_lines(
+    actual: ModelWithErrors, found: Found, before: dict[str, FrictionLine] | None = None, count: Scalar = 0
+) -> dict[str, FrictionLine]:
+    """Lines for the increment of number `count` from 0 (theory (12.9)): the chord from rest first, then that to where
+    the law meets what is needed, which two increments before tell as a function of the rate."""
+    lines = {}
+    for name, law in _laws(actual):
+        rate, normal, force = found[name].sliding, found[name].normal, found[name].force
+        slope, needed = law.secant(rate, normal), force
+        if before is not None:
+            last = before[name]
+            change = rate - last.rate
+            needed = last.force - last.slope * change
+            gain = jnp.where(change == 0.0, 0.0, (needed - last.needed) / jnp.where(change == 0.0, 1.0, change))
+            gain = jnp.where(count > 1, jnp.maximum(gain, 0.0), 0.0)
+            slope = jnp.where(count > 0, law.chord(rate, normal, needed, gain), slope)
+        lines[name] = FrictionLine(rate, force, slope, needed)
+    return lines
+
+
+def friction_tangent(
+    actual: ModelWithErrors, found: Found, v_factor: Scalar, lines: dict[str, FrictionLine] | None = None
+) -> FrictionTangent:
+    """Tangents of friction under its present normal load for the given derivative of the rate [s], at least zero; of
+    `lines` instead, where these are given."""
     tangent = FrictionTangent({}, {})
     for name, law in _laws(actual):
         one = found[name]
-        derivative = law.secant(one.rate, one.normal) if secant else jnp.maximum(law.tangent(one.rate, one.normal), 0.0)
+        derivative = jnp.maximum(law.tangent(one.sliding, one.normal), 0.0) if lines is None else lines[name].slope
         value = derivative * v_factor
         if (k := law.coordinate) is not None:
             tangent.tree[k] = tangent.tree[k] + value if k in tangent.tree else value
@@ -169,10 +222,6 @@ def _laws(actual: ModelWithErrors) -> Sequence[tuple[str, Friction]]:
 
 def _key(topology: Topology, law: Friction) -> tuple[int, int]:
     return law.joint - topology.n_links, law.component
-
-
-def _at(law: Friction, rate: Array, normal: Array | None) -> FrictionState:
-    return FrictionState(rate, normal, law.force(0.0, rate, normal))
 
 
 def _unit_wrench(cuts: Closure, at: int, component: int) -> Float[Array, "6"]:

@@ -19,6 +19,9 @@ from rfem_jax.description.units import Quantity
 from rfem_jax.mechanics.algebra import cross, dot
 
 SMALL_RATE = 1e-4  # over the sliding rate, below which tanh(x) / x is 1 - x^2 / 3
+LARGEST_RATE = 1e6  # over the sliding rate, at which a friction is sought
+SMALLEST_SLOPE = 1e-6  # of friction against the rate, over that at rest, likewise
+IMPROVEMENTS = 8
 
 
 class NormalLoad(eqx.Module):
@@ -77,15 +80,23 @@ class Friction(eqx.Module):
         return sliding, more
 
     def force(
-        self, position: ArrayLike, rate: Float[Array, ""], normal: Float[Array, ""] | None = None
+        self,
+        position: ArrayLike,
+        rate: Float[Array, ""],
+        normal: Float[Array, ""] | None = None,
+        sliding: Float[Array, ""] | None = None,
     ) -> Float[Array, ""]:
-        """Force [N] or moment [N m] on the child at a rate and under a normal load [N] (None: zero)."""
+        """Force [N] or moment [N m] on the child at a rate and under a normal load [N] (None: zero); `sliding`: another
+        rate, at which all but the viscous part is taken (theory (12.10))."""
         del position
+        return -self._dry((rate if sliding is None else sliding) / self.sliding_rate, normal) - self.viscous * rate
+
+    def _dry(self, x: Float[Array, ""], normal: Float[Array, ""] | None) -> Float[Array, ""]:
+        """Friction [N, N m] without its viscous part against a rate over the sliding rate."""
         sliding, more = self._limits(normal)
-        x = rate / self.sliding_rate
         if self.law == "tanh":
-            return -sliding * jnp.tanh(x) - self.viscous * rate
-        return -sliding * jnp.tanh(4.0 * x) - more * x / (0.25 * x**2 + 0.75) ** 2 - self.viscous * rate
+            return sliding * jnp.tanh(x)
+        return sliding * jnp.tanh(4.0 * x) + more * x / (0.25 * x**2 + 0.75) ** 2
 
     def tangent(self, rate: Float[Array, ""], normal: Float[Array, ""] | None) -> Float[Array, ""]:
         """Minus the derivative of the force with respect to the rate."""
@@ -99,6 +110,43 @@ class Friction(eqx.Module):
             return sliding * _tanh_ratio(x) / self.sliding_rate + self.viscous
         ratio = 4.0 * sliding * _tanh_ratio(4.0 * x) + more / (0.25 * x**2 + 0.75) ** 2
         return ratio / self.sliding_rate + self.viscous
+
+    def chord(
+        self,
+        rate: Float[Array, ""],
+        normal: Float[Array, ""] | None,
+        force: Float[Array, ""],
+        gain: Float[Array, ""],
+    ) -> Float[Array, ""]:
+        """Minus the slope of the force from a rate to where it meets the line `force` + `gain` (nu - rate), of a force
+        [N, N m] and a slope that is not negative (theory (12.9)); at least zero."""
+        x, rising = rate / self.sliding_rate, gain * self.sliding_rate
+        there = self._meeting(rising * x - force, rising + self.viscous * self.sliding_rate, normal)
+        apart = x - there
+        near = jnp.abs(apart) < SMALL_RATE
+        rise = self._dry(x, normal) - self._dry(there, normal)
+        slope = jnp.where(near, 0.0, rise / jnp.where(near, 1.0, apart)) / self.sliding_rate + self.viscous
+        return jnp.maximum(jnp.where(near, self.tangent(rate, normal), slope), 0.0)
+
+    def _meeting(
+        self, wanted: Float[Array, ""], rising: Float[Array, ""], normal: Float[Array, ""] | None
+    ) -> Float[Array, ""]:
+        """Rate over the sliding rate at which friction and `rising` times it are as wanted [N, N m], by Newton's method
+        from below, from where it never goes beyond the root."""
+        size, derivative = jnp.abs(wanted), jax.grad(self._dry)
+        sliding, _ = self._limits(normal)
+        steepest = derivative(jnp.zeros_like(size), normal) + rising
+
+        def over(value, slope):
+            return value / jnp.where(slope > 0.0, slope, 1.0)
+
+        def improve(_, x):
+            slope = jnp.maximum(derivative(x, normal), 0.0) + rising
+            missing = size - self._dry(x, normal) - rising * x
+            return jnp.clip(x + over(missing, jnp.maximum(slope, SMALLEST_SLOPE * steepest)), 0.0, LARGEST_RATE)
+
+        first = jnp.maximum(over(size, steepest), jnp.where(rising > 0.0, over(size - sliding, rising), 0.0))
+        return jnp.sign(wanted) * jax.lax.fori_loop(0, IMPROVEMENTS, improve, jnp.minimum(first, LARGEST_RATE))
 
 
 def _tanh_ratio(x: Float[Array, ""]) -> Float[Array, ""]:

@@ -30,10 +30,12 @@ CutForces = dict[tuple[int, int], Float[Array, ""]]
 
 
 class FrictionState(NamedTuple):
-    """Friction along one motion of a joint: rate [rad/s, m/s], normal load [N] (None where friction does not depend on
-    it), force [N m, N] on the child."""
+    """Friction along one motion of a joint: rate [rad/s, m/s], and that at which the friction is taken, which is
+    another one at a start (theory (12.10)); normal load [N] (None where friction does not depend on it), force [N m, N]
+    on the child."""
 
     rate: Float[Array, ""]
+    sliding: Float[Array, ""]
     normal: Float[Array, ""] | None
     force: Float[Array, ""]
 

@@ -57,7 +57,7 @@ class Conditions(eqx.Module):
 
     actual: constants of the mechanism with its errors; drives, and their phase (number of jumps passed); stabilisation:
     Baumgarte's gains; operators: of an implicit method, the condensed links for its step length (None: they are
-    formed in every step).
+    formed in every step); ahead [s]: by which an implicit method takes friction later at a start (None without any).
     """
 
     actual: ModelWithErrors
@@ -65,6 +65,7 @@ class Conditions(eqx.Module):
     phase: Int[Array, ""]
     stabilisation: Stabilisation
     operators: tuple[LinkOperator | None, ...] | None = None
+    ahead: Float[Array, ""] | None = None
 
 
 def structural_zeros(conditions: Conditions) -> Conditions:

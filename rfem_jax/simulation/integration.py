@@ -174,7 +174,8 @@ def grid_for(
             f"Argument `method` must have a step or tolerances here, but {method.name!r} has none; "
             "replace it by `choose_method(model, method, drive, duration)`, which chooses the step."
         )
-    return divide_time(duration, method.step, save_every, all_jumps(drive, model), method.implicit)
+    from_start = model is not None and model.friction is not None
+    return divide_time(duration, method.step, save_every, all_jumps(drive, model), method.implicit, from_start)
 
 
 @ProgramInParts

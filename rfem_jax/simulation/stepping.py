@@ -88,6 +88,7 @@ def step_intervals(
     stabilisation = stabilisation_of(model, method)
     solver = observed_solver(method)
     lengths = jnp.asarray(grid.distinct) / steps
+    ahead = None if model.friction is None else grid.longest_step(steps)
     tolerance = contact_tolerance_of(model, method)
     if tolerance is not None:
         operators = jax.vmap(lambda parts: solver.operators(actual, parts))(part_lengths(lengths))
@@ -97,7 +98,7 @@ def step_intervals(
     def step_over(carry, entry):
         start, length, phase, kind = entry
         chosen = jax.tree.map(lambda x: _row(x, kind), operators)
-        conditions = Conditions(actual, drives, phase, stabilisation, chosen)
+        conditions = Conditions(actual, drives, phase, stabilisation, chosen, ahead)
         if method.adaptive:
             return _adaptive(solver, carry, start, length, conditions, method, adjoint)
         return _fixed(solver, carry, start, length, steps, conditions, tolerance)

@@ -25,7 +25,8 @@ class TimeGrid(eqx.Module):
     """Intervals of a simulation.
 
     starts, lengths [s]; phases: number of the drive's jumps passed before; kinds: index of each length among the
-    `distinct` ones [s], of which there are few; restarts: intervals of length zero after jumps, which are not saved.
+    `distinct` ones [s], of which there are few; restarts: intervals of length zero after jumps, one of which may be the
+    start, which are not saved.
     """
 
     starts: Float[np.ndarray, " intervals"]
@@ -34,6 +35,10 @@ class TimeGrid(eqx.Module):
     kinds: Int[np.ndarray, " intervals"]
     distinct: Float[np.ndarray, " distinct"]
     restarts: tuple[int, ...] = eqx.field(static=True, default=())
+
+    def longest_step(self, steps: int | Float[Array, ""]) -> Float[Array, ""]:
+        """Length [s] of the longest step with a number of them in an interval, which may be traced."""
+        return jnp.max(jnp.asarray(self.distinct)) / steps
 
     @property
     def saved(self) -> Int[np.ndarray, " saved"]:
@@ -61,11 +66,13 @@ def divide_time(
     save_every: float | None,
     jumps: tuple[float, ...],
     restarting: bool = False,
+    from_start: bool = False,
 ) -> tuple[TimeGrid, int]:
     """Divide a duration [s] into intervals and steps.
 
     **Arguments:** `step` [s], at most (None: adaptive); `save_every` [s] (None: 500 intervals); `jumps` [s] of the
-    drive, increasing; `restarting`: the method carries a memory, and needs an interval of length zero after a jump.
+    drive, increasing; `restarting`: the method carries a memory, and needs an interval of length zero after a jump;
+    `from_start`: and another one at the start, which counts as a jump.
 
     **Returns:** the intervals, and the number of steps in each (1 for adaptive methods).
 
@@ -93,6 +100,8 @@ def divide_time(
     restarts: tuple[int, ...] = ()
     if restarting:
         after = 1 + np.flatnonzero(np.diff(phases))
+        if from_start:
+            after = np.append(1, after)
         starts = np.insert(starts, after, starts[after])
         lengths = np.insert(lengths, after, 0.0)
         phases = np.insert(phases, after, phases[after])

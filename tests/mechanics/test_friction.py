@@ -9,12 +9,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax import Compliance, Joint, JointFriction, Mechanism, PointSpring, discretise
+from rfem_jax import Compliance, Joint, JointFriction, Mechanism, PointSpring, assembly_errors, discretise
 from rfem_jax.mechanics import loads
 from rfem_jax.mechanics.dynamics import accelerations
+from rfem_jax.mechanics.friction import friction_lines
 from rfem_jax.mechanics.friction_laws import friction_law
 from rfem_jax.mechanics.implicit.residual import evaluate_residual
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation
+from rfem_jax.mechanics.joint_forces import FrictionState
 from rfem_jax.mechanics.model_with_errors import apply_errors
 from rfem_jax.mechanics.reference_friction import reference_with_friction
 from tests.mechanisms import link, loop_cut_by, random_state, some_errors
@@ -54,6 +56,31 @@ class TestLaws:
                 np.testing.assert_allclose(chord, -made.force(0.0, rate) / rate, rtol=1e-9)
             assert float(chord) >= float(derivative) * (1.0 - 1e-12)
         np.testing.assert_allclose(chord, derivative, rtol=1e-12)
+
+    @pytest.mark.parametrize("settings", [{"law": "tanh"}, {"law": "brown_mcphee", "static_constant": 2.1}])
+    def test_chords_of_newtons_method(self, settings):
+        """Whether it sticks, slides or turns round, few increments find the friction of an inertia from any guess."""
+        friction = JointFriction("f", "A", constant=2.0, sliding_rate=0.1, viscous=0.4, **settings)
+        model = discretise(Mechanism([link("a", 0.1)], [Joint("A", "base", "a")], forces=[friction]))
+        actual = apply_errors(model, assembly_errors(model))
+        made = actual.friction["f"]
+
+        def residual_after(inertia, free, rate, increments):
+            """Of a rate, at first a guess, for one at which the inertia is `free` of friction."""
+            lines = None
+            for count in range(increments + 1):
+                force = made.force(0.0, rate)
+                found = {"f": FrictionState(rate, rate, None, force)}
+                lines = friction_lines(actual, found, lines, count)
+                residual = inertia * (free - rate) + force
+                rate = rate + residual / (inertia + lines["f"].slope)
+            return residual
+
+        sizes = [sign * size for sign in (1.0, -1.0) for size in (1e-3, 0.1, 30.0)]
+        cases = jnp.array([(m, a, b) for m in (0.1, 3.0, 100.0) for a in sizes for b in (0.0, *sizes)])
+        increments = 4 if settings["law"] == "tanh" else 5
+        found = jax.vmap(lambda case: residual_after(*case, increments))(cases)
+        np.testing.assert_allclose(found, 0.0, atol=1e-5)
 
     def test_moments_press_the_ends_of_a_bearing(self):
         normal = law(coefficient=0.1, radius=0.01, length=0.05, sliding_rate=1.0).load.size

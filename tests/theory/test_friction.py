@@ -17,6 +17,7 @@ from rfem_jax import (
     Mechanism,
     Method,
     MomentRamp,
+    PointForce,
     PointMass,
     PrescribedRate,
     State,
@@ -192,6 +193,87 @@ class TestInclinedGuide:
         np.testing.assert_allclose(run.loads["G"].force[:, 0], -force, rtol=1e-7)
         np.testing.assert_allclose(run.friction_losses["shoe"], force * along, rtol=1e-6)
         assert float(run.energy_balance_error) < 1e-7 and float(run.momentum_balance_error) < 1e-9
+
+
+class TestFromRest:
+    """A carriage on a plain guide is pushed from rest at an offset, whose moment presses the ends of its shoe: at
+    0.19 m it slides, at 0.21 m it binds; steps are a hundred times as long as it takes to begin to slide."""
+
+    MASS, PUSH, COEFFICIENT, LENGTH, SLIDING, STEP = 2.0, 60.0, 0.25, 0.1, 1e-4, 2e-3
+
+    def made(self, cut, offset, push=((60.0, 0.0, 0.0),), **more):
+        described = {"coefficient": self.COEFFICIENT, "length": self.LENGTH, "sliding_rate": self.SLIDING, **more}
+        jumps = {"times": [0.0, 0.05, 0.05, 1.0]} if len(push) > 1 else {}
+        pushed = PointForce("push", "body", (0.0, 0.0, offset), push if jumps else push[0], **jumps)
+        forces = JointFriction("shoe", "G", **described), pushed
+        return one_body(body("body", self.MASS), "prismatic", cut, *forces)
+
+    def run(self, model, step=STEP):
+        """The run, and the path at the start, after 0.05 s and after 0.1 s."""
+        settings = {"duration": 0.1, "method": Method("generalised_alpha", step=step), "save_every": 0.05}
+        run = simulate(model, drive=None, start=with_rates(model), **settings)
+        return run, (run.displacements["F"][:, 0] if model.topology.n_cuts else run.displacements["G"])
+
+    @in_tree_or_cut
+    def test_it_slides(self, cut):
+        run, path = self.run(self.made(cut, 0.19))
+        assert int(run.status) == 0
+        friction = self.COEFFICIENT * 2.0 * 0.19 / self.LENGTH * self.PUSH
+        along = 0.5 * (self.PUSH - friction) / self.MASS * run.times**2
+        np.testing.assert_allclose(path, along, rtol=1e-4)
+        np.testing.assert_allclose(run.loads["G"].force[:, 0], [0.0, -friction, -friction], rtol=1e-6)
+        np.testing.assert_allclose(run.friction_losses["shoe"], friction * along, rtol=1e-4)
+        assert float(run.energy_balance_error) < 1e-6 and float(run.hinge_moment_error) < 1e-6
+
+    @in_tree_or_cut
+    @pytest.mark.parametrize("more", [{}, {"law": "brown_mcphee", "static_coefficient": 0.251}], ids=str)
+    def test_it_binds(self, cut, more):
+        """It creeps at the rate at which friction holds the push."""
+        run, path = self.run(self.made(cut, 0.21, **more))
+        assert int(run.status) == 0 and float(run.solution_residual) < 1e-4
+        most = 2.0 * 0.21 / self.LENGTH
+        creep = np.arctanh(1.0 / (self.COEFFICIENT * most))
+        if more:
+            x = np.linspace(0.0, 1.0, 100001)
+            law = self.COEFFICIENT * np.tanh(4.0 * x) + 0.001 * x / (0.25 * x**2 + 0.75) ** 2
+            creep = np.interp(1.0, most * law, x)
+        creep = self.SLIDING * creep
+        np.testing.assert_allclose(path[2] - path[1], creep * 0.05, rtol=1e-5)
+        np.testing.assert_allclose(path[1], creep * 0.05, rtol=0.0, atol=creep * self.STEP)
+
+    @in_tree_or_cut
+    def test_a_push_that_jumps(self, cut):
+        """It is held, and slides when the push becomes larger than friction."""
+        weak, strong = ((20.0, 0.0, 0.0),) * 2, ((60.0, 0.0, 0.0),) * 2
+        run, path = self.run(self.made(cut, 0.1, (*weak, *strong), constant=15.0))
+        assert int(run.status) == 0
+        held = self.SLIDING * np.arctanh(20.0 / 25.0) * 0.05  # a creep
+        np.testing.assert_allclose(path[1], held, rtol=0.03)
+        friction = self.COEFFICIENT * 2.0 * 0.1 / self.LENGTH * self.PUSH + 15.0
+        along = 0.5 * (self.PUSH - friction) / self.MASS * 0.05**2
+        np.testing.assert_allclose(path[2] - path[1], along, rtol=1e-3)
+
+    def test_derivatives(self):
+        """Of the path by the coefficient, sliding and bound, in both modes."""
+        for offset in (0.19, 0.21):
+            model = self.made(False, offset)
+
+            def path(coefficient):
+                made = eqx.tree_at(lambda m: m.friction["shoe"].load.arm, model, coefficient)
+                at_rest, before, at_end = self.run(made)[1]
+                return at_end - (at_rest if offset < 0.2 else before)
+
+            at = jnp.asarray(self.COEFFICIENT)
+            _, forward = jax.jvp(path, (at,), (jnp.ones(()),))
+            np.testing.assert_allclose(jax.grad(path)(at), forward, rtol=1e-9)
+            np.testing.assert_allclose(forward, (path(at + 1e-6) - path(at - 1e-6)) / 2e-6, rtol=1e-5)
+            most = 2.0 * offset / self.LENGTH
+            if offset < 0.2:
+                np.testing.assert_allclose(forward, -0.5 * most * self.PUSH / self.MASS * 0.1**2, rtol=1e-4)
+            else:
+                share = 1.0 / (most * self.COEFFICIENT)
+                by_share = self.SLIDING * 0.05 / (1.0 - share**2)
+                np.testing.assert_allclose(forward, -by_share * share / self.COEFFICIENT, rtol=1e-5)
 
 
 class TestPendulum:

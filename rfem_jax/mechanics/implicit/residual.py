@@ -23,7 +23,7 @@ from rfem_jax.mechanics.cut_joints import Closure, closure, spring_residual
 from rfem_jax.mechanics.dynamics import total_dissipated
 from rfem_jax.mechanics.element_loads import FrameLoads, frame_loads
 from rfem_jax.mechanics.elements.elasticity import generalised_forces
-from rfem_jax.mechanics.friction import cut_forces, cut_friction, tree_friction, with_friction
+from rfem_jax.mechanics.friction import Ahead, cut_forces, cut_friction, tree_friction, with_friction
 from rfem_jax.mechanics.inputs import DriveInput
 from rfem_jax.mechanics.joint_forces import LawForces, applied_forces, by_coordinate, law_forces
 from rfem_jax.mechanics.kinematics import Motion, by_freedom, motion_of, spread
@@ -120,25 +120,28 @@ def evaluate_residual(
     multipliers: Float[Array, " constraints"],
     drive: DriveInput,
     scale: Scalar,
+    ahead: Scalar | None = None,
 ) -> Evaluation:
     """Residual for given accelerations of the coordinates and multipliers [N].
 
-    `state` is taken with prescribed values already imposed; `scale` [m] as in `closure`.
+    `state` is taken with prescribed values already imposed; `scale` [m] as in `closure`; `ahead` [s]: by which friction
+    is taken later, None for not.
     """
     with jax.named_scope("residual"):
         topology = actual.topology
         n = topology.n_links
         motion = motion_of(actual, state)
         cuts = closure(actual, motion, scale)
-        spatial = _spatial_accelerations(actual, motion, state, accelerations)
+        spatial = spatial_accelerations(actual, motion, state, accelerations)
         angular, linear = _node_accelerations(topology, motion, spatial, accelerations)
         at_nodes = frame_loads(actual, motion, drive.time)
         inertial = loads.beyond_elements(loads.inertial_loads(actual, motion, angular, linear), at_nodes)
-        in_cuts = cut_friction(actual, motion, cuts, multipliers)
+        later = None if ahead is None else Ahead(ahead, accelerations.joints, spatial)
+        in_cuts = cut_friction(actual, motion, cuts, multipliers, later)
         wrenches = loads.chain_wrenches(actual, motion, cuts, multipliers, inertial, cut_forces(actual, in_cuts))
         hinge = -dot(motion.axis, by_freedom(topology, jnp.stack(wrenches[:n], axis=1)))
         laws = with_friction(
-            actual, law_forces(actual, state), in_cuts | tree_friction(actual, state, motion, wrenches)
+            actual, law_forces(actual, state), in_cuts | tree_friction(actual, state, motion, wrenches, later)
         )
         applied = applied_forces(topology, state.position, drive, laws)
         if applied:
@@ -173,7 +176,7 @@ def evaluate_residual(
         )
 
 
-def _spatial_accelerations(
+def spatial_accelerations(
     actual: ModelWithErrors, motion: Motion, state: State, accelerations: Coordinates
 ) -> dict[int, Array]:
     """Spatial accelerations (6,) at the global origin of the links and of the interfaces, by node."""

@@ -53,9 +53,12 @@ from rfem_jax.mechanics.dynamics import total_dissipated
 from rfem_jax.mechanics.element_loads import element_tangents, frame_loads
 from rfem_jax.mechanics.elements.elasticity import dissipated_power
 from rfem_jax.mechanics.friction import (
+    Ahead,
+    FrictionLine,
     FrictionTangent,
     cut_forces,
     cut_friction,
+    friction_lines,
     friction_tangent,
     losses,
     tree_friction,
@@ -69,6 +72,7 @@ from rfem_jax.mechanics.implicit.residual import (
     residual_forces,
     residual_of,
     rounding_force,
+    spatial_accelerations,
 )
 from rfem_jax.mechanics.inputs import DriveInput, impose
 from rfem_jax.mechanics.joint_forces import law_forces, law_tangent
@@ -182,7 +186,8 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         following = None
         if self.follows(actual):
             following = Following(jnp.zeros(()), jnp.zeros((), bool), jnp.zeros(()))
-        return Memory(zeros, zeros, multipliers, rates, jnp.zeros(()), jnp.zeros(()), contacts, following)
+        begun = None if actual.friction is None else jnp.zeros(())
+        return Memory(zeros, zeros, multipliers, rates, jnp.zeros(()), jnp.zeros(()), contacts, following, begun)
 
     def follows(self, actual: ModelWithErrors) -> bool:
         """Whether the steps of a mechanism are parts that follow contacts."""
@@ -287,24 +292,29 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
             return (count == 0) | ((count < most) & ~converged)
 
         def improve(carry):
-            count, _, unknowns, residual, _ = carry
+            count, _, unknowns, residual, lines, _ = carry
             present = matrix
             if renewed:
-                present = self.matrix_at(matrix, unknowns, residual, constants, start, secant=True)
+                if lines is not None:
+                    lines = friction_lines(conditions.actual, residual.laws.friction, lines, count)
+                present = self.matrix_at(matrix, unknowns, residual, constants, start, lines)
                 residual = residual_of(residual)
             increment = newton_increment(topology, present, residual)
             unknowns = jax.tree.map(jnp.add, unknowns, increment)
             evaluation, end = self.evaluate(unknowns, constants, start)
             closed = cut_drift(evaluation.closure, conditions.stabilisation.scale)[0] <= drift
             converged = (end.memory.residual <= self.tolerance * constants.largest_force) & closed
-            return count + 1, converged, unknowns, kept(evaluation), end
+            return count + 1, converged, unknowns, kept(evaluation), lines, end
 
         # The first increment is always made, so the end of the step at the prediction is not needed.
         count, converged = like_batched(
             (jnp.zeros((), jnp.int32), jnp.zeros((), bool)), *(x for x in jax.tree.leaves(predicted) if x.size)
         )
-        carry = count, converged, predicted, kept(evaluation), StepEnd(trajectory, memory)
-        return jax.lax.while_loop(unconverged, improve, carry)[4]
+        lines = None
+        if conditions.actual.friction is not None:
+            lines = friction_lines(conditions.actual, evaluation.laws.friction)
+        carry = count, converged, predicted, kept(evaluation), lines, StepEnd(trajectory, memory)
+        return jax.lax.while_loop(unconverged, improve, carry)[-1]
 
     def iteration_matrix(
         self, operators: tuple[LinkOperator | None, ...], constants: StepConstants, start: StepStart
@@ -327,11 +337,10 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         evaluation: Evaluation,
         constants: StepConstants,
         start: StepStart,
-        secant: bool = False,
+        lines: dict[str, FrictionLine] | None = None,
     ) -> IterationMatrix:
         """The iteration matrix at other unknowns than the prediction, where there is friction or contact, whose
-        tangents change much within a step; `secant`: with the chord of friction from rest instead of its tangent
-        (theory (12.6))."""
+        tangents change much within a step; `lines` instead of the tangents of friction (theory (12.6), (12.9))."""
         h, (conditions, trajectory, memory) = constants.length, start
         actual = conditions.actual
         if not _renews(actual):
@@ -340,7 +349,9 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         state, _ = self._newmark(h, trajectory, memory, unknowns.accelerations, actual.topology, drive)
         tangent = None
         if evaluation.laws is not None and evaluation.laws.friction is not None:
-            tangent = friction_tangent(actual, evaluation.laws.friction, self.factors(h)[1], secant)
+            ahead = _ahead(constants, start)
+            factor = self.factors(h)[1] + (0.0 if ahead is None else ahead)
+            tangent = friction_tangent(actual, evaluation.laws.friction, factor, lines)
         return self._matrix(
             matrix.operators, state, evaluation.motion, evaluation.closure, h, conditions, drive, tangent
         )
@@ -396,7 +407,8 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         drive = conditions.drives.at(constants.end, conditions.phase)
         accelerations, multipliers = unknowns
         state, auxiliary = self._newmark(h, trajectory, memory, accelerations, actual.topology, drive)
-        evaluation = evaluate_residual(actual, state, accelerations, multipliers, drive, scale)
+        ahead = _ahead(constants, start)
+        evaluation = evaluate_residual(actual, state, accelerations, multipliers, drive, scale, ahead)
         evaluation = self._closing_as_acceleration(evaluation, h)
         return evaluation, self._step_end(evaluation, unknowns, state, auxiliary, drive, h, start)
 
@@ -415,8 +427,13 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         state, auxiliary = self._newmark(h, trajectory, memory, unknowns.accelerations, actual.topology, drive)
         laws, cuts, at_cuts = law_forces(actual, state), evaluation.closure, None
         if actual.friction is not None:
-            in_cuts = cut_friction(actual, motion_of(actual, state), cuts, unknowns.multipliers)
-            laws = with_friction(actual, laws, in_cuts | tree_friction(actual, state, evaluation.motion, wrenches))
+            motion, later = motion_of(actual, state), None
+            if (ahead := _ahead(constants, start)) is not None:
+                nodes = spatial_accelerations(actual, motion, state, unknowns.accelerations)
+                later = Ahead(ahead, unknowns.accelerations.joints, nodes)
+            in_cuts = cut_friction(actual, motion, cuts, unknowns.multipliers, later)
+            in_tree = tree_friction(actual, state, evaluation.motion, wrenches, later)
+            laws = with_friction(actual, laws, in_cuts | in_tree)
             at_cuts = cut_forces(actual, in_cuts)
         now = None
         if actual.topology.sprung_rows:
@@ -491,6 +508,7 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
                 rates=rates,
                 residual=residual,
                 largest_residual=most,
+                begun=None if memory.begun is None else jnp.ones_like(memory.begun),
             ),
         )
 
@@ -499,6 +517,13 @@ def _with_least_reactions(actual: ModelWithErrors, evaluation: Evaluation) -> Ev
     """The evaluation with the least of redundant reactions, which Newton's method leaves as they are."""
     evaluation, wrenches = loads.with_least_reactions(actual, evaluation, evaluation.wrenches)
     return evaluation._replace(wrenches=wrenches)
+
+
+def _ahead(constants: StepConstants, start: StepStart) -> Float[Array, ""] | None:
+    """Time [s] by which friction is taken later, in steps of length zero but the first one, which tells the loads at
+    the start (theory (12.10)); None without friction."""
+    ahead, begun = start.conditions.ahead, start.memory.begun
+    return None if ahead is None else jnp.where(constants.length > 0.0, 0.0, begun * ahead)
 
 
 def _renews(actual: ModelWithErrors) -> bool:

@@ -56,7 +56,8 @@ class Memory(NamedTuple):
     accelerations v' of the coordinates; auxiliary: the method's own accelerations a; multipliers [N]; rates: time
     derivatives of the integrals; residual [N]: largest force that the residual of the last step has, and
     largest_residual [N] that of all steps so far; contacts: with restitution, what they remembered in the last step
-    (theory (15.6)), None without any; following: how steps have followed contacts, None where they do not.
+    (theory (15.6)), None without any; following: how steps have followed contacts, None where they do not; begun: with
+    friction, 1 after a step, 0 before.
     """
 
     accelerations: Coordinates
@@ -67,6 +68,7 @@ class Memory(NamedTuple):
     largest_residual: Float[Array, ""]
     contacts: dict[str, ContactMemory] | None = None
     following: Following | None = None
+    begun: Float[Array, ""] | None = None
 
 
 class StepStart(NamedTuple):
