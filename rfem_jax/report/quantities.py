@@ -89,6 +89,14 @@ BALANCES = (
     ),
 )
 
+LINEAR_ERROR = Quantity(
+    "linear_error",
+    "",
+    "Error of linear elements",
+    "estimated, relative to the deflections of the link that is worst",
+)
+CHECKS = (*BALANCES, LINEAR_ERROR)
+
 ENERGIES = (
     Quantity("kinetic", "J", "Kinetic energy", "of all links"),
     Quantity("elastic", "J", "Elastic energy", "of the flexible links and springs"),
@@ -109,6 +117,6 @@ def units() -> dict[str, str]:
         FRICTION_LOSS,
         *CONTACTS,
         CONTACT_CHANGES,
-        *BALANCES,
+        *CHECKS,
     )
     return {**{quantity.name: quantity.unit or "1" for quantity in listed}, RMS_COMPONENTS: "N, N m"}

@@ -18,7 +18,7 @@ from rfem_jax.mechanics.status import STATUS
 from rfem_jax.report.annotations import Run, Summaries
 from rfem_jax.report.driven_motions_report import drive_quantities, has_driven_joint
 from rfem_jax.report.quantities import (
-    BALANCES,
+    CHECKS,
     CONTACT_CHANGES,
     CONTACTS,
     DRIVEN_JOINT,
@@ -27,6 +27,7 @@ from rfem_jax.report.quantities import (
     POSITION_END,
     RMS_COMPONENTS,
 )
+from rfem_jax.simulation.remarks import remarks_on
 
 OK = STATUS[0].name
 PLOTS_HINT = 'No pictures were drawn: matplotlib is not installed (pip install "rfem_jax[plots]").'
@@ -67,7 +68,7 @@ def summarise_run(study: Study, run: Run) -> dict[str, Any]:
         joints[name] = row
     driven = _driven_joints(study, run)
     ends = {q.name: driven[0].get(q.name, math.nan) if driven else math.nan for q in DRIVEN_JOINT}
-    balances = {q.name: float(getattr(run, q.name)) for q in BALANCES}
+    balances = {q.name: float(getattr(run, q.name)) for q in CHECKS}
     losses = {name: float(np.asarray(values)[-1]) for name, values in run.friction_losses.items()}
     friction = {FRICTION_LOSS.name: losses} if losses else {}
     summary = {"joints": joints, "driven_joint": ends, "driven_joints": driven, **friction, **balances}
@@ -150,9 +151,9 @@ def summarise(study: Study, runs: Mapping[str, Run], statuses: Mapping[str, tupl
         runs: {case name: run of NumPy arrays}.
         statuses: {case name: (short name, full message)}; the short name of success is "ok".
 
-    Returns {case name: {"status", "message", "errors", "joints", "driven_joint", balances}}, with "drives" where
-    several drives act or one on a translation, in the order of the study; numbers are floats in SI units, NaN where a
-    run has no value.
+    Returns {case name: {"status", "message", "remarks" (a list), "errors", "joints", "driven_joint", balances}}, with
+    "drives" where several drives act or one on a translation, in the order of the study; numbers are floats in SI
+    units, NaN where a run has no value.
     """
     summaries = {}
     for case in study.cases:
@@ -160,6 +161,7 @@ def summarise(study: Study, runs: Mapping[str, Run], statuses: Mapping[str, tupl
         summaries[case.name] = {
             "status": status,
             "message": message,
+            "remarks": list(remarks_on(runs[case.name])),
             "errors": {name: float(value) for name, value in case.errors.items()},
             **summarise_run(study, runs[case.name]),
         }

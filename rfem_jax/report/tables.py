@@ -164,6 +164,8 @@ def results_text(study: Study, summaries: Summaries) -> str:
     failed = {case: one for case, one in summaries.items() if one["status"] != OK}
     if failed:
         parts.append("\n".join(f"* Case {case}: {one['message']}" for case, one in failed.items()))
+    if remarks := [f"Case {case}: {remark}" for case, one in summaries.items() for remark in one["remarks"]]:
+        parts.append("\n".join(remarks))
     return "\n\n".join(parts)
 
 

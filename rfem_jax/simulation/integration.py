@@ -390,6 +390,7 @@ def conclude(
         hinge_moment_error=jnp.max(record.hinge_residual) / _safe(jnp.max(record.largest_load[:, 1])),
         stabilisation_share=jnp.max(record.stabilising) / _safe(jnp.max(record.multiplier)),
         solution_residual=residual,
+        linear_error=jnp.max(record.linear_error),
         equation_residual=record.residual,
         status=_status(model, prepared, carry, error, drift, jnp.max(record.range_used), residual),
         ends={name: record.ends[:, :, l] for l, name in enumerate(model.link_names)},
@@ -398,10 +399,7 @@ def conclude(
         contact_losses=_by_clearance(model, record.contact_losses),
         contact_changes=carry.contact_changes,
         branch={model.topology.joints[j]: record.branch[:, i] for i, j in enumerate(model.topology.cuts)},
-        integrals=LoadIntegrals(
-            force_square={name: record.square_integrals[:, 0, j] for name, j in _joints(model)},
-            moment_square={name: record.square_integrals[:, 1, j] for name, j in _joints(model)},
-        ),
+        integrals=_integrals(model, record.square_integrals),
         centre_lines=link_lines(model, prepared.actual, prepared.state.position),
         nominal_lines=link_lines(model, apply_errors(model, assembly_errors(model)), model.start_coordinates()),
         friction_losses=_by_friction(model, record.friction_losses),
@@ -520,6 +518,11 @@ def _by_clearance(model: Model, values: Float[Array, "times clearances"] | None)
     if values is None:
         return {}
     return {model.topology.joints[j]: values[:, i] for i, j in enumerate(model.topology.clearances)}
+
+
+def _integrals(model: Model, squares: Float[Array, "times 2 joints"]) -> LoadIntegrals:
+    """Integrals of squared loads by joint."""
+    return LoadIntegrals(*({name: squares[:, kind, j] for name, j in _joints(model)} for kind in range(2)))
 
 
 def _joints(model):

@@ -47,6 +47,7 @@ CHECKS = {
     "hinge_moment_error": ("1", "moment about free axes beyond the forces in the joints, relative"),
     "stabilisation_share": ("1", "largest stabilising multiplier over the largest multiplier"),
     "solution_residual": ("1", "largest residual of an implicit step over the largest joint force"),
+    "linear_error": ("1", "estimated error of linear elements, relative to the deflections of the worst link"),
 }
 
 

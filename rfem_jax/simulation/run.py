@@ -22,6 +22,7 @@ from rfem_jax.mechanics.model_with_errors import AssemblyErrors
 from rfem_jax.mechanics.statics.assembly import Load
 from rfem_jax.mechanics.status import STATUS
 from rfem_jax.simulation.equations import Scalar, safe_sqrt
+from rfem_jax.simulation.remarks import remarks_on
 
 RESIDUAL_LIMIT = 0.05  # of the largest joint force: with a larger residual the equations of motion are not solved
 
@@ -161,7 +162,8 @@ class Run(eqx.Module):
     Checks, each of which can fail: energy_balance_error, relative to the largest energy; closure_drift [m],
     closure_drift_angle [rad]; momentum_balance_error and hinge_moment_error, relative to the largest load;
     stabilisation_share, largest stabilising multiplier over the largest multiplier; solution_residual, largest
-    residual of an implicit step as a force over the largest joint force, 0 for explicit methods.
+    residual of an implicit step as a force over the largest joint force, 0 for explicit methods; linear_error,
+    estimated error of linear elements, relative to the deflections of the link that is worst (theory (1.16)).
 
     equation_residual [N]: residual of the equations of motion at the saved times as forces (n = 0 for explicit
     methods); its derivative says how accurate derivatives are, see `derivative_residual`.  status: code of `STATUS`.
@@ -199,6 +201,7 @@ class Run(eqx.Module):
     hinge_moment_error: Float[Array, ""]
     stabilisation_share: Float[Array, ""]
     solution_residual: Float[Array, ""]
+    linear_error: Float[Array, ""]
     equation_residual: Float[Array, "times n"]
     status: Int[Array, ""]
     centre_lines: dict[str, Float[Array, "_ 3"]]
@@ -252,7 +255,7 @@ class Run(eqx.Module):
             f"{float(self.momentum_balance_error):.1e}, closure drift "
             f"{float(self.closure_drift):.1e} m"
         )
-        return "\n".join(lines)
+        return "\n".join([*lines, *(f"remark: {one}" for one in remarks_on(self))])
 
     def report(self, path: str | Path) -> Path:
         """Write this run, not a batch, as a page `report.html` for any browser; `path` is the file, or a folder.

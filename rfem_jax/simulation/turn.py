@@ -23,6 +23,7 @@ from rfem_jax.mechanics.bush_contacts import ContactState, contact_states
 from rfem_jax.mechanics.designs import designed, status_of
 from rfem_jax.mechanics.discretisation import CLOSING_TOLERANCE, close_at
 from rfem_jax.mechanics.element_loads import FrameLoads
+from rfem_jax.mechanics.elements.linear_range import linear_error
 from rfem_jax.mechanics.inputs import DriveInput
 from rfem_jax.mechanics.kinematics import Motion
 from rfem_jax.mechanics.model import Model
@@ -48,7 +49,8 @@ class Turn(eqx.Module):
     position [rad, m] of the driven coordinate; loads: of all joints by their names (positions, 3), in hinge frames;
     holding: moment [N m] or force [N] that holds the driven coordinate; energy [J]: elastic and of gravity; stress
     [Pa]: largest von Mises stress of every link whose section's edge is known (rigid links too); status of each
-    assembly; contacts (positions, ...): of the joints with clearance, by their names.
+    assembly; contacts (positions, ...): of the joints with clearance, by their names; linear_error: estimated error of
+    linear elements (`linear_range`).
     """
 
     position: Float[Array, "*positions"]
@@ -58,6 +60,7 @@ class Turn(eqx.Module):
     stress: dict[str, Float[Array, "*positions"]]
     status: Int[Array, "*positions"]
     contacts: dict[str, ContactState] = eqx.field(default_factory=dict)
+    linear_error: Float[Array, "*positions"] | None = None
 
 
 def turn_positions(
@@ -177,4 +180,5 @@ def held_at(model: Model, errors: AssemblyErrors, pose: ClosedPose, stresses: bo
         stress=stress,
         status=status,
         contacts=contact_states(actual, resting.motion),
+        linear_error=linear_error(actual, position),
     )

@@ -151,6 +151,7 @@ def synthetic_run(size, status=0):
         momentum_balance_error=4e-12,
         stabilisation_share=5e-6,
         solution_residual=6e-7,
+        linear_error=1e-4,
         status=np.int32(status),
         centre_lines={link: line + (0.0 if link == "crank" else size) * bend for link, line in nominal.items()},
         nominal_lines=nominal,

@@ -140,9 +140,8 @@ def evaluate_residual(
         in_cuts = cut_friction(actual, motion, cuts, multipliers, later)
         wrenches = loads.chain_wrenches(actual, motion, cuts, multipliers, inertial, cut_forces(actual, in_cuts))
         hinge = -dot(motion.axis, by_freedom(topology, jnp.stack(wrenches[:n], axis=1)))
-        laws = with_friction(
-            actual, law_forces(actual, state), in_cuts | tree_friction(actual, state, motion, wrenches, later)
-        )
+        in_tree = tree_friction(actual, state, motion, wrenches, later)
+        laws = with_friction(actual, law_forces(actual, state), in_cuts | in_tree)
         applied = applied_forces(topology, state.position, drive, laws)
         if applied:
             hinge = hinge + by_coordinate(topology, applied)

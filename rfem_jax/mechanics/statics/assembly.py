@@ -33,6 +33,7 @@ from rfem_jax.mechanics.derivative_rules import implicit_function
 from rfem_jax.mechanics.designs import Design, designed, with_status
 from rfem_jax.mechanics.element_loads import element_tangents, frame_loads
 from rfem_jax.mechanics.elements import elasticity
+from rfem_jax.mechanics.elements.linear_range import linear_error
 from rfem_jax.mechanics.implicit.residual import Residual
 from rfem_jax.mechanics.inputs import DriveInput
 from rfem_jax.mechanics.joint_forces import about_parents_axes, applied_forces, by_coordinate, law_forces, law_tangent
@@ -68,13 +69,15 @@ class Load(NamedTuple):
 
 class Assembled(NamedTuple):
     """An assembled mechanism: state at rest, preload of every joint, status code; design_gap [m]: what the loops of a
-    design stay open by at the start, None without one; contacts: of the joints with clearance, None without any."""
+    design stay open by at the start, None without one; contacts: of the joints with clearance, None without any;
+    linear_error: estimated error of linear elements (`linear_range`)."""
 
     state: State
     preload: dict[str, Load]
     status: Int[Array, ""]
     design_gap: Float[Array, ""] | None = None
     contacts: dict[str, ContactState] | None = None
+    linear_error: Float[Array, ""] | None = None
 
 
 def assemble(
@@ -108,7 +111,7 @@ def _assemble(model: Model, errors: AssemblyErrors, hold: dict[str, Array] | str
     state = loads.static_state(model.topology, position)
     preload = named(model, static_loads(model, actual, state, multipliers))
     contacts = contact_states(actual, motion_of(actual, state)) if model.topology.clearances else None
-    return Assembled(state, preload, status, contacts=contacts)
+    return Assembled(state, preload, status, contacts=contacts, linear_error=linear_error(actual, position))
 
 
 def checked_hold(model: Model, hold: Mapping[str, ArrayLike] | str | None) -> dict[str, Array] | str | None:

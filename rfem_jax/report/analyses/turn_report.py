@@ -24,6 +24,7 @@ from rfem_jax.report.output import write_csv
 from rfem_jax.report.style import add_titles, line_style, new_figure
 from rfem_jax.report.summary import in_legend, joint_names, marked
 from rfem_jax.report.tables import format_table, title_text
+from rfem_jax.simulation.remarks import linear_remark
 from rfem_jax.simulation.turn import ClosedPose, Turn, closed_poses, turn_over
 
 
@@ -162,8 +163,16 @@ def turn_text(study: Study, model: Model, turn: Turn) -> str:
         failed = int((turn.status[c] != 0).sum())
         if failed:
             text += f"\n* {failed} of {turn.status.shape[1]} positions were not assembled ({statuses(turn)[c]})."
+        if remark := linear_remark(_linear_error(turn, c)):
+            text += f"\nOver this range {remark}"
         parts.append(text)
     return "\n\n".join(parts)
+
+
+def _linear_error(turn: Turn, case: int) -> float:
+    """Largest estimated error of linear elements over the positions of a case."""
+    errors = np.asarray(turn.linear_error[case])[turn.status[case] == 0]
+    return float(np.max(errors, initial=0.0))
 
 
 def write_turn(folder: Path, study: Study, model: Model, turn: Turn) -> list[Path]:
@@ -173,6 +182,7 @@ def write_turn(folder: Path, study: Study, model: Model, turn: Turn) -> list[Pat
     rows, cases = [], {}
     for c, case in enumerate(study.cases):
         cases[case.name] = {"status": statuses(turn)[c], **_peaks(study, turn, c), "curves": _curves(study, turn, c)}
+        cases[case.name]["linear_error"] = _linear_error(turn, c)
         if turn.contacts:
             cases[case.name]["contacts"] = _contacts(turn, c)
         states = jax.tree.map(lambda values, c=c: values[c], turn.contacts)

@@ -15,7 +15,7 @@ from rfem_jax.description.errors import InputError
 from rfem_jax.report.page.animation import pack_animation, read_animation
 from rfem_jax.report.page.histories import pack_histories, read_table
 from rfem_jax.report.page.task_results import read_json, read_tasks
-from rfem_jax.report.quantities import BALANCES, DRIVEN_JOINT, JOINT_METRICS, PRELOADS, Quantity
+from rfem_jax.report.quantities import CHECKS, DRIVEN_JOINT, JOINT_METRICS, PRELOADS, Quantity
 
 RESULTS = "results.json"
 
@@ -65,7 +65,7 @@ def page_head(results: dict[str, Any]) -> dict[str, Any]:
         "versions": _pairs(results.get("versions")),
         "compilation": _pairs(results.get("compilation")),
         "metrics": [_described(one) for one in (*JOINT_METRICS, *PRELOADS)],
-        "balances": [_described(one) for one in BALANCES],
+        "balances": [_described(one) for one in CHECKS],
         "ends": [_described(one) for one in DRIVEN_JOINT],
     }
 
@@ -91,20 +91,24 @@ def case_rows(results: dict[str, Any]) -> list[dict[str, Any]]:
             {
                 "name": name,
                 "status": case.get("status"),
-                "message": case.get("message"),
+                "message": " ".join(str(one) for one in (case.get("message"), *_listed(case.get("remarks"))) if one),
                 "errors": [[error, value, _unit(error)] for error, value in _pairs(case.get("errors"))],
                 "joints": [
                     {"name": joint, **row}
                     for joint, row in _items(joints)
                     if isinstance(row, dict) and "name" not in row
                 ],
-                "numbers": {one.name: case.get(one.name) for one in BALANCES},
+                "numbers": {one.name: case.get(one.name) for one in CHECKS},
                 "driven": _pairs(case.get("driven_joint")),
                 "drives": [[label, _pairs(ends)] for label, ends in _items(case.get("drives"))],
                 "branch": [[joint, _pairs(modes)] for joint, modes in _items(case.get("branch"))],
             }
         )
     return rows
+
+
+def _listed(value: Any) -> list[Any]:
+    return value if isinstance(value, list) else []
 
 
 def _items(value: Any) -> Iterable[tuple[str, Any]]:

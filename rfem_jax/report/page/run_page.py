@@ -16,7 +16,8 @@ from rfem_jax.report.page.animation import pack_animation, record_animation
 from rfem_jax.report.page.document import write_document
 from rfem_jax.report.page.folder import case_rows, page_head
 from rfem_jax.report.page.histories import Columns, pack_histories
-from rfem_jax.report.quantities import BALANCES, DRIVEN_JOINT, ENERGIES, JOINT_METRICS, PRELOADS, column_name
+from rfem_jax.report.quantities import CHECKS, DRIVEN_JOINT, ENERGIES, JOINT_METRICS, PRELOADS, column_name
+from rfem_jax.simulation.remarks import remarks_on
 
 CASE = "run"
 FILE = "report.html"
@@ -40,8 +41,9 @@ def run_content(run: Run) -> dict[str, Any]:
     """What the page of a run shows."""
     status = STATUS[int(run.status)]
     case = {"status": status.name, "message": status.message, "errors": _errors(run), "joints": _joints(run)}
+    case["remarks"] = list(remarks_on(run))
     case["driven_joint"] = {one.name: float(getattr(run.driven_joint, one.name)) for one in DRIVEN_JOINT}
-    case |= {one.name: float(getattr(run, one.name)) for one in BALANCES}
+    case |= {one.name: float(getattr(run, one.name)) for one in CHECKS}
     driven = run.model.driven_joint if run.model is not None else None
     head = {
         "title": "Loads in the joints of one run", "duration": float(run.times[-1]), "driven_joint": driven,

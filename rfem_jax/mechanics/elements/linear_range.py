@@ -1,0 +1,44 @@
+"""How far linear spring-damping elements are from the geometrically exact ones: an estimate of their error.
+
+Place in the pipeline: elasticity -> **linear_range** -> statics, observation.
+
+Linear elements leave out what is of second order in the rotations of rfes relative to their link frame (theory (1.16)):
+lever arms that become shorter, and the work that an axial force does as a bent link becomes shorter.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Float
+
+from rfem_jax.mechanics.elements import elasticity
+from rfem_jax.mechanics.kinematics import total
+from rfem_jax.mechanics.model import Coordinates, State
+from rfem_jax.mechanics.model_with_errors import ModelWithErrors
+
+# Of the squared rotation at the tip of a cantilever, by which its deflection under a force there is too large.
+ERROR_BY_ROTATION = 0.45
+LEAST_BENDING = 1e-6  # over the energy that is stored by axial forces: a link that bends less does not bend
+REMARKABLE_LINEAR_ERROR = 0.02
+
+
+def linear_error(actual: ModelWithErrors, position: Coordinates) -> Float[Array, ""]:
+    """Estimated error of the deflections and loads of the link that is worst, relative to its deflections; zero for
+    rigid links and geometrically exact elements."""
+    topology = actual.topology
+    if topology.exact or not topology.n_rfes:
+        return jnp.zeros(())
+    actual, position = jax.lax.stop_gradient((actual, position))
+    phi = position.elastic[3:]
+    bending, turned = jnp.sum(phi[1:] ** 2, axis=0), jnp.sum(phi**2, axis=0)
+    by_rotation = ERROR_BY_ROTATION * jnp.sqrt(bending * turned)
+    at_rest = State(position, jax.tree.map(jnp.zeros_like, position))
+    stretch, _ = elasticity.deflections(actual, at_rest)
+    stress = actual.stiffness * stretch
+    lengths = -2.0 * actual.lever_right  # of the rfes, whose left ends are sdes
+    shortening = total(topology, (jnp.abs(stress[0]) * lengths * bending)[None])
+    weights = np.array([LEAST_BENDING, 1.0, 1.0, 1.0, 1.0, 1.0])[:, None]
+    stored = total(topology, jnp.sum(weights * stress * stretch, axis=0)[None])
+    by_force = shortening / jnp.where(stored > 0.0, stored, 1.0)
+    return jnp.max(by_rotation) + jnp.max(by_force)
