@@ -262,3 +262,7 @@ _register_motion("angle", "rad", "swing", lambda kind: kind.angles)
 _register_motion("displacement", "m", "stroke", lambda kind: kind.displacements)
 register_metric("angle_error", "rad", lambda run: run.driven_joint.angle_end, label="angle error at the end", even=True)
 register_metric("end_energy", "J", lambda run: run.energy.total[-1], label="energy at the end", even=True)
+register_metric(
+    "linear_error", "", lambda run: run.linear_error, label="estimated error of linear elements", nonnegative=True,
+    description="estimated, relative to the deflections of the link that is worst; it has no derivatives",
+)  # fmt: skip

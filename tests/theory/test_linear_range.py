@@ -15,9 +15,13 @@ from rfem_jax import (
     Method,
     PointForce,
     PointMoment,
+    Problem,
+    Tolerances,
+    Uniform,
     assemble,
     assembly_errors,
     discretise,
+    monte_carlo,
     simulate,
 )
 from rfem_jax.mechanics.centre_lines import link_ends
@@ -110,3 +114,16 @@ def test_runs_say_so():
     assert "by about 4" in remarks_on(far)[0] and "geometrically_exact" in remarks_on(far)[0]
     assert remarks_on(far)[0] in far.summary()
     assert remarks_on(near) == () and "remark" not in near.summary()
+
+
+def test_samples_are_counted():
+    """Of a Monte Carlo study over the length of a cantilever, beside the metric that is asked for."""
+    model = cantilever(at_tip(0.0, 0.0, 0.3))
+    problem = Problem(model, None, 1e-4, "F.rms_moment", Method("generalised_alpha", step=1e-4), save_every=1e-4)
+    result = monte_carlo(problem, Tolerances({"beam.length": Uniform(0.4)}), 32, jax.random.key(3), batch=16)
+    assert result.metrics == ("F.rms_moment",) and result.good == 32
+    angles = 0.5 * 0.3 * (1.0 + result.errors[:, 0]) ** 2
+    np.testing.assert_allclose(result.linear_errors, 0.45 * angles**2, rtol=0.02)
+    assert 0 < result.inaccurate == np.sum(0.45 * angles**2 > 0.02) < 32
+    assert f"In {result.inaccurate} of 32 good samples linear elements" in str(result)
+    assert result.remark in " ".join(str(result).split())

@@ -123,6 +123,7 @@ class MonteCarloReport(TaskReport[MonteCarloTask, MonteCarloResult]):
             "samples": result.samples,
             "good": result.good,
             "failures": result.failures,
+            "remark": result.remark,
             "confidence": result.confidence,
             "sampling": result.sampling,
             "metrics": {metric: _statistics(result, metric) for metric in result.metrics},

@@ -24,7 +24,7 @@ from rfem_jax.description.errors import InputError
 from rfem_jax.tolerancing.checks import ErrorValues, check_known, error_value
 from rfem_jax.tolerancing.problems.kept_evaluations import remembered
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
-from rfem_jax.tolerancing.problems.problem import Metric, ToleranceProblem, shared_form
+from rfem_jax.tolerancing.problems.problem import Metric, ToleranceProblem, values_form
 from rfem_jax.tolerancing.problems.sample_values import (
     Base,
     default_lanes,
@@ -148,7 +148,7 @@ def evaluate_points(
         batch, the most points at once on each device (fewer where it gains nothing by more).
     Returns: values (n, m), NaN where the sample failed, and status (n,).
     """
-    points, (shared, rows), mesh = np.asarray(points, dtype=np.float64), shared_form(problem), local_mesh()
+    points, (shared, rows, _), mesh = np.asarray(points, dtype=np.float64), values_form(problem), local_mesh()
     values, statuses = run_in_chunks(
         lambda chunk: evaluate_lanes(shared, names, base, divided(mesh, chunk), mesh),
         min(batch, default_lanes()) * mesh.size, points, of=(problem, ("values", tuple(names), base)),
@@ -160,7 +160,7 @@ def prepare_points(problem: ToleranceProblem, names: Sequence[str], base: Base, 
     """Start to compile or load, in the background, the program of `evaluate_points` with these arguments."""
     mesh = local_mesh()
     points = rows_of(mesh, min(batch, default_lanes()), len(names))
-    evaluate_lanes.ahead(shared_form(problem).problem, names, base, points, mesh)
+    evaluate_lanes.ahead(values_form(problem).problem, names, base, points, mesh)
 
 
 def describe_status(problem: ToleranceProblem, status: int | Int[Array, ""] | np.integer) -> str:

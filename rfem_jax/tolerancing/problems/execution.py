@@ -37,7 +37,7 @@ from rfem_jax.compilation.program import Program
 from rfem_jax.description.errors import InputError
 from rfem_jax.tolerancing.problems import sharing
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
-from rfem_jax.tolerancing.problems.problem import ToleranceProblem, shared_form
+from rfem_jax.tolerancing.problems.problem import ToleranceProblem, values_form
 from rfem_jax.tolerancing.problems.results_store import ResultsStore
 from rfem_jax.tolerancing.problems.sample_values import (
     Device,
@@ -53,7 +53,7 @@ from rfem_jax.usable_cores import usable_cores
 POLL = 0.05  # s
 PATIENCE = 3600.0  # s without a new chunk of another process
 
-Arrays = dict[str, np.ndarray]  # "errors", "values", "status" of some samples
+Arrays = dict[str, np.ndarray]  # "errors", "values", "status" of some samples, and checks of their problem
 
 
 def require_threads(devices: Sequence[Device]) -> None:
@@ -83,9 +83,9 @@ def evaluate(problem: ToleranceProblem, tolerances: Tolerances, points: Float[np
     """Evaluate points (N, d) on all local devices, launch by launch.
 
     The program of the values is that of `evaluate_points`, and serves distributions of any kind.
-    Returns: {"errors": (N, d), "values": (N, m), "status": (N,)}.
+    Returns: {"errors": (N, d), "values": (N, m), "status": (N,)}, and the problem's checks (N,) by their names.
     """
-    mesh, names, (problem, metrics) = mesh_of(jax.local_devices()), tolerances.names, shared_form(problem)
+    mesh, names, (problem, metrics, checks) = mesh_of(jax.local_devices()), tolerances.names, values_form(problem)
     width, count = lanes * mesh.size, len(points)
     evaluate_lanes.ahead(problem, names, {}, rows_of(mesh, lanes, len(names)), mesh)
     points = np.concatenate([points, np.repeat(points[-1:], -count % width, axis=0)])
@@ -96,7 +96,8 @@ def evaluate(problem: ToleranceProblem, tolerances: Tolerances, points: Float[np
         rows = divided(mesh, errors[first : first + width])
         parts.append(jax.device_get(evaluate_lanes(problem, names, {}, rows, mesh)))
     values, status = (np.concatenate(part)[:count] for part in zip(*parts, strict=True))
-    return {"errors": errors[:count], "values": values[:, metrics], "status": status}
+    watched = {name: values[:, row] for name, row in checks.items()}
+    return {"errors": errors[:count], "values": values[:, metrics], "status": status, **watched}
 
 
 def run_chunks(
@@ -129,8 +130,7 @@ def run_chunks(
         chunks, computed = _compute_own(problem, tolerances, parts, mine, batch, lanes, store, progress)
         if store is not None:
             chunks |= _wait_for(store, {c: len(part) for c, part in enumerate(parts) if c not in chunks}, signs)
-    names = ("errors", "values", "status")
-    return {name: np.concatenate([chunks[c][name] for c in range(len(parts))]) for name in names}, computed
+    return {name: np.concatenate([chunks[c][name] for c in range(len(parts))]) for name in chunks[0]}, computed
 
 
 def _compute_own(

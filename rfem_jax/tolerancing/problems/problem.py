@@ -159,6 +159,26 @@ def shared_form(problem: ToleranceProblem, mode: str = "forward") -> Shared:
     return Shared(of_any_step(whole, mode), [names.index(one.name) for one in problem.metrics])
 
 
+class Watched(NamedTuple):
+    """A problem in the form of its program of values; rows (m,): where its own metrics are among those of this form;
+    checks {name: row}: numbers that tell with how much caution a good sample is to be read."""
+
+    problem: ToleranceProblem
+    rows: list[int]
+    checks: dict[str, int]
+
+
+def values_form(problem: ToleranceProblem) -> Watched:
+    """As `shared_form`, with the problem's `checks`, if it has any, beside the metrics."""
+    with_checks = getattr(problem, "with_checks", None)
+    if with_checks is None:
+        return Watched(*shared_form(problem), {})
+    whole, checks = with_checks()
+    names = [one.name for one in whole.metrics]
+    rows = [names.index(one.name) for one in problem.metrics]
+    return Watched(of_any_step(whole), rows, {name: names.index(name) for name in checks})
+
+
 class FunctionProblem(eqx.Module):
     """A problem made of any JAX function of a dict of errors.
 

@@ -43,6 +43,8 @@ from rfem_jax.tolerancing.checks import check_distinct, check_known, error_value
 from rfem_jax.tolerancing.problems.metrics import metric
 from rfem_jax.tolerancing.problems.problem import Metric, Status, Values
 
+LINEAR_ERROR = "linear_error"
+
 Errors = Mapping[str, ArrayLike | str] | AssemblyErrors
 
 
@@ -216,6 +218,17 @@ class Problem(eqx.Module):
         if len(named) == len(self.metrics):
             return self
         return self._changed(metrics=[named[name] for name in sorted(named)], others=())
+
+    def with_checks(self) -> tuple["Problem", tuple[str, ...]]:
+        """The problem of `with_others` with its checks beside the metrics, and their names: the estimated error of
+        linear elements, where links have such."""
+        whole, topology = self.with_others(), self.model.topology
+        if topology.exact or not topology.n_rfes:
+            return whole, ()
+        named = {one.name: one for one in (*whole.metrics, metric(LINEAR_ERROR))}
+        if len(named) == len(whole.metrics):
+            return whole, (LINEAR_ERROR,)
+        return whole._changed(metrics=list(named.values()), others=()), (LINEAR_ERROR,)
 
     def _changed(self, **settings: Any) -> "Problem":
         kept = ("metrics", "method", "save_every", "design", "others")

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
+from rfem_jax.mechanics.elements.linear_range import REMARKABLE_LINEAR_ERROR
 from rfem_jax.text_layout import align_columns, wrap_lines
 from rfem_jax.tolerancing.labelled_results import LabelledMonteCarlo
 from rfem_jax.tolerancing.layout import show_number
@@ -44,7 +45,8 @@ class MonteCarloResult(LabelledMonteCarlo):
 
     names, error_units (d) and metrics, metric_units, labels (m): of the errors that vary and of the metrics;
     errors [rad or m], values (NaN where the sample failed), status (0 good): of all N runs;
-    samples: n, the first rows, which all statistics use; failures {cause: count} of them;
+    samples: n, the first rows, which all statistics use; failures {cause: count} of them; linear_errors (N,): estimated
+    errors of linear elements, None without any;
     statistics {metric: MetricStatistics};
     limits {metric: (low, high)}, yields {metric: Yield}, joint_yield (all limits at once; None without limits);
     sobol_indices {metric: SobolIndices} or None;
@@ -74,11 +76,33 @@ class MonteCarloResult(LabelledMonteCarlo):
     sampling: str
     chunks_computed: int
     seconds: float
+    linear_errors: Float[np.ndarray, " N"] | None = None
 
     @property
     def good(self) -> int:
         """Number of random samples that did not fail."""
         return int(np.sum(self.status[: self.samples] == 0))
+
+    @property
+    def inaccurate(self) -> int:
+        """Number of good random samples in which linear elements err by more than 2 %."""
+        return int(np.sum(self._linear_errors_of_good() > REMARKABLE_LINEAR_ERROR))
+
+    @property
+    def remark(self) -> str:
+        """What such samples mean, "" where there are none."""
+        if not self.inaccurate:
+            return ""
+        return (
+            f"In {self.inaccurate} of {self.good} good samples linear elements are off by more than "
+            f"{100 * REMARKABLE_LINEAR_ERROR:g} % in the deflections and moments of a link, by up to about "
+            f'{100 * np.max(self._linear_errors_of_good()):.2g} %; take elements = "geometrically_exact".'
+        )
+
+    def _linear_errors_of_good(self) -> Float[np.ndarray, " n"]:
+        if self.linear_errors is None:
+            return np.zeros(0)
+        return self.linear_errors[: self.samples][self.status[: self.samples] == 0]
 
     def __str__(self) -> str:
         failed = self.samples - self.good
@@ -94,7 +118,7 @@ class MonteCarloResult(LabelledMonteCarlo):
             lines += ["", self._index_table(self.sobol_indices)]
         if self.controlled_means:
             lines += ["", self._control_table(self.controlled_means)]
-        return "\n".join(lines + ([wrap_lines(self.control_note)] if self.control_note else []))
+        return "\n".join(lines + [wrap_lines(note) for note in (self.control_note, self.remark) if note])
 
     def _statistics_table(self):
         fractions = list(next(iter(self.statistics.values())).quantiles)

@@ -226,6 +226,7 @@ def _report(problem, tolerances, design, asked, model, samples, cost) -> MonteCa
         control_note=note,
         confidence=asked.confidence,
         sampling=design.sampling,
+        linear_errors=samples.get("linear_error"),
         chunks_computed=cost[0],
         seconds=cost[1],
     )

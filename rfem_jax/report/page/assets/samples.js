@@ -57,7 +57,8 @@ function statisticsTable(result) {
   const failures = asEntries(result.failures).map(([name, count]) => `${name}: ${count}`).join(", ");
   const words = `${result.samples} samples, ${result.good} of them good${failures ? ` (failed: ${failures})` : ""}; in brackets the ${showNumber(100 * result.confidence, 3)} % confidence intervals.`;
   const joint = result.joint_yield_of_all ? make("p", {}, `All limits together are kept by a share of ${interval(result.joint_yield_of_all)}.`) : null;
-  return make("div", {}, make("p", { class: "hint" }, words), joint,
+  const remark = result.remark ? make("p", {}, String(result.remark)) : null;
+  return make("div", {}, make("p", { class: "hint" }, words), remark, joint,
     sortableTable("Statistics of the metrics", columns, metrics.map(([name, one]) => ({ name, one })), { id: "statistics" }));
 }
 
