@@ -17,7 +17,9 @@ from rfem_jax.description.driven_motions import AnyDrive, driven_motion, motion_
 from rfem_jax.description.error_catalogue import error_dimension, parameters_being_read, reading_parameters
 from rfem_jax.description.errors import ABSENT, InputError, Problems, subject, suggestion
 from rfem_jax.description.mechanism import Mechanism
+from rfem_jax.description.number_fields import ANY, POSITIVE, SIGN_WORDS
 from rfem_jax.description.parameters import parameters_of
+from rfem_jax.description.parts import parts_of
 from rfem_jax.description.units import DIMENSIONS
 
 
@@ -70,6 +72,32 @@ def require_sizes(mechanism: Mechanism, sizes: Mapping[str, float], where: str) 
                 raise InputError(
                     f"{subject(where)} must be less than {most:.4g} {unit} (a right angle, or the longest link), "
                     f"but `{name}` has {size:g} {unit}; check the number and its unit."
+                )
+    problems.refuse()
+
+
+def require_signs(
+    mechanism: Mechanism, deviations: Mapping[str, float], design: Mapping[str, float], where: str
+) -> None:
+    """Raise InputError where a deviation {name: number in SI units} from a description, or from its `design`, makes a
+    number of it zero or negative that must not be; names are known."""
+    # An error of a link's length has the name of its length; other errors deviate from zero.
+    named = [name for name in deviations if name not in mechanism.error_names or name.endswith(".length")]
+    if not named:
+        return
+    known, parts, problems = parameters_of(mechanism), parts_of(mechanism), Problems()
+    for name in named:
+        if name not in known or known[name].sign == ANY:
+            continue
+        one, deviation = known[name], deviations[name]
+        nominal = next((design[known_as] for known_as in (one.full, one.short) if known_as in design), None)
+        nominal = one.value_in(parts) if nominal is None else nominal
+        total = nominal + deviation
+        if total < 0.0 or (total == 0.0 and one.sign == POSITIVE):
+            with problems.noted():
+                raise InputError(
+                    f"{subject(where)} must leave `{name}` {SIGN_WORDS[one.sign]}, but its value is {nominal:g} "
+                    f"{one.unit} and the deviation {deviation:g} {one.unit}; give a smaller deviation."
                 )
     problems.refuse()
 

@@ -18,6 +18,7 @@ from rfem_jax.description.point_forces import (
 from rfem_jax.description.sections import Circle, GivenSection, Rectangle, Tube
 
 POSITIVE, NOT_NEGATIVE, ANY = "positive", "not_negative", "any"
+SIGN_WORDS = {POSITIVE: "greater than 0", NOT_NEGATIVE: "at least 0"}
 COMPONENTS = "xyz"
 
 Fields = Mapping[str, tuple[str, str]]

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from rfem_jax.description.design_table import read_design
-from rfem_jax.description.deviations import known_while_reading, require_sizes
+from rfem_jax.description.deviations import known_while_reading, require_signs, require_sizes
 from rfem_jax.description.drive_numbers import drives_with
 from rfem_jax.description.driven_motions import (
     AnyDrive,
@@ -287,6 +287,7 @@ class Study(ChecksItself):
                 seen.add(case.name.lower())
                 sizes = {name: abs(value) for name, value in case.errors.items()}
                 require_sizes(self.mechanism, sizes, f"`errors` of case `{case.name}`")
+                require_signs(self.mechanism, case.errors, self.design_values, f"`errors` of case `{case.name}`")
         problems.refuse()
 
     def _check_tasks(self) -> None:

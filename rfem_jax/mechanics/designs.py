@@ -27,7 +27,7 @@ from jaxtyping import ArrayLike, Bool, Float, Int
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.drive_numbers import read_drive_number
 from rfem_jax.description.errors import InputError
-from rfem_jax.description.number_fields import ANY, POSITIVE
+from rfem_jax.description.number_fields import ANY, POSITIVE, SIGN_WORDS
 from rfem_jax.description.parameters import Parameter, require_each_once
 from rfem_jax.description.parts import Parts
 from rfem_jax.description.sections import Tube
@@ -35,7 +35,7 @@ from rfem_jax.description.study import Study
 from rfem_jax.mechanics.discretisation import discretise
 from rfem_jax.mechanics.model import BASE, Model, Topology, rfe_fractions
 from rfem_jax.mechanics.model_building import PartStructure, arrays_of
-from rfem_jax.mechanics.model_with_errors import AssemblyErrors
+from rfem_jax.mechanics.model_with_errors import AssemblyErrors, require_possible
 from rfem_jax.mechanics.sources import NOTHING, Blueprint, Source
 from rfem_jax.mechanics.start_closure import close_start
 from rfem_jax.mechanics.status import DESIGN_OUT_OF_RANGE, NOT_CLOSED, OK, STATUS
@@ -140,10 +140,12 @@ def designed(model: Model, design: Design | None, errors: AssemblyErrors | None 
     left = None if errors is None else replace(errors, parameters=None)
     bare = replace(model, source=None)
     if not values and not deviations:
+        if left is not None:
+            require_possible(bare, left)
         return Designed(bare, left)
     source = source_in(model)
     for name in (*values, *deviations):
-        source.blueprint.names.find(name, "design")
+        _require_possible(source, source.blueprint.names.find(name, "design"), values, deviations)
     plan = _plan_of(source.blueprint, model.topology, tuple(sorted({*values, *deviations})))
     base = bare
     if plan.products and base.point_products is None:
@@ -177,6 +179,24 @@ def model_of_study(study: Study) -> Model:
     for i, one in enumerate(source.blueprint.names.all):
         numbers[i] = wanted.values.get(one.full, numbers[i])
     return replace(made.model, source=replace(source, numbers=jnp.asarray(numbers)))
+
+
+def _require_possible(
+    source: Source, parameter: Parameter, values: Mapping[str, Array], deviations: Mapping[str, Array]
+) -> None:
+    """Raise InputError for a parameter that has not the sign that it must have, where it is a concrete number."""
+    if parameter.full not in deviations or parameter.sign == ANY:
+        return
+    nominal = values.get(parameter.full, source.numbers[source.blueprint.names.all.index(parameter)])
+    parts = nominal, deviations[parameter.full]
+    if any(isinstance(part, Tracer) for part in parts):
+        return
+    nominal, deviation = (np.asarray(part) for part in parts)
+    if np.any(nominal + deviation <= 0.0 if parameter.sign == POSITIVE else nominal + deviation < 0.0):
+        raise InputError(
+            f"Argument `errors` must leave `{parameter.name}` {SIGN_WORDS[parameter.sign]}, but its value is "
+            f"{nominal:g} {parameter.unit} and the deviation {deviation:g} {parameter.unit}; give a smaller deviation."
+        )
 
 
 class Plan(NamedTuple):
@@ -236,6 +256,7 @@ def _made(
     fits = gap <= blueprint.closing_tolerance * jnp.max(made.length)
     pairs = [(one, x) for (one, _), x in zip(named, actual) if one.full in values or one.full in deviations]
     possible = _possible(blueprint.filled(actual), pairs)
+    possible = possible & jnp.all(made.section.stiffness > 0.0)
     if plan.arms:
         possible = possible & (_longest_arm(made) <= LONGEST_ARM)
     status = jnp.where(possible, jnp.where(fits, OK, NOT_CLOSED), DESIGN_OUT_OF_RANGE).astype(jnp.int32)

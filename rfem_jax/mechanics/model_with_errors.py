@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.core import Tracer
-from jaxtyping import ArrayLike, Float, Int, PyTree
+from jaxtyping import ArrayLike, Bool, Float, Int, PyTree
 
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.error_catalogue import error_dimension
@@ -30,6 +30,9 @@ from rfem_jax.mechanics.friction_laws import Friction
 from rfem_jax.mechanics.joint_laws import JointLaws
 from rfem_jax.mechanics.joint_springs import CompliantSpring
 from rfem_jax.mechanics.model import BASE, Model, Topology, rfe_fractions
+from rfem_jax.mechanics.reordering import rows
+
+HALF_TURN = np.pi * (1.0 + 1e-12)  # rad
 
 
 class AssemblyErrors(eqx.Module):
@@ -141,6 +144,7 @@ class ModelWithErrors(eqx.Module):
     beam_middle: x of the middle of every rfe 0 [m].
     gravity: acceleration [m/s^2] in global axes.
     datum: the first base joint's nominal place, the zero level of gravity's energy [m].
+    possible: 1, or 0 of errors that cannot be: these are then constants of the mechanism without errors.
     forces: along joint coordinates, None without any; frame_forces: elements between frames on nodes, likewise;
     friction: in joints of the tree and cut ones, likewise; springs: of compliant joints, likewise; reaction_length: as
         of the model.
@@ -163,11 +167,49 @@ class ModelWithErrors(eqx.Module):
     beam_middle: Float[Array, " links"]
     gravity: Float[Array, "3"]
     datum: Float[Array, "3"]
+    possible: Float[Array, ""]
     forces: JointLaws | None = None
     frame_forces: FrameForceSet | None = None
     friction: dict[str, Friction] | None = None
     springs: dict[str, CompliantSpring] | None = None
     reaction_length: Float[Array, ""] | None = None
+
+
+def require_possible(model: Model, errors: AssemblyErrors) -> None:
+    """Raise InputError for errors of which a link would have no length, or that turn anything by more than half a turn,
+    where they are concrete numbers; a traced one has a status."""
+    topology = model.topology
+    leaves = model.length, errors.length, errors.seat, errors.bore, errors.pin, errors.twist
+    if any(isinstance(leaf, Tracer) for leaf in leaves):
+        return
+    length, change, seat, bore, pin, twist = map(np.asarray, leaves)
+    for name, long, more in zip(topology.links, length, change):
+        if more <= -long:
+            raise InputError(
+                f"Argument `errors` must leave link `{name}` longer than 0, but its length is {long:g} m and the error "
+                f"{more:g} m; give a smaller error."
+            )
+    tilts = [k for k, name in enumerate(topology.error_components) if name.startswith("delta")]
+    for names, values in (
+        (topology.joints, np.concatenate([seat[tilts], bore[tilts], pin])),
+        (topology.links, twist[None]),
+    ):
+        largest = np.abs(values).max(axis=0)
+        if (largest > HALF_TURN).any():
+            place = int(np.nanargmax(largest))
+            raise InputError(
+                f"Argument `errors` must turn nothing by more than half a turn, but turns `{names[place]}` by "
+                f"{largest[place]:g} rad; check the number and its unit."
+            )
+
+
+def possible_errors(model: Model, errors: AssemblyErrors) -> Bool[Array, ""]:
+    """Whether all links have a length, and nothing is turned by more than half a turn, with the errors; what is NaN is
+    left to the checks of assembly."""
+    is_turn = np.array([name.startswith("delta") for name in model.topology.error_components])
+    turns = [rows(side, np.flatnonzero(is_turn)).ravel() for side in (errors.seat, errors.bore)]
+    turned = jnp.any(jnp.abs(jnp.concatenate([*turns, errors.pin.ravel(), errors.twist])) > HALF_TURN)
+    return ~(turned | jnp.any(errors.length <= -model.length))
 
 
 @jax.jit  # traced once for all its places
@@ -176,6 +218,8 @@ def apply_errors(model: Model, errors: AssemblyErrors) -> ModelWithErrors:
     assert not errors.parameters, "`designed` has not been called"
     with jax.named_scope("apply_errors"):
         topology = model.topology
+        possible = possible_errors(model, errors)
+        errors = jax.tree.map(lambda x: jnp.where(possible, x, 0.0), errors)
         length = model.length + errors.length
         scale = length / model.length
         seat = _side(
@@ -222,6 +266,7 @@ def apply_errors(model: Model, errors: AssemblyErrors) -> ModelWithErrors:
             friction=model.friction,
             springs=model.springs,
             reaction_length=model.reaction_length,
+            possible=possible.astype(float),
             **_spring_damping_elements(model, length),
         )
 

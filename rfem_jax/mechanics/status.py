@@ -69,9 +69,10 @@ STATUS: tuple[Status, ...] = (
     ),
     Status(
         "design_out_of_range",
-        "A number of the design cannot be (a length or a stiffness that is not positive), or a joint, a mass or a "
-        "force lies further from the rigid finite element that holds it than half of one; describe the mechanism anew. "
-        "The nominal one was computed instead.",
+        "A number of the design, or what an error makes of it, cannot be (a length, a dimension of a section or a "
+        "stiffness that is not positive, a tilt of more than half a turn), or a joint, a mass or a force lies further "
+        "from the rigid finite element that holds it than half of one; correct the number, or describe the mechanism "
+        "anew. The nominal one was computed instead.",
     ),
     Status(
         "contact_not_resolved",

@@ -45,6 +45,7 @@ from rfem_jax.mechanics.statics.assembly import (
 )
 from rfem_jax.mechanics.status import (
     CONTACT_NOT_RESOLVED,
+    DESIGN_OUT_OF_RANGE,
     DIVERGED,
     DRIFTED,
     NOT_CONVERGED,
@@ -232,7 +233,8 @@ def prepare(model: Model, errors: AssemblyErrors, drive: Drive, start: State | N
         if start is not None:
             unknown = jnp.full((3, joints), jnp.nan)
             preload = loads.JointLoads(unknown, unknown)
-            return Prepared(actual, start, preload, jnp.asarray(OK, jnp.int32))
+            status = jnp.where(actual.possible > 0.0, OK, DESIGN_OUT_OF_RANGE).astype(jnp.int32)
+            return Prepared(actual, start, preload, status)
         held = held_angles(model, None if model.topology.settles else AS_GIVEN)
         first = active_drives(model, drive).at(jnp.zeros(()), jnp.asarray(0, jnp.int32)).motions
         held |= {k: position for k, (position, _, _) in first.items()}

@@ -56,6 +56,9 @@ def refuse(tmp_path, refused):
         ('name = "P5"', f'name = "{300 * "P"}"', ("`name`", "at most 100 characters", "has 300")),
         ('"D.delta_x" = "0.5 deg"', '"D.delta_x" = "91 deg"', ("case `P2`", "right angle", "1.588")),
         ('"D.d_y" = "0.5 mm"', '"D.d_y" = 0.31', ("case `P4`", "longest link", "0.31 m")),
+        ('"D.d_y" = "0.5 mm"', '"crank.length" = -0.12', ("case `P4`", "`crank.length` greater than 0", "0.12 m")),
+        ('"D.d_y" = "0.5 mm"', '"bar.height" = "-11 mm"', ("case `P4`", "`bar.height` greater than 0", "-0.011 m")),
+        ('"D.d_y" = "0.5 mm"', '"steel.damping" = "-1 s"', ("case `P4`", "`steel.damping` at least 0", "-1 s")),
         ("title = ", f"title = {5000 * '['}{5000 * ']'} #", ("brackets",)),
     ],
 )

@@ -55,7 +55,15 @@ from rfem_jax.mechanics.statics.search import (
     solve_linear,
 )
 from rfem_jax.mechanics.statics.tangent import static_increment, static_tangent
-from rfem_jax.mechanics.status import CANNOT_CLOSE, NO_EQUILIBRIUM, NOT_ASSEMBLED, OK, OUT_OF_RANGE, WRONG_SIDE
+from rfem_jax.mechanics.status import (
+    CANNOT_CLOSE,
+    DESIGN_OUT_OF_RANGE,
+    NO_EQUILIBRIUM,
+    NOT_ASSEMBLED,
+    OK,
+    OUT_OF_RANGE,
+    WRONG_SIDE,
+)
 
 OPEN = 1e-9  # of the longest link: a loop that does not close
 
@@ -322,7 +330,8 @@ def _status_of(actual: ModelWithErrors, position: Coordinates, found: Bool[Array
         rigid = np.flatnonzero(~np.array(cuts.sprung_rows or (False,) * cuts.residual.shape[0]))
         found = found & (jnp.max(jnp.abs(cuts.residual[rigid]), initial=0.0) <= RIGID_CLOSING_TOLERANCE * scale)
     status = jnp.where(right_side, jnp.where(in_range, OK, OUT_OF_RANGE), WRONG_SIDE)
-    return jnp.where(found, status, _cause_of(actual.topology, cuts, in_range, scale)).astype(jnp.int32)
+    status = jnp.where(found, status, _cause_of(actual.topology, cuts, in_range, scale))
+    return jnp.where(actual.possible > 0.0, status, DESIGN_OUT_OF_RANGE).astype(jnp.int32)
 
 
 def _cause_of(topology: Topology, cuts: Closure | None, in_range: Bool[Array, ""], scale: Scalar) -> Int[Array, ""]:
