@@ -28,7 +28,7 @@ from rfem_jax.mechanics import algebra
 from rfem_jax.mechanics.algebra import Scalar, apply, apply_transposed, cross, dot, product
 from rfem_jax.mechanics.joint_springs import CompliantSpring, diagonal_tangent
 from rfem_jax.mechanics.kinematics import Motion, node_frames
-from rfem_jax.mechanics.model import BASE, Topology
+from rfem_jax.mechanics.model import Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 
 
@@ -367,36 +367,6 @@ def _alignment(kind: JointKind, left: Float[Array, "3 3 n"], right: Float[Array,
         return jnp.ones_like(left[0, 0])
     axis = next(freedom.axis for freedom in kind.freedoms if freedom.rotation)
     return dot(left[:, axis], right[:, axis])
-
-
-def assembly_modes(actual: ModelWithErrors, motion: Motion, cuts: Closure) -> Float[Array, " cuts"]:
-    """On which side every cut joint closes its loop: +1, -1, or 0 at the change point itself (theory (5.13)).
-
-    The sign of y_L . (left arm x right arm); an arm reaches from the tree joint of the link on that side
-    (the datum for the base) to the cut joint, or across the slide of a prismatic one.  A planar four-bar has two
-    assembly modes for one crank angle; at a change point, where the arms are parallel, it may pass from one to the
-    other.  It is 0 where a joint has another number of coordinates than one, and for other cut joints than revolute
-    ones.
-    """
-    topology, n = actual.topology, actual.topology.n_links
-
-    def arm(node: int, cut: int, centre: Array) -> Array:
-        if node == BASE:
-            return centre[:, cut] - actual.datum
-        link = topology.link_of(node)
-        freedoms = topology.kind(link).nominal.freedoms
-        if len(freedoms) != 1:
-            return jnp.zeros_like(actual.datum)
-        if freedoms[0].rotation:
-            return centre[:, cut] - motion.hinges.point[:, link]
-        # A slide moves as about a hinge far away across it.
-        return cross(motion.axis[3:, topology.own_coordinates[link][0]], cuts.rotation[:, 1, cut])
-
-    left = jnp.stack([arm(topology.parents[n + i], i, cuts.centre) for i in range(topology.n_cuts)], axis=1)
-    right = jnp.stack([arm(topology.children[n + i], i, cuts.right_centre) for i in range(topology.n_cuts)], axis=1)
-    modes = jnp.sign(dot(cuts.rotation[:, 1], cross(left, right)))
-    told = np.array([topology.kind(j).nominal.motions == ("R_y",) for j in topology.cuts])
-    return modes if told.all() else jnp.where(told, modes, 0.0)
 
 
 def unit_columns(

@@ -11,10 +11,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from rfem_jax.mechanics import algebra, loads
+from rfem_jax.mechanics.branches import assembly_modes
 from rfem_jax.mechanics.bush_contacts import ContactState, contact_states
 from rfem_jax.mechanics.centre_lines import link_ends
 from rfem_jax.mechanics.clearances import clearance_name
-from rfem_jax.mechanics.cut_joints import Closure, Constraints, assembly_modes
+from rfem_jax.mechanics.cut_joints import Closure, Constraints
 from rfem_jax.mechanics.dynamics import Accelerations
 from rfem_jax.mechanics.element_loads import FrameLoads
 from rfem_jax.mechanics.elements.linear_range import linear_error
