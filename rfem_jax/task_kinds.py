@@ -164,7 +164,7 @@ register_task(
         "reliability",
         asks="rfem_jax.description.tasks.reliability:ReliabilityTask",
         reports="rfem_jax.report.tasks.reliability:ReliabilityReport",
-        purpose="probabilities that limits are broken, however small (FORM, importance sampling)",
+        purpose="probabilities that limits are broken, however small (FORM, importance sampling, subset simulation)",
         results="probabilities with intervals, the most probable failures, what errors contribute to them",
     )
 )

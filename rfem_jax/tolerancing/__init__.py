@@ -8,7 +8,7 @@ Every study takes a `problem(errors) -> (values, status)`: the simulator (`Probl
     sampling        Monte Carlo: scatter, yield, Sobol' indices
     optimisation    optimisers under bounds and constraints
     designs         sweeps over ranges of the errors, response surfaces
-    rare_failures   probabilities of limits broken, by FORM and importance sampling
+    rare_failures   probabilities of limits broken, by FORM, importance sampling and subset simulation
     worst_cases     the largest value within the tolerances
     allocation      the cheapest tolerances that keep the limits
     robust_design   dimensions and tolerances together

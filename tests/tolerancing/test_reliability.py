@@ -12,7 +12,8 @@ from rfem_jax.tolerancing.problems.joint_distributions import CorrelatedNormal, 
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.problem import FunctionProblem, Metric
 from rfem_jax.tolerancing.rare_failures.failure_study import reliability
-from rfem_jax.tolerancing.rare_failures.importance import estimate_probability, mixture_of
+from rfem_jax.tolerancing.rare_failures.importance import Normal as Shifted
+from rfem_jax.tolerancing.rare_failures.importance import Shell, Stretched, estimate_probability, mixture_of
 from rfem_jax.tolerancing.sampling.monte_carlo_study import monte_carlo
 
 jax.config.update("jax_enable_x64", True)
@@ -111,25 +112,48 @@ def test_intervals_cover():
     limit = 4.0
     points = np.array([[4.0, 0.0], [0.0, 4.0], [-4.0, 0.0]])  # of x > 4, y > 4 and one that is none
     exact = 1.0 - stats.norm.cdf(limit) ** 2
+    mixture = mixture_of([[(Shifted(point), 1.0) for point in points]], 400, 2)
     held = 0
     for seed in range(300):
-        mixture = mixture_of([points], 400, 2)
-        w = mixture.samples(np.random.default_rng(seed))
+        w = mixture.samples(np.random.default_rng(seed), 2)
         found = estimate_probability(mixture, mixture.weights(w), np.any(w > limit, axis=1))
         held += found.low <= exact <= found.high
-    assert 270 <= held <= 296
+    assert 270 <= held <= 298
 
 
 def test_weights_are_the_ratio_of_the_densities():
-    mixture = mixture_of([np.array([[3.0, 1.0]]), np.zeros((0, 2)), np.array([[-2.0, 0.0], [0.0, 2.5]])], 1000, 2)
-    w = mixture.samples(np.random.default_rng(0))
-    shares = mixture.counts / mixture.counts.sum()
-    density = sum(
-        share * stats.multivariate_normal(centre, np.eye(2)).pdf(w)
-        for share, centre in zip(shares, mixture.centres, strict=True)
-    )
-    np.testing.assert_allclose(mixture.weights(w), stats.multivariate_normal(np.zeros(2)).pdf(w) / density, rtol=1e-12)
-    assert np.max(mixture.weights(w)) <= 1.0 / shares[0] and len(w) == 1000
+    """By histograms of the samples of each component: a fifth of them and more in every cell that is compared."""
+    angle = 0.3
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    components = [
+        Shifted(np.array([1.5, 1.0])),
+        Shell(turn[:, :1], 1.2),
+        Shell(turn, 1.8),
+        Stretched(turn, np.array([2.0, 1.3])),
+    ]
+    edges = np.linspace(-2.5, 2.5, 11)
+    middles = np.stack(np.meshgrid(edges[:-1], edges[:-1], indexing="ij"), axis=-1).reshape(-1, 2) + 0.25
+    for component in components:
+        w = component.place(np.random.default_rng(1).standard_normal((200_000, 2)))
+        counts = np.histogram2d(*w.T, bins=[edges, edges])[0].ravel()
+        fine = middles[:, None] + np.stack(np.meshgrid(*[(np.arange(20) + 0.5) / 40 - 0.25] * 2), axis=-1).reshape(
+            1, -1, 2
+        )
+        density = (
+            np.exp(component.log_ratio(fine.reshape(-1, 2))) * stats.multivariate_normal(np.zeros(2)).pdf(fine).ravel()
+        )
+        expected = 200_000 * 0.25 * density.reshape(len(middles), -1).mean(axis=1)
+        enough = expected > 50.0
+        assert np.sum(enough) > 25
+        np.testing.assert_allclose(counts[enough], expected[enough], atol=6.0 * np.sqrt(expected[enough].max()))
+        assert np.all(np.abs(counts - expected)[enough] < 5.0 * np.sqrt(expected[enough]) + 0.01 * expected[enough])
+
+
+def test_no_weight_is_large():
+    mixture = mixture_of([[(Shifted(np.array([3.0, 1.0])), 1.0)], [], [(Shifted(np.array([-2.0, 0.0])), 1.0)]], 1000, 2)
+    w = mixture.samples(np.random.default_rng(0), 2)
+    assert np.max(mixture.weights(w)) <= 1.0 / mixture.shares[0] and len(w) == 1000
+    assert mixture.shares[0] == pytest.approx(0.4)  # a tenth, and all of the limit that is broken often
     assert np.mean(mixture.weights(w)) == pytest.approx(1.0, abs=0.1)
 
 
@@ -147,7 +171,7 @@ def test_plain_monte_carlo_sees_the_same_where_it_can():
     problem = FunctionProblem(g, tolerances.names, "g")
     limits = {"g": (-1.2, 1.0)}
     plain = monte_carlo(problem, tolerances, 16384, KEY, limits=limits)
-    found = reliability(problem, tolerances, limits, KEY, n=2000)
+    found = reliability(problem, tolerances, limits, KEY, n=2000, level_samples=100)
     expected = 1.0 - plain.yields["g"].of_all.value
     assert 0.01 < expected < 0.1
     assert found.any_limit.low < expected < found.any_limit.high

@@ -30,8 +30,11 @@ class ReliabilityTask(Task):
 
     Args:
         limits: {metric: largest value, or (low, high)} in the metric's unit.
-        n: samples about the most probable failures, at least 50; intervals narrow by their square root.
-        starts: searches of the most probable failure, for each limit.
+        n: samples where limits fail, at least 50; intervals narrow by their square root. Twice and four times as many
+            more are drawn where what they say cannot be trusted.
+        level_samples: simulations of each level of the subset simulation, about a level for every factor 10 of a
+            limit's probability, at least 50.
+        starts: searches of the most probable failure in a turn, for each limit.
         rounds: the most simulations with derivatives of each search.
         seed: of the searches and samples.
         confidence: of the intervals, between 0 and 1.
@@ -42,6 +45,7 @@ class ReliabilityTask(Task):
 
     limits: dict[str, tuple[float, float]]
     n: int = 2000
+    level_samples: int = 500
     starts: int = 16
     rounds: int = 60
     seed: int = 0
@@ -52,7 +56,7 @@ class ReliabilityTask(Task):
     def _check_fields(self, checks: Checks) -> None:
         checks.convert("limits", limits_of, True)
         checks.convert("mode", require_choice, MODES, "mode")
-        convert_all(checks, ("n",), whole_number, 50, MOST_SAMPLES)
+        convert_all(checks, ("n", "level_samples"), whole_number, 50, MOST_SAMPLES)
         convert_all(checks, ("starts", "rounds"), whole_number, 1, MOST_SAMPLES)
         convert_all(checks, ("batch",), whole_number, 1, MOST_AT_ONCE)
         convert_all(checks, ("seed",), whole_number, 0)

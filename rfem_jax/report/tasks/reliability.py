@@ -23,23 +23,26 @@ from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.rare_failures.failure_result import ReliabilityResult
 from rfem_jax.tolerancing.rare_failures.failure_study import reliability as find_failures
 
+LEVELS = 6  # of a subset simulation down to a probability of 1e-6
+
 
 class ReliabilityReport(TaskReport[ReliabilityTask, ReliabilityResult]):
     """Probabilities that limits are broken."""
 
     def run(self, folder: Path) -> ReliabilityResult:
-        """FORM and importance sampling for all limits of the task."""
+        """Subset simulation, FORM and importance sampling for all limits of the task."""
         task = self.task
-        on_stage(f"Searching the most probable failures of {len(task.limits)} limits")
+        on_stage(f"Searching failures of {len(task.limits)} limits")
         problem = study_problem.build_problem(self.study, task.metrics)
 
         def report(done: int, total: int) -> None:
-            on_stage(f"Sampling {total} mechanisms about them", done / total)
+            on_stage(f"Sampling {total} mechanisms where limits fail", done / total)
 
         progress: Any = report
         return find_failures(
-            problem, Tolerances.of(self.study), task.limits, jax.random.key(task.seed), n=task.n, starts=task.starts,
-            rounds=task.rounds, confidence=task.confidence, mode=task.mode, batch=task.batch, progress=progress,
+            problem, Tolerances.of(self.study), task.limits, jax.random.key(task.seed), n=task.n,
+            level_samples=task.level_samples, starts=task.starts, rounds=task.rounds, confidence=task.confidence,
+            mode=task.mode, batch=task.batch, progress=progress,
         )  # fmt: skip
 
     def text(self, result: ReliabilityResult) -> str:
@@ -55,6 +58,7 @@ class ReliabilityReport(TaskReport[ReliabilityTask, ReliabilityResult]):
             "any_limit": asdict(result.any_limit),
             "yield": 1.0 - result.any_limit.value,
             "samples": result.samples,
+            "simulations": result.simulations,
             "failed": result.failed,
             "confidence": result.confidence,
             "units": metric_units([one.metric for one in result.limits], [one.unit for one in result.limits]),
@@ -67,14 +71,16 @@ class ReliabilityReport(TaskReport[ReliabilityTask, ReliabilityResult]):
     def simulations(self) -> list[str]:
         task, ends = self.task, self._ends()
         return [
+            f"{task.level_samples} in a subset simulation, and about as many for every factor 10 of the probability of "
+            f"each of {ends} limits",
             f"at most {ends} x {task.starts} x {task.rounds} with derivatives, in searches of the most probable "
-            "failures",
-            f"{task.n} simulations about these",
+            "failures, and short ones while these find new ones",
+            f"{task.n} where limits fail, and up to {6 * task.n} more where these cannot be trusted",
         ]
 
     def work(self) -> float:
-        task = self.task
-        return GRADIENT * self._ends() * task.starts * task.rounds + task.n
+        task, ends = self.task, self._ends()
+        return GRADIENT * ends * task.starts * task.rounds + (1 + LEVELS * ends) * task.level_samples + task.n
 
     def _ends(self) -> int:
         """Number of the ends of limits."""
@@ -102,6 +108,7 @@ def shares_figure(study: Study, result: ReliabilityResult) -> Figure:
     signs = {"upper": "\u2264", "lower": "\u2265"}
     labels = [
         f"{one.metric} {signs[one.side]} {one.limit:.4g} {one.unit}\nbeta {one.beta:.3g}, {one.probability.value:.2g}"
+        + (" (uncertain)" if one.status == "uncertain" else "")
         for one in shown
     ]
     axes.set_yticks(range(len(shown)), labels)

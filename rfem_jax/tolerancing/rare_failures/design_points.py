@@ -7,7 +7,7 @@ Place in the pipeline: problem, tolerances, limits -> **design_points** -> impor
 
 All searches of all limits take their steps together, in one batch of simulations with gradients. Metrics that are even
 in the errors have two design points, w and -w, and a gradient that vanishes at w = 0: searches start on a sphere, in
-pairs of opposite directions.
+pairs of opposite directions, and at samples that break the limit, as each design point has some of these about it.
 
 Symbols: w (k,) standard normal coordinates of the errors (`Tolerances.from_normal`), G limit state, positive where the
 limit holds, beta = |w| of a design point with the sign of G(0) [1].
@@ -39,6 +39,7 @@ LARGEST_STEP = 3.0  # of |w| in one step
 SHORTEST = 2.0**-12  # share of a step that is still tried
 ARMIJO = 1e-4
 SAME = 0.05  # design points nearer to each other than this are one
+ON_LIMIT = 1e-3  # |G|, by its value at w = 0, of a search that ended on the limit without converging
 FAR_BEHIND = 3.0  # |w| beyond that of the nearest design point: of no weight
 
 
@@ -58,16 +59,22 @@ class LimitState:
 @dataclass(frozen=True, eq=False)
 class DesignPoints:
     """Design points (p, k) of one limit state in w, nearest first; nominal G at w = 0 [metric unit]; directions (p, k),
-    unit vectors of -G'; simulations with gradients used."""
+    unit vectors of -G'; converged (p,): False where a search ended on the limit, but not at its nearest point."""
 
     points: Float[np.ndarray, "p k"]
     directions: Float[np.ndarray, "p k"]
+    converged: Bool[np.ndarray, " p"]
     nominal: float
 
     @property
     def beta(self) -> Float[np.ndarray, " p"]:
         """Reliability index of each point, negative where the limit fails at w = 0."""
         return np.copysign(1.0, self.nominal) * np.linalg.norm(self.points, axis=1)
+
+    def joined(self, more: "DesignPoints") -> "DesignPoints":
+        """These and the further ones of the same limit state."""
+        pairs = zip(*((one.points, -one.directions, one.converged) for one in (self, more)), strict=True)
+        return _Ends(*(np.concatenate(pair) for pair in pairs)).distinct().design_points(self.nominal)
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,42 +127,67 @@ def _errors(tolerances, w):
     return jax.vmap(one)(w), jax.vmap(jax.jacfwd(one))(w)
 
 
+def sphere_starts(k: int, starts: int, key: RandomKey) -> Float[np.ndarray, "starts k"]:
+    """Starts of searches on a sphere about w = 0, in pairs of opposite directions that are drawn with the key."""
+    half = spread_points(sobol_units(k + 1, -(-starts // 2), key), "ellipsoid")
+    half *= RADIUS / np.linalg.norm(half, axis=1, keepdims=True)
+    return np.concatenate([half, -half])[:starts]
+
+
 def find_design_points(
     space: NormalSpace,
     states: Sequence[LimitState],
-    key: RandomKey,
+    starts: Sequence[Float[np.ndarray, "n k"]],
     *,
-    starts: int = 16,
     rounds: int = 60,
     accuracy: float = 1e-4,
 ) -> list[DesignPoints]:
     """The design points of every limit state; none where no search reached the limit.
 
-    Args: key of the directions in which searches start; starts, searches for each limit; rounds, the most evaluations
-        with gradients of a search; accuracy of |G| relative to its value at w = 0, and of the direction of w.
-    Raises: InputError for derivatives through impacts that a finer step does not reproduce.
+    Args: starts (n, k) of the searches of each; rounds, the most evaluations with gradients of a search; accuracy of
+        |G| relative to its value at w = 0, and of the direction of w.
     """
-    space.require_reproduced()
-    k = len(space.tolerances.names)
-    nominal = np.array([state.of(values)[0] for values in [space.values(np.zeros((1, k)))] for state in states])
-    half = spread_points(sobol_units(k + 1, -(-starts // 2), key), "ellipsoid")
-    half *= RADIUS / np.linalg.norm(half, axis=1, keepdims=True)
-    directions = np.concatenate([half, -half])[:starts]
-    owners = np.repeat(np.arange(len(states)), starts)
+    values = space.values(np.zeros((1, len(space.tolerances.names))))
+    nominal = np.array([float(state.of(values)[0]) for state in states])
+    owners = np.repeat(np.arange(len(states)), [len(points) for points in starts])
     scale = np.where(np.isfinite(nominal) & (nominal != 0.0), np.abs(nominal), 1.0)[owners]
-    of_points = [state for state in states for _ in range(starts)]
-    points, slopes, reached = _search(space, of_points, np.tile(directions, (len(states), 1)), scale, rounds, accuracy)
-    found = []
-    for i, value in enumerate(nominal):
-        mine = (owners == i) & reached
-        found.append(_distinct(points[mine], slopes[mine], float(value)))
-    return found
+    ends, reached = _search(space, [states[i] for i in owners], np.concatenate(starts), scale, rounds, accuracy)
+    return [ends.of((owners == i) & reached).distinct().design_points(float(value)) for i, value in enumerate(nominal)]
+
+
+@dataclass(frozen=True, eq=False)
+class _Ends:
+    """Ends (n, k) of searches on a limit, the gradients of G there, and whether the searches converged (n,)."""
+
+    points: Float[np.ndarray, "n k"]
+    slopes: Float[np.ndarray, "n k"]
+    converged: Bool[np.ndarray, " n"]
+
+    def of(self, rows: np.ndarray) -> "_Ends":
+        return _Ends(self.points[rows], self.slopes[rows], self.converged[rows])
+
+    def distinct(self) -> "_Ends":
+        """Those that differ, converged ones before others at the same place, and none far behind the nearest."""
+        lengths = np.linalg.norm(self.points, axis=1)
+        left = np.lexsort((lengths, ~self.converged))
+        left = left[lengths[left] <= np.min(lengths, initial=np.inf) + FAR_BEHIND]
+        kept: list[int] = []
+        while len(left):
+            kept.append(int(left[0]))
+            left = left[np.linalg.norm(self.points[left] - self.points[left[0]], axis=1) > SAME]
+        return self.of(np.array(kept, dtype=int))
+
+    def design_points(self, nominal: float) -> DesignPoints:
+        """Nearest first."""
+        order = np.argsort(np.linalg.norm(self.points, axis=1), kind="stable")
+        unit = self.slopes / np.maximum(np.linalg.norm(self.slopes, axis=1, keepdims=True), 1e-300)
+        return DesignPoints(self.points[order], -unit[order], self.converged[order], nominal)
 
 
 def _search(
     space: NormalSpace, states: list[LimitState], w: np.ndarray, scale: np.ndarray, rounds: int, accuracy: float
-) -> tuple[Float[np.ndarray, "n k"], Float[np.ndarray, "n k"], Bool[np.ndarray, " n"]]:
-    """Last points (n, k), gradients there (n, k), and which are design points (n,)."""
+) -> tuple[_Ends, Bool[np.ndarray, " n"]]:
+    """Where searches that start at w (n, k) end, and which of them did so on their limits (n,)."""
     value, slope = _scaled(space, states, w, scale)
     step, direction, penalty = np.ones(len(w)), *_direction(w, value, slope)
     active = np.isfinite(value) & np.all(np.isfinite(slope), axis=1)
@@ -179,7 +211,8 @@ def _search(
         direction[taken], penalty[taken] = _direction(w[taken], value[taken], slope[taken])
         step[taken] = 1.0
         step[kept] *= 0.5
-    return w, slope, done
+    ends = done | (np.abs(value) <= ON_LIMIT)
+    return _Ends(w, slope, done), ends
 
 
 def _scaled(space, states, w, scale):
@@ -204,15 +237,3 @@ def _converged(w, value, slope, accuracy) -> Bool[np.ndarray, " n"]:
     across = w - (np.sum(slope * w, axis=1) / square)[:, None] * slope
     length = np.maximum(np.linalg.norm(w, axis=1), 1.0)
     return (np.abs(value) <= accuracy) & (np.linalg.norm(across, axis=1) <= accuracy * length)
-
-
-def _distinct(points: np.ndarray, slopes: np.ndarray, nominal: float) -> DesignPoints:
-    """The design points that differ, nearest first, without those far behind the first."""
-    lengths = np.linalg.norm(points, axis=1)
-    kept: list[int] = []
-    for i in np.argsort(lengths, kind="stable").tolist():
-        near = not kept or lengths[i] <= lengths[kept[0]] + FAR_BEHIND
-        if near and all(np.linalg.norm(points[i] - points[j]) > SAME for j in kept):
-            kept.append(i)
-    unit = slopes[kept] / np.maximum(np.linalg.norm(slopes[kept], axis=1, keepdims=True), 1e-300)
-    return DesignPoints(points[kept], -unit, nominal)

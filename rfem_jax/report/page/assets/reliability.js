@@ -8,14 +8,16 @@ function reliabilityPage(task) {
     { label: "metric", value: (row) => row.metric }, { label: "unit", value: (row) => (row.unit === "1" ? "" : row.unit) },
     { label: "side", value: (row) => row.side }, { label: "nominal", value: (row) => row.nominal }, { label: "limit", value: (row) => row.limit },
     { label: "broken with probability", value: (row) => probability(row).value, show: (_, row) => interval(row.probability) },
+    { label: "check", title: "by subset simulation, which is independent of the most probable failures", value: (row) => (row.subset_simulation || {}).value, show: (_, row) => interval(row.subset_simulation) },
     { label: "FORM", title: "first-order estimate", value: (row) => row.first_order },
     { label: "reliability index", title: "distance of the most probable failure in standard deviations", value: (row) => row.beta },
-    { label: "status", value: (row) => String(row.status || "").replace(/_/g, " ") },
+    { label: "status", value: (row) => [String(row.status || "").replace(/_/g, " "), row.reason].filter(Boolean).join(": ") },
   ];
-  const any = result.any_limit ? `Any limit is broken with a probability of ${interval(result.any_limit)}; in brackets the ${showNumber(100 * result.confidence, 3)} % confidence interval, by ${showNumber(result.samples)} samples about the most probable failures.` : "";
-  const reached = limits.filter((one) => one.status === "ok");
+  const any = result.any_limit ? `Any limit is broken with a probability of ${interval(result.any_limit)}; in brackets the ${showNumber(100 * result.confidence, 3)} % confidence interval, by ${showNumber(result.samples)} samples where limits fail.` : "";
+  const doubtful = limits.some((one) => one.status === "uncertain") ? " Where the status is uncertain, the interval is a hint only." : "";
+  const reached = limits.filter((one) => Object.keys(one.errors || {}).length);
   return [
-    section("Probabilities that limits are broken", make("p", {}, any), sortableTable("Limits", columns, limits, { id: "failures" })),
+    section("Probabilities that limits are broken", make("p", {}, any + doubtful), sortableTable("Limits", columns, limits, { id: "failures" })),
     reached.length ? section("Which errors break the limits", sharesTable(reached), errorsTable(reached)) : null,
   ];
 }
