@@ -4,8 +4,9 @@ Place in the pipeline: `call` asks for the key of a function and its arguments; 
 
 Structure and static values enter by content; arrays among the arguments, which are inputs of the program, by shape
 and type; arrays inside of functions and static fields by content.  Functions and classes enter by name where their
-source is covered: the files of this package are part of the key, and so are the versions of the libraries.  Anything
-else that a program could depend on, such as a function of the user, is refused.
+source is covered: the files of this package are part of the key, and so are the versions of the libraries.  Fields
+that are left out where objects are compared (`compare=False`) are no content.  Anything else that a program could
+depend on, such as a function of the user, is refused.
 """
 
 import dataclasses
@@ -106,6 +107,8 @@ def _of_array(value, by_content: bool):
 def _of_dataclass(value, by_content: bool):
     parts = []
     for field in dataclasses.fields(value):
+        if not field.compare:
+            continue
         static = by_content or field.metadata.get("static", False)
         content = getattr(value, field.name, None)
         parts.append((field.name, canonical(content, static)))

@@ -3,7 +3,7 @@
 Place in the pipeline: errors -> **own_functions** -> drive_arguments, forces, point_forces.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from typing import Any
 
 import equinox as eqx
@@ -17,15 +17,52 @@ from rfem_jax.description.errors import InputError
 
 
 def as_tree(function: Any, where: str, arguments: str, advice: str = "pass one written in JAX") -> Any:
-    """A function as a pytree: an equinox Module keeps its leaves, a plain function is static.
+    """A function as a pytree of arrays: an equinox Module keeps its arrays, a plain function is static.
 
     **Arguments:** `where`: the argument in a message; `arguments`: of the function, in words; `advice`: in a message.
 
-    **Raises:** `InputError` for what is no function.
+    **Raises:** `InputError` for what is no function, and for a module that holds what cannot be static.
     """
     if not callable(function):
         raise InputError(f"Argument {where} must be a function of {arguments}, but was {function!r}; {advice}.")
-    return function if isinstance(function, (eqx.Module, Partial)) else Partial(function)
+    tree = function if isinstance(function, (eqx.Module, Partial)) else Partial(function)
+    return _with_arrays_alone(tree, where)
+
+
+def _with_arrays_alone(tree: Callable, where: str) -> Callable:
+    """The function with arrays as its only leaves: what else a module holds, such as the activation function of a
+    network, is no argument of a program and has no derivative."""
+    leaves, structure = jax.tree.flatten(tree)
+    if all(eqx.is_array(leaf) for leaf in leaves):
+        return tree
+    leaves = [jnp.asarray(leaf) if isinstance(leaf, np.ndarray) else leaf for leaf in leaves]
+    arrays = tuple(leaf for leaf in leaves if eqx.is_array(leaf))
+    others = tuple(_ARRAY if eqx.is_array(leaf) else leaf for leaf in leaves)
+    for leaf in others:
+        try:
+            hash(leaf)
+        except TypeError as error:
+            raise InputError(
+                f"Argument {where} must hold arrays, functions and plain values, but holds {type(leaf).__name__}, "
+                "which cannot be compared with that of another call; make it an array, or a frozen dataclass."
+            ) from error
+    return _WithSettings(arrays, others, structure)
+
+
+_ARRAY = type(...)  # in the place of an array
+
+
+class _WithSettings(eqx.Module):
+    """A function by its arrays, and by the other leaves of its structure."""
+
+    arrays: tuple[Array, ...]
+    others: tuple[Hashable, ...] = eqx.field(static=True)
+    structure: Any = eqx.field(static=True)
+
+    def __call__(self, *arguments):
+        arrays = iter(self.arrays)
+        leaves = [next(arrays) if leaf is _ARRAY else leaf for leaf in self.others]
+        return jax.tree.unflatten(self.structure, leaves)(*arguments)
 
 
 class _WithValues(eqx.Module):

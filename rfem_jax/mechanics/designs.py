@@ -216,7 +216,9 @@ def _plan_of(blueprint: Blueprint, topology: Topology, names: tuple[str, ...]) -
     parts = [name.split(".") for name in names]
     turned = any(p[0] == "link" and (p[2] == "orientation" or (p[2] == "inertia" and len(p[3]) == 2)) for p in parts)
     structure = PartStructure(topology, blueprint.points, blueprint.products or turned)
-    numbers = [NOTHING if one.full in names else 1.0 for one in blueprint.names.all]
+    # The other numbers are those of a description, since formulas may not be defined for any.
+    described = zip(blueprint.names.all, blueprint.described, strict=True)
+    numbers = [NOTHING if one.full in names else number for one, number in described]
     with jax.ensure_compile_time_eval(), np.errstate(all="ignore"):
         model = jax.tree.map(np.asarray, arrays_of(blueprint.filled(numbers), structure))
     flags = jax.tree.map(lambda x: bool(np.isnan(x).any()), model)

@@ -7,15 +7,18 @@ with nothing in the places of these numbers: models of other numbers are the sam
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from rfem_jax.compilation import keys
+from rfem_jax.description.forces import Force
 from rfem_jax.description.numbers import Number, array_of
 from rfem_jax.description.parameters import ParameterNames, named_parameters
 from rfem_jax.description.parts import Parts, number_at, scaled, with_number
@@ -35,7 +38,8 @@ class Blueprint:
 
     parts: with nothing in the places of the parameters; names: of all parameters, in the order of the numbers; points:
     nodes of the ends of the forces at points, by their names; products: whether point masses have products of inertia;
-    closing_tolerance: what the loops may stay open by at the start, over the longest link.
+    closing_tolerance: what the loops may stay open by at the start, over the longest link; described: the numbers of
+    one description of this content, with which all formulas can be evaluated (a tube has a hole, say).
     """
 
     parts: Parts
@@ -43,6 +47,7 @@ class Blueprint:
     points: ForceNodes
     products: bool
     closing_tolerance: float
+    described: tuple[float, ...] = field(compare=False)
 
     @cached_property
     def key(self) -> str:
@@ -84,7 +89,7 @@ def source_of(parts: Parts, held: Sequence[tuple[str, str]], points: ForceNodes,
     for parameter in names.all:
         for path in () if parameter.factor else parameter.paths:
             blank = with_number(blank, path, NOTHING)
-    blueprint = Blueprint(blank, names, points, products, CLOSING_TOLERANCE)
+    blueprint = Blueprint(blank, names, points, products, CLOSING_TOLERANCE, tuple(numbers))
     return Source(jnp.asarray(array_of(numbers), jnp.float64), blueprint)
 
 
@@ -101,4 +106,13 @@ def _without_results(parts: Parts) -> Parts:
                 joint = with_number(joint, (name,), zero)
         # Its springs are parts of their own.
         joints.append(with_number(joint, ("compliance",), None))
-    return replace(parts, links=tuple(links), joints=tuple(joints))
+    return replace(parts, links=tuple(links), joints=tuple(joints), forces=tuple(map(_without_arrays, parts.forces)))
+
+
+def _without_arrays(force: Force) -> Force:
+    """A force with zeros for the arrays that a function of the user holds, which may be traced and are the model's."""
+    for field in fields(force):
+        if callable(function := getattr(force, field.name)):
+            blank = jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), function)
+            force = with_number(force, (field.name,), blank)
+    return force
