@@ -35,11 +35,11 @@ class ProgramInParts(Program):
     """A pure function of pytrees that is a sequence of programs.
 
     **Arguments:** `sequence`: (run, *arguments) -> results, which calls programs by `run(program, *arguments)` and does
-    nothing else with arrays than to take trees apart and to put them together.
+    nothing else with arrays than to take trees apart and to put them together; `nameless`: as of `Program`.
     """
 
-    def __init__(self, sequence: Callable):
-        super().__init__(_Whole(sequence))
+    def __init__(self, sequence: Callable, nameless: bool = False):
+        super().__init__(_Whole(sequence), nameless=nameless)
         functools.update_wrapper(self, sequence)
         self.sequence = sequence
 

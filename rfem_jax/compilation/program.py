@@ -22,6 +22,7 @@ import jax
 from rfem_jax.compilation import options
 from rfem_jax.compilation.call import call_of, kind
 from rfem_jax.compilation.executable import Place
+from rfem_jax.compilation.naming import NotRenamable, in_words, names_in
 from rfem_jax.compilation.tracing_context import same_context
 from rfem_jax.compilation.transformations import Transformable, bind, no_staging, no_transformation
 from rfem_jax.stack_room import with_room
@@ -47,19 +48,36 @@ class Program:
     Arrays among the leaves of its arguments are inputs, everything else is static, as in `eqx.filter_jit`.
 
     **Arguments:** `function`: of one of this package's modules; `quick`: compile faster, run slower, for a program
-    that runs once in a process.
+    that runs once in a process; `nameless`: names of things among the arguments are no part of it (`naming`).
     """
 
-    def __init__(self, function: Callable, quick: bool = False):
+    def __init__(self, function: Callable, quick: bool = False, nameless: bool = False):
         functools.update_wrapper(self, function)
         options.note_function(function.__name__)
-        self.function, self.quick = function, quick
+        self.function, self.quick, self.nameless = function, quick, nameless
         self._jitted = eqx.filter_jit(function)
         self._calls: dict[tuple, Transformable] = {}
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
         if not no_staging() or _watched():
             return self._plainly(args, kwargs)
+        return self._namelessly(self._called, args, kwargs)
+
+    def _namelessly(self, act: Callable[[tuple, dict], Any], args, kwargs) -> Any:
+        """What `act` does with the arguments, without the names of things in these."""
+        names = names_in(args) if self.nameless else None
+        if names is None:
+            return act(args, kwargs)
+        try:
+            return names.back.renamed(act(*names.arguments(args, kwargs)))
+        except NotRenamable:
+            return act(args, kwargs)
+        except Exception as error:
+            if not in_words(error):
+                raise
+        return act(args, kwargs)  # which says what is wrong by the names
+
+    def _called(self, args, kwargs) -> Any:
         call, arrays = self._call_with(args, kwargs)
         if no_transformation():
             return _filled(call, call.run(arrays))
@@ -83,6 +101,9 @@ class Program:
         """
         if not no_transformation() or _watched():
             return None
+        return self._namelessly(self._begun, args, kwargs)
+
+    def _begun(self, args, kwargs) -> Any:
         call, arrays = self._call_with(args, kwargs)
         return _filled(call, call.ahead(arrays))
 

@@ -13,6 +13,7 @@ Symbols: t [s]; moment [N m] about the axis of the motion; change of the angle s
 """
 
 import abc
+import copy
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -46,12 +47,22 @@ else:
     Law = Any  # what is no function is refused in a sentence
 
 
+def _on_joint(drive: Any, joint: str) -> Any:
+    other = copy.copy(drive)
+    object.__setattr__(other, "joint", joint)
+    return other
+
+
 class GivenDrive(eqx.Module):
     """A given force or moment along one free motion of a joint of the tree; `motion` None: its only one."""
 
     joint: eqx.AbstractVar[str]
     motion: str | None = eqx.field(static=True, default=None, kw_only=True)
     rotation: ClassVar[bool | None] = None  # whether the motion is a rotation, or a translation; None: either
+
+    def renamed(self, names: Any) -> Any:
+        """On a joint of another name, `names.of(name)`."""
+        return _on_joint(self, names.of(self.joint))
 
     @abc.abstractmethod
     def breakpoints(self) -> tuple[float, ...]:
@@ -86,6 +97,10 @@ class PrescribedDrive(eqx.Module):
     joint: eqx.AbstractVar[str]
     motion: str | None = eqx.field(static=True, default=None, kw_only=True)
     rotation: ClassVar[bool | None] = None  # as of `GivenDrive`
+
+    def renamed(self, names: Any) -> Any:
+        """On a joint of another name, `names.of(name)`."""
+        return _on_joint(self, names.of(self.joint))
 
     @abc.abstractmethod
     def breakpoints(self) -> tuple[float, ...]:

@@ -88,6 +88,14 @@ class ParameterNames(Mapping[str, Parameter]):
     def _known(self) -> dict[str, Parameter]:
         return {name: one for one in self.all for name in (one.full, one.short) if name is not None}
 
+    def renamed(self, names: Any) -> "ParameterNames":
+        """Of things with other names, `names.of(name)`."""
+        found = (
+            replace(one, full=names.of(one.full), short=None if one.short is None else names.of(one.short))
+            for one in self.all
+        )
+        return ParameterNames(tuple(found), tuple((names.of(owner), kinds) for owner, kinds in self.ambiguous))
+
     def __iter__(self) -> Iterator[str]:
         return (one.name for one in self.all)
 

@@ -90,6 +90,35 @@ def with_number(whole: Any, path: Path, value: Any) -> Any:
     return other
 
 
+def renamed_parts(parts: Parts, names: Any) -> Parts:
+    """The parts with other names, `names.of(name)`; nothing is checked."""
+    links, joints, forces = (
+        tuple(_renamed(one, fields, names) for one in things)
+        for things, fields in (
+            (parts.links, ("name",)),
+            (parts.joints, ("name", "parent", "child")),
+            (parts.forces, ("name", "joint", "link", "links")),
+        )
+    )
+    return replace(parts, links=tuple(_with_shared(link, names) for link in links), joints=joints, forces=forces)
+
+
+def _with_shared(link: Link, names: Any) -> Link:
+    for kind in ("section", "material"):
+        if getattr(link, kind) is not None:
+            link = with_number(link, (kind,), _renamed(getattr(link, kind), ("name",), names))
+    return link
+
+
+def _renamed(thing: Any, fields: Sequence[str], names: Any) -> Any:
+    for name in fields:
+        value = getattr(thing, name, None)
+        if value is not None:
+            new = names.of(value) if isinstance(value, str) else tuple(map(names.of, value))
+            thing = with_number(thing, (name,), new)
+    return thing
+
+
 def _is_field(whole: Any, step: str | int) -> bool:
     return isinstance(step, str) and not isinstance(whole, Mapping)
 

@@ -51,7 +51,7 @@ class Shape(NamedTuple):
     centre: Float[Array, "*t joints 3"]
 
 
-@functools.partial(Program, quick=True)
+@functools.partial(Program, quick=True, nameless=True)
 def trace_shapes(model: Model, errors: AssemblyErrors, positions: Coordinates) -> Shape:
     """Shapes of a mechanism with its errors at many positions, whose arrays have a first axis of times."""
     actual = apply_errors(model, errors)

@@ -27,6 +27,7 @@ from jax import Array
 from jax.core import Tracer
 from jaxtyping import Float, Int
 
+from rfem_jax.compilation.naming import Names
 from rfem_jax.description.driven_motions import motion_label
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.joint_kinds import COMPONENTS, KINDS, Freedom, JointKind, compliant
@@ -111,6 +112,11 @@ class Topology(NamedTuple):
     rated: tuple[int, ...] = ()
     redundant: int = 0
     massless: tuple[int, ...] = ()
+
+    def renamed(self, names: Names) -> "Topology":
+        """With other names."""
+        texts = ("links", "joints", "joint_order", "error_names")
+        return self._replace(**{text: tuple(map(names.of, getattr(self, text))) for text in texts})
 
     @property
     def n_links(self) -> int:
@@ -398,6 +404,13 @@ class Model(eqx.Module):
     bearings: dict[str, BearingCapacity] | None = None
     start_rates: Float[Array, " freedoms"] | None = None
     reaction_length: Float[Array, ""] | None = None
+
+    @property
+    def own_names(self) -> tuple[str, ...]:
+        """Names of all its things, which are no part of programs (`compilation.naming`)."""
+        forces = (name for part in (self.forces, self.friction, self.frame_forces) for name in part or {})
+        others = () if self.source is None else self.source.own_names
+        return (*self.topology.joints, *self.topology.links, *(one.partition(".")[0] for one in forces), *others)
 
     @property
     def joint_names(self) -> tuple[str, ...]:

@@ -7,7 +7,7 @@ with nothing in the places of these numbers: models of other numbers are the sam
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -18,10 +18,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from rfem_jax.compilation import keys
+from rfem_jax.compilation.naming import Names
 from rfem_jax.description.forces import Force
 from rfem_jax.description.numbers import Number, array_of
 from rfem_jax.description.parameters import ParameterNames, named_parameters
-from rfem_jax.description.parts import Parts, number_at, scaled, with_number
+from rfem_jax.description.parts import Parts, number_at, renamed_parts, scaled, with_number
 from rfem_jax.description.sections import Tube
 
 ForceNodes = tuple[tuple[str, tuple[int, ...]], ...]
@@ -64,6 +65,25 @@ class Blueprint:
     def __hash__(self) -> int:
         return hash(self.key)
 
+    @cached_property
+    def own_names(self) -> tuple[str, ...]:
+        """Names of the things that have parameters."""
+        full = (one.full.split(".")[:2] for one in self.names.all)
+        things = (name for kind, name in full if kind != "mechanism")
+        return tuple(dict.fromkeys((*(force.name for force in self.parts.forces), *things)))
+
+    @cached_property
+    def _renamed(self) -> "dict[tuple, Blueprint]":
+        return {}
+
+    def renamed(self, names: Names) -> "Blueprint":
+        """With other names; the same object each time, since one with a function of the user equals no other."""
+        if names.key not in self._renamed:
+            points = tuple((names.of(name), nodes) for name, nodes in self.points)
+            parts, known = renamed_parts(self.parts, names), self.names.renamed(names)
+            self._renamed[names.key] = replace(self, parts=parts, names=known, points=points)
+        return self._renamed[names.key]
+
     def filled(self, numbers: Sequence[Number]) -> Parts:
         """The parts with numbers, one for each parameter, in their places."""
         whole = self.parts
@@ -79,6 +99,11 @@ class Source(eqx.Module):
 
     numbers: Float[Array, " parameters"]
     blueprint: Blueprint = eqx.field(static=True)
+
+    @property
+    def own_names(self) -> tuple[str, ...]:
+        """Names of the things that have parameters."""
+        return self.blueprint.own_names
 
 
 def source_of(parts: Parts, held: Sequence[tuple[str, str]], points: ForceNodes, products: bool) -> Source:
@@ -111,8 +136,8 @@ def _without_results(parts: Parts) -> Parts:
 
 def _without_arrays(force: Force) -> Force:
     """A force with zeros for the arrays that a function of the user holds, which may be traced and are the model's."""
-    for field in fields(force):
-        if callable(function := getattr(force, field.name)):
+    for name in vars(force):
+        if callable(function := getattr(force, name)):
             blank = jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), function)
-            force = with_number(force, (field.name,), blank)
+            force = with_number(force, (name,), blank)
     return force

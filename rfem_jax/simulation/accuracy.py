@@ -186,7 +186,7 @@ def trial_errors(model: Model) -> AssemblyErrors:
     return jax.tree.map(lambda a, b: jnp.stack([a, b]), perfect, flawed)
 
 
-@Program
+@functools.partial(Program, nameless=True)
 def rms_loads(
     model: Model,
     errors: AssemblyErrors | dict[str, Float[Array, " cases"]],
@@ -208,13 +208,13 @@ def rms_loads(
     return jax.vmap(jax.jit(one))(errors)
 
 
-@functools.partial(Program, quick=True)
+@functools.partial(Program, quick=True, nameless=True)
 def prepare_trials(model: Model, errors: AssemblyErrors, drive: Drive, method: Method) -> tuple[Prepared, Carry]:
     """The static starts of `rms_loads`, which no number of steps changes; run once, they compile quickly."""
     return jax.vmap(jax.jit(lambda errors: _prepared(model, errors, drive, method)))(errors)
 
 
-@Program
+@functools.partial(Program, nameless=True)
 def loads_of_trials(
     model: Model,
     prepared: Prepared,
@@ -232,7 +232,7 @@ def loads_of_trials(
     return jax.vmap(jax.jit(one))(prepared, carry)
 
 
-loads_of_few_steps = Program(loads_of_trials.function, quick=True)
+loads_of_few_steps = Program(loads_of_trials.function, quick=True, nameless=True)
 
 
 def _prepared(model, errors, drive, method: Method) -> tuple[Prepared, Carry]:

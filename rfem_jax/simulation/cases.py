@@ -169,7 +169,7 @@ def _compile_ahead(model, errors, drive, grid: TimeGrid, method, steps, asked) -
     _conclude.ahead(model, prepared, drive, carry, ends, grid, method, steps, asked)
 
 
-@functools.partial(Program, quick=True)
+@functools.partial(Program, quick=True, nameless=True)
 def _prepare(model, errors, drive, method):
     def one(errors):
         prepared = integration.prepare(model, errors, drive, None)
@@ -178,7 +178,7 @@ def _prepare(model, errors, drive, method):
     return jax.vmap(jax.jit(one))(errors)
 
 
-@Program
+@functools.partial(Program, nameless=True)
 def _advance(model, actual, drive, carry, grid, method, steps):
     def one(actual, carry):
         return integration.advance(model, actual, drive, carry, grid, method, steps, None)
@@ -186,7 +186,7 @@ def _advance(model, actual, drive, carry, grid, method, steps):
     return jax.vmap(jax.jit(one))(actual, carry)
 
 
-@functools.partial(Program, quick=True)
+@functools.partial(Program, quick=True, nameless=True)
 def _conclude(model, prepared, drive, carry, ends, grid, method, steps, asked):
     def one(prepared, carry, ends):
         return integration.conclude(model, prepared, drive, carry, ends, grid, method, steps, asked)

@@ -9,6 +9,7 @@ the slow ones.
 """
 
 from collections.abc import Iterable
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -127,7 +128,7 @@ def cycle_run(
     return with_status(run, made)
 
 
-@Program
+@partial(Program, nameless=True)
 def _periodic(model, errors, drive, grid: TimeGrid, start: State, method, steps, asked) -> Run:
     numbers, unravel = ravel_pytree(jax.lax.stop_gradient(start))
 
@@ -179,7 +180,7 @@ def require_constant_rate(model: Model, drive: Drive) -> PrescribedRate:
     return drive
 
 
-@Program
+@partial(Program, nameless=True)
 def _revolution(model, errors, drive, grid: TimeGrid, start: State | None, method, steps, asked) -> tuple[State, Run]:
     prepared = integration.prepare(model, errors, drive, start)
     carry = integration.start_carry(model, prepared, drive, method)

@@ -11,6 +11,7 @@ state at the end of every interval, with an implicit method of every step, and c
 """
 
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import diffrax
@@ -179,7 +180,7 @@ def grid_for(
     return divide_time(duration, method.step, save_every, all_jumps(drive, model), method.implicit, from_start)
 
 
-@ProgramInParts
+@partial(ProgramInParts, nameless=True)
 def _simulate(run, model, errors, drive, grid, start, method, steps, any_step, adjoint, record):
     """`any_step`: method and steps for parts."""
     method, steps = any_step if in_parts(run) else (method, steps)

@@ -13,6 +13,7 @@ do not exist.
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -99,7 +100,7 @@ def natural_frequencies(
     return modes if made.status is None else replace(modes, status=status_of(modes.status, made))
 
 
-@Program
+@partial(Program, nameless=True)
 def _natural(model: Model, errors: AssemblyErrors, hold: dict[str, Array] | str | None, locked: bool, count: int):
     actual, topology = apply_errors(model, errors), model.topology
     held = held_angles(model, hold)

@@ -6,6 +6,7 @@ At every position the loops of the perfect rigid mechanism are closed first, and
 and weight is sought from there (theory (6.1)). No dynamics: what remains of the loads when the drive moves slowly.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -127,7 +128,7 @@ def kinetostatic_turn(
     return turn_over(model, assembly_errors(model) if errors is None else errors, poses)
 
 
-@Program
+@partial(Program, nameless=True)
 def turn_over(model: Model, errors: AssemblyErrors, poses: ClosedPose) -> Turn:
     """The turn over closed poses."""
     made = designed(model, None, errors)

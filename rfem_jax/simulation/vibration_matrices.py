@@ -6,6 +6,7 @@ Velocities w are six of every node (rfe) in the axes of its link: angular, then 
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -21,7 +22,7 @@ SMALLEST_INERTIA = 1e-15  # of a body, over its mass times the square of the lon
 RIDGE = 1e-13  # added to a matrix with unit diagonal that may be singular
 
 
-@Program
+@partial(Program, nameless=True)
 def _nominal(model: Model):
     return apply_errors(model, assembly_errors(model))
 

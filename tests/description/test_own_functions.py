@@ -111,7 +111,7 @@ def test_weights_of_a_network_have_derivatives():
     slopes, along = jax.grad(found)(weights), jax.tree.map(jnp.ones_like, weights)
     change = jax.jvp(found, (weights,), (along,))[1]
     assert sum(float(jnp.sum(x)) for x in jax.tree.leaves(slopes)) == pytest.approx(float(change), rel=1e-12)
-    ends = [found(jax.tree.map(lambda x: x + step, weights)) for step in (1e-5, -1e-5)]  # noqa: B023
+    ends = [found(jax.tree.map(lambda x: x + step, weights)) for step in (1e-5, -1e-5)]
     assert float(change) == pytest.approx(float(ends[0] - ends[1]) / 2e-5, rel=1e-7)
 
 

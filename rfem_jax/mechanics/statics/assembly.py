@@ -10,6 +10,7 @@ method and differentiated by the implicit function theorem; unknowns and residua
 of the mechanism.
 """
 
+import functools
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from typing import NamedTuple
@@ -112,7 +113,7 @@ def assemble(
     return with_status(_assemble(made.model, made.errors, hold), made)
 
 
-@Program
+@functools.partial(Program, nameless=True)
 def _assemble(model: Model, errors: AssemblyErrors, hold: dict[str, Array] | str | None) -> Assembled:
     actual = apply_errors(model, errors)
     position, multipliers, status = equilibrium(model, actual, held_angles(model, hold))

@@ -12,6 +12,7 @@ Symbols: x (k,) errors [rad, m], f (m,) metrics [their units].
 """
 
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -102,7 +103,7 @@ def differentiate_twice(
     return value[0], jacobian[0], change, status[0]
 
 
-@Program
+@partial(Program, nameless=True)
 def _linearise(problem, names, base, points, weights, mode, mesh):
     """Values (w, m), derivatives and status of points (w, k): Jacobians (w, m, k) in forward mode, in reverse mode the
     gradients (w, k) of weights (w, m) . metrics; divided among the devices of a mesh."""

@@ -24,7 +24,10 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
+from rfem_jax.compilation import keys
+from rfem_jax.compilation.naming import Names, NotRenamable
 from rfem_jax.description.errors import InputError
+from rfem_jax.description.metric_catalogue import kind_and_owner
 from rfem_jax.tolerancing.checks import DIMENSIONS, check_distinct, check_known
 
 Values = dict[str, Float[Array, ""]]
@@ -63,6 +66,24 @@ class Metric:
     def __call__(self, run: Any) -> ArrayLike:
         """The value of a run. Raises InputError for a metric without a function."""
         return self._require_function()(run)
+
+    def renamed(self, names: Names) -> "Metric":
+        """The same metric in a model with other names.
+
+        Raises: NotRenamable for a function that may read results by their names.
+        """
+        try:
+            keys.digest_value(self)
+        except keys.NotDigestible as error:
+            raise NotRenamable(self.name) from error
+        of_other = names.of(self.name)
+        if of_other == self.name:
+            return self
+        from rfem_jax.tolerancing.problems.metrics import metric  # which is made of this class
+
+        if kind_and_owner(self.name)[0] is None or metric(self.name) is not self:
+            raise NotRenamable(self.name)
+        return metric(of_other)
 
     def _require_function(self) -> Callable[[Any], ArrayLike]:
         if self.function is None or not callable(self.function):

@@ -166,7 +166,7 @@ def _differentiate(problem, names, base, x, directions, order, mode, batch):
     return value, first, None, status
 
 
-_differentiate_along = {quick: Program(_differentiate, quick=quick) for quick in (False, True)}
+_differentiate_along = {quick: Program(_differentiate, quick=quick, nameless=True) for quick in (False, True)}
 
 
 class Expansion(NamedTuple):

@@ -7,6 +7,7 @@ Symbols: k errors, m metrics, n samples; x (k,) errors [rad, m].
 
 import os
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, Protocol, runtime_checkable
 
 import equinox as eqx
@@ -118,7 +119,7 @@ def on_devices(mesh: Mesh, function: Callable[..., Any], given: Any, *rows: Arra
     return jax.shard_map(of_device, mesh=mesh, in_specs=places, out_specs=by_rows, check_vma=False)(arrays, *rows)
 
 
-@Program
+@partial(Program, nameless=True)
 def evaluate_lanes(problem, names, base, points, mesh):
     """Values (n, m) and status (n,) at points (n, k), whose errors have these names, with the errors `base` fixed;
     traced.

@@ -120,6 +120,11 @@ class Problem(eqx.Module):
         return f"<Problem of {links}: {names} over {self.duration:g} s by {self.method.name}{step}>"
 
     @property
+    def own_names(self) -> tuple[str, ...]:
+        """Names of the things of its model, which are no part of programs."""
+        return self.model.own_names
+
+    @property
     def reversible(self) -> bool:
         """Whether reverse mode is possible: not with steps that are chosen on the way."""
         return not self.method.adaptive and contact_tolerance_of(self.model, self.method) is None
@@ -312,13 +317,13 @@ class Problem(eqx.Module):
         return problem, assembly_errors(self.model, others)
 
 
-@Program
+@functools.partial(Program, nameless=True)
 def _values_and_status(problem: Problem, errors: AssemblyErrors) -> tuple[Values, Status]:
     """A program of its own: that of `simulate` differentiates the histories, too."""
     return problem.with_residual(errors)[:2]
 
 
-@ProgramInParts
+@functools.partial(ProgramInParts, nameless=True)
 def _values_in_parts(run, metrics, model, errors, drive, grid, method, steps, any_step):
     """As `_values_and_status`, of a mechanism whose numbers are those of the model; `any_step`: method and steps for
     parts."""
