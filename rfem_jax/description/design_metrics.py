@@ -12,7 +12,7 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from rfem_jax.description.metric_catalogue import MetricKind, add_metric, norm_of_squares, p_norm
+from rfem_jax.description.metric_catalogue import BELOW, MetricKind, add_metric, norm_of_squares, p_norm
 
 STRESS_POWER = 64  # of the p-norm of stresses, whose bound has sections and points in it, too
 MILLION_REVOLUTIONS = 2.0e6 * jnp.pi  # rad
@@ -27,9 +27,10 @@ def _add(
     description: str,
     records: tuple[str, ...] = (),
     refusal: Callable[[Any], str | None] | None = None,
+    **more: Any,
 ) -> None:
     """A metric that is never negative and does not change with the sign of out-of-plane errors."""
-    add_metric(MetricKind(name, unit, function, label, True, of, True, None, records, description, refusal))
+    add_metric(MetricKind(name, unit, function, label, True, of, True, None, records, description, refusal, **more))
 
 
 def _without_edge(link: Any) -> str | None:
@@ -86,19 +87,20 @@ _add(
 )  # fmt: skip
 _add(
     "link", "peak_stress", "Pa", f"{STRESS_POWER}-norm of the stress in {{link}}", peak_stress,
-    "smooth maximum over time of the von Mises stress of axial force, bending and torsion at the section's edge",
-    ("{owner}.sections",), _without_edge,
+    f"smooth {STRESS_POWER}-norm over time and section of the von Mises stress of axial force, bending and torsion at "
+    "the section's edge", ("{owner}.sections",), _without_edge, equation="(8.13)",
+    note=f"smooth {STRESS_POWER}-norm over time and section, near the maximum but not it, which is `max_stress`",
 )  # fmt: skip
 _add(
     "link", "max_stress", "Pa", "largest stress in {link}", _largest_stress,
     "largest saved von Mises stress, with a kink where time or place of the maximum changes",
-    ("{owner}.sections",), _without_edge,
+    ("{owner}.sections",), _without_edge, kinked=True,
 )  # fmt: skip
 _add(
-    "link", "peak_deflection", "m", "16-norm of the deflection of {link}",
+    "link", "peak_deflection", "m", "16-norm of the deflection of {link}, below its maximum",
     lambda run, link: p_norm(run.recorded[f"{link}.deflection"]),
-    "smooth maximum over time of the distance of a point from its place on the undeformed link",
-    ("{owner}.deflection",),
+    f"{BELOW}, of the distance of a point from its place on the undeformed link",
+    ("{owner}.deflection",), equation="(8.7)", note=BELOW,
 )  # fmt: skip
 _add(
     "link", "end_deflection", "m", "deflection of {link} at the end",
@@ -116,14 +118,14 @@ def _moment_ratio(run: Any, joint: str) -> Float[Array, ""]:
 
 
 _add(
-    "joint", "force_ratio", "", "force in {joint} over its capacity", _force_ratio,
-    "smooth maximum of the force over the static capacity of the bearing", ("{owner}.bearing",),
-    _without_capacity("static_capacity"),
+    "joint", "force_ratio", "", "16-norm of the force in {joint} over its capacity", _force_ratio,
+    "`peak_force` over the static capacity of the bearing", ("{owner}.bearing",),
+    _without_capacity("static_capacity"), note="by `peak_force`, a lower bound of the maximum, which is `max_force`",
 )  # fmt: skip
 _add(
-    "joint", "moment_ratio", "", "moment in {joint} over its capacity", _moment_ratio,
-    "smooth maximum of the moment over the moment capacity of the bearing", ("{owner}.bearing",),
-    _without_capacity("moment_capacity"),
+    "joint", "moment_ratio", "", "16-norm of the moment in {joint} over its capacity", _moment_ratio,
+    "`peak_moment` over the moment capacity of the bearing", ("{owner}.bearing",),
+    _without_capacity("moment_capacity"), note="by `peak_moment`, a lower bound of the maximum, which is `max_moment`",
 )  # fmt: skip
 
 
@@ -161,17 +163,17 @@ _LIFE = ("{owner}.bearing", "{owner}.turning")
 _add(
     "joint", "bearing_damage", "", "share of the life of {joint} that a run takes", _bearing_damage,
     "share of the basic rating life L10 that one run takes, by the swept angle", _LIFE,
-    _without_capacity("dynamic_capacity"),
+    _without_capacity("dynamic_capacity"), equation="(8.15)",
 )  # fmt: skip
 _add(
     "joint", "bearing_life", "s", "life of {joint}", _bearing_life,
     "basic rating life L10 of runs one after another, infinite without load or motion", _LIFE,
-    _without_capacity("dynamic_capacity"),
+    _without_capacity("dynamic_capacity"), equation="(8.15)",
 )  # fmt: skip
 _add(
     "joint", "equivalent_load", "N", "equivalent load of {joint}", _equivalent_load,
     "constant force of the same life: mean of the force's power 3 (roller: 10/3) over the swept angle", _LIFE,
-    _without_capacity("dynamic_capacity"),
+    _without_capacity("dynamic_capacity"), equation="(8.15)",
 )  # fmt: skip
 
 
@@ -195,7 +197,7 @@ _add("joint", "friction_loss", "J", "friction loss in {joint}",
      lambda run, joint: run.recorded[f"{joint}.friction_loss"][-1],
      "energy that friction in a joint dissipates in the run", ("{owner}.friction_loss",),
      _without_friction)  # fmt: skip
-_add("run", "peak_drive_power", "W", "16-norm of the power of the drives", _peak_power,
-     "smooth maximum over time of the power of all drives together", (), _without_drive)  # fmt: skip
-_add("joint", "peak_drive_power", "W", "16-norm of the power of the drive of {joint}", _peak_power,
-     "smooth maximum over time of the power of the drives of a joint", (), _without_drive)  # fmt: skip
+_add("run", "peak_drive_power", "W", "16-norm of the power of the drives, below its maximum", _peak_power,
+     f"{BELOW}, of the power of all drives together", (), _without_drive, note=BELOW)  # fmt: skip
+_add("joint", "peak_drive_power", "W", "16-norm of the power of the drive of {joint}, below its maximum", _peak_power,
+     f"{BELOW}, of the power of the drives of a joint", (), _without_drive, note=BELOW)  # fmt: skip

@@ -13,7 +13,9 @@ A joint of the tree with one angle, or one displacement, has its value at the en
 the swing of a rocker or the stroke of a slider.
 
 Mean squares are smooth. RMS values are their square roots and have a kink where the load vanishes (theory (8.5),
-(9.5)). The peak of a load is a p-norm over the saved times, a smooth approximation of the maximum (theory (8.7)).
+(9.5)). The maximum of a load over all steps has a kink where another instant becomes that of the maximum (theory
+(8.6)). `peak_force` and `peak_moment` are p-norms over the saved times, smooth, and a lower bound of the maximum
+(theory (8.7)).
 """
 
 from collections.abc import Callable, Iterable
@@ -35,7 +37,8 @@ Refusal = Callable[[Any], str | None]
 @dataclass(frozen=True)
 class MetricKind:
     """An entry of the catalogue, with the arguments of `register_metric`; `of` is "run", "joint" or "link"; `refusal`:
-    of a `JointSubject`, `LinkSubject` or `MetricSubjects` why it has no such metric and what to do, None if it has."""
+    of a `JointSubject`, `LinkSubject` or `MetricSubjects` why it has no such metric and what to do, None if it has;
+    `equation`: its number in the theory."""
 
     name: str
     unit: str
@@ -49,6 +52,9 @@ class MetricKind:
     description: str = ""
     refusal: Refusal | None = None
     at_start: bool = False
+    note: str = ""
+    kinked: bool = False
+    equation: str = ""
 
     def recorded_for(self, owner: str) -> tuple[str, ...]:
         """What a run has to record for this metric of a joint, a link or a point of a link."""
@@ -75,6 +81,9 @@ def register_metric(
     records: tuple[str, ...] = (),
     description: str = "",
     at_start: bool = False,
+    note: str = "",
+    kinked: bool = False,
+    equation: str = "",
     replace: bool = False,
 ) -> None:
     """Add a metric to the catalogue. From then on its name is known everywhere: in `Problem`, in all tolerance
@@ -101,6 +110,10 @@ def register_metric(
             the link), as ("{owner}.sections",); runs for other metrics do not record it.
         description: a sentence about what it is.
         at_start: True for what the start at rest decides alone, such as a preload; no step has a part in it.
+        note: what a reader of the value must know, as "below the maximum"; it is told wherever values are.
+        kinked: True for a value such as a maximum over time, whose derivative jumps where another instant takes over;
+            sensitivities say so.
+        equation: its number in the theory, as "(8.6)".
         replace: True to replace a metric of the same name.
     Raises: InputError for a name that is no plain word or is taken, for a function that cannot be called, and for a
         metric that is of joints and of links.
@@ -113,7 +126,8 @@ def register_metric(
     for catalogue in _CATALOGUES.values():
         catalogue.pop(name, None)
     about = had_by, tuple(records), description
-    add_metric(MetricKind(name, unit, function, label, even, of, nonnegative, *about, at_start=at_start))
+    more = {"at_start": at_start, "note": note, "kinked": kinked, "equation": equation}
+    add_metric(MetricKind(name, unit, function, label, even, of, nonnegative, *about, **more))
 
 
 def _require_fitting(name: str, function: Callable[..., Any], both: bool) -> None:
@@ -172,6 +186,19 @@ def metric_of(run: Any, name: str) -> Any:
     return kind.function(run, owner) if owner else kind.function(run)
 
 
+def notes_on(names: Iterable[str]) -> dict[str, str]:
+    """{kind, as "peak_force": what a reader of its values must know} of metrics by their names."""
+    kinds = [kind_and_owner(name)[0] for name in names]
+    return {kind.name: kind.note for kind in kinds if kind is not None and kind.note}
+
+
+def kinked(names: Iterable[str]) -> tuple[str, ...]:
+    """Of metrics by their names those whose derivatives jump where another instant, or place, is that of the
+    maximum."""
+    pairs = [(name, kind_and_owner(name)[0]) for name in names]
+    return tuple(name for name, kind in pairs if kind is not None and kind.kinked)
+
+
 def known_names(owner: str) -> list[str]:
     """Names of all metrics, those of joints and links with an owner as "A" or "*"."""
     return [f"{owner}.{kind}" for kind in (*JOINT_METRICS, *LINK_METRICS)] + list(RUN_METRICS)
@@ -210,35 +237,57 @@ def norm_of_squares(squares: Float[Array, "..."], count: int, power: int = PEAK_
     return jnp.where(vanish, 0.0, jnp.sqrt(safe)) * mean ** (1.0 / power)
 
 
-def _register_load(name, unit, label, function, at_start=False) -> None:
-    label = f"{label} in {{joint}}"
-    register_metric(name, unit, function, label=label, even=True, of_joints=True, nonnegative=True, at_start=at_start)
+BELOW = f"smooth {PEAK_POWER}-norm over the saved times, a lower bound of the maximum"
+_OF_LOADS = {"even": True, "of_joints": True, "nonnegative": True}
 
 
-_register_load("mean_square_force", "N^2", "mean square force", lambda run, joint: run.metrics.mean_square_force[joint])
-_register_load(
-    "mean_square_moment", "(N m)^2", "mean square moment", lambda run, joint: run.metrics.mean_square_moment[joint]
-)
-_register_load("rms_force", "N", "RMS force", lambda run, joint: run.metrics.rms_force[joint])
-_register_load("rms_moment", "N m", "RMS moment", lambda run, joint: run.metrics.rms_moment[joint])
-_register_load("peak_force", "N", f"{PEAK_POWER}-norm of the force", lambda run, joint: p_norm(run.loads[joint].force))
-_register_load(
-    "peak_moment", "N m", f"{PEAK_POWER}-norm of the moment", lambda run, joint: p_norm(run.loads[joint].moment)
-)
-_register_load(
-    "preload_force_square",
-    "N^2",
-    "squared preload force",
-    lambda run, joint: jnp.sum(run.preload[joint].force ** 2),
-    at_start=True,
-)
-_register_load(
-    "preload_moment_square",
-    "(N m)^2",
-    "squared preload moment",
-    lambda run, joint: jnp.sum(run.preload[joint].moment ** 2),
-    at_start=True,
-)
+def _register_loads(load: str, unit: str, squared: str) -> None:
+    """Metrics of the force or the moment of joints."""
+    register_metric(
+        f"mean_square_{load}", squared, lambda run, joint: getattr(run.metrics, f"mean_square_{load}")[joint],
+        label=f"mean square {load} in {{joint}}", equation="(8.5)",
+        description=f"mean square over the whole run of the resultant {load}", **_OF_LOADS,
+    )  # fmt: skip
+    register_metric(
+        f"rms_{load}", unit, lambda run, joint: getattr(run.metrics, f"rms_{load}")[joint],
+        label=f"RMS {load} in {{joint}}", equation="(8.5)",
+        description=f"root of the mean square over the whole run of the resultant {load}", **_OF_LOADS,
+    )  # fmt: skip
+    register_metric(
+        f"max_{load}", unit, lambda run, joint: getattr(run.metrics, f"max_{load}")[joint],
+        label=f"largest {load} in {{joint}}", equation="(8.6)", kinked=True,
+        description=f"largest resultant {load} of all steps of the run", **_OF_LOADS,
+    )  # fmt: skip
+    register_metric(
+        f"peak_{load}", unit, lambda run, joint: p_norm(getattr(run.loads[joint], load)),
+        label=f"{PEAK_POWER}-norm of the {load} in {{joint}}, below its maximum", equation="(8.7)",
+        description=f"{BELOW}, of the resultant {load}", note=f"{BELOW}, which is `max_{load}`", **_OF_LOADS,
+    )  # fmt: skip
+    register_metric(
+        f"preload_{load}_square", squared, lambda run, joint: jnp.sum(getattr(run.preload[joint], load) ** 2),
+        label=f"squared preload {load} in {{joint}}", at_start=True,
+        description=f"square of the resultant {load} at the start", **_OF_LOADS,
+    )  # fmt: skip
+
+
+def _without_axis(joint: Any) -> str | None:
+    return None if joint.kind.axis is not None else "its kind has no axis (`max_force` is that of the resultant)"
+
+
+def _add_component(name: str, words: str, description: str) -> None:
+    """The maximum of a part of a joint's force, by the axis of the joint."""
+    add_metric(
+        MetricKind(
+            name, "N", lambda run, joint: getattr(run.metrics, name)[joint], f"largest {words} force in {{joint}}",
+            True, "joint", True, description=description, refusal=_without_axis, kinked=True, equation="(8.6)",
+        )
+    )  # fmt: skip
+
+
+_register_loads("force", "N", "N^2")
+_register_loads("moment", "N m", "(N m)^2")
+_add_component("max_axial_force", "axial", "largest force along the joint's axis of all steps of the run")
+_add_component("max_normal_force", "normal", "largest resultant force across the joint's axis of all steps of the run")
 
 
 def _register_motion(what: str, unit: str, range_name: str, count: Callable[[JointKind], int]) -> None:
@@ -250,18 +299,26 @@ def _register_motion(what: str, unit: str, range_name: str, count: Callable[[Joi
 
     of = {"even": True, "of_joints": True, "had_by": one}
     register_metric(
-        f"end_{what}", unit, lambda run, joint: values(run, joint)[-1], label=f"{what} of {{joint}} at the end", **of
-    )
+        f"end_{what}", unit, lambda run, joint: values(run, joint)[-1], label=f"{what} of {{joint}} at the end",
+        description=f"{what} of the joint at the end of the run", **of,
+    )  # fmt: skip
     register_metric(
         f"{what}_range", unit, lambda run, joint: jnp.max(values(run, joint)) - jnp.min(values(run, joint)),
-        label=f"{range_name} of {{joint}}", nonnegative=True, **of,
+        label=f"{range_name} of {{joint}}", nonnegative=True, kinked=True,
+        description=f"{range_name}: largest less smallest {what} at the saved times", **of,
     )  # fmt: skip
 
 
 _register_motion("angle", "rad", "swing", lambda kind: kind.angles)
 _register_motion("displacement", "m", "stroke", lambda kind: kind.displacements)
-register_metric("angle_error", "rad", lambda run: run.driven_joint.angle_end, label="angle error at the end", even=True)
-register_metric("end_energy", "J", lambda run: run.energy.total[-1], label="energy at the end", even=True)
+register_metric(
+    "angle_error", "rad", lambda run: run.driven_joint.angle_end, label="angle error at the end", even=True,
+    description="angle of the driven joint at the end of the run",
+)  # fmt: skip
+register_metric(
+    "end_energy", "J", lambda run: run.energy.total[-1], label="energy at the end", even=True,
+    description="kinetic, elastic and potential energy at the end of the run",
+)  # fmt: skip
 register_metric(
     "linear_error", "", lambda run: run.linear_error, label="estimated error of linear elements", nonnegative=True,
     description="estimated, relative to the deflections of the link that is worst; it has no derivatives",

@@ -23,7 +23,7 @@ from jaxtyping import Float
 
 from rfem_jax.compilation.keeping import state
 from rfem_jax.description.joint_kinds import KINDS
-from rfem_jax.description.metric_catalogue import unit_of
+from rfem_jax.description.metric_catalogue import notes_on, unit_of
 from rfem_jax.description.point_forces import AtPoint
 from rfem_jax.description.study import Study
 from rfem_jax.mechanics.bush_contacts import CONTACT_NAMES, ContactState
@@ -60,6 +60,7 @@ def write_results(path: str | Path, study: Study, summaries: Summaries, start: S
     }
     if study.metrics:
         content["units"]["metrics"] = {name: unit_of(name) or "1" for name in study.metrics}
+        content["metric_notes"] = notes_on(study.metrics)
     if driven:
         content["drives"] = list(study.drive_labels)
     return write_json(path, content)

@@ -33,7 +33,9 @@ MAX_AXIAL_FORCE = Quantity(
 MAX_NORMAL_FORCE = Quantity(
     "max_normal_force", "N", "Maximum normal force", "largest resultant across the axis of the run"
 )
-JOINT_METRICS = (RMS_FORCE, RMS_MOMENT, MAX_AXIAL_FORCE, MAX_NORMAL_FORCE)
+MAX_FORCE = Quantity("max_force", "N", "Maximum resultant force", "largest of all steps of the run")
+MAX_MOMENT = Quantity("max_moment", "N m", "Maximum resultant moment", "largest of all steps of the run")
+JOINT_METRICS = (RMS_FORCE, RMS_MOMENT, MAX_FORCE, MAX_MOMENT, MAX_AXIAL_FORCE, MAX_NORMAL_FORCE)
 
 PRELOAD_FORCE = Quantity(
     "preload_force", "N", "Preload force", "force at the start, holding loads included, x y z of the frame H"

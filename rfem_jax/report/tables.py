@@ -11,7 +11,7 @@ from functools import reduce
 from operator import getitem
 
 from rfem_jax.description.error_catalogue import as_specified
-from rfem_jax.description.metric_catalogue import unit_of
+from rfem_jax.description.metric_catalogue import notes_on, unit_of
 from rfem_jax.description.study import Study
 from rfem_jax.report.annotations import Summaries
 from rfem_jax.report.driven_motions_report import drive_quantities, has_driven_joint
@@ -116,7 +116,13 @@ def _metrics_table(study: Study, summaries: Summaries) -> str:
     for name in study.metrics:
         values = [one["metrics"][name] for one in summaries.values()]
         rows.append([name, unit_of(name) or "1", *(f"{x:.5g}" if math.isfinite(x) else "-" for x in values)])
-    return "Metrics\n" + format_table(["metric", "unit", *marked_cases(summaries).values()], rows, (0, 1))
+    table = format_table(["metric", "unit", *marked_cases(summaries).values()], rows, (0, 1))
+    return "\n".join(["Metrics", table, *notes_text(study.metrics)])
+
+
+def notes_text(metrics: Sequence[str]) -> list[str]:
+    """What a reader of the values of metrics must know, a line for each kind of metrics."""
+    return [f"{kind}: {note}." for kind, note in notes_on(metrics).items()]
 
 
 def _contacts_table(summaries: Summaries) -> str:

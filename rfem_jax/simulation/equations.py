@@ -170,9 +170,21 @@ def start_trajectory(state: State, joints: int, frictions: int = 0, clearances: 
     return Trajectory(state.position, state.velocity, integrals)
 
 
-def peaks(rate: Trajectory) -> Float[Array, "2 joints"]:
-    """Squared axial and normal forces [N^2], whose maxima a run keeps, from the rate of the integrated state."""
-    return jnp.stack([rate.integrals.axial_square, rate.integrals.normal_square])
+def squared_loads(rates: Integrals) -> Float[Array, "4 joints"]:
+    """Squares whose maxima a run keeps: of the axial, the normal and the resultant force [N^2], and of the resultant
+    moment [(N m)^2]; from the rates of the integrals."""
+    axial, normal = rates.axial_square, rates.normal_square
+    return jnp.stack([axial, normal, axial + normal, rates.moment_square])
+
+
+def peaks(rate: Trajectory) -> Float[Array, "4 joints"]:
+    """`squared_loads` from the rate of the integrated state."""
+    return squared_loads(rate.integrals)
+
+
+def largest_component(peaks: Float[Array, "4 joints"]) -> Float[Array, ""]:
+    """The largest squared axial or normal force [N^2] of any joint: what residual forces are compared with."""
+    return jnp.max(peaks[:2])
 
 
 def safe_sqrt(square: Float[Array, "*shape"]) -> Float[Array, "*shape"]:

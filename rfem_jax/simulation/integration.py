@@ -254,7 +254,7 @@ def start_carry(model: Model, prepared: Prepared, drive: Drive, method: Method) 
     drives = active_drives(model, drive)
     phase, stabilisation = jnp.asarray(0, jnp.int32), stabilisation_of(model, method)
     conditions = Conditions(prepared.actual, drives, phase, stabilisation)
-    peaks, memory = jnp.zeros((2, joints)), observed_solver(method).start(conditions, trajectory)
+    peaks, memory = jnp.zeros((4, joints)), observed_solver(method).start(conditions, trajectory)
     # The batch axes of all that goes around, and tangents of all that a step gives tangents to.
     sources = [x for x in jax.tree.leaves(prepared.state) if x.size]
     exhausted, last_step = like_batched((jnp.zeros((), bool), jnp.asarray(1e-7)), *sources)
@@ -432,6 +432,8 @@ def metrics_of(model: Model, carry: Carry, duration: Scalar) -> Metrics:
         rms_moment=by_name(equations.safe_sqrt(moment)),
         max_axial_force=with_axis(highest[0]),
         max_normal_force=with_axis(highest[1]),
+        max_force=by_name(highest[2]),
+        max_moment=by_name(highest[3]),
     )
 
 
@@ -451,7 +453,7 @@ def _status(model, prepared: Prepared, carry: Carry, error, drift, used, residua
 
 def largest_force(carry: Carry) -> Float[Array, ""]:
     """The largest axial or normal force [N] that any joint has carried."""
-    return equations.safe_sqrt(jnp.max(carry.peaks))
+    return equations.safe_sqrt(equations.largest_component(carry.peaks))
 
 
 def _force_scale(

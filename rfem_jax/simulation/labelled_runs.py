@@ -30,6 +30,8 @@ METRICS = {
     "rms_moment": ("N m", "RMS resultant moment"),
     "max_axial_force": ("N", "largest absolute force along the joint's axis"),
     "max_normal_force": ("N", "largest resultant force across the joint's axis"),
+    "max_force": ("N", "largest resultant force"),
+    "max_moment": ("N m", "largest resultant moment"),
 }
 ENERGIES = {
     "kinetic": "kinetic energy",
@@ -265,7 +267,7 @@ def run_frame(run: Run) -> DataFrame:
     return frame(joint_rows(run), ["joint"])
 
 
-SHOWN = ("rms_force", "rms_moment", "max_axial_force", "max_normal_force")
+SHOWN = ("rms_force", "rms_moment", "max_force", "max_moment", "max_axial_force", "max_normal_force")
 
 
 def run_html(run: Run) -> str:

@@ -69,7 +69,7 @@ class Record(NamedTuple):
     they are divided by; hinge_residual [N m]: largest load along a free motion of a joint beyond that of its springs,
     zero (forces times `Instant.arm`); range_used: as `kinematics.range_used`; linear_error: as
     `linear_range.linear_error`; square_integrals: of the resultant force
-    and moment [N^2 s, (N m)^2 s]; squares: of the axial and the normal force [N^2]; friction_losses, contact_losses
+    and moment [N^2 s, (N m)^2 s]; squares: as of `equations.squared_loads`; friction_losses, contact_losses
     [J]: energy that every friction, every clearance has dissipated, None without any; asked: by the names of `records`;
     contacts: of the joints with clearance.
     """
@@ -92,7 +92,7 @@ class Record(NamedTuple):
     branch: Float[Array, " cuts"]
     square_integrals: Float[Array, "2 joints"]
     residual: Float[Array, " n"]
-    squares: Float[Array, "2 joints"]
+    squares: Float[Array, "4 joints"]
     forces: dict[str, PointHistory]
     friction_losses: Float[Array, " frictions"] | None
     contact_losses: Float[Array, " clearances"] | None
@@ -164,9 +164,9 @@ def observe(
     drive: DriveInput,
     integrals: Integrals,
     instant: Instant,
-    squares: Float[Array, "2 joints"],
+    squares: Float[Array, "4 joints"],
 ) -> Record:
-    """Record of one instant; `squares` [N^2]: of axial and normal forces."""
+    """Record of one instant; `squares`: as of `equations.squared_loads`."""
     with jax.named_scope("observation"):
         topology = actual.topology
         joint, now = instant.loads, instant.motion

@@ -45,7 +45,8 @@ class Energy(eqx.Module):
 
 class Metrics(eqx.Module):
     """Scalars by the names of the joints: mean squares and RMS over the whole duration of the
-    resultant force and moment; maxima of the absolute axial and of the normal force [N, N m]."""
+    resultant force and moment; maxima over the whole duration of the absolute axial force and of the normal force (NaN
+    for a joint without an axis), of the resultant force and of the resultant moment [N, N m]."""
 
     mean_square_force: dict[str, Float[Array, ""]]
     mean_square_moment: dict[str, Float[Array, ""]]
@@ -53,6 +54,8 @@ class Metrics(eqx.Module):
     rms_moment: dict[str, Float[Array, ""]]
     max_axial_force: dict[str, Float[Array, ""]]
     max_normal_force: dict[str, Float[Array, ""]]
+    max_force: dict[str, Float[Array, ""]]
+    max_moment: dict[str, Float[Array, ""]]
 
 
 class LoadIntegrals(eqx.Module):
@@ -242,12 +245,12 @@ class Run(eqx.Module):
             return f"Run: a batch of {np.shape(self.status)} runs; take one to read its summary."
         lines = [
             f"status {STATUS[int(self.status)].name}, {float(self.times[-1]):g} s simulated",
-            f"{'joint':<12}{'RMS force N':>14}{'RMS moment N m':>16}{'max axial N':>14}{'max normal N':>14}",
+            f"{'joint':<12}{'RMS force N':>14}{'RMS moment N m':>16}{'max force N':>14}{'max moment N m':>16}",
         ]
         m = self.metrics
         lines += [
             f"{name:<12}{float(m.rms_force[name]):>14.5g}{float(m.rms_moment[name]):>16.5g}"
-            f"{float(m.max_axial_force[name]):>14.5g}{float(m.max_normal_force[name]):>14.5g}"
+            f"{float(m.max_force[name]):>14.5g}{float(m.max_moment[name]):>16.5g}"
             for name in m.rms_force
         ]
         lines.append(

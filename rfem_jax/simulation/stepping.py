@@ -2,7 +2,7 @@
 
 Place in the pipeline: methods, solvers -> **stepping** -> integration.
 
-Every method is a diffrax solver of the state (trajectory, squared maxima of forces); see `solvers`.  With adaptive
+Every method is a diffrax solver of the state (trajectory, squared maxima of loads); see `solvers`.  With adaptive
 steps `diffrax.diffeqsolve` integrates each interval, so that saved times and the drive's jumps are ends of steps.
 With fixed steps a loop over `solver.step` does, to which all transforms of JAX apply: `diffeqsolve` takes longer to
 compile there, and runs the implicit method slower (measured in benchmarks/README.md).
@@ -45,13 +45,13 @@ MOST_OPERATIONS = 20_000  # scalar operations of a right-hand side that compile 
 class Carry(NamedTuple):
     """State of the integration between two intervals.
 
-    trajectory; peaks: squared maxima of axial and normal forces [N^2]; exhausted: whether an adaptive method, or
+    trajectory; peaks: maxima of the squares of `equations.squared_loads`; exhausted: whether an adaptive method, or
     one that follows contacts, ran out of steps; last_step [s] of an adaptive method; memory of an implicit method
     (None for others).
     """
 
     trajectory: Trajectory
-    peaks: Float[Array, "2 joints"]
+    peaks: Float[Array, "4 joints"]
     exhausted: Bool[Array, ""]
     last_step: Float[Array, ""]
     memory: Memory | None
@@ -137,7 +137,7 @@ def _batched_rate(t, trajectory, conditions):
 
 
 def vector_field(t: Scalar, y: tuple[Trajectory, PyTree], conditions: Conditions) -> tuple[Trajectory, PyTree]:
-    """Time derivative of the state (trajectory, squared maxima of forces), zero for the maxima."""
+    """Time derivative of the state (trajectory, squared maxima of loads), zero for the maxima."""
     trajectory, peaks = y
     # Reverse mode recomputes a stage from its state: to store hundreds of intermediates costs more.
     rate_of = _scalarised_rate if explicit_methods_scalarised() else equations.right_hand_side

@@ -250,7 +250,7 @@ def test_explicit_methods_are_scalarised(four_bar_in_motion, monkeypatch):
     _, _, conditions, trajectory, _ = four_bar_in_motion
 
     def products():
-        state = trajectory, jnp.zeros((2, 4))
+        state = trajectory, jnp.zeros((4, 4))
         program = jax.make_jaxpr(lambda t: stepping.vector_field(t, state, conditions))(0.0)
         return str(program).count(" mul ")
 

@@ -127,6 +127,8 @@ def synthetic_run(size, status=0):
         for name, factor in (
             ("rms_force", 1.0),
             ("rms_moment", 0.1),
+            ("max_force", 4.0),
+            ("max_moment", 0.4),
             ("max_axial_force", 2.0),
             ("max_normal_force", 3.0),
         )

@@ -38,7 +38,7 @@ def test_the_same_results_do_not_differ(folders, capsys):
     captured = capsys.readouterr()
     found = json.loads(captured.out)
     assert captured.err == "" and found["remarks"] == []
-    assert len(found["differences"]) == 3 * (4 * 4 + 2)
+    assert len(found["differences"]) == 3 * (4 * 6 + 2)
     assert {one["difference"] for one in found["differences"]} == {0.0}
     # The case without errors has no loads here: nothing to compare with.
     assert {one["case"] for one in found["differences"] if one["relative"] is None} == {"P1"}

@@ -40,6 +40,8 @@ def test_json_has_the_promised_keys_and_numbers(folder):
         "kind": "revolute",
         "rms_force": 8.0,
         "rms_moment": pytest.approx(0.8),
+        "max_force": 32.0,
+        "max_moment": pytest.approx(3.2),
         "max_axial_force": 16.0,
         "max_normal_force": 24.0,
         "preload_force": [5.0, 7.0, 9.0],

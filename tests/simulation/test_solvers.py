@@ -30,7 +30,7 @@ def in_one_interval(model, drive, method):
     prepared = integration.prepare(model, assembly_errors(model, ERRORS), drive, None)
     drives, gains = active_drives(model, drive), stabilisation_of(model, method)
     conditions = Conditions(prepared.actual, drives, jnp.asarray(0, jnp.int32), gains)
-    y = (start_trajectory(prepared.state, 4), jnp.zeros((2, 4)))
+    y = (start_trajectory(prepared.state, 4), jnp.zeros((4, 4)))
     return prepared, conditions, y
 
 
@@ -101,6 +101,9 @@ def test_peaks_are_the_maxima_of_a_fine_history(small):
         axial = np.abs(force[:, 1]).max()
         np.testing.assert_allclose(coarse.metrics.max_normal_force[name], normal, rtol=1e-9)
         np.testing.assert_allclose(coarse.metrics.max_axial_force[name], axial, rtol=1e-9)
+        for what, vectors in (("force", force), ("moment", np.asarray(load.moment))):
+            largest = np.linalg.norm(vectors, axis=1).max()
+            np.testing.assert_allclose(getattr(coarse.metrics, f"max_{what}")[name], largest, rtol=1e-9, atol=1e-12)
 
 
 def test_mean_squares_are_those_of_a_fine_history(small):

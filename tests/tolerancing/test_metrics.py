@@ -18,13 +18,14 @@ jax.config.update("jax_enable_x64", True)
 
 RNG = np.random.default_rng(8)
 FORCE, MOMENT = RNG.normal(size=(2, 41, 3))
+LARGEST = {"max_force": 5.0, "max_moment": 6.0}
 
 
 def run(force=FORCE, moment=MOMENT):
     """What metrics read of a run, at one joint "A"."""
     loads = SimpleNamespace(force=jnp.asarray(force), moment=jnp.asarray(moment))
     squares = {"mean_square_force": 4.0, "mean_square_moment": 9.0}
-    kinds = {**squares, "rms_force": 2.0, "rms_moment": 3.0}
+    kinds = {**squares, "rms_force": 2.0, "rms_moment": 3.0, **LARGEST}
     return SimpleNamespace(
         loads={"A": loads},
         preload={"A": SimpleNamespace(force=jnp.array([1.0, 2, 2]), moment=jnp.array([0.0, 3, 4]))},
@@ -46,7 +47,7 @@ def test_every_metric_is_what_its_name_says():
     }
     expected = {
         "mean_square_force": 4.0, "mean_square_moment": 9.0, "rms_force": 2.0, "rms_moment": 3.0,
-        "preload_force_square": 9.0, "preload_moment_square": 25.0, **peaks,
+        "preload_force_square": 9.0, "preload_moment_square": 25.0, **peaks, **LARGEST,
         "end_angle": -1.0, "angle_range": 3.0, "end_displacement": 0.2, "displacement_range": 0.3,
     }  # fmt: skip
     assert found == pytest.approx(expected, rel=1e-12)

@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from rfem_jax.compilation.stages import on_stage
 from rfem_jax.description.error_catalogue import as_specified
-from rfem_jax.description.metric_catalogue import only_at_start
+from rfem_jax.description.metric_catalogue import kinked, only_at_start
 from rfem_jax.description.study import Study
 from rfem_jax.description.tasks.sensitivity import SensitivityTask
 from rfem_jax.report.annotations import Figure
@@ -32,6 +32,10 @@ UNDAMPED = (
     "No flexible link has damping: derivatives of mean-square and RMS forces are dominated by the "
     "phase of\nundamped 1-20 kHz vibrations and may even have the wrong sign (those of moments "
     "stay smooth).\nGive the material a small damping for a study of derivatives."
+)
+KINKED = (
+    "maxima or ranges over time; their derivatives are those at the instants where they are reached, and jump where "
+    "other instants take over: for smooth derivatives ask for mean squares, or for norms such as peak_force."
 )
 NOTHING = 1e-6
 MOST_PANELS = 12
@@ -84,6 +88,7 @@ class SensitivityReport(TaskReport[SensitivityTask, Derivatives]):
             "mode": found.mode,
             "errors": list(found.names),
             "half_widths": dict(zip(found.names, found.scale, strict=True)),
+            "remarks": [" ".join(one.split()) for one in kink_notes(found)],
             "metrics": {metric: _metric_content(found, m) for m, metric in enumerate(found.metrics)},
             "units": metric_units(found.metrics, found.metric_units),
         }
@@ -138,7 +143,13 @@ def sensitivity_text(result: Sensitivities, undamped: bool) -> str:
         ]
         head = "Change with the finer step (of each error's effect, of the largest |H|)"
         parts.append(f"{head}\n{align_columns(header, rows)}")
-    return "\n\n".join([*parts, *([UNDAMPED] if undamped else [])])
+    return "\n\n".join([*parts, *kink_notes(result), *([UNDAMPED] if undamped else [])])
+
+
+def kink_notes(result: Sensitivities) -> list[str]:
+    """A sentence on the metrics whose derivatives jump where another instant is that of the maximum."""
+    names = kinked(result.metrics)
+    return [wrap_lines(f"{', '.join(names)}: {KINKED}")] if names else []
 
 
 def _metric_content(result: Sensitivities, m: int) -> dict[str, Any]:

@@ -10,6 +10,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from rfem_jax.description.metric_catalogue import notes_on
 from rfem_jax.description.study import Study
 from rfem_jax.report.output import plain, write_json
 from rfem_jax.report.summary import study_note
@@ -31,6 +32,7 @@ def write_task_json(path: Path, study: Study, name: str, result: dict[str, Any])
         "task": {"name": name, **asdict(study.tasks.asked[name])},
         "tolerances": None if specified is None else asdict(specified),
         **result,
+        "metric_notes": notes_on(getattr(study.tasks.asked[name], "metrics", ())),
         "units": {"duration": "s", "error": "rad or m", **result.get("units", {})},
     }
     return write_json(path, plain(content))

@@ -27,7 +27,7 @@ from rfem_jax.report.pictures import write_pictures
 from rfem_jax.report.progress_line import note, remark, show
 from rfem_jax.report.style import SETTINGS
 from rfem_jax.report.summary import PLOTS_HINT
-from rfem_jax.report.tables import title_text
+from rfem_jax.report.tables import notes_text, title_text
 from rfem_jax.task_kinds import task_kinds
 from rfem_jax.tolerancing.problems.kept_evaluations import count_kept, kept_in
 from rfem_jax.tolerancing.problems.sharing import process_index
@@ -147,7 +147,8 @@ class TaskReport(abc.ABC, Generic[Asked, Result]):
         if process_index() != 0:
             show(self.text_of_helper(result))
             return good, []
-        show(f"{title_text(self.study)}\n\n{self.text(result)}", end="\n\n")
+        notes = notes_text(getattr(self.task, "metrics", ()))
+        show("\n\n".join([title_text(self.study), self.text(result), *notes]), end="\n\n")
         return good, self.write(folder, result) + self._draw(folder, result)
 
     def _draw(self, folder: Path, result: Result) -> list[Path]:

@@ -67,7 +67,7 @@ class IntervalSolver(Protocol):
 
     def instant(
         self, t: Scalar, h: Float[Array, ""], trajectory: Trajectory, memory: Any, conditions: Conditions
-    ) -> tuple[Float[Array, "2 joints"], State, DriveInput, Instant]:
+    ) -> tuple[Float[Array, "4 joints"], State, DriveInput, Instant]:
         """At the end t of a step of length h [s]: squared axial and normal forces [N^2], state, drive, instant."""
         ...
 

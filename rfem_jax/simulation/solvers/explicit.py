@@ -208,14 +208,14 @@ class PeakTracking(diffrax.AbstractWrappedSolver):
 
     def instant(
         self, t: Scalar, h: Float[Array, ""], trajectory: Trajectory, memory: PyTree, conditions: Conditions
-    ) -> tuple[Float[Array, "2 joints"], State, DriveInput, Instant]:
-        """At the time t [s]: squared axial and normal forces [N^2], state, drive, and the solved instant."""
+    ) -> tuple[Float[Array, "4 joints"], State, DriveInput, Instant]:
+        """At the time t [s]: squared loads, state, drive, and the solved instant."""
         del h, memory
         state, drive, result, _ = equations.at_instant(t, trajectory, conditions)
         scale = conditions.stabilisation.scale
         instant = solved_instant(conditions.actual, result, drive, scale)
-        axial, normal, _ = equations.squares(conditions.actual.topology, instant.loads)
-        return jnp.stack([axial, normal]), state, drive, instant
+        axial, normal, moment = equations.squares(conditions.actual.topology, instant.loads)
+        return jnp.stack([axial, normal, axial + normal, moment]), state, drive, instant
 
 
 def _motion_term(terms):

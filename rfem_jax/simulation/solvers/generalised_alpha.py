@@ -106,7 +106,7 @@ ACCURACY_OF_TOLERANCE = 30.0
 ERROR_OF_FIRST_INCREMENT, REDUCTION_BY_INCREMENT = 5e-3, 1.0 / 13.0
 
 MadeJump = bool | Bool[Array | np.ndarray, ""]
-StepState = tuple[Trajectory, Float[Array, "2 joints"]]
+StepState = tuple[Trajectory, Float[Array, "4 joints"]]
 
 
 class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
@@ -226,16 +226,16 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         if operators is None:
             operators = jax.tree.map(lambda x: x[0], self.operators(args.actual, h[None]))
         start = _remembering(StepStart(dataclasses.replace(args, operators=None), trajectory, solver_state))
-        seen = jnp.maximum(peaks, squared_forces(solver_state.rates))
-        largest = jnp.max(seen)
+        seen = jnp.maximum(peaks, equations.squared_loads(solver_state.rates))
+        largest = equations.largest_component(seen)
         if args.actual.friction is not None:
             largest = jnp.maximum(largest, squared_moments(trajectory, solver_state, t1) / args.stabilisation.scale**2)
         constants = StepConstants(t1, h, jnp.sqrt(largest))
         operators, constants, fixed = jax.lax.stop_gradient((operators, constants, start))
         matrix = form_matrix(self, operators, constants, fixed)
         trajectory, memory = solved_step(self, matrix, constants, start)
-        y1 = trajectory, jnp.maximum(peaks, squared_forces(memory.rates))
-        allowed = RESIDUAL_LIMIT * jnp.sqrt(jnp.max(jax.lax.stop_gradient(y1[1])))
+        y1 = trajectory, jnp.maximum(peaks, equations.squared_loads(memory.rates))
+        allowed = RESIDUAL_LIMIT * jnp.sqrt(equations.largest_component(jax.lax.stop_gradient(y1[1])))
         if args.actual.friction is not None:
             allowed = jnp.maximum(allowed, RESIDUAL_LIMIT * constants.largest_force)
         rounding = rounding_force(args.actual, args.stabilisation.scale, h)
@@ -258,8 +258,8 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
 
     def instant(
         self, t: Scalar, h: Float[Array, ""], trajectory: Trajectory, memory: Memory, conditions: Conditions
-    ) -> tuple[Float[Array, "2 joints"], State, DriveInput, Instant]:
-        """At the end t of a step of length h [s]: squared forces [N^2], state, drive, and the instant."""
+    ) -> tuple[Float[Array, "4 joints"], State, DriveInput, Instant]:
+        """At the end t of a step of length h [s]: squared loads, state, drive, and the instant."""
         scale = conditions.stabilisation.scale
         state = State(trajectory.position, trajectory.velocity)
         drive = conditions.drives.at(t, conditions.phase)
@@ -269,7 +269,7 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         topology = conditions.actual.topology
         evaluation = _with_least_reactions(conditions.actual, evaluation)
         instant = evaluated_instant(topology, evaluation, accelerations, drive, scale, forces)
-        return squared_forces(memory.rates), state, drive, instant
+        return equations.squared_loads(memory.rates), state, drive, instant
 
     def solve(self, matrix: IterationMatrix, constants: StepConstants, start: StepStart) -> StepEnd:
         """Newton's method from the prediction, by increments with the iteration matrix."""
@@ -541,11 +541,6 @@ def _remembering(start: StepStart) -> StepStart:
     contacts = contact_memory(actual, motion, memory.contacts)
     conditions = dataclasses.replace(conditions, actual=with_memory(actual, contacts))
     return StepStart(conditions, trajectory, memory._replace(contacts=contacts))
-
-
-def squared_forces(rates: Integrals) -> Float[Array, "2 joints"]:
-    """Squared axial and normal forces [N^2]."""
-    return jnp.stack([rates.axial_square, rates.normal_square])
 
 
 def squared_moments(trajectory: Trajectory, memory: Memory, t: Scalar) -> Float[Array, ""]:

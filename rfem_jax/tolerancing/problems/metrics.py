@@ -42,14 +42,14 @@ def metric(name: str) -> Metric:
 
 
 def peak_force(joint: str, power: int = PEAK_POWER) -> Metric:
-    """Smooth maximum of the resultant force [N]: its p-norm over the saved times, with the given power.
+    """Lower bound of the largest resultant force [N], smooth: its p-norm over the saved times, with the given power.
 
     With N saved times, p-norm <= largest saved value <= N^(1/p) p-norm.
     """
     return Metric(
         f"{joint}.peak_force",
         "N",
-        f"{power}-norm of the force in {joint}",
+        f"{power}-norm of the force in {joint}, below its maximum",
         even=True,
         function=lambda run: p_norm(run.loads[joint].force, power),
     )
@@ -60,7 +60,7 @@ def peak_moment(joint: str, power: int = PEAK_POWER) -> Metric:
     return Metric(
         f"{joint}.peak_moment",
         "N m",
-        f"{power}-norm of the moment in {joint}",
+        f"{power}-norm of the moment in {joint}, below its maximum",
         even=True,
         function=lambda run: p_norm(run.loads[joint].moment, power),
     )
