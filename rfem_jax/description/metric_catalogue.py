@@ -125,9 +125,8 @@ def register_metric(
     label = label or name.replace("_", " ") + ("" if of == "run" else f" in {{{of}}}")
     for catalogue in _CATALOGUES.values():
         catalogue.pop(name, None)
-    about = had_by, tuple(records), description
-    more = {"at_start": at_start, "note": note, "kinked": kinked, "equation": equation}
-    add_metric(MetricKind(name, unit, function, label, even, of, nonnegative, *about, **more))
+    about = had_by, tuple(records), description, None, at_start, note, kinked, equation
+    add_metric(MetricKind(name, unit, function, label, even, of, nonnegative, *about))
 
 
 def _require_fitting(name: str, function: Callable[..., Any], both: bool) -> None:
