@@ -1,5 +1,5 @@
-"""Directives whose content is made from the package: its public names, the keys of study files, the command's help,
-the reference data of the validation."""
+"""Directives whose content is made from the package: its public names, the keys of study files, the metrics, the
+command's help, the reference data of the validation."""
 
 import json
 from pathlib import Path
@@ -18,6 +18,7 @@ def setup(app):
     for name, kind in (
         ("public-names", PublicNames),
         ("study-keys", StudyKeys),
+        ("study-metrics", StudyMetrics),
         ("command-help", CommandHelp),
         ("reference-data", ReferenceData),
     ):
@@ -82,6 +83,30 @@ class StudyKeys(SphinxDirective):
             section += self.parse_text_to_nodes("\n".join(rows))
             found.append(section)
         return found
+
+
+class StudyMetrics(SphinxDirective):
+    """All metrics with their units, what they mean, what has them, and their equations."""
+
+    def run(self) -> list[nodes.Node]:
+        from rfem_jax.description.metric_reference import metric_tables
+
+        found: list[nodes.Node] = []
+        for table in metric_tables():
+            section = nodes.section(ids=[nodes.make_id(table.header)], names=[nodes.fully_normalize_name(table.header)])
+            section += nodes.title(table.header, table.header[:1].upper() + table.header[1:])
+            section += self.parse_text_to_nodes("\n".join(metric_lines(table.rows)))
+            found.append(section)
+        return found
+
+
+def metric_lines(rows) -> list[str]:
+    """A Markdown table of metrics."""
+    lines = ["| metric | unit | meaning | what has it | theory |", "|---|---|---|---|---|"]
+    for row in rows:
+        texts = (row.unit or "1", row.meaning, row.needs or "all", row.equation or "-")
+        lines.append(f"| `{row.name}` | {' | '.join(map(cell, texts))} |")
+    return lines
 
 
 class CommandHelp(SphinxDirective):

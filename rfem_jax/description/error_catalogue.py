@@ -10,7 +10,7 @@ depends on its kind (`joint_kinds`). Source: theory (2.3) to (2.5), (2.17).
 """
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from types import MappingProxyType
@@ -24,9 +24,10 @@ _KNOWN = {**JOINT_ERRORS, **LINK_ERRORS}
 _parameters: ContextVar[Mapping[str, str] | None] = ContextVar("parameters", default=MappingProxyType({}))
 
 
-def error_dimension(name: object) -> str:
+def error_dimension(name: object, also: Collection[str] = ()) -> str:
     """Return "angle" or "length" for the error `name`, such as "D.delta_x" or "coupler.length", and the dimension of
-    a parameter while a study with it is read (`reading_parameters`).
+    a parameter while a study with it is read (`reading_parameters`); `also`: what else may be meant, after a joint's
+    name and a dot.
 
     Raises:
         InputError: the part after the joint's or link's name is no error's name; without a sentence where it is not
@@ -48,7 +49,7 @@ def error_dimension(name: object) -> str:
     if component not in _KNOWN:
         raise InputError(
             "Argument `name` of an error must end in a known kind of error, but "
-            f"`{component}` in `{name}` is none; {_nearest(str(name), component, parameters)}"
+            f"`{component}` in `{name}` is none; {_suggestion(str(name), component, parameters, also)}"
         )
     return _KNOWN[component]
 
@@ -68,10 +69,13 @@ def knows_dimension(name: object) -> bool:
         return False
 
 
-def _nearest(name: str, component: str, parameters: Mapping[str, str]) -> str:
-    """The nearest parameter or kind of error."""
-    close = suggestion(component, _KNOWN)
-    return close if close.startswith("did you mean") or not parameters else suggestion(name, (*parameters, *_KNOWN))
+def _suggestion(name: str, component: str, parameters: Mapping[str, str], also: Collection[str]) -> str:
+    """The nearest kind of error or parameter; where none is near, kinds of errors and the parameters of this owner."""
+    kinds = (*also, *_KNOWN)
+    if nearest(component, kinds) is None and nearest(name, parameters) is not None:
+        return suggestion(name, parameters)
+    owner = f"{name.partition('.')[0]}."
+    return suggestion(component, (*kinds, *(one for one in parameters if one.startswith(owner))))
 
 
 @contextmanager

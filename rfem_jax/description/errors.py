@@ -1,6 +1,6 @@
 """InputError, the one exception for bad input, and the wording its sentences share.
 
-Place in the pipeline: used by every package; imports nothing of the library.
+Place in the pipeline: near_names -> **errors**, used by every package.
 
 Every refusal is one sentence of the form "Argument `x` must ..., but ...", and the fix; where a reader can go on after
 a mistake, it collects the sentences (`Problems`).
@@ -9,11 +9,10 @@ a mistake, it collects the sentences (`Problems`).
 import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from difflib import get_close_matches
 from typing import Any
 
-# By difflib, "legnth" is like "length" by 0.83, "rk5" like "rk4" by 0.67, but so is "other" like "note".
-LIKENESS, LIKENESS_OF_SAME_LETTER = 0.7, 0.65
+from rfem_jax.description.near_names import nearest as nearest
+
 # Characters of a value, and of a remark in parentheses, beyond which a sentence quotes their beginning.
 LONGEST_QUOTE, LONGEST_REMARK, QUOTED = 120, 300, 60
 CLOSING = {"[": "]", "{": "}", "(": ")", "'": "'", '"': '"', "`": "`"}
@@ -171,16 +170,6 @@ def subject(where: str) -> str:
     (such as "`length` of link `crank`").
     """
     return f"Argument {where}" if "`" in where else f"Argument `{where}`"
-
-
-def nearest(name: object, known: Iterable[object]) -> str | None:
-    """Return the entry of `known` (strings) that `name` may be a slip of the pen for, or None."""
-    by_lower_case = {str(entry).lower(): str(entry) for entry in known}
-    name = str(name).lower()
-    same_letter = [entry for entry in by_lower_case if entry[:1] == name[:1]]
-    found = get_close_matches(name, list(by_lower_case), n=1, cutoff=LIKENESS)
-    found = found or get_close_matches(name, same_letter, n=1, cutoff=LIKENESS_OF_SAME_LETTER)
-    return by_lower_case[found[0]] if found else None
 
 
 def suggestion(name: object, known: Iterable[object]) -> str:

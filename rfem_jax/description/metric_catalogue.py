@@ -25,7 +25,7 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from rfem_jax.description.errors import InputError, require_name
+from rfem_jax.description.errors import InputError, nearest, require_name
 from rfem_jax.description.joint_kinds import JointKind
 
 PEAK_POWER = 16  # of the p-norm
@@ -201,6 +201,12 @@ def kinked(names: Iterable[str]) -> tuple[str, ...]:
 def known_names(owner: str) -> list[str]:
     """Names of all metrics, those of joints and links with an owner as "A" or "*"."""
     return [f"{owner}.{kind}" for kind in (*JOINT_METRICS, *LINK_METRICS)] + list(RUN_METRICS)
+
+
+def suggested_metric(name: str, owner: str) -> str:
+    """What to do about an unknown metric, with the nearest name; `owner`: as of `known_names`."""
+    match = nearest(name, known_names(owner))
+    return f"did you mean `{match}`?" if match else "`rfem-jax keys metrics` prints all."
 
 
 def never_negative(name: str) -> bool:

@@ -10,7 +10,7 @@ from rfem_jax.description.errors import InputError, suggestion
 from rfem_jax.description.forces import JointFriction
 from rfem_jax.description.joint_kinds import KINDS, JointKind
 from rfem_jax.description.mechanism import Mechanism
-from rfem_jax.description.metric_catalogue import MetricKind, kind_and_owner, known_names
+from rfem_jax.description.metric_catalogue import MetricKind, kind_and_owner, suggested_metric
 
 
 class JointSubject(NamedTuple):
@@ -92,8 +92,7 @@ def require_metric(name: str, subjects: MetricSubjects, whole: str, of: str = ""
     kind, owner = kind_and_owner(name)
     if kind is None:
         raise InputError(
-            f"Argument `metrics`{of} must name metrics, but {name!r} is none; "
-            f"{suggestion(name, known_names(owner or '*'))}"
+            f"Argument `metrics`{of} must name metrics, but {name!r} is none; {suggested_metric(name, owner or '*')}"
         )
     if kind.of == "run":
         refusal = kind.refusal and kind.refusal(subjects)
@@ -111,7 +110,7 @@ def require_metric(name: str, subjects: MetricSubjects, whole: str, of: str = ""
             f"Argument `metrics`{of} must be of {kind.of}s of the {whole}, but `{owner}` in `{name}` is none; "
             f"{suggestion(wanted, known)}"
         )
-    having = [one for one, subject in known.items() if _refusal(kind, subject) is None]
+    having = [one for one, subject in known.items() if refusal_of(kind, subject) is None]
     if wanted == "*" and having:
         return tuple(f"{owner.replace('*', one, 1)}.{kind.name}" for one in having)
     if wanted not in having:
@@ -119,7 +118,8 @@ def require_metric(name: str, subjects: MetricSubjects, whole: str, of: str = ""
     return (name,)
 
 
-def _refusal(kind: MetricKind, subject: JointSubject | LinkSubject) -> str | None:
+def refusal_of(kind: MetricKind, subject: JointSubject | LinkSubject | MetricSubjects) -> str | None:
+    """Why a joint, a link or a mechanism has no such metric, None if it has."""
     if isinstance(subject, JointSubject) and kind.had_by is not None and not kind.had_by(subject.kind, subject.cut):
         return "a cut joint has no coordinate, and one of another kind not this one"
     return kind.refusal and kind.refusal(subject)
@@ -129,7 +129,7 @@ def _not_had(
     name: str, kind: MetricKind, subject: JointSubject | LinkSubject | None, having: Iterable[str], of: str
 ) -> str:
     """The sentence that says why a joint or link has no such metric, and which have it."""
-    reason = subject and _refusal(kind, subject)
+    reason = subject and refusal_of(kind, subject)
     return (
         f"Argument `metrics`{of} must be of {kind.of}s that have them, but `{name}` is not"
         + (f": {reason}; " if reason else "; ")

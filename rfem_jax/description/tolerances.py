@@ -19,7 +19,7 @@ from rfem_jax.description.iso_fits import clearance_fit, is_fit
 from rfem_jax.description.iso_fits import deviations as deviations_of_code
 from rfem_jax.description.tables import build, checked_list, checked_table, keys_of
 from rfem_jax.description.units import DERIVED, Quantity, positive_quantity, quantity
-from rfem_jax.description.zones import SpecifiedZone, is_zone
+from rfem_jax.description.zones import CHARACTERISTICS, SpecifiedZone, is_zone
 
 DISTRIBUTIONS = ("uniform", "triangular", "normal", "truncated_normal")
 NORMAL = ("normal", "truncated_normal")
@@ -251,7 +251,7 @@ def read_tolerances(table: object) -> SpecifiedTolerances:
 def _read_tolerance(error: str, entry: object, place: str) -> SpecifiedTolerance:
     problems = Problems()
     with problems.noted(), located(place):
-        error_dimension(error)
+        error_dimension(error, CHARACTERISTICS)
     known = not problems.found
     settings = entry if isinstance(entry, dict) else {"half_width": entry}
     keys = keys_of(SpecifiedTolerance, ("error",))

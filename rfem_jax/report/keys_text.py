@@ -1,22 +1,27 @@
-"""The keys of study files as text: what the command `keys` prints.
+"""The keys of study files and the metrics as text: what the command `keys` prints.
 
-Place in the pipeline: after `rfem_jax.description.key_reference`.
+Place in the pipeline: after `rfem_jax.description.key_reference` and `metric_reference`.
 """
 
 import textwrap
 
 from rfem_jax.description.errors import InputError, suggestion
 from rfem_jax.description.key_reference import Key, KeyTable, key_tables
+from rfem_jax.description.metric_reference import MetricTable, metric_tables
 
+METRICS = "metrics"  # the word that asks for them
 WIDTH = 120  # columns of a terminal
 WIDEST = 14  # columns of a default
 
 
 def reference_text(word: str | None = None) -> str:
-    """All tables of a study file with their keys, defaults and meanings; with a word, those with it in their header.
+    """All tables of a study file with their keys, defaults and meanings; with a word, those with it in their header;
+    with the word "metrics" all metrics.
 
     Raises: InputError for a word that is in no header.
     """
+    if word == METRICS:
+        return "\n\n".join(_metrics_text(table) for table in metric_tables())
     return "\n\n".join(_table_text(table) for table in chosen_tables(word))
 
 
@@ -27,7 +32,7 @@ def chosen_tables(word: str | None = None) -> list[KeyTable]:
     if not chosen:
         raise InputError(
             f"Argument `WORD` must be in the header of a table, but `{word}` is in none; "
-            f"{suggestion(word, [table.header for table in tables])}"
+            f"{suggestion(word, [METRICS, *(table.header for table in tables)])}"
         )
     return chosen
 
@@ -36,6 +41,13 @@ def _table_text(table: KeyTable) -> str:
     name = max(len(key.name) for key in table.keys)
     default = min(max(len(key.default) for key in table.keys), WIDEST)
     return "\n".join([table.header, "-" * len(table.header), *(_row(key, name, default) for key in table.keys)])
+
+
+def _metrics_text(table: MetricTable) -> str:
+    name, unit = (max(len(getattr(row, column)) for row in table.rows) for column in ("name", "unit"))
+    unit = max(unit, 1)
+    rows = [_row(Key(row.name, row.unit or "1", row.text), name, unit) for row in table.rows]
+    return "\n".join([table.header, "-" * len(table.header), *rows])
 
 
 def _row(key: Key, name: int, default: int) -> str:

@@ -201,6 +201,19 @@ def test_keys_prints_the_reference(packages, capsys):
     assert "`plots` is in none" in one_sentence(capsys)
 
 
+def test_keys_prints_all_metrics(packages, capsys):
+    assert main(["keys", "metrics"]) == 0
+    text = capsys.readouterr().out
+    assert max(map(len, text.splitlines())) <= 120
+    lines = {line.split()[0]: line for line in text.splitlines() if line.startswith("  ")}
+    assert lines["max_force"].split()[1] == "N" and "theory (8.6)" in lines["max_force"]
+    assert "lower bound of the maximum" in lines["peak_force"]
+    code, found, _ = answer_of(capsys, "keys", "metrics")
+    assert code == 0 and "max_moment" in [row["name"] for row in found["metrics"][0]["rows"]]
+    assert main(["keys", "metric"]) == 2
+    assert "did you mean `metrics`?" in one_sentence(capsys)
+
+
 def test_version(capsys):
     assert main(["--version"]) == 0
     specified = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8"))

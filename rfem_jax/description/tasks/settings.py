@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from rfem_jax.description.errors import Checks, InputError, Problems, require_choice, suggestion
-from rfem_jax.description.metric_catalogue import kind_and_owner, known_names, never_negative, unit_of
+from rfem_jax.description.errors import Checks, InputError, Problems, require_choice
+from rfem_jax.description.metric_catalogue import kind_and_owner, never_negative, suggested_metric, unit_of
 from rfem_jax.description.units import DIMENSIONS, Quantity, quantity, short
 
 MOST = 10**9  # of whole numbers without a bound of their own
@@ -36,10 +36,8 @@ def metric_names(names: object) -> tuple[str, ...]:
         kind, owner = kind_and_owner(name) if isinstance(name, str) else (None, "")
         if kind is not None:
             continue
-        known = known_names(owner or "*")
-        problems.append(
-            f"Argument `metrics` must hold names of metrics, but {name!r} is none; {suggestion(name, known)}"
-        )
+        fix = suggested_metric(str(name), owner or "*")
+        problems.append(f"Argument `metrics` must hold names of metrics, but {name!r} is none; {fix}")
     if problems:
         raise InputError(*problems)
     return tuple(dict.fromkeys(names))

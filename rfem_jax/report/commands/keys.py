@@ -1,4 +1,4 @@
-"""`rfem-jax keys`: all keys of study files.
+"""`rfem-jax keys`: all keys of study files, and all metrics.
 
 Place in the pipeline: `rfem_jax.description.key_reference` -> `keys_text` -> **keys**.
 """
@@ -13,9 +13,10 @@ def command() -> Command:
     """The subcommand."""
     return Command(
         name="keys",
-        purpose="print all keys of study files",
+        purpose="print all keys of study files, and all metrics",
         description="Print all tables and keys that a study file may have, their defaults, and what they mean. "
-        'Numbers are in SI units and radians, or strings with a unit such as "0.5 deg".',
+        'Numbers are in SI units and radians, or strings with a unit such as "0.5 deg". `rfem-jax keys metrics` '
+        "prints all metrics, their units, meanings, what has them, and their equations.",
         add_arguments=_add_arguments,
         act=act,
         computes=False,
@@ -24,7 +25,10 @@ def command() -> Command:
 
 def _add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "table", metavar="WORD", nargs="?", help='tables with this word in their header, such as "joints"'
+        "table",
+        metavar="WORD",
+        nargs="?",
+        help='tables with this word in their header, such as "joints"; "metrics" for all metrics',
     )
 
 
@@ -32,7 +36,10 @@ def act(arguments: argparse.Namespace) -> Answer:
     """Print the reference. Raises InputError."""
     from dataclasses import asdict
 
-    from rfem_jax.report.keys_text import chosen_tables, reference_text
+    from rfem_jax.description.metric_reference import metric_tables
+    from rfem_jax.report.keys_text import METRICS, chosen_tables, reference_text
 
     show(reference_text(arguments.table))
+    if arguments.table == METRICS:
+        return Answer(document={"metrics": [asdict(table) for table in metric_tables()]})
     return Answer(document={"tables": [asdict(table) for table in chosen_tables(arguments.table)]})

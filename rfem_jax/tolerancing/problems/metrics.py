@@ -9,14 +9,14 @@ a function.
 
 from rfem_jax.description.design_metrics import STRESS_POWER
 from rfem_jax.description.design_metrics import peak_stress as stress_norm
-from rfem_jax.description.errors import InputError, suggestion
+from rfem_jax.description.errors import InputError
 from rfem_jax.description.metric_catalogue import (
     PEAK_POWER,
     MetricKind,
     kind_and_owner,
-    known_names,
     p_norm,
     register_metric,
+    suggested_metric,
 )
 from rfem_jax.tolerancing.problems.problem import Metric
 
@@ -33,8 +33,8 @@ def metric(name: str) -> Metric:
     """
     entry, owner = kind_and_owner(name)
     if entry is None:
-        known = known_names(owner or "A")
-        raise InputError(f"Argument `metrics` must name metrics, but {name!r} is none; {suggestion(name, known)}")
+        fix = suggested_metric(name, owner or "A")
+        raise InputError(f"Argument `metrics` must name metrics, but {name!r} is none; {fix}")
     # A kind that was replaced is another entry.
     if name not in _made or _made[name][0] is not entry:
         _made[name] = entry, _made_of(entry, owner)
