@@ -83,8 +83,9 @@ def test_a_drag_on_a_curve_moves_the_time_of_the_animation(page):
 
 @pytest.mark.parametrize(
     "selector",
-    ["#show-forces", "#show-moments", "#show-errors", "#show-frames", "#show-perfect", "#perspective", "button.joint",
-     "[data-case='2']", "[data-value=over]", "[data-view=front]", "[data-view=side]", "[data-view=top]"],
+    ["#show-forces", "#show-moments", "#show-acting", "#show-errors", "#show-frames", "#show-perfect",
+     "#perspective", "button.joint", "[data-case='2']", "[data-value=over]", "[data-view=front]", "[data-view=side]",
+     "[data-view=top]"],
 )  # fmt: skip
 def test_switches_of_the_scene_change_it_and_change_it_back(page, selector):
     before = page.picture()

@@ -109,7 +109,10 @@ def task_tab(page, title):
 def test_heat_map_and_tornado(page, folder):
     found = json.loads((folder / "sensitivity.json").read_text(encoding="utf-8"))
     shown = task_tab(page, "Sensitivity")
-    effects = found["metrics"]["D.mean_square_moment"]["effects"]
+    one = found["metrics"]["D.mean_square_moment"]
+    # People think in N m: the change of the root of a mean square that vanishes without errors.
+    assert one["character"] == "kink"
+    effects = {error: np.sqrt(effect) for error, effect in one["effects"].items()}
     head, rows = table(page, f"{shown} .heat:first-of-type")
     assert [cell.split()[0] for cell in head[1:]] == found["errors"] and "+-0.25 deg" in head[1]
     row = next(row for row in rows if row[0] == "D")
@@ -124,10 +127,13 @@ def test_heat_map_and_tornado(page, folder):
     assert "100%" in shares
     page.choose("#tornado-metric", "A.mean_square_force")
     bars = page.run("return [...document.querySelectorAll('#tornado rect title')].map((one) => one.textContent)")
-    # 900 + 30 z0 + 5 z1^2: changes of +-30, and of 5 at both ends.
-    assert "D.delta_x, lower end of the tolerance: -30 N^2" in bars
-    assert "D.delta_x, upper end of the tolerance: 30 N^2" in bars
-    assert "D.delta_z, lower end of the tolerance: 5 N^2" in bars
+    # 900 + 30 z0 + 5 z1^2, an RMS force of 30 N: changes of its square by +-30, and by 5 at both ends.
+    for error, end, change in (("delta_x", "lower", -30.0), ("delta_x", "upper", 30.0), ("delta_z", "lower", 5.0)):
+        assert f"D.{error}, {end} end of the tolerance: {shown_number(np.sqrt(900 + change) - 30)} N" in bars
+    captions = page.run(
+        "return [...document.querySelectorAll(arguments[0] + ' caption')].map((e) => e.textContent)", shown
+    )
+    assert captions[0] == "Change of rms moment, N m"
 
 
 def samples(folder):

@@ -8,6 +8,7 @@ from rfem_jax.mechanics.discretisation import discretise
 from rfem_jax.mechanics.nominal_geometry import geometry_of
 from rfem_jax.mechanics.nominal_path import nearest_closed, nominal_shapes
 from rfem_jax.report.files import write_files
+from rfem_jax.report.page.acting import ACTING
 from rfem_jax.report.page.animation import PARTS, write_arrays
 from rfem_jax.report.summary import summarise
 
@@ -33,12 +34,14 @@ def animation(study, runs):
         "cases": list(runs),
         "links": [{"name": name, "points": n} for name, n in zip(topology.links, counts, strict=True)],
         "joints": [
-            {"name": name, "kind": kind, "parent": parent, "child": child, "cut": name == "C"}
-            for name, kind, parent, child in zip(
-                topology.joints, topology.kinds, ("base", "crank", "base", "coupler"),
-                ("crank", "coupler", "rocker", "rocker"), strict=True,
-            )
+            {"name": one.name, "kind": one.kind, "parent": one.parent, "child": one.child, "cut": one.cut}
+            for one in (study.mechanism.joint(name) for name in topology.joints)
         ],
+        "forces": [
+            {"name": "strut", "kind": "spring", "links": ["base", "coupler"]},
+            {"name": "push", "kind": "force", "links": ["rocker"]},
+        ],
+        "laws": [{"name": "return", "spring": True, "joint": "A", "motion": "R_y"}],
     }  # fmt: skip
     cases = [_arrays(model, np.asarray(run.times), 0.5 * number * BEND) for number, run in enumerate(runs.values())]
     return description, cases
@@ -55,6 +58,12 @@ def _arrays(model, times, bend):
     arrays |= {part: np.array(getattr(nominal, part)) for part in PARTS}
     arrays["points"][..., 1] += bend * np.sin(np.linspace(0.0, np.pi, arrays["points"].shape[1]))
     arrays["centre"][..., 1] += bend
+    # A spring from above the base to the end of the second link, and a force that grows at the end of the third.
+    ends = np.cumsum([2 if n == 1 else n + 1 for n in model.topology.elements]) - 1
+    top, pulled, pushed = np.array([0.1, 0.0, 0.4]), *(arrays["points"][:, ends[i]] for i in (1, 2))
+    force = 100.0 * times[:, None] * np.array([0.0, 0.0, -1.0])
+    parts = (top + 0.0 * pulled, 0.0 * pulled), (pulled, pushed), (force, force)
+    arrays |= {name: np.stack(part, axis=1) for name, part in zip(ACTING, parts, strict=True)}
     names = ("seat_rotation", "seat_centre", "bore_rotation")
     return arrays | {part: getattr(nominal, part) for part in names}
 

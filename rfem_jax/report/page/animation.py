@@ -5,8 +5,9 @@ Place in the pipeline: after `rfem_jax.simulation.run_cases`; `folder` reads it 
 The file has, for case number i, arrays named "i_...": times [s]; points (times, P, 3) [m] along the links, link by
 link; rotation (times, J, 3, 3) of the frames in which joint loads are, centre (times, J, 3) [m]; the same with
 "nominal_" of the perfect, rigid mechanism whose driven joints stand as those of the case do (`nominal_path`), and of
-that seat_rotation, seat_centre, bore_rotation: the frames of the joints on parent and child. "description" is a JSON
-text: names of cases, links and joints.
+that seat_rotation, seat_centre, bore_rotation: the frames of the joints on parent and child; and the arrays of forces
+at points (`acting`; files of older versions have none). "description" is a JSON text: names of cases, links and joints,
+and what acts.
 """
 
 import io
@@ -21,6 +22,7 @@ import numpy as np
 from jaxtyping import Float
 
 from rfem_jax.report.annotations import Run
+from rfem_jax.report.page.acting import ACTING, acting_arrays, describe_acting, owner_of
 from rfem_jax.report.page.packing import Packed, pack_integers, some_rows
 from rfem_jax.report.page.task_results import damaged
 from rfem_jax.whole_files import replacing
@@ -46,30 +48,31 @@ def record_animation(runs: Mapping[str, Run]) -> tuple[dict[str, Any], list[Arra
         return None
     topology = known[0].model.topology
     counts = [2 if n == 1 else n + 1 for n in topology.elements]
-    per_time = 6 * sum(counts) + 39 * len(topology.joints)
+    acting = describe_acting(known[0])
+    per_time = 6 * sum(counts) + 39 * len(topology.joints) + 9 * len(acting["forces"])
     most = max(2, min(MOST_FRAMES, MOST_NUMBERS // (per_time * len(runs))))
     description = {
         "cases": list(runs),
         "links": [{"name": name, "points": n} for name, n in zip(topology.links, counts, strict=True)],
         "joints": _joints(topology),
+        **acting,
     }
-    return description, [_arrays(run, most) for run in runs.values()]
+    return description, [_arrays(run, most, acting["forces"]) for run in runs.values()]
 
 
 def _joints(topology: Any) -> list[dict[str, Any]]:
     """Of every joint in the order of the arrays: name, kind, links on both sides, place in the description."""
-
-    def owner(node: int) -> str:
-        return "base" if node < 0 else topology.links[topology.link_of(node)]
-
     sides = zip(topology.joints, topology.kinds, topology.parents, topology.children, strict=True)
     return [
-        {"name": name, "kind": kind, "parent": owner(parent), "child": owner(child), "cut": j >= topology.n_links}
+        {
+            "name": name, "kind": kind, "parent": owner_of(topology, parent), "child": owner_of(topology, child),
+            "cut": j >= topology.n_links,
+        }
         for j, (name, kind, parent, child) in enumerate(sides)
-    ]
+    ]  # fmt: skip
 
 
-def _arrays(run: Run, most: int) -> Arrays:
+def _arrays(run: Run, most: int, forces: list[dict[str, Any]]) -> Arrays:
     from rfem_jax.mechanics.centre_lines import trace_shapes
     from rfem_jax.mechanics.nominal_path import nominal_shapes
 
@@ -82,7 +85,8 @@ def _arrays(run: Run, most: int) -> Arrays:
     found = {"times": np.asarray(run.times)[rows]}
     found |= {part: np.asarray(getattr(real, part)) for part in PARTS}
     found |= {f"nominal_{part}": getattr(nominal, part) for part in PARTS}
-    return found | {part: getattr(nominal, part) for part in ALL_PARTS[-3:]}
+    found |= {part: getattr(nominal, part) for part in ALL_PARTS[-3:]}
+    return found | acting_arrays(run, forces, rows)
 
 
 def write_animation(folder: str | Path, runs: Mapping[str, Run]) -> list[Path]:
@@ -120,13 +124,20 @@ def read_animation(folder: str | Path) -> tuple[dict[str, Any], list[Arrays]] | 
             warnings.simplefilter("ignore")  # on headers that NumPy has not written
             with np.load(content, allow_pickle=False) as file:
                 description = json.loads(str(file["description"]))
-                cases = [{part: file[f"{i}_{part}"] for part in ALL_PARTS} for i in range(len(description["cases"]))]
+                cases = [_read_case(file, i) for i in range(len(description["cases"]))]
         good = _fits(description, cases)
     except Exception:  # NumPy, zipfile and zlib raise ten kinds of errors, depending on the byte that is wrong
         good = False
     if not good:
         raise damaged(path, "is damaged")
     return description, cases
+
+
+def _read_case(file: Any, i: int) -> Arrays:
+    """The arrays of case number i; none of forces in files of older versions."""
+    case = {part: file[f"{i}_{part}"] for part in ALL_PARTS}
+    none = np.zeros((len(case["times"]), 0, 3))
+    return case | {part: file.get(f"{i}_{part}", none) for part in ACTING}
 
 
 def _fits(description: Any, cases: list[Arrays]) -> bool:
@@ -136,9 +147,14 @@ def _fits(description: Any, cases: list[Arrays]) -> bool:
         points = sum(link["points"] for link in links)
         names = all(isinstance(one["name"], str) for part in ("links", "joints") for one in description[part])
         names = names and all(isinstance(link["points"], int) and link["points"] > 1 for link in links)
-    except (TypeError, KeyError):
+        forces = description.setdefault("forces", [])
+        names = names and all(isinstance(one["name"], str) and isinstance(one["links"], list) for one in forces)
+        laws = description.setdefault("laws", [])
+        names = names and all(isinstance(one[key], str) for one in laws for key in ("name", "joint", "motion"))
+    except (TypeError, KeyError, AttributeError):
         return False
-    shapes = {"points": (points, 3), "centre": (joints, 3), "rotation": (joints, 3, 3)}
+    of_forces = dict.fromkeys(("first", "place", "value"), (len(forces), 3))
+    shapes = {"points": (points, 3), "centre": (joints, 3), "rotation": (joints, 3, 3), **of_forces}
     return names and all(
         values.shape == (len(case["times"]), *shapes.get(part.rpartition("_")[2], ()))
         and np.issubdtype(values.dtype, np.floating)
@@ -151,6 +167,7 @@ def pack_animation(description: dict[str, Any], cases: list[Arrays]) -> dict[str
     """The animation as the page holds it: places of the perfect mechanism and deviations from them, frames as
     quaternions (w, x, y, z), deviations of frames as rotation vectors [rad]."""
     per_time = 6 * sum(link["points"] for link in description["links"]) + 26 * len(description["joints"])
+    per_time += 9 * len(description["forces"])
     most = max(2, MOST_PACKED // (per_time * max(len(cases), 1)))
     found = [_packed(case, most) for case in cases]
     return {**description, "motions": found}
@@ -168,6 +185,7 @@ def _packed(case: Arrays, most: int) -> dict[str, Packed]:
         "deviation_centre": case["centre"] - case["nominal_centre"],
         "deviation_rotation": rotation_vectors(quaternions_of(turned)),
         "seat_centre": case["seat_centre"],
+        **{part: case[part] for part in ACTING},
         **quaternions,
     }
     return {"times": pack_integers(case["times"]), **{name: pack_integers(x) for name, x in packed.items()}}

@@ -67,6 +67,8 @@ def page_head(results: dict[str, Any]) -> dict[str, Any]:
         "metrics": [_described(one) for one in (*JOINT_METRICS, *PRELOADS)],
         "balances": [_described(one) for one in CHECKS],
         "ends": [_described(one) for one in DRIVEN_JOINT],
+        "metric_units": _pairs(_table(results.get("units")).get("metrics")),
+        "metric_notes": _pairs(results.get("metric_notes")),
     }
 
 
@@ -80,7 +82,7 @@ def _pairs(value: Any) -> list[list[Any]]:
 
 
 def case_rows(results: dict[str, Any]) -> list[dict[str, Any]]:
-    """{name, status, message, errors, joints, numbers, driven, branch} of every case."""
+    """{name, status, message, errors, joints, numbers, metrics, driven, branch} of every case."""
     cases = results.get("cases")
     rows = []
     for name, case in cases.items() if isinstance(cases, dict) else ():
@@ -99,6 +101,7 @@ def case_rows(results: dict[str, Any]) -> list[dict[str, Any]]:
                     if isinstance(row, dict) and "name" not in row
                 ],
                 "numbers": {one.name: case.get(one.name) for one in CHECKS},
+                "metrics": _pairs(case.get("metrics")),
                 "driven": _pairs(case.get("driven_joint")),
                 "drives": [[label, _pairs(ends)] for label, ends in _items(case.get("drives"))],
                 "branch": [[joint, _pairs(modes)] for joint, modes in _items(case.get("branch"))],
@@ -109,6 +112,10 @@ def case_rows(results: dict[str, Any]) -> list[dict[str, Any]]:
 
 def _listed(value: Any) -> list[Any]:
     return value if isinstance(value, list) else []
+
+
+def _table(value: Any) -> dict[str, Any]:
+    return value if isinstance(value, dict) else {}
 
 
 def _items(value: Any) -> Iterable[tuple[str, Any]]:

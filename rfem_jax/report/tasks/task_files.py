@@ -32,6 +32,7 @@ def write_task_json(path: Path, study: Study, name: str, result: dict[str, Any])
         "task": {"name": name, **asdict(study.tasks.asked[name])},
         "tolerances": None if specified is None else asdict(specified),
         **result,
+        "zone_names": {} if specified is None else {"+".join(one.errors): one.name for one in specified.zones},
         "metric_notes": notes_on(getattr(study.tasks.asked[name], "metrics", ())),
         "units": {"duration": "s", "error": "rad or m", **result.get("units", {})},
     }

@@ -15,20 +15,44 @@ function label(x, y, text, attributes = {}) {
   return draw("text", { x, y, ...attributes }, text);
 }
 
+const ruler = document.createElement("canvas").getContext("2d");
+
+// Width in pixels of a name beside a chart.
+function nameWidth(text) {
+  ruler.font = "600 14px system-ui, sans-serif";
+  return ruler.measureText(text).width;
+}
+
+// Room that names to the left of a chart take, no more than `most` pixels.
+function roomForNames(names, most) {
+  return Math.min(Math.max(20, ...names.map(nameWidth)), most);
+}
+
+// A name that ends at a place, shortened to a room, with the whole of it where the pointer rests.
+function nameLabel(x, y, text, room, attributes = {}) {
+  let shown = text;
+  while (shown.length > 1 && nameWidth(shown === text ? shown : `${shown}\u2026`) > room + 0.5) shown = shown.slice(0, -1);
+  const one = label(x, y, shown === text ? text : `${shown}\u2026`, { "text-anchor": "end", class: "name", ...attributes });
+  if (shown !== text) one.append(draw("title", {}, text));
+  return one;
+}
+
 // A horizontal axis with its numbers and its title.
 function axisBelow(x, y, values, title, top = null) {
-  const parts = values.flatMap((value) => [
+  const texts = tickTexts(values);
+  const parts = values.flatMap((value, i) => [
     top === null ? null : draw("line", { x1: x(value), x2: x(value), y1: top, y2: y, class: "grid" }),
-    label(x(value), y + 15, showNumber(value, 3), { "text-anchor": "middle", class: "tick" }),
+    label(x(value), y + 15, texts[i], { "text-anchor": "middle", class: "tick" }),
   ]);
   const middle = (x(values[0]) + x(values[values.length - 1])) / 2;
   return draw("g", {}, parts, label(middle, y + 32, title, { "text-anchor": "middle", class: "title" }));
 }
 
 function axisLeft(x, y, values, title, right = null, top = null) {
-  const parts = values.flatMap((value) => [
+  const texts = tickTexts(values);
+  const parts = values.flatMap((value, i) => [
     right === null ? null : draw("line", { x1: x, x2: right, y1: y(value), y2: y(value), class: "grid" }),
-    label(x - 6, y(value) + 4, showNumber(value, 3), { "text-anchor": "end", class: "tick" }),
+    label(x - 6, y(value) + 4, texts[i], { "text-anchor": "end", class: "tick" }),
   ]);
   return draw("g", {}, parts, label(x, numberOr(top, Math.min(...values.map(y)) - 10), title, { "text-anchor": "start", class: "title" }));
 }
@@ -60,7 +84,8 @@ function polygon(x, y, size, corners, from) {
 // Rows of marks on one axis: rows [{label, marks: [{index, value, title}]}].
 function dotChart(rows, unitText, title, reference) {
   const width = 460;
-  const left = 16 + 7.5 * Math.min(Math.max(2, ...rows.map((row) => row.label.length)), 16);
+  const room = roomForNames(rows.map((row) => row.label), 0.4 * width);
+  const left = room + 20;
   const step = 34;
   const height = rows.length * step + 56;
   const highest = Math.max(1e-300, ...rows.flatMap((row) => row.marks.map((mark) => mark.value)).filter(Number.isFinite));
@@ -72,7 +97,7 @@ function dotChart(rows, unitText, title, reference) {
     const y = 24 + i * step;
     const known = row.marks.filter((mark) => Number.isFinite(mark.value));
     const base = known.find((mark) => mark.index === reference);
-    svg.append(label(left - 12, y + 5, row.label, { "text-anchor": "end", class: "name" }));
+    svg.append(nameLabel(left - 12, y + 5, row.label, room));
     if (known.length > 1) {
       const [low, high] = finiteRange(known.map((mark) => mark.value));
       svg.append(draw("line", { x1: x(low), x2: x(high), y1: y, y2: y, class: "span" }));

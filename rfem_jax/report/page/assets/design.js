@@ -40,13 +40,16 @@ function optimisePage(task) {
 function boundsChart(rows) {
   const known = rows.filter((row) => Array.isArray(row.bounds) && row.bounds.every(Number.isFinite) && row.bounds[1] > row.bounds[0]);
   if (!known.length) return null;
-  const [width, left, step] = [640, 190, 46];
+  const nameOf = (row) => (row.kind === "tolerance" ? `${row.name} (tol.)` : row.name);
+  const [width, step] = [640, 46];
+  const room = roomForNames(rows.map(nameOf), 0.4 * width);
+  const left = room + 24;
   const x = scale(0, 1, left, width - 90);
   const svg = chart(width, known.length * step + 10, "Numbers between their bounds, before and after", { id: "bounds" });
   known.forEach((row, i) => {
     const y = 30 + i * step;
     const at = (value) => x((value - row.bounds[0]) / (row.bounds[1] - row.bounds[0]));
-    svg.append(label(left - 14, y + 4, row.kind === "tolerance" ? `${row.name} (tol.)` : row.name, { "text-anchor": "end", class: "name" }),
+    svg.append(nameLabel(left - 14, y + 4, nameOf(row), room),
       draw("line", { x1: x(0), x2: x(1), y1: y, y2: y, class: "span" }),
       label(x(0), y + 17, showError(row.bounds[0], row.unit), { "text-anchor": "start", class: "tick" }),
       label(x(1), y + 17, showError(row.bounds[1], row.unit), { "text-anchor": "end", class: "tick" }));

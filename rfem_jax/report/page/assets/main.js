@@ -9,11 +9,23 @@ function taskPage(task) {
   const left = task.left_out ? [section("Results", make("p", {}, `${task.left_out}.`))] : null;
   if (left) return left;
   try {
-    return (TASK_PAGES.get(task.name) || unknownPage)(task) || unknownPage(task);
+    return [...((TASK_PAGES.get(task.name) || unknownPage)(task) || unknownPage(task)), notesSection(task.result)];
   } catch {
     // A file of another program, or of another version: the other pages stand.
     return [section("Results", make("p", {}, `${task.name}.json is not as this page knows it.`)), ...unknownPage(task)];
   }
+}
+
+function noteWords(kind, words) {
+  return `${kind}: ${String(words).replaceAll("`", "")}.`;
+}
+
+// What a reader of the metrics must know, such as that a norm is below the maximum.
+function notesSection(result) {
+  const notes = asEntries(result.metric_notes).map(([kind, words]) => noteWords(kind, words));
+  const remarks = Array.isArray(result.remarks) ? result.remarks : [];
+  const lines = [...notes, ...remarks].map(String);
+  return lines.length ? section("What the numbers are", lines.map((words) => make("p", { class: "metric-note" }, words))) : null;
 }
 
 function tabs(pages) {

@@ -1,7 +1,7 @@
 // The mechanism on its canvas: cases side by side or over each other, with what is switched on.
 const scene = {
   time: 0, exaggeration: 1, layout: "beside", cases: new Set(), joints: new Set(), arrowSize: 1,
-  forces: true, moments: true, frames: false, errors: true, perfect: true,
+  forces: true, moments: true, acting: true, frames: false, errors: true, perfect: true,
 };
 
 // The mechanism's size [m], the round factor that shows its deviations, the scales of arrows.
@@ -97,7 +97,10 @@ class MechanismView {
     const actors = panel.cases.map((index) => ({ index, motion: motions[index], at: motions[index].seek(scene.time) }));
     if (scene.perfect) for (const one of actors) this.drawPerfect(project, one);
     for (const one of actors) this.drawLinks(project, one);
+    for (const one of actors) drawArms(context, project, one, this);
+    if (scene.acting) for (const one of actors) drawPointForces(context, project, one, this);
     for (const one of actors) this.drawJoints(project, one);
+    if (scene.acting) for (const one of actors) drawJointLaws(context, project, one, this);
     if (scene.frames) for (const one of actors) this.drawFrames(project, one);
     if (scene.errors) for (const one of actors) this.drawErrorMarks(project, one);
     for (const one of actors) this.drawLoads(project, one);
@@ -117,13 +120,18 @@ class MechanismView {
     }
   }
 
+  // Points along all links with deviations times a factor; kept, since much hangs on them.
   lines(one, factor) {
-    let first = 0;
-    return content.animation.links.map((link) => {
-      const line = Array.from({ length: link.points }, (_, i) => one.motion.point(first + i, one.at, factor));
-      first += link.points;
-      return line;
-    });
+    one.drawn = one.drawn || new Map();
+    if (!one.drawn.has(factor)) {
+      let first = 0;
+      one.drawn.set(factor, content.animation.links.map((link) => {
+        const line = Array.from({ length: link.points }, (_, i) => one.motion.point(first + i, one.at, factor));
+        first += link.points;
+        return line;
+      }));
+    }
+    return one.drawn.get(factor);
   }
 
   drawPerfect(project, one) {

@@ -67,6 +67,14 @@ class Motion {
     return axesOf(this.read("bore_rotation", j, 4, at));
   }
 
+  // Every coordinate of the ends of springs at points, with the number of its axis.
+  springEnds(visit) {
+    const forces = content.animation.forces || [];
+    for (const name of ["force_first", "force_place"]) {
+      if (this.parts[name]) this.parts[name].values.forEach((value, i) => forces[Math.floor(i / 3) % forces.length].kind === "spring" && visit(value, i % 3));
+    }
+  }
+
   // The largest deviation [m], and a box around the perfect mechanism's motion.
   extent() {
     let largest = 0;
@@ -83,6 +91,10 @@ class Motion {
         if (value > high[i % 3]) high[i % 3] = value;
       });
     }
+    this.springEnds((value, k) => {
+      if (value < low[k]) low[k] = value;
+      if (value > high[k]) high[k] = value;
+    });
     return { largest, low, high };
   }
 }

@@ -68,6 +68,14 @@ function ticks(low, high, count = 5) {
   return found.map((one) => Number(one.toPrecision(12)));
 }
 
+// Texts of the numbers on an axis, with as many digits as tell neighbours apart.
+function tickTexts(values) {
+  const steps = values.slice(1).map((value, i) => Math.abs(value - values[i])).filter((step) => step > 0);
+  const size = Math.max(...values.map(Math.abs));
+  const digits = steps.length && size > 0 ? Math.ceil(Math.log10(size / Math.min(...steps)) - 1e-9) + 1 : 3;
+  return values.map((value) => showNumber(value, Math.min(Math.max(digits, 3), 15)));
+}
+
 // The largest of 1, 2, 5, 10, ... that is not above a value.
 function roundDown(value) {
   if (!(value > 0) || !Number.isFinite(value)) return 1;

@@ -28,8 +28,19 @@ function caseList() {
 
 function loadCharts() {
   if (!content.cases.length || !content.cases[0].joints.length) return null;
-  const charts = [["rms_moment", "RMS resultant moment, N m"], ["rms_force", "RMS resultant force, N"]].map(([metric, title]) => {
-    const unitName = metric === "rms_force" ? "N" : "N m";
+  const holder = make("div", { id: "load-charts" });
+  const show = (kind) => clear(holder).append(...loadChartsOf(kind === "max" ? ["max", "Maximum"] : ["rms", "RMS"]));
+  show("rms");
+  const known = content.cases.some((one) => one.joints.some((joint) => Number.isFinite(joint.max_force)));
+  const choose = known ? switcher("Loads shown", [["rms", "RMS"], ["max", "Maximum"]], "rms", show, { id: "load-kind" }) : null;
+  return section("Loads in the joints", caseList(), choose, holder);
+}
+
+// Marks of all cases at every joint, of the resultant moment and force; kind: its key and its word.
+function loadChartsOf([kind, word]) {
+  return ["moment", "force"].map((load) => {
+    const [metric, unitName] = [`${kind}_${load}`, load === "force" ? "N" : "N m"];
+    const title = `${word} resultant ${load}, ${unitName}`;
     const rows = content.cases[0].joints.map((joint) => ({
       label: joint.name,
       marks: content.cases.map((one, index) => {
@@ -39,7 +50,6 @@ function loadCharts() {
     }));
     return make("figure", {}, make("figcaption", {}, title), dotChart(rows, title, `${title}, by joint and case`, referenceCase()));
   });
-  return section("Loads in the joints", caseList(), ...charts);
 }
 
 function mechanismSection() {
@@ -75,7 +85,8 @@ function sceneControls(view) {
   slider.value = Math.log(scene.exaggeration);
   slider.addEventListener("input", () => { scene.exaggeration = Math.exp(Number(slider.value)); show(); draw(); });
   show();
-  const flags = [["forces", "Forces"], ["moments", "Moments"], ["errors", "Errors"], ["frames", "Joint frames"], ["perfect", "Perfect mechanism"]];
+  const acting = (content.animation.forces || []).length + (content.animation.laws || []).length;
+  const flags = [["forces", "Forces"], ["moments", "Moments"], ...(acting ? [["acting", "Springs and outer forces"]] : []), ["errors", "Errors"], ["frames", "Joint frames"], ["perfect", "Perfect mechanism"]];
   const switches = flags.map(([name, text]) => toggle(text, scene[name], (on) => { scene[name] = on; draw(); }, { id: `show-${name}` }));
   const perspective = toggle("Perspective", false, (on) => { view.camera.perspective = on; draw(); }, { id: "perspective" });
   const views = Object.keys(VIEWS).map((name) =>
@@ -133,6 +144,13 @@ function tablesPage() {
       value: (row) => row.joint && norm(row.joint[metric.name]),
     })),
   ];
+  const units = new Map(content.metric_units);
+  const asked = [...new Set(content.cases.flatMap((one) => one.metrics.map(([name]) => name)))];
+  const values = content.cases.map((one) => new Map(one.metrics));
+  const metricColumns = [
+    { label: "metric", value: (name) => name }, { label: "unit", value: (name) => (units.get(name) === "1" ? "" : units.get(name)) },
+    ...content.cases.map((one, i) => ({ label: one.name, value: (name) => values[i].get(name) })),
+  ];
   const ends = content.cases.map((one) => ({ case: one.name, status: one.status, values: new Map(one.driven) }));
   const endColumns = [
     { label: "case", value: (row) => shownCase(row.case) }, { label: "status", value: (row) => row.status },
@@ -145,6 +163,8 @@ function tablesPage() {
   ];
   return [
     section("Loads in the joints", sortableTable("Loads by case and joint; a preload is the resultant at the start, holding loads included", columns, rows, { id: "loads-table" }), failedNote()),
+    asked.length ? section("Metrics", sortableTable("Metrics that the study asks for", metricColumns, asked, { id: "metrics-table" }),
+      content.metric_notes.map(([kind, words]) => make("p", { class: "metric-note" }, noteWords(kind, words)))) : null,
     section("Assembly errors", errors.length ? sortableTable("Errors by case", errorColumns, errors) : make("p", {}, "No case has errors.")),
     content.driven_joint ? section(`Driven joint ${content.driven_joint}`, sortableTable("End of the run", endColumns, ends)) : null,
   ];

@@ -18,14 +18,18 @@ function columnTitle(column) {
 
 function samplesPage(task) {
   const { result } = task;
-  const parts = [section("Statistics", statisticsTable(result))];
-  if (!task.samples) return parts;
+  const indices = (one, kind) => Object.fromEntries(asEntries(one[kind]).map(([factor, index]) => [factor, index && numberOr(100 * index.value, null)]));
+  const parts = [section("Statistics", statisticsTable(result)),
+    contributionsSection(asEntries(result.metrics), (one) => indices(one, "total_indices"), () => null, result)];
+  const without = (words) => [...parts, section("Scatter and histograms of samples", make("p", { class: "hint", id: "no-samples" }, words))];
+  if (!task.samples) return without("There is no scatter plot and no histogram: this folder has no monte_carlo.csv, or another file of that name.");
   const samples = readSamples(task.samples);
-  if (!samples.good.length || !samples.columns.length) return parts;
+  if (!samples.good.length) return without("There is no scatter plot and no histogram: no sample is good.");
+  if (!samples.columns.length) return without("There is no scatter plot and no histogram: monte_carlo.csv has neither errors nor metrics.");
   const picked = { chosen: new Set(), listeners: [] };
   const pick = (indices) => { picked.chosen = new Set(indices); picked.listeners.forEach((one) => one()); };
   parts.push(section("Scatter of samples",
-    make("p", { class: "hint" }, "Drag over points, or over a histogram, to pick samples; their errors are listed below. Escape lets them go."),
+    make("p", { class: "hint" }, `Drag over points, or over a histogram, to pick samples; their errors are listed below. Escape lets them go.${samples.count < samples.all ? ` Shown are ${samples.count} of ${samples.all} samples.` : ""}`),
     make("div", { class: "columns" }, scatterPlot(samples, result, picked, pick), histograms(samples, result, picked, pick)), pickedTable(samples, picked, pick)));
   const yields = yieldSection(samples, result);
   if (yields) parts.push(yields);
@@ -110,15 +114,16 @@ function axesOnCanvas(context, x, y, xs, ys, xTitle, yTitle, width, height) {
   context.strokeStyle = palette.line;
   context.fillStyle = palette.quiet;
   context.textAlign = "center";
-  for (const value of xs) {
+  const [below, beside] = [tickTexts(xs), tickTexts(ys)];
+  xs.forEach((value, i) => {
     context.strokeRect(x(value), 14, 0, height - 58);
-    context.fillText(showNumber(value, 3), x(value), height - 28);
-  }
+    context.fillText(below[i], x(value), height - 28);
+  });
   context.textAlign = "right";
-  for (const value of ys) {
+  ys.forEach((value, i) => {
     context.strokeRect(54, y(value), width - 66, 0);
-    context.fillText(showNumber(value, 3), 50, y(value) + 4);
-  }
+    context.fillText(beside[i], 50, y(value) + 4);
+  });
   context.font = "600 12px system-ui, sans-serif";
   context.textAlign = "center";
   context.fillText(xTitle, (54 + width - 12) / 2, height - 8);

@@ -28,7 +28,7 @@ let palette = {};
 function readPalette() {
   document.documentElement.dataset.theme = isDark() ? "dark" : "light";
   const style = getComputedStyle(document.documentElement);
-  const names = ["ink", "quiet", "faint", "line", "ground", "card", "force", "moment", "error", "accent", "axis-x", "axis-y", "axis-z"];
+  const names = ["ink", "quiet", "faint", "line", "ground", "card", "force", "moment", "error", "acting", "accent", "axis-x", "axis-y", "axis-z"];
   palette = Object.fromEntries(names.map((name) => [name, style.getPropertyValue(`--${name}`).trim()]));
 }
 
