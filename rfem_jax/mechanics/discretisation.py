@@ -118,10 +118,7 @@ def discretise(mechanism: Mechanism, rfes: int | None = None, elements: str | No
             "which no link can take up; give angles and positions with more decimals, or make a link of each loop "
             "flexible."
         )
-    if not structure.redundant:
-        return model
-    topology = model.topology._replace(redundant=structure.constraints - structure.rank)
-    return _with_tolerance(dataclasses.replace(model, topology=topology), RIGID_CLOSING_TOLERANCE)
+    return _remembering(model, structure)
 
 
 def _as_given(model: Model, mechanism: Mechanism) -> Model:
@@ -165,10 +162,17 @@ def _rates_given(model: Model, mechanism: Mechanism) -> dict[int, str]:
     return found
 
 
-def _with_tolerance(model: Model, closing: float) -> Model:
-    """The model of which designs must close within a share of the longest link."""
+def _remembering(model: Model, structure: Structure) -> Model:
+    """The model that knows its mobility, and how many of its closure equations say nothing new; with such ones designs
+    must close as rigid loops do."""
+    if structure.redundant:
+        topology = model.topology._replace(redundant=structure.constraints - structure.rank)
+        model = dataclasses.replace(model, topology=topology)
     assert model.source is not None, "discretised models have one"
-    blueprint = dataclasses.replace(model.source.blueprint, closing_tolerance=closing)
+    blueprint = model.source.blueprint
+    closing = RIGID_CLOSING_TOLERANCE if structure.redundant else blueprint.closing_tolerance
+    mobility = structure.rigid_mobility, structure.mobility
+    blueprint = dataclasses.replace(blueprint, closing_tolerance=closing, mobility=mobility)
     return dataclasses.replace(model, source=dataclasses.replace(model.source, blueprint=blueprint))
 
 

@@ -36,6 +36,7 @@ from rfem_jax.mechanics.frame_forces import FrameForce
 from rfem_jax.mechanics.friction_laws import Friction
 from rfem_jax.mechanics.joint_laws import JointLaw
 from rfem_jax.mechanics.joint_springs import CompliantSpring
+from rfem_jax.mechanics.model_summary import model_text
 from rfem_jax.mechanics.sources import Source
 
 BASE = -1
@@ -427,6 +428,11 @@ class Model(eqx.Module):
         """Name of the joint that the first drive acts on."""
         driven = self.topology.driven
         return None if driven is None else self.topology.joints[driven]
+
+    def __str__(self) -> str:
+        return model_text(self)
+
+    __repr__ = __str__
 
     def start_coordinates(self) -> Coordinates:
         """Nominal start: closed geometry, undeformed links."""
