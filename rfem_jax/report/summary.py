@@ -4,10 +4,12 @@ Place in the pipeline: after `rfem_jax.simulation.run_cases`; what it returns is
 of `results.json` with NaN still in it.
 """
 
+import copy
 import math
 from collections.abc import Mapping
 from typing import Any
 
+import jax
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -30,6 +32,7 @@ from rfem_jax.report.quantities import (
 from rfem_jax.simulation.remarks import remarks_on
 
 OK = STATUS[0].name
+HUGE = 1e30  # of any number of a run, SI units
 PLOTS_HINT = 'No pictures were drawn: matplotlib is not installed (pip install "rfem_jax[plots]").'
 
 
@@ -166,6 +169,23 @@ def summarise(study: Study, runs: Mapping[str, Run], statuses: Mapping[str, tupl
             **summarise_run(study, runs[case.name]),
         }
     return summaries
+
+
+def readable(run: Run) -> Run:
+    """The run, which if it has failed has NaN in the place of numbers that no mechanism has: infinite ones and those of
+    1e200 that a run leaves when it diverges overflow in every sum and picture, and NaN is shown as missing."""
+    if int(run.status) == 0:
+        return run
+
+    def shown(value):
+        values = np.asarray(value)
+        return np.where(np.abs(values) < HUGE, values, np.nan) if np.issubdtype(values.dtype, np.floating) else value
+
+    found = copy.copy(run)
+    for name, value in vars(run).items():
+        if name not in ("model", "errors"):  # what was simulated
+            object.__setattr__(found, name, jax.tree.map(shown, value))
+    return found
 
 
 def marked(case: str, status: str) -> str:

@@ -51,7 +51,7 @@ def act(arguments: argparse.Namespace) -> Answer:
 
     from rfem_jax.report.analyses.analysis import write_analysis
     from rfem_jax.report.files import write_files
-    from rfem_jax.report.summary import summarise
+    from rfem_jax.report.summary import readable, summarise
     from rfem_jax.report.tables import results_text
     from rfem_jax.simulation import STATUS
     from rfem_jax.simulation.cycle import require_constant_rate
@@ -62,7 +62,7 @@ def act(arguments: argparse.Namespace) -> Answer:
     folder = open_folder(arguments.out)
     prepare_pictures()
     cycles = _cycles(study, arguments.tolerance, arguments.most)
-    runs = {name: cycle.run for name, cycle in cycles.items()}
+    runs = {name: readable(cycle.run) for name, cycle in cycles.items()}
     statuses = {name: STATUS[int(run.status)] for name, run in runs.items()}
     summaries = summarise(study, runs, statuses)
     show(results_text(study, summaries), end="\n\n")

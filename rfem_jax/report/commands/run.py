@@ -55,7 +55,7 @@ def act(arguments: argparse.Namespace) -> Answer:
     from rfem_jax.mechanics.status import PAST_LIMIT
     from rfem_jax.report.files import start_of, write_files
     from rfem_jax.report.overview import start_text
-    from rfem_jax.report.summary import summarise
+    from rfem_jax.report.summary import readable, summarise
     from rfem_jax.report.tables import results_text
     from rfem_jax.simulation import STATUS
     from rfem_jax.text_layout import wrap_lines
@@ -65,7 +65,7 @@ def act(arguments: argparse.Namespace) -> Answer:
     study = settle_method(study)
     folder = open_folder(arguments.out)
     prepare_pictures()
-    runs = _simulate(study, folder)
+    runs = {name: readable(run) for name, run in _simulate(study, folder).items()}
     statuses = {name: STATUS[int(run.status)] for name, run in runs.items()}
     if any(int(run.status) == PAST_LIMIT for run in runs.values()):
         statuses = _with_place(statuses, runs, study)

@@ -37,6 +37,7 @@ ALL_PARTS = (
     *("seat_rotation", "seat_centre", "bore_rotation"),
 )
 LARGEST = 200_000_000  # bytes of a file that is read
+FARTHEST = 1e30  # m
 
 Arrays = dict[str, np.ndarray]
 
@@ -135,9 +136,16 @@ def read_animation(folder: str | Path) -> tuple[dict[str, Any], list[Arrays]] | 
 
 def _read_case(file: Any, i: int) -> Arrays:
     """The arrays of case number i; none of forces in files of older versions."""
-    case = {part: file[f"{i}_{part}"] for part in ALL_PARTS}
+    case = {part: _readable(file[f"{i}_{part}"]) for part in ALL_PARTS}
     none = np.zeros((len(case["times"]), 0, 3))
-    return case | {part: file.get(f"{i}_{part}", none) for part in ACTING}
+    return case | {part: _readable(file.get(f"{i}_{part}", none)) for part in ACTING}
+
+
+def _readable(values: np.ndarray) -> np.ndarray:
+    """An array of the file, without places that no mechanism has."""
+    if not np.issubdtype(values.dtype, np.floating):
+        return values  # which is refused
+    return np.where(np.abs(values) < FARTHEST, values, np.nan)
 
 
 def _fits(description: Any, cases: list[Arrays]) -> bool:
@@ -194,7 +202,9 @@ def _packed(case: Arrays, most: int) -> dict[str, Packed]:
 def quaternions_of(rotation: Float[np.ndarray, "*n 3 3"]) -> Float[np.ndarray, "*n 4"]:
     """Unit quaternions (w, x, y, z), w >= 0, of rotations, as eigenvectors (I. Y. Bar-Itzhack, J. Guid. Control Dyn. 23
     (2000) 1085-1087)."""
-    m = np.nan_to_num(rotation)
+    # A matrix that is no rotation has no eigenvalues that could be found.
+    known = np.all(np.abs(rotation) < 2.0, axis=(-2, -1), keepdims=True)
+    m = np.where(known, rotation, 0.0)
     xx, yy, zz = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
     xy, xz, yz = (m[..., i, j] + m[..., j, i] for i, j in ((0, 1), (0, 2), (1, 2)))
     wx, wy, wz = (m[..., i, j] - m[..., j, i] for i, j in ((2, 1), (0, 2), (1, 0)))
@@ -207,8 +217,7 @@ def quaternions_of(rotation: Float[np.ndarray, "*n 3 3"]) -> Float[np.ndarray, "
     _, vectors = np.linalg.eigh(np.stack([np.stack(row, axis=-1) for row in rows], axis=-2))
     x, y, z, w = np.moveaxis(vectors[..., -1], -1, 0)
     found = np.stack([w, x, y, z], axis=-1) * np.where(w < 0.0, -1.0, 1.0)[..., None]
-    known = np.all(np.isfinite(rotation), axis=(-2, -1), keepdims=True)[..., 0]
-    return np.where(known, found, np.nan)
+    return np.where(known[..., 0], found, np.nan)
 
 
 def rotation_vectors(quaternions: Float[np.ndarray, "*n 4"]) -> Float[np.ndarray, "*n 3"]:

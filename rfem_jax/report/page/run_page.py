@@ -17,6 +17,7 @@ from rfem_jax.report.page.document import write_document
 from rfem_jax.report.page.folder import case_rows, page_head
 from rfem_jax.report.page.histories import Columns, pack_histories
 from rfem_jax.report.quantities import CHECKS, DRIVEN_JOINT, ENERGIES, JOINT_METRICS, PRELOADS, column_name
+from rfem_jax.report.summary import readable
 from rfem_jax.simulation.remarks import remarks_on
 
 CASE = "run"
@@ -39,6 +40,7 @@ def write_run(run: Run, path: str | Path) -> Path:
 
 def run_content(run: Run) -> dict[str, Any]:
     """What the page of a run shows."""
+    run = readable(run)
     status = STATUS[int(run.status)]
     case = {"status": status.name, "message": status.message, "errors": _errors(run), "joints": _joints(run)}
     case["remarks"] = list(remarks_on(run))
