@@ -7,6 +7,7 @@ Symbols: gravity [m/s^2] in the global frame, whose X-Z plane is the plane of th
 Source: docs/theory/1_discretisation.md, docs/theory/2_frames_and_errors.md.
 """
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
@@ -340,8 +341,7 @@ def _unique(entries: Any, kind: type[Part], where: str) -> tuple[Part, ...]:
             f"Argument `{where}` must be a list of {kind.__name__} objects, but was {entries!r}; "
             f"write [{kind.__name__}(...), ...]."
         )
-    names = [entry.name for entry in entries]
-    twice = dict.fromkeys(name for index, name in enumerate(names) if name in names[:index])
+    twice = [name for name, count in Counter(entry.name for entry in entries).items() if count > 1]
     if twice:
         raise InputError(
             *(f"Argument `{where}` must have unique names, but `{name}` occurs twice; rename one." for name in twice)

@@ -140,8 +140,14 @@ _FOLLOWING = {
 
 
 def parameters_of(mechanism: Mechanism) -> ParameterNames:
-    """All parameters of a mechanism."""
-    return named_parameters(parts_of(mechanism), mechanism.driven_motions)
+    """All parameters of a mechanism; of the same one, which does not change, they are listed once in a row."""
+    last = _last.get("mechanism")
+    if last is None or last[0] is not mechanism:
+        last = _last["mechanism"] = mechanism, named_parameters(parts_of(mechanism), mechanism.driven_motions)
+    return last[1]
+
+
+_last: dict[str, tuple[Mechanism, ParameterNames]] = {}
 
 
 def named_parameters(parts: Parts, held: Sequence[tuple[str, str]]) -> ParameterNames:

@@ -78,16 +78,30 @@ def number_at(whole: Any, path: Path) -> Any:
 
 def with_number(whole: Any, path: Path, value: Any) -> Any:
     """A copy of parts with something else at a path; nothing is checked."""
-    step, rest = path[0], path[1:]
-    inside = number_at(whole, path[:1])
-    new = with_number(inside, rest, value) if rest else value
+    return with_numbers(whole, {path: value})
+
+
+def with_numbers(whole: Any, values: Mapping[Path, Any]) -> Any:
+    """A copy of parts with something else at several paths, none of which is within another; nothing is checked.
+
+    What stands around them is copied once: one by one, thousands of numbers would copy all forces thousands of times.
+    """
+    by_step: dict[str | int, dict[Path, Any]] = {}
+    for path, value in values.items():
+        by_step.setdefault(path[0], {})[path[1:]] = value
+    new = {step: _changed(number_at(whole, (step,)), inside) for step, inside in by_step.items()}
     if isinstance(whole, Mapping):
-        return {**whole, step: new}
+        return {**whole, **new}
     if isinstance(whole, Sequence):
-        return tuple(new if i == step else one for i, one in enumerate(whole))
+        return tuple(new.get(i, one) for i, one in enumerate(whole))
     other = copy.copy(whole)
-    object.__setattr__(other, str(step), new)
+    for step, value in new.items():
+        object.__setattr__(other, str(step), value)
     return other
+
+
+def _changed(inside: Any, values: dict[Path, Any]) -> Any:
+    return values[()] if () in values else with_numbers(inside, values)
 
 
 def renamed_parts(parts: Parts, names: Any) -> Parts:

@@ -6,7 +6,6 @@ Place in the pipeline: model_building, nominal_geometry -> **discretisation** ->
 import dataclasses
 from typing import NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -370,5 +369,5 @@ def _close(model: Model) -> Model:
             f"Argument `mechanism` must close with both {axes} of joint {topology.joints[worst]!r} alike, but "
             "they point in opposite directions; turn the frame of its child by 180 deg."
         )
-    start = tuple(jnp.asarray(values, jnp.float64) for values in (joints, cut_angles))
-    return eqx.tree_at(lambda m: (m.start_joints, m.cut_angles), model, start)
+    start, angles = (jnp.asarray(values, jnp.float64) for values in (joints, cut_angles))
+    return dataclasses.replace(model, start_joints=start, cut_angles=angles)

@@ -238,19 +238,20 @@ def _force_nodes(mechanism: Mechanism, links: "_Links") -> ForceNodes:
 def _frame_forces(parts: Parts, topology: Topology, links: Sequence[Link], points: ForceNodes) -> dict[str, FrameForce]:
     """The forces at points and between them, by their names."""
     found: dict[str, FrameForce] = {}
-    nodes = dict(points)
+    nodes, unit = dict(points), jnp.eye(3)
+    base = NodeFrame(BASE, unit, jnp.zeros(3))
     for force in parts.forces:
         if not isinstance(force, PointLoad):
             continue
         frames = []
         for node, (_, place) in zip(nodes[force.name], force.ends(), strict=True):
             position = jnp.asarray(array_of(_in_node(topology, links, node, place, False)))
-            frames.append(NodeFrame(node, jnp.eye(3), position))
+            frames.append(NodeFrame(node, unit, position))
         if isinstance(force, BetweenPoints):
             found[force.name] = spring_between(force, *frames)
         else:
             assert isinstance(force, AtPoint)
-            found[force.name] = load_at(force, NodeFrame(BASE, jnp.eye(3), jnp.zeros(3)), frames[0])
+            found[force.name] = load_at(force, base, frames[0])
     return found
 
 

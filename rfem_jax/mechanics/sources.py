@@ -22,7 +22,7 @@ from rfem_jax.compilation.naming import Names
 from rfem_jax.description.forces import Force
 from rfem_jax.description.numbers import Number, array_of
 from rfem_jax.description.parameters import ParameterNames, named_parameters
-from rfem_jax.description.parts import Parts, number_at, renamed_parts, scaled, with_number
+from rfem_jax.description.parts import Parts, Path, number_at, renamed_parts, scaled, with_number, with_numbers
 from rfem_jax.description.sections import Tube
 
 ForceNodes = tuple[tuple[str, tuple[int, ...]], ...]
@@ -88,12 +88,11 @@ class Blueprint:
 
     def filled(self, numbers: Sequence[Number]) -> Parts:
         """The parts with numbers, one for each parameter, in their places."""
-        whole = self.parts
+        values: dict[Path, Any] = {}
         for parameter, number in zip(self.names.all, numbers, strict=True):
             for path in parameter.paths:
-                value: Any = scaled(number_at(whole, path), number) if parameter.factor else number
-                whole = with_number(whole, path, value)
-        return whole
+                values[path] = scaled(number_at(self.parts, path), number) if parameter.factor else number
+        return with_numbers(self.parts, values)
 
 
 class Source(eqx.Module):
@@ -112,10 +111,8 @@ def source_of(parts: Parts, held: Sequence[tuple[str, str]], points: ForceNodes,
     """The numbers of parts, and what is left of these without them."""
     names = named_parameters(parts, held)
     numbers = [parameter.value_in(parts) for parameter in names.all]
-    blank = _without_results(parts)
-    for parameter in names.all:
-        for path in () if parameter.factor else parameter.paths:
-            blank = with_number(blank, path, NOTHING)
+    paths = [path for parameter in names.all if not parameter.factor for path in parameter.paths]
+    blank = with_numbers(_without_results(parts), dict.fromkeys(paths, NOTHING))
     blueprint = Blueprint(blank, names, points, products, CLOSING_TOLERANCE, tuple(numbers))
     return Source(jnp.asarray(array_of(numbers), jnp.float64), blueprint)
 

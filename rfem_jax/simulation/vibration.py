@@ -120,11 +120,12 @@ class Vibration:
         constraints = sparse.csr_matrix(self._constraints(placed) @ self.inverse_root)
         joint_rows, stiffness, damping = self._at_joints(np.asarray(joints), placed)
         by_springs, by_dampers = (np.sqrt(x)[:, None] * joint_rows for x in (stiffness, damping))
+        springs, dampers = [by_springs], [by_dampers]
         for element in self.elements:
-            by_springs, by_dampers = (
-                np.vstack([rows, np.sqrt(size)[:, None] * more @ self.inverse_root])
-                for rows, (more, size) in zip((by_springs, by_dampers), self._principal(placed, element), strict=True)
-            )
+            if element.components:
+                for rows, (more, size) in zip((springs, dampers), self._principal(placed, element), strict=True):
+                    rows.append(np.sqrt(size)[:, None] * more @ self.inverse_root)
+        by_springs, by_dampers = np.vstack(springs), np.vstack(dampers)
         if self.size <= 6 * MOST_BODIES:
             return self._all(constraints.toarray(), by_springs, by_dampers)
         modes = self._stiffest(sparse.csc_matrix(constraints))

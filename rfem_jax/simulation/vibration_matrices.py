@@ -5,6 +5,7 @@ Place in the pipeline: model, model_with_errors -> **vibration_matrices** -> vib
 Velocities w are six of every node (rfe) in the axes of its link: angular, then linear.
 """
 
+import dataclasses
 from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
@@ -41,7 +42,8 @@ class NodeConstants(NamedTuple):
 
 
 def nominal_constants(model: Model) -> NodeConstants:
-    made = _nominal(model)
+    """Constants of the nodes, whatever forces are given at them."""
+    made = _nominal(_bare(model))
     return NodeConstants(
         mass=np.asarray(made.mass),
         centre=np.asarray(made.centre).T,
@@ -51,6 +53,13 @@ def nominal_constants(model: Model) -> NodeConstants:
         damping=np.asarray(made.damping),
         lever=np.asarray(made.lever_right),
     )
+
+
+def _bare(model: Model) -> Model:
+    """The model without its source and without force elements that have no tangent: the program does not read them, and
+    thousands of them would be its arguments."""
+    kept = {name: element for name, element in (model.frame_forces or {}).items() if element.components}
+    return dataclasses.replace(model, source=None, frame_forces=kept or None)
 
 
 def mass_matrices(constants: NodeConstants, scale: float) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:

@@ -8,7 +8,7 @@ from rfem_jax import Circle, InputError, Link, Mechanism
 from rfem_jax.description import load_study
 from rfem_jax.description.deviations import deviation_unit, require_deviation
 from rfem_jax.description.parameters import parameters_of
-from rfem_jax.description.parts import parts_of
+from rfem_jax.description.parts import number_at, parts_of, with_number, with_numbers
 from tests.mechanisms import STEEL, chain_with_forces, four_bar, loop_with_springs
 from tests.report.conftest import STUDY
 
@@ -110,3 +110,28 @@ def test_a_mistake_in_the_drive_is_said_once(tmp_path):
     with pytest.raises(InputError) as refused:
         load_study(path)
     assert len(refused.value.problems) == 1 and "`moment`" in refused.value.problems[0]
+
+
+def test_many_numbers_are_put_in_as_one_by_one_and_nothing_else_changes():
+    mechanism = chain_with_forces()
+    parts = parts_of(mechanism)
+    paths = [path for one in parameters_of(mechanism).all for path in one.paths if not one.factor]
+    values = {path: float(i) for i, path in enumerate(paths)}
+    together, one_by_one = with_numbers(parts, values), parts
+    for path, value in values.items():
+        one_by_one = with_number(one_by_one, path, value)
+        assert number_at(together, path) == value
+    assert together == one_by_one and parts == parts_of(mechanism)
+
+
+def test_parameters_of_the_same_mechanism_are_listed_once():
+    one, other = chain_with_forces(), four_bar()
+    assert parameters_of(one) is parameters_of(one)
+    assert list(parameters_of(other)) != list(parameters_of(one)) and parameters_of(other) is parameters_of(other)
+
+
+def test_a_name_that_occurs_twice_is_said_once():
+    links = [Link(name, 0.1, Circle(0.01), STEEL, rigid=True) for name in ("a", "b", "a", "a")]
+    with pytest.raises(InputError) as caught:
+        Mechanism(links, [])
+    assert caught.value.problems == ("Argument `links` must have unique names, but `a` occurs twice; rename one.",)

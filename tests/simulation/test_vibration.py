@@ -1,5 +1,6 @@
 """Modes at rest against the linearised equations of motion of the mechanism as one dense matrix."""
 
+import dataclasses
 import tracemalloc
 
 import equinox as eqx
@@ -15,6 +16,7 @@ from rfem_jax import (
     Mechanism,
     Method,
     MomentRamp,
+    PointForce,
     PrescribedRate,
     assembly_errors,
     check_step,
@@ -26,7 +28,7 @@ from rfem_jax.mechanics.dynamics import accelerations
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation
 from rfem_jax.mechanics.model import Coordinates, State
 from rfem_jax.mechanics.model_with_errors import apply_errors
-from rfem_jax.simulation import stability, vibration
+from rfem_jax.simulation import stability, vibration, vibration_matrices
 from rfem_jax.simulation.stepping import stabilisation_of
 from rfem_jax.simulation.vibration import Modes, Vibration
 from tests.mechanisms import four_bar, link
@@ -178,3 +180,21 @@ def test_rigid_chain_by_an_implicit_method():
     assert [int(run.status) for run in runs] == [0, 0]
     assert abs(float(runs[1].angle[-1]) - 0.3) > 1e-3
     np.testing.assert_allclose(runs[0].angle[-1], runs[1].angle[-1], atol=1e-4)
+
+
+def test_given_forces_are_no_arguments_of_the_program_of_the_masses(monkeypatch):
+    """Ten thousand of them would be traced and compiled for nothing."""
+    plain = four_bar(3)
+    loaded = dataclasses.replace(
+        plain, forces=[PointForce(f"push{i}", "coupler", 0.1, force=(0, 0, i)) for i in range(9)]
+    )
+    seen = []
+
+    def counted(model):
+        seen.append(len(jax.tree.leaves(model)))
+        return apply_errors(model, assembly_errors(model))
+
+    monkeypatch.setattr(vibration_matrices, "_nominal", counted)
+    constants = [vibration_matrices.nominal_constants(discretise(one)) for one in (plain, loaded)]
+    assert seen[0] == seen[1]
+    np.testing.assert_array_equal(constants[0].mass, constants[1].mass)
