@@ -90,8 +90,7 @@ def require_signs(
         if name not in known or known[name].sign == ANY:
             continue
         one, deviation = known[name], deviations[name]
-        nominal = next((design[known_as] for known_as in (one.full, one.short) if known_as in design), None)
-        nominal = one.value_in(parts) if nominal is None else nominal
+        nominal = design.get(one.full, design.get(one.name, one.value_in(parts)))
         total = nominal + deviation
         if total < 0.0 or (total == 0.0 and one.sign == POSITIVE):
             with problems.noted():

@@ -310,9 +310,8 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         count, converged = like_batched(
             (jnp.zeros((), jnp.int32), jnp.zeros((), bool)), *(x for x in jax.tree.leaves(predicted) if x.size)
         )
-        lines = None
-        if conditions.actual.friction is not None:
-            lines = friction_lines(conditions.actual, evaluation.laws.friction)
+        found = None if evaluation.laws is None else evaluation.laws.friction
+        lines = None if found is None else friction_lines(conditions.actual, found)
         carry = count, converged, predicted, kept(evaluation), lines, StepEnd(trajectory, memory)
         return jax.lax.while_loop(unconverged, improve, carry)[-1]
 
@@ -523,7 +522,9 @@ def _ahead(constants: StepConstants, start: StepStart) -> Float[Array, ""] | Non
     """Time [s] by which friction is taken later, in steps of length zero but the first one, which tells the loads at
     the start (theory (12.10)); None without friction."""
     ahead, begun = start.conditions.ahead, start.memory.begun
-    return None if ahead is None else jnp.where(constants.length > 0.0, 0.0, begun * ahead)
+    if ahead is None or begun is None:
+        return None
+    return jnp.where(constants.length > 0.0, 0.0, begun * ahead)
 
 
 def _renews(actual: ModelWithErrors) -> bool:
