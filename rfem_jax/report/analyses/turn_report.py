@@ -171,7 +171,7 @@ def turn_text(study: Study, model: Model, turn: Turn) -> str:
 
 def _linear_error(turn: Turn, case: int) -> float:
     """Largest estimated error of linear elements over the positions of a case."""
-    errors = np.asarray(turn.linear_error[case])[turn.status[case] == 0]
+    errors = np.zeros(0) if turn.linear_error is None else turn.linear_error[case][turn.status[case] == 0]
     return float(np.max(errors, initial=0.0))
 
 
