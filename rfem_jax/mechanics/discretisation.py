@@ -133,8 +133,7 @@ def _as_given(model: Model, mechanism: Mechanism) -> Model:
     before = np.abs(gaps(geometry_of(model), place(geometry_of(model), np.asarray(model.start_joints))).residual).max()
     if not np.abs(residual).max() <= max(2.0 * before, ROUNDING) or (alignment < 0.0).any():
         return model
-    start = tuple(jnp.asarray(values, jnp.float64) for values in (joints, cuts))
-    return eqx.tree_at(lambda m: (m.start_joints, m.cut_angles), model, start)
+    return dataclasses.replace(model, start_joints=jnp.asarray(joints), cut_angles=jnp.asarray(cuts))
 
 
 def _start_given(model: Model, mechanism: Mechanism, chosen: tuple[int, ...]) -> Float[np.ndarray, " numbers"]:
