@@ -21,6 +21,7 @@ from rfem_jax.description.number_fields import ANY, POSITIVE, SIGN_WORDS
 from rfem_jax.description.parameters import parameters_of
 from rfem_jax.description.parts import parts_of
 from rfem_jax.description.units import DIMENSIONS
+from rfem_jax.description.zones import SpecifiedZone, is_zone
 
 
 def require_deviation(mechanism: Mechanism, name: str, where: str = "name") -> None:
@@ -32,6 +33,19 @@ def require_deviation(mechanism: Mechanism, name: str, where: str = "name") -> N
         raise InputError(
             f"{subject(where)} must be an error or a parameter of this mechanism, but `{name}` is none; "
             f"{mechanism.about_missing(name) or suggestion(name, (*mechanism.error_names, *known, *_of_drives()))}"
+        )
+
+
+def require_zone(mechanism: Mechanism, zone: SpecifiedZone, where: str) -> None:
+    """Raise InputError with the nearest name unless the mechanism has the errors of a zone."""
+    missing = [error for error in zone.errors if error not in mechanism.error_names]
+    if missing:
+        owner, characteristic = zone.name.rpartition(".")[::2]
+        seats = {error.rpartition(".")[0] for error in mechanism.error_names if error.rpartition(".")[2] == "d_x"}
+        raise InputError(
+            f"{subject(where)} must name zones of joints that have their errors, but this mechanism has no "
+            f"`{missing[0]}` for `{zone.name}`; "
+            + suggestion(zone.name, [f"{seat}.{characteristic}" for seat in sorted(seats - {owner})])
         )
 
 
@@ -53,7 +67,9 @@ def deviation_dimension(mechanism: Mechanism, name: str) -> str:
 
 
 def deviation_unit(mechanism: Mechanism, name: str) -> str:
-    """SI unit of a deviation; raises as `require_deviation`."""
+    """SI unit of a deviation, or of a zone's diameter; raises as `require_deviation`."""
+    if is_zone(name):
+        return "m"
     return DIMENSIONS[deviation_dimension(mechanism, name)][1]
 
 

@@ -216,6 +216,10 @@ class SpecifiedTolerances(ChecksItself):
             widths |= zone.half_widths()
         return widths
 
+    def sizes(self) -> dict[str, float]:
+        """{error: half-width [rad or m], zone: diameter [m]}."""
+        return self.half_widths() | {zone.name: zone.diameter for zone in self.zones}
+
     def reaches(self) -> dict[str, float]:
         """{error: largest magnitude [rad or m] that its interval or half-width has}."""
         widths = self.half_widths()

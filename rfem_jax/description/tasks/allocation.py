@@ -13,7 +13,13 @@ from typing import Any, ClassVar
 
 from rfem_jax.description.errors import Checks, InputError, require_choice
 from rfem_jax.description.tables import keys_of
-from rfem_jax.description.tasks.costs import ErrorCost, complete_costs, half_width_bounds, read_with_costs
+from rfem_jax.description.tasks.costs import (
+    ErrorCost,
+    complete_costs,
+    half_width_bounds,
+    read_with_costs,
+    zones_of_bounds,
+)
 from rfem_jax.description.tasks.settings import (
     MODES,
     STARTS,
@@ -27,6 +33,7 @@ from rfem_jax.description.tasks.settings import (
 from rfem_jax.description.tasks.task import Task
 from rfem_jax.description.tolerances import SpecifiedTolerances
 from rfem_jax.description.units import positive_quantity
+from rfem_jax.description.zones import SpecifiedZone
 
 # Settings that count for some criteria only.
 _CRITERIA_OF = {
@@ -46,7 +53,7 @@ class AllocationTask(Task):
 
     Args:
         limits: {metric: largest value, or (low, high)} in the metric's unit.
-        bounds: {error: (smallest, largest half-width)} in rad and m.
+        bounds: {error: (smallest, largest half-width)} in rad and m, {zone: (smallest, largest diameter)} in m.
         costs: {error: ErrorCost}, one for each of the bounds.
         criterion: "worst_case", "rss" or "yield".
         target: fraction of mechanisms that keep all limits, between 0 and 1; of the criterion "yield" alone.
@@ -63,6 +70,7 @@ class AllocationTask(Task):
         seed: of random starts and samples.
         mode: of differentiation: "auto", "forward" or "reverse".
         batch: simulations at once on each device.
+        zones: shapes of the zones among the bounds; a position or coaxiality without one is a disc.
     Raises: InputError for settings that are out of range or do not fit each other.
     """
 
@@ -85,6 +93,7 @@ class AllocationTask(Task):
     seed: int = 0
     mode: str = "auto"
     batch: int = 64
+    zones: tuple[SpecifiedZone, ...] = ()
 
     def _check_fields(self, checks: Checks) -> None:
         checks.convert("criterion", require_choice, ("worst_case", "rss", "yield"), "criterion")
@@ -105,6 +114,7 @@ class AllocationTask(Task):
         for name in sorted(given & {*_CRITERIA_OF}):
             checks.relation(("criterion", name), self._require_criterion, name)
         checks.relation(("bounds", "costs"), self._complete_costs)
+        checks.relation(("bounds", "zones"), self._complete_zones)
 
     def _require_criterion(self, name: str) -> None:
         """See that a setting counts for the criterion."""
@@ -119,10 +129,13 @@ class AllocationTask(Task):
     def _complete_costs(self) -> None:
         set_fields(self, costs=complete_costs(self.bounds, self.costs))
 
+    def _complete_zones(self) -> None:
+        set_fields(self, zones=zones_of_bounds(self.bounds, self.zones))
+
     @classmethod
     def tables(cls, header: str) -> list[tuple[str, type, Collection[str], Collection[str]]]:
         """As `Task.tables`, with that of the costs."""
-        required, optional = keys_of(cls, omit=("costs",))
+        required, optional = keys_of(cls, omit=("costs", "zones"))
         return [(header, cls, required, ("cost", *optional)), ("[allocation.cost]", ErrorCost, *keys_of(ErrorCost))]
 
     @classmethod

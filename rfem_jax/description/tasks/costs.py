@@ -1,34 +1,52 @@
 """Bounds and costs of tolerances that are to be found: the tables [NAME.bounds] and [NAME.cost] of a task.
 
+Both may name zones of drawings beside errors ("D.coaxiality"); the tolerance t of a zone is its diameter.
+
 Place in the pipeline: tolerances, units -> **costs** -> allocation, optimise. Both tables are by error, and a cost may
 be given once for all of them.
 
 Symbols: bounds and `at` in m and rad, or strings with a unit.
 """
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from rfem_jax.description.error_catalogue import error_dimension
-from rfem_jax.description.errors import ABSENT, Checks, ChecksItself, InputError, Problems, located, require_choice
+from rfem_jax.description.error_catalogue import (
+    JOINT_ERRORS,
+    LINK_ERRORS,
+    error_dimension,
+    knows_dimension,
+    parameters_being_read,
+)
+from rfem_jax.description.errors import (
+    ABSENT,
+    Checks,
+    ChecksItself,
+    InputError,
+    Problems,
+    located,
+    nearest,
+    require_choice,
+)
 from rfem_jax.description.tables import build, checked_table, keys_of
-from rfem_jax.description.tolerances import SpecifiedTolerances, error_quantities
+from rfem_jax.description.tolerances import SpecifiedTolerances
 from rfem_jax.description.units import DERIVED, positive_quantity, quantity
+from rfem_jax.description.zones import CHARACTERISTICS, OF_DIRECTION, SpecifiedZone, is_zone
 
 COST_MODELS = ("reciprocal", "reciprocal_squared", "exponential")
 
 
 @dataclass(frozen=True)
 class ErrorCost(ChecksItself):
-    """What a tolerance t of one error costs.
+    """What a tolerance t of one error, or of a zone, costs.
 
     Args:
         model: "reciprocal" fixed + price at/t, "reciprocal_squared" fixed + price (at/t)^2, or
             "exponential" fixed + price exp(-t/at).
         price: in any currency, > 0.
-        at: scale of the half-width t [rad or m]; None = the largest bound of the error (in a study file: its
-            tolerance, where it has one).
+        at: scale of t [rad or m]; None = its largest bound (in a study file: its value in [tolerances], where it
+            has one).
         fixed: in the same currency.
     """
 
@@ -71,12 +89,53 @@ def read_with_costs(
     bounds, cost = settings.get("bounds", {}), settings.pop("cost", {})
     if not isinstance(bounds, dict) or not bounds:  # then any error may have a cost
         bounds = {name: None for name in cost if "." in name} if isinstance(cost, dict) else {}
-    widths = {} if tolerances is None else tolerances.half_widths()
+    widths = {} if tolerances is None else tolerances.sizes()
+    if tolerances is not None and isinstance(bounds, dict):
+        settings["zones"] = tuple(zone for zone in tolerances.zones if zone.name in bounds)
     costs: Any = ABSENT
     if cost is not ABSENT:
         with problems.noted():
             costs = _read_costs(f"{place.removesuffix(']')}.cost]", cost, bounds, widths)
     return build(cls, {"costs": costs, **settings}, place, problems)
+
+
+def size_dimension(name: object) -> str:
+    """Dimension of the tolerance of an error or a parameter, or of the diameter of a zone. Raises: InputError."""
+    if is_zone(name):
+        return "length"
+    try:
+        return error_dimension(name)
+    except InputError:
+        owner, _, component = str(name).partition(".")
+        close = nearest(component, (*JOINT_ERRORS, *LINK_ERRORS, *CHARACTERISTICS)) if component else None
+        near = f"{owner}.{close}" if close else nearest(name, parameters_being_read())
+        told = f"did you mean `{near}`?" if near else 'write for example "D.delta_x", "D.coaxiality" or "bar.height".'
+        raise InputError(
+            f"Argument `bounds` must name errors, zones of drawings or parameters, but `{name}` is none; {told}"
+        ) from None
+
+
+def zones_of_bounds(
+    bounds: Mapping[str, tuple[float, float]], zones: Sequence[SpecifiedZone]
+) -> tuple[SpecifiedZone, ...]:
+    """The zones among bounds, with the shapes that [tolerances] gives them; others are discs (position, coaxiality).
+
+    Raises: InputError for zones that need a length.
+    """
+    known, problems = {zone.name: zone for zone in zones}, Problems()
+    found = []
+    for name, (_, largest) in bounds.items():
+        if not is_zone(name):
+            continue
+        with problems.noted():
+            if name not in known and str(name).rpartition(".")[2] in OF_DIRECTION:
+                raise InputError(
+                    f"Argument `bounds` must name zones whose length is known, but `{name}` is not in [tolerances]; "
+                    f'add "{name}" = {{ diameter = "0.1 mm", length = "20 mm" }} there.'
+                )
+            found.append(known.get(name) or SpecifiedZone(name, largest))
+    problems.refuse()
+    return tuple(found)
 
 
 def half_width_bounds(bounds: object) -> dict[str, tuple[float, float]]:
@@ -89,7 +148,11 @@ def half_width_bounds(bounds: object) -> dict[str, tuple[float, float]]:
     for name, pair in bounds.items():
         with problems.noted():
             ends = pair if isinstance(pair, (list, tuple)) and len(pair) == 2 else (0.0, 0.0)
-            low, high = (error_quantities({name: end}, "bounds")[name] for end in ends)
+            if all(isinstance(end, float) for end in ends) and not (is_zone(name) or knows_dimension(name)):
+                low, high = ends  # of a parameter, read before
+            else:
+                dimension = size_dimension(name)
+                low, high = (quantity(end, dimension, f"`{name}` of `bounds`") for end in ends)
             if not 0.0 < low < high:
                 raise InputError(
                     f"Argument `bounds` must give [smallest, largest] half-widths above 0, but "
@@ -112,6 +175,8 @@ def _read_costs(place: str, table: object, bounds: dict[str, Any], widths: dict[
     shared = {key: value for key, value in checked.items() if key in common}
     costs = {}
     for name, pair in bounds.items():
+        if not _has_dimension(name):
+            continue  # refused in `bounds`
         with problems.noted():
             own = checked.get(name, {})
             if own is not ABSENT:
@@ -121,6 +186,13 @@ def _read_costs(place: str, table: object, bounds: dict[str, Any], widths: dict[
     return costs
 
 
+def _has_dimension(name: object) -> bool:
+    try:
+        return bool(size_dimension(name))
+    except InputError:
+        return False
+
+
 def _read_cost(place: str, name: str, table: object, shared: dict[str, Any], default: Any) -> ErrorCost:
     """The cost of one error; `default` is its scale where its table has none."""
     problems = Problems()
@@ -128,7 +200,7 @@ def _read_cost(place: str, name: str, table: object, shared: dict[str, Any], def
     at = own.get("at", default)
     with problems.noted(), located(place):
         try:
-            dimension = error_dimension(name)
+            dimension = size_dimension(name)
             if "at" not in own:
                 at = positive_quantity(at, dimension, f"`{name}`")
         except InputError:

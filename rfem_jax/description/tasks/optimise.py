@@ -14,7 +14,13 @@ from rfem_jax.description.errors import Checks, InputError, require_choice
 from rfem_jax.description.mechanism import Mechanism
 from rfem_jax.description.metric_subjects import require_metric, subjects_of
 from rfem_jax.description.tables import keys_of
-from rfem_jax.description.tasks.costs import ErrorCost, complete_costs, half_width_bounds, read_with_costs
+from rfem_jax.description.tasks.costs import (
+    ErrorCost,
+    complete_costs,
+    half_width_bounds,
+    read_with_costs,
+    zones_of_bounds,
+)
 from rfem_jax.description.tasks.settings import (
     MODES,
     MOST_AT_ONCE,
@@ -29,6 +35,7 @@ from rfem_jax.description.tasks.settings import (
 from rfem_jax.description.tasks.task import Task
 from rfem_jax.description.tolerances import SpecifiedTolerances
 from rfem_jax.description.units import non_negative_quantity, positive_quantity
+from rfem_jax.description.zones import SpecifiedZone
 
 COST = "cost"
 ROBUST = ("nominal", "worst_case", "rss", "yield")
@@ -42,8 +49,8 @@ class OptimiseTask(Task):
         objective: what is to be least: a metric of the perfect mechanism, "cost" of the tolerances to be found, or
             { metric or "cost" = weight }.
         limits: {metric: largest value, or (low, high)} in the metric's unit.
-        bounds: {error: (smallest, largest half-width)} of the tolerances to be found; those of [tolerances] beside
-            them stay as they are.
+        bounds: {error: (smallest, largest half-width), zone: diameters} of the tolerances to be found; those of
+            [tolerances] beside them stay as they are.
         costs: {error: ErrorCost}, one for each of the bounds.
         robust: when limits hold: "nominal" (perfect mechanism), "worst_case", "rss" (mean + `coverage` deviations) or
             "yield" (a fraction `target` of all mechanisms).
@@ -59,6 +66,7 @@ class OptimiseTask(Task):
         seed: of random starts and samples.
         mode: of differentiation: "auto", "forward" or "reverse".
         batch: simulations at once on each device.
+        zones: shapes of the zones among the bounds; a position or coaxiality without one is a disc.
     Raises: InputError for settings that are out of range or do not fit each other.
     """
 
@@ -81,6 +89,7 @@ class OptimiseTask(Task):
     seed: int = 0
     mode: str = "auto"
     batch: int = 64
+    zones: tuple[SpecifiedZone, ...] = ()
 
     def _check_fields(self, checks: Checks) -> None:
         checks.convert("objective", _objective)
@@ -98,11 +107,15 @@ class OptimiseTask(Task):
         if self.bounds:
             checks.convert("bounds", half_width_bounds)
         checks.relation(("bounds", "costs"), self._complete_costs)
+        checks.relation(("bounds", "zones"), self._complete_zones)
         checks.relation(("objective", "bounds"), self._check_cost)
         checks.relation(("objective", "front"), self._check_front)
 
     def _complete_costs(self) -> None:
         set_fields(self, costs=complete_costs(self.bounds, self.costs))
+
+    def _complete_zones(self) -> None:
+        set_fields(self, zones=zones_of_bounds(self.bounds, self.zones))
 
     def _check_cost(self) -> None:
         if COST in self.objective and not self.bounds:
@@ -121,7 +134,7 @@ class OptimiseTask(Task):
     @classmethod
     def tables(cls, header: str) -> list[tuple[str, type, Collection[str], Collection[str]]]:
         """As `Task.tables`, with that of the costs."""
-        required, optional = keys_of(cls, omit=("costs",))
+        required, optional = keys_of(cls, omit=("costs", "zones"))
         return [(header, cls, required, ("cost", *optional)), ("[optimise.cost]", ErrorCost, *keys_of(ErrorCost))]
 
     @classmethod

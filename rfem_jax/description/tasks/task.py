@@ -8,7 +8,7 @@ from collections.abc import Collection
 from dataclasses import dataclass, fields, replace
 from typing import Any, ClassVar
 
-from rfem_jax.description.deviations import require_deviation
+from rfem_jax.description.deviations import require_deviation, require_zone
 from rfem_jax.description.errors import ChecksItself, Problems
 from rfem_jax.description.mechanism import Mechanism
 from rfem_jax.description.metric_subjects import require_metric, subjects_of
@@ -49,9 +49,13 @@ class Task(ChecksItself):
         Raises: InputError for errors and joints that the mechanism has not.
         """
         problems = Problems()
+        zones = {zone.name: zone for zone in getattr(self, "zones", ())}
         for error in (*getattr(self, "at", ()), *getattr(self, "bounds", ())):
             with problems.noted():
-                require_deviation(mechanism, error, f"`{name}`")
+                if error in zones:
+                    require_zone(mechanism, zones[error], f"`{name}`")
+                else:
+                    require_deviation(mechanism, error, f"`{name}`")
         own = {one.name: getattr(self, one.name) for one in fields(self)}
         patterns = (*own.get("limits", ()), *own.get("metrics", ()))
         metrics: dict[str, tuple[str, ...]] = {}

@@ -31,6 +31,7 @@ from rfem_jax.report.tasks.task_report import TaskReport
 from rfem_jax.text_layout import align_columns
 from rfem_jax.tolerancing.allocation.allocation_study import Allocation, LimitCheck, allocate
 from rfem_jax.tolerancing.allocation.cost_models import Exponential, Reciprocal, ReciprocalSquared, total_cost
+from rfem_jax.tolerancing.allocation.request import read_bounds
 from rfem_jax.tolerancing.problems.distributions import DISTRIBUTIONS
 from rfem_jax.tolerancing.problems.linearisation import choose_mode
 from rfem_jax.tolerancing.problems.quadratic_model import expand_by_differences
@@ -65,12 +66,13 @@ class AllocationReport(TaskReport[AllocationTask, AllocationStudy]):
             target=task.target, coverage=task.coverage, statistic=task.statistic,
             distribution=DISTRIBUTIONS[task.distribution], samples=task.samples,
             verify_samples=task.verify_samples, starts=task.starts, rounds=task.rounds,
-            tolerance=task.accuracy, batch=task.batch,
+            tolerance=task.accuracy, batch=task.batch, zones=task.zones,
         )  # fmt: skip
         on_stage("Expanding to second order")
         together = task.criterion != "worst_case"
-        mode = choose_mode(task.mode, len(task.bounds), len(problem.metrics) if together else 1, problem)
-        typical = {name: math.sqrt(low * high) for name, (low, high) in task.bounds.items()}
+        sizes, lower, upper = read_bounds(problem, task.bounds, task.zones)
+        mode = choose_mode(task.mode, len(sizes.errors), len(problem.metrics) if together else 1, problem)
+        typical = dict(zip(sizes.errors, map(float, sizes.reaches(np.sqrt(lower * upper))), strict=True))
         model = expand_by_differences(problem, None, typical, mode=mode, batch=task.batch, values_follow=True)
         solve = partial(solve, model=model, mode=mode)
         on_stage(f"Allocating {len(task.bounds)} tolerances")
@@ -128,7 +130,9 @@ class AllocationReport(TaskReport[AllocationTask, AllocationStudy]):
         return written
 
     def simulations(self) -> list[str]:
-        task, errors = self.task, len(self.task.bounds)
+        task = self.task
+        zones = {zone.name: len(zone.errors) for zone in task.zones}
+        errors = sum(zones.get(name, 1) for name in task.bounds)
         told = [f"{1 + 4 * errors} simulations with first derivatives by {errors} errors, for the quadratic model"]
         count = len({1.0, *task.scales})
         each = "" if count == 1 else f"for each of {count} allocations "
@@ -195,7 +199,7 @@ def _closed(end: float) -> float | None:
 def _before(study: Study, costs: Mapping[str, CostModel]) -> tuple[dict[str, float], float]:
     """The study's own tolerances of the errors allocated, and their cost if it has all of them."""
     specified = study.tasks.tolerances
-    widths = {} if specified is None else specified.half_widths()
+    widths = {} if specified is None else specified.sizes()
     before = {name: widths[name] for name in costs if name in widths}
     if len(before) < len(costs):
         return before, math.nan
@@ -313,7 +317,7 @@ def front_figure(study: Study, found: AllocationStudy) -> Figure:
         axis.set_major_formatter("{x:g}")
         axis.set_minor_formatter("{x:g}")
         axis.set_tick_params(which="both", labelsize=8)
-    below.set_ylabel("tolerance (half-width)")
+    below.set_ylabel("tolerance (half-width or diameter)")
     below.set_xlabel(label)
     below.legend(frameon=False)
     add_titles(figure, "Cheapest tolerances against the limit that they keep", study)

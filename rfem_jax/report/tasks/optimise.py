@@ -49,7 +49,10 @@ class OptimiseReport(TaskReport[OptimiseTask, Optimised]):
         """The answer, and the Pareto front if it is asked for."""
         task, designs = self.task, self.study.design_bounds
         specified = self.study.tasks.tolerances
-        widths: dict[str, Any] = {} if specified is None else specified.half_widths()
+        widths: dict[str, Any] = {} if specified is None else specified.sizes()
+        for zone in () if specified is None else specified.zones:  # one size in the place of its errors
+            for error in zone.errors:
+                widths.pop(error, None)
         widths |= task.bounds
         if not designs and not task.bounds:
             raise InputError(
@@ -64,6 +67,7 @@ class OptimiseReport(TaskReport[OptimiseTask, Optimised]):
             key=jax.random.key(task.seed), target=task.target, coverage=task.coverage,
             distribution=DISTRIBUTIONS[task.distribution], samples=task.samples, verify_samples=task.verify_samples,
             starts=task.starts, searches=task.searches, steps=task.steps, mode=task.mode, batch=task.batch,
+            zones=[*task.zones, *(() if specified is None else specified.zones)],
             progress=lambda count: on_stage(f"Optimising: {count} simulations"),
         )  # fmt: skip
         answer = solve(objective=task.objective)
@@ -124,7 +128,7 @@ class OptimiseReport(TaskReport[OptimiseTask, Optimised]):
 
     def _widths_before(self) -> dict[str, float]:
         specified = self.study.tasks.tolerances
-        return {} if specified is None else specified.half_widths()
+        return {} if specified is None else specified.sizes()
 
     def simulations(self) -> list[str]:
         task, count = self.task, len(self.study.design_bounds) + len(self.task.bounds)

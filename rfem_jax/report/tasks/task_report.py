@@ -21,6 +21,7 @@ from rfem_jax.description.errors import InputError
 from rfem_jax.description.study import Study
 from rfem_jax.description.tasks.task import Task
 from rfem_jax.description.tolerances import SpecifiedTolerances
+from rfem_jax.description.zones import SpecifiedZone
 from rfem_jax.report.annotations import Figure
 from rfem_jax.report.overview import format_error
 from rfem_jax.report.pictures import write_pictures
@@ -107,6 +108,8 @@ class TaskReport(abc.ABC, Generic[Asked, Result]):
         if name == "at":
             unit = partial(deviation_unit, self.study.mechanism)
             return ", ".join(format_error(error, one, unit(error)) for error, one in value.items())
+        if name == "zones":
+            return ", ".join(_zone(one) for one in value)
         if isinstance(value, dict):
             return ", ".join(f"{key} {item}" for key, item in value.items())
         if isinstance(value, tuple):
@@ -159,6 +162,11 @@ class TaskReport(abc.ABC, Generic[Asked, Result]):
             return []
         on_stage("Drawing pictures")
         return write_pictures(folder, self.pictures(result))
+
+
+def _zone(zone: SpecifiedZone) -> str:
+    over = "" if zone.length is None else f" over {format_error('', zone.length, 'm').removeprefix(' = ')}"
+    return f"{zone.name} a {'disc' if zone.zone == 'cylinder' and zone.length is None else zone.zone}{over}"
 
 
 def _limit(name: str, pair: tuple[float, float]) -> str:

@@ -36,6 +36,7 @@ from rfem_jax.tolerancing.layout import show_error, show_number
 from rfem_jax.tolerancing.problems.distributions import Normal, Tolerance
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem
 from rfem_jax.tolerancing.problems.quadratic_model import QuadraticModel
+from rfem_jax.tolerancing.problems.sizes import Zones
 from rfem_jax.tolerancing.sampling.sequences import RandomKey
 from rfem_jax.tolerancing.worst_cases import STARTS
 
@@ -77,10 +78,11 @@ class Allocation(LabelledAllocation):
 
     status: "ok" (found, and the fresh run agrees), "not_verified" (found, but the fresh run violates a limit beyond
     its confidence interval), "not_converged", or "infeasible"; message: one sentence, for an infeasible request the
-    limit that cannot be met and the best reachable value; tolerances {name: half-width [rad or m]} (of an infeasible
-    request those nearest to the limits), cost; at_bounds {name: "smallest" | "largest"}; limits: LimitCheck of each;
-    level: the fraction of samples that the statistical criteria refer to (NaN for worst case); predicted_yield,
-    verified_yield, yield_interval: fraction within all limits (NaN for worst case; predicted only for "yield");
+    limit that cannot be met and the best reachable value; tolerances {name: half-width [rad or m], diameter of a
+    zone [m]} (of an infeasible request those nearest to the limits), cost; at_bounds {name: "smallest" | "largest"};
+    limits: LimitCheck of each; level: the fraction of samples that the statistical criteria refer to (NaN for worst
+    case); predicted_yield, verified_yield, yield_interval: fraction within all limits (NaN for worst case; predicted
+    only for "yield");
     verified_by: a description of the fresh run; history: (cost, largest h on the full problem) per round; failed:
     failed samples in all rounds and in the fresh run; hessian_error: the estimated relative error of the quadratic
     model's Hessian by differences (NaN where it is exact).
@@ -151,6 +153,7 @@ def allocate(
     rounds: int = 12,
     tolerance: float = 1e-4,
     model: QuadraticModel | None = None,
+    zones: Zones | None = None,
     mode: str = "auto",
     batch: int = 256,
 ) -> Allocation:
@@ -158,8 +161,9 @@ def allocate(
 
     Args: limits {metric: upper limit, or (lower or None, upper or None)}; cost, one cost model for all errors or
         {error: model} (cost_models.py), a callable of one half-width; bounds {error: (smallest, largest half-width)},
-        in rad or m, or strings with a unit, of the errors to allocate; criterion "worst_case", "rss" or "yield"; key,
-        a JAX key; at {error: value}, the centre of the tolerances.
+        in rad or m, or strings with a unit, of the errors to allocate, and of drawing zones ("D.coaxiality") the
+        diameter; criterion "worst_case", "rss" or "yield"; key, a JAX key; at {error: value}, the centre of the
+        tolerances.
         "yield": target, the fraction of samples within all limits. "rss": coverage, the number c of standard
         deviations, and statistic "quantile" or "mean". Both: distribution, a class or callable half-width ->
         Tolerance; samples, the number of standard points (default: twenty or more beyond the yield, 2048 for "rss");
@@ -167,7 +171,9 @@ def allocate(
         rounds of correction until an answer settles and a fresh run checks it (a few times at most, each after a
         correction by the last run); tolerance on limits (of the headroom) and cost, ten times as much on the cost of a
         yield; model, a QuadraticModel of order 2 at the centre in the errors of `bounds` (None: by differences of
-        gradients); mode of the gradients; batch, the most samples at once on each device.
+        gradients); zones, those among `bounds`: a study that has them in [tolerances], or {name: `Zone` of size 1} (a
+        position or coaxiality is a disc unless it is here; errors are uniform in a zone, whatever the distribution);
+        mode of the gradients; batch, the most samples at once on each device.
     The full problem is compiled twice, whatever the rounds: for values, and for values with derivatives.
     Raises: InputError for unknown names, bad bounds or options.
     """
@@ -176,7 +182,9 @@ def allocate(
     require_choice(statistic, ("quantile", "mean"), "statistic")
     if not 0 < target < 1:
         raise InputError(f"Argument `target` must lie between 0 and 1, but it is {target}.")
-    request = check_request(problem, limits, cost, bounds, at, mode, batch, model, together=criterion != "worst_case")
+    request = check_request(
+        problem, limits, cost, bounds, at, mode, batch, model, zones, together=criterion != "worst_case"
+    )
     design, refine, verify, last = jax.random.split(key, 4)
     if criterion == "worst_case":
         study: Criterion = WorstCaseCriterion(request, design, starts)
@@ -292,7 +300,7 @@ def _report(study: Criterion, request: Request, criterion, answer: Answer, histo
         status=outcome[0],
         message=outcome[1],
         tolerances=request.tolerances(t),
-        units={name: request.problem.error_unit(name) for name in request.names},
+        units={name: request.unit(name) for name in request.sizes.names},
         cost=answer.cost,
         at_bounds=_at_bounds(request, t),
         limits=_check_limits(request, answer, study.quadratic_worst(t), verified),
@@ -335,7 +343,7 @@ def _check_limits(request: Request, answer: Answer, quadratic, verified: Verifie
 def _at_bounds(request: Request, t) -> dict[str, str]:
     """{error: "smallest" | "largest"} of the tolerances that are at a bound."""
     found = {}
-    for name, x, low, high in zip(request.names, t, request.lower, request.upper, strict=True):
+    for name, x, low, high in zip(request.sizes.names, t, request.lower, request.upper, strict=True):
         if x <= low * (1 + 1e-6):
             found[name] = "smallest"
         elif x >= high * (1 - 1e-6):

@@ -2,7 +2,8 @@
 (10.17)).
 
 Place in the pipeline: under the allocation; differentiable models (quadratic, with corrections from the full problem)
-that the augmented Lagrangian solves on. They are pytrees: new numbers do not compile again.
+that the augmented Lagrangian solves on. They are pytrees: new numbers do not compile again. Their t (k,) has the size
+of every coordinate: those of one zone have the same.
 
     h = s (f - limit) / headroom                 s = 1 for an upper limit, -1 for a lower one
     Scenarios    h_j(t) = F_j + D_j.d + 1/2 d^T H d,   d = t z_j - e_j            (worst case)
@@ -169,10 +170,10 @@ def sample_quantile(h: Float[np.ndarray, " n"], level: float) -> float:
 
 
 class Answer(NamedTuple):
-    """Solution on a model: x = log t (k,), cost, h (l,) per limit, the largest constraint, and dcost/dh (l,) per
+    """Solution on a model: x = log t (v,), cost, h (l,) per limit, the largest constraint, and dcost/dh (l,) per
     limit."""
 
-    x: Float[np.ndarray, " k"]
+    x: Float[np.ndarray, " v"]
     cost: float
     h: Float[np.ndarray, " l"]
     violation: float
@@ -196,13 +197,15 @@ class Verified(NamedTuple):
 def cheapest(
     model: Scenarios | Moments | Sample,
     costs: Sequence[CostModel],
-    x: Float[Array, " k"],
-    lower: Float[Array, " k"],
-    upper: Float[Array, " k"],
+    owner: Int[Array, " k"],
+    x: Float[Array, " v"],
+    lower: Float[Array, " v"],
+    upper: Float[Array, " v"],
     rounds: int = 25,
     evaluations: int = 1000,
 ) -> tuple[Solution, Float[Array, ""], Float[Array, " c"]]:
-    """Minimise the total cost under model(t) <= 0; x, lower, upper (k,) are logarithms of t.
+    """Minimise the total cost under model(t) <= 0; x, lower, upper (v,) are logarithms of the sizes, owner (k,) is the
+    size of each coordinate, of which the model is a function.
 
     Returns: the Solution in x, the unit of cost it was solved in (its multipliers are in that unit), and the values
         (c,) of the constraints there.
@@ -211,11 +214,11 @@ def cheapest(
     unit = jnp.where(jnp.abs(start) > 0, jnp.abs(start), 1.0)
     solution = minimise(
         lambda y: total_cost(costs, jnp.exp(y)) / unit,
-        lambda y: model(jnp.exp(y)) + INSIDE,
+        lambda y: model(jnp.exp(y)[owner]) + INSIDE,
         x,
         lower,
         upper,
         rounds=rounds,
         evaluations=evaluations,
     )
-    return solution, unit, model(jnp.exp(solution.point))
+    return solution, unit, model(jnp.exp(solution.point)[owner])

@@ -3,7 +3,7 @@
 Place in the pipeline: first step of the allocation.
 
 Symbols: f metric, limit upper or lower bound of it [metric unit], headroom |limit - f(centre)| (the unit of every
-margin inside), t half-widths [rad, m] between `lower` and `upper`.
+margin inside), t half-widths [rad, m] and diameters of zones [m] between `lower` and `upper`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -12,17 +12,18 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from rfem_jax.description.errors import InputError
 from rfem_jax.tolerancing.allocation.cost_models import CostModel, assign_costs
 from rfem_jax.tolerancing.allocation.models import Quadratic
-from rfem_jax.tolerancing.checks import ErrorValues, check_known, error_value, read_limits
-from rfem_jax.tolerancing.problems.evaluation import metric_index, read_point, split_errors
-from rfem_jax.tolerancing.problems.linearisation import choose_mode
+from rfem_jax.tolerancing.checks import ErrorValues, error_value, read_limits
+from rfem_jax.tolerancing.problems.evaluation import evaluate_points, metric_index, read_point, split_errors
+from rfem_jax.tolerancing.problems.linearisation import choose_mode, linearise_points
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem
 from rfem_jax.tolerancing.problems.quadratic_model import QuadraticModel, expand_by_differences
 from rfem_jax.tolerancing.problems.sample_values import Base
+from rfem_jax.tolerancing.problems.sizes import Sizes, Zones, sizes_of
 
 
 class Limit(NamedTuple):
@@ -52,13 +53,14 @@ class Limit(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Request:
-    """The checked request: names (k) and lower, upper half-widths (k,) of the errors, limits (l), costs (k), the centre
-    `at` of the tolerances as fixed errors (`base`) and vector (k,), and the quadratic model there."""
+    """The checked request: the sizes to be found (v), between lower and upper (v,), limits (l), costs (v), the centre
+    `at` of the tolerances as fixed errors (`base`) and vector (k,), and the quadratic models there: `model` of the
+    metrics by errors, `quadratic` of the limits by coordinates x (`sizes`)."""
 
     problem: ToleranceProblem
-    names: tuple[str, ...]
-    lower: Float[np.ndarray, " k"]
-    upper: Float[np.ndarray, " k"]
+    sizes: Sizes
+    lower: Float[np.ndarray, " v"]
+    upper: Float[np.ndarray, " v"]
     limits: tuple[Limit, ...]
     costs: tuple[CostModel, ...]
     at: dict[str, float]
@@ -69,9 +71,28 @@ class Request:
     mode: str
     batch: int
 
-    def tolerances(self, t: Float[np.ndarray, " k"]) -> dict[str, float]:
-        """{name: half-width} of t (k,)."""
-        return dict(zip(self.names, map(float, t), strict=True))
+    def tolerances(self, t: Float[np.ndarray, " v"]) -> dict[str, float]:
+        """{name: size} of t (v,)."""
+        return dict(zip(self.sizes.names, map(float, t), strict=True))
+
+    def unit(self, name: str) -> str:
+        """SI unit of a size."""
+        return "m" if name in self.sizes.zones else self.problem.error_unit(name)
+
+    def values(self, x: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n m"]:
+        """Values of all metrics at coordinates x, NaN where a sample failed."""
+        points = self.centre + x @ self.sizes.matrix.T
+        return evaluate_points(self.problem, self.sizes.errors, self.base, points, self.batch)[0]
+
+    def linearise(
+        self, x: Float[np.ndarray, "n k"], metric: Int[np.ndarray, " n"] | None = None
+    ) -> tuple[Float[np.ndarray, "n m"], Float[np.ndarray, "n m k"] | Float[np.ndarray, "n k"]]:
+        """Values of all metrics at coordinates x and their derivatives by these; with `metric` those of one each."""
+        values, derivatives, _ = linearise_points(
+            self.problem, self.sizes.errors, self.base, self.centre + x @ self.sizes.matrix.T,
+            metric=metric, mode=self.mode, batch=self.batch,
+        )  # fmt: skip
+        return values, derivatives @ self.sizes.matrix
 
     def normalise(self, values: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "n l"]:
         """Values (n, m) of all metrics -> h (n, l)."""
@@ -92,6 +113,7 @@ def check_request(
     mode: str,
     batch: int,
     model: QuadraticModel | None = None,
+    zones: Zones | None = None,
     together: bool = True,
 ) -> Request:
     """Check and normalise a request (arguments of `allocate`). Raises InputError.
@@ -99,11 +121,11 @@ def check_request(
     Args: together: True if the derivatives of all metrics are needed at every point (statistical criteria), False for
         those of one (worst case); it decides the mode of the derivatives.
     """
-    names, lower, upper = _read_bounds(problem, bounds)
-    costs = assign_costs(cost, names)
+    sizes, lower, upper = read_bounds(problem, bounds, zones)
+    costs, names = assign_costs(cost, sizes.names), sizes.errors
     mode = choose_mode(mode, len(names), len(problem.metrics) if together else 1, problem)
     if model is None:
-        typical = dict(zip(names, map(float, np.sqrt(lower * upper)), strict=True))
+        typical = dict(zip(names, map(float, sizes.reaches(np.sqrt(lower * upper))), strict=True))
         model = expand_by_differences(problem, at, typical, mode=mode, batch=batch, values_follow=True)
     elif model.names != names or model.hessian is None:
         raise InputError(
@@ -112,20 +134,20 @@ def check_request(
         )
     base, centre = split_errors(problem, at, names)
     read = _read_limits(problem, limits, np.asarray(model.value))
-    quadratic = _normalised_model(model, read)
+    quadratic = _normalised_model(model, read, sizes.matrix)
     return Request(
-        problem, names, lower, upper, read, costs, read_point(problem, at), base, np.asarray(centre), model,
+        problem, sizes, lower, upper, read, costs, read_point(problem, at), base, np.asarray(centre), model,
         quadratic, mode, batch,
     )  # fmt: skip
 
 
-def _normalised_model(model, limits) -> Quadratic:
-    """The quadratic model of h. Raises InputError for a metric without derivatives at the centre."""
+def _normalised_model(model, limits, matrix) -> Quadratic:
+    """The quadratic model of h by coordinates. Raises InputError for a metric without derivatives at the centre."""
     rows = np.array([limit.position for limit in limits])
     factor = np.array([limit.sign / limit.headroom for limit in limits])
     offset = [limit.normalise(limit.nominal) for limit in limits]
-    gradient = np.asarray(model.gradient)[rows] * factor[:, None]
-    hessian = np.asarray(model.hessian)[rows] * factor[:, None, None]
+    gradient = np.asarray(model.gradient)[rows] @ matrix * factor[:, None]
+    hessian = matrix.T @ np.asarray(model.hessian)[rows] @ matrix * factor[:, None, None]
     finite = all(np.all(np.isfinite(a)) for a in (offset, gradient, hessian))
     if int(model.status) != 0 or not finite:
         raise InputError(
@@ -135,21 +157,23 @@ def _normalised_model(model, limits) -> Quadratic:
     return Quadratic(jnp.asarray(offset), jnp.asarray(gradient), jnp.asarray(hessian))
 
 
-def _read_bounds(problem, bounds):
-    """Names (k), smallest and largest half-widths (k,) [rad or m]."""
+def read_bounds(
+    problem: ToleranceProblem, bounds: Mapping[str, Sequence[float | str]], zones: Zones | None
+) -> tuple[Sizes, Float[np.ndarray, " v"], Float[np.ndarray, " v"]]:
+    """The sizes to be found, and their smallest and largest values (v,) [rad or m]. Raises: InputError."""
     if not isinstance(bounds, Mapping) or not bounds:
         raise InputError(
             f"Argument `bounds` must map names of errors to (smallest, largest) half-width, but it is {bounds!r}."
         )
-    check_known(bounds, problem.error_names, "bounds")
-    pairs = []
-    for name, pair in bounds.items():
-        ends = [error_value(end, problem.error_unit(name), f"`{name}` of `bounds`") for end in pair]
+    sizes, pairs = sizes_of(problem, bounds, zones, "bounds"), []
+    for name in sizes.names:
+        pair, unit = bounds[name], "m" if name in sizes.zones else problem.error_unit(name)
+        ends = [error_value(end, unit, f"`{name}` of `bounds`") for end in pair]
         if len(ends) != 2 or not 0 < ends[0] < ends[1] < np.inf:
             raise InputError(f"Argument `bounds` must give 0 < smallest < largest, but `{name}` has {pair}.")
         pairs.append(ends)
     lower, upper = np.array(pairs).T
-    return tuple(bounds), lower, upper
+    return sizes, lower, upper
 
 
 def _read_limits(problem, limits, nominal) -> tuple[Limit, ...]:

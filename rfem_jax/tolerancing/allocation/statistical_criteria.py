@@ -13,8 +13,8 @@ model to first order. Failed samples are left out of statistics, and count as ba
 for them. A fresh run that falls short beyond its confidence interval (by chance the standard points gave too high a
 yield) raises the aim by the shortfall, and the next answer is verified by another run.
 
-Symbols: t (k,) half-widths [rad, m], x = log t, h (l,) normalised limits (<= 0 holds), u (n, k) standard points
-(errors for t = 1).
+Symbols: t (v,) sizes [rad, m], of which each of k coordinates has one (`sizes`), x = log t, h (l,) normalised limits
+(<= 0 holds), u (n, k) standard points (coordinates for t = 1).
 """
 
 from collections.abc import Callable
@@ -38,15 +38,13 @@ from rfem_jax.tolerancing.allocation.models import (
 from rfem_jax.tolerancing.allocation.request import Request
 from rfem_jax.tolerancing.optimisation.starting_points import sobol_units
 from rfem_jax.tolerancing.problems.distributions import Tolerance
-from rfem_jax.tolerancing.problems.evaluation import evaluate_points
-from rfem_jax.tolerancing.problems.linearisation import linearise_points
 from rfem_jax.tolerancing.sampling.sequences import RandomKey
 from rfem_jax.tolerancing.sampling.statistics import estimate_mean, estimate_quantile, estimate_yield
 
 FEWEST = 256  # samples kept per limit for the solves between observations
 BEYOND = 1e300  # value of a failed sample where an order is needed
 
-HalfWidths = Float[np.ndarray, " k"]
+HalfWidths = Float[np.ndarray, " v"]
 Normalised = Float[np.ndarray, " l"]
 
 
@@ -79,7 +77,7 @@ class StatisticalCriterion:
         self.level = level if self.joint else float(norm.cdf(coverage))
         self.aim, self.extra = self.level, np.zeros(len(request.limits))
         self.distribution, self.verify_samples = distribution(1.0), verify_samples
-        self.units = self._standard(sobol_units(len(request.names), samples, key))
+        self.units = self._standard(sobol_units(len(request.sizes.errors), samples, key))
         self.good = np.ones(samples, dtype=bool)
         self.sampled: Sampled | None = None
         self.observed: HalfWidths | None = None
@@ -87,7 +85,7 @@ class StatisticalCriterion:
 
     def _standard(self, units) -> Float[np.ndarray, "n k"]:
         """Standard points of points (n, k) of the unit cube."""
-        return np.asarray(self.distribution.quantile(jnp.asarray(units)))
+        return self.request.sizes.standard(self.distribution, units)
 
     def _nominal(self) -> Sampled:
         """The quadratic model itself as expansions, all of them about the centre."""
@@ -106,7 +104,7 @@ class StatisticalCriterion:
 
     def _moments_model(self) -> Moments:
         sampled, weights = self._tail()
-        deviation = jnp.full(len(self.request.names), jnp.sqrt(self.distribution.variance()))
+        deviation = jnp.asarray(self.request.sizes.deviations(self.distribution))
         coverage, extra = jnp.asarray(float(self.coverage)), jnp.asarray(self.extra)
         sampled = None if self.sampled is None else sampled
         quadratic = self.request.quadratic
@@ -125,7 +123,7 @@ class StatisticalCriterion:
         weights = quantile_weights(count, self.aim * len(self.good) / count)
         if self.observed is None:
             return sampled, jnp.asarray(weights)
-        t = jnp.asarray(self.observed)
+        t = jnp.asarray(self.request.sizes.spread(self.observed))
         kept = max(FEWEST, 8 * int(np.sum(weights > 1e-12))) * len(self.request.limits)
         nominal = np.asarray(self._nominal()(t))[self.good]
         h = np.concatenate([np.asarray(sampled(t)), nominal], axis=1)
@@ -138,7 +136,7 @@ class StatisticalCriterion:
 
     def _quantiles(self, sampled, t) -> Normalised:
         """The quantile (l,) of each limit alone, failed samples counted as bad."""
-        h = np.asarray(sampled(jnp.asarray(t)))
+        h = np.asarray(sampled(jnp.asarray(self.request.sizes.spread(t))))
         bad = np.full((len(self.units) - len(h), h.shape[1]), np.nan)
         return np.array([sample_quantile(c, self.level) for c in np.concatenate([h, bad]).T])
 
@@ -146,21 +144,22 @@ class StatisticalCriterion:
         """h (l,) of the quadratic model alone."""
         if self.joint:
             return self._quantiles(self._nominal(), t)
-        return np.asarray(self._moments_model().moments(jnp.asarray(t)))
+        return np.asarray(self._moments_model().moments(jnp.asarray(self.request.sizes.spread(t))))
 
     def predicted_yield(self, t: HalfWidths) -> float:
         """Fraction of the standard points within all limits, by the corrected model."""
         sampled = self._nominal() if self.sampled is None else self.sampled
-        h = np.asarray(sampled(jnp.asarray(t)))
+        h = np.asarray(sampled(jnp.asarray(self.request.sizes.spread(t))))
         return float(np.sum(np.all(h <= 0, axis=1)) / len(self.units))
 
     def solve(
-        self, x: Float[np.ndarray, " k"], lower: Float[np.ndarray, " k"], upper: Float[np.ndarray, " k"]
+        self, x: Float[np.ndarray, " v"], lower: Float[np.ndarray, " v"], upper: Float[np.ndarray, " v"]
     ) -> Answer:
-        """Cheapest x = log t on the model, from the start x (k,) and between lower and upper (k,)."""
+        """Cheapest x = log t on the model, from the start x (v,) and between lower and upper (v,)."""
         rounds, evaluations = (15, 300) if self.joint else (25, 1000)
         start, low, high = map(jnp.asarray, (x, lower, upper))
-        solution, unit, h = cheapest(self.model(), self.request.costs, start, low, high, rounds, evaluations)
+        owner = jnp.asarray(self.request.sizes.owner)
+        solution, unit, h = cheapest(self.model(), self.request.costs, owner, start, low, high, rounds, evaluations)
         x, h = np.asarray(solution.point), np.asarray(h)
         price = np.asarray(solution.multipliers) * float(unit)
         predicted = h
@@ -174,7 +173,7 @@ class StatisticalCriterion:
     def _shares(self, t) -> Normalised:
         """Share of each limit in the weights of the samples in which it is the worst one."""
         model = self._sample_model()
-        h = np.asarray(model.sampled(jnp.asarray(t)))
+        h = np.asarray(model.sampled(jnp.asarray(self.request.sizes.spread(t))))
         order = np.argsort(np.max(h, axis=1), kind="stable")
         owner = np.argmax(h[order], axis=1)
         weights = np.asarray(model.weights)
@@ -184,11 +183,9 @@ class StatisticalCriterion:
         """h of the full problem's statistic on the standard points (yield: of all limits together); its values and
         derivatives there become the model."""
         request = self.request
-        errors = self.units * t
-        values, jacobians, _ = linearise_points(
-            request.problem, request.names, request.base, request.centre + errors,
-            mode=request.mode, batch=request.batch,
-        )  # fmt: skip
+        spread = request.sizes.spread(t)
+        errors = self.units * spread
+        values, jacobians = request.linearise(errors)
         h, gradients = request.normalise(values), request.normalise_jacobians(jacobians)
         self.good = np.all(np.isfinite(h), axis=1) & np.all(np.isfinite(gradients), axis=(1, 2))
         self.failed += int(np.sum(~self.good))
@@ -199,11 +196,11 @@ class StatisticalCriterion:
         self.sampled = Sampled(request.quadratic, *map(jnp.asarray, arrays))
         if np.mean(self.good) < self.aim:
             return np.array([np.inf])
-        return np.asarray(self.model()(jnp.asarray(t)))
+        return np.asarray(self.model()(jnp.asarray(spread)))
 
     def verify(self, t: HalfWidths, key: RandomKey) -> Verified:
         """A fresh Monte Carlo run: statistic with interval, fraction of good samples with interval."""
-        units = np.asarray(jax.random.uniform(key, (self.verify_samples, len(t)), minval=1e-12))
+        units = np.asarray(jax.random.uniform(key, (self.verify_samples, self.units.shape[1]), minval=1e-12))
         h, failed = self._sample(t, self._standard(units))
         found = [self._estimate(column) for column in h.T]
         values, low, high = (np.array(column) for column in zip(*found, strict=True))
@@ -214,10 +211,7 @@ class StatisticalCriterion:
     def _sample(self, t, units) -> tuple[Float[np.ndarray, "n l"], int]:
         """h (n, l) of the full problem, NaN for failed samples, and their number."""
         request = self.request
-        values, _ = evaluate_points(
-            request.problem, request.names, request.base, request.centre + units * t, request.batch
-        )
-        h = request.normalise(values)
+        h = request.normalise(request.values(units * request.sizes.spread(t)))
         failed = ~np.all(np.isfinite(h), axis=1)
         return np.where(failed[:, None], np.nan, h), int(failed.sum())
 
@@ -248,9 +242,10 @@ class StatisticalCriterion:
             return full
         # As for the answer: few samples estimate the difference to the quadratic model's statistic well, the
         # statistic itself (three deviations away) badly.
-        nominal = np.asarray(self._nominal()(jnp.asarray(t)))
+        spread = jnp.asarray(self.request.sizes.spread(t))
+        nominal = np.asarray(self._nominal()(spread))
         quadratic = np.array([self._estimate(column)[0] for column in nominal.T])
-        return full - quadratic + np.asarray(self._moments_model().moments(jnp.asarray(t)))
+        return full - quadratic + np.asarray(self._moments_model().moments(spread))
 
     def best_yield(self) -> float:
         """Fraction of the standard points within all limits at the smallest tolerances."""

@@ -1,4 +1,4 @@
-"""The worst-case criterion of an allocation: every limit holds everywhere in the tolerance box.
+"""The worst-case criterion of an allocation: every limit holds everywhere in the tolerance box, or in its zones.
 
 Place in the pipeline: between the models an allocation is solved on (models.py) and the full problem. A
 criterion can solve on its model, observe the full problem at a point (which corrects the model for the next solve),
@@ -8,8 +8,8 @@ The model is the set of worst points found so far, at first those of the quadrat
 ones on the full problem and takes values and gradients of all of them there: a converged answer satisfies the
 first-order conditions of the full problem, not only of the quadratic one.
 
-Symbols: t (k,) half-widths [rad, m], x = log t, h (l,) normalised limits (<= 0 holds), z points of the unit box,
-e = t z errors from the centre.
+Symbols: t (v,) sizes [rad, m], x = log t, h (l,) normalised limits (<= 0 holds), z points of the unit box, with zones
+of a product of unit balls; coordinates t z (`sizes`).
 """
 
 from collections.abc import Mapping, Sequence
@@ -22,7 +22,6 @@ from jaxtyping import Float
 from rfem_jax.tolerancing.allocation.models import Answer, Scenarios, Verified, cheapest
 from rfem_jax.tolerancing.allocation.request import Request
 from rfem_jax.tolerancing.optimisation.starting_points import maximise_quadratic
-from rfem_jax.tolerancing.problems.linearisation import linearise_points
 from rfem_jax.tolerancing.sampling.sequences import RandomKey
 from rfem_jax.tolerancing.worst_cases import STARTS, WorstCase, worst_case
 
@@ -30,7 +29,7 @@ MOST_SCENARIOS = 64
 NEW_SCENARIO = 1e-6
 SOLVES = 30  # on the quadratic model, each with the worst points of the last answer
 
-HalfWidths = Float[np.ndarray, " k"]
+HalfWidths = Float[np.ndarray, " v"]
 Normalised = Float[np.ndarray, " l"]
 
 
@@ -45,7 +44,7 @@ class WorstCaseCriterion:
 
     def __init__(self, request: Request, key: RandomKey, starts: Mapping[str, int] = STARTS):
         self.request, self.key, self.starts = request, key, starts
-        k = len(request.names)
+        k = len(request.sizes.errors)
         self.points, self.owner = np.zeros((0, k)), np.zeros(0, dtype=int)
         self.anchors, self.values, self.gradients = np.zeros((0, k)), np.zeros(0), np.zeros((0, k))
         self.anchored = False
@@ -92,19 +91,21 @@ class WorstCaseCriterion:
     def _quadratic_maxima(self, t) -> tuple[Normalised, list[Float[np.ndarray, "p k"]]]:
         """h (l,) of the quadratic model alone, and its worst points (p, k) of each limit."""
         q, heights, found = self.request.quadratic, [], []
+        sizes = self.request.sizes
+        t = sizes.spread(t)
         for i in range(len(self.request.limits)):
             hessian = np.asarray(q.hessian[i]) * np.outer(t, t)
             points, values = maximise_quadratic(
-                float(q.offset[i]), np.asarray(q.gradient[i]) * t, hessian, "box", self.key
+                float(q.offset[i]), np.asarray(q.gradient[i]) * t, hessian, sizes.region, self.key
             )
             heights.append(values[0])
             found.append(points[values >= values[0] - 1e-9][:2])
         return np.array(heights), found
 
     def solve(
-        self, x: Float[np.ndarray, " k"], lower: Float[np.ndarray, " k"], upper: Float[np.ndarray, " k"]
+        self, x: Float[np.ndarray, " v"], lower: Float[np.ndarray, " v"], upper: Float[np.ndarray, " v"]
     ) -> Answer:
-        """Cheapest x = log t on the model, from the start x (k,) and between lower and upper (k,).
+        """Cheapest x = log t on the model, from the start x (v,) and between lower and upper (v,).
 
         Before the first observation the quadratic model's own worst points are added until there are no new ones.
         """
@@ -127,7 +128,9 @@ class WorstCaseCriterion:
 
     def _solve_once(self, x, lower, upper) -> Answer:
         start, low, high = map(jnp.asarray, (x, lower, upper))
-        solution, unit, h = cheapest(self.model(), self.request.costs, start, low, high)
+        solution, unit, h = cheapest(
+            self.model(), self.request.costs, jnp.asarray(self.request.sizes.owner), start, low, high
+        )
         multipliers = np.asarray(solution.multipliers)[: len(self.owner)] * float(unit)
         prices = [np.sum(multipliers[self.owner == i]) for i in range(len(self.request.limits))]
         h = self._per_limit(h)
@@ -141,7 +144,7 @@ class WorstCaseCriterion:
         for limit, part in zip(request.limits, parts, strict=True):
             found.append(
                 worst_case(
-                    request.problem, request.tolerances(t), limit.metric, key=part, starts=starts,
+                    request.problem, request.sizes.tolerances(t), limit.metric, key=part, starts=starts,
                     at=request.at, sense=limit.sense, corners=corners, model=request.model,
                     mode=request.mode, batch=request.batch,
                 )
@@ -165,9 +168,10 @@ class WorstCaseCriterion:
         request = self.request
         for number, worst in enumerate(found):
             i = number % len(request.limits)
-            maximisers = [np.array([e[n] for n in request.names]) for e in worst.maximisers[:2]]
+            maximisers = [np.array([e[n] for n in request.sizes.errors]) for e in worst.maximisers[:2]]
             if maximisers:
-                self._add((np.array(maximisers) - request.centre) / t, i)
+                away = request.sizes.coordinates(np.array(maximisers) - request.centre)
+                self._add(away / request.sizes.spread(t), i)
         values, gradients = self._linearise(t)
         pairs = zip(self.owner, values, strict=True)
         h = np.array([request.limits[o].normalise(v) for o, v in pairs])
@@ -176,7 +180,7 @@ class WorstCaseCriterion:
         order = np.argsort(np.where(usable, -h, np.inf), kind="stable")[:MOST_SCENARIOS]
         kept = np.sort(order[usable[order]])
         self.points, self.owner = self.points[kept], self.owner[kept]
-        self.anchors = self.points * t
+        self.anchors = self.points * request.sizes.spread(t)
         self.values, self.gradients = h[kept], gradients[kept] * factor[kept, None]
         self.anchored = True
 
@@ -184,10 +188,7 @@ class WorstCaseCriterion:
         """Value (j,) and gradient (j, k) of each scenario's metric on the full problem at t."""
         request = self.request
         metric = np.array([request.limits[o].position for o in self.owner], dtype=int)
-        values, gradients, _ = linearise_points(
-            request.problem, request.names, request.base, self.points * t + request.centre,
-            metric=metric, mode=request.mode, batch=request.batch,
-        )  # fmt: skip
+        values, gradients = request.linearise(self.points * request.sizes.spread(t), metric)
         return values[np.arange(len(metric)), metric], gradients
 
     def verify(self, t: HalfWidths, key: RandomKey) -> Verified:

@@ -19,7 +19,6 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -30,8 +29,10 @@ from rfem_jax.tolerancing.optimisation.starting_points import (
     distinct,
     projection,
     sobol_units,
+    spread_points,
 )
 from rfem_jax.tolerancing.problems.distributions import Tolerance
+from rfem_jax.tolerancing.problems.sizes import Sizes
 from rfem_jax.tolerancing.robust_design.observations import Observed, Observer
 from rfem_jax.tolerancing.sampling.sequences import RandomKey
 
@@ -134,7 +135,7 @@ class WorstCaseCriterion(Criterion):
     def extend(self, y: Float[np.ndarray, " p"], key: RandomKey) -> bool:
         """Add the worst points of the limits at y, where they are worse than those known; returns whether any is."""
         before = [*zip(self.constraints(y).value, self.owner, strict=True)]
-        starts = search_starts(len(self.observer.variables.errors), key)
+        starts = search_starts(self.observer.variables.sizes, key)
         added = False
         for number in range(len(self.limits)):
             known = max(g for g, owner in before if owner == number)
@@ -177,7 +178,7 @@ class SampleCriterion(Criterion):
         samples: int,
     ):
         units = sobol_units(len(observer.variables.errors), samples, key)
-        super().__init__(observer, limits, standard_points(distribution, units))
+        super().__init__(observer, limits, observer.variables.sizes.standard(distribution(1.0), units))
         self.kind, self.aim, self.coverage = kind, level, coverage
         self.extra = 0.0
 
@@ -213,15 +214,11 @@ class SampleCriterion(Criterion):
             self.aim += min(shortfall, 0.5 * (1.0 - self.aim))
 
 
-def standard_points(
-    distribution: Callable[[float], Tolerance], units: Float[np.ndarray, "n k"]
-) -> Float[np.ndarray, "n k"]:
-    """Errors for half-widths of one at points of the unit cube."""
-    return np.asarray(distribution(1.0).quantile(jnp.asarray(units)))
-
-
-def search_starts(k: int, key: RandomKey) -> Float[np.ndarray, "starts k"]:
-    """Where searches for a worst point in the box of k errors begin: corners, where they are few, and Sobol' points."""
+def search_starts(sizes: Sizes, key: RandomKey) -> Float[np.ndarray, "starts k"]:
+    """Where searches for a worst point begin: corners of the box, where they are few, and Sobol' points."""
+    k = len(sizes.errors)
+    if sizes.region != "box":
+        return spread_points(sobol_units(k + 1, 8, key), sizes.region)
     spread = 2.0 * sobol_units(k, 8, key) - 1.0
     return np.concatenate([box_corners(k), spread]) if k <= CORNERS else spread
 
@@ -229,14 +226,15 @@ def search_starts(k: int, key: RandomKey) -> Float[np.ndarray, "starts k"]:
 def worst_points(
     observer: Observer, limit: NormalisedLimit, y: Float[np.ndarray, " p"], starts: Float[np.ndarray, "starts k"]
 ) -> tuple[Float[np.ndarray, "n k"], Float[np.ndarray, " n"]]:
-    """The distinct local maxima of a normalised limit over the box of the tolerances at y, the worst first."""
+    """The distinct local maxima of a normalised limit over the box or zones of the tolerances at y, the worst first."""
 
     def function(z: Float[np.ndarray, "n k"]) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n k"]]:
         seen = observer.observe(y, z)
         slopes = observer.variables.by_errors(y, seen.jacobian)[:, limit.position] * (limit.sign / limit.scale)
         return limit.normalise(seen.values), slopes
 
-    search = climb_together(function, projection("box"), starts, evaluations=SEARCH_STEPS, tolerance=STATIONARY)
+    within = projection(observer.variables.sizes.region)
+    search = climb_together(function, within, starts, evaluations=SEARCH_STEPS, tolerance=STATIONARY)
     points, heights = np.asarray(search.point), np.asarray(search.value)
     kept = distinct(points, heights, NEW_POINT)
     return points[kept], heights[kept]

@@ -34,6 +34,7 @@ from rfem_jax.tolerancing.problems.distributions import Normal, Tolerance
 from rfem_jax.tolerancing.problems.linearisation import choose_mode
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem
+from rfem_jax.tolerancing.problems.sizes import Zones
 from rfem_jax.tolerancing.robust_design.criteria import CRITERIA, FAILED, Criterion
 from rfem_jax.tolerancing.robust_design.observations import Observer
 from rfem_jax.tolerancing.robust_design.request import COST, Bounds, Request, Widths, check_request
@@ -102,12 +103,14 @@ def optimise(
     steps: int = 60,
     mode: str = "auto",
     batch: int = 64,
+    zones: Zones | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> DesignOptimum:
     """Find the dimensions and tolerances that make an objective least while limits hold.
 
     Arguments: designs {name: (lowest, highest value)} of parameters [unit of each, or strings with a unit]; tolerances
-    {error: half-width, or (smallest, largest) where it is to be found}, or a Tolerances collection; objective, a metric
+    {error: half-width, or (smallest, largest) where it is to be found; zone of a drawing: its diameter likewise}, or a
+    Tolerances collection; zones, those among the tolerances, as of `allocate`; objective, a metric
     of the perfect mechanism, "cost" of the tolerances to be found, or {these: weight}; limits {metric: largest value,
     or (low, high)}; robust, when they hold: "nominal" (perfect mechanism), "worst_case", "rss" (mean + `coverage`
     deviations) or "yield" (fraction `target` of mechanisms holds all limits); cost, as of `allocate`; key, a JAX key;
@@ -127,7 +130,7 @@ def optimise(
     for name, number in (("samples", samples), ("starts", starts), ("searches", searches)):
         if number < 1:
             raise InputError(f"Argument `{name}` must be at least 1, but it is {number}.")
-    request = check_request(problem, designs, tolerances, objective, limits, cost, at, robust)
+    request = check_request(problem, designs, tolerances, objective, limits, cost, at, robust, zones)
     settings = _Settings(robust, target, coverage, distribution, samples, verify_samples)
     mode = choose_mode(mode, len(request.variables.names), len(problem.metrics), problem)
     observer = Observer(problem, request.variables, request.base, mode, batch, progress)

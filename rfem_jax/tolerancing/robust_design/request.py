@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -17,6 +18,7 @@ from rfem_jax.tolerancing.problems.evaluation import metric_index, split_errors
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem
 from rfem_jax.tolerancing.problems.sample_values import Base
+from rfem_jax.tolerancing.problems.sizes import Zones, sizes_of
 from rfem_jax.tolerancing.robust_design.criteria import NormalisedLimit
 from rfem_jax.tolerancing.robust_design.variables import Variables, separate_widths
 
@@ -46,8 +48,8 @@ class Request:
     @property
     def units(self) -> dict[str, str]:
         """Units of all variables and of errors that scatter."""
-        names = self.variables.names
-        return {name: self.problem.error_unit(name) for name in names}
+        units = {name: self.problem.error_unit(name) for name in self.variables.names}
+        return units | dict.fromkeys(self.variables.sizes.zones, "m")
 
 
 def check_request(
@@ -59,11 +61,12 @@ def check_request(
     cost: CostModel | Mapping[str, CostModel] | None,
     at: Mapping[str, ErrorValue] | None,
     robust: str,
+    zones: Zones | None = None,
 ) -> Request:
     """Check and normalise a request (arguments of `optimise`). Raises InputError."""
-    variables = _variables(problem, designs, tolerances, robust)
+    variables = _variables(problem, designs, tolerances, robust, zones)
     weights = _weights(problem, objective)
-    free = [variables.errors[i] for i in variables.free]
+    free = [variables.sizes.names[i] for i in variables.free]
     costs: tuple[CostModel, ...] = ()
     if free and cost is None:
         raise InputError(
@@ -92,22 +95,32 @@ def nominal_value(problem: ToleranceProblem, name: str) -> float:
     return 0.0 if known is None else float(known(name))
 
 
-def _variables(problem, designs, tolerances, robust) -> Variables:
+def _variables(problem, designs, tolerances, robust, zones) -> Variables:
     if not isinstance(designs, Mapping):
         raise InputError(
             f'Argument `designs` must map names to (lowest, highest), but it is {designs!r}; write {{"bar.height": '
             "(0.006, 0.012)}."
         )
     check_known(designs, problem.error_names, "designs")
-    bounds = np.array([_pair(problem, name, pair, "designs") for name, pair in designs.items()]).reshape(-1, 2)
-    widths = tolerances.half_widths() if isinstance(tolerances, Tolerances) else dict(tolerances or {})
-    check_known(widths, problem.error_names, "tolerances")
-    read = {}
-    for name, width in widths.items():
+    bounds = np.array(
+        [_pair(problem.error_unit(name), name, pair, "designs") for name, pair in designs.items()]
+    ).reshape(-1, 2)
+    widths = dict(tolerances or {}) if not isinstance(tolerances, Tolerances) else tolerances.half_widths()
+    if isinstance(tolerances, Tolerances) and tolerances.zones:
+        inside = [name for zone in tolerances.zones for name in zone.names]
+        widths = {name: width for name, width in widths.items() if name not in inside}
+        zones = {}
+        for zone in tolerances.zones:
+            label, diameter = "+".join(zone.names), 2.0 * float(jnp.max(zone.half_widths()))
+            zones[label] = zone.scaled(jnp.full(len(zone.names), 1.0 / diameter))
+            widths[label] = diameter
+    sizes, read = sizes_of(problem, widths, zones, "tolerances"), {}
+    for name in sizes.names:
+        width, unit = widths[name], "m" if name in sizes.zones else problem.error_unit(name)
         if isinstance(width, (tuple, list)):
-            read[name] = _pair(problem, name, width, "tolerances")
+            read[name] = _pair(unit, name, width, "tolerances")
         else:
-            read[name] = _number(problem, name, width, "tolerances")
+            read[name] = _number(unit, name, width, "tolerances")
             if not (np.isfinite(read[name]) and read[name] > 0.0):
                 raise InputError(
                     f"Argument `tolerances` must have positive half-widths, but `{name}` has {read[name]:g}; leave "
@@ -125,21 +138,21 @@ def _variables(problem, designs, tolerances, robust) -> Variables:
         bounds[:, 0],
         bounds[:, 1],
         np.array([nominal_value(problem, name) for name in designs]),
-        tuple(read),
+        sizes,
         *separate_widths(read),
     )
 
 
-def _pair(problem, name, pair, where) -> tuple[float, float]:
+def _pair(unit, name, pair, where) -> tuple[float, float]:
     if not isinstance(pair, (tuple, list)) or len(pair) != 2:
         raise InputError(f"Argument `{where}` must give (lowest, highest), but `{name}` has {pair!r}.")
-    low, high = (_number(problem, name, end, where) for end in pair)
+    low, high = (_number(unit, name, end, where) for end in pair)
     return low, high
 
 
-def _number(problem, name, value, where) -> float:
+def _number(unit, name, value, where) -> float:
     """A number in the unit of an error or a parameter, or a string with a unit."""
-    return error_value(value, problem.error_unit(name), f"`{name}` of `{where}`")
+    return error_value(value, unit, f"`{name}` of `{where}`")
 
 
 def _weights(problem, objective) -> dict[str, float]:

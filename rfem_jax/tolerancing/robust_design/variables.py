@@ -4,10 +4,12 @@ Place in the pipeline: first step of `optimise`; knows names and numbers, not th
 
 A problem takes deviations {name: number}: of an error from zero, of a parameter from its value in the description.  A
 dimension d is set by the deviation d - nominal; an error scatters as t z about it, with the half-width t of its
-tolerance and a standard point z.  A dimension may scatter, too.
+tolerance and a standard point z; those of a drawing zone have its diameter for t, and scatter together (`sizes`).  A
+dimension may scatter, too.
 
-Symbols: d designs, k errors that scatter, p = d plus the tolerances to be found; y (p,) in the unit cube: designs in
-proportion, tolerances by their logarithm; t (k,) half-widths [unit of the error]; z (n, k) standard points.
+Symbols: d designs, k errors that scatter, v sizes of their tolerances, p = d plus the sizes to be found; y (p,) in the
+unit cube: designs in proportion, sizes by their logarithm; t (v,) half-widths [unit of the error] and diameters [m] of
+zones; z (n, k) standard points.
 """
 
 from collections.abc import Mapping
@@ -17,22 +19,24 @@ import numpy as np
 from jaxtyping import Float
 
 from rfem_jax.description.errors import InputError
+from rfem_jax.tolerancing.problems.sizes import Sizes
 
 
 @dataclass(frozen=True, eq=False)
 class Variables:
     """The variables of an optimisation.
 
-    Attributes: designs (d names) between design_lower and design_upper, with their nominal values; errors (k names)
-    with half_widths, of which those at the places `free` are found between width_lower and width_upper.
+    Attributes: designs (d names) between design_lower and design_upper, with their nominal values; sizes of
+    the tolerances with half_widths (or diameters), of which those at the places `free` are found between width_lower
+    and width_upper.
     """
 
     designs: tuple[str, ...]
     design_lower: Float[np.ndarray, " d"]
     design_upper: Float[np.ndarray, " d"]
     nominal: Float[np.ndarray, " d"]
-    errors: tuple[str, ...]
-    half_widths: Float[np.ndarray, " k"]
+    sizes: Sizes
+    half_widths: Float[np.ndarray, " v"]
     free: tuple[int, ...]
     width_lower: Float[np.ndarray, " free"]
     width_upper: Float[np.ndarray, " free"]
@@ -41,17 +45,22 @@ class Variables:
         for name, low, high in zip(self.designs, self.design_lower, self.design_upper, strict=True):
             _require_order(name, low, high, "designs")
         for i, low, high in zip(self.free, self.width_lower, self.width_upper, strict=True):
-            _require_order(self.errors[i], low, high, "tolerances")
+            _require_order(self.sizes.names[i], low, high, "tolerances")
             if low <= 0.0:
                 raise InputError(
-                    f"Argument `tolerances` must give positive half-widths, but the smallest of `{self.errors[i]}` is "
-                    f"{low:g}; no cost is finite there."
+                    "Argument `tolerances` must give positive half-widths, but the smallest of "
+                    f"`{self.sizes.names[i]}` is {low:g}; no cost is finite there."
                 )
 
     @property
     def size(self) -> int:
         """Number of variables p."""
         return len(self.designs) + len(self.free)
+
+    @property
+    def errors(self) -> tuple[str, ...]:
+        """Names of the errors that scatter (k)."""
+        return self.sizes.errors
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -69,8 +78,8 @@ class Variables:
         """The designs at y."""
         return self.design_lower + y[: len(self.designs)] * (self.design_upper - self.design_lower)
 
-    def widths(self, y: Float[np.ndarray, " p"]) -> Float[np.ndarray, " k"]:
-        """The half-widths of all errors at y."""
+    def widths(self, y: Float[np.ndarray, " p"]) -> Float[np.ndarray, " v"]:
+        """The sizes of all tolerances at y."""
         found = self.half_widths.copy()
         ratio = self.width_upper / self.width_lower
         found[list(self.free)] = self.width_lower * ratio ** y[len(self.designs) :]
@@ -84,7 +93,7 @@ class Variables:
         """Deviations that the problem takes, in the order of `names`."""
         points = np.zeros((len(z), len(self.names)))
         points[:, : len(self.designs)] = self.values(y) - self.nominal
-        points[:, self._columns()] += z * self.widths(y)  # no error occurs twice
+        points[:, self._columns()] += z * self.sizes.spread(self.widths(y)) @ self.sizes.matrix.T  # none occurs twice
         return points
 
     def pull_back(
@@ -94,20 +103,21 @@ class Variables:
         d = len(self.designs)
         found = np.empty((*jacobian.shape[:2], self.size))
         found[:, :, :d] = jacobian[:, :, :d] * (self.design_upper - self.design_lower)
-        free, columns = list(self.free), np.array(self._columns(), dtype=int)[list(self.free)]
-        found[:, :, d:] = jacobian[:, :, columns] * z[:, None, free] * self.width_slopes(y)
+        along = jacobian[:, :, self._columns()] @ self.sizes.matrix * z[:, None]
+        for place, size in enumerate(self.free):
+            found[:, :, d + place] = along[:, :, self.sizes.owner == size].sum(axis=2) * self.width_slopes(y)[place]
         return found
 
     def by_errors(
         self, y: Float[np.ndarray, " p"], jacobian: Float[np.ndarray, "n m names"]
     ) -> Float[np.ndarray, "n m k"]:
         """Derivatives by the standard points from those by the deviations."""
-        return jacobian[:, :, self._columns()] * self.widths(y)
+        return jacobian[:, :, self._columns()] @ self.sizes.matrix * self.sizes.spread(self.widths(y))
 
     def reaches(self, y: Float[np.ndarray, " p"]) -> Float[np.ndarray, " names"]:
         """How far each deviation may be away at y: half the range of a design, the half-width of an error."""
         found = np.zeros(len(self.names))
-        found[self._columns()] = self.widths(y)
+        found[self._columns()] = self.sizes.reaches(self.widths(y))
         found[: len(self.designs)] = 0.5 * (self.design_upper - self.design_lower)
         return found
 
@@ -120,13 +130,13 @@ class Variables:
         return dict(zip(self.designs, map(float, self.values(y)), strict=True))
 
     def named_widths(self, y: Float[np.ndarray, " p"]) -> dict[str, float]:
-        """{error: half-width} at y, of all errors that scatter."""
-        return dict(zip(self.errors, map(float, self.widths(y)), strict=True))
+        """{error: half-width, or zone: diameter} at y, of all tolerances."""
+        return dict(zip(self.sizes.names, map(float, self.widths(y)), strict=True))
 
     def at_bounds(self, y: Float[np.ndarray, " p"], tolerance: float = 1e-6) -> dict[str, str]:
         """{design or error: "smallest" | "largest"} of the variables that are at a bound; a tolerance of a design is
         called "tolerance of NAME"."""
-        free = [self.errors[i] for i in self.free]
+        free = [self.sizes.names[i] for i in self.free]
         labels = (*self.designs, *(f"tolerance of {name}" if name in self.designs else name for name in free))
         ends = {label: "smallest" for label, value in zip(labels, y, strict=True) if value <= tolerance}
         return ends | {label: "largest" for label, value in zip(labels, y, strict=True) if value >= 1.0 - tolerance}
@@ -134,8 +144,8 @@ class Variables:
 
 def separate_widths(
     widths: Mapping[str, float | tuple[float, float]],
-) -> tuple[Float[np.ndarray, " k"], tuple[int, ...], Float[np.ndarray, " free"], Float[np.ndarray, " free"]]:
-    """Half-widths (k,), the places of those to be found, and their smallest and largest values, from {error:
+) -> tuple[Float[np.ndarray, " v"], tuple[int, ...], Float[np.ndarray, " free"], Float[np.ndarray, " free"]]:
+    """Half-widths (v,), the places of those to be found, and their smallest and largest values, from {error:
     half-width, or (smallest, largest)}; a half-width to be found begins in the middle of its bounds."""
     values, free, bounds = [], [], []
     for i, width in enumerate(widths.values()):

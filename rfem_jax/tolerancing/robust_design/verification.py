@@ -18,7 +18,6 @@ from rfem_jax.tolerancing.problems.distributions import Tolerance
 from rfem_jax.tolerancing.robust_design.criteria import (
     NormalisedLimit,
     search_starts,
-    standard_points,
     worst_points,
 )
 from rfem_jax.tolerancing.robust_design.observations import Observer
@@ -51,11 +50,11 @@ def verify_worst_case(
     observer: Observer, limits: Sequence[NormalisedLimit], y: Float[np.ndarray, " p"], key: RandomKey
 ) -> Verified:
     """Searches from new starting points, and corners of the box."""
-    k = len(observer.variables.errors)
-    starts = search_starts(k, key)
+    sizes = observer.variables.sizes
+    k, starts = len(sizes.errors), search_starts(sizes, key)
     points = np.concatenate([worst_points(observer, limit, y, starts)[0][:2] for limit in limits])
     what = "searches for the worst case from new starting points"
-    if k <= ALL_CORNERS:
+    if k <= ALL_CORNERS and sizes.region == "box":
         points, what = np.concatenate([points, box_corners(k)]), f"{what} and at all {2**k} corners"
     values = observer.values(y, np.concatenate([np.zeros((1, k)), points]))
     h = np.array([np.nanmax(limit.normalise(values)) for limit in limits])
@@ -73,7 +72,7 @@ def verify_sample(
 ) -> Verified:
     """An independent Monte Carlo run: mean + `coverage` deviations of every limit, and the yield."""
     units = np.asarray(jax.random.uniform(key, (samples, len(observer.variables.errors)), minval=1e-12))
-    values = observer.values(y, standard_points(distribution, units))
+    values = observer.values(y, observer.variables.sizes.standard(distribution(1.0), units))
     h = np.stack([limit.normalise(values) for limit in limits], axis=1)
     good = np.isfinite(h).all(axis=1)
     fraction = estimate_yield(np.all(np.where(np.isfinite(h), h, np.inf) <= 0.0, axis=1))
