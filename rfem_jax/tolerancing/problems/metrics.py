@@ -97,5 +97,5 @@ def _made_of(kind: MetricKind, owner: str) -> Metric:
     records = kind.recorded_for(owner)
     return Metric(
         kind.name if not owner else f"{owner}.{kind.name}", kind.unit, label, kind.even, function=function,
-        records=records, description=kind.description,
+        records=records, description=kind.description, by_name=metric,
     )  # fmt: skip

@@ -27,7 +27,6 @@ from jaxtyping import Array, Float, Int
 from rfem_jax.compilation import keys
 from rfem_jax.compilation.naming import Names, NotRenamable
 from rfem_jax.description.errors import InputError
-from rfem_jax.description.metric_catalogue import kind_and_owner
 from rfem_jax.tolerancing.checks import DIMENSIONS, check_distinct, check_known
 
 Values = dict[str, Float[Array, ""]]
@@ -43,7 +42,7 @@ class Metric:
     `even`: True if the value does not change when all out-of-plane errors of a planar mechanism change sign
     (theory (9.3)), None if unknown. `function`: Run -> scalar; the simulator needs it, a `FunctionProblem` does not.
     `records`: what the function reads of `run.recorded`, by the names of `simulation.records`; `description`: what it
-    is, in a sentence.
+    is, in a sentence; `by_name`: makes the metrics of the catalogue, of which it is one, of names.
     Raises: InputError for a name that is no word and a function that cannot be called.
     """
 
@@ -54,6 +53,7 @@ class Metric:
     function: Callable[[Any], ArrayLike] | None = field(default=None, kw_only=True)
     records: tuple[str, ...] = field(default=(), kw_only=True)
     description: str = field(default="", kw_only=True)
+    by_name: Callable[[str], "Metric"] | None = field(default=None, kw_only=True, compare=False, repr=False)
 
     def __post_init__(self):
         if not isinstance(self.name, str) or not self.name:
@@ -79,11 +79,9 @@ class Metric:
         of_other = names.of(self.name)
         if of_other == self.name:
             return self
-        from rfem_jax.tolerancing.problems.metrics import metric  # which is made of this class
-
-        if kind_and_owner(self.name)[0] is None or metric(self.name) is not self:
+        if self.by_name is None:
             raise NotRenamable(self.name)
-        return metric(of_other)
+        return self.by_name(of_other)
 
     def _require_function(self) -> Callable[[Any], ArrayLike]:
         if self.function is None or not callable(self.function):
