@@ -82,30 +82,27 @@ def flush() -> bool:
     return not Reading.ends
 
 
-class _Early:
-    """What ends the process at an interruption while nothing is done yet."""
-
-    end: Callable[[], None] | None = None
+_early: list[Callable[[], None]] = []  # what ends the process at an interruption while nothing is done yet
 
 
 def end_early_by(end: Callable[[], None]) -> None:
     """Call `end`, which ends the process, at Ctrl-C, until `work_begins`: an exception in the middle of an import may
     be lost, or become one of a library."""
-    _Early.end = end
+    _early[:] = [end]
     signal.signal(signal.SIGINT, _interrupted)
 
 
 def ends_early() -> bool:
     """Whether Ctrl-C ends the process at once."""
-    return _Early.end is not None
+    return bool(_early)
 
 
 def _interrupted(number, frame) -> None:
-    if _Early.end is not None:
-        _Early.end()
+    for end in _early:
+        end()
     signal.default_int_handler(number, frame)
 
 
 def work_begins() -> None:
     """From now on Ctrl-C is a KeyboardInterrupt: something may be done already, and can be kept."""
-    _Early.end = None
+    _early.clear()

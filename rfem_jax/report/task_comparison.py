@@ -118,7 +118,15 @@ def _rows(task: str, place: Place, quantity: str, unit: str, one: Any, other: An
     largest = max((abs(x) for pair in pairs for x in pair if math.isfinite(x)), default=0.0)
     units = one.get("units") if isinstance(one.get("units"), dict) else {}
     return [
-        Difference(task, ", ".join(name) or "-", quantity, unit or _unit(units, name), *pair, largest, good[name])
+        Difference(
+            task,
+            ", ".join(name) or "-",
+            quantity,
+            unit or _unit(units, name),
+            *pair,
+            scale=largest,
+            complete=good[name],
+        )
         for name, pair in zip(names, pairs, strict=True)
     ]
 

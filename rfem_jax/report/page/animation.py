@@ -120,6 +120,7 @@ def read_animation(folder: str | Path) -> tuple[dict[str, Any], list[Arrays]] | 
         content = io.BytesIO(path.read_bytes())
     except FileNotFoundError:
         return None
+    description, cases = {}, []
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # on headers that NumPy has not written

@@ -59,8 +59,8 @@ class KeptEvaluations:
         arrays |= {"of": np.array(known), "length": np.array(len(results))}
         try:
             self._store.write(number, arrays)
-        except ChunkWriteError as problem:
-            if problem.errno != errno.ENOENT:
+        except ChunkWriteError as error:
+            if error.errno != errno.ENOENT:
                 raise
             # Another process did the same, was done, and removed the folder.
             self._store = ResultsStore(self.folder, STUDY)
