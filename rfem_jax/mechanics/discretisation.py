@@ -15,7 +15,7 @@ from rfem_jax.description.mechanism import AS_GIVEN, ELEMENTS, EQUILIBRIUM, Mech
 from rfem_jax.description.precision import require_float64
 from rfem_jax.mechanics.joint_laws import holds
 from rfem_jax.mechanics.model import BASE, Model, Topology
-from rfem_jax.mechanics.model_building import build_model, start_numbers
+from rfem_jax.mechanics.model_building import build_model
 from rfem_jax.mechanics.nominal_geometry import (
     NominalGeometry,
     Placed,
@@ -92,13 +92,12 @@ def discretise(mechanism: Mechanism, rfes: int | None = None, elements: str | No
     elements = mechanism.elements if elements is None else elements
     require_choice(elements, ELEMENTS, "elements")
     counts = {link.name: link.elements if rfes is None or link.elements == 1 else int(rfes) for link in mechanism.links}
-    model = _close(build_model(mechanism, counts, elements == "geometrically_exact"))
+    built = build_model(mechanism, counts, elements == "geometrically_exact")
+    model = _closed_as_given(_close(built), np.asarray(built.start_joints))
     _require_apart(model)
     structure = describe(model)
-    if structure.idle:
-        idle = tuple(sorted(_idle_coordinates(model)))
-        model = dataclasses.replace(model, topology=model.topology._replace(idle=idle))
-    model = _as_given(model, mechanism)
+    topology = with_start_freedoms(_with_idle(model), _rates_given(model, mechanism))
+    model = dataclasses.replace(model, topology=topology)
     if structure.redundant and not model.topology.minimum_norm:
         locks = "" if structure.rigid_mobility else " Nothing moves: with rigid links its joints lock (mobility 0)."
         raise InputError(
@@ -120,15 +119,21 @@ def discretise(mechanism: Mechanism, rfes: int | None = None, elements: str | No
     return _remembering(model, structure)
 
 
-def _as_given(model: Model, mechanism: Mechanism) -> Model:
-    """The model with the coordinates that stand for freedoms that no drive holds, these at the description's values if
-    the loops close with them as well as without."""
-    topology = with_start_freedoms(model, _rates_given(model, mechanism))
-    model = dataclasses.replace(model, topology=topology)
-    chosen = tuple(k for k in topology.undriven if k not in topology.idle)
-    if topology.n_cuts == 0 or not chosen:
+def _with_idle(model: Model) -> Model:
+    """The model with the coordinates that stand for idle freedoms at its start."""
+    idle = tuple(sorted(_idle_coordinates(model)))
+    return dataclasses.replace(model, topology=model.topology._replace(idle=idle)) if idle else model
+
+
+def _closed_as_given(model: Model, given: Float[np.ndarray, " numbers"]) -> Model:
+    """The closed model, closed once more from the start that the description gives, with the coordinates that stand for
+    freedoms that no drive holds as they are there, if the loops close so as well."""
+    if model.topology.n_cuts == 0:
         return model
-    given = _start_given(model, mechanism, chosen)
+    topology = with_start_freedoms(_with_idle(model), {})
+    chosen = tuple(k for k in topology.undriven if k not in topology.idle)
+    if not chosen:
+        return model
     joints, residual, alignment, cuts = close_at(model, given, (*topology.held, *chosen))
     before = np.abs(gaps(geometry_of(model), place(geometry_of(model), np.asarray(model.start_joints))).residual).max()
     if not np.abs(residual).max() <= max(2.0 * before, ROUNDING) or (alignment < 0.0).any():
@@ -136,26 +141,13 @@ def _as_given(model: Model, mechanism: Mechanism) -> Model:
     return dataclasses.replace(model, start_joints=jnp.asarray(joints), cut_angles=jnp.asarray(cuts))
 
 
-def _start_given(model: Model, mechanism: Mechanism, chosen: tuple[int, ...]) -> Float[np.ndarray, " numbers"]:
-    """The closed start, with chosen coordinates as the description has them."""
-    topology, joints = model.topology, np.array(model.start_joints)
-    for l, name in enumerate(topology.joints[: topology.n_links]):
-        given = start_numbers(mechanism.joint(name), topology.kind(l))
-        places = [topology.place_of(k) for k in topology.coordinates[l][: topology.plain(l)] if k in chosen]
-        if any(k in chosen for k in topology.coordinates[l][topology.plain(l) :]):
-            places += topology.positions[l][topology.plain(l) :]
-        for place_in in places:
-            joints[place_in] = given[place_in - topology.positions[l].start]
-    return joints
-
-
 def _rates_given(model: Model, mechanism: Mechanism) -> dict[int, str]:
-    """{coordinate with an initial rate: the argument that gives it}."""
+    """{coordinate with an initial rate: the argument that gives it}; zeros in lists are of those that may follow."""
     topology, found = model.topology, {}
     for l, name in enumerate(topology.joints[: topology.n_links]):
         joint = mechanism.joint(name)
         for k, rate in zip(topology.own_coordinates[l], joint.start_rates, strict=True):
-            if rate is not None:
+            if rate is not None and (joint.rates is None or rate != 0.0):
                 found[k] = f"`{joint.rate_field(topology.freedoms[k].rotation)}` of joint `{name}`"
     return found
 

@@ -98,7 +98,7 @@ def arrays_of(parts: Parts, structure: PartStructure) -> Model:
     bores = zip(joints, topology.children, strict=True)
     masses = [mass for link in links for mass in _masses_of(link)]
     held = zip(topology.masses, masses, strict=True)
-    start = [start_numbers(j, topology.kind(l)) for l, j in enumerate(joints[: len(links)])]
+    start = [_start(j, topology.kind(l)) for l, j in enumerate(joints[: len(links)])]
     model = Model(
         topology=topology,
         length=_array([link.length for link in links]),
@@ -313,7 +313,7 @@ def _require_first_rfes(joints: Sequence[Joint], children: Sequence[_Attachment]
             )
 
 
-def start_numbers(joint: Joint, kind: JointKind) -> list[Number]:
+def _start(joint: Joint, kind: JointKind) -> list[Number]:
     """Start of a tree joint as numbers of the position, zero along springs: its three angles as a quaternion if it
     turns about any axis."""
     values: list[Number] = [0.0] * len(kind.freedoms)

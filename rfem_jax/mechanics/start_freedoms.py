@@ -4,7 +4,7 @@ Place in the pipeline: nominal_geometry -> **start_freedoms** -> discretisation.
 
 With all links and joints rigid the closure equations Phi leave a mechanism the motions of the null space N of their
 Jacobian (theory (6.9)). Coordinates whose rows of N are independent determine its configuration. Those of drives come
-first, then those of idle freedoms and of initial rates; the others are chosen one after another, each the first in the
+first, then those of initial rates and of idle freedoms; the others are chosen one after another, each the first in the
 order of the description that moves at least `SHARE` as much as the one that moves most, when those chosen before stand
 still: the choice does not depend on names, and is never ill-conditioned where it can be a good one. Springs on free
 motions of joints, and between points, hold nothing here; directions that a joint's kind holds and that are sprung or
@@ -29,7 +29,7 @@ def with_start_freedoms(model: Model, rates: dict[int, str]) -> Topology:
 
     **Arguments:** `rates`: coordinate -> name of the argument, as "`rate` of joint `A`", of the initial rates given.
 
-    **Raises:** `InputError` for an initial rate, not zero, of a coordinate that follows from others.
+    **Raises:** `InputError` for an initial rate of a coordinate that follows from others.
     """
     topology = model.topology
     motions = _motions(model)
@@ -38,24 +38,27 @@ def with_start_freedoms(model: Model, rates: dict[int, str]) -> Topology:
         motions = _held(motions, k)
         if k in rates:
             rated.append(k)
-    for k in topology.idle:
+    for k in (k for k in rates if k not in rated):
+        if not np.linalg.norm(motions[k]) > DEPENDENT:
+            raise _dependent(topology, rates[k], (*topology.held, *undriven))
         motions = _held(motions, k)
         undriven.append(k)
-        if k in rates:
-            rated.append(k)
-    for k in (k for k in rates if k not in rated):
-        if np.linalg.norm(motions[k]) > DEPENDENT:
+        rated.append(k)
+    idle = []
+    for k in topology.idle:
+        # Where a rate is given of the same freedom, its coordinate stands for it.
+        same = [one for one in undriven if topology.link_of_freedom[one] == topology.link_of_freedom[k]]
+        if np.linalg.norm(motions[k]) > DEPENDENT or not same:
             motions = _held(motions, k)
             undriven.append(k)
-            rated.append(k)
-        elif model.start_rates is None or float(model.start_rates[k]) != 0.0:
-            raise _dependent(topology, rates[k], (*topology.held, *undriven))
+            same = [k]
+        idle.append(same[0])
     order = _file_order(topology)
     while (sizes := np.linalg.norm(motions, axis=1)).max(initial=0.0) > DEPENDENT:
         k = next(k for k in order if sizes[k] >= SHARE * sizes[order].max())
         motions = _held(motions, k)
         undriven.append(k)
-    return topology._replace(undriven=tuple(undriven), rated=tuple(sorted(rated)))
+    return topology._replace(undriven=tuple(undriven), rated=tuple(sorted(rated)), idle=tuple(idle))
 
 
 def _motions(model: Model) -> Float[np.ndarray, "freedoms motions"]:
@@ -94,8 +97,8 @@ def _file_order(topology: Topology) -> list[int]:
 
 def _dependent(topology: Topology, argument: str, chosen: Iterable[int]) -> InputError:
     others = [topology.label_of(k) for k in chosen]
-    reason = f"follows from {', '.join(f'`{one}`' for one in others)}" if others else "is zero: nothing can move there"
-    return InputError(
-        f"Argument {argument} must be of a motion that can be chosen, but this one {reason}; leave it out, or give the "
-        "rate of a joint that it follows from."
-    )
+    reason, fix = "is of a joint that cannot move so at its start", "leave it out."
+    if others:
+        reason = f"follows from {', '.join(f'`{one}`' for one in others)}"
+        fix = "leave it out, or give the rate of a joint that it follows from."
+    return InputError(f"Argument {argument} must be of a motion that can be chosen, but {reason}; {fix}")

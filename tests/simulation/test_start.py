@@ -189,11 +189,34 @@ class TestWhatIsHeld:
             np.testing.assert_allclose(run.displacements["S"][-1], [0.1, 0.2, 0.3 - 0.5 * 9.81 * 4e-6], atol=1e-9)
 
     def test_an_idle_rod_is_held_with_the_rest(self):
-        mechanism = loop_with_a_ball()
-        model, free = discretise(mechanism), discretise(undriven(mechanism))
-        assert set(free.topology.idle) <= set(free.topology.undriven)
-        number = describe(free).rigid_mobility
-        assert len(free.topology.held_at_start) == len(model.topology.held_at_start) == number
+        """A rod between two balls: its spin is held, and may have a rate, with the crank driven or not."""
+        loop = loop_with_a_ball()
+        joints = [dataclasses.replace(one, kind="spherical", child_orientation=(0.0, 0.0, 0.0)) if one.cut else one
+                  for one in loop.joints]  # fmt: skip
+        rod_loop = dataclasses.replace(loop, joints=joints, links=[rod(one.name, one.length) for one in loop.links])
+        model, free = discretise(rod_loop), discretise(undriven(rod_loop))
+        assert describe(free).idle == ("coupler",) and describe(free).rigid_mobility == 2
+        for one in (model, free):
+            assert set(one.topology.held_at_start) == {*one.topology.idle, one.topology.coordinates[0][0]}
+        # Start angles are rough: both close about that of the crank.
+        np.testing.assert_allclose(model.start_joints, free.start_joints, rtol=0, atol=1e-14)
+        # The rod hangs along z of the crank's end.
+        rates, n = [0.0, 0.0, 50.0], 2
+        for mechanism in (undriven(rod_loop), rod_loop):
+            spun = [dataclasses.replace(one, rates=rates) if one.name == "B" else one for one in joints]
+            model = discretise(dataclasses.replace(mechanism, joints=spun))
+            start = integration.prepare(model, assembly_errors(model), None, None).state
+            of_ball = list(model.topology.own_coordinates[model.topology.joints.index("B")])
+            assert float(start.velocity.joints[of_ball[n]]) == pytest.approx(50.0)
+            # The rod alone turns: crank and rocker stand still.
+            others = np.delete(np.asarray(start.velocity.joints), of_ball)
+            np.testing.assert_allclose(others, 0.0, atol=1e-9)
+        rates = [50.0, 0.0, 50.0]
+        with pytest.raises(
+            InputError, match="`rates` of joint `B` must be of a motion that can be chosen, but follows"
+        ):
+            wrong = [dataclasses.replace(one, rates=rates) if one.name == "B" else one for one in joints]
+            discretise(dataclasses.replace(rod_loop, joints=wrong))
 
     def test_independent_of_names_and_well_conditioned(self):
         """Renamed and turned about, the first in the file; near a dead centre of the crank the rocker."""
