@@ -70,8 +70,11 @@ def redundancy(topology: Topology, motion: Motion, cuts: Closure | None) -> Redu
     with jax.named_scope("redundancy"):
         wrenches = _unit_wrenches(topology, cuts)
         work = _work(topology, motion, wrenches, cuts.scale)
+        unit = jnp.eye(work.shape[1])
         onto = pseudo_inverse(work, SMALLEST_SINGULAR_VALUE) @ work
-        return Redundancy(wrenches, jnp.eye(work.shape[1]) - 0.5 * (onto + onto.T))
+        found = unit - 0.5 * (onto + onto.T)
+        # Near a dead centre rounding of it would count, beside large multipliers: a projector is its own square.
+        return Redundancy(wrenches, found @ found @ (3.0 * unit - 2.0 * found))
 
 
 def least_reactions(

@@ -410,3 +410,22 @@ def test_a_length_that_is_a_parameter_changes_the_norm():
     slope = -8.0 * 1.3 * moment * h / (h**2 + 4.0 * 1.3**2) ** 2
     np.testing.assert_allclose(force, moment * h / (h**2 + 4.0 * 1.3**2), rtol=1e-9)
     np.testing.assert_allclose((jax.jacfwd(across)(1.3), jax.grad(across)(1.3)), slope, rtol=1e-9)
+
+
+@pytest.mark.parametrize("angle", [1e-2, 1e-5])
+def test_near_a_dead_centre_loads_are_large_and_right(angle):
+    """A parallelogram that is almost stretched: the coupler pulls its rocker with the weight over the angle."""
+    links = [link("crank", 0.1), link("coupler", 0.3), link("rocker", 0.1)]
+    joints = [
+        Joint("A", "base", "crank", angle=angle),
+        Joint("B", "crank", "coupler", angle=-angle),
+        Joint("D", "base", "rocker", position=(0.3, 0, 0), angle=angle),
+        Joint("C", "coupler", "rocker", cut=True),
+    ]
+    model = discretise(Mechanism(links, joints, driven_joint="A", gravity=(0.0, 2.0, -9.0), **LEAST))
+    found = assemble(model, assembly_errors(model))
+    assert STATUS[int(found.status)].name == "ok"
+    mass = 7850.0 * 1e-4
+    # The rocker's weight at its middle, and half the coupler's at its end, turn it; only the pull holds it.
+    pull = (0.5 * 0.1 * mass + 0.5 * 0.3 * mass) * 9.0 / np.tan(angle)
+    np.testing.assert_allclose(found.preload["C"].force[0], pull, rtol=1e-10 / angle)  # of a step that counts as none
