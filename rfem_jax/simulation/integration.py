@@ -30,6 +30,7 @@ from rfem_jax.mechanics import loads
 from rfem_jax.mechanics.bush_contacts import with_memory
 from rfem_jax.mechanics.centre_lines import link_lines
 from rfem_jax.mechanics.designs import Design, designed, with_status
+from rfem_jax.mechanics.elements.linear_validity import linear_error
 from rfem_jax.mechanics.implicit.residual import rounding_force
 from rfem_jax.mechanics.model import Model, State
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors, ModelWithErrors, apply_errors, assembly_errors
@@ -393,7 +394,7 @@ def conclude(
         hinge_moment_error=jnp.max(record.hinge_residual) / _safe(jnp.max(record.largest_load[:, 1])),
         stabilisation_share=jnp.max(record.stabilising) / _safe(jnp.max(record.multiplier)),
         solution_residual=residual,
-        linear_error=jnp.max(record.linear_error),
+        linear_error=linear_error(record.linear),
         equation_residual=record.residual,
         status=_status(model, prepared, carry, error, drift, jnp.max(record.range_used), residual),
         ends={name: record.ends[:, :, l] for l, name in enumerate(model.link_names)},

@@ -18,7 +18,7 @@ from rfem_jax.mechanics.clearances import clearance_name
 from rfem_jax.mechanics.cut_joints import Closure, Constraints
 from rfem_jax.mechanics.dynamics import Accelerations
 from rfem_jax.mechanics.element_loads import FrameLoads
-from rfem_jax.mechanics.elements.linear_range import linear_error
+from rfem_jax.mechanics.elements.linear_validity import LinearRange, linear_range
 from rfem_jax.mechanics.implicit.residual import Evaluation
 from rfem_jax.mechanics.inputs import DriveInput
 from rfem_jax.mechanics.joint_forces import LawForces, by_coordinate
@@ -67,8 +67,8 @@ class Record(NamedTuple):
     as of `equations`; momentum_residual:
     largest components of the residual force [N] and moment [N m] of the momentum balance; largest_load [N, N m]: what
     they are divided by; hinge_residual [N m]: largest load along a free motion of a joint beyond that of its springs,
-    zero (forces times `Instant.arm`); range_used: as `kinematics.range_used`; linear_error: as
-    `linear_range.linear_error`; square_integrals: of the resultant force
+    zero (forces times `Instant.arm`); range_used: as `kinematics.range_used`; linear: as
+    `linear_validity.linear_range`; square_integrals: of the resultant force
     and moment [N^2 s, (N m)^2 s]; squares: as of `equations.squared_loads`; friction_losses, contact_losses
     [J]: energy that every friction, every clearance has dissipated, None without any; asked: by the names of `records`;
     contacts: of the joints with clearance.
@@ -87,7 +87,7 @@ class Record(NamedTuple):
     stabilising: Float[Array, ""]
     multiplier: Float[Array, ""]
     range_used: Float[Array, ""]
-    linear_error: Float[Array, ""]
+    linear: LinearRange
     ends: Float[Array, "3 links"]
     branch: Float[Array, " cuts"]
     square_integrals: Float[Array, "2 joints"]
@@ -189,7 +189,7 @@ def observe(
             stabilising=instant.stabilising,
             multiplier=instant.multiplier,
             range_used=range_used(topology, state.position),
-            linear_error=linear_error(actual, state.position),
+            linear=linear_range(actual, state.position),
             ends=link_ends(actual, now)[0],
             branch=_branch(actual, instant),
             square_integrals=jnp.stack([integrals.axial_square + integrals.normal_square, integrals.moment_square]),

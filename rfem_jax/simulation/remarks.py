@@ -5,7 +5,7 @@ Place in the pipeline: run -> **remarks** -> tolerancing, report.
 
 from typing import Any
 
-from rfem_jax.mechanics.elements.linear_range import REMARKABLE_LINEAR_ERROR
+from rfem_jax.mechanics.elements.linear_validity import REMARKABLE_LINEAR_ERROR
 
 
 def linear_remark(error: float) -> str:

@@ -24,7 +24,7 @@ from rfem_jax.mechanics.bush_contacts import ContactState, contact_states
 from rfem_jax.mechanics.designs import designed, status_of
 from rfem_jax.mechanics.discretisation import CLOSING_TOLERANCE, close_at
 from rfem_jax.mechanics.element_loads import FrameLoads
-from rfem_jax.mechanics.elements.linear_range import linear_error
+from rfem_jax.mechanics.elements.linear_validity import linear_error, linear_range
 from rfem_jax.mechanics.inputs import DriveInput
 from rfem_jax.mechanics.kinematics import Motion
 from rfem_jax.mechanics.model import Model
@@ -51,7 +51,7 @@ class Turn(eqx.Module):
     holding: moment [N m] or force [N] that holds the driven coordinate; energy [J]: elastic and of gravity; stress
     [Pa]: largest von Mises stress of every link whose section's edge is known (rigid links too); status of each
     assembly; contacts (positions, ...): of the joints with clearance, by their names; linear_error: estimated error of
-    linear elements (`linear_range`).
+    linear elements (`linear_validity`).
     """
 
     position: Float[Array, "*positions"]
@@ -181,5 +181,5 @@ def held_at(model: Model, errors: AssemblyErrors, pose: ClosedPose, stresses: bo
         stress=stress,
         status=status,
         contacts=contact_states(actual, resting.motion),
-        linear_error=linear_error(actual, position),
+        linear_error=linear_error(linear_range(actual, position)),
     )

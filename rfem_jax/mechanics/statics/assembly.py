@@ -34,7 +34,7 @@ from rfem_jax.mechanics.derivative_rules import implicit_function
 from rfem_jax.mechanics.designs import Design, designed, with_status
 from rfem_jax.mechanics.element_loads import element_tangents, frame_loads
 from rfem_jax.mechanics.elements import elasticity
-from rfem_jax.mechanics.elements.linear_range import linear_error
+from rfem_jax.mechanics.elements.linear_validity import linear_error, linear_range
 from rfem_jax.mechanics.implicit.residual import Residual
 from rfem_jax.mechanics.inputs import DriveInput
 from rfem_jax.mechanics.joint_forces import about_parents_axes, applied_forces, by_coordinate, law_forces, law_tangent
@@ -79,7 +79,7 @@ class Load(NamedTuple):
 class Assembled(NamedTuple):
     """An assembled mechanism: state at rest, preload of every joint, status code; design_gap [m]: what the loops of a
     design stay open by at the start, None without one; contacts: of the joints with clearance, None without any;
-    linear_error: estimated error of linear elements (`linear_range`)."""
+    linear_error: estimated error of linear elements (`linear_validity`)."""
 
     state: State
     preload: dict[str, Load]
@@ -120,7 +120,8 @@ def _assemble(model: Model, errors: AssemblyErrors, hold: dict[str, Array] | str
     state = loads.static_state(model.topology, position)
     preload = named(model, static_loads(model, actual, state, multipliers))
     contacts = contact_states(actual, motion_of(actual, state)) if model.topology.clearances else None
-    return Assembled(state, preload, status, contacts=contacts, linear_error=linear_error(actual, position))
+    error = linear_error(linear_range(actual, position))
+    return Assembled(state, preload, status, contacts=contacts, linear_error=error)
 
 
 def checked_hold(model: Model, hold: Mapping[str, ArrayLike] | str | None) -> dict[str, Array] | str | None:

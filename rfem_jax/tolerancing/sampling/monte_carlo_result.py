@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from rfem_jax.mechanics.elements.linear_range import REMARKABLE_LINEAR_ERROR
+from rfem_jax.mechanics.elements.linear_validity import REMARKABLE_LINEAR_ERROR
 from rfem_jax.text_layout import align_columns, wrap_lines
 from rfem_jax.tolerancing.labelled_results import LabelledMonteCarlo
 from rfem_jax.tolerancing.layout import show_number

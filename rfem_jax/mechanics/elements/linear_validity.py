@@ -1,10 +1,12 @@
 """How far linear spring-damping elements are from the geometrically exact ones: an estimate of their error.
 
-Place in the pipeline: elasticity -> **linear_range** -> statics, observation.
+Place in the pipeline: elasticity -> **linear_validity** -> statics, observation.
 
 Linear elements leave out what is of second order in the rotations of rfes relative to their link frame (theory (1.16)):
 lever arms that become shorter, and the work that an axial force does as a bent link becomes shorter.
 """
+
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -23,22 +25,40 @@ LEAST_BENDING = 1e-6  # over the energy that is stored by axial forces: a link t
 REMARKABLE_LINEAR_ERROR = 0.02
 
 
-def linear_error(actual: ModelWithErrors, position: Coordinates) -> Float[Array, ""]:
-    """Estimated error of the deflections and loads of the link that is worst, relative to its deflections; zero for
-    rigid links and geometrically exact elements."""
+class LinearRange(NamedTuple):
+    """What linear elements leave out at one instant: rotation, relative to deflections, by rotations; shortening
+    (links,) [J], twice the work of axial forces as links bend, beside stored (links,) [J], twice the energy of
+    bending."""
+
+    rotation: Float[Array, "*times"]
+    shortening: Float[Array, "*times links"]
+    stored: Float[Array, "*times links"]
+
+
+def linear_range(actual: ModelWithErrors, position: Coordinates) -> LinearRange:
+    """What linear elements leave out at one position; nothing with rigid links and geometrically exact elements."""
     topology = actual.topology
     if topology.exact or not topology.n_rfes:
-        return jnp.zeros(())
+        return LinearRange(jnp.zeros(()), jnp.zeros((0,)), jnp.zeros((0,)))
     actual, position = jax.lax.stop_gradient((actual, position))
     phi = position.elastic[3:]
     bending, turned = jnp.sum(phi[1:] ** 2, axis=0), jnp.sum(phi**2, axis=0)
-    by_rotation = ERROR_BY_ROTATION * jnp.sqrt(bending * turned)
     at_rest = State(position, jax.tree.map(jnp.zeros_like, position))
     stretch, _ = elasticity.deflections(actual, at_rest)
     stress = actual.stiffness * stretch
     lengths = -2.0 * actual.lever_right  # of the rfes, whose left ends are sdes
-    shortening = total(topology, (jnp.abs(stress[0]) * lengths * bending)[None])
     weights = np.array([LEAST_BENDING, 1.0, 1.0, 1.0, 1.0, 1.0])[:, None]
-    stored = total(topology, jnp.sum(weights * stress * stretch, axis=0)[None])
+    return LinearRange(
+        rotation=ERROR_BY_ROTATION * jnp.max(jnp.sqrt(bending * turned)),
+        shortening=total(topology, jnp.abs(stress[0]) * lengths * bending),
+        stored=total(topology, jnp.sum(weights * stress * stretch, axis=0)),
+    )
+
+
+def linear_error(parts: LinearRange) -> Float[Array, ""]:
+    """Estimated error of the deflections and loads of the link that is worst, relative to its largest deflections; of
+    one position, or of several along a first axis."""
+    several = jax.tree.map(lambda x, ndim: x if x.ndim > ndim else x[None], parts, LinearRange(0, 1, 1))
+    shortening, stored = jnp.max(several.shortening, axis=0), jnp.max(several.stored, axis=0)
     by_force = shortening / jnp.where(stored > 0.0, stored, 1.0)
-    return jnp.max(by_rotation) + jnp.max(by_force)
+    return jnp.max(several.rotation) + jnp.max(by_force, initial=0.0)
