@@ -4,6 +4,7 @@ Place in the pipeline: after `rfem_jax.description.key_reference` and `metric_re
 """
 
 import textwrap
+from dataclasses import replace
 
 from rfem_jax.description.errors import InputError, suggestion
 from rfem_jax.description.key_reference import Key, KeyTable, key_tables
@@ -15,14 +16,26 @@ WIDEST = 14  # columns of a default
 
 
 def reference_text(word: str | None = None) -> str:
-    """All tables of a study file with their keys, defaults and meanings; with a word, those with it in their header;
-    with the word "metrics" all metrics.
+    """All tables of a study file with their keys, defaults and meanings; with a word, those with it in their header, or
+    the metrics that it chooses.
 
-    Raises: InputError for a word that is in no header.
+    Raises: InputError for a word that is in no header and in no metric.
     """
-    if word == METRICS:
-        return "\n\n".join(_metrics_text(table) for table in metric_tables())
+    if metrics := chosen_metrics(word):
+        return "\n\n".join(_metrics_text(table) for table in metrics)
     return "\n\n".join(_table_text(table) for table in chosen_tables(word))
+
+
+def chosen_metrics(word: str | None) -> list[MetricTable]:
+    """All metrics for the word "metrics"; for one that is in no header of a table those with it in their names."""
+    if word is None:
+        return []
+    if word.lower() in (METRICS, METRICS[:-1]):
+        return metric_tables()
+    if any(word in table.header for table in key_tables()):
+        return []
+    found = [replace(one, rows=tuple(row for row in one.rows if word in row.name)) for one in metric_tables()]
+    return [table for table in found if table.rows]
 
 
 def chosen_tables(word: str | None = None) -> list[KeyTable]:
@@ -31,7 +44,7 @@ def chosen_tables(word: str | None = None) -> list[KeyTable]:
     chosen = [table for table in tables if word is None or word in table.header]
     if not chosen:
         raise InputError(
-            f"Argument `WORD` must be in the header of a table, but `{word}` is in none; "
+            f"Argument `WORD` must be in the header of a table or the name of a metric, but `{word}` is in none; "
             f"{suggestion(word, [METRICS, *(table.header for table in tables)])}"
         )
     return chosen

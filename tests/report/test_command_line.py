@@ -210,7 +210,10 @@ def test_keys_prints_all_metrics(packages, capsys):
     assert "lower bound of the maximum" in lines["peak_force"]
     code, found, _ = answer_of(capsys, "keys", "metrics")
     assert code == 0 and "max_moment" in [row["name"] for row in found["metrics"][0]["rows"]]
-    assert main(["keys", "metric"]) == 2
+    assert main(["keys", "max_"]) == 0
+    text = capsys.readouterr().out
+    assert "max_axial_force" in text and "max_stress" in text and "rms_force" not in text
+    assert main(["keys", "metrisc"]) == 2
     assert "did you mean `metrics`?" in one_sentence(capsys)
 
 

@@ -28,7 +28,8 @@ def _add_arguments(parser: argparse.ArgumentParser) -> None:
         "table",
         metavar="WORD",
         nargs="?",
-        help='tables with this word in their header, such as "joints"; "metrics" for all metrics',
+        help='tables with this word in their header, such as "joints"; "metrics" for all metrics, '
+        "or a word in the names of some",
     )
 
 
@@ -36,10 +37,9 @@ def act(arguments: argparse.Namespace) -> Answer:
     """Print the reference. Raises InputError."""
     from dataclasses import asdict
 
-    from rfem_jax.description.metric_reference import metric_tables
-    from rfem_jax.report.keys_text import METRICS, chosen_tables, reference_text
+    from rfem_jax.report.keys_text import chosen_metrics, chosen_tables, reference_text
 
     show(reference_text(arguments.table))
-    if arguments.table == METRICS:
-        return Answer(document={"metrics": [asdict(table) for table in metric_tables()]})
+    if metrics := chosen_metrics(arguments.table):
+        return Answer(document={"metrics": [asdict(table) for table in metrics]})
     return Answer(document={"tables": [asdict(table) for table in chosen_tables(arguments.table)]})
