@@ -190,7 +190,7 @@ def time_ours(model, errors: AssemblyErrors, case: Case, samples: int, trial: bo
     coarse, fine = (np.asarray(loads(n)[0][0]) for n in ((20, 40) if trial else (200, 400)))
     reference = _table(model, fine + (fine - coarse) / 3.0)
     for count in COUNTS:
-        result, residual, _ = loads(count)
+        result, residual, *_ = loads(count)
         error = max(error_of(_table(model, np.asarray(result[0])), reference), float(residual[0]))
         found.append((interval / count, error, count))
         if _enough(found):

@@ -138,7 +138,7 @@ def stepping(model, case: str, count: int, method: Method, duration=STUDY.durati
 
     def loads(steps: int):
         count = jnp.asarray(steps, jnp.float64)
-        found, residual, _ = rms_loads(model, errors, STUDY.drive, grid, method, count)
+        found, residual, *_ = rms_loads(model, errors, STUDY.drive, grid, method, count)
         return found, jnp.max(residual)
 
     return loads

@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 from rfem_jax.description.drive_arguments import Phase, Scalar, Time, as_phase
 
 Motion = tuple[Scalar, Scalar, Scalar]
+STEPS_IN_RISE = 8
 
 
 def ramp(size: Scalar, rise_time: float, t: Time, phase: Phase) -> Scalar:
@@ -27,6 +28,14 @@ def _jump_rows(times: tuple[float, ...]) -> tuple[int, ...]:
 def table_jumps(times: tuple[float, ...]) -> tuple[float, ...]:
     """Times [s] at which a table jumps: those given twice, and the last."""
     return (*(times[row] for row in _jump_rows(times)), times[-1])
+
+
+def rise_steps(rise_time: float, interval: float) -> tuple[float, ...]:
+    """Times [s] at which steps end within a rise that is shorter than as many intervals of a length [s]: its
+    acceleration vanishes at both ends, so that steps from one to the other do not see it."""
+    if rise_time >= STEPS_IN_RISE * interval:
+        return ()
+    return tuple(rise_time * i / STEPS_IN_RISE for i in range(1, STEPS_IN_RISE))
 
 
 def table_at(values: Float[Array, " times"], times: tuple[float, ...], t: Time, phase: Phase) -> Scalar:
@@ -65,12 +74,12 @@ def spin_up(rate: Scalar, rise_time: float, t: Time, phase: Phase) -> Motion:
 
 def spline(
     times: tuple[float, ...], changes: Float[np.ndarray, " times"]
-) -> tuple[Float[Array, " times"], Float[Array, "4 times-1"], float]:
-    """Knots [s] and coefficients of a cubic spline (C2, "not-a-knot" ends), and its end [s]."""
+) -> tuple[Float[Array, " times"], Float[Array, "4 times-1"]]:
+    """Knots [s] and coefficients of a cubic spline (C2, "not-a-knot" ends)."""
     # A third of a second that no other study needs to wait for.
     from scipy.interpolate import CubicSpline
 
-    return jnp.asarray(times), jnp.asarray(CubicSpline(times, changes).c), times[-1]
+    return jnp.asarray(times), jnp.asarray(CubicSpline(times, changes).c)
 
 
 def spline_at(knots: Float[Array, " times"], coefficients: Float[Array, "4 times-1"], t: Time) -> Motion:

@@ -37,7 +37,17 @@ from rfem_jax.description.drive_arguments import (
     table_changes,
     table_times,
 )
-from rfem_jax.description.drive_laws import Motion, ramp, rise, spin_up, spline, spline_at, table_at, table_jumps
+from rfem_jax.description.drive_laws import (
+    Motion,
+    ramp,
+    rise,
+    rise_steps,
+    spin_up,
+    spline,
+    spline_at,
+    table_at,
+    table_jumps,
+)
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.units import Quantities, Quantity, non_negative_quantity, positive_quantity
 
@@ -67,6 +77,12 @@ class GivenDrive(eqx.Module):
     @abc.abstractmethod
     def breakpoints(self) -> tuple[float, ...]:
         """Return the times [s] > 0 at which the force jumps, increasing."""
+
+    def step_ends(self, interval: float) -> tuple[float, ...]:
+        """Return the times [s] beside the breakpoints at which steps must end, so that they see how the drive changes:
+        rows of a table, and places within a rise that is short beside intervals of a length [s]."""
+        del interval
+        return ()
 
     @abc.abstractmethod
     def force_at(self, t: Time, phase: Phase) -> Scalar:
@@ -105,6 +121,12 @@ class PrescribedDrive(eqx.Module):
     @abc.abstractmethod
     def breakpoints(self) -> tuple[float, ...]:
         """Return the times [s] > 0 at which a derivative jumps, increasing."""
+
+    def step_ends(self, interval: float) -> tuple[float, ...]:
+        """Return the times [s] beside the breakpoints at which steps must end, so that they see how the drive changes:
+        rows of a table, and places within a rise that is short beside intervals of a length [s]."""
+        del interval
+        return ()
 
     @abc.abstractmethod
     def motion_at(self, t: Time, phase: Phase) -> Motion:
@@ -164,6 +186,9 @@ class MomentTable(MomentDrive):
 
     def breakpoints(self) -> tuple[float, ...]:
         return table_jumps(self.times)
+
+    def step_ends(self, interval: float) -> tuple[float, ...]:
+        return self.times
 
     def moment_at(self, t: Time, phase: Phase) -> Scalar:
         return table_at(self.values, self.times, t, phase)
@@ -225,6 +250,9 @@ class PrescribedRate(PrescribedDrive):
     def breakpoints(self) -> tuple[float, ...]:
         return (self.rise_time,) if self.rise_time > 0.0 else ()
 
+    def step_ends(self, interval: float) -> tuple[float, ...]:
+        return rise_steps(self.rise_time, interval)
+
     def motion_at(self, t: Time, phase: Phase) -> Motion:
         return rise(self.rate, self.rise_time, t, phase)
 
@@ -258,6 +286,9 @@ class PrescribedSpinUp(PrescribedDrive):
     def breakpoints(self) -> tuple[float, ...]:
         return (self.rise_time,)
 
+    def step_ends(self, interval: float) -> tuple[float, ...]:
+        return rise_steps(self.rise_time, interval)
+
     def motion_at(self, t: Time, phase: Phase) -> Motion:
         return spin_up(self.rate, self.rise_time, t, phase)
 
@@ -277,17 +308,21 @@ class PrescribedTable(PrescribedDrive):
     joint: str = eqx.field(static=True)
     knots: Float[Array, " times"]
     coefficients: Float[Array, "4 times-1"]
-    end: float = eqx.field(static=True)
+    times: tuple[float, ...] = eqx.field(static=True)
 
     def __init__(self, joint: str, times: Quantities, angles: Quantities, motion: str | None = None):
         checks = drive_checks(self, joint, motion)
         knots = checks.value("times", times, table_times, True)
         changes = checks.value("angles", angles, table_changes, "angle", "angles", knots)
         checks.refuse()
-        self.knots, self.coefficients, self.end = spline(knots, changes)
+        self.times = knots
+        self.knots, self.coefficients = spline(knots, changes)
 
     def breakpoints(self) -> tuple[float, ...]:
         return ()
+
+    def step_ends(self, interval: float) -> tuple[float, ...]:
+        return self.times
 
     def motion_at(self, t: Time, phase: Phase) -> Motion:
         return spline_at(self.knots, self.coefficients, t)

@@ -135,6 +135,8 @@ class GeneralisedAlphaMethod(Method):
         corrections: largest number of Newton increments in a step, at least 1; where steps follow contacts one more
             is allowed.
         tolerance: largest residual allowed, as a share of the largest joint load, > 0, < 1.
+        steps_per_row: number of steps between two rows of a table over time, at least; None: up to 8, as long as these
+            are not more than all other steps.
         contact_tolerance: with joints with clearance, steps are divided where a contact would change its speed by more
             than this share of its depth over the length of the step (theory (15.14)), >= 0, < 1; 0 = steps stay whole,
             as reverse mode needs them.
@@ -149,6 +151,7 @@ class GeneralisedAlphaMethod(Method):
     )
     corrections: int = setting(5, convert=_count)
     tolerance: float = setting(1e-8, below_one="it is a share of the largest joint load, such as 1e-08")
+    steps_per_row: int | None = setting(convert=_count)
     contact_tolerance: float = setting(
         0.02, convert=non_negative_quantity, below_one="a contact would pass within one step; the default is 0.02"
     )

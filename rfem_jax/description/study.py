@@ -266,7 +266,7 @@ class Study(ChecksItself):
 
     def _check_drive_end(self) -> None:
         for one in self.drives:
-            end = one.end if isinstance(one, (PrescribedTable, PrescribedDisplacements)) else self.duration
+            end = one.times[-1] if isinstance(one, (PrescribedTable, PrescribedDisplacements)) else self.duration
             if end * _ROUNDING < self.duration:
                 raise InputError(
                     f"Argument `times` of the drive must reach the duration ({self.duration} s), but "

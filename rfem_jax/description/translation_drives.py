@@ -28,7 +28,17 @@ from rfem_jax.description.drive_arguments import (
     table_changes,
     table_times,
 )
-from rfem_jax.description.drive_laws import Motion, ramp, rise, spin_up, spline, spline_at, table_at, table_jumps
+from rfem_jax.description.drive_laws import (
+    Motion,
+    ramp,
+    rise,
+    rise_steps,
+    spin_up,
+    spline,
+    spline_at,
+    table_at,
+    table_jumps,
+)
 from rfem_jax.description.drives import GivenDrive, PrescribedDrive
 from rfem_jax.description.units import Quantities, Quantity, non_negative_quantity, positive_quantity
 
@@ -103,6 +113,9 @@ class ForceTable(ForceDrive):
     def breakpoints(self) -> tuple[float, ...]:
         return table_jumps(self.times)
 
+    def step_ends(self, interval: float) -> tuple[float, ...]:
+        return self.times
+
     def force_at(self, t: Time, phase: Phase) -> Scalar:
         return table_at(self.values, self.times, t, phase)
 
@@ -161,6 +174,9 @@ class PrescribedSpeed(PrescribedDrive):
     def breakpoints(self) -> tuple[float, ...]:
         return (self.rise_time,) if self.rise_time > 0.0 else ()
 
+    def step_ends(self, interval: float) -> tuple[float, ...]:
+        return rise_steps(self.rise_time, interval)
+
     def motion_at(self, t: Time, phase: Phase) -> Motion:
         return rise(self.speed, self.rise_time, t, phase)
 
@@ -190,6 +206,9 @@ class PrescribedRunUp(PrescribedDrive):
     def breakpoints(self) -> tuple[float, ...]:
         return (self.rise_time,)
 
+    def step_ends(self, interval: float) -> tuple[float, ...]:
+        return rise_steps(self.rise_time, interval)
+
     def motion_at(self, t: Time, phase: Phase) -> Motion:
         return spin_up(self.speed, self.rise_time, t, phase)
 
@@ -208,17 +227,21 @@ class PrescribedDisplacements(PrescribedDrive):
     joint: str = eqx.field(static=True)
     knots: Float[Array, " times"]
     coefficients: Float[Array, "4 times-1"]
-    end: float = eqx.field(static=True)
+    times: tuple[float, ...] = eqx.field(static=True)
 
     def __init__(self, joint: str, times: Quantities, displacements: Quantities, motion: str | None = None):
         checks = drive_checks(self, joint, motion)
         knots = checks.value("times", times, table_times, True)
         changes = checks.value("displacements", displacements, table_changes, "length", "displacements", knots)
         checks.refuse()
-        self.knots, self.coefficients, self.end = spline(knots, changes)
+        self.times = knots
+        self.knots, self.coefficients = spline(knots, changes)
 
     def breakpoints(self) -> tuple[float, ...]:
         return ()
+
+    def step_ends(self, interval: float) -> tuple[float, ...]:
+        return self.times
 
     def motion_at(self, t: Time, phase: Phase) -> Motion:
         return spline_at(self.knots, self.coefficients, t)

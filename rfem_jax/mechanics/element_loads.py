@@ -36,7 +36,8 @@ class FrameLoads(NamedTuple):
 
     exerted: by their names; force [N], moment [N m] (3, nodes): on all nodes at their reference points, in the axes of
     their links; wrench (6,): on all nodes together at the global origin; dissipated, power [W]: of the dampers, and of
-    the elements that act from outside; lost [W]: of the dampers, by the names of their elements.
+    the elements that act from outside and whose work is not known by their poses; lost [W]: of the dampers, by the
+    names of their elements.
     """
 
     exerted: dict[str, Exerted]
@@ -75,7 +76,7 @@ def frame_loads(actual: ModelWithErrors, motion: Motion, time: Time | None) -> F
             if element.inside:
                 lost[name] = share * element.dissipation(pose)
                 dissipated = dissipated + lost[name]
-            else:
+            elif element.work(pose) is None:
                 power = power + dot(force, pose.linear) + dot(moment, pose.angular)
             force, moment = apply(parent.rotation, force), apply(parent.rotation, moment)
             exerted[name] = Exerted(force, moment, child.place, parent.place)
@@ -98,6 +99,15 @@ def frame_energy(actual: ModelWithErrors, motion: Motion) -> Float[Array, ""]:
         if element.inside:
             energy = energy + element.energy(_placed(actual.topology, motion, element)[2])
     return actual.frame_forces.share * energy
+
+
+def frame_work(actual: ModelWithErrors, motion: Motion) -> list[Float[Array, ""]]:
+    """Works [J] of the force elements that act from outside and depend on their poses alone."""
+    if actual.frame_forces is None:
+        return []
+    elements = [element for element in actual.frame_forces.elements.values() if not element.inside]
+    works = [element.work(_placed(actual.topology, motion, element)[2]) for element in elements]
+    return [actual.frame_forces.share * work for work in works if work is not None]
 
 
 def element_tangents(

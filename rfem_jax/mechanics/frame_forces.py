@@ -83,6 +83,12 @@ class FrameForce(eqx.Module):
         """Power that a damper dissipates [W]."""
         return jnp.zeros_like(pose.position[0])
 
+    def work(self, pose: Pose) -> Float[Array, ""] | None:
+        """Work [J] done from outside up to a pose, from any fixed one, of a force that depends on the position alone:
+        known without integration, it tells whether steps have seen the force (theory (11.9)). None of others."""
+        del pose
+        return None
+
     def tangent(self, pose: Pose, time: Time, q_factor: Scalar, v_factor: Scalar) -> Float[Array, "k k"]:
         """Minus the derivatives of force and moment with respect to the accelerations of the child's point and frame
         relative to the parent, for the given derivatives of position [s^2] and rate [s]; of `components` rows.

@@ -9,7 +9,7 @@ outside it and are not (theory (3.17)).
 """
 
 from functools import reduce
-from typing import NamedTuple
+from typing import NamedTuple, TypeGuard
 
 import jax
 import jax.numpy as jnp
@@ -19,7 +19,7 @@ from jaxtyping import Float
 
 from rfem_jax.mechanics.algebra import Scalar, dot
 from rfem_jax.mechanics.inputs import DriveInput
-from rfem_jax.mechanics.joint_laws import SpringLaw
+from rfem_jax.mechanics.joint_laws import JointLaw, SpringLaw, TableLaw
 from rfem_jax.mechanics.joint_springs import CompliantSpring, diagonal_tangent
 from rfem_jax.mechanics.model import Coordinates, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
@@ -44,8 +44,8 @@ class LawForces(NamedTuple):
     """What springs, dampers, friction and laws exert at one instant.
 
     inside, outside: forces [N, N m] by joint coordinate, of springs with dampers and friction, and of laws; dissipated,
-    power [W]: of the dampers and friction, and of the laws; cuts: of friction in cut joints; friction: by its name;
-    these are None without any friction.
+    power [W]: of the dampers and friction, and of the laws whose work is not known by their positions; cuts: of
+    friction in cut joints; friction: by its name; these are None without any friction.
     """
 
     inside: dict[int, Float[Array, ""]]
@@ -73,7 +73,7 @@ def law_forces(actual: ModelWithErrors, state: State) -> LawForces | None:
             if isinstance(law, SpringLaw):
                 side = inside
                 dissipated = dissipated + share * law.damping * rate**2
-            else:
+            elif not _of_position_alone(actual.topology, law):
                 if actual.topology.sprung:
                     rate = rate_about_axis(actual.topology, state, law.coordinate)
                 power = power + force * rate
@@ -166,6 +166,20 @@ def law_energy(actual: ModelWithErrors, position: Coordinates) -> Float[Array, "
     for spring in tree_springs(actual):
         energy = energy + spring.energy(jnp.stack([position.joints[k] for k in spring.places]))
     return energy
+
+
+def law_work(actual: ModelWithErrors, position: Coordinates) -> list[Float[Array, ""]]:
+    """Works [J] of the laws that depend on a joint's position alone, from any fixed one."""
+    if actual.forces is None:
+        return []
+    laws = [law for law in actual.forces.laws.values() if _of_position_alone(actual.topology, law)]
+    return [actual.forces.share * law.work(position.joints[law.place]) for law in laws]
+
+
+def _of_position_alone(topology: Topology, law: JointLaw) -> TypeGuard[TableLaw]:
+    """Whether the work of a law from outside is a function of its coordinate: of a table, where no sprung tilt turns
+    what it acts about."""
+    return isinstance(law, TableLaw) and not topology.sprung
 
 
 def law_tangent(

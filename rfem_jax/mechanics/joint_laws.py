@@ -63,6 +63,10 @@ class TableLaw(JointLaw):
         del rate
         return between_rows(self.positions, self.forces, position)
 
+    def work(self, position: Float[Array, ""]) -> Float[Array, ""]:
+        """Work [J] done from the first row to a position."""
+        return work_from_first_row(self.positions, self.forces, position)
+
 
 def between_rows(
     positions: Float[Array, " rows"], forces: Float[Array, " rows"], position: Float[Array, ""]
@@ -75,6 +79,17 @@ def between_rows(
     share = (at - positions[:-1]) / (positions[1:] - positions[:-1])
     values = forces[:-1] + share * (forces[1:] - forces[:-1])
     return jnp.sum(jnp.where(row, values, 0.0))
+
+
+def work_from_first_row(
+    positions: Float[Array, " rows"], forces: Float[Array, " rows"], position: Float[Array, ""]
+) -> Float[Array, ""]:
+    """Integral of the force of a table, as `between_rows`, from its first row to a position."""
+    way = jnp.clip(position, positions[:-1], positions[1:]) - positions[:-1]
+    slope = (forces[1:] - forces[:-1]) / (positions[1:] - positions[:-1])
+    outside = forces[0] * jnp.minimum(position - positions[0], 0.0)
+    outside = outside + forces[-1] * jnp.maximum(position - positions[-1], 0.0)
+    return jnp.sum((forces[:-1] + 0.5 * slope * way) * way) + outside
 
 
 class FunctionLaw(JointLaw):

@@ -13,6 +13,7 @@ of motion of the rfes 0 alone, whose elastic wrenches the accelerations needed a
 """
 
 from collections.abc import Sequence
+from functools import reduce
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
@@ -26,11 +27,11 @@ from rfem_jax.mechanics.algebra import apply, apply_transposed, cross, dot, scal
 from rfem_jax.mechanics.clearances import clearance_name
 from rfem_jax.mechanics.cut_joints import Closure, columns, cut_spring_energy
 from rfem_jax.mechanics.dynamics import Accelerations, link_axes
-from rfem_jax.mechanics.element_loads import FrameLoads, frame_energy
+from rfem_jax.mechanics.element_loads import FrameLoads, frame_energy, frame_work
 from rfem_jax.mechanics.elements import elasticity
 from rfem_jax.mechanics.friction import joint_wrenches
 from rfem_jax.mechanics.inputs import DriveInput
-from rfem_jax.mechanics.joint_forces import CutForces, LawForces, hinge_moments, law_energy, outside_forces
+from rfem_jax.mechanics.joint_forces import CutForces, LawForces, hinge_moments, law_energy, law_work, outside_forces
 from rfem_jax.mechanics.kinematics import Motion, all_frames, motion_of, spread, total
 from rfem_jax.mechanics.model import BASE, Coordinates, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
@@ -359,6 +360,14 @@ def energies(actual: ModelWithErrors, state: State) -> Energies:
         elastic=_elastic_energy(actual, state.position, motion),
         gravity=-jnp.sum(actual.mass * dot(actual.gravity[:, None], from_datum)),
     )
+
+
+def known_work(actual: ModelWithErrors, state: State) -> Float[Array, ""] | None:
+    """Work [J] of tables over position, which is a function of the position, from any fixed one; None without any."""
+    works = law_work(actual, state.position)
+    if actual.frame_forces is not None:
+        works = works + frame_work(actual, motion_of(actual, state))
+    return reduce(jnp.add, works) if works else None
 
 
 def _elastic_energy(actual: ModelWithErrors, position: Coordinates, motion: Motion) -> Float[Array, ""]:

@@ -27,7 +27,7 @@ from rfem_jax.description.point_forces import (
 )
 from rfem_jax.mechanics.algebra import Scalar, apply, dot
 from rfem_jax.mechanics.frame_forces import FrameForce, NodeFrame, Pose, Time
-from rfem_jax.mechanics.joint_laws import between_rows
+from rfem_jax.mechanics.joint_laws import between_rows, work_from_first_row
 
 
 class PointLaw(FrameForce):
@@ -102,6 +102,9 @@ class TableBetween(PointLaw):
         del rate
         return between_rows(self.lengths, self.forces, length)
 
+    def work(self, pose: Pose) -> Float[Array, ""]:
+        return -work_from_first_row(self.lengths, self.forces, _length(pose)[0])
+
 
 class FunctionBetween(PointLaw):
     """A user's function of length and rate."""
@@ -127,6 +130,10 @@ class TimeVector(eqx.Module):
         """Times [s] > 0 at which it jumps."""
         return self.times
 
+    def rows(self) -> tuple[float, ...]:
+        """Times [s] at which its slope jumps."""
+        return ()
+
 
 class ConstantVector(TimeVector):
     """The same at all times."""
@@ -150,6 +157,9 @@ class TableVector(TimeVector):
 
     def breakpoints(self) -> tuple[float, ...]:
         return (*(self.times[row] for row in self._jump_rows()), self.times[-1])
+
+    def rows(self) -> tuple[float, ...]:
+        return self.times
 
     def at(self, time: Time) -> Float[Array, "3"]:
         phase, jumps = time.phase(self.breakpoints()), np.array(self._jump_rows(), int)
@@ -207,6 +217,12 @@ def breakpoints_of(elements: dict[str, FrameForce] | None) -> tuple[float, ...]:
     """Times [s] > 0 at which any element's function of time jumps, increasing."""
     given = [element for element in (elements or {}).values() if isinstance(element, GivenLoad)]
     return tuple(sorted({time for element in given for time in element.value.breakpoints()}))
+
+
+def rows_of(elements: dict[str, FrameForce] | None) -> tuple[float, ...]:
+    """Times [s] of the rows of all tables over time."""
+    given = [element for element in (elements or {}).values() if isinstance(element, GivenLoad)]
+    return tuple(time for element in given for time in element.value.rows())
 
 
 def spring_between(force: BetweenPoints, parent: NodeFrame, child: NodeFrame) -> PointLaw:

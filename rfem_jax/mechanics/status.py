@@ -18,7 +18,7 @@ class Status(NamedTuple):
 
 OK, NOT_ASSEMBLED, WRONG_SIDE, DIVERGED, DRIFTED, STEPS_EXHAUSTED, OUT_OF_RANGE, NOT_CONVERGED = range(8)
 NOT_CLOSED, DESIGN_OUT_OF_RANGE, CONTACT_NOT_RESOLVED, PAST_LIMIT = 8, 9, 10, 11
-CANNOT_CLOSE, NO_EQUILIBRIUM = 12, 13
+CANNOT_CLOSE, NO_EQUILIBRIUM, NOT_BALANCED = 12, 13, 14
 
 STATUS: tuple[Status, ...] = (
     Status("ok", "The run is complete and passed its checks."),
@@ -76,7 +76,7 @@ STATUS: tuple[Status, ...] = (
     ),
     Status(
         "contact_not_resolved",
-        "The energy of a mechanism with clearance is off by more than a twentieth. Usually the steps are too long for "
+        "The energy of a mechanism with clearance is off by more than 3 %. Usually the steps are too long for "
         "its contacts, which last some ten microseconds where parts of steel strike: take the implicit method, whose "
         "steps follow contacts, with a smaller `contact_tolerance`, an adaptive method, or steps of a tenth of that.",
     ),
@@ -96,5 +96,12 @@ STATUS: tuple[Status, ...] = (
         "The rigid links have no static equilibrium that can be found: nothing holds a freedom, as of a body that "
         'slides down a guide or hangs on a ball joint alone. Let it start as given (start = "as_given"), or hold it by '
         "a spring or a drive.",
+    ),
+    Status(
+        "not_balanced",
+        "The energies, or the joint forces and the rate of momentum, are off by more than 3 % of what is exchanged or "
+        "carried. Usually the step is too long for the motion, for a stiff stop, or for a table over "
+        "position whose rows are passed within it: halve it until the balances are far below a hundredth, or take the "
+        'method "auto"; a rigid mechanism at a change point does the same.',
     ),
 )

@@ -36,10 +36,12 @@ from rfem_jax.mechanics.status import OK
 from rfem_jax.simulation import integration
 from rfem_jax.simulation.driving import Drive, require_driven
 from rfem_jax.simulation.integration import Prepared
+from rfem_jax.simulation.run import REMARKABLE_BALANCE
+from rfem_jax.simulation.sampled_laws import steps_that_see
 from rfem_jax.simulation.solvers.generalised_alpha import ACCURACY_OF_TOLERANCE
 from rfem_jax.simulation.stability import largest_stable_step, round_down
 from rfem_jax.simulation.stepping import Carry
-from rfem_jax.simulation.time_grid import TimeGrid
+from rfem_jax.simulation.time_grid import ROUNDING, TimeGrid
 
 TRIAL_INTERVALS = 50
 FIRST, LAST = 2, 256  # steps in an interval
@@ -47,6 +49,7 @@ FEW = 32  # up to so many, running a quickly compiled program takes less time th
 # Changes are relative to the load of the joint, but at least to this share of the largest load of its kind.
 SMALL_LOAD = 0.05
 SMALL_MOMENT = 0.01  # likewise of the largest force times the longest link
+ENERGY = 5e-3  # error of the energy balance that is always good enough
 TRIAL_TILT, TRIAL_SHIFT = 2e-3, 5e-4  # rad; shares of the longest link
 
 
@@ -84,7 +87,8 @@ def choose_method(
     if step is None and isinstance(errors, Mapping):  # of samples, any may fail with all steps
         step = _longest_step(model, implicit, drive, duration, accuracy, None)
     if step is not None:
-        return replace(implicit, step=min(float(round_down(step)), longest))
+        step = min(float(round_down(step)), longest)
+        return replace(implicit, step=step, steps_per_row=_steps_per_row(model, implicit, drive, duration, step))
     require_implicit(
         model,
         "auto",
@@ -108,34 +112,71 @@ def choose_method(
 def _longest_step(model, method: Method, drive, duration, accuracy, errors) -> float | None:
     errors = _assemblies(model, errors)
     length = float(np.max(np.asarray(model.length)))
+    method, grid = _trial_grid(model, method, drive, duration)
     interval = duration / TRIAL_INTERVALS
-    method = replace(method, step=interval)
-    grid, _ = integration.grid_for(drive, duration, method, interval, model)
+    first = _first_steps(model, drive, grid, interval)
     started = prepare_trials.ahead(model, errors, drive, method)
     if started is not None:  # compile both side by side
         prepared, carry = started
-        loads_of_few_steps.ahead(model, prepared, drive, carry, grid, method, jnp.asarray(FIRST, jnp.float64))
+        loads_of_few_steps.ahead(model, prepared, drive, carry, *_trial(grid, first, interval, method))
     prepared, carry = prepare_trials(model, errors, drive, method)
 
     def loads(steps):
-        # Traced: one program for all steps.
-        count = jnp.asarray(steps, jnp.float64)
         program = loads_of_few_steps if steps <= FEW else loads_of_trials
-        found = program(model, prepared, drive, carry, grid, method, count)
-        loads, residual, assembled = map(np.asarray, found)
+        found = program(model, prepared, drive, carry, *_trial(grid, steps, interval, method))
+        loads, residual, energy, assembled = map(np.asarray, found)
         # Trial errors that rigid links cannot be assembled with say nothing about the step.
         used = assembled if assembled.any() else np.ones_like(assembled)
-        return loads[used], residual[used].max()
+        return loads[used], residual[used].max(), energy[used].max()
 
-    steps, (before, _), error = FIRST, loads(FIRST), None
+    share_of_energy = accuracy / min(max(accuracy, ENERGY), REMARKABLE_BALANCE)
+    steps, (before, _, energy), error = first, loads(first), None
     while steps < LAST:
         steps *= 2
-        now, residual = loads(steps)
+        now, residual, finer_energy = loads(steps)
         error, longer_step = 4.0 / 3.0 * estimate_change(before, now, length), error
+        error = max(error, share_of_energy * (energy if np.isfinite(energy) else np.inf))
         if error <= accuracy and residual <= accuracy:
             return 0.9 * _longer(error, longer_step, accuracy) * interval / (steps / 2)
-        before = now
+        before, energy = now, finer_energy
     return None
+
+
+def _first_steps(model: Model, drive: Drive, grid: TimeGrid, interval: float) -> int:
+    """Number of steps in an interval [s] of the first trial: such that no peak of a function of time lies between two.
+
+    **Raises:** `InputError` for a function whose peak would lie between steps of all trials.
+    """
+    seen = steps_that_see(model, drive, grid, LAST // 2)
+    if seen is None:
+        raise InputError(
+            f"Argument `drive` must be a function that changes slowly enough for steps of {interval / LAST:.3g} s, the "
+            'shortest that "auto" tries, but it (or a force that is a function of time) has a narrower peak; give the '
+            "times around it as `breakpoints`, give a table, or take a method with a `step`."
+        )
+    return max(seen, FIRST)
+
+
+def _trial_grid(model: Model, method: Method, drive: Drive, duration: float) -> tuple[Method, TimeGrid]:
+    """Method and intervals of the trials."""
+    interval = duration / TRIAL_INTERVALS
+    method = replace(method, step=interval)
+    return method, integration.grid_for(drive, duration, method, interval, model)[0]
+
+
+def _trial(grid: TimeGrid, steps: int, interval: float, method: Method) -> tuple[TimeGrid, Method, Float[Array, ""]]:
+    """Grid, method and number of steps of a trial, whose steps are half as long as with half the number everywhere."""
+    grid = grid.with_steps_per_row(steps // FIRST)
+    share = 1.0 if grid.parts is None else float(grid.distinct.max()) / interval
+    return grid, method, jnp.asarray(share * steps, jnp.float64)  # traced: one program for all steps
+
+
+def _steps_per_row(model: Model, method: Method, drive: Drive, duration: float, step: float) -> int | None:
+    """Number of steps between two rows of a table that goes with a step [s], as in the trials; None where no interval
+    of these is cut."""
+    if _trial_grid(model, method, drive, duration)[1].parts is None:
+        return None
+    return int(np.ceil(duration / TRIAL_INTERVALS / FIRST / step * (1.0 - ROUNDING)))
 
 
 def _longer(error: float, error_of_twice: float | None, accuracy: float) -> float:
@@ -194,11 +235,12 @@ def rms_loads(
     grid: TimeGrid,
     method: Method,
     steps: Float[Array, ""],
-) -> tuple[Float[Array, "cases 2 joints"], Float[Array, " cases"], Bool[Array, " cases"]]:
+) -> tuple[Float[Array, "cases 2 joints"], Float[Array, " cases"], Float[Array, " cases"], Bool[Array, " cases"]]:
     """RMS forces [N] and moments [N m] of several assemblies, by the implicit method with a number of steps in every
     interval that may be traced.
 
-    **Returns:** the loads; the largest residual over the largest joint force; whether the mechanism was assembled.
+    **Returns:** the loads; the largest residual over the largest joint force; the error of the energy balance; whether
+    the mechanism was assembled.
     """
 
     def one(errors):
@@ -223,7 +265,7 @@ def loads_of_trials(
     grid: TimeGrid,
     method: Method,
     steps: Float[Array, ""],
-) -> tuple[Float[Array, "cases 2 joints"], Float[Array, " cases"], Bool[Array, " cases"]]:
+) -> tuple[Float[Array, "cases 2 joints"], Float[Array, " cases"], Float[Array, " cases"], Bool[Array, " cases"]]:
     """`rms_loads` from what `prepare_trials` gives."""
 
     def one(prepared, carry):
@@ -243,7 +285,7 @@ def _prepared(model, errors, drive, method: Method) -> tuple[Prepared, Carry]:
 
 
 def _loads_of(model, prepared: Prepared, drive, carry: Carry, grid, method: Method, steps):
-    carry = integration.advance_unobserved(model, prepared.actual, drive, carry, grid, method, steps)
+    carry, energy = integration.advance_unobserved(model, prepared.actual, drive, carry, grid, method, steps)
     metrics = integration.metrics_of(model, carry, grid.starts[-1] + grid.lengths[-1])
     force = jnp.stack(list(metrics.rms_force.values()))
     moment = jnp.stack(list(metrics.rms_moment.values()))
@@ -251,4 +293,5 @@ def _loads_of(model, prepared: Prepared, drive, carry: Carry, grid, method: Meth
     if model.friction is not None:
         largest = jnp.maximum(largest, jnp.max(moment) / jnp.max(model.length))
     residual = carry.residual / jnp.where(largest > 0.0, largest, 1.0)
-    return jnp.stack([force, moment]), residual, prepared.status == OK
+    balance = integration.balance_error(model, energy, largest)
+    return jnp.stack([force, moment]), residual, balance, prepared.status == OK

@@ -85,7 +85,7 @@ def run_cases(
         runs = with_limit(_run_with_parameters(model, errors, drive, study, method, asked), model, drive)
         return model, Runs({case.name: one_of(runs, i) for i, case in enumerate(study.cases)})
     unfinished = Unfinished(keep, (model, errors, drive, study.duration, method, study.save_every))
-    method, steps = of_any_step(method, grid, steps)
+    method, grid, steps = of_any_step(method, grid, steps)
     _compile_ahead(model, errors, drive, grid, method, steps, asked)
     prepared, carry = _prepare(model, errors, drive, method)
     try:

@@ -26,7 +26,7 @@ from rfem_jax.mechanics.designs import Design
 from rfem_jax.mechanics.frame_forces import Time as Instant
 from rfem_jax.mechanics.inputs import DriveInput
 from rfem_jax.mechanics.model import Model, Topology
-from rfem_jax.mechanics.point_laws import breakpoints_of, changing
+from rfem_jax.mechanics.point_laws import breakpoints_of, changing, rows_of
 
 
 class ActiveDrives(eqx.Module):
@@ -83,6 +83,13 @@ def all_jumps(drive: Drive, model: Model | None) -> tuple[float, ...]:
     """Times [s] > 0 at which a drive or a force of the model jumps, increasing."""
     of_forces = () if model is None else breakpoints_of(model.frame_forces)
     return merged([*of_forces, *(time for one in each_drive(drive) for time in one.breakpoints())])
+
+
+def all_step_ends(drive: Drive, model: Model | None, interval: float) -> tuple[float, ...]:
+    """Times [s] that are ends of steps in intervals of a length [s], beside the jumps: rows of tables over time, and
+    places within a short rise."""
+    of_forces = () if model is None else rows_of(model.frame_forces)
+    return merged([*of_forces, *(time for one in each_drive(drive) for time in one.step_ends(interval))])
 
 
 def prescribed_coordinates(topology: Topology, drive: Drive) -> tuple[int, ...]:

@@ -10,6 +10,7 @@ With fixed steps all transforms of JAX apply (jit, vmap, forward and reverse mod
 state at the end of every interval, with an implicit method of every step, and computes again what lies between.
 """
 
+import dataclasses
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
@@ -24,7 +25,7 @@ from rfem_jax.compilation.program import Program
 from rfem_jax.description.driven_motions import Drive
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.mechanism import AS_GIVEN
-from rfem_jax.description.methods import Method
+from rfem_jax.description.methods import GeneralisedAlphaMethod, Method
 from rfem_jax.description.precision import require_float64
 from rfem_jax.mechanics import loads
 from rfem_jax.mechanics.bush_contacts import with_memory
@@ -50,6 +51,7 @@ from rfem_jax.mechanics.status import (
     DESIGN_OUT_OF_RANGE,
     DIVERGED,
     DRIFTED,
+    NOT_BALANCED,
     NOT_CONVERGED,
     OK,
     OUT_OF_RANGE,
@@ -57,13 +59,14 @@ from rfem_jax.mechanics.status import (
 )
 from rfem_jax.simulation import equations
 from rfem_jax.simulation.batches import like_batched
-from rfem_jax.simulation.driving import active_drives, all_jumps, drive_of_design, require_driven
+from rfem_jax.simulation.driving import active_drives, all_jumps, all_step_ends, drive_of_design, require_driven
 from rfem_jax.simulation.equations import Conditions, Scalar, Trajectory
 from rfem_jax.simulation.locking import with_limit
-from rfem_jax.simulation.observation import Record, observe
+from rfem_jax.simulation.observation import Record, energy_at, observe
 from rfem_jax.simulation.packing import pack, unpack
 from rfem_jax.simulation.records import finished_records, instant_records, require_records
 from rfem_jax.simulation.run import (
+    BALANCE_LIMIT,
     RESIDUAL_LIMIT,
     DriveHistory,
     DrivenJoint,
@@ -77,11 +80,12 @@ from rfem_jax.simulation.run import (
 from rfem_jax.simulation.solvers.catalogue import observed_solver
 from rfem_jax.simulation.solvers.implicit_step import Memory
 from rfem_jax.simulation.stabilisation import stabilisation_of
-from rfem_jax.simulation.stepping import Carry, repeated, step_intervals
-from rfem_jax.simulation.time_grid import TimeGrid, divide_time, of_any_step
+from rfem_jax.simulation.stepping import Carry, entries_of, last_step, repeated, step_intervals
+from rfem_jax.simulation.time_grid import TimeGrid, divide_time, longest_interval, of_any_step
 
 DRIFT_LIMIT = 1e-6
-CONTACT_BALANCE_LIMIT = 0.05  # of the largest energy; a single impact then loses its speed within a hundredth
+# Of the largest joint force times the longest link: where less energy moves, errors of this size say nothing.
+LEAST_EXCHANGE = 1e-3
 
 
 class Prepared(NamedTuple):
@@ -177,14 +181,18 @@ def grid_for(
             f"Argument `method` must have a step or tolerances here, but {method.name!r} has none; "
             "replace it by `choose_method(model, method, drive, duration)`, which chooses the step."
         )
+    rows = all_step_ends(drive, model, longest_interval(duration, method.step, save_every))
+    per_row = method.steps_per_row if isinstance(method, GeneralisedAlphaMethod) else None
     from_start = model is not None and model.friction is not None
-    return divide_time(duration, method.step, save_every, all_jumps(drive, model), method.implicit, from_start)
+    return divide_time(
+        duration, method.step, save_every, all_jumps(drive, model), method.implicit, from_start, rows, per_row
+    )
 
 
 @partial(ProgramInParts, nameless=True)
 def _simulate(run, model, errors, drive, grid, start, method, steps, any_step, adjoint, record):
-    """`any_step`: method and steps for parts."""
-    method, steps = any_step if in_parts(run) else (method, steps)
+    """`any_step`: method, grid and steps for parts."""
+    method, grid, steps = any_step if in_parts(run) else (method, grid, steps)
     prepared, carry, ends = integrated(run, model, errors, drive, grid, start, method, steps, adjoint)
     return run(_concluded, model, prepared, drive, carry, ends, grid, method, steps, record)
 
@@ -286,7 +294,7 @@ def advance(
 
     # Steps of an implicit method have checkpoints of their own.
     by_step = method.implicit and not method.adaptive
-    carry, ends = jax.lax.scan(interval if by_step else repeated(interval), carry, _entries(grid))
+    carry, ends = jax.lax.scan(interval if by_step else repeated(interval), carry, entries_of(grid))
     return carry, unpack(ends, IntervalEnd(carry.trajectory, carry.memory))
 
 
@@ -298,17 +306,18 @@ def advance_unobserved(
     grid: TimeGrid,
     method: Method,
     steps: int | Float[Array, ""],
-) -> Carry:
-    """Integrate without records; `steps`, in an interval, may be traced with an implicit method (then not in reverse
-    mode)."""
+) -> tuple[Carry, Energy]:
+    """Integrate without records but the energies at the ends of the intervals; `steps`, in an interval, may be traced
+    with an implicit method (then not in reverse mode)."""
     step_over = step_intervals(model, actual, drive, grid, method, steps, None)
-    return jax.lax.scan(lambda carry, entry: (step_over(carry, entry), None), carry, _entries(grid))[0]
 
+    def interval(carry, entry):
+        carry = step_over(carry, entry)
+        state, integrals = State(carry.trajectory.position, carry.trajectory.velocity), carry.trajectory.integrals
+        return carry, (state, integrals.work, integrals.dissipation)
 
-def _entries(grid: TimeGrid) -> tuple[Array, Array, Array, Array]:
-    """Entries of `step_intervals`, with a first axis of intervals."""
-    starts, lengths, phases, kinds = (jnp.asarray(x) for x in (grid.starts, grid.lengths, grid.phases, grid.kinds))
-    return starts, lengths, phases, kinds
+    carry, ends = jax.lax.scan(interval, carry, entries_of(grid))
+    return carry, jax.lax.map(lambda end: energy_at(actual, *end), ends)
 
 
 def observe_ends(
@@ -331,12 +340,12 @@ def observe_ends(
 
     @jax.checkpoint
     def record(entry_and_end):
-        (start, length, phase, _), end = entry_and_end
+        entry, end = entry_and_end
         here = actual
         if end.memory is not None and end.memory.contacts is not None:
             here = with_memory(actual, end.memory.contacts)
-        conditions = Conditions(here, drives, phase, stabilisation)
-        t, h = start + length, length / steps
+        conditions = Conditions(here, drives, entry.phase, stabilisation)
+        t, h = entry.start + entry.length, last_step(grid, entry, steps)
         squares, state, now, instant = solver.instant(t, h, end.trajectory, end.memory, conditions)
         seen = observe(here, state, now, end.trajectory.integrals, instant, squares)
         return seen._replace(asked=instant_records(model, actual, state, instant, asked)) if asked else seen
@@ -348,7 +357,7 @@ def observe_ends(
         forms.append(jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), seen))
         return pack(seen)
 
-    records = jax.lax.map(packed, (_entries(grid), ends))
+    records = jax.lax.map(packed, (entries_of(grid), ends))
     return unpack(records, forms[0])
 
 
@@ -369,9 +378,16 @@ def conclude(
     carry = carry._replace(peaks=jnp.maximum(carry.peaks, jnp.max(record.squares, axis=0)))
     record = jax.tree.map(lambda x: rows(x, grid.saved), record)
     times = rows(jnp.asarray(grid.starts + grid.lengths), grid.saved)
-    energy, drift, error = record.energy, jnp.max(record.drift), _balance_error(record.energy)
-    residual = carry.residual / _safe(_force_scale(model, prepared, carry, energy, times, grid, steps))
-    relative = jnp.max(record.momentum_residual, axis=0) / _safe(jnp.max(record.largest_load, axis=0))
+    # Since the start: the work of tables over position is known up to a constant.
+    energy = dataclasses.replace(record.energy, work=record.energy.work - record.energy.work[0])
+    drift = jnp.max(record.drift)
+    largest = _force_scale(model, prepared, carry, energy, times, grid.shortest_step(steps))
+    error = balance_error(model, energy, largest)
+    residual = carry.residual / _safe(largest)
+    # Of a hinge at the origin, which has no arm there, a moment is compared with its force on the longest link.
+    force, moment = jnp.max(record.largest_load, axis=0)
+    moment = moment + force * length_scale(model)
+    momentum = jnp.max(jnp.max(record.momentum_residual, axis=0) / _safe(jnp.stack([force, moment])))
     drives = _histories(model, record)
     first = next(iter(drives.values()), DriveHistory(0.0 * times, 0.0 * times, record.drive_forces[0]))
     return Run(
@@ -390,13 +406,13 @@ def conclude(
         energy_balance_error=error,
         closure_drift=drift,
         closure_drift_angle=jnp.max(record.drift_angle),
-        momentum_balance_error=jnp.max(relative),
-        hinge_moment_error=jnp.max(record.hinge_residual) / _safe(jnp.max(record.largest_load[:, 1])),
+        momentum_balance_error=momentum,
+        hinge_moment_error=jnp.max(record.hinge_residual) / _safe(moment),
         stabilisation_share=jnp.max(record.stabilising) / _safe(jnp.max(record.multiplier)),
         solution_residual=residual,
         linear_error=linear_error(record.linear),
         equation_residual=record.residual,
-        status=_status(model, prepared, carry, error, drift, jnp.max(record.range_used), residual),
+        status=_status(model, prepared, carry, (error, momentum), drift, jnp.max(record.range_used), residual),
         ends={name: record.ends[:, :, l] for l, name in enumerate(model.link_names)},
         forces=record.forces,
         contacts=record.contacts,
@@ -438,13 +454,14 @@ def metrics_of(model: Model, carry: Carry, duration: Scalar) -> Metrics:
     )
 
 
-def _status(model, prepared: Prepared, carry: Carry, error, drift, used, residual):
-    finite = jnp.isfinite(error) & jnp.all(jnp.isfinite(carry.peaks))
+def _status(model, prepared: Prepared, carry: Carry, balances, drift, used, residual):
+    energy, momentum = balances
+    finite = jnp.isfinite(energy) & jnp.all(jnp.isfinite(carry.peaks))
     for leaf in jax.tree.leaves(carry.trajectory):
         finite = finite & jnp.all(jnp.isfinite(leaf))
     code = jnp.where(drift < DRIFT_LIMIT * length_scale(model), OK, DRIFTED)
-    if model.topology.clearances:
-        code = jnp.where(error < CONTACT_BALANCE_LIMIT, code, CONTACT_NOT_RESOLVED)
+    code = jnp.where(momentum < BALANCE_LIMIT, code, NOT_BALANCED)
+    code = jnp.where(energy < BALANCE_LIMIT, code, CONTACT_NOT_RESOLVED if model.topology.clearances else NOT_BALANCED)
     code = jnp.where(residual < RESIDUAL_LIMIT, code, NOT_CONVERGED)
     code = jnp.where(used < 1.0, code, OUT_OF_RANGE)
     code = jnp.where(carry.exhausted, STEPS_EXHAUSTED, code)
@@ -463,28 +480,28 @@ def _force_scale(
     carry: Carry,
     energy: Energy,
     times: Float[Array, " times"],
-    grid: TimeGrid,
-    steps: int | Float[Array, ""],
+    shortest: Float[Array, ""],
 ) -> Float[Array, ""]:
     """What a residual force is compared with [N]: the largest joint force, and for free links, whose joints carry
     none, their kinetic energy over the longest link; friction may be the only load, an RMS moment over that link; where
-    nothing acts, joints carry what rounding amounts to in the shortest step."""
+    nothing acts, joints carry what rounding amounts to in the `shortest` step [s]."""
     largest = largest_force(carry)
     if model.friction is not None:
         mean_square = jnp.max(carry.trajectory.integrals.moment_square) / times[-1]
         largest = jnp.maximum(largest, equations.safe_sqrt(mean_square) / length_scale(model))
     if carry.memory is not None:
-        lengths = jnp.asarray(grid.lengths)
-        shortest = jnp.min(jnp.where(lengths > 0.0, lengths, jnp.inf)) / steps
         largest = jnp.maximum(largest, rounding_force(prepared.actual, length_scale(model), shortest))
     if "free" not in model.topology.kinds:
         return largest
     return jnp.maximum(largest, jnp.max(energy.kinetic) / length_scale(model))
 
 
-def _balance_error(energy: Energy) -> Float[Array, ""]:
+def balance_error(model: Model, energy: Energy, largest: Float[Array, ""]) -> Float[Array, ""]:
+    """Error of the energy balance over the energy that is exchanged, or over a share of the work of the `largest` joint
+    force [N] over the longest link."""
     balance = energy.total - energy.work + energy.dissipation
-    return jnp.max(jnp.abs(balance - balance[0])) / _safe(jnp.max(jnp.abs(energy.total)))
+    least = LEAST_EXCHANGE * largest * length_scale(model)
+    return jnp.max(jnp.abs(balance - balance[0])) / _safe(jnp.maximum(energy.exchanged, least))
 
 
 def _safe(value):

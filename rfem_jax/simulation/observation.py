@@ -170,7 +170,6 @@ def observe(
     with jax.named_scope("observation"):
         topology = actual.topology
         joint, now = instant.loads, instant.motion
-        parts = loads.energies(actual, state)
         force, moment = loads.momentum_residual(actual, state, instant.accelerations, instant.base, instant.frame_loads)
         largest_force = equations.safe_sqrt(jnp.max(jnp.sum(joint.force**2, axis=0)))
         largest_moment = equations.safe_sqrt(jnp.max(jnp.sum(joint.moment**2, axis=0)))
@@ -180,7 +179,7 @@ def observe(
             joint_rates=state.velocity.joints,
             drive_forces=equations.drive_forces(topology, drive, joint, instant),
             loads=joint,
-            energy=Energy(*parts, integrals.work, integrals.dissipation),
+            energy=energy_at(actual, state, integrals.work, integrals.dissipation),
             drift=instant.drift,
             drift_angle=instant.drift_angle,
             momentum_residual=jnp.stack([jnp.max(jnp.abs(force)), jnp.max(jnp.abs(moment))]),
@@ -201,6 +200,12 @@ def observe(
             asked={},
             contacts=contact_states(actual, now),
         )
+
+
+def energy_at(actual: ModelWithErrors, state: State, work: Float[Array, ""], dissipation: Float[Array, ""]) -> Energy:
+    """Energies [J] of one instant, from the integrals of the powers since the start; work up to a constant."""
+    tables = loads.known_work(actual, state)
+    return Energy(*loads.energies(actual, state), work if tables is None else work + tables, dissipation)
 
 
 def _point_histories(topology: Topology, at_nodes: FrameLoads | None) -> dict[str, PointHistory]:

@@ -33,12 +33,14 @@ from rfem_jax.simulation.driving import Drive, active_drives
 from rfem_jax.simulation.equations import Conditions, Scalar, Trajectory
 from rfem_jax.simulation.solvers.catalogue import observed_solver
 from rfem_jax.simulation.solvers.contact_steps import follow_contacts, part_lengths
+from rfem_jax.simulation.solvers.generalised_alpha import GeneralisedAlpha
 from rfem_jax.simulation.solvers.implicit_step import SOLUTION, Memory
 from rfem_jax.simulation.solvers.recorded_steps import RecordedSteps
 from rfem_jax.simulation.stabilisation import stabilisation_of
-from rfem_jax.simulation.time_grid import TimeGrid
+from rfem_jax.simulation.time_grid import TimeGrid, steps_of_parts
 
 MAX_ADAPTIVE_STEPS = 100_000
+MOST_LENGTHS = 64  # of steps, for which operators are formed at the start; of more, in every step
 MOST_OPERATIONS = 20_000  # scalar operations of a right-hand side that compile within seconds
 
 
@@ -46,8 +48,8 @@ class Carry(NamedTuple):
     """State of the integration between two intervals.
 
     trajectory; peaks: maxima of the squares of `equations.squared_loads`; exhausted: whether an adaptive method, or
-    one that follows contacts, ran out of steps; last_step [s] of an adaptive method; memory of an implicit method
-    (None for others).
+    one that follows contacts, ran out of steps; last_step [s] of an adaptive method, or of intervals in parts; memory
+    of an implicit method (None for others).
     """
 
     trajectory: Trajectory
@@ -68,8 +70,31 @@ class Carry(NamedTuple):
         return None if following is None else following.changes
 
 
-# start [s], length [s], phase of the drive, and index of the length among the distinct ones, of an interval
-Entry = tuple[Float[Array, ""], Float[Array, ""], Int[Array, ""], Int[Array, ""]]
+class Entry(NamedTuple):
+    """An interval of the time grid: start [s], length [s], phase of the drive, index of the length among the distinct
+    ones; lengths [s] and these indices of its parts, None where intervals have none."""
+
+    start: Float[Array, ""]
+    length: Float[Array, ""]
+    phase: Int[Array, ""]
+    kind: Int[Array, ""]
+    parts: tuple[Float[Array, " parts"], Int[Array, " parts"]] | None
+
+
+def entries_of(grid: TimeGrid) -> Entry:
+    """All intervals of a grid, along a first axis."""
+    parts = None if grid.parts is None else (jnp.asarray(grid.parts.lengths), jnp.asarray(grid.parts.kinds))
+    return Entry(*(jnp.asarray(x) for x in (grid.starts, grid.lengths, grid.phases, grid.kinds)), parts)
+
+
+def last_step(grid: TimeGrid, entry: Entry, steps: int | Float[Array, ""]) -> Float[Array, ""]:
+    """Length [s] of the last step of an interval."""
+    if grid.parts is None or entry.parts is None:
+        return entry.length / steps
+    lengths, kinds = entry.parts
+    counts = jnp.asarray(steps_of_parts(grid.distinct, steps, grid.parts.least))[kinds]
+    last = jnp.maximum(jnp.sum((counts > 0.0).astype(jnp.int32)) - 1, 0)
+    return _row(lengths / jnp.maximum(counts, 1.0), last)
 
 
 def step_intervals(
@@ -87,21 +112,32 @@ def step_intervals(
     drives = active_drives(model, drive)
     stabilisation = stabilisation_of(model, method)
     solver = observed_solver(method)
-    lengths = jnp.asarray(grid.distinct) / steps
+    counts = steps
+    if grid.parts is not None:
+        counts = jnp.asarray(steps_of_parts(grid.distinct, steps, grid.parts.least))
+    lengths = jnp.asarray(grid.distinct) / (counts if grid.parts is None else jnp.maximum(counts, 1.0))
     ahead = None if model.friction is None else grid.longest_step(steps)
     tolerance = contact_tolerance_of(model, method)
-    if tolerance is not None:
+    if lengths.shape[0] > MOST_LENGTHS:
+        operators = None
+    elif tolerance is not None:
         operators = jax.vmap(lambda parts: solver.operators(actual, parts))(part_lengths(lengths))
     else:
         operators = solver.operators(actual, lengths)
 
+    def of_kind(kind):
+        return jax.tree.map(lambda x: _row(x, kind), operators)
+
     def step_over(carry, entry):
-        start, length, phase, kind = entry
-        chosen = jax.tree.map(lambda x: _row(x, kind), operators)
-        conditions = Conditions(actual, drives, phase, stabilisation, chosen, ahead)
+        conditions = Conditions(actual, drives, entry.phase, stabilisation, ahead=ahead)
         if method.adaptive:
-            return _adaptive(solver, carry, start, length, conditions, method, adjoint)
-        return _fixed(solver, carry, start, length, steps, conditions, tolerance)
+            return _adaptive_in_parts(solver, carry, entry, conditions, method, adjoint)
+        if grid.parts is None:
+            conditions = dataclasses.replace(conditions, operators=of_kind(entry.kind))
+            return _fixed(solver, carry, _even_steps(entry, steps), conditions, tolerance)
+        return _fixed(
+            solver, carry, _steps_in_parts(entry, counts, of_kind, steps, grid.parts.most), conditions, tolerance
+        )
 
     return step_over
 
@@ -151,19 +187,68 @@ def repeated(function: Callable) -> Callable:
     return jax.checkpoint(function, policy=kept, prevent_cse=False)
 
 
-def _fixed(solver, carry: Carry, start, length, steps, conditions, tolerance=None) -> Carry:
-    """One interval in steps of equal length; `steps` may be traced (then not in reverse mode).  With a `tolerance` they
-    are divided where contacts need it (not in reverse mode, either)."""
+class Schedule(NamedTuple):
+    """The steps of an interval.
+
+    step: start [s], length [s], operators (None: those of the conditions) and place within its part of the step of an
+    index; needed: whether the step of an index is one of a method that remembers; count: their number, or more where it
+    is to be static; parts: whether lengths may differ.
+    """
+
+    step: Callable[[Scalar], tuple[Scalar, Scalar, PyTree, Scalar]]
+    needed: Callable[[Scalar], Bool[Array, ""]]
+    count: int | Float[Array, ""]
+    parts: bool
+
+
+def _even_steps(entry: Entry, steps: int | Float[Array, ""]) -> Schedule:
+    """Steps of equal length."""
+    h = entry.length / steps
+
+    def step(index):
+        return entry.start + h * index, h, None, index
+
+    # A step of length zero finds the memory at a start; in an interval of length zero one is enough.
+    return Schedule(step, lambda index: (h > 0.0) | (index == steps - 1.0), steps, False)
+
+
+def _steps_in_parts(
+    entry: Entry, counts, of_kind: Callable, steps: int | Float[Array, ""], most: int | None
+) -> Schedule:
+    """Steps of an interval in parts, with `counts` of the distinct lengths."""
+    assert entry.parts is not None, "of a grid with parts"
+    lengths, kinds = entry.parts
+    numbers = counts[kinds]
+    behind, begins = jnp.cumsum(numbers), entry.start + jnp.cumsum(lengths) - lengths
+    total = jnp.maximum(behind[-1], 1.0)
+
+    def step(index):
+        part = jnp.minimum(jnp.sum((index >= behind).astype(jnp.int32)), len(lengths) - 1)
+        number = _row(numbers, part)
+        h, place = _row(lengths, part) / jnp.maximum(number, 1.0), index - (_row(behind, part) - number)
+        return _row(begins, part) + h * place, h, of_kind(_row(kinds, part)), place
+
+    count = total if most is None or not isinstance(steps, int) else most
+    return Schedule(step, lambda index: index < total, count, True)
+
+
+def _fixed(solver, carry: Carry, schedule: Schedule, conditions, tolerance=None) -> Carry:
+    """One interval in the steps of a schedule; their number may be traced (then not in reverse mode).  With a
+    `tolerance` they are divided where contacts need it (not in reverse mode, either)."""
     terms = diffrax.ODETerm(vector_field)
-    h = length / steps
 
     def step(index, state):
-        y, memory = state
-        t0 = start + h * index
+        y, memory, before = state
+        t0, h, operators, place = schedule.step(index)
+        own = conditions if operators is None else dataclasses.replace(conditions, operators=operators)
+        if schedule.parts and isinstance(solver, GeneralisedAlpha):
+            y, memory = _at_new_length(solver, y, memory, before, h, place, tolerance)
+            before = jnp.where(place >= 0.0, h, before)
         if tolerance is not None:
-            return follow_contacts(part, conditions.actual, t0, h, y, memory, conditions.operators, tolerance)
-        y, _, _, memory, _ = solver.step(terms, t0, t0 + h, y, conditions, memory, jnp.asarray(False))
-        return y, memory
+            y, memory = follow_contacts(part, own.actual, t0, h, y, memory, own.operators, tolerance)
+        else:
+            y, _, _, memory, _ = solver.step(terms, t0, t0 + h, y, own, memory, jnp.asarray(False))
+        return y, memory, before
 
     def part(t0, t1, y, memory, operators):
         own = dataclasses.replace(conditions, operators=operators)
@@ -171,26 +256,51 @@ def _fixed(solver, carry: Carry, start, length, steps, conditions, tolerance=Non
         return y, memory, result == diffrax.RESULTS.successful
 
     def step_if_needed(state, index):
-        if carry.memory is None:
+        if carry.memory is None and not schedule.parts:
             return step(index, state)
-        # A step of length zero finds the memory at a start; in an interval of length zero one is enough.
-        needed = (h > 0.0) | (index == steps - 1.0)
-        return jax.lax.cond(needed, lambda: step(index, state), lambda: state)
+        return jax.lax.cond(schedule.needed(index), lambda: step(index, state), lambda: state)
 
     y = carry.trajectory, carry.peaks
-    state = y, solver.resume(terms, start, start + h, y, conditions, carry.memory)
-    if isinstance(steps, int):
-        indices = jnp.arange(steps, dtype=jnp.float64)
+    zero = jnp.zeros_like(conditions.phase, jnp.float64)
+    t0, h, operators, _ = schedule.step(zero)
+    first = conditions if operators is None else dataclasses.replace(conditions, operators=operators)
+    state = y, solver.resume(terms, t0, t0 + h, y, first, carry.memory), carry.last_step if schedule.parts else None
+    if isinstance(schedule.count, int):
+        indices = jnp.arange(schedule.count, dtype=jnp.float64)
         one = step_if_needed if carry.memory is None else repeated(step_if_needed)
         state, _ = jax.lax.scan(lambda *args: (one(*args), None), state, indices)
     else:
-        count = steps.astype(jnp.int32)
+        count = schedule.count.astype(jnp.int32)
         state = jax.lax.fori_loop(0, count, lambda i, state: step_if_needed(state, i.astype(jnp.float64)), state)
-    (trajectory, peaks), memory = state
+    (trajectory, peaks), memory, before = state
     memory = None if carry.memory is None else memory
     if memory is not None and memory.following is not None:
         carry = carry._replace(exhausted=carry.exhausted | memory.following.exhausted)
+    if before is not None:
+        carry = carry._replace(last_step=before)
     return carry._replace(trajectory=trajectory, peaks=peaks, memory=memory)
+
+
+def _at_new_length(solver: GeneralisedAlpha, y, memory: Memory, before, h, place, tolerance):
+    """State and memory at the start of a step, whose length may differ from that of the step before."""
+    trajectory, peaks = y
+    if tolerance is not None and memory.following is not None:
+        before = jnp.where(place == 0.0, memory.following.length, h)
+        h = jnp.where(place == 0.0, 0.0, h)  # contacts move the method's accelerations to the length of each part
+    trajectory, memory = solver.at_new_length(trajectory, memory, before, h)
+    return (trajectory, peaks), memory
+
+
+def _adaptive_in_parts(solver, carry: Carry, entry: Entry, conditions, method, adjoint) -> Carry:
+    """One interval in steps chosen by the error control, which end where its parts do."""
+    if entry.parts is None:
+        return _adaptive(solver, carry, entry.start, entry.length, conditions, method, adjoint)
+    lengths = entry.parts[0]
+
+    def over(carry, part):
+        return _adaptive(solver, carry, *part, conditions, method, adjoint), None
+
+    return jax.lax.scan(over, carry, (entry.start + jnp.cumsum(lengths) - lengths, lengths))[0]
 
 
 def _adaptive(solver, carry: Carry, start, length, conditions, method, adjoint) -> Carry:

@@ -228,10 +228,10 @@ def test_programs_of_cases_serve_any_step():
         method = Method("generalised_alpha", step=step)
         grid, steps = grid_for(None, 0.01, method, 1e-3)
         taken.append((steps, *of_any_step(method, grid, steps)))
-    (few, first, traced), (more, second, _) = taken
+    (few, first, _, traced), (more, second, *_) = taken
     assert few < more and first == second and int(traced) == few and isinstance(traced, jax.Array)
     explicit = Method("rk4", step=1e-4)
-    assert of_any_step(explicit, grid, 10) == (explicit, 10)
+    assert of_any_step(explicit, grid, 10) == (explicit, grid, 10)
 
 
 def test_a_problem_is_shown_in_a_line(problem):

@@ -105,6 +105,8 @@ CLOSED = 1e-7  # drift of the cut joints that Newton's method may leave, relativ
 ACCURACY_OF_TOLERANCE = 30.0
 ERROR_OF_FIRST_INCREMENT, REDUCTION_BY_INCREMENT = 5e-3, 1.0 / 13.0
 
+LIKE = 2.0  # a step of up to so many times the length of the one before goes on with its memory
+
 MadeJump = bool | Bool[Array | np.ndarray, ""]
 StepState = tuple[Trajectory, Float[Array, "4 joints"]]
 
@@ -246,6 +248,26 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
             diffrax.RESULTS.nonlinear_max_steps_reached,  # pyright: ignore[reportArgumentType] # an enumeration's item
         )
         return y1, None, {"y0": y0, "y1": y1}, memory, result
+
+    def at_new_length(
+        self, trajectory: Trajectory, memory: Memory, before: Float[Array, ""], h: Float[Array, ""]
+    ) -> tuple[Trajectory, Memory]:
+        """State and memory at the start of a step of length h [s] after one of length `before` [s].
+
+        Over steps of one length the method's own accelerations a, which lag behind v', add up to the impulse of v'
+        (theory (7.9)); where the length changes, the velocity takes what would be missing, and where it changes much,
+        the lag, which belongs to the other length, is forgotten.
+        """
+        unlike = (h > LIKE * before) | (before > LIKE * h)
+
+        def impulse(velocity, auxiliary, present):
+            missing = (before - jnp.where(unlike, 0.0, h)) * (auxiliary - present)
+            return velocity + (0.5 - self.alpha_f) * missing
+
+        present = memory.accelerations
+        velocity = jax.tree.map(impulse, trajectory.velocity, memory.auxiliary, present)
+        auxiliary = jax.tree.map(lambda a, b: jnp.where(unlike, b, a), memory.auxiliary, present)
+        return dataclasses.replace(trajectory, velocity=velocity), memory._replace(auxiliary=auxiliary)
 
     def factors(self, h: Float[Array, ""]) -> tuple[Float[Array, ""], Float[Array, ""]]:
         """Derivatives of q1 [s^2] and v1 [s] with respect to v1' for a step of length h [s]."""

@@ -245,12 +245,12 @@ class Problem(eqx.Module):
         if not self.method.implicit or self.method.adaptive:
             return math.inf
         grid, steps = self._grid()
-        return float(len(grid.starts) * steps)
+        return grid.total_steps(steps)
 
     def of_any_step(self) -> "Problem":
         """The same problem in the form that shares its programs with those of other steps; not for reverse mode."""
         grid, count = grid_for(self.drive, self.duration, self.method, self.save_every, self.model)
-        method, steps = of_any_step(self.method, grid, count)
+        method, _, steps = of_any_step(self.method, grid, count)
         if isinstance(steps, int) or self.steps is not None:
             return self
         same = self._changed(method=method, save_every=self._interval, others=())
@@ -297,7 +297,7 @@ class Problem(eqx.Module):
         require_float64()
         require_driven(self.model, self.drive)
         grid, steps = grid_for(self.drive, self.duration, self.method, self.save_every, self.model)
-        return grid, steps if self.steps is None else self.steps
+        return (grid, steps) if self.steps is None else (grid.of_any_step(), self.steps)
 
     def _split(self, errors: Errors) -> tuple["Problem", AssemblyErrors]:
         """The problem with the numbers of drives that deviate, and the other errors."""
@@ -325,9 +325,9 @@ def _values_and_status(problem: Problem, errors: AssemblyErrors) -> tuple[Values
 
 @functools.partial(ProgramInParts, nameless=True)
 def _values_in_parts(run, metrics, model, errors, drive, grid, method, steps, any_step):
-    """As `_values_and_status`, of a mechanism whose numbers are those of the model; `any_step`: method and steps for
-    parts."""
-    method, steps = any_step if in_parts(run) else (method, steps)
+    """As `_values_and_status`, of a mechanism whose numbers are those of the model; `any_step`: method, grid and steps
+    for parts."""
+    method, grid, steps = any_step if in_parts(run) else (method, grid, steps)
     prepared, carry, ends = integrated(run, model, errors, drive, grid, None, method, steps, None)
     return run(_values_of, metrics, model, errors, prepared, drive, carry, ends, grid, method, steps)
 
