@@ -85,7 +85,7 @@ class FrameForce(eqx.Module):
 
     def work(self, pose: Pose) -> Float[Array, ""] | None:
         """Work [J] done from outside up to a pose, from any fixed one, of a force that depends on the position alone:
-        known without integration, it tells whether steps have seen the force (theory (11.9)). None of others."""
+        known without integration, it tells whether steps have seen the force (theory (11.8)). None of others."""
         del pose
         return None
 

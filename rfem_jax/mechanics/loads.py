@@ -32,10 +32,12 @@ from rfem_jax.mechanics.elements import elasticity
 from rfem_jax.mechanics.friction import joint_wrenches
 from rfem_jax.mechanics.inputs import DriveInput
 from rfem_jax.mechanics.joint_forces import CutForces, LawForces, hinge_moments, law_energy, law_work, outside_forces
+from rfem_jax.mechanics.joint_laws import TableLaw
 from rfem_jax.mechanics.kinematics import Motion, all_frames, motion_of, spread, total
-from rfem_jax.mechanics.model import BASE, Coordinates, State, Topology
+from rfem_jax.mechanics.model import BASE, Coordinates, Model, State, Topology
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 from rfem_jax.mechanics.orientations import position_rate
+from rfem_jax.mechanics.point_laws import TableBetween
 from rfem_jax.mechanics.self_stress import least_reactions, redundancy
 
 
@@ -360,6 +362,13 @@ def energies(actual: ModelWithErrors, state: State) -> Energies:
         elastic=_elastic_energy(actual, state.position, motion),
         gravity=-jnp.sum(actual.mass * dot(actual.gravity[:, None], from_datum)),
     )
+
+
+def has_tables_over_position(model: Model) -> bool:
+    """Whether forces are tables over position, whose slopes jump."""
+    laws = [] if model.forces is None else list(model.forces.values())
+    elements = [] if model.frame_forces is None else list(model.frame_forces.values())
+    return any(isinstance(one, (TableLaw, TableBetween)) for one in (*laws, *elements))
 
 
 def known_work(actual: ModelWithErrors, state: State) -> Float[Array, ""] | None:

@@ -30,13 +30,14 @@ from rfem_jax.description.methods import (
     Method,
 )
 from rfem_jax.mechanics.friction import require_implicit
+from rfem_jax.mechanics.loads import has_tables_over_position
 from rfem_jax.mechanics.model import Model
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors, assembly_errors
 from rfem_jax.mechanics.status import OK
 from rfem_jax.simulation import integration
 from rfem_jax.simulation.driving import Drive, require_driven
 from rfem_jax.simulation.integration import Prepared
-from rfem_jax.simulation.run import REMARKABLE_BALANCE
+from rfem_jax.simulation.remarks import REMARKABLE_BALANCE
 from rfem_jax.simulation.sampled_laws import steps_that_see
 from rfem_jax.simulation.solvers.generalised_alpha import ACCURACY_OF_TOLERANCE
 from rfem_jax.simulation.stability import largest_stable_step, round_down
@@ -49,6 +50,10 @@ FEW = 32  # up to so many, running a quickly compiled program takes less time th
 # Changes are relative to the load of the joint, but at least to this share of the largest load of its kind.
 SMALL_LOAD = 0.05
 SMALL_MOMENT = 0.01  # likewise of the largest force times the longest link
+# Where the slope of a force jumps, as at a stop, errors depend on where in a step it is met, and a step and its half
+# may agree by chance: further numbers of steps are tried, these times as many.
+UNEVEN = (1.125, 1.3125)
+HALVINGS = 3  # of an explicit step that is checked
 ENERGY = 5e-3  # error of the energy balance that is always good enough
 TRIAL_TILT, TRIAL_SHIFT = 2e-3, 5e-4  # rad; shares of the longest link
 
@@ -103,10 +108,12 @@ def choose_method(
         )
     trial = FixedStepMethod("rk4", step=1e-6, stabilisation=method.stabilisation)
     limit = 0.9 * largest_stable_step(model, trial, drive)
-    # Rigid links have no limit; but no step is longer than those that were not accurate enough with the implicit
-    # method.
-    limit = min(limit, duration / TRIAL_INTERVALS / LAST)
-    return replace(trial, step=min(float(round_down(limit)), longest))
+    # Rigid links have no limit, and a stop that is not touched at rest sets none; but no step is longer than those that
+    # were not accurate enough with the implicit method.
+    tried = min(limit, longest, duration / TRIAL_INTERVALS / LAST)
+    if tried < limit or has_tables_over_position(model):
+        tried = _explicit_step(model, replace(trial, step=tried), drive, duration, accuracy, errors)
+    return replace(trial, step=float(round_down(tried)))
 
 
 def _longest_step(model, method: Method, drive, duration, accuracy, errors) -> float | None:
@@ -137,7 +144,10 @@ def _longest_step(model, method: Method, drive, duration, accuracy, errors) -> f
         error, longer_step = 4.0 / 3.0 * estimate_change(before, now, length), error
         error = max(error, share_of_energy * (energy if np.isfinite(energy) else np.inf))
         if error <= accuracy and residual <= accuracy:
-            return 0.9 * _longer(error, longer_step, accuracy) * interval / (steps / 2)
+            if not has_tables_over_position(model):
+                return 0.9 * _longer(error, longer_step, accuracy) * interval / (steps / 2)
+            if all(estimate_change(loads(share * steps / 2)[0], now, length) <= accuracy for share in UNEVEN):
+                return interval / (steps / 2)
         before, energy = now, finer_energy
     return None
 
@@ -177,6 +187,33 @@ def _steps_per_row(model: Model, method: Method, drive: Drive, duration: float, 
     if _trial_grid(model, method, drive, duration)[1].parts is None:
         return None
     return int(np.ceil(duration / TRIAL_INTERVALS / FIRST / step * (1.0 - ROUNDING)))
+
+
+def _explicit_step(model, method: Method, drive, duration, accuracy, errors) -> float:
+    """The step of an explicit method, or the longest half, quarter, ... of it with which loads and energies are as
+    accurate as asked for, in so far as `HALVINGS` reach that: after several impacts no step may do."""
+    assert method.step is not None, "it was given"
+    errors, interval = _assemblies(model, errors), duration / TRIAL_INTERVALS
+    length, steps = float(np.max(np.asarray(model.length))), int(np.ceil(interval / method.step * (1.0 - ROUNDING)))
+    grid, _ = integration.grid_for(drive, duration, method, interval, model)
+    share = 1.0 if grid.parts is None else float(grid.distinct.max()) / interval
+    prepared, carry = prepare_trials(model, errors, drive, method)
+
+    def loads(steps):
+        count = jnp.asarray(share * steps, jnp.float64)
+        found = loads_of_trials(model, prepared, drive, carry, grid.of_any_step(), method, count)
+        loads, _, energy, assembled = map(np.asarray, found)
+        used = assembled if assembled.any() else np.ones_like(assembled)
+        return loads[used], energy[used].max()
+
+    for _ in range(HALVINGS):
+        fine, _ = loads(2 * steps)
+        tried = [loads(steps), *(loads(np.ceil(share * steps)) for share in UNEVEN)]
+        errors_of_loads = [estimate_change(found, fine, length) for found, _ in tried]
+        if max(errors_of_loads) <= accuracy and max(energy for _, energy in tried) <= max(accuracy, ENERGY):
+            break
+        steps *= 2
+    return interval / steps
 
 
 def _longer(error: float, error_of_twice: float | None, accuracy: float) -> float:

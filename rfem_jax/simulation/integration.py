@@ -65,8 +65,8 @@ from rfem_jax.simulation.locking import with_limit
 from rfem_jax.simulation.observation import Record, energy_at, observe
 from rfem_jax.simulation.packing import pack, unpack
 from rfem_jax.simulation.records import finished_records, instant_records, require_records
+from rfem_jax.simulation.remarks import BALANCE_LIMIT
 from rfem_jax.simulation.run import (
-    BALANCE_LIMIT,
     RESIDUAL_LIMIT,
     DriveHistory,
     DrivenJoint,

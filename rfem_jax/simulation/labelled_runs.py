@@ -42,7 +42,7 @@ ENERGIES = {
     "dissipation": "energy dissipated since the start",
 }
 CHECKS = {
-    "energy_balance_error": ("1", "energy balance, relative to the largest energy"),
+    "energy_balance_error": ("1", "energy balance, relative to the energy that is exchanged"),
     "closure_drift": ("m", "largest distance of the two centres of a cut joint"),
     "closure_drift_angle": ("rad", "largest residual of the axis equations of a cut joint"),
     "momentum_balance_error": ("1", "balance of joint loads against the rate of momentum, relative"),

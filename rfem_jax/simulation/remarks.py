@@ -7,6 +7,11 @@ from typing import Any
 
 from rfem_jax.mechanics.elements.linear_validity import REMARKABLE_LINEAR_ERROR
 
+# Of the energy that is exchanged, and of the largest joint load: with a larger error of a balance a run is not
+# accepted (loads of a four-bar whose step is too long are off by some 8 % there); from the lower limit on it is
+# remarked.
+BALANCE_LIMIT, REMARKABLE_BALANCE = 0.03, 0.01
+
 
 def linear_remark(error: float) -> str:
     """What an estimated error of linear elements means, "" where it is small; NaN of a failed run is."""
@@ -18,6 +23,21 @@ def linear_remark(error: float) -> str:
     )
 
 
+def balance_remark(error: float, what: str) -> str:
+    """What the error of a balance means, "" where it is small; NaN of a failed run is."""
+    if not error >= REMARKABLE_BALANCE:
+        return ""
+    return (
+        f"{what} are off by {100.0 * error:.2g} %, and joint loads may be by several times that; halve the step until "
+        'it is far below 1 %, or take the method "auto".'
+    )
+
+
 def remarks_on(run: Any) -> tuple[str, ...]:
     """Sentences, without the name of the case, on one run."""
-    return tuple(filter(None, (linear_remark(float(run.linear_error)),)))
+    remarks = (
+        balance_remark(float(run.energy_balance_error), "the energies"),
+        balance_remark(float(run.momentum_balance_error), "joint forces beside the rate of momentum"),
+        linear_remark(float(run.linear_error)),
+    )
+    return tuple(filter(None, remarks))

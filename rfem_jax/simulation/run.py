@@ -28,12 +28,6 @@ from rfem_jax.simulation.remarks import remarks_on
 RESIDUAL_LIMIT = 0.05  # of the largest joint force: with a larger residual the equations of motion are not solved
 
 
-# Of the energy that is exchanged, and of the largest joint load: with a larger error of a balance a run is not
-# accepted (loads of a four-bar whose step is too long are off by some 8 % there); from the lower limit on it is
-# remarked.
-BALANCE_LIMIT, REMARKABLE_BALANCE = 0.03, 0.01
-
-
 class Energy(eqx.Module):
     """Energies [J] at the saved times: kinetic, elastic, gravity (zero level: the first base joint's nominal
     position); work of the drives and dissipated energy since the start."""

@@ -14,6 +14,7 @@ from rfem_jax import (
     Method,
     MomentFunction,
     MomentRamp,
+    MomentTable,
     PointForce,
     PointSpringTable,
     PrescribedRate,
@@ -23,7 +24,7 @@ from rfem_jax import (
 )
 from rfem_jax.description.errors import InputError
 from rfem_jax.mechanics.status import STATUS
-from rfem_jax.simulation.run import BALANCE_LIMIT, REMARKABLE_BALANCE
+from rfem_jax.simulation.remarks import BALANCE_LIMIT, REMARKABLE_BALANCE
 from tests.mechanisms import four_bar, link
 
 WEIGHTLESS = (0.0, 0.0, 0.0)
@@ -44,6 +45,8 @@ def test_long_steps_of_a_rigid_four_bar_are_not_accepted():
     assert float(long.metrics.rms_force["C"]) > 1.1 * float(fine.metrics.rms_force["C"])
     assert named(shorter) == "ok" and REMARKABLE_BALANCE < float(shorter.energy_balance_error) < BALANCE_LIMIT
     assert named(fine) == "ok" and float(fine.energy_balance_error) < 1e-3
+    # What is accepted, but not small, is said.
+    assert "remark: the energies are off by" in shorter.summary() and "remark" not in fine.summary()
 
 
 def test_little_energy_says_little():
@@ -111,3 +114,35 @@ def test_auto_sees_a_narrow_peak_of_a_function():
     # Breakpoints around it are ends of intervals, which have steps of their own.
     narrow = MomentFunction("A", narrow.function, breakpoints=(0.0203 - 2e-6, 0.0203 + 2e-6))
     assert choose_method(bar, Method("auto"), narrow, **settings).name == "generalised_alpha"
+
+
+def between_stops(time):
+    """Angle [rad] and rate [rad/s] of a bar that a pulse has set in motion and that bounces between stiff stops."""
+    rate, stiffness, gap = IMPULSE / INERTIA, 5e3, 0.1
+    frequency = np.sqrt(stiffness / INERTIA)
+    flight, contact = 2.0 * gap / rate, np.pi / frequency
+    since = time - 1e-3 - (gap - rate * 0.5e-3) / rate  # the first contact begins
+    half, within = np.divmod(since, flight + contact)
+    side = 1.0 if half % 2 == 0 else -1.0
+    if within < contact:
+        way = gap + rate / frequency * np.sin(frequency * within)
+        return side * way, side * rate * np.cos(frequency * within)
+    return side * (gap - rate * (within - contact)), -side * rate
+
+
+INERTIA = 7850.0 * 0.01**2 * 0.3 * (0.3**2 / 3.0 + 0.01**2 / 12.0)
+IMPULSE = 20.0 * INERTIA
+
+
+def test_auto_between_stiff_stops_meets_the_closed_form(long_loops_compiled):
+    """Impacts follow from each other, so that errors add up: the fine run is right, and steps are chosen to meet it."""
+    stops = JointForceTable("stops", "A", [-0.3, -0.1, 0.1, 0.3], [1e3, 0.0, 0.0, -1e3])
+    joint = Joint("A", "base", "bar")
+    bar = discretise(Mechanism([link("bar", 0.3)], [joint], forces=[stops], driven_joint="A", gravity=WEIGHTLESS))
+    drive = MomentTable("A", [0.0, 5e-4, 1e-3, 1.0], [0.0, 2e3 * IMPULSE, 0.0, 0.0])
+    method = choose_method(bar, Method("auto"), drive, 0.06)
+    run = simulate(bar, drive=drive, duration=0.06, method=method)
+    assert named(run) == "ok" and float(run.energy_balance_error) < 5e-3
+    angles, rates = np.array([between_stops(float(time)) for time in run.times[15:]]).T
+    np.testing.assert_allclose(run.angle[15:], angles, rtol=0, atol=1e-3)
+    np.testing.assert_allclose(run.rate[15:], rates, rtol=0, atol=20.0 * 5e-3)

@@ -96,7 +96,7 @@ def test_balances_of_a_run(found):
     assert found.momentum_balance_error < 1e-11
     assert found.hinge_moment_error < 1e-4
     assert found.solution_residual < 1e-2
-    assert found.energy_balance_error < 1e-4
+    assert found.energy_balance_error < 1e-3  # of the kinetic energy of a start-up
 
 
 def test_reactions_do_not_oscillate_from_step_to_step(small):

@@ -255,8 +255,8 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
         """State and memory at the start of a step of length h [s] after one of length `before` [s].
 
         Over steps of one length the method's own accelerations a, which lag behind v', add up to the impulse of v'
-        (theory (7.9)); where the length changes, the velocity takes what would be missing, and where it changes much,
-        the lag, which belongs to the other length, is forgotten.
+        (theory, after (7.5)); where the length changes, the velocity takes what would be missing, and where it changes
+        much, the lag, which belongs to the other length, is forgotten.
         """
         unlike = (h > LIKE * before) | (before > LIKE * h)
 
