@@ -240,8 +240,8 @@ def _of_joints(parts: Parts, held: Sequence[tuple[str, str]]) -> Iterator[Parame
         yield from _fields(owner, joint, FIELDS[Joint], [path])
         for motion in [motion for name, motion in held if name == joint.name]:
             yield _start_value(owner, joint, motion, path)
-        for n, (motion, freedom) in enumerate(_numbered(joint) if joint.rates is not None else ()):
-            if joint.rates[n] == 0.0:  # it may follow from others
+        for n, (rate, (motion, freedom)) in enumerate(zip(joint.rates or (), _numbered(joint), strict=False)):
+            if rate == 0.0:  # it may follow from others
                 continue
             dimension = "rate" if freedom.rotation else "speed"
             yield _parameter(owner, f"rates.{motion}", (dimension, ANY), [(*path, "rates", n)])

@@ -66,12 +66,14 @@ class TestWhereItLocks:
             (PrescribedTable("A", times, -0.25 * times), way / 0.25),
             (PrescribedSpinUp("A", -1.0, 0.4), way + 0.2),
         ]
+        text = ""
         for drive, time in drives:
             limit = drive_limit(model, drive, 4.0)
             assert limit is not None and limit.label == "A" and not limit.slide
             np.testing.assert_allclose([limit.position, limit.start], [-LIMIT, -START], rtol=1e-5)
             assert limit.time == pytest.approx(time, rel=1e-4)
-        assert "with A at -97.181 deg (-37.181 deg from its start)" in limit.text
+            text = limit.text
+        assert "with A at -97.181 deg (-37.181 deg from its start)" in text
 
     def test_nowhere(self, model):
         way = LIMIT - START

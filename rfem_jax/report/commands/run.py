@@ -101,7 +101,8 @@ def _with_place(statuses: dict[str, Any], runs: dict[str, Run], study: Study) ->
     from rfem_jax.mechanics.status import PAST_LIMIT, STATUS
     from rfem_jax.simulation.locking import drive_limit
 
-    limit = drive_limit(next(iter(runs.values())).model, study.designed_drive, study.duration)
+    model = next(iter(runs.values())).model
+    limit = None if model is None else drive_limit(model, study.designed_drive, study.duration)
     if limit is None:
         return statuses
     told = STATUS[PAST_LIMIT]._replace(message=f"{STATUS[PAST_LIMIT].message} It locks {limit.text}.")
