@@ -25,7 +25,7 @@ from rfem_jax.description.errors import InputError, suggestion
 from rfem_jax.description.study import Study
 from rfem_jax.description.tolerances import SpecifiedTolerances
 from rfem_jax.description.zones import CHARACTERISTICS, SpecifiedZone, is_zone
-from rfem_jax.tolerancing.optimisation.starting_points import Region
+from rfem_jax.tolerancing.optimisation.starting_points import Region, spread_points
 from rfem_jax.tolerancing.problems.distributions import Tolerance, Uniform
 from rfem_jax.tolerancing.problems.joint_distributions import Zone
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
@@ -101,10 +101,9 @@ class Sizes:
         uniform in its balls."""
         alone = len(self.singles)
         parts = [np.asarray(distribution.quantile(jnp.asarray(units[:, :alone])))]
-        for zone in self.zones.values():
-            ball = Zone(zone.names, np.eye(len(zone.names)), zone.balls)
-            first, alone = alone, alone + len(zone.names)
-            parts.append(np.asarray(jnp.stack([*map(ball.quantile, jnp.asarray(units[:, first:alone]))])))
+        if self.zones:
+            balls = tuple(n for zone in self.zones.values() for n in zone.balls)
+            parts.append(spread_points(np.pad(units[:, alone:], ((0, 0), (0, 1))), balls))
         return np.concatenate(parts, axis=1)
 
     def deviations(self, distribution: Tolerance) -> Float[np.ndarray, " k"]:
