@@ -258,7 +258,8 @@ def _made(
     fits = gap <= blueprint.closing_tolerance * jnp.max(made.length)
     pairs = [(one, x) for (one, _), x in zip(named, actual) if one.full in values or one.full in deviations]
     possible = _possible(blueprint.filled(actual), pairs)
-    possible = possible & jnp.all(made.section.stiffness > 0.0)
+    flexible = np.flatnonzero(np.array(base.topology.elements) > 1)  # rigid ones may have no section
+    possible = possible & jnp.all(made.section.stiffness[:, flexible] > 0.0)
     if plan.arms:
         possible = possible & (_longest_arm(made) <= LONGEST_ARM)
     status = jnp.where(possible, jnp.where(fits, OK, NOT_CLOSED), DESIGN_OUT_OF_RANGE).astype(jnp.int32)

@@ -384,8 +384,10 @@ def conclude(
     largest = _force_scale(model, prepared, carry, energy, times, grid.shortest_step(steps))
     error = balance_error(model, energy, largest)
     residual = carry.residual / _safe(largest)
-    # Of a hinge at the origin, which has no arm there, a moment is compared with its force on the longest link.
+    # Of a hinge at the origin, which has no arm there, a moment is compared with its force on the longest link; joints
+    # of free bodies carry nothing but rounding.
     force, moment = jnp.max(record.largest_load, axis=0)
+    force = jnp.maximum(force, largest)
     moment = moment + force * length_scale(model)
     momentum = jnp.max(jnp.max(record.momentum_residual, axis=0) / _safe(jnp.stack([force, moment])))
     drives = _histories(model, record)
