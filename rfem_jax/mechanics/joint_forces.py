@@ -73,7 +73,7 @@ def law_forces(actual: ModelWithErrors, state: State) -> LawForces | None:
             if isinstance(law, SpringLaw):
                 side = inside
                 dissipated = dissipated + share * law.damping * rate**2
-            elif not _of_position_alone(actual.topology, law):
+            elif not _of_position_alone(law, actual.topology):
                 if actual.topology.sprung:
                     rate = rate_about_axis(actual.topology, state, law.coordinate)
                 power = power + force * rate
@@ -172,11 +172,11 @@ def law_work(actual: ModelWithErrors, position: Coordinates) -> list[Float[Array
     """Works [J] of the laws that depend on a joint's position alone, from any fixed one."""
     if actual.forces is None:
         return []
-    laws = [law for law in actual.forces.laws.values() if _of_position_alone(actual.topology, law)]
+    laws = [law for law in actual.forces.laws.values() if _of_position_alone(law, actual.topology)]
     return [actual.forces.share * law.work(position.joints[law.place]) for law in laws]
 
 
-def _of_position_alone(topology: Topology, law: JointLaw) -> TypeGuard[TableLaw]:
+def _of_position_alone(law: JointLaw, topology: Topology) -> TypeGuard[TableLaw]:
     """Whether the work of a law from outside is a function of its coordinate: of a table, where no sprung tilt turns
     what it acts about."""
     return isinstance(law, TableLaw) and not topology.sprung

@@ -11,7 +11,7 @@ compile there, and runs the implicit method slower (measured in benchmarks/READM
 import dataclasses
 import functools
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import diffrax
 import equinox as eqx
@@ -84,7 +84,8 @@ class Entry(NamedTuple):
 def entries_of(grid: TimeGrid) -> Entry:
     """All intervals of a grid, along a first axis."""
     parts = None if grid.parts is None else (jnp.asarray(grid.parts.lengths), jnp.asarray(grid.parts.kinds))
-    return Entry(*(jnp.asarray(x) for x in (grid.starts, grid.lengths, grid.phases, grid.kinds)), parts)
+    starts, lengths, phases, kinds = (jnp.asarray(x) for x in (grid.starts, grid.lengths, grid.phases, grid.kinds))
+    return Entry(starts, lengths, phases, kinds, parts)
 
 
 def last_step(grid: TimeGrid, entry: Entry, steps: int | Float[Array, ""]) -> Float[Array, ""]:
@@ -191,13 +192,13 @@ class Schedule(NamedTuple):
     """The steps of an interval.
 
     step: start [s], length [s], operators (None: those of the conditions) and place within its part of the step of an
-    index; needed: whether the step of an index is one of a method that remembers; count: their number, or more where it
+    index; needed: whether the step of an index is one of a method that remembers; number: of the steps, or more where it
     is to be static; parts: whether lengths may differ.
     """
 
-    step: Callable[[Scalar], tuple[Scalar, Scalar, PyTree, Scalar]]
-    needed: Callable[[Scalar], Bool[Array, ""]]
-    count: int | Float[Array, ""]
+    step: Callable[[Float[Array, ""]], tuple[Float[Array, ""], Float[Array, ""], PyTree, Float[Array, ""]]]
+    needed: Callable[[Float[Array, ""]], Any]
+    number: int | Float[Array, ""]
     parts: bool
 
 
@@ -265,12 +266,12 @@ def _fixed(solver, carry: Carry, schedule: Schedule, conditions, tolerance=None)
     t0, h, operators, _ = schedule.step(zero)
     first = conditions if operators is None else dataclasses.replace(conditions, operators=operators)
     state = y, solver.resume(terms, t0, t0 + h, y, first, carry.memory), carry.last_step if schedule.parts else None
-    if isinstance(schedule.count, int):
-        indices = jnp.arange(schedule.count, dtype=jnp.float64)
+    if isinstance(schedule.number, int):
+        indices = jnp.arange(schedule.number, dtype=jnp.float64)
         one = step_if_needed if carry.memory is None else repeated(step_if_needed)
         state, _ = jax.lax.scan(lambda *args: (one(*args), None), state, indices)
     else:
-        count = schedule.count.astype(jnp.int32)
+        count = schedule.number.astype(jnp.int32)
         state = jax.lax.fori_loop(0, count, lambda i, state: step_if_needed(state, i.astype(jnp.float64)), state)
     (trajectory, peaks), memory, before = state
     memory = None if carry.memory is None else memory
@@ -298,7 +299,8 @@ def _adaptive_in_parts(solver, carry: Carry, entry: Entry, conditions, method, a
     lengths = entry.parts[0]
 
     def over(carry, part):
-        return _adaptive(solver, carry, *part, conditions, method, adjoint), None
+        begin, length = part
+        return _adaptive(solver, carry, begin, length, conditions, method, adjoint), None
 
     return jax.lax.scan(over, carry, (entry.start + jnp.cumsum(lengths) - lengths, lengths))[0]
 

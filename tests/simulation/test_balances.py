@@ -36,7 +36,9 @@ def named(run):
 
 def test_long_steps_of_a_rigid_four_bar_are_not_accepted():
     """Of 5 ms at 573 rpm: loads are 13 % off; with steps of 2.5 ms 3 %, and of 0.2 ms not at all."""
-    model = discretise(dataclasses.replace(four_bar(None), redundant_reactions="minimum_norm"))
+    described = four_bar()
+    links = [dataclasses.replace(one, rigid=True, rfes=None) for one in described.links]
+    model = discretise(dataclasses.replace(described, links=links, redundant_reactions="minimum_norm"))
     settings = {"drive": PrescribedRate("A", 60.0), "duration": 0.21}
     long, shorter, fine = (
         simulate(model, method=Method("generalised_alpha", step=step), **settings) for step in (5e-3, 2.5e-3, 2e-4)
@@ -145,4 +147,5 @@ def test_auto_between_stiff_stops_meets_the_closed_form(long_loops_compiled):
     assert named(run) == "ok" and float(run.energy_balance_error) < 5e-3
     angles, rates = np.array([between_stops(float(time)) for time in run.times[15:]]).T
     np.testing.assert_allclose(run.angle[15:], angles, rtol=0, atol=1e-3)
-    np.testing.assert_allclose(run.rate[15:], rates, rtol=0, atol=20.0 * 5e-3)
+    # In contact the rate changes by 0.4 rad/s in 25 us.
+    np.testing.assert_allclose(run.rate[15:], rates, rtol=0, atol=0.4)

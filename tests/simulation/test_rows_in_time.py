@@ -53,6 +53,7 @@ def test_rows_divide_intervals_into_parts():
     plain, _ = divide_time(0.05, 1e-3, 1e-2, (0.025,), restarting=True)
     for name in ("starts", "lengths", "phases", "restarts"):
         np.testing.assert_array_equal(getattr(grid, name), getattr(plain, name))
+    assert grid.parts is not None
     np.testing.assert_allclose(grid.parts.lengths.sum(axis=1), grid.lengths, rtol=0, atol=1e-15)
     np.testing.assert_allclose(grid.distinct[grid.parts.kinds], grid.parts.lengths, rtol=0, atol=1e-13)
     ends = grid.starts[:, None] + np.cumsum(grid.parts.lengths, axis=1)
@@ -60,7 +61,7 @@ def test_rows_divide_intervals_into_parts():
         assert np.abs(ends - row).min() < 1e-15
     # Pieces of a grid have the parts of their intervals, and none of length zero behind the end.
     last = grid.piece(4, 6)
-    assert last.parts.lengths.shape == (6, 3)
+    assert last.parts is not None and last.parts.lengths.shape == (6, 3)
     np.testing.assert_allclose(last.parts.lengths.sum(axis=1), last.lengths, rtol=0, atol=1e-15)
     assert not last.parts.lengths[-1].any() and not last.distinct[last.parts.kinds[-1]].any()
     # Rows at the ends of intervals divide nothing.
@@ -75,7 +76,8 @@ def test_steps_between_rows_are_not_more_than_all_others():
     many, steps = divide_time(0.05, 5e-3, 5e-3, (), rows=dense)
     assert many.steps_per_row == 1 and steps == 1 and many.total_steps(steps) == 2001
     assert divide_time(0.05, 5e-3, 5e-3, (), rows=dense, per_row=3)[0].total_steps(1) == 6001
-    assert of_any_step(LONG, few, 1)[1].parts.most is None
+    shared = of_any_step(LONG, few, 1)[1].parts
+    assert shared is not None and shared.most is None
 
 
 @pytest.mark.parametrize(
