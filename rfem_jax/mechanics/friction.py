@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from rfem_jax.description.errors import InputError
 from rfem_jax.mechanics.algebra import Scalar, cross, dot, spatial
@@ -177,7 +177,10 @@ class FrictionLine(NamedTuple):
 
 
 def friction_lines(
-    actual: ModelWithErrors, found: Found, before: dict[str, FrictionLine] | None = None, count: Scalar = 0
+    actual: ModelWithErrors,
+    found: Found,
+    before: dict[str, FrictionLine] | None = None,
+    count: int | Int[Array, ""] = 0,
 ) -> dict[str, FrictionLine]:
     """Lines for the increment of number `count` from 0 (theory (12.9)): the chord from rest first, then that to where
     the law meets what is needed, which two increments before tell as a function of the rate."""
