@@ -180,6 +180,10 @@ def test_a_jump_restarts_the_method():
     times = (grid.starts + grid.lengths)[grid.saved]
     assert np.all(np.diff(times) > 0.0) and times[0] == 0.0
     np.testing.assert_allclose(grid.distinct[grid.kinds], grid.lengths, atol=1e-12)
+    # With friction the start is a jump, too.
+    again, _ = divide_time(0.5, 1e-3, 1e-2, (0.1, 0.255), restarting=True, from_start=True)
+    assert again.restarts == (1, 12, 29)
+    np.testing.assert_array_equal(again.starts[again.saved], grid.starts[grid.saved])
 
 
 @pytest.mark.parametrize("rfes", [2, None])
