@@ -15,7 +15,7 @@ S and T are Sobol' indices of the model; those of the metric itself, from sample
 
 Symbols: g, H gradient and Hessian by y, at the mean; factors: the independent sources of scatter, single errors or
 groups (`Tolerances.factors`), each of one part or several.
-Source: theory (10.27), (10.28); I. M. Sobol', Math. Comput. Simul. 55 (2001) 271-280 (indices).
+Source: theory (10.29), (10.30); I. M. Sobol', Math. Comput. Simul. 55 (2001) 271-280 (indices).
 """
 
 import math
@@ -30,6 +30,8 @@ from rfem_jax.tolerancing.problems.distributions import Tolerance
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.quadratic_model import QuadraticModel
 
+ROUNDING = 1e-10  # of a metric's value: what the errors together change it less is none of their effect
+NO_SLOPE = 1e-6  # of the standard deviation: gradients that give less are those of an even metric, and rounding
 NODES = np.linspace(-10.0, 10.0, 8001)  # of integrals over a standard normal number
 
 
@@ -38,7 +40,8 @@ class VarianceShares:
     """Parts of the variance of m metrics by f factors.
 
     factors: names of the errors of each; linear (m, f), by gradients alone, first_order (m, f) and total (m, f), NaN
-    where the metric does not vary (linear: where all gradients vanish; the last two: without second derivatives too);
+    where the metric does not vary (linear: where all gradients vanish, to rounding beside the metric and its scatter;
+    the last two: without second derivatives too);
     std (m,): standard deviation of the model [metric unit].
     """
 
@@ -94,12 +97,16 @@ def variance_shares(model: QuadraticModel, tolerances: Tolerances) -> VarianceSh
                     together[:, a.factor] += mixed
                     together[:, b.factor] += mixed
     variance = np.sum(alone + 0.5 * together, axis=1)
+    noise = (ROUNDING * np.abs(np.asarray(model.value))) ** 2
+    sloped = np.sum(linear, axis=1)
+    sloped = np.where(sloped > np.maximum(noise, NO_SLOPE**2 * variance), sloped, 0.0)
     missing = np.full((m, f), np.nan)
+    varies = np.where(variance > noise, variance, 0.0)
     return VarianceShares(
         tolerances.factors,
-        _part_of(linear, np.sum(linear, axis=1)),
-        missing if curved is None else _part_of(alone, variance),
-        missing if curved is None else _part_of(alone + together, variance),
+        _part_of(linear, sloped),
+        missing if curved is None else _part_of(alone, varies),
+        missing if curved is None else _part_of(alone + together, varies),
         np.sqrt(variance),
     )
 

@@ -183,7 +183,10 @@ class Sensitivities(LabelledSensitivities):
                 numbers = [show_number(100.0 * part[m, i], 4, scale=100.0) for part in parts]
                 rows.append([metric, "+".join(self.shares.factors[i]), *numbers])
         header = ["metric", "error", "linear", "first order", "total"]
-        return f"Contributions to the variance in percent (quadratic model)\n{align_columns(header, rows)}"
+        without = [name for name, parts in zip(self.metrics, self.shares.linear, strict=True) if np.isnan(parts).all()]
+        tail = [wrap_lines(f"No first-order effect on {', '.join(without)}: all gradients vanish.")] if without else []
+        head = "Contributions to the variance in percent (quadratic model)"
+        return "\n".join([head, align_columns(header, rows), *tail])
 
     def table(self, metric: str | Metric | None = None, top: int = 8) -> str:
         """Ranking table as text, of one metric or of all; the `top` errors of each."""

@@ -61,6 +61,21 @@ def test_the_shares_of_a_quadratic_are_its_sobol_indices(found):
     assert np.all(total >= first) and np.sum(total) > 1.2 and np.sum(first) < 0.9
 
 
+def test_gradients_of_rounding_are_no_first_order_effect():
+    """A metric that is even, but for rounding, and one on which no error has an effect."""
+
+    def even(e):
+        x, y = e["x"], e["y"]
+        return {"even": 5.0 + 1e-17 * x + 3e-18 * y + 2.0 * x**2 + y**2, "same": 7.0 + 1e-16 * x, "slight": 1e-7 * x}
+
+    problem = FunctionProblem(even, ("x", "y"), ("even", "same", "slight"))
+    found = sensitivity(problem, scale=Tolerances({"x": Uniform(1e-2), "y": Uniform(1e-2)}))
+    assert np.all(np.isnan(found.shares.linear[:2])) and np.all(np.isnan(found.shares.total[1]))
+    np.testing.assert_allclose(found.shares.total[0], [0.8, 0.2], rtol=1e-6)  # squares of 2 and 1
+    np.testing.assert_allclose(found.shares.linear[2], [1.0, 0.0])
+    assert "No first-order effect on even, same: all gradients vanish." in found.shares_table()
+
+
 def test_tables_have_percent(found):
     rows = [row for row in found.rows() if row["metric"] == "linear"]
     by_error = {row["error"]: row for row in rows}

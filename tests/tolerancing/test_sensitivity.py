@@ -316,6 +316,23 @@ def solved_up_to(share):
     return Solved(loads, NAMES, METRICS)
 
 
+def test_an_error_without_effect_has_no_residual():
+    """Its forces and residuals change by rounding, of any ratio."""
+
+    class Rounded(FunctionProblem):
+        derivative_limit: ClassVar[float] = 0.05
+
+        def with_residual(self, errors):
+            values, status = self(errors)
+            signs = jnp.sign(jnp.sin(jnp.arange(180.0) ** 2)).reshape(60, 3)
+            return values, status, 3e-16 * errors["x"] * signs, (90.0 + 1e-16 * errors["x"]) * signs
+
+    rounded = Rounded(lambda e: {"f": 2.0 + 0.0 * e["x"]}, ("x",), "f")
+    for mode in ("forward", "reverse"):
+        found = sensitivity(rounded, None, 1, {"x": 1e-3}, mode)
+        assert found.status == "ok" and found.derivative_residual < 1e-6
+
+
 @pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("mode", ["forward", "reverse"])
 def test_the_residual_of_the_differentiated_equations_is_reported(problem, mode, order):

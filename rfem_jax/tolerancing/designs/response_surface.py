@@ -10,7 +10,7 @@ range, and needs no derivatives.
 
 Symbols: n samples, k errors, m metrics; z (n, k) errors scaled to -1 ... 1 over the range, r residuals, h_s = |q_s|^2
 leverages, q rows of Q in the QR decomposition of the design matrix.
-Source: theory (10.25), (10.26); D. M. Allen, Technometrics 16 (1974) 125-127 (error of samples left out).
+Source: theory (10.27), (10.28); D. M. Allen, Technometrics 16 (1974) 125-127 (error of samples left out).
 """
 
 from collections.abc import Sequence

@@ -4,7 +4,7 @@ Place in the pipeline: problem + ranges -> samples (`execution`, kept in a folde
 surface -> result.
 
 Symbols: N points, k errors that vary, m metrics; errors (N, k) [rad or m], values (N, m) [units of the metrics].
-Source: theory (10.25); Sobol' points: see `sampling.sequences`.
+Source: theory (10.27); Sobol' points: see `sampling.sequences`.
 """
 
 from collections.abc import Mapping, Sequence

@@ -54,6 +54,7 @@ STEP = 0.01  # of a tolerance
 # Of all simulations of an expansion, a derivative counted as one: up to so many, compiling its program thoroughly takes
 # longer than that saves.
 FEW_STEPS = 200_000
+NO_EFFECT = 1e-9  # of the joint forces: what errors change less is rounding
 SUMS = {"forward": 8, "reverse": 2}  # each one is two directions more in reverse mode
 
 
@@ -79,18 +80,21 @@ class QuadraticModel(eqx.Module):
     hessian_error: Float[Array, " m"] | None = None
     residual_changes: Float[Array, "p k"] | None = None
     force_changes: Float[Array, "p k"] | None = None
+    force_sums: Float[Array, " p"] | None = None
 
     def derivative_residual(self, half_widths: Float[np.ndarray, " k"]) -> float | None:
         """Change of the residual of the equations of motion relative to that of the joint forces: root mean squares
         over all times and errors, each error by its half-width (k,). An estimate; None for problems without a
-        residual."""
+        residual. Forces that errors change by rounding only are not changed: the residual is relative to at least
+        `NO_EFFECT` of the forces themselves."""
         if self.residual_changes is None or self.force_changes is None:
             return None
         residual, force = (
             float(np.sqrt(np.sum((np.asarray(changes) * half_widths) ** 2)))
             for changes in (self.residual_changes, self.force_changes)
         )
-        return residual / force if force != 0.0 else residual
+        least = 0.0 if self.force_sums is None else NO_EFFECT * float(np.sqrt(np.sum(np.asarray(self.force_sums) ** 2)))
+        return residual / max(force, least) if max(force, least) > 0.0 else residual
 
     def __call__(self, deviation: Float[Array, " k"]) -> ValueVector:
         """Values (m,) at point + deviation."""
@@ -243,7 +247,7 @@ def expand_point(
         parts.append(remembered(problem, ("directions", names, base, x, directions, *settings), compute))
         advance(used)
     (value, jacobian, _, status), count = parts[0], _sums(problem, mode)
-    hessian = asymmetry = residual_changes = force_changes = None
+    hessian = asymmetry = residual_changes = force_changes = force_sums = None
     if order == 2:
         along = np.concatenate([second for _, _, second, _ in parts])[:k]
         hessian, asymmetry = map(jnp.asarray, _symmetric(np.moveaxis(along, 0, 2)[:m]))
@@ -251,6 +255,7 @@ def expand_point(
         jacobian = np.concatenate([first for _, first, _, _ in parts])[:k].T
     if count:
         residual_changes, force_changes = jnp.asarray(jacobian[m : m + count]), jnp.asarray(jacobian[m + count :])
+        force_sums = jnp.asarray(value[m + count :])
     return QuadraticModel(
         names=names,
         metrics=tuple(metric.name for metric in problem.metrics),
@@ -263,6 +268,7 @@ def expand_point(
         status=jnp.asarray(status),
         residual_changes=residual_changes,
         force_changes=force_changes,
+        force_sums=force_sums,
     )
 
 

@@ -14,7 +14,7 @@ new samples are drawn, up to `ROUNDS` times. What does not hold then either is n
 those of both methods, and the limit is "uncertain".
 
 Symbols: t = 1[fails] n/q; w (n, k) samples.
-Source: theory (10.30); O. Cappe et al., Stat. Comput. 18 (2008) 447-459 (components by weighted samples).
+Source: theory (10.26); O. Cappe et al., Stat. Comput. 18 (2008) 447-459 (components by weighted samples).
 """
 
 import math

@@ -14,7 +14,7 @@ their steps together, in one batch.
 Symbols: w (n, k) samples in standard normal coordinates, h = -G (`LimitState`), positive where the limit is broken and
 infinite where a simulation failed; b_i thresholds; s spread of a step; variation: standard deviation of the estimate
 of p, divided by p.
-Source: theory (10.29); S.-K. Au, J. L. Beck, Prob. Eng. Mech. 16 (2001) 263-277; I. Papaioannou, W. Betz,
+Source: theory (10.25); S.-K. Au, J. L. Beck, Prob. Eng. Mech. 16 (2001) 263-277; I. Papaioannou, W. Betz,
 K. Zwirglmaier, D. Straub, Prob. Eng. Mech. 41 (2015) 89-103 (conditional sampling, its spread).
 """
 
