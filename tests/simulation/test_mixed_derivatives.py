@@ -50,6 +50,8 @@ from rfem_jax import (
     simulate,
 )
 from rfem_jax.description.error_catalogue import error_dimension
+from rfem_jax.mechanics.loads import static_state
+from rfem_jax.simulation.driving import drive_numbers
 from tests.mechanisms import BUSHING, chain_with_balls, chain_with_drives, four_bar, loop_cut_by, loop_with_a_ball
 from tests.numpy_evaluation import by_numpy
 
@@ -70,13 +72,14 @@ GEOMETRY = ("length", "position", "orientation", "centre", "points", "angle", "d
 
 
 class Mixed(NamedTuple):
-    """A mechanism under drives, and the method: a few steps."""
+    """A mechanism under drives, and the method: a few steps; released: at rest from its start, as nothing holds it."""
 
     mechanism: Mechanism
     drive: Any
     method: Method = IMPLICIT
     elements: str = "linear"
     steps: int = 8
+    released: bool = False
 
 
 def with_sections(mechanism: Mechanism, *sections: Any, **more: Any) -> Mechanism:
@@ -219,7 +222,7 @@ def balls_and_a_free_link() -> Mixed:
     sections = TUBE, ROD, BAR, THICK
     plain = chain_with_balls()
     rigid = dataclasses.replace(plain, links=[dataclasses.replace(one, rigid=True) for one in plain.links])
-    return Mixed(with_sections(rigid, *sections), MomentRamp("A", 0.5, 0.012), EXPLICIT)
+    return Mixed(with_sections(rigid, *sections), MomentRamp("A", 0.5, 0.012), EXPLICIT, released=True)
 
 
 def ball_and_universal() -> Mixed:
@@ -263,8 +266,6 @@ MIXED: tuple[Callable[[], Mixed], ...] = (
 
 def drive_numbers_of(mixed: Mixed, model: Any) -> dict[str, float]:
     """Numbers of the drives that designs may set."""
-    from rfem_jax.simulation.driving import drive_numbers
-
     return {name: float(value) for name, value in drive_numbers(model, mixed.drive, None).items()}
 
 
@@ -285,13 +286,15 @@ def test_forward_reverse_and_differences_agree(made):
     sizes = np.array(sizes + [1e-2 * abs(value) for value in of_drives.values()])
     method, duration = mixed.method, mixed.steps * mixed.method.step
 
+    at_rest = static_state(model.topology, model.start_coordinates()) if mixed.released else None
+
     def metrics(numbers):
         given = dict(zip(names, numbers, strict=True))
         deviating = {name: given[name] for name in (*error_names, *geometric)}
         wanted = {name: x for name, x in given.items() if name not in deviating}
         run = simulate(
             model, assembly_errors(model, deviating), drive=mixed.drive, duration=duration, method=method,
-            save_every=duration, design=design(model, wanted) if wanted else None,
+            save_every=duration, start=at_rest, design=design(model, wanted) if wanted else None,
         )  # fmt: skip
         squares = [*run.metrics.mean_square_force.values(), *run.metrics.mean_square_moment.values()]
         ends = [x[-1] for x in (*run.angles.values(), *run.displacements.values())]

@@ -45,12 +45,12 @@ class VectorOfTime(OfTime):
 
 class Angle(OfTime):
     def __call__(self, t):
-        return 1e3 * t**2 * self.net(100.0 * t)
+        return 1e2 * t**2 * self.net(100.0 * t)
 
 
 class Law(OfTime):
     def __call__(self, position, rate):
-        return self.net(3.0 * position) - 0.1 * rate * self.net(rate)
+        return self.net(3.0 * position + 0.01 * rate) - 0.01 * rate
 
 
 def network(activation):
