@@ -13,10 +13,11 @@ from typing import Any
 
 from rfem_jax.description.near_names import nearest as nearest
 
-# Characters of a value, and of a remark in parentheses, beyond which a sentence quotes their beginning.
+# Characters of a value, and of a remark in parentheses, a name or a path, beyond which a sentence quotes the beginning.
 LONGEST_QUOTE, LONGEST_REMARK, QUOTED = 120, 300, 60
 CLOSING = {"[": "]", "{": "}", "(": ")", "'": "'", '"': '"', "`": "`"}
 MOST_ALIKE, MOST_NAMED = 2, 8  # sentences of one kind that are told each by itself; names told of the others
+MOST_TOLD = 40  # sentences
 
 
 class InputError(ValueError):
@@ -236,12 +237,15 @@ def with_short_quotes(sentence: str) -> str:
         return sentence
     parts, at = [], 0
     while at < len(sentence):
-        end = _end_of_quote(sentence, at) if sentence[at] in CLOSING else at + 1
+        end = _end_of_quote(sentence, at) if sentence[at] in CLOSING else _WORD.match(sentence, at).end()
         quote = sentence[at:end]
-        most = LONGEST_REMARK if quote[0] == "(" else LONGEST_QUOTE
+        most = LONGEST_QUOTE if quote[0] in "[{'\"" else LONGEST_REMARK
         parts.append(quote if len(quote) <= most else f"{quote[:QUOTED]}... ({len(quote)} characters)")
         at = end
     return "".join(parts)
+
+
+_WORD = re.compile(r"[^\s\[{('\"`]+|.", re.DOTALL)
 
 
 def _end_of_quote(sentence: str, start: int) -> int:
@@ -258,15 +262,25 @@ def _end_of_quote(sentence: str, start: int) -> int:
 
 
 def condensed(problems: Sequence[str]) -> tuple[str, ...]:
-    """Sentences of which those that differ only in the names they quote are told once, with the names of the others:
-    one mistake may be found in many places, and many have been made at once."""
+    """Sentences of which those that differ only in the names they quote, and many that differ in numbers, too, are told
+    once, with the names of the others: one mistake may be found in many places, and many have been made at once. Of too
+    many the last are counted."""
+    told = _alike(problems, lambda one: _NAMES.sub("``", one), MOST_ALIKE)
+    told = _alike(told, lambda one: _NUMBERS.sub("0", _NAMES.sub("``", one)), MOST_NAMED)
+    if len(told) > MOST_TOLD:
+        told = [*told[:MOST_TOLD], f"There are {len(told) - MOST_TOLD} more mistakes; correct these first."]
+    return tuple(told)
+
+
+_NAMES, _NUMBERS = re.compile(r"`[^`]*`|'[^']*'|number \d+"), re.compile(r"-?\d[\w.+-]*")
+
+
+def _alike(problems: Sequence[str], kind: Callable[[str], str], most: int) -> list[str]:
+    """Sentences of which more than `most` of one kind are one."""
     alike: dict[str, list[str]] = {}
     for problem in problems:
-        alike.setdefault(_NAMES.sub("``", problem), []).append(problem)
-    return tuple(one for group in alike.values() for one in (group if len(group) <= MOST_ALIKE else [_together(group)]))
-
-
-_NAMES = re.compile(r"`[^`]*`|'[^']*'|number \d+")
+        alike.setdefault(kind(problem), []).append(problem)
+    return [one for group in alike.values() for one in (group if len(group) <= most else [_together(group)])]
 
 
 def _together(group: Sequence[str]) -> str:
@@ -275,4 +289,4 @@ def _together(group: Sequence[str]) -> str:
     others = list(dict.fromkeys(name for one in group[1:] for name in _NAMES.findall(one) if name not in told))
     named = ", ".join(others[:MOST_NAMED])
     more = f"{named} and more" if len(others) > MOST_NAMED else named
-    return f"{group[0].removesuffix('.')} (so for {more}; {len(group)} in all)."
+    return f"{group[0].removesuffix('.')} ({f'so for {more}; ' if others else ''}{len(group)} in all)."

@@ -53,9 +53,9 @@ class PointMass(ChecksItself):
 
 def place_on_link(place: Any, where: str) -> tuple[float, float, float]:
     """Return a place in the frame of a link as floats [m]; else raise InputError.  A single number is x on the axis."""
-    if isinstance(place, str) or np.ndim(place) == 0:  # a number: on the axis
-        return quantity(place, "length", where), 0.0, 0.0
-    return vector(place, "length", where)
+    if isinstance(place, (list, tuple)) or getattr(place, "ndim", 0):
+        return vector(place, "length", where)
+    return quantity(place, "length", where), 0.0, 0.0  # a number: on the axis
 
 
 def _inertia(inertia: Any, where: str) -> tuple[float, float, float]:

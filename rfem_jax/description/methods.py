@@ -21,12 +21,14 @@ from rfem_jax.description.errors import ChecksItself, InputError, Problems, requ
 from rfem_jax.description.units import non_negative_quantity, positive_quantity
 
 AnyMethod = TypeVar("AnyMethod", bound="Method")
+MOST_COUNT = 10**9
 DEFAULT_ACCURACY = 1e-3  # of "auto"
 
 
 def _count(given: Any, dimension: str, where: str) -> int:
     del dimension
-    if isinstance(given, bool) or not isinstance(given, Real) or not float(given).is_integer() or given < 1:
+    whole = isinstance(given, Real) and not isinstance(given, bool) and 1 <= given < MOST_COUNT
+    if not whole or not float(given).is_integer():
         raise InputError(f"Argument {where} must be a whole number of at least 1, but is {given}; write for example 5.")
     return int(float(given))
 

@@ -50,6 +50,11 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise InputError(
             f"Study file `{path}` must be UTF-8 text, but byte {error.start} is not; save it again as UTF-8."
         ) from None
+    if re.search(r"\b0[xob][0-9A-Fa-f_]{1000}", text):  # Python does not print what it reads so
+        raise InputError(
+            f"Study file `{path}` must have numbers that fit into double precision, but has one of more than a "
+            "thousand digits; correct it."
+        )
     nested = InputError(
         f"Study file `{path}` must nest brackets and dotted names a few levels deep, but nests more than "
         f"{DEEPEST}; close brackets earlier, or shorten the name."
@@ -98,6 +103,8 @@ def checked_table(
         InputError: not a table, or one without any known key, of which nothing else is told.
         WrongKeys: an unknown key (with the nearest known one), a missing key.
     """
+    if data is ABSENT:
+        raise InputError()  # its name is misspelt, which is told
     if not isinstance(data, dict):
         raise InputError(f"{place} must be a table, but was {data!r}; write it as {place}.")
     known = (*required, *optional)

@@ -28,6 +28,7 @@ else:
 
 DERIVED: Any = None  # default of a field that `__post_init__` makes of the others: None is never seen
 
+HIGHEST_POWER = 20  # of a unit
 # Magnitudes that no mechanism has, and from which products leave double precision.
 LARGEST, SMALLEST = 1e15, 1e-15
 RANGES = {  # of other dimensions: smallest (where a value must be positive) and largest magnitude
@@ -244,7 +245,7 @@ def _unit(unit: str, text: str, where: str, dimension: str) -> tuple[float, tupl
         factors = re.split(r"[\s*]+", part.strip())
         for symbol in factors:
             match = _UNIT.match(symbol)
-            if match is None or match.group(1) not in UNITS:
+            if match is None or match.group(1) not in UNITS or abs(float(match.group(2) or 1)) > HIGHEST_POWER:
                 same = [name for name, (_, exponents) in UNITS.items() if exponents == wanted]
                 raise InputError(
                     f"{subject(where)} must have a known unit, but `{symbol or unit}` in {text!r} "

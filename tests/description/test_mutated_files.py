@@ -1,6 +1,7 @@
 """One mistake in a study file is told in one sentence, or in very few: files with one mistake each, of all shipped
 studies, are read without a traceback."""
 
+import re
 from collections import Counter
 from pathlib import Path
 
@@ -120,6 +121,8 @@ levels = 2
         ("duration = 1.0", f"duration = {[0.1] * 3000}", ("`duration`", "number", "characters")),
         ("duration = 1.0", f"duration = '{'x' * 3000}'", ("`duration`", "number", "characters")),
         ('["A.rms_force"]', f"{['A.rms_forc'] * 500}", ("`metrics`", "A.rms_forc")),
+        ('child = "one"', 'child = "one"\nstiffnes = { radial = 1e6 }', ("`stiffnes`", "`stiffness`?")),
+        ("[design]", '[monte_carlo]\nn = 8\nlimits = { "A.end_anle" = "3 deg" }\n[design]', ("A.end_anle",)),
     ],
 )
 def test_what_follows_from_a_mistake_is_not_told(tmp_path, old, new, words):
@@ -139,11 +142,17 @@ def test_what_follows_from_a_mistake_is_not_told(tmp_path, old, new, words):
         f"a = {'{a=' * 5000}1{'}' * 5000}\n",
         f"a = {'9' * 5000}\n",
         f"a = {'[' * 60}{']' * 60}\n",
+        TEXT.replace("0.1", f"0x{'f' * 5000}", 1),
+        TEXT.replace("0.1", f'"{"9" * 5000} m"', 1),
+        TEXT.replace("0.1", '"3 km^9999"', 1),
+        TEXT.replace("1.0", f"1.0\nmethod = 'generalised_alpha'\nstep = 1e-3\ncorrections = {'9' * 400}", 1),
+        TEXT.replace("rigid = true", "rigid = true\npoint_masses = [{ mass = 1, position = [[1], 2] }]", 1),
     ],
 )
 def test_what_is_nested_too_deep_or_too_long_is_refused(tmp_path, text):
     (problem,) = told(text, tmp_path / "study.toml")
-    assert "must nest" in problem or "must be valid TOML" in problem
+    words = "nest|be valid TOML|have numbers|be finite|have a known unit|be a whole number|be a number"
+    assert re.search(f"must ({words})", problem)
     assert len(problem) < 500
 
 
@@ -167,8 +176,6 @@ def test_names_of_cases_near_those_are_none_of_files(tmp_path):
 
 def test_every_table_that_the_reports_write_is_known_by_name():
     """A case of such a name would take its file."""
-    import re
-
     from rfem_jax.task_kinds import names_of_tables
 
     written = {
@@ -187,8 +194,11 @@ def test_quotations_are_cut_and_the_rest_stays():
         short = with_short_quotes(f"Argument `x` must be a number, but was {quote}; write `x` = 1.")
         assert len(short) < 160 and short.endswith("; write `x` = 1.")
         assert f"({len(quote)} characters)" in short
-    open_end = with_short_quotes("(" + "a" * 500)
-    assert open_end == "(" + "a" * 500  # nothing is quoted
+    open_end = "(" + "so it is, " * 50  # nothing is quoted
+    assert with_short_quotes(open_end) == open_end
+    path = "must be a file, but `/home/" + "folder/" * 30 + "study.toml` is none"
+    assert with_short_quotes(path) == path
+    assert len(with_short_quotes("must be finite, but was " + "9" * 5000 + "; write less.")) < 160
 
 
 def test_sentences_that_differ_in_names_alone_are_told_once():
@@ -198,3 +208,9 @@ def test_sentences_that_differ_in_names_alone_are_told_once():
     (one,) = condensed(many)
     assert one == "[x] `n0` must not (so for " + ", ".join(f"`n{i}`" for i in range(1, 9)) + " and more; 12 in all)."
     assert condensed(["[y] must.", *many]) == ("[y] must.", one)
+    numbers = [f"[x] must be 1, but was {i}." for i in range(9)]
+    assert condensed(numbers[:8]) == tuple(numbers[:8]) and condensed(numbers) == (
+        "[x] must be 1, but was 0 (9 in all).",
+    )
+    different = [f"[x{'y' * i}] must not." for i in range(100)]
+    assert condensed(different) == (*different[:40], "There are 60 more mistakes; correct these first.")

@@ -55,6 +55,8 @@ def limits_of(limits: object, needed: bool = False) -> dict[str, tuple[float, fl
         with problems.noted():
             metric_names(tuple(limits))
     for name, limit in limits.items():
+        if not isinstance(name, str) or kind_and_owner(name)[0] is None:
+            continue  # nor is the unit of its limits known
         with problems.noted():
             complete[name] = limit_ends(name, limit)
     problems.refuse()
