@@ -237,7 +237,8 @@ def with_short_quotes(sentence: str) -> str:
         return sentence
     parts, at = [], 0
     while at < len(sentence):
-        end = _end_of_quote(sentence, at) if sentence[at] in CLOSING else _WORD.match(sentence, at).end()
+        word = _WORD.match(sentence, at)
+        end = at + len(word[0]) if word else _end_of_quote(sentence, at)
         quote = sentence[at:end]
         most = LONGEST_QUOTE if quote[0] in "[{'\"" else LONGEST_REMARK
         parts.append(quote if len(quote) <= most else f"{quote[:QUOTED]}... ({len(quote)} characters)")
@@ -245,7 +246,7 @@ def with_short_quotes(sentence: str) -> str:
     return "".join(parts)
 
 
-_WORD = re.compile(r"[^\s\[{('\"`]+|.", re.DOTALL)
+_WORD = re.compile(r"[^\s\[{('\"`]+|\s+")
 
 
 def _end_of_quote(sentence: str, start: int) -> int:

@@ -27,10 +27,13 @@ DEFAULT_ACCURACY = 1e-3  # of "auto"
 
 def _count(given: Any, dimension: str, where: str) -> int:
     del dimension
-    whole = isinstance(given, Real) and not isinstance(given, bool) and 1 <= given < MOST_COUNT
-    if not whole or not float(given).is_integer():
+    try:
+        number = float(given) if isinstance(given, Real) and not isinstance(given, bool) else 0.0
+    except OverflowError:
+        number = 0.0
+    if not 1.0 <= number <= MOST_COUNT or not number.is_integer():
         raise InputError(f"Argument {where} must be a whole number of at least 1, but is {given}; write for example 5.")
-    return int(float(given))
+    return int(number)
 
 
 def setting(
