@@ -31,8 +31,6 @@ from rfem_jax.mechanics import loads
 from rfem_jax.mechanics.bush_contacts import with_memory
 from rfem_jax.mechanics.centre_lines import link_lines
 from rfem_jax.mechanics.designs import Design, designed, with_status
-from rfem_jax.mechanics.elements.linear_validity import linear_error
-from rfem_jax.mechanics.implicit.residual import rounding_force
 from rfem_jax.mechanics.model import Model, State
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors, ModelWithErrors, apply_errors, assembly_errors
 from rfem_jax.mechanics.orientations import angles_of
@@ -40,24 +38,17 @@ from rfem_jax.mechanics.reordering import rows
 from rfem_jax.mechanics.statics.assembly import (
     Load,
     held_angles,
-    length_scale,
     moving_equilibrium,
     named,
     static_loads,
     with_start,
 )
 from rfem_jax.mechanics.status import (
-    CONTACT_NOT_RESOLVED,
     DESIGN_OUT_OF_RANGE,
-    DIVERGED,
-    DRIFTED,
-    NOT_BALANCED,
-    NOT_CONVERGED,
     OK,
-    OUT_OF_RANGE,
-    STEPS_EXHAUSTED,
 )
 from rfem_jax.simulation import equations
+from rfem_jax.simulation.balances import checks_of
 from rfem_jax.simulation.batches import like_batched
 from rfem_jax.simulation.driving import active_drives, all_jumps, all_step_ends, drive_of_design, require_driven
 from rfem_jax.simulation.equations import Conditions, Scalar, Trajectory
@@ -65,9 +56,7 @@ from rfem_jax.simulation.locking import with_limit
 from rfem_jax.simulation.observation import Record, energy_at, observe
 from rfem_jax.simulation.packing import pack, unpack
 from rfem_jax.simulation.records import finished_records, instant_records, require_records
-from rfem_jax.simulation.remarks import BALANCE_LIMIT
 from rfem_jax.simulation.run import (
-    RESIDUAL_LIMIT,
     DriveHistory,
     DrivenJoint,
     Energy,
@@ -82,10 +71,6 @@ from rfem_jax.simulation.solvers.implicit_step import Memory
 from rfem_jax.simulation.stabilisation import stabilisation_of
 from rfem_jax.simulation.stepping import Carry, entries_of, last_step, repeated, step_intervals
 from rfem_jax.simulation.time_grid import TimeGrid, divide_time, longest_interval, of_any_step
-
-DRIFT_LIMIT = 1e-6
-# Of the largest joint force times the longest link: where less energy moves, errors of this size say nothing.
-LEAST_EXCHANGE = 1e-3
 
 
 class Prepared(NamedTuple):
@@ -380,16 +365,8 @@ def conclude(
     times = rows(jnp.asarray(grid.starts + grid.lengths), grid.saved)
     # Since the start: the work of tables over position is known up to a constant.
     energy = dataclasses.replace(record.energy, work=record.energy.work - record.energy.work[0])
-    drift = jnp.max(record.drift)
-    largest = _force_scale(model, prepared, carry, energy, times, grid.shortest_step(steps))
-    error = balance_error(model, energy, largest)
-    residual = carry.residual / _safe(largest)
-    # Of a hinge at the origin, which has no arm there, a moment is compared with its force on the longest link; joints
-    # of free bodies carry nothing but rounding.
-    force, moment = jnp.max(record.largest_load, axis=0)
-    force = jnp.maximum(force, largest)
-    moment = moment + force * length_scale(model)
-    momentum = jnp.max(jnp.max(record.momentum_residual, axis=0) / _safe(jnp.stack([force, moment])))
+    shortest = grid.shortest_step(steps)
+    checks = checks_of(model, prepared.actual, prepared.status, carry, record, energy, times[-1], shortest)
     drives = _histories(model, record)
     first = next(iter(drives.values()), DriveHistory(0.0 * times, 0.0 * times, record.drive_forces[0]))
     return Run(
@@ -405,16 +382,7 @@ def conclude(
         energy=energy,
         metrics=metrics_of(model, carry, times[-1]),
         driven_joint=DrivenJoint(first.position[-1], first.rate[-1]),
-        energy_balance_error=error,
-        closure_drift=drift,
-        closure_drift_angle=jnp.max(record.drift_angle),
-        momentum_balance_error=momentum,
-        hinge_moment_error=jnp.max(record.hinge_residual) / _safe(moment),
-        stabilisation_share=jnp.max(record.stabilising) / _safe(jnp.max(record.multiplier)),
-        solution_residual=residual,
-        linear_error=linear_error(record.linear),
         equation_residual=record.residual,
-        status=_status(model, prepared, carry, (error, momentum), drift, jnp.max(record.range_used), residual),
         ends={name: record.ends[:, :, l] for l, name in enumerate(model.link_names)},
         forces=record.forces,
         contacts=record.contacts,
@@ -427,6 +395,7 @@ def conclude(
         friction_losses=_by_friction(model, record.friction_losses),
         recorded=finished_records(model, prepared.actual, record.asked, record.friction_losses, asked),
         positions=jax.tree.map(lambda x: rows(x, grid.saved), ends.trajectory.position),
+        **checks,
     )
 
 
@@ -454,60 +423,6 @@ def metrics_of(model: Model, carry: Carry, duration: Scalar) -> Metrics:
         max_force=by_name(highest[2]),
         max_moment=by_name(highest[3]),
     )
-
-
-def _status(model, prepared: Prepared, carry: Carry, balances, drift, used, residual):
-    energy, momentum = balances
-    finite = jnp.isfinite(energy) & jnp.all(jnp.isfinite(carry.peaks))
-    for leaf in jax.tree.leaves(carry.trajectory):
-        finite = finite & jnp.all(jnp.isfinite(leaf))
-    code = jnp.where(drift < DRIFT_LIMIT * length_scale(model), OK, DRIFTED)
-    code = jnp.where(momentum < BALANCE_LIMIT, code, NOT_BALANCED)
-    code = jnp.where(energy < BALANCE_LIMIT, code, CONTACT_NOT_RESOLVED if model.topology.clearances else NOT_BALANCED)
-    code = jnp.where(residual < RESIDUAL_LIMIT, code, NOT_CONVERGED)
-    code = jnp.where(used < 1.0, code, OUT_OF_RANGE)
-    code = jnp.where(carry.exhausted, STEPS_EXHAUSTED, code)
-    code = jnp.where(finite, code, DIVERGED)
-    return jnp.where(prepared.status == OK, code, prepared.status).astype(jnp.int32)
-
-
-def largest_force(carry: Carry) -> Float[Array, ""]:
-    """The largest axial or normal force [N] that any joint has carried."""
-    return equations.safe_sqrt(equations.largest_component(carry.peaks))
-
-
-def _force_scale(
-    model: Model,
-    prepared: Prepared,
-    carry: Carry,
-    energy: Energy,
-    times: Float[Array, " times"],
-    shortest: Float[Array, ""],
-) -> Float[Array, ""]:
-    """What a residual force is compared with [N]: the largest joint force, and for free links, whose joints carry
-    none, their kinetic energy over the longest link; friction may be the only load, an RMS moment over that link; where
-    nothing acts, joints carry what rounding amounts to in the `shortest` step [s]."""
-    largest = largest_force(carry)
-    if model.friction is not None:
-        mean_square = jnp.max(carry.trajectory.integrals.moment_square) / times[-1]
-        largest = jnp.maximum(largest, equations.safe_sqrt(mean_square) / length_scale(model))
-    if carry.memory is not None:
-        largest = jnp.maximum(largest, rounding_force(prepared.actual, length_scale(model), shortest))
-    if "free" not in model.topology.kinds:
-        return largest
-    return jnp.maximum(largest, jnp.max(energy.kinetic) / length_scale(model))
-
-
-def balance_error(model: Model, energy: Energy, largest: Float[Array, ""]) -> Float[Array, ""]:
-    """Error of the energy balance over the energy that is exchanged, or over a share of the work of the `largest` joint
-    force [N] over the longest link."""
-    balance = energy.total - energy.work + energy.dissipation
-    least = LEAST_EXCHANGE * largest * length_scale(model)
-    return jnp.max(jnp.abs(balance - balance[0])) / _safe(jnp.maximum(energy.exchanged, least))
-
-
-def _safe(value):
-    return jnp.where(value > 0.0, value, 1.0)
 
 
 def _coordinates(model: Model, record: Record, rotation: bool) -> dict[str, Array]:

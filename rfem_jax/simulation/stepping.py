@@ -192,8 +192,8 @@ class Schedule(NamedTuple):
     """The steps of an interval.
 
     step: start [s], length [s], operators (None: those of the conditions) and place within its part of the step of an
-    index; needed: whether the step of an index is one of a method that remembers; number: of the steps, or more where it
-    is to be static; parts: whether lengths may differ.
+    index; needed: whether the step of an index is one of a method that remembers; number: of the steps, or more where
+    it is to be static; parts: whether lengths may differ.
     """
 
     step: Callable[[Float[Array, ""]], tuple[Float[Array, ""], Float[Array, ""], PyTree, Float[Array, ""]]]

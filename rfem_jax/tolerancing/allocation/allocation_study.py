@@ -36,8 +36,8 @@ from rfem_jax.tolerancing.layout import show_error, show_number
 from rfem_jax.tolerancing.problems.distributions import Normal, Tolerance
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem
 from rfem_jax.tolerancing.problems.quadratic_model import QuadraticModel
-from rfem_jax.tolerancing.problems.sizes import Zones
 from rfem_jax.tolerancing.sampling.sequences import RandomKey
+from rfem_jax.tolerancing.sizes import Zones
 from rfem_jax.tolerancing.worst_cases import STARTS
 
 CRITERIA = ("worst_case", "rss", "yield")

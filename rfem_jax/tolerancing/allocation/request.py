@@ -23,7 +23,7 @@ from rfem_jax.tolerancing.problems.linearisation import choose_mode, linearise_p
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem
 from rfem_jax.tolerancing.problems.quadratic_model import QuadraticModel, expand_by_differences
 from rfem_jax.tolerancing.problems.sample_values import Base
-from rfem_jax.tolerancing.problems.sizes import Sizes, Zones, sizes_of
+from rfem_jax.tolerancing.sizes import Sizes, Zones, sizes_of
 
 
 class Limit(NamedTuple):

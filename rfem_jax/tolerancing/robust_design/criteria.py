@@ -32,9 +32,9 @@ from rfem_jax.tolerancing.optimisation.starting_points import (
     spread_points,
 )
 from rfem_jax.tolerancing.problems.distributions import Tolerance
-from rfem_jax.tolerancing.problems.sizes import Sizes
 from rfem_jax.tolerancing.robust_design.observations import Observed, Observer
 from rfem_jax.tolerancing.sampling.sequences import RandomKey
+from rfem_jax.tolerancing.sizes import Sizes
 
 CORNERS = 4  # of so many errors the corners of the box are among the starts of a search for the worst point
 SEARCH_STEPS = 40

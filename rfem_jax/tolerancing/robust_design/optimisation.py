@@ -34,7 +34,6 @@ from rfem_jax.tolerancing.problems.distributions import Normal, Tolerance
 from rfem_jax.tolerancing.problems.linearisation import choose_mode
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem
-from rfem_jax.tolerancing.problems.sizes import Zones
 from rfem_jax.tolerancing.robust_design.criteria import CRITERIA, FAILED, Criterion
 from rfem_jax.tolerancing.robust_design.observations import Observer
 from rfem_jax.tolerancing.robust_design.request import COST, Bounds, Request, Widths, check_request
@@ -54,6 +53,7 @@ from rfem_jax.tolerancing.robust_design.verification import (
     verify_worst_case,
 )
 from rfem_jax.tolerancing.sampling.sequences import RandomKey
+from rfem_jax.tolerancing.sizes import Zones
 
 EXCHANGES = 12  # of worst points, at most
 ATTEMPTS = 3  # searches, each after a fresh run that fell short

@@ -18,9 +18,9 @@ from rfem_jax.tolerancing.problems.evaluation import metric_index, split_errors
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem
 from rfem_jax.tolerancing.problems.sample_values import Base
-from rfem_jax.tolerancing.problems.sizes import Zones, sizes_of
 from rfem_jax.tolerancing.robust_design.criteria import NormalisedLimit
 from rfem_jax.tolerancing.robust_design.variables import Variables, separate_widths
+from rfem_jax.tolerancing.sizes import Zones, sizes_of
 
 COST = "cost"  # term of the objective: the cost of the tolerances
 CRITERIA = ("nominal", "worst_case", "rss", "yield")
