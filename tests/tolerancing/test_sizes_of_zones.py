@@ -8,12 +8,12 @@ from rfem_jax.description.errors import InputError
 from rfem_jax.description.zones import SpecifiedZone
 from rfem_jax.tolerancing.allocation.allocation_study import allocate
 from rfem_jax.tolerancing.allocation.cost_models import Reciprocal
+from rfem_jax.tolerancing.optimisation.sizes import Sizes
 from rfem_jax.tolerancing.problems.distributions import Uniform
 from rfem_jax.tolerancing.problems.joint_distributions import Zone
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.problem import FunctionProblem
 from rfem_jax.tolerancing.robust_design.optimisation import optimise
-from rfem_jax.tolerancing.sizes import Sizes
 
 jax.config.update("jax_enable_x64", True)
 

@@ -33,11 +33,11 @@ from rfem_jax.tolerancing.allocation.worst_case_criterion import WorstCaseCriter
 from rfem_jax.tolerancing.checks import ErrorValues
 from rfem_jax.tolerancing.labelled_results import LabelledAllocation
 from rfem_jax.tolerancing.layout import show_error, show_number
+from rfem_jax.tolerancing.optimisation.sizes import Zones
 from rfem_jax.tolerancing.problems.distributions import Normal, Tolerance
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem
 from rfem_jax.tolerancing.problems.quadratic_model import QuadraticModel
 from rfem_jax.tolerancing.sampling.sequences import RandomKey
-from rfem_jax.tolerancing.sizes import Zones
 from rfem_jax.tolerancing.worst_cases import STARTS
 
 CRITERIA = ("worst_case", "rss", "yield")

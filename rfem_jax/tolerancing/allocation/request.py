@@ -18,12 +18,12 @@ from rfem_jax.description.errors import InputError
 from rfem_jax.tolerancing.allocation.cost_models import CostModel, assign_costs
 from rfem_jax.tolerancing.allocation.models import Quadratic
 from rfem_jax.tolerancing.checks import ErrorValues, error_value, read_limits
+from rfem_jax.tolerancing.optimisation.sizes import Sizes, Zones, sizes_of
 from rfem_jax.tolerancing.problems.evaluation import evaluate_points, metric_index, read_point, split_errors
 from rfem_jax.tolerancing.problems.linearisation import choose_mode, linearise_points
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem
 from rfem_jax.tolerancing.problems.quadratic_model import QuadraticModel, expand_by_differences
 from rfem_jax.tolerancing.problems.sample_values import Base
-from rfem_jax.tolerancing.sizes import Sizes, Zones, sizes_of
 
 
 class Limit(NamedTuple):

@@ -71,9 +71,8 @@ def reliability(
         tolerances: of the errors that vary, or a study that specifies them; all other errors are zero.
         limits: {metric name: largest value, or (low, high) with None for an open end}.
         key: JAX random key of the searches and samples.
-        n: samples of the importance sampling, at least 50, drawn anew up to three times where what they say cannot be
-            trusted; the interval narrows by their square root. level_samples: of each level of the subset simulation
-            of every limit, at least 50.
+        n: samples of the importance sampling, at least 50; twice and four times as many are drawn after them where
+            what they say cannot be trusted. level_samples: of each level of subset simulation, at least 50.
         starts: searches of a turn for each limit; rounds: the most evaluations of each.
         confidence: of the intervals; mode: of differentiation; batch: simulations at once.
         progress: True for a bar of the samples, or a function of (done, total).

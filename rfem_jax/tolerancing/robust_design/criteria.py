@@ -24,6 +24,7 @@ from jaxtyping import Float
 
 from rfem_jax.tolerancing.allocation.models import quantile_weights
 from rfem_jax.tolerancing.optimisation.projected_gradient import climb_together
+from rfem_jax.tolerancing.optimisation.sizes import Sizes
 from rfem_jax.tolerancing.optimisation.starting_points import (
     box_corners,
     distinct,
@@ -34,7 +35,6 @@ from rfem_jax.tolerancing.optimisation.starting_points import (
 from rfem_jax.tolerancing.problems.distributions import Tolerance
 from rfem_jax.tolerancing.robust_design.observations import Observed, Observer
 from rfem_jax.tolerancing.sampling.sequences import RandomKey
-from rfem_jax.tolerancing.sizes import Sizes
 
 CORNERS = 4  # of so many errors the corners of the box are among the starts of a search for the worst point
 SEARCH_STEPS = 40

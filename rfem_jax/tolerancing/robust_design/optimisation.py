@@ -29,6 +29,7 @@ from rfem_jax.description.precision import require_float64
 from rfem_jax.tolerancing.allocation.cost_models import CostModel, total_cost
 from rfem_jax.tolerancing.checks import ErrorValue
 from rfem_jax.tolerancing.layout import show_number
+from rfem_jax.tolerancing.optimisation.sizes import Zones
 from rfem_jax.tolerancing.optimisation.starting_points import sobol_units
 from rfem_jax.tolerancing.problems.distributions import Normal, Tolerance
 from rfem_jax.tolerancing.problems.linearisation import choose_mode
@@ -53,7 +54,6 @@ from rfem_jax.tolerancing.robust_design.verification import (
     verify_worst_case,
 )
 from rfem_jax.tolerancing.sampling.sequences import RandomKey
-from rfem_jax.tolerancing.sizes import Zones
 
 EXCHANGES = 12  # of worst points, at most
 ATTEMPTS = 3  # searches, each after a fresh run that fell short
@@ -110,17 +110,15 @@ def optimise(
 
     Arguments: designs {name: (lowest, highest value)} of parameters [unit of each, or strings with a unit]; tolerances
     {error: half-width, or (smallest, largest) where it is to be found; zone of a drawing: its diameter likewise}, or a
-    Tolerances collection; zones, those among the tolerances, as of `allocate`; objective, a metric
-    of the perfect mechanism, "cost" of the tolerances to be found, or {these: weight}; limits {metric: largest value,
-    or (low, high)}; robust, when they hold: "nominal" (perfect mechanism), "worst_case", "rss" (mean + `coverage`
-    deviations) or "yield" (fraction `target` of mechanisms holds all limits); cost, as of `allocate`; key, a JAX key;
-    at {error: value} with fixed values; distribution, a callable half-width -> Tolerance, samples and verify_samples,
-    of "rss" and "yield"; starts, number of points compared at first, and searches, of the best of them; steps of a
-    search; mode and batch as of `allocate`; progress, is called with the number of simulations.  An interrupted call
-    continues within `kept_evaluations.kept_in(folder)`.
+    Tolerances collection; objective, a metric of the perfect mechanism, "cost" of the tolerances to be found, or
+    {these: weight}; limits {metric: largest value, or (low, high)}; robust, when they hold: "nominal" (perfect
+    mechanism), "worst_case", "rss" (mean + `coverage` deviations) or "yield" (fraction `target` of mechanisms holds all
+    limits); cost and zones, as of `allocate`; key, a JAX key; at {error: value} with fixed values; distribution, a
+    callable half-width -> Tolerance, samples and verify_samples, of "rss" and "yield"; starts, number of points compared
+    at first, and searches, of the best of them; steps of a search; mode and batch as of `allocate`; progress, is called
+    with the number of simulations.  An interrupted call continues within `kept_evaluations.kept_in(folder)`.
 
     Returns: DesignOptimum; "infeasible" says which limit is in the way.
-
     Raises: InputError for unknown names, bad bounds and options.
     """
     require_float64()

@@ -14,13 +14,13 @@ from jaxtyping import Float
 from rfem_jax.description.errors import InputError
 from rfem_jax.tolerancing.allocation.cost_models import CostModel, assign_costs
 from rfem_jax.tolerancing.checks import ErrorValue, check_known, error_value, read_limits
+from rfem_jax.tolerancing.optimisation.sizes import Zones, sizes_of
 from rfem_jax.tolerancing.problems.evaluation import metric_index, split_errors
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem
 from rfem_jax.tolerancing.problems.sample_values import Base
 from rfem_jax.tolerancing.robust_design.criteria import NormalisedLimit
 from rfem_jax.tolerancing.robust_design.variables import Variables, separate_widths
-from rfem_jax.tolerancing.sizes import Zones, sizes_of
 
 COST = "cost"  # term of the objective: the cost of the tolerances
 CRITERIA = ("nominal", "worst_case", "rss", "yield")

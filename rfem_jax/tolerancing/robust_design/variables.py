@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Float
 
 from rfem_jax.description.errors import InputError
-from rfem_jax.tolerancing.sizes import Sizes
+from rfem_jax.tolerancing.optimisation.sizes import Sizes
 
 
 @dataclass(frozen=True, eq=False)
