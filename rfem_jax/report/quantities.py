@@ -67,7 +67,7 @@ BALANCES = (
         "energy_balance_error",
         "",
         "Energy balance",
-        "largest change of total - work + dissipation, divided by the largest energy that is exchanged",
+        "largest change of total - work + dissipation, over the energy that is exchanged",
     ),
     Quantity("closure_drift", "m", "Drift", "largest distance of the two centres of a cut joint"),
     Quantity("closure_drift_angle", "rad", "Drift angle", "largest residual of the axis equations"),

@@ -37,7 +37,7 @@ def named(run):
 def test_long_steps_of_a_rigid_four_bar_are_not_accepted():
     """Of 5 ms at 573 rpm: loads are 13 % off; with steps of 2.5 ms 3 %, and of 0.2 ms not at all."""
     described = four_bar()
-    links = [dataclasses.replace(one, rigid=True, rfes=None) for one in described.links]
+    links = [dataclasses.replace(one, rigid=True) for one in described.links]
     model = discretise(dataclasses.replace(described, links=links, redundant_reactions="minimum_norm"))
     settings = {"drive": PrescribedRate("A", 60.0), "duration": 0.21}
     long, shorter, fine = (
