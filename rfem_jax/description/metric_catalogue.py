@@ -243,7 +243,7 @@ def norm_of_squares(squares: Float[Array, "..."], count: int, power: int = PEAK_
 
 
 BELOW = f"smooth {PEAK_POWER}-norm over the saved times, a lower bound of the maximum"
-_OF_LOADS = {"even": True, "of_joints": True, "nonnegative": True}
+_OF_LOADS: dict[str, Any] = {"even": True, "of_joints": True, "nonnegative": True}
 
 
 def _register_loads(load: str, unit: str, squared: str) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 
 import jax
 import numpy as np
+from jax.core import Tracer
 
 from rfem_jax.text_layout import align_columns
 
@@ -70,10 +71,9 @@ def _rest(rows: list[list[str]]) -> list[str]:
 
 def _masses(model: Any) -> np.ndarray | None:
     """Masses of the links with their point masses and bodies [kg]."""
-    parts = [_numbers(part) for part in (model.section.line_density, model.length, model.point_mass)]
-    if any(part is None for part in parts):
+    density, length, points = (_numbers(of) for of in (model.section.line_density, model.length, model.point_mass))
+    if density is None or length is None or points is None:
         return None
-    density, length, points = parts
     found = density * length
     np.add.at(found, [model.topology.link_of(node) for node in model.topology.masses], points)
     return found
@@ -81,5 +81,5 @@ def _masses(model: Any) -> np.ndarray | None:
 
 def _numbers(values: Any) -> np.ndarray | None:
     """Values of one model; None of a batch, and of what has no values."""
-    known = isinstance(values, (np.ndarray, jax.Array)) and not isinstance(values, jax.core.Tracer)
+    known = isinstance(values, (np.ndarray, jax.Array)) and not isinstance(values, Tracer)
     return np.array(values, dtype=float) if known and np.ndim(values) == 1 else None

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from rfem_jax.mechanics.joint_laws import SpringLaw
-from rfem_jax.mechanics.model import Model
 from rfem_jax.mechanics.point_laws import GivenLoad
 from rfem_jax.report.annotations import Run
 
@@ -26,7 +25,8 @@ def owner_of(topology: Any, node: int) -> str:
 
 def describe_acting(run: Run) -> dict[str, Any]:
     """{"forces": at points, in the order of `run.forces`; "laws": in joints} of a run that has a model."""
-    model: Model = run.model
+    model = run.model
+    assert model is not None, "it is asked of such runs"
     topology, elements = model.topology, model.frame_forces or {}
     forces = []
     for name in run.forces:
@@ -49,10 +49,8 @@ def describe_acting(run: Run) -> dict[str, Any]:
 
 def acting_arrays(run: Run, forces: list[dict[str, Any]], rows: np.ndarray) -> dict[str, np.ndarray]:
     """Points and values of the forces that `describe_acting` tells, at some of the saved times."""
-    empty = np.zeros((len(rows), 0, 3))
-    found = dict.fromkeys(ACTING, empty)
     if not forces:
-        return found
+        return {name: np.zeros((len(rows), 0, 3)) for name in ACTING}
     histories = [run.forces[one["name"]] for one in forces]
     values = [history.moment if one["kind"] == "moment" else history.force for one, history in zip(forces, histories)]
     parts = [one.first_place for one in histories], [one.place for one in histories], values
