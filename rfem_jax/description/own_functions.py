@@ -25,7 +25,7 @@ def as_tree(function: Any, where: str, arguments: str, advice: str = "pass one w
     """
     if not callable(function):
         raise InputError(f"Argument {where} must be a function of {arguments}, but was {function!r}; {advice}.")
-    tree = function if isinstance(function, (eqx.Module, Partial)) else Partial(function)
+    tree: Any = function if isinstance(function, (eqx.Module, Partial)) else Partial(function)
     return _with_arrays_alone(tree, where)
 
 
@@ -37,7 +37,7 @@ def _with_arrays_alone(tree: Callable, where: str) -> Callable:
         return tree
     leaves = [jnp.asarray(leaf) if isinstance(leaf, np.ndarray) else leaf for leaf in leaves]
     arrays = tuple(leaf for leaf in leaves if eqx.is_array(leaf))
-    others = tuple(_ARRAY if eqx.is_array(leaf) else leaf for leaf in leaves)
+    others: Any = tuple(_ARRAY if eqx.is_array(leaf) else leaf for leaf in leaves)
     for leaf in others:
         try:
             hash(leaf)

@@ -2,6 +2,7 @@
 description with this number, and no other; derivatives of the arrays against differences."""
 
 import dataclasses
+from collections.abc import Callable
 
 import equinox as eqx
 import jax
@@ -60,7 +61,7 @@ class Tanh(eqx.Module):
     """A law that holds an array, and beside it what is none."""
 
     weight: jax.Array
-    squash: object
+    squash: Callable
     name: str = "tanh"
 
     def __call__(self, one, other):

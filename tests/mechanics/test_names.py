@@ -3,6 +3,7 @@ are the same to them, whatever the order of the names is."""
 
 import dataclasses
 import functools
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -83,7 +84,7 @@ def test_models_of_other_names_are_the_same_without_them(made):
     other = with_other_names(described, lambda name: f"{'zyx'[hash_of(name) % 3]}{name[::-1]}q")
     models = [discretise(one) for one in (described, other)]
     assert structure(models[0]) != structure(models[1])
-    named = [names_in((model,)) for model in models]
+    named: Any = [names_in((model,)) for model in models]
     nameless = [names.renamed(model) for names, model in zip(named, models, strict=True)]
     if not any(callable(getattr(force, "function", None)) for force in described.forces):
         assert structure(nameless[0]) == structure(nameless[1])

@@ -43,12 +43,16 @@ class VectorOfTime(OfTime):
         return jnp.stack([self.net(100.0 * t), 1.0 + 0.0 * t, self.net(50.0 * t)])
 
 
-class Angle(OfTime):
+class Angle(eqx.Module):
+    net: eqx.nn.MLP
+
     def __call__(self, t):
         return 1e2 * t**2 * self.net(100.0 * t)
 
 
-class Law(OfTime):
+class Law(eqx.Module):
+    net: eqx.nn.MLP
+
     def __call__(self, position, rate):
         return self.net(3.0 * position + 0.01 * rate) - 0.01 * rate
 
@@ -116,6 +120,7 @@ def test_a_design_beside_weights_that_are_differentiated():
     def moment(numbers):
         model = discretise(described(eqx.combine(tree(numbers), rest)))
         made = designed(model, design(model, {"upper.length": 0.31})).model
+        assert made.forces is not None
         return made.forces["law"].force(*at) * made.length[0]
 
     wanted = jax.grad(lambda numbers: 0.31 * Law(eqx.combine(tree(numbers), rest))(*at))(numbers)
