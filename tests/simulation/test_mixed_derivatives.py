@@ -215,7 +215,8 @@ def rigid_chain_of_kinds() -> Mixed:
         JointForceFunction("along", "C", law, motion="R_y"),
         JointSpring("planar", "L", stiffness=40.0, preload=-2.0, motion="T_x"),
     ]
-    return Mixed(Mechanism(links, joints, driven_joint="A", forces=forces), MomentRamp("A", 1.5, 0.012), EXPLICIT)
+    mechanism = Mechanism(links, joints, driven_joint="A", forces=forces)
+    return Mixed(mechanism, MomentRamp("A", 1.5, 0.012), EXPLICIT, released=True)
 
 
 def balls_and_a_free_link() -> Mixed:
