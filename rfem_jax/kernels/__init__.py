@@ -1,0 +1,25 @@
+"""Functions of small arrays as machine code of their own, called by XLA.
+
+XLA's compiler for CPUs is made for large arrays: a program of ten thousand operations on arrays of three rows takes it
+many seconds, and runs many times slower than its arithmetic.  Here every entry of every array is a vector over samples,
+LLVM compiles the operations on these as they stand, and JAX sees one primitive with rules for batches and derivatives.
+
+    primitive         `kernel(function)`: the primitive, its batches, derivatives and transposes
+    programs          a jaxpr as the text of a module for LLVM
+    emission          primitives of JAX as operations on entries
+    loops             loops and branches, over all samples at once
+    vector_math       sine, cosine, exponential function and logarithm of vectors
+    arithmetic        operations on entries; known numbers are folded
+    entries           arrays as NumPy's arrays of entries
+    builder           LLVM's assembly language
+    foreign_function  the function that XLA calls
+    machine_code      the compiler (llvmlite)
+
+The package knows nothing of mechanics, and uses public interfaces of JAX and llvmlite alone (docs/kernels.md).
+"""
+
+from rfem_jax.kernels.emission import expand_primitive
+from rfem_jax.kernels.machine_code import is_available
+from rfem_jax.kernels.primitive import kernel
+
+__all__ = ["expand_primitive", "is_available", "kernel"]

@@ -1,0 +1,227 @@
+"""LLVM's assembly language, written operation by operation.
+
+Place in the pipeline: **builder** -> arithmetic, loops, emission -> machine_code.
+
+Every value of a program is a vector over lanes; a lane is a sample, and no operation looks from one lane at another,
+but for the decision whether a loop goes on or a branch is entered at all.  The text is the same for any number of
+lanes: it has marks in place of the types, which `Program.text` fills in.
+
+    #d #b #i #l    vectors of double, of i1, of i32, of i64
+    #n             the number of lanes
+    #(k)           the size of k vectors of 8 bytes a lane, in bytes
+    #lanes         0, 8, 16, ...: the place of every lane within such a vector, in bytes
+
+A value is in a register, or in the workspace: memory of the caller, in slots of 8 bytes a lane.  What goes around in a
+loop is kept in slots, which keeps the time of compilation linear in the length of the program; so does a new basic
+block after every few hundred operations.
+"""
+
+import re
+import struct
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+OPERATIONS_OF_A_BLOCK = 300
+MARKS = re.compile(r"#(?:\((\d+)\)|lanes|[dbiln])")
+
+
+class Value:
+    """A vector over lanes in a register: its name, and its kind (d: double, b: bool, i: int32, l: int64).
+
+    Not a tuple: NumPy would take it apart.
+    """
+
+    __slots__ = ("kind", "name")
+
+    def __init__(self, name: str, kind: str) -> None:
+        self.name, self.kind = name, kind
+
+
+Entry = Any  # of an array: a `Value`, or a number of NumPy's that is known
+
+
+class Unsupported(Exception):
+    """An operation that has no machine code here; the text names it."""
+
+
+def kind_of(dtype: np.dtype) -> str:
+    """The kind of values of a type of numbers.
+
+    **Raises:** `Unsupported` for a type without one.
+    """
+    found = {"float64": "d", "bool": "b", "int32": "i", "int64": "l"}.get(np.dtype(dtype).name)
+    if found is None:
+        raise Unsupported(f"numbers of type {np.dtype(dtype).name}")
+    return found
+
+
+DTYPES = {"d": np.dtype(float), "b": np.dtype(bool), "i": np.dtype(np.int32), "l": np.dtype(np.int64)}
+
+
+def is_known(entry: Entry) -> bool:
+    return not isinstance(entry, Value)
+
+
+class Builder:
+    """A function `void (ptr workspace)` of one block of lanes, under construction.
+
+    Operations that were carried out already, with the same operands, are not repeated.
+    """
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+        self.block = "entry"
+        self.operations = 0
+        self.slots = 0
+        self.intrinsics: dict[str, str] = {}
+        self.functions: dict[str, tuple[int, str]] = {}  # how many results, and text
+        self._scopes: list[dict[str, Value]] = [{}]
+        self._names = 0
+        self._in_block = 0
+
+    # Names and text
+
+    def fresh(self, prefix: str = "v") -> str:
+        self._names += 1
+        return f"{prefix}{self._names}"
+
+    def line(self, text: str) -> None:
+        self.lines.append(text)
+
+    def begin(self, label: str) -> None:
+        """A new basic block, to which the last one must have branched."""
+        self.line(f"{label}:")
+        self.block, self._in_block = label, 0
+
+    def scalar(self, text: str) -> str:
+        """An operation whose result is not a vector, such as a loop's counter."""
+        name = f"%{self.fresh('s')}"
+        self.line(f"{name} = {text}")
+        return name
+
+    def operation(self, kind: str, text: str) -> Value:
+        """The value of an operation of vectors that depends on its operands alone."""
+        for scope in reversed(self._scopes):
+            if text in scope:
+                return scope[text]
+        value = self._fresh_value(kind, text)
+        self._scopes[-1][text] = value
+        return value
+
+    def _fresh_value(self, kind: str, text: str) -> Value:
+        self._in_block += 1
+        self.operations += 1
+        if self._in_block > OPERATIONS_OF_A_BLOCK:
+            label = self.fresh("b")
+            self.line(f"br label %{label}")
+            self.begin(label)
+        value = Value(f"%{self.fresh()}", kind)
+        self.line(f"{value.name} = {text}")
+        return value
+
+    def operand(self, entry: Entry, kind: str) -> str:
+        """An entry as an operand, without its type."""
+        if isinstance(entry, Value):
+            return entry.name
+        if kind == "d":
+            return f"splat (double 0x{struct.pack('>d', float(entry)).hex().upper()})"
+        size = {"b": 1, "i": 32, "l": 64}[kind]
+        number = "true" if kind == "b" and entry else "false" if kind == "b" else int(entry)
+        return f"splat (i{size} {number})"
+
+    def call(self, function: str, kind: str, *entries: Entry) -> Value:
+        """An intrinsic function of LLVM, `llvm.NAME`, of doubles."""
+        suffix = f"v#n{'f64' if kind == 'd' else 'i32' if kind == 'i' else 'i64'}"
+        types = ", ".join([f"#{kind}"] * len(entries))
+        name = f"@llvm.{function}.{suffix}"
+        self.intrinsics[name] = f"declare #{kind} {name}({types})"
+        arguments = ", ".join(f"#{kind} {self.operand(x, kind)}" for x in entries)
+        return self.operation(kind, f"call #{kind} {name}({arguments})")
+
+    def any(self, mask: Value) -> str:
+        """Whether a condition holds in any lane, as a scalar."""
+        self.intrinsics["any"] = "declare i1 @llvm.vector.reduce.or.v#ni1(#b)"
+        return self.scalar(f"call i1 @llvm.vector.reduce.or.v#ni1(#b {mask.name})")
+
+    # Scopes: what was computed in a loop or a branch is not known after it.
+
+    def inside(self, build: Callable[[], None]) -> None:
+        """Build what may be carried out never, or several times."""
+        self._scopes.append({})
+        build()
+        self._scopes.pop()
+
+    # The workspace
+
+    def reserve(self, slots: int) -> int:
+        """The first of new slots."""
+        first = self.slots
+        self.slots += slots
+        return first
+
+    def address(self, slot: int, row: tuple[str, int] | None = None) -> str:
+        """Address of a slot, or of the one that many rows (a scalar, and how many slots a row has) after it."""
+        place = self.scalar(f"getelementptr i8, ptr %workspace, i64 #({slot})")
+        if row is None:
+            return place
+        counter, size = row
+        offset = self.scalar(f"mul i64 {counter}, #({size})")
+        return self.scalar(f"getelementptr i8, ptr {place}, i64 {offset}")
+
+    def load(self, kind: str, slot: int, row: tuple[str, int] | None = None) -> Value:
+        """The value in a slot: whole numbers and conditions are kept as 64 bits."""
+        place = self.address(slot, row)
+        stored = self._fresh_value("d" if kind == "d" else "l", f"load #{'d' if kind == 'd' else 'l'}, ptr {place}")
+        return stored if kind in "dl" else self._fresh_value(kind, f"trunc #l {stored.name} to #{kind}")
+
+    def store(self, entry: Entry, kind: str, slot: int, row: tuple[str, int] | None = None) -> None:
+        """Put an entry into a slot."""
+        value = self.operand(entry, kind)
+        if kind in "bi":
+            value = self.operation("l", f"{'zext' if kind == 'b' else 'sext'} #{kind} {value} to #l").name
+        place = self.address(slot, row)
+        self.line(f"store #{'d' if kind == 'd' else 'l'} {value}, ptr {place}")
+
+    def gather(self, kind: str, slot: int, rows: Value) -> Value:
+        """Values whose slot differs between lanes: `rows` (int64) after the given one."""
+        self.intrinsics["gather"] = "declare #d @llvm.masked.gather.v#nf64.v#np0(<#n x ptr>, i32, #b, #d)"
+        pointers = self._pointers(slot, rows)
+        text = (
+            f"call #d @llvm.masked.gather.v#nf64.v#np0(<#n x ptr> {pointers}, i32 8, "
+            "#b splat (i1 true), #d zeroinitializer)"
+        )
+        stored = self._fresh_value("d", text)
+        if kind == "d":
+            return stored
+        bits = self._fresh_value("l", f"bitcast #d {stored.name} to #l")
+        return bits if kind == "l" else self._fresh_value(kind, f"trunc #l {bits.name} to #{kind}")
+
+    def scatter(self, entry: Entry, kind: str, slot: int, rows: Value) -> None:
+        """Put an entry into slots that differ between lanes."""
+        self.intrinsics["scatter"] = "declare void @llvm.masked.scatter.v#nf64.v#np0(#d, <#n x ptr>, i32, #b)"
+        value = self.operand(entry, kind)
+        if kind in "bi":
+            value = self.operation("l", f"{'zext' if kind == 'b' else 'sext'} #{kind} {value} to #l").name
+        if kind != "d":
+            value = self.operation("d", f"bitcast #l {value} to #d").name
+        pointers = self._pointers(slot, rows)
+        self.line(
+            f"call void @llvm.masked.scatter.v#nf64.v#np0(#d {value}, <#n x ptr> {pointers}, i32 8, #b splat (i1 true))"
+        )
+
+    def _pointers(self, slot: int, rows: Value) -> str:
+        bytes_ = self.operation("l", f"mul #l {rows.name}, splat (i64 #(1))")
+        within = self.operation("l", f"add #l {bytes_.name}, #lanes")
+        base = self.scalar(f"getelementptr i8, ptr %workspace, i64 #({slot})")
+        return self.scalar(f"getelementptr i8, ptr {base}, #l {within.name}")
+
+
+def filled(text: str, lanes: int) -> str:
+    """The text with types for a number of lanes."""
+    places = ", ".join(f"i64 {8 * lane}" for lane in range(lanes))
+    types = {"#d": "double", "#b": "i1", "#i": "i32", "#l": "i64"}
+    marks = {mark: f"<{lanes} x {name}>" for mark, name in types.items()}
+    marks |= {"#n": str(lanes), "#lanes": f"<{places}>"}
+    return MARKS.sub(lambda m: str(8 * lanes * int(m[1])) if m[1] else marks[m[0]], text)

@@ -1,0 +1,79 @@
+"""Arrays of entries: object arrays of NumPy, whose entries are known numbers and values of the builder.
+
+Place in the pipeline: builder -> **entries** -> loops, emission.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import numpy as np
+from jax.extend.core import ClosedJaxpr, Jaxpr
+
+from rfem_jax.kernels.builder import Entry, is_known
+
+Entries = np.ndarray  # of dtype object
+
+
+def entries_of(array) -> Entries:
+    """Entries of an array of numbers that are known."""
+    array = np.asarray(array)
+    return of_shape([array[place] for place in np.ndindex(*array.shape)], array.shape)
+
+
+def of_shape(entries: Sequence[Entry], shape: Sequence[int]) -> Entries:
+    """An object array, filled one by one: NumPy would look into its entries."""
+    found = np.empty(math.prod(shape), object)
+    for i, entry in enumerate(entries):
+        found[i] = entry
+    return found.reshape(shape)
+
+
+def whole(entries) -> Entries:
+    """An object array also of one entry, which is what NumPy returns in place of an array without axes."""
+    if isinstance(entries, np.ndarray) and entries.dtype == object:
+        return entries
+    return of_shape([entries], ())
+
+
+def numbers(entries: Entries, dtype) -> np.ndarray | None:
+    """An array of known numbers, None if any entry is a value."""
+    if not all(map(is_known, entries.flat)):
+        return None
+    return np.array([*entries.flat], dtype).reshape(entries.shape)
+
+
+def each(function: Callable, parts: Sequence[Entries]) -> Entries:
+    """A function of entries applied to each; arrays without axes are broadcast."""
+    shape = np.broadcast_shapes(*(x.shape for x in parts))
+    return of_shape(list(map(function, *(np.broadcast_to(x, shape).flat for x in parts))), shape)
+
+
+def shape_of(variable: Any) -> jax.ShapeDtypeStruct:
+    """Shape and type of a variable of a jaxpr."""
+    return jax.ShapeDtypeStruct(variable.aval.shape, variable.aval.dtype)
+
+
+def is_program(x) -> bool:
+    return isinstance(x, ClosedJaxpr)
+
+
+def size_of(program: ClosedJaxpr) -> int:
+    """Roughly, how many operations on entries a jaxpr has, with the body of every loop once."""
+    total = 0
+    for equation in program.jaxpr.eqns:
+        parts = jax.tree.leaves(list(equation.params.values()), is_leaf=_holds_equations)
+        inner = [x for x in parts if _holds_equations(x)]
+        total += sum(size_of(x if is_program(x) else ClosedJaxpr(x, ())) for x in inner)
+        if equation.primitive.name == "dot_general":
+            (summed, _), _ = equation.params["dimension_numbers"]
+            terms = math.prod(equation.invars[0].aval.shape[i] for i in summed)
+            total += 2 * terms * math.prod(equation.outvars[0].aval.shape)
+        else:
+            total += sum(math.prod(getattr(v.aval, "shape", ())) for v in equation.outvars)
+    return total
+
+
+def _holds_equations(x) -> bool:
+    return isinstance(x, ClosedJaxpr | Jaxpr)

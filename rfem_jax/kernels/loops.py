@@ -1,0 +1,206 @@
+"""Loops and branches of a jaxpr, over all lanes at once.
+
+Place in the pipeline: entries, arithmetic -> **loops** -> emission, which hands itself over for the bodies.
+
+What goes around in a loop is kept in the workspace.  A `while` goes on as long as any lane does, and a lane that has
+come to its end keeps what it had; a branch is entered if any lane takes it, and every lane keeps the results of its
+own.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+import numpy as np
+from jax.extend.core import ClosedJaxpr
+
+from rfem_jax.kernels.arithmetic import Arithmetic
+from rfem_jax.kernels.builder import DTYPES, Builder, Entry, Unsupported, Value, is_known, kind_of
+from rfem_jax.kernels.entries import Entries, of_shape, size_of, whole
+
+LONGEST_UNROLLED = 64
+LARGEST_UNROLLED = 3000  # operations of all turns
+LARGEST_WITHOUT_BRANCH = 100  # operations that are carried out whether or not they are needed
+
+
+class Emitter(Protocol):
+    """What carries out jaxprs: `emission.Emitter`."""
+
+    builder: Builder
+    arithmetic: Arithmetic
+
+    def run(self, program: ClosedJaxpr, given: Sequence[Entries]) -> list[Entries]: ...
+
+
+def counts_of_scan(settings) -> tuple[int, int]:
+    """How many operands of a scan are constants and how many are carried; JAX 0.12 keeps them as trees."""
+    if "num_carry" in settings:
+        return settings["num_consts"], settings["num_carry"]
+    constants, carry, _ = settings["ft_in"].unpack()
+    return len(constants), len(carry)
+
+
+class Slots:
+    """Arrays in the workspace, one after the other: of given shapes and types, `rows` times."""
+
+    def __init__(self, emitter: Emitter, variables: Sequence, rows: int = 1, drop: int = 0) -> None:
+        self.builder = emitter.builder
+        self.shapes = [v.aval.shape[drop:] for v in variables]
+        self.kinds = [kind_of(v.aval.dtype) for v in variables]
+        self.sizes = [int(np.prod(shape, dtype=int)) for shape in self.shapes]
+        self.row = sum(self.sizes)
+        self.first = self.builder.reserve(self.row * rows)
+
+    def store(self, arrays: Sequence[Entries], row: tuple[str, int] | None = None, fixed: int = 0) -> None:
+        """Into a row that is computed, or into a fixed one."""
+        slot = self.first + fixed * self.row
+        for array, kind in zip(arrays, self.kinds, strict=True):
+            for entry in array.flat:
+                self.builder.store(entry, kind, slot, row)
+                slot += 1
+
+    def load(self, row: tuple[str, int] | None = None, fixed: int = 0) -> list[Entries]:
+        slot, found = self.first + fixed * self.row, []
+        for shape, kind, size in zip(self.shapes, self.kinds, self.sizes):
+            found.append(of_shape([self.builder.load(kind, slot + i, row) for i in range(size)], shape))
+            slot += size
+        return found
+
+
+def _typed(arrays: Sequence[Entries], variables: Sequence) -> list[Entries]:
+    """Numbers among entries with the types of their variables."""
+    found = []
+    for array, variable in zip(arrays, variables, strict=True):
+        as_type = DTYPES[kind_of(variable.aval.dtype)].type
+        found.append(of_shape([as_type(x) if is_known(x) else x for x in array.flat], array.shape))
+    return found
+
+
+def _counted(emitter: Emitter, length: int, turn: Callable[[str], None]) -> None:
+    """A loop of a known number of turns, each given the counter, a scalar."""
+    builder = emitter.builder
+    loop, done = builder.fresh("loop"), builder.fresh("done")
+    before = builder.block
+    builder.line(f"br label %{loop}")
+    place = len(builder.lines) + 1
+    builder.begin(loop)
+    counter, following = f"%{builder.fresh('i')}", f"%{builder.fresh('i')}"
+    builder.line("")  # for the counter's own line, which names the last block of the loop
+    builder.inside(lambda: turn(counter))
+    builder.line(f"{following} = add i64 {counter}, 1")
+    goes_on = builder.scalar(f"icmp ult i64 {following}, {length}")
+    builder.line(f"br i1 {goes_on}, label %{loop}, label %{done}")
+    builder.lines[place] = f"{counter} = phi i64 [ 0, %{before} ], [ {following}, %{builder.block} ]"
+    builder.begin(done)
+
+
+def scan(emitter: Emitter, equation, parts: Sequence[Entries]) -> list[Entries]:
+    settings = equation.params
+    constants, carried = counts_of_scan(settings)
+    fixed, carry = parts[:constants], list(parts[constants : constants + carried])
+    rows, length, body = parts[constants + carried :], settings["length"], settings["jaxpr"]
+    carry_variables, made_variables = equation.outvars[:carried], equation.outvars[carried:]
+    turns = range(length)[::-1] if settings["reverse"] else range(length)
+    if length <= LONGEST_UNROLLED and length * size_of(body) <= LARGEST_UNROLLED:
+        made = []
+        for i in turns:
+            results = emitter.run(body, [*fixed, *carry, *(whole(x[i]) for x in rows)])
+            carry = results[:carried]
+            made.append(results[carried:])
+        made = made[::-1] if settings["reverse"] else made
+        if not made:
+            return carry + [np.empty(v.aval.shape, object) for v in made_variables]
+        return carry + [np.stack([*column]) for column in zip(*made)]
+    row_variables = equation.invars[constants + carried :]
+    around = Slots(emitter, carry_variables)
+    given = Slots(emitter, row_variables, length, drop=1)
+    written = Slots(emitter, made_variables, length, drop=1)
+    around.store(_typed(carry, carry_variables))
+    for i in range(length):
+        given.store([whole(x[i]) for x in rows], fixed=i)
+
+    def turn(counter: str) -> None:
+        at = counter
+        if settings["reverse"] and (given.row or written.row):
+            at = emitter.builder.scalar(f"sub i64 {length - 1}, {counter}")
+        own = given.load((at, given.row)) if given.row else [whole(x[0]) for x in rows]
+        results = emitter.run(body, [*fixed, *around.load(), *own])
+        around.store(_typed(results[:carried], carry_variables))
+        if written.row:
+            written.store(_typed(results[carried:], made_variables), (at, written.row))
+
+    _counted(emitter, length, turn)
+    made = [written.load(fixed=i) for i in range(length)]
+    return around.load() + [np.stack([*column]) for column in zip(*made)]
+
+
+def repeat_while(emitter: Emitter, equation, parts: Sequence[Entries]) -> list[Entries]:
+    settings, variables, builder = equation.params, equation.outvars, emitter.builder
+    first, second = settings["cond_nconsts"], settings["cond_nconsts"] + settings["body_nconsts"]
+    of_condition, of_body, start = parts[:first], parts[first:second], parts[second:]
+    around = Slots(emitter, variables)
+    around.store(_typed(start, variables))
+    loop, inner, done = (builder.fresh(name) for name in ("while", "turn", "end"))
+    builder.line(f"br label %{loop}")
+    builder.begin(loop)
+
+    def turn() -> None:
+        carry = around.load()
+        goes_on: Entry = emitter.run(settings["cond_jaxpr"], [*of_condition, *carry])[0][()]
+        if is_known(goes_on):
+            if goes_on:
+                raise Unsupported("while without an end")
+            builder.line(f"br i1 false, label %{inner}, label %{done}")
+            builder.begin(inner)
+        else:
+            builder.line(f"br i1 {builder.any(goes_on)}, label %{inner}, label %{done}")
+            builder.begin(inner)
+            results = _typed(emitter.run(settings["body_jaxpr"], [*of_body, *carry]), variables)
+            around.store([_kept(emitter, goes_on, new, old) for new, old in zip(results, carry)])
+        builder.line(f"br label %{loop}")
+
+    builder.inside(turn)
+    builder.begin(done)
+    return around.load()
+
+
+def _kept(emitter: Emitter, mask: Value, new: Entries, old: Entries) -> Entries:
+    return of_shape([emitter.arithmetic.select(mask, a, b) for a, b in zip(new.flat, old.flat)], new.shape)
+
+
+def branch(emitter: Emitter, equation, which: Entries, parts: Sequence[Entries]) -> list[Entries]:
+    branches, variables, builder = equation.params["branches"], equation.outvars, emitter.builder
+    arithmetic = emitter.arithmetic
+    index: Entry = which[()]
+    if is_known(index):
+        return emitter.run(branches[min(max(int(index), 0), len(branches) - 1)], parts)
+    if index.kind != "b":
+        index = arithmetic.smaller(arithmetic.larger(index, DTYPES[index.kind].type(0)),
+                                   DTYPES[index.kind].type(len(branches) - 1))  # fmt: skip
+    if sum(map(size_of, branches)) <= LARGEST_WITHOUT_BRANCH:
+        results = [_typed(emitter.run(x, parts), variables) for x in branches]
+        return [
+            of_shape([arithmetic.choose(index, list(cases)) for cases in zip(*(x.flat for x in column))], v.aval.shape)
+            for column, v in zip(zip(*results), variables)
+        ]
+    found = Slots(emitter, variables)
+    for i, program in enumerate(branches):
+        mask: Entry
+        if index.kind == "b":
+            mask = index if i == 1 else arithmetic.invert(index)
+        else:
+            mask = arithmetic.compare("eq", index, DTYPES[index.kind].type(i))
+        assert isinstance(mask, Value)
+        taken, done = builder.fresh("branch"), builder.fresh("joined")
+        builder.line(f"br i1 {builder.any(mask)}, label %{taken}, label %{done}")
+        builder.begin(taken)
+
+        def carry_out(program=program, mask=mask, first=i == 0) -> None:
+            results = _typed(emitter.run(program, parts), variables)
+            if not first:
+                results = [_kept(emitter, mask, new, old) for new, old in zip(results, found.load())]
+            found.store(results)
+
+        builder.inside(carry_out)
+        builder.line(f"br label %{done}")
+        builder.begin(done)
+    return found.load()

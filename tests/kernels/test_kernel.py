@@ -1,0 +1,217 @@
+"""Kernels beside the functions that they are of: values, batches, derivatives."""
+
+import warnings
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from rfem_jax.kernels import expand_primitive, is_available, kernel
+
+COMPILED_AS_SHIPPED = True
+
+pytestmark = pytest.mark.skipif(not is_available(), reason="llvmlite is not installed")
+
+KEY = jax.random.key(0)
+X = jnp.array([0.1, 0.6, 2.0])
+
+
+def fast(function):
+    """A kernel that is compiled as fast as possible, and may not fall back to XLA."""
+    made = kernel(function, selection="fast")
+
+    def strict(*arguments):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            return made(*arguments)
+
+    return strict
+
+
+def assert_same(found, wanted, rtol=1e-13):
+    assert jax.tree.structure(found) == jax.tree.structure(wanted)
+    for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(wanted), strict=True):
+        a, b = jnp.asarray(a), jnp.asarray(b)
+        assert a.shape == b.shape and a.dtype == b.dtype
+        np.testing.assert_allclose(a, b, rtol=rtol, atol=1e-14)
+
+
+def integrated(x, rate):
+    """Steps of a pendulum with a stage loop inside, as in a method of integration."""
+
+    def step(state, t):
+        def stage(k, node):
+            angle, speed = state[0] + 0.01 * node * k[0], state[1] + 0.01 * node * k[1]
+            return jnp.stack([speed, -jnp.sin(angle) + rate * jnp.cos(t)]), None
+
+        k, _ = jax.lax.scan(stage, jnp.zeros(2), jnp.array([0.0, 0.5, 0.5, 1.0]))
+        state = state + 0.01 * k
+        return state, state[0]
+
+    return jax.lax.scan(step, x[:2], jnp.linspace(0.0, 1.0, 100))
+
+
+def newton(x, target):
+    """A root by Newton's method, whose number of iterations differs from sample to sample."""
+
+    def goes_on(carry):
+        _, change, count = carry
+        return (jnp.abs(change) > 1e-13) & (count < 50)
+
+    def improve(carry):
+        y, _, count = carry
+        change = (y**3 + y - target) / (3 * y**2 + 1.0)
+        return y - change, change, count + 1
+
+    return jax.lax.while_loop(goes_on, improve, (x[0], jnp.inf, 0))
+
+
+def branches(x, index):
+    long = lambda y: jax.lax.fori_loop(0, 70, lambda i, z: jnp.tanh(z) + 0.01 * i, y)  # noqa: E731
+    chosen = jax.lax.switch(index, [lambda y: y, long, lambda y: -2.0 * y], x)
+    return jax.lax.cond(x[0] > 0.3, long, lambda y: y * 2.0, chosen)
+
+
+def places(x, index):
+    """Rows that are read and written at places that are computed."""
+    table = jnp.outer(jnp.arange(5.0), x)
+    row = jax.lax.dynamic_slice(table, (index, 0), (2, 3))
+    table = jax.lax.dynamic_update_slice(table, row * 3.0, (index - 1, 0))
+    column = jax.lax.dynamic_index_in_dim(table, index, keepdims=False)
+    return table, column, x[jnp.array([2, 0, 1])], x.at[1].add(3.0), x.at[jnp.array([0, 2])].set(7.0)
+
+
+def small_operations(x, other):
+    a = jnp.outer(x, x) + jnp.eye(3)
+    whole = jnp.array([3, -1, 2], jnp.int32)
+    return {
+        "products": a @ a.T @ x,
+        "sums": (jnp.sum(a, axis=0), jnp.max(a, axis=1), jnp.min(a), jnp.all(x > 0.05), jnp.any(x > 1.0)),
+        "powers": (x**3, x**-2, x**0.5, jnp.sqrt(x), 1.0 / x, jax.lax.rsqrt(x)),
+        "functions": (jnp.tan(x), jnp.arctan2(x, other), jnp.tanh(x), jnp.exp(x), jnp.log(x), jnp.arccos(x / 3.0)),
+        "selected": (jnp.where(x > other, x, -x), jnp.clip(x, 0.2, 1.0), jnp.sign(x - 0.6), jnp.abs(-x)),
+        "whole": (whole * 2, (x * 10).astype(jnp.int32), (x > 0.5).astype(float), whole // 2, jnp.isfinite(x)),
+        "shapes": (a.T.reshape(9)[::-1], jnp.concatenate([x, x[1:]]), jnp.pad(x, (1, 2)), a[None, ..., :2]),
+    }
+
+
+CASES = {
+    "integrated": (integrated, (X, jnp.asarray(0.3))),
+    "newton": (newton, (X, jnp.asarray(2.0))),
+    "branches": (branches, (X, jnp.asarray(1))),
+    "places": (places, (X, jnp.asarray(2))),
+    "small_operations": (small_operations, (X, jnp.asarray(0.5))),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_values_are_those_of_the_function(name):
+    function, arguments = CASES[name]
+    assert_same(jax.jit(fast(function))(*arguments), function(*arguments))
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_batches_of_any_axes(name):
+    function, (_, other) = CASES[name]
+    xs = jnp.linspace(0.05, 1.4, 33).reshape(11, 3)
+    others = other + jnp.arange(3).astype(other.dtype)
+    over = lambda f: jax.vmap(jax.vmap(f, in_axes=(0, None)), in_axes=(None, 0), out_axes=0)  # noqa: E731
+    assert_same(over(fast(function))(xs, others), over(function)(xs, others))
+
+
+def test_a_sample_has_the_same_bits_in_any_batch():
+    made = kernel(integrated, selection="fast")
+    xs = jax.random.normal(KEY, (19, 3))
+    rates = jnp.linspace(0.0, 1.0, 19)
+    whole = jax.vmap(made)(xs, rates)
+    for size in (1, 2, 3, 8, 19):
+        part = jax.vmap(made)(xs[-size:], rates[-size:])
+        for a, b in zip(jax.tree.leaves(part), jax.tree.leaves(whole)):
+            np.testing.assert_array_equal(a, b[-size:])
+
+
+def test_what_is_not_a_number_stays_in_its_sample_and_ends_its_loop():
+    xs = jnp.array([[1.0], [jnp.nan], [2.0]])
+    found = jax.vmap(fast(newton), in_axes=(0, None))(xs, jnp.asarray(2.0))
+    alone = newton(xs[2], jnp.asarray(2.0))
+    assert jnp.isnan(found[0][1])
+    assert found[0][2] == pytest.approx(float(alone[0]), rel=1e-15) and found[2][2] == alone[2]
+    assert found[2][1] == newton(xs[1], jnp.asarray(2.0))[2]
+
+
+def weighted(f):
+    return lambda x, rate: jnp.sum(f(x, rate)[1] ** 2)
+
+
+@pytest.mark.parametrize("mode", [jax.jacfwd, jax.jacrev, jax.hessian], ids=["forward", "reverse", "second"])
+def test_derivatives_in_both_modes(mode):
+    arguments = X, jnp.asarray(0.3)
+    found = jax.jit(mode(weighted(fast(integrated)), argnums=(0, 1)))(*arguments)
+    assert_same(found, mode(weighted(integrated), argnums=(0, 1))(*arguments), rtol=1e-11)
+
+
+def test_derivatives_of_batches_that_share_an_argument():
+    xs = jnp.linspace(0.05, 1.4, 15).reshape(5, 3)
+    total = lambda f: lambda rate: jnp.sum(jax.vmap(weighted(f), in_axes=(0, None))(xs, rate))  # noqa: E731
+    found = jax.grad(total(fast(integrated)))(jnp.asarray(0.3))
+    assert_same(found, jax.grad(total(integrated))(jnp.asarray(0.3)), rtol=1e-11)
+
+
+def test_values_that_the_function_closes_over_are_differentiated():
+    def outer(f):
+        def with_rate(rate):
+            return jnp.sum(f(lambda x: jnp.sin(x) * rate)(X))
+
+        return with_rate
+
+    found = jax.jit(jax.grad(outer(fast)))(0.7)
+    assert found == pytest.approx(float(jnp.sum(jnp.sin(X))), rel=1e-14)
+
+
+def test_what_has_no_machine_code_runs_by_xla_and_says_so_once():
+    def eigenvalues(x):
+        return jnp.linalg.eigvalsh(jnp.outer(x, x) + jnp.eye(3))
+
+    made = kernel(eigenvalues, name="eigenvalues")
+    with pytest.warns(UserWarning, match="'eigenvalues' is compiled by XLA: there is no machine code for") as seen:
+        found = jax.jit(made)(X)
+        jax.vmap(made)(jnp.stack([X, X]))
+    assert len(seen) == 1
+    assert_same(found, eigenvalues(X))
+
+
+def test_other_types_of_numbers_run_by_xla():
+    with pytest.warns(UserWarning, match="numbers of type float32"):
+        found = kernel(lambda x: x * 2)(jnp.ones(2, jnp.float32))
+    assert found.dtype == jnp.float32
+
+
+def test_primitives_of_others_by_what_they_are_made_of():
+    from jax.core import ShapedArray
+    from jax.extend.core import Primitive
+
+    thrice = Primitive("thrice_for_a_test")
+    thrice.def_abstract_eval(lambda x, *, plus: ShapedArray(x.shape, x.dtype))
+    expand_primitive("thrice_for_a_test", lambda x, *, plus: 3.0 * x + plus)
+    assert_same(jax.jit(fast(lambda x: thrice.bind(x, plus=1.0)))(X), 3.0 * X + 1.0)
+
+
+def test_a_new_number_traces_nothing():
+    traced = []
+
+    def function(x):
+        traced.append(1)
+        return jnp.sin(x)
+
+    made = jax.jit(kernel(function, selection="fast"))
+    for number in (1.0, 2.0, 3.0):
+        assert made(number) == pytest.approx(np.sin(number), rel=1e-15)
+    assert len(traced) == 1
+
+
+def test_thorough_and_fast_compilation_give_the_same_bits():
+    arguments = X, jnp.asarray(0.3)
+    thorough, quick = kernel(integrated)(*arguments), kernel(integrated, selection="fast")(*arguments)
+    for a, b in zip(jax.tree.leaves(thorough), jax.tree.leaves(quick)):
+        np.testing.assert_array_equal(a, b)
