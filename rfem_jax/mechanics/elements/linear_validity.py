@@ -58,7 +58,7 @@ def linear_range(actual: ModelWithErrors, position: Coordinates) -> LinearRange:
 def linear_error(parts: LinearRange) -> Float[Array, ""]:
     """Estimated error of the deflections and loads of the link that is worst, relative to its largest deflections; of
     one position, or of several along a first axis."""
-    several = jax.tree.map(lambda x, ndim: x if x.ndim > ndim else x[None], parts, LinearRange(0, 1, 1))
+    several = parts if parts.rotation.ndim else LinearRange(*(part[None] for part in parts))
     shortening, stored = jnp.max(several.shortening, axis=0), jnp.max(several.stored, axis=0)
     by_force = shortening / jnp.where(stored > 0.0, stored, 1.0)
     return jnp.max(several.rotation) + jnp.max(by_force, initial=0.0)
