@@ -27,7 +27,7 @@ class Closed:
     k: int
     function: Any
     limit: float
-    exact: float
+    exact: Any
     fails: Any = None
     tolerances: Any = field(init=False)
     batch: int = 100_000
@@ -53,8 +53,9 @@ class Closed:
 
     def probability(self, seed, n=1000):
         """What is found with this seed."""
+        space: Any = self
         found = sample_limits(
-            self, [LimitState(0, 1.0, self.limit)], jax.random.key(seed), n=n, level_samples=300, starts=16, rounds=40,
+            space, [LimitState(0, 1.0, self.limit)], jax.random.key(seed), n=n, level_samples=300, starts=16, rounds=40,
             confidence=0.95, progress=False,
         )  # fmt: skip
         return found.findings[0]
@@ -127,7 +128,7 @@ def test_intervals_hold_the_exact_probability(name):
 
 @pytest.mark.parametrize("name", ["10 squares", "plane, 30", "largest of 8", "four branches"])
 def test_subset_simulation_alone_has_the_exact_probability(name):
-    shape = SHAPES[name]
+    shape: Any = SHAPES[name]
     found = [
         run_subsets(shape, [LimitState(0, 1.0, shape.limit)], 500, np.random.default_rng(s))[0][0] for s in range(30)
     ]
@@ -137,7 +138,7 @@ def test_subset_simulation_alone_has_the_exact_probability(name):
     assert np.all(shape.function(np.concatenate([one.samples for one in found])) > shape.limit)
 
 
-def sum_problem(k, weights=1.0):
+def sum_problem(k, weights: Any = 1.0):
     names = tuple(f"x{i}" for i in range(k))
     weights = np.broadcast_to(weights, k)
 

@@ -9,7 +9,7 @@ from rfem_jax.description.zones import SpecifiedZone
 from rfem_jax.tolerancing.allocation.allocation_study import allocate
 from rfem_jax.tolerancing.allocation.cost_models import Reciprocal
 from rfem_jax.tolerancing.optimisation.sizes import Sizes
-from rfem_jax.tolerancing.problems.distributions import Uniform
+from rfem_jax.tolerancing.problems.distributions import Tolerance, Uniform
 from rfem_jax.tolerancing.problems.joint_distributions import Zone
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.problem import FunctionProblem
@@ -125,12 +125,15 @@ def test_sizes_are_coordinates_of_errors():
     np.testing.assert_allclose(sizes.spread(t), [0.3, 0.2, 0.2, 0.2, 0.2])
     e = np.random.default_rng(0).normal(size=(3, 5))
     np.testing.assert_allclose(sizes.coordinates(e) @ sizes.matrix.T, e, atol=1e-12)
-    z = sizes.standard(Uniform(1.0), np.random.default_rng(1).uniform(size=(4000, 5)))
+    uniform: Tolerance = Uniform(1.0)
+    z = sizes.standard(uniform, np.random.default_rng(1).uniform(size=(4000, 5)))
     assert np.max(np.abs(z[:, 0])) <= 1.0 and np.max(np.linalg.norm(z[:, 1:3], axis=1)) <= 1.0
-    np.testing.assert_allclose(z.std(axis=0), sizes.deviations(Uniform(1.0)), rtol=0.05)
+    np.testing.assert_allclose(z.std(axis=0), sizes.deviations(uniform), rtol=0.05)
     errors = (z * sizes.spread(t)) @ sizes.matrix.T
     assert np.all(np.abs(errors) <= sizes.reaches(t) + 1e-12)
-    np.testing.assert_allclose(sizes.tolerances(t).half_widths()["D.delta_x"], sizes.reaches(t)[3])
+    region = sizes.tolerances(t)
+    assert isinstance(region, Tolerances)
+    np.testing.assert_allclose(region.half_widths()["D.delta_x"], sizes.reaches(t)[3])
 
 
 @pytest.mark.parametrize(

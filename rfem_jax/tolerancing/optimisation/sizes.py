@@ -60,7 +60,8 @@ class Sizes:
     @property
     def matrix(self) -> Float[np.ndarray, "k k"]:
         """M (k, k)."""
-        return block_diag(np.eye(len(self.singles)), *(np.asarray(zone.matrix) for zone in self.zones.values()))
+        parts = (np.asarray(zone.matrix) for zone in self.zones.values())
+        return np.asarray(block_diag(np.eye(len(self.singles)), *parts))
 
     @property
     def region(self) -> Region:
@@ -94,7 +95,8 @@ class Sizes:
         if not self.zones:
             return widths
         zones = [zone.scaled(jnp.full(len(zone.names), widths[name])) for name, zone in self.zones.items()]
-        return Tolerances({name: Uniform(widths[name]) for name in self.singles}, zones=zones)
+        uniform: Any = Uniform
+        return Tolerances({name: uniform(widths[name]) for name in self.singles}, zones=zones)
 
     def standard(self, distribution: Tolerance, units: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
         """z (n, k) of points of the unit cube: errors of their own by a distribution of half-width 1, those of a zone
@@ -151,7 +153,7 @@ def sizes_of(problem: ToleranceProblem, names: Collection[str], zones: Zones | N
 def unit_zones(zones: Zones | None) -> dict[str, Zone]:
     """{name: zone of size 1} of what a study or the user specifies."""
     if isinstance(zones, Mapping):
-        return dict(zones)
+        return {str(name): zone for name, zone in zones.items()}
     specified = zones.tasks.tolerances if isinstance(zones, Study) else zones
     several = specified.zones if isinstance(specified, SpecifiedTolerances) else tuple(specified or ())
     return {one.name: Zone(one.errors, one.matrix() / one.diameter, one.balls) for one in several}

@@ -151,7 +151,7 @@ def find_design_points(
     nominal = np.array([float(state.of(values)[0]) for state in states])
     owners = np.repeat(np.arange(len(states)), [len(points) for points in starts])
     scale = np.where(np.isfinite(nominal) & (nominal != 0.0), np.abs(nominal), 1.0)[owners]
-    ends, reached = _search(space, [states[i] for i in owners], np.concatenate(starts), scale, rounds, accuracy)
+    ends, reached = _search(space, [states[int(i)] for i in owners], np.concatenate(starts), scale, rounds, accuracy)
     return [ends.of((owners == i) & reached).distinct().design_points(float(value)) for i, value in enumerate(nominal)]
 
 

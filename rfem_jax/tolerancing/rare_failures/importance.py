@@ -87,7 +87,23 @@ class Shell:
         return normal + (inside * (factor - 1.0)[:, None]) @ self.basis.T
 
 
-Component = Normal | Shell
+@dataclass(frozen=True, eq=False)
+class Stretched:
+    """The normal density about w = 0 with standard deviations `widths` (k,), at least 1, along `axes` (k, k)."""
+
+    axes: Float[np.ndarray, "k k"]
+    widths: Float[np.ndarray, " k"]
+
+    def log_ratio(self, w: Float[np.ndarray, "n k"]) -> Float[np.ndarray, " n"]:
+        """log(q_j/n) (n,) of points w (n, k)."""
+        return 0.5 * (w @ self.axes) ** 2 @ (1.0 - self.widths**-2) - float(np.sum(np.log(self.widths)))
+
+    def place(self, normal: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
+        """Samples (n, k), of standard normal ones."""
+        return (normal * self.widths) @ self.axes.T
+
+
+Component = Normal | Shell | Stretched
 Weighted = tuple[Component, float]  # with its share within a limit
 
 
@@ -180,26 +196,10 @@ def _nested(axes: Float[np.ndarray, "k d"], *points: Float[np.ndarray, "n k"]) -
     return [Shell(axes[:, : d + 1], float(radius)) for d, radius in enumerate(radii)]
 
 
-def _stretched(one: Float[np.ndarray, "n k"], other: Float[np.ndarray, "n k"]) -> "Stretched":
+def _stretched(one: Float[np.ndarray, "n k"], other: Float[np.ndarray, "n k"]) -> Stretched:
     """Normal about 0, as wide as the failing samples lie; widths of one half in the directions of the other one."""
     axes = _axes(one)
     return Stretched(axes, np.sqrt(np.maximum(np.mean((other @ axes) ** 2, axis=0), 1.0)))
-
-
-@dataclass(frozen=True, eq=False)
-class Stretched:
-    """The normal density about w = 0 with standard deviations `widths` (k,), at least 1, along `axes` (k, k)."""
-
-    axes: Float[np.ndarray, "k k"]
-    widths: Float[np.ndarray, " k"]
-
-    def log_ratio(self, w: Float[np.ndarray, "n k"]) -> Float[np.ndarray, " n"]:
-        """log(q_j/n) (n,) of points w (n, k)."""
-        return 0.5 * (w @ self.axes) ** 2 @ (1.0 - self.widths**-2) - float(np.sum(np.log(self.widths)))
-
-    def place(self, normal: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
-        """Samples (n, k), of standard normal ones."""
-        return (normal * self.widths) @ self.axes.T
 
 
 def mixture_of(limits: Sequence[Sequence[Weighted]], n: int, k: int) -> Mixture:

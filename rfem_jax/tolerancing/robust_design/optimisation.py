@@ -114,9 +114,9 @@ def optimise(
     {these: weight}; limits {metric: largest value, or (low, high)}; robust, when they hold: "nominal" (perfect
     mechanism), "worst_case", "rss" (mean + `coverage` deviations) or "yield" (fraction `target` of mechanisms holds all
     limits); cost and zones, as of `allocate`; key, a JAX key; at {error: value} with fixed values; distribution, a
-    callable half-width -> Tolerance, samples and verify_samples, of "rss" and "yield"; starts, number of points
-    compared at first, and searches, of the best of them; steps of a search; mode and batch as of `allocate`; progress,
-    is called with the number of simulations.  An interrupted call continues within `kept_evaluations.kept_in(folder)`.
+    callable half-width -> Tolerance, samples and verify_samples, of "rss" and "yield"; starts, compared at first, and
+    searches, of the best of them; steps of a search; mode and batch as of `allocate`; progress, is called with the
+    number of simulations.  An interrupted call continues within `kept_evaluations.kept_in(folder)`.
 
     Returns: DesignOptimum; "infeasible" says which limit is in the way.
     Raises: InputError for unknown names, bad bounds and options.
