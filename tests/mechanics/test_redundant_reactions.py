@@ -21,6 +21,7 @@ from rfem_jax import (
     Mechanism,
     Method,
     PointForce,
+    PrescribedRate,
     RigidBody,
     assemble,
     assembly_errors,
@@ -429,3 +430,19 @@ def test_near_a_dead_centre_loads_are_large_and_right(angle):
     # The rocker's weight at its middle, and half the coupler's at its end, turn it; only the pull holds it.
     pull = (0.5 * 0.1 * mass + 0.5 * 0.3 * mass) * 9.0 / np.tan(angle)
     np.testing.assert_allclose(found.preload["C"].force[0], pull, rtol=1e-10 / angle)  # of a step that counts as none
+
+
+@pytest.mark.parametrize("method", [Method("rk4", step=2e-4), Method("generalised_alpha", step=2e-4, tolerance=1e-10)])
+def test_derivatives_of_least_reactions_in_motion(method):
+    model = discretise(loop())
+
+    def squares(error):
+        errors, drive = assembly_errors(model, {"coupler.length": error}), PrescribedRate("A", 8.0)
+        run = simulate(model, errors, drive=drive, duration=4e-4, method=method, save_every=4e-4)
+        return jnp.stack([run.metrics.mean_square_moment["D"], run.metrics.mean_square_force["C"]])
+
+    forward, reverse, step = jax.jacfwd(squares)(0.0), jax.jacrev(squares)(0.0), 1e-5
+    difference = (squares(step) - squares(-step)) / (2.0 * step)
+    assert np.abs(difference).min() > 1.0
+    np.testing.assert_allclose(forward, difference, rtol=1e-6)
+    np.testing.assert_allclose(reverse, forward, rtol=1e-8)
