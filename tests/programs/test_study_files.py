@@ -38,7 +38,7 @@ def reduced(name, pendulum=False, change=None):
     content = tomllib.loads((STUDIES / name).read_text(encoding="utf-8"))
     simulation = {"duration": 5e-3, "save_every": 2.5e-3}
     if content["simulation"]["method"] in ("auto", "generalised_alpha"):
-        simulation |= {"method": "generalised_alpha", "step": 2.5e-3}
+        simulation |= {"method": "generalised_alpha", "step": 6.25e-4}
     else:
         simulation |= {key: content["simulation"][key] for key in ("method", "step")}
     mechanism = content["mechanism"]

@@ -131,7 +131,7 @@ def test_redundant_reactions_are_reported(study):
     assert "minimum norm" in text
     assert "force^2 + (moment / 0.3 m)^2 is least (the longest link; `reaction_length` sets another)." in text
     object.__setattr__(study.mechanism, "reaction_length", 0.05)
-    text = study_text(study, SimpleNamespace(**COUNTS, redundant=True, idle=()))
+    text = study_text(study, SimpleNamespace(**COUNTS, redundant=True, idle=(), start=START))
     assert "(moment / 0.05 m)^2 is least (as given)." in text and "are the least: force^2 + (moment / 0.05 m)^2" in text
 
 

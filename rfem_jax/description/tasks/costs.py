@@ -105,7 +105,9 @@ def size_dimension(name: object) -> str:
         return "length"
     try:
         return error_dimension(name)
-    except InputError:
+    except InputError as error:
+        if not error.problems:  # of a mechanism that could not be read
+            raise
         owner, _, component = str(name).partition(".")
         close = nearest(component, (*JOINT_ERRORS, *LINK_ERRORS, *CHARACTERISTICS)) if component else None
         near = f"{owner}.{close}" if close else nearest(name, parameters_being_read())
