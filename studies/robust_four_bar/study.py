@@ -51,7 +51,7 @@ def smaller(study: Study) -> Study:
     links = [replace(link, rigid=link.name != "rocker", rfes=2) for link in study.mechanism.links]
     return replace(
         study, mechanism=replace(study.mechanism, links=links), duration=1e-2, save_every=5e-3,
-        method=replace(study.method, step=5e-3),
+        method=replace(study.method, step=1.25e-3),
         design={name: ends for name, ends in study.design.items() if name.startswith("rocker")},
     )  # fmt: skip
 

@@ -58,7 +58,7 @@ def test_an_optimisation_finds_it_beside_a_tolerance_that_stays(answered_by, tmp
     [
         ('bounds]\n"D.parallelism"', 'bounds]\n"D.paralelism"', "did you mean `D.parallelism`?"),
         ('bounds]\n"D.parallelism"', 'bounds]\n"D.perpendicularity"', "whose length is known"),
-        ('bounds]\n"D.parallelism"', 'bounds]\n"E.coaxiality"', "did you mean `D.coaxiality`?"),
+        ('bounds]\n"D.parallelism"', 'bounds]\n"E.coaxiality"', "did you mean `A.coaxiality`?"),
         ('"0.01 mm", "0.5 mm"', '"0.01 deg", "0.5 deg"', "must be a length"),
         ('"0.01 mm", "0.5 mm"', '"0.5 mm", "0.1 mm"', "[smallest, largest]"),
     ],
