@@ -6,6 +6,8 @@ Errors of the energy balance and of the balance of joint loads against the rate 
 exchanged and carried (theory, part 11); a run that is off by more than `remarks.BALANCE_LIMIT` is not accepted.
 """
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
@@ -44,7 +46,7 @@ def checks_of(
     energy: Energy,
     duration: Float[Array, ""],
     shortest: Float[Array, ""],
-) -> dict[str, Array]:
+) -> dict[str, Any]:
     """The fields of a `Run` that say whether it is to be trusted, and its status; `assembled`: that of the assembly;
     `duration` [s]; `shortest` [s]: step."""
     drift = jnp.max(record.drift)
