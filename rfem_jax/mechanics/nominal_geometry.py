@@ -260,7 +260,7 @@ def null_space(matrix: Float[np.ndarray, "m n"]) -> Float[np.ndarray, "n k"]:
 
 def largest_singular_value(matrices: Float[np.ndarray, "*t m n"]) -> Float[np.ndarray, "*t"]:
     """The largest singular value of such matrices, at least one."""
-    return np.max(_singular_values(matrices), axis=-1, initial=1.0)
+    return np.asarray(np.max(_singular_values(matrices), axis=-1, initial=1.0))
 
 
 def _singular_values(matrices: np.ndarray) -> np.ndarray:

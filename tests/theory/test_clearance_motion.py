@@ -20,9 +20,9 @@ from rfem_jax.validation.rigid_links import body
 
 
 class TestSingleImpact:
-    @pytest.mark.parametrize(("steps", "status"), [(12, "contact_not_resolved"), (20, "ok")])
+    @pytest.mark.parametrize(("steps", "status"), [(12, "contact_not_resolved"), (28, "ok")])
     def test_an_impact_that_the_steps_do_not_follow_is_named_and_spoils_no_other(self, steps, status):
-        """Steps of half a contact lose a tenth of the speed, those of a third less than a hundredth; a slower pin has
+        """Steps of half a contact lose a tenth of the speed, those of a fifth less than a hundredth; a slower pin has
         not touched the bush yet."""
         model, duration = guided(restitution=0.9), 8.2e-4
         method = Method("generalised_alpha", step=duration / steps, contact_tolerance=0)
@@ -35,7 +35,7 @@ class TestSingleImpact:
         statuses, kinetic, balances = jax.jit(jax.vmap(of_speed))(jnp.array([SPEED, 0.2]))
         assert [STATUS[int(one)].name for one in statuses] == [status, "ok"]
         away = abs(np.sqrt(2.0 * float(kinetic[0]) / MASS) / REFERENCE["rebound_speed"] - 1.0)
-        assert (away < 0.01, float(balances[0]) < 0.05) == (status == "ok",) * 2
+        assert (away < 0.01, float(balances[0]) < 0.03) == (status == "ok",) * 2
         np.testing.assert_allclose(kinetic[1], 0.5 * MASS * 0.2**2, rtol=1e-8)  # the weak spring centres the pin
 
     def test_steps_that_follow_contact_resolve_an_impact_within_one_of_them(self):
