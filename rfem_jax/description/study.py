@@ -248,8 +248,8 @@ class Study(ChecksItself):
 
     @property
     def design_values(self) -> dict[str, float]:
-        """Values [SI units] that the design sets."""
-        return {name: value for name, value in self.design.items() if not isinstance(value, tuple)}
+        """Values [SI units] that the design sets; what could not be read is none."""
+        return {name: value for name, value in self.design.items() if isinstance(value, float)}
 
     @property
     def designed_drive(self) -> AnyDrive | tuple[AnyDrive, ...] | None:

@@ -30,6 +30,7 @@ def told(text, path):
     return ()
 
 
+@pytest.mark.wrong_types
 def test_one_mistake_gives_one_sentence(tmp_path):
     numbers, kinds = Counter(), Counter()
     assert len(SHIPPED) > 10

@@ -65,7 +65,7 @@ def test_derivatives_of_a_maximum_are_those_of_its_instant(clamp):
 KINDS_WITHOUT_AXIS = "U", "F"
 
 
-@pytest.mark.parametrize("method", [Method("rk4", step=1e-4), Method("generalised_alpha", step=1e-4)])
+@pytest.mark.parametrize("method", [Method("rk4", step=1e-4), Method("generalised_alpha", step=1e-4, steps_per_row=2)])
 def test_largest_loads_of_all_kinds_are_those_of_every_step(method):
     """Joints of all kinds, fixed and universal ones too, which have no axis; saved seldom and at every step."""
     chain = chain_of_kinds()
