@@ -115,7 +115,7 @@ def kernel(
 
     **Arguments:** `function` of trees of arrays of float64, bool, int32 and int64; it is traced for one sample, and may
     use loops and branches. `name`: what it is called in messages. `selection` of instructions and registers: "fast"
-    compiles about eight times as fast, and runs half as fast.
+    compiles several times as fast, and runs slower.
 
     **Returns:** a function of the same arguments and results. All transformations of JAX apply to it where they apply
     to `function`; in reverse mode loops must have a known number of turns, as everywhere in JAX. A sample's result is
