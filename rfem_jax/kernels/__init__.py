@@ -7,6 +7,7 @@ LLVM compiles the operations on these as they stand, and JAX sees one primitive 
     primitive         `kernel(function)`: the primitive, its batches, derivatives and transposes
     programs          a jaxpr as the text of a module for LLVM
     emission          primitives of JAX as operations on entries
+    linear_algebra    LU factors and triangular systems, of other primitives
     loops             loops and branches, over all samples at once
     vector_math       sine, cosine, exponential function and logarithm of vectors
     arithmetic        operations on entries; known numbers are folded
@@ -14,12 +15,14 @@ LLVM compiles the operations on these as they stand, and JAX sees one primitive 
     builder           LLVM's assembly language
     foreign_function  the function that XLA calls
     machine_code      the compiler (llvmlite)
+    registry          handlers by their names, and where object code is kept
 
 The package knows nothing of mechanics, and uses public interfaces of JAX and llvmlite alone (docs/kernels.md).
 """
 
+from rfem_jax.kernels import linear_algebra  # noqa: F401 # which says what its primitives are made of
 from rfem_jax.kernels.emission import expand_primitive
 from rfem_jax.kernels.machine_code import is_available
-from rfem_jax.kernels.primitive import kernel
+from rfem_jax.kernels.primitive import expecting, kernel
 
-__all__ = ["expand_primitive", "is_available", "kernel"]
+__all__ = ["expand_primitive", "expecting", "is_available", "kernel"]

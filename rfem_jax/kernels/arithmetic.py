@@ -22,7 +22,10 @@ BY_NUMPY: dict[str, Callable] = {
     "sign": np.sign, "max": np.maximum, "min": np.minimum, "floor": np.floor, "ceil": np.ceil, "rem": np.fmod,
     "is_finite": np.isfinite, "sqrt": np.sqrt, "sin": np.sin, "cos": np.cos, "tan": np.tan, "asin": np.arcsin,
     "acos": np.arccos, "atan": np.arctan, "atan2": np.arctan2, "exp": np.exp, "exp2": np.exp2, "log": np.log,
-    "tanh": np.tanh, "sinh": np.sinh, "cosh": np.cosh, "pow": np.power,
+    "tanh": np.tanh, "sinh": np.sinh, "cosh": np.cosh, "pow": np.power, "shift_left": np.left_shift,
+    "log1p": np.log1p, "expm1": np.expm1,
+    "logistic": lambda a: ONE / (ONE + np.exp(-a)),
+    "shift_right_arithmetic": np.right_shift,
 }  # fmt: skip
 INTRINSICS = {
     "sqrt": "sqrt", "floor": "floor", "ceil": "ceil", "tan": "tan", "asin": "asin", "acos": "acos", "atan": "atan",
@@ -97,7 +100,7 @@ class Arithmetic:
                 return DTYPES[common_kind((a,))].type(np.divide(a, b) if common_kind((a,)) == "d" else int(a / b))
         if (is_known(b) and b == 1) or (is_known(a) and a == 0):
             return a
-        return self._binary("fdiv", "sdiv", a, b)
+        return self._binary("fdiv", "udiv" if common_kind((a, b)) == "u" else "sdiv", a, b)
 
     def negative(self, a: Entry) -> Entry:
         if is_known(a):
@@ -145,7 +148,7 @@ class Arithmetic:
         operands = f"#{kind} {build.operand(a, kind)}, {build.operand(b, kind)}"
         if kind == "d":
             return build.operation("b", f"fcmp {'u' if order == 'ne' else 'o'}{order} {operands}")
-        sign = "" if order in ("eq", "ne") else "u" if kind == "b" else "s"
+        sign = "" if order in ("eq", "ne") else "u" if kind in "bu" else "s"
         return build.operation("b", f"icmp {sign}{order} {operands}")
 
     def either(self, a: Entry, b: Entry) -> Entry:
@@ -197,12 +200,14 @@ class Arithmetic:
             return a
         if kind == "b":
             return self.compare("ne", a, DTYPES[a.kind].type(0))
+        if {kind, a.kind} == {"i", "u"}:
+            return Value(a.name, kind)
         if kind == "d":
-            name = "uitofp" if a.kind == "b" else "sitofp"
+            name = "uitofp" if a.kind in "bu" else "sitofp"
         elif a.kind == "d":
-            name = "fptosi"
+            name = "fptoui" if kind == "u" else "fptosi"
         else:
-            name = "zext" if a.kind == "b" else "sext" if kind == "l" else "trunc"
+            name = "zext" if a.kind == "b" or (a.kind == "u" and kind == "l") else "sext" if kind == "l" else "trunc"
         return self.builder.operation(kind, f"{name} #{a.kind} {a.name} to #{kind}")
 
     def function(self, name: str, *entries: Entry) -> Entry:
@@ -246,7 +251,9 @@ class Arithmetic:
 
     def _sign(self, a: Entry) -> Entry:
         if common_kind((a,)) != "d":
-            raise Unsupported("sign of whole numbers")
+            number = DTYPES[a.kind].type
+            negative = self.select(self.compare("lt", a, number(0)), self.negative(number(1)), number(0))
+            return self.select(self.compare("gt", a, number(0)), number(1), negative)
         one = self.builder.call("copysign", "d", ONE, a)
         # Zero, and what is not a number, stay as they are.
         special = self.either(self.compare("eq", a, ZERO), self.compare("ne", a, a))
@@ -256,7 +263,41 @@ class Arithmetic:
         return self.compare("lt", self._abs(a), np.float64(np.inf))
 
     def _rem(self, a: Entry, b: Entry) -> Entry:
-        return self._binary("frem", "srem", a, b)
+        return self._binary("frem", "urem" if common_kind((a, b)) == "u" else "srem", a, b)
+
+    def _lt_to(self, a: Entry, b: Entry) -> Entry:
+        return self._in_total_order("lt", a, b)
+
+    def _le_to(self, a: Entry, b: Entry) -> Entry:
+        return self._in_total_order("le", a, b)
+
+    def _in_total_order(self, order: str, a: Entry, b: Entry) -> Entry:
+        """Comparison in which what is not a number is the largest."""
+        below = self.compare(order, a, b)
+        if common_kind((a, b)) != "d":
+            return below
+        last = self.compare("ne", b, b)
+        if order == "lt":
+            last = self.function("and", last, self.compare("eq", a, a))
+        return self.either(below, last)
+
+    def _shift_left(self, a: Entry, b: Entry) -> Entry:
+        return self._shifted("shl", a, b)
+
+    def _shift_right_logical(self, a: Entry, b: Entry) -> Entry:
+        return self._shifted("lshr", a, b)
+
+    def _shift_right_arithmetic(self, a: Entry, b: Entry) -> Entry:
+        return self._shifted("ashr", a, b)
+
+    def _shifted(self, name: str, a: Entry, b: Entry) -> Entry:
+        """By as many bits as there are, or more, everything is shifted out."""
+        kind = common_kind((a, b))
+        number = DTYPES[kind].type
+        most = number(8 * DTYPES[kind].itemsize - 1)
+        inside = self.function("and", self.compare("ge", b, number(0)), self.compare("le", b, most))
+        shifted = self._binary(name, name, a, self.select(inside, b, most if name == "ashr" else number(0)))
+        return shifted if name == "ashr" else self.select(inside, shifted, number(0))
 
     def _clamp(self, low: Entry, a: Entry, high: Entry) -> Entry:
         return self.smaller(self.larger(a, low), high)

@@ -6,7 +6,7 @@ Every value of a program is a vector over lanes; a lane is a sample, and no oper
 but for the decision whether a loop goes on or a branch is entered at all.  The text is the same for any number of
 lanes: it has marks in place of the types, which `Program.text` fills in.
 
-    #d #b #i #l    vectors of double, of i1, of i32, of i64
+    #d #b #i #u #l vectors of double, of i1, of i32 (twice), of i64
     #n             the number of lanes
     #(k)           the size of k vectors of 8 bytes a lane, in bytes
     #lanes         0, 8, 16, ...: the place of every lane within such a vector, in bytes
@@ -24,11 +24,13 @@ from typing import Any
 import numpy as np
 
 OPERATIONS_OF_A_BLOCK = 300
-MARKS = re.compile(r"#(?:\((\d+)\)|lanes|[dbiln])")
+MOST_OPERATIONS = 150_000  # of a program: to compile more takes longer than XLA does
+TURNS = 8  # of a loop, where it is not known how many there will be
+MARKS = re.compile(r"#(?:\((\d+)\)|lanes|[dbiuln])")
 
 
 class Value:
-    """A vector over lanes in a register: its name, and its kind (d: double, b: bool, i: int32, l: int64).
+    """A vector over lanes in a register: its name, and its kind (d: double, b: bool, i: int32, u: uint32, l: int64).
 
     Not a tuple: NumPy would take it apart.
     """
@@ -39,6 +41,19 @@ class Value:
         self.name, self.kind = name, kind
 
 
+class Stored(Value):
+    """A value in a slot of the workspace that is written no more while it is in use: loaded where it is used."""
+
+    __slots__ = ("builder", "slot")
+
+    def __init__(self, builder: "Builder", kind: str, slot: int) -> None:
+        self.builder, self.kind, self.slot = builder, kind, slot
+
+    @property
+    def name(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride] # computed where it is used
+        return self.builder.load_once(self.kind, self.slot).name
+
+
 Entry = Any  # of an array: a `Value`, or a number of NumPy's that is known
 
 
@@ -46,18 +61,25 @@ class Unsupported(Exception):
     """An operation that has no machine code here; the text names it."""
 
 
+class TooLarge(Unsupported):
+    """More operations than machine code is made of."""
+
+
 def kind_of(dtype: np.dtype) -> str:
     """The kind of values of a type of numbers.
 
     **Raises:** `Unsupported` for a type without one.
     """
-    found = {"float64": "d", "bool": "b", "int32": "i", "int64": "l"}.get(np.dtype(dtype).name)
+    found = {"float64": "d", "bool": "b", "int32": "i", "uint32": "u", "int64": "l"}.get(np.dtype(dtype).name)
     if found is None:
         raise Unsupported(f"numbers of type {np.dtype(dtype).name}")
     return found
 
 
-DTYPES = {"d": np.dtype(float), "b": np.dtype(bool), "i": np.dtype(np.int32), "l": np.dtype(np.int64)}
+DTYPES = {
+    "d": np.dtype(float), "b": np.dtype(bool), "i": np.dtype(np.int32), "u": np.dtype(np.uint32),
+    "l": np.dtype(np.int64),
+}  # fmt: skip
 
 
 def is_known(entry: Entry) -> bool:
@@ -73,13 +95,15 @@ class Builder:
     def __init__(self) -> None:
         self.lines: list[str] = []
         self.block = "entry"
-        self.operations = 0
+        self.operations = self.work = 0
         self.slots = 0
         self.intrinsics: dict[str, str] = {}
+        self.tables: dict[str, str] = {}  # arrays of known numbers, by their text
         self.functions: dict[str, tuple[int, str]] = {}  # how many results, and text
         self._scopes: list[dict[str, Value]] = [{}]
         self._names = 0
         self._in_block = 0
+        self._turns = 1
 
     # Names and text
 
@@ -113,9 +137,13 @@ class Builder:
     def _fresh_value(self, kind: str, text: str) -> Value:
         self._in_block += 1
         self.operations += 1
+        self.work += self._turns
+        if self.operations > MOST_OPERATIONS:
+            raise TooLarge(f"more than {MOST_OPERATIONS} operations")
         if self._in_block > OPERATIONS_OF_A_BLOCK:
             label = self.fresh("b")
-            self.line(f"br label %{label}")
+            # LLVM makes one block of two, and takes long for it, where the first can only go on with the second.
+            self.line(f"br i1 %never, label %nowhere, label %{label}")
             self.begin(label)
         value = Value(f"%{self.fresh()}", kind)
         self.line(f"{value.name} = {text}")
@@ -127,7 +155,7 @@ class Builder:
             return entry.name
         if kind == "d":
             return f"splat (double 0x{struct.pack('>d', float(entry)).hex().upper()})"
-        size = {"b": 1, "i": 32, "l": 64}[kind]
+        size = {"b": 1, "i": 32, "u": 32, "l": 64}[kind]
         number = "true" if kind == "b" and entry else "false" if kind == "b" else int(entry)
         return f"splat (i{size} {number})"
 
@@ -147,10 +175,12 @@ class Builder:
 
     # Scopes: what was computed in a loop or a branch is not known after it.
 
-    def inside(self, build: Callable[[], None]) -> None:
-        """Build what may be carried out never, or several times."""
+    def inside(self, build: Callable[[], None], turns: int = 1) -> None:
+        """Build what may be carried out never, or several times: about `turns`."""
         self._scopes.append({})
+        self._turns *= turns
         build()
+        self._turns //= turns
         self._scopes.pop()
 
     # The workspace
@@ -176,18 +206,29 @@ class Builder:
         stored = self._fresh_value("d" if kind == "d" else "l", f"load #{'d' if kind == 'd' else 'l'}, ptr {place}")
         return stored if kind in "dl" else self._fresh_value(kind, f"trunc #l {stored.name} to #{kind}")
 
+    def load_once(self, kind: str, slot: int) -> Value:
+        """The value in a slot that is written no more, loaded already or now."""
+        key = f"slot {kind} {slot}"
+        for scope in reversed(self._scopes):
+            if key in scope:
+                return scope[key]
+        value = self._scopes[-1][key] = self.load(kind, slot)
+        return value
+
     def store(self, entry: Entry, kind: str, slot: int, row: tuple[str, int] | None = None) -> None:
         """Put an entry into a slot."""
         value = self.operand(entry, kind)
-        if kind in "bi":
-            value = self.operation("l", f"{'zext' if kind == 'b' else 'sext'} #{kind} {value} to #l").name
+        if kind in "biu":
+            value = self.operation("l", f"{'sext' if kind == 'i' else 'zext'} #{kind} {value} to #l").name
         place = self.address(slot, row)
         self.line(f"store #{'d' if kind == 'd' else 'l'} {value}, ptr {place}")
 
     def gather(self, kind: str, slot: int, rows: Value) -> Value:
         """Values whose slot differs between lanes: `rows` (int64) after the given one."""
         self.intrinsics["gather"] = "declare #d @llvm.masked.gather.v#nf64.v#np0(<#n x ptr>, i32, #b, #d)"
-        pointers = self._pointers(slot, rows)
+        return self._gathered(kind, self._pointers(slot, rows))
+
+    def _gathered(self, kind: str, pointers: str) -> Value:
         text = (
             f"call #d @llvm.masked.gather.v#nf64.v#np0(<#n x ptr> {pointers}, i32 8, "
             "#b splat (i1 true), #d zeroinitializer)"
@@ -198,12 +239,29 @@ class Builder:
         bits = self._fresh_value("l", f"bitcast #d {stored.name} to #l")
         return bits if kind == "l" else self._fresh_value(kind, f"trunc #l {bits.name} to #{kind}")
 
+    def table(self, kind: str, numbers: np.ndarray) -> str:
+        """The name of an array of known numbers, which is not copied into the workspace."""
+        if kind == "d":
+            entries = ", ".join(f"double 0x{x.hex().upper()}" for x in map(struct.Struct(">d").pack, numbers.tolist()))
+        else:
+            entries = ", ".join(f"i64 {int(x)}" for x in numbers)
+        text = f"internal constant [{len(numbers)} x {'double' if kind == 'd' else 'i64'}] [{entries}]"
+        return self.tables.setdefault(text, f"@table{len(self.tables)}")
+
+    def gather_of_table(self, kind: str, table: str, place: int, rows: Value) -> Value:
+        """Numbers of a table, `rows` (int64) after a place."""
+        self.intrinsics["gather"] = "declare #d @llvm.masked.gather.v#nf64.v#np0(<#n x ptr>, i32, #b, #d)"
+        offsets = self.operation("l", f"mul #l {rows.name}, splat (i64 8)")
+        base = self.scalar(f"getelementptr i8, ptr {table}, i64 {8 * place}")
+        pointers = self.scalar(f"getelementptr i8, ptr {base}, #l {offsets.name}")
+        return self._gathered(kind, pointers)
+
     def scatter(self, entry: Entry, kind: str, slot: int, rows: Value) -> None:
         """Put an entry into slots that differ between lanes."""
         self.intrinsics["scatter"] = "declare void @llvm.masked.scatter.v#nf64.v#np0(#d, <#n x ptr>, i32, #b)"
         value = self.operand(entry, kind)
-        if kind in "bi":
-            value = self.operation("l", f"{'zext' if kind == 'b' else 'sext'} #{kind} {value} to #l").name
+        if kind in "biu":
+            value = self.operation("l", f"{'sext' if kind == 'i' else 'zext'} #{kind} {value} to #l").name
         if kind != "d":
             value = self.operation("d", f"bitcast #l {value} to #d").name
         pointers = self._pointers(slot, rows)
@@ -221,7 +279,7 @@ class Builder:
 def filled(text: str, lanes: int) -> str:
     """The text with types for a number of lanes."""
     places = ", ".join(f"i64 {8 * lane}" for lane in range(lanes))
-    types = {"#d": "double", "#b": "i1", "#i": "i32", "#l": "i64"}
+    types = {"#d": "double", "#b": "i1", "#i": "i32", "#u": "i32", "#l": "i64"}
     marks = {mark: f"<{lanes} x {name}>" for mark, name in types.items()}
     marks |= {"#n": str(lanes), "#lanes": f"<{places}>"}
     return MARKS.sub(lambda m: str(8 * lanes * int(m[1])) if m[1] else marks[m[0]], text)

@@ -7,9 +7,10 @@ move entries (slices, transposes, gathers at known places) cost nothing: they ar
 Loops and branches are in `loops`.
 """
 
+import functools
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, SupportsIndex
 
 import jax
 import numpy as np
@@ -17,18 +18,33 @@ from jax.extend.core import ClosedJaxpr, JaxprEqn, Literal
 
 from rfem_jax.kernels import loops, vector_math
 from rfem_jax.kernels.arithmetic import Arithmetic, common_kind
-from rfem_jax.kernels.builder import Builder, Entry, Unsupported, Value, is_known
-from rfem_jax.kernels.entries import Entries, each, entries_of, is_program, numbers, of_shape, shape_of, whole
+from rfem_jax.kernels.builder import DTYPES, Builder, Entry, Unsupported, Value, is_known, kind_of
+from rfem_jax.kernels.entries import (
+    Entries,
+    each,
+    entries_of,
+    is_program,
+    needed,
+    numbers,
+    of_shape,
+    place_in_memory,
+    shape_of,
+    whole,
+)
 
 # Primitives whose operation on arrays is that on entries.
 ELEMENTWISE = frozenset(
     (
         "sin cos tan asin acos atan atan2 exp exp2 log sqrt rsqrt tanh sinh cosh abs max min sign floor ceil "
-        "is_finite pow rem clamp lt le gt ge eq ne and or xor not square"
+        "is_finite pow rem clamp lt le gt ge eq ne and or xor not square "
+        "shift_left shift_right_logical shift_right_arithmetic lt_to le_to "
+        "logistic log1p expm1"
     ).split()
 )
 CALLS = frozenset(["jit", "pjit", "closed_call", "checkpoint", "remat", "remat2", "custom_jvp_call", "custom_vjp_call"])
-SAME = frozenset(["copy", "copy_p", "stop_gradient", "optimization_barrier", "name", "reduce_precision"])
+SAME = frozenset(
+    ["copy", "copy_p", "stop_gradient", "optimization_barrier", "name", "reduce_precision", "reshard", "pvary", "pcast"]
+)
 
 # Primitives of others, by functions of JAX's own primitives.
 _EXPANSIONS: dict[str, Callable] = {}
@@ -61,7 +77,7 @@ class Emitter:
         def read(variable) -> Entries:
             return entries_of(variable.val) if isinstance(variable, Literal) else values[variable]
 
-        for equation in jaxpr.eqns:
+        for equation in needed(jaxpr):
             results = self.apply(equation, [read(variable) for variable in equation.invars])
             values.update(zip(equation.outvars, map(whole, results)))
         return [read(variable) for variable in jaxpr.outvars]
@@ -127,7 +143,7 @@ class Emitter:
         sums = [self.arithmetic.sum(map(multiply, a[i, j], b[i, k])) for i, j, k in places]
         return [of_shape(sums, shape)]
 
-    def _reduced(self, function: Callable, nothing, values: Entries, axes: Sequence[int]) -> Entries:
+    def _reduced(self, function: Callable, nothing, values: Entries, axes: Sequence[SupportsIndex]) -> Entries:
         values = np.moveaxis(values, axes, range(len(axes)))
         kept = values.shape[len(axes) :]
         terms = [whole(values[place]) for place in np.ndindex(*values.shape[: len(axes)])]
@@ -154,7 +170,69 @@ class Emitter:
     def _reduce_or(self, equation, x):
         return [self._reduced(self.arithmetic.either, np.bool_(False), x, equation.params["axes"])]
 
+    def _reduce_prod(self, equation, x):
+        return [
+            self._reduced(self.arithmetic.multiply, equation.outvars[0].aval.dtype.type(1), x, equation.params["axes"])
+        ]
+
+    def _cumulated(self, equation, x, function: Callable) -> list[Entries]:
+        axis, found = equation.params["axis"], x.copy()
+        rows = np.moveaxis(found, axis, 0)
+        rows = rows[::-1] if equation.params["reverse"] else rows
+        for i in range(1, len(rows)):
+            rows[(i, ...)] = each(function, [whole(rows[i - 1]), whole(rows[i])])
+        return [found]
+
+    def _cumsum(self, equation, x):
+        return self._cumulated(equation, x, self.arithmetic.add)
+
+    def _cumprod(self, equation, x):
+        return self._cumulated(equation, x, self.arithmetic.multiply)
+
+    def _cummax(self, equation, x):
+        return self._cumulated(equation, x, self.arithmetic.larger)
+
+    def _cummin(self, equation, x):
+        return self._cumulated(equation, x, self.arithmetic.smaller)
+
+    def _argmax(self, equation, x):
+        return self._place_of_extreme(equation, x, "gt")
+
+    def _argmin(self, equation, x):
+        return self._place_of_extreme(equation, x, "lt")
+
+    def _place_of_extreme(self, equation, x, order: str) -> list[Entries]:
+        """The first place along an axis of the largest or smallest entry, or of what is not a number."""
+        (axis,), arithmetic = equation.params["axes"], self.arithmetic
+        number = equation.outvars[0].aval.dtype.type
+        rows = np.moveaxis(x, axis, 0)
+        found = whole(rows[0])
+        at = of_shape([number(0)] * found.size, found.shape)
+
+        def better(new, old):
+            chosen = arithmetic.compare(order, new, old)
+            if common_kind((new, old)) != "d":
+                return chosen
+            nothing = arithmetic.function("and", arithmetic.compare("ne", new, new), arithmetic.compare("eq", old, old))
+            number_before = arithmetic.compare("eq", old, old)
+            return arithmetic.either(arithmetic.function("and", chosen, number_before), nothing)
+
+        for i in range(1, len(rows)):
+            row = whole(rows[i])
+            chosen = each(better, [row, found])
+            at = each(lambda c, old: arithmetic.select(c, number(i), old), [chosen, at])
+            found = each(arithmetic.select, [chosen, row, found])
+        return [at]
+
+    def _round(self, equation, x):
+        name = "round" if equation.params["rounding_method"] == jax.lax.RoundingMethod.AWAY_FROM_ZERO else "roundeven"
+        by_numpy = np.round if name == "roundeven" else lambda a: np.copysign(np.floor(np.abs(a) + 0.5), a)
+        return [each(lambda a: by_numpy(a) if is_known(a) else self.builder.call(name, "d", a), [x])]
+
     # Entries that move
+
+    def _empty2(self, equation):
+        return [entries_of(np.zeros((), equation.params["dtype"]))]
 
     def _iota(self, equation):
         settings = equation.params
@@ -236,16 +314,20 @@ class Emitter:
         return [np.moveaxis(taken, range(len(places), taken.ndim), numbers_.offset_dims)]
 
     def _gathered_rows(self, equation, operand, indices):
-        """One window at a place that is a value, of an index by lane."""
+        """Windows at places that are values, of an index by lane."""
         numbers_, sizes = equation.params["dimension_numbers"], equation.params["slice_sizes"]
-        if indices.ndim != 1 or numbers_.operand_batching_dims:
-            raise Unsupported("gather of several windows at places that are computed")
-        starts = [np.int64(0)] * operand.ndim
-        for axis, index in zip(numbers_.start_index_map, indices):
-            starts[axis] = index
-        window = self._window(operand, starts, sizes)
-        kept = [size for axis, size in enumerate(sizes) if axis not in numbers_.collapsed_slice_dims]
-        return window.reshape(kept)
+        places = indices.shape[:-1]
+        gone = (*numbers_.collapsed_slice_dims, *numbers_.operand_batching_dims)
+        kept = [size for axis, size in enumerate(sizes) if axis not in gone]
+        taken = np.empty((*places, *kept), object)
+        for place in np.ndindex(*places):
+            starts = [np.int64(0)] * operand.ndim
+            for axis, of in zip(numbers_.operand_batching_dims, numbers_.start_indices_batching_dims):
+                starts[axis] = np.int64(place[of])
+            for axis, index in zip(numbers_.start_index_map, indices[place]):
+                starts[axis] = index
+            taken[(*place, ...)] = self._window(operand, starts, sizes).reshape(kept)
+        return np.moveaxis(taken, range(len(places), taken.ndim), numbers_.offset_dims)
 
     def _dynamic_slice(self, equation, operand, *starts):
         return [self._window(operand, [x[()] for x in starts], equation.params["slice_sizes"])]
@@ -258,14 +340,24 @@ class Emitter:
     def _window(self, operand: Entries, starts: Sequence[Entry], sizes: Sequence[int]) -> Entries:
         """Entries from places on that may be values, which are moved so far that the window is within the array."""
         starts = [self._clamped(a, n - size) for a, n, size in zip(starts, operand.shape, sizes)]
+        if not operand.size:
+            return np.empty(sizes, object)
         fixed = tuple(slice(int(a), int(a) + n) if is_known(a) else slice(None) for a, n in zip(starts, sizes))
         operand = operand[fixed]
         moving = [(axis, a) for axis, a in enumerate(starts) if not is_known(a)]
         if not moving:
             return operand
-        kind, first = self._in_memory(operand)
+        if 0 in sizes:
+            return np.empty(sizes, object)
         row = self._row_of(operand.shape, moving)
         places = np.arange(operand.size).reshape(operand.shape)[tuple(slice(0, n) for n in sizes)]
+        kind = common_kind(operand.flat)
+        known = numbers(operand, DTYPES[kind])
+        if known is not None:
+            table = self.builder.table(kind, known.ravel())
+            found = [self.builder.gather_of_table(kind, table, int(place), row) for place in places.flat]
+            return of_shape(found, sizes)
+        kind, first = self._in_memory(operand)
         found = [self.builder.gather(kind, first + int(place), row) for place in places.flat]
         return of_shape(found, sizes)
 
@@ -279,6 +371,11 @@ class Emitter:
         return total
 
     def _in_memory(self, entries: Entries) -> tuple[str, int]:
+        """Kind and first slot of an array, or of a copy of it."""
+        found = place_in_memory(entries)
+        return found if found is not None else self._copied(entries)
+
+    def _copied(self, entries: Entries) -> tuple[str, int]:
         """Kind and first slot of a copy of an array."""
         kind = common_kind(entries.flat)
         first = self.builder.reserve(entries.size)
@@ -287,19 +384,25 @@ class Emitter:
         return kind, first
 
     def _dynamic_update_slice(self, equation, operand, update, *starts):
-        starts = [self._clamped(a[()], n - m) for a, n, m in zip(starts, operand.shape, update.shape)]
+        return [self._updated(operand, update, [a[()] for a in starts])]
+
+    def _updated(self, operand: Entries, update: Entries, starts: Sequence[Entry]) -> Entries:
+        """An array with a window at places that may be values, which is moved so far that it is within the array."""
+        if not update.size:
+            return operand
+        starts = [self._clamped(a, n - m) for a, n, m in zip(starts, operand.shape, update.shape)]
         moving = [(axis, a) for axis, a in enumerate(starts) if not is_known(a)]
         within = tuple(slice(int(a), int(a) + n) if is_known(a) else slice(0, n) for a, n in zip(starts, update.shape))
         if not moving:
             operand = operand.copy()
             operand[within] = update
-            return [operand]
-        kind, first = self._in_memory(operand)
+            return operand
+        kind, first = self._copied(operand)
         row = self._row_of(operand.shape, moving)
         places = np.arange(operand.size).reshape(operand.shape)[within]
         for place, entry in zip(places.flat, update.flat):
             self.builder.scatter(entry, kind, first + int(place), row)
-        return [of_shape([self.builder.load(kind, first + i) for i in range(operand.size)], operand.shape)]
+        return of_shape([self.builder.load(kind, first + i) for i in range(operand.size)], operand.shape)
 
     def _scatter(self, equation, operand, indices, updates):
         return [self._scattered(equation, operand, indices, updates, lambda old, new: new)]
@@ -312,7 +415,7 @@ class Emitter:
         known = numbers(indices, np.int64)
         settings = equation.params["dimension_numbers"]
         if known is None or settings.operand_batching_dims:
-            raise Unsupported("scatter at places that are computed")
+            return self._scattered_by_lane(operand, indices, updates, settings, combined)
         operand = operand.copy()
         windows = settings.update_window_dims
         batch_axes = [i for i in range(updates.ndim) if i not in windows]
@@ -327,7 +430,67 @@ class Emitter:
             operand[tuple(at)] = combined(operand[tuple(at)], updates[place])
         return operand
 
+    def _scattered_by_lane(self, operand, indices, updates, settings, combined: Callable) -> Entries:
+        """Windows at places that are values, one after the other; nothing where one is outside of the array."""
+        arithmetic = self.arithmetic
+        single = (*settings.inserted_window_dims, *settings.operand_batching_dims)
+        left = (updates.shape[i] for i in settings.update_window_dims)
+        sizes = [1 if axis in single else next(left) for axis in range(operand.ndim)]
+        batch_axes = [i for i in range(updates.ndim) if i not in settings.update_window_dims]
+        for place in np.ndindex(*indices.shape[:-1]):
+            starts, inside = [np.int64(0)] * operand.ndim, np.bool_(True)
+            for axis, of in zip(settings.operand_batching_dims, settings.scatter_indices_batching_dims):
+                starts[axis] = np.int64(place[of])
+            for axis, index in zip(settings.scatter_dims_to_operand_dims, indices[place]):
+                index = arithmetic.convert(index, np.dtype(np.int64))
+                within = arithmetic.compare("le", index, np.int64(operand.shape[axis] - sizes[axis]))
+                inside = arithmetic.function("and", inside, within)
+                inside = arithmetic.function("and", inside, arithmetic.compare("ge", index, np.int64(0)))
+                starts[axis] = index
+            update = np.moveaxis(updates, batch_axes, range(len(batch_axes)))[(*place, ...)]
+            old = self._window(operand, starts, sizes)
+            new = each(lambda a, b: arithmetic.select(inside, combined(a, b), a), [old, update.reshape(sizes)])
+            operand = self._updated(operand, new, starts)
+        return operand
+
     # Loops and branches
+
+    def _kernel(self, equation, *parts):
+        """A kernel within this one, in a loop where it has several samples."""
+        program, batched = equation.params["body"].program, equation.params["batched"]
+        return loops.over_rows(self, program, equation, parts, batched) if any(batched) else self.run(program, parts)
+
+    def _sort(self, equation, *parts):
+        """Of one axis, by one key: every entry goes to the place that as many others are before."""
+        if parts[0].ndim != 1 or equation.params["num_keys"] != 1:
+            raise Unsupported("sort of several axes or by several keys")
+        arithmetic, keys = self.arithmetic, parts[0]
+        zero, one = np.int64(0), np.int64(1)
+        ranks = []
+        for i, key in enumerate(keys):
+            before = (arithmetic.function("le_to" if j < i else "lt_to", other, key) for j, other in enumerate(keys))
+            counts = [arithmetic.select(b, one, zero) for j, b in enumerate(before) if j != i]
+            ranks.append(functools.reduce(arithmetic.add, counts, zero))
+        found = []
+        for part, variable in zip(parts, equation.outvars):
+            kind, first = kind_of(variable.aval.dtype), self.builder.reserve(part.size)
+            for entry, rank in zip(part, ranks):
+                if is_known(rank):
+                    self.builder.store(entry, kind, first + int(rank))
+                else:
+                    self.builder.scatter(entry, kind, first, rank)
+            found.append(of_shape([self.builder.load(kind, first + i) for i in range(part.size)], part.shape))
+        return found
+
+    def _platform_index(self, equation):
+        """Which of several forms of a function is for a CPU."""
+        forms = equation.params["platforms"]
+        return [entries_of(np.int32(next(i for i, names in enumerate(forms) if names is None or "cpu" in names)))]
+
+    def _custom_linear_solve(self, equation, *parts):
+        counts, solve = equation.params["const_lengths"], equation.params["jaxprs"].solve
+        first, given = counts.matvec + counts.vecmat, sum(counts)
+        return self.run(solve, [*parts[first : first + counts.solve], *parts[given:]])
 
     def _while(self, equation, *parts):
         return loops.repeat_while(self, equation, parts)

@@ -9,9 +9,9 @@ from typing import Any
 
 import jax
 import numpy as np
-from jax.extend.core import ClosedJaxpr, Jaxpr
+from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Var
 
-from rfem_jax.kernels.builder import Entry, is_known
+from rfem_jax.kernels.builder import Builder, Entry, Stored, is_known
 
 Entries = np.ndarray  # of dtype object
 
@@ -28,6 +28,22 @@ def of_shape(entries: Sequence[Entry], shape: Sequence[int]) -> Entries:
     for i, entry in enumerate(entries):
         found[i] = entry
     return found.reshape(shape)
+
+
+def stored(builder: Builder, kind: str, slot: int, shape: Sequence[int]) -> Entries:
+    """An array that is in the workspace from a slot on."""
+    return of_shape([Stored(builder, kind, slot + i) for i in range(math.prod(shape))], shape)
+
+
+def place_in_memory(entries: Entries) -> tuple[str, int] | None:
+    """Kind and first slot of an array that is in the workspace as it stands; None of any other."""
+    found = [*entries.flat]
+    if not found or not all(isinstance(x, Stored) for x in found):
+        return None
+    kind, slot = found[0].kind, found[0].slot
+    if any(x.kind != kind or x.slot != slot + i for i, x in enumerate(found)):
+        return None
+    return kind, slot
 
 
 def whole(entries) -> Entries:
@@ -55,6 +71,17 @@ def shape_of(variable: Any) -> jax.ShapeDtypeStruct:
     return jax.ShapeDtypeStruct(variable.aval.shape, variable.aval.dtype)
 
 
+def needed(jaxpr: Jaxpr) -> list[JaxprEqn]:
+    """The equations of a jaxpr that its results depend on, or that do something besides."""
+    wanted = {v for v in jaxpr.outvars if isinstance(v, Var)}
+    found = []
+    for equation in reversed(jaxpr.eqns):
+        if equation.effects or wanted.intersection(equation.outvars):
+            found.append(equation)
+            wanted.update(v for v in equation.invars if isinstance(v, Var))
+    return found[::-1]
+
+
 def is_program(x) -> bool:
     return isinstance(x, ClosedJaxpr)
 
@@ -62,16 +89,23 @@ def is_program(x) -> bool:
 def size_of(program: ClosedJaxpr) -> int:
     """Roughly, how many operations on entries a jaxpr has, with the body of every loop once."""
     total = 0
-    for equation in program.jaxpr.eqns:
+
+    def size(variable: Any) -> int:
+        return math.prod(getattr(variable.aval, "shape", ()))
+
+    for equation in needed(program.jaxpr):
+        if equation.primitive.name == "kernel":
+            total += size_of(equation.params["body"].program)
+            continue
         parts = jax.tree.leaves(list(equation.params.values()), is_leaf=_holds_equations)
         inner = [x for x in parts if _holds_equations(x)]
         total += sum(size_of(x if is_program(x) else ClosedJaxpr(x, ())) for x in inner)
         if equation.primitive.name == "dot_general":
             (summed, _), _ = equation.params["dimension_numbers"]
-            terms = math.prod(equation.invars[0].aval.shape[i] for i in summed)
-            total += 2 * terms * math.prod(equation.outvars[0].aval.shape)
+            terms = math.prod(shape_of(equation.invars[0]).shape[i] for i in summed)
+            total += 2 * terms * size(equation.outvars[0])
         else:
-            total += sum(math.prod(getattr(v.aval, "shape", ())) for v in equation.outvars)
+            total += sum(map(size, equation.outvars))
     return total
 
 

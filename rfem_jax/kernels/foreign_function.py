@@ -24,7 +24,9 @@ DATA = 24
 METADATA_EXTENSION = 1
 
 # Of an operand or a result: LLVM's type in XLA's buffer, and what it is in the workspace.
-STORED = {"d": ("double", "double"), "l": ("i64", "i64"), "i": ("i32", "i64"), "b": ("i8", "i64")}
+STORED = {
+    "d": ("double", "double"), "l": ("i64", "i64"), "i": ("i32", "i64"), "u": ("i32", "i64"), "b": ("i8", "i64"),
+}  # fmt: skip
 
 
 class Buffer(NamedTuple):
@@ -142,7 +144,7 @@ def _pointers(operands: int, results: int) -> list[str]:
 def copy_in(kind: str, lanes: int) -> str:
     """A function that copies the entries of as many samples as there are lanes into the workspace."""
     outside, inside = STORED[kind]
-    widened = {"i": "sext i32 %found to i64", "b": "zext i8 %found to i64"}.get(kind)
+    widened = {"i": "sext i32 %found to i64", "u": "zext i32 %found to i64", "b": "zext i8 %found to i64"}.get(kind)
     return f"""
 define internal void @copy_in_{kind}(ptr %from, i64 %stride, i64 %size, i64 %first, i64 %samples, ptr %to) noinline {{
 entry:
@@ -181,7 +183,7 @@ done:
 def copy_out(kind: str, lanes: int) -> str:
     """A function that copies the results of the samples of a block out of the workspace."""
     outside, inside = STORED[kind]
-    narrowed = {"i": "trunc i64 %found to i32", "b": "trunc i64 %found to i8"}.get(kind)
+    narrowed = {"i": "trunc i64 %found to i32", "u": "trunc i64 %found to i32", "b": "trunc i64 %found to i8"}.get(kind)
     return f"""
 define internal void @copy_out_{kind}(ptr %to, i64 %size, i64 %first, i64 %samples, ptr %from) noinline {{
 entry:

@@ -7,21 +7,23 @@ come to its end keeps what it had; a branch is entered if any lane takes it, and
 own.
 """
 
+import math
 from collections.abc import Callable, Sequence
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jax.extend.core import ClosedJaxpr
 
 from rfem_jax.kernels.arithmetic import Arithmetic
-from rfem_jax.kernels.builder import DTYPES, Builder, Entry, Unsupported, Value, is_known, kind_of
-from rfem_jax.kernels.entries import Entries, of_shape, size_of, whole
+from rfem_jax.kernels.builder import DTYPES, TURNS, Builder, Entry, Unsupported, Value, is_known, kind_of
+from rfem_jax.kernels.entries import Entries, of_shape, place_in_memory, size_of, stored, whole
 
 LONGEST_UNROLLED = 64
 LARGEST_UNROLLED = 3000  # operations of all turns
 LARGEST_WITHOUT_BRANCH = 100  # operations that are carried out whether or not they are needed
 
 
+@runtime_checkable  # where types are checked at run time
 class Emitter(Protocol):
     """What carries out jaxprs: `emission.Emitter`."""
 
@@ -40,30 +42,35 @@ def counts_of_scan(settings) -> tuple[int, int]:
 
 
 class Slots:
-    """Arrays in the workspace, one after the other: of given shapes and types, `rows` times."""
+    """Arrays in the workspace, of given shapes and types, each `rows` times one after the other."""
 
     def __init__(self, emitter: Emitter, variables: Sequence, rows: int = 1, drop: int = 0) -> None:
-        self.builder = emitter.builder
+        self.builder, self.rows = emitter.builder, rows
         self.shapes = [v.aval.shape[drop:] for v in variables]
         self.kinds = [kind_of(v.aval.dtype) for v in variables]
-        self.sizes = [int(np.prod(shape, dtype=int)) for shape in self.shapes]
-        self.row = sum(self.sizes)
-        self.first = self.builder.reserve(self.row * rows)
+        self.sizes = [math.prod(shape) for shape in self.shapes]
+        self.firsts = [self.builder.reserve(size * rows) for size in self.sizes]
 
-    def store(self, arrays: Sequence[Entries], row: tuple[str, int] | None = None, fixed: int = 0) -> None:
-        """Into a row that is computed, or into a fixed one."""
-        slot = self.first + fixed * self.row
-        for array, kind in zip(arrays, self.kinds, strict=True):
-            for entry in array.flat:
-                self.builder.store(entry, kind, slot, row)
-                slot += 1
+    def store(self, arrays: Sequence[Entries], row: str | None = None) -> None:
+        """Into the first row, or into one that is computed."""
+        for array, kind, first, size in zip(arrays, self.kinds, self.firsts, self.sizes, strict=True):
+            for i, entry in enumerate(array.flat):
+                self.builder.store(entry, kind, first + i, None if row is None else (row, size))
 
-    def load(self, row: tuple[str, int] | None = None, fixed: int = 0) -> list[Entries]:
-        slot, found = self.first + fixed * self.row, []
-        for shape, kind, size in zip(self.shapes, self.kinds, self.sizes):
-            found.append(of_shape([self.builder.load(kind, slot + i, row) for i in range(size)], shape))
-            slot += size
-        return found
+    def load(self) -> list[Entries]:
+        """The first row, which may be written again."""
+        return [_row(*of) for of in zip([self.builder] * len(self.kinds), self.kinds, self.firsts, self.shapes)]
+
+    def finished(self) -> list[Entries]:
+        """All rows, which are written no more; without the axis of rows if there is one."""
+        shapes = self.shapes if self.rows == 1 else [(self.rows, *shape) for shape in self.shapes]
+        return [stored(self.builder, *of) for of in zip(self.kinds, self.firsts, shapes)]
+
+
+def _row(builder: Builder, kind: str, first: int, shape: Sequence[int], row: str | None = None) -> Entries:
+    """An array loaded from the workspace: from a slot on, or so many rows of its size later."""
+    size = math.prod(shape)
+    return of_shape([builder.load(kind, first + i, None if row is None else (row, size)) for i in range(size)], shape)
 
 
 def _typed(arrays: Sequence[Entries], variables: Sequence) -> list[Entries]:
@@ -85,7 +92,7 @@ def _counted(emitter: Emitter, length: int, turn: Callable[[str], None]) -> None
     builder.begin(loop)
     counter, following = f"%{builder.fresh('i')}", f"%{builder.fresh('i')}"
     builder.line("")  # for the counter's own line, which names the last block of the loop
-    builder.inside(lambda: turn(counter))
+    builder.inside(lambda: turn(counter), length)
     builder.line(f"{following} = add i64 {counter}, 1")
     goes_on = builder.scalar(f"icmp ult i64 {following}, {length}")
     builder.line(f"br i1 {goes_on}, label %{loop}, label %{done}")
@@ -96,41 +103,80 @@ def _counted(emitter: Emitter, length: int, turn: Callable[[str], None]) -> None
 def scan(emitter: Emitter, equation, parts: Sequence[Entries]) -> list[Entries]:
     settings = equation.params
     constants, carried = counts_of_scan(settings)
-    fixed, carry = parts[:constants], list(parts[constants : constants + carried])
-    rows, length, body = parts[constants + carried :], settings["length"], settings["jaxpr"]
-    carry_variables, made_variables = equation.outvars[:carried], equation.outvars[carried:]
-    turns = range(length)[::-1] if settings["reverse"] else range(length)
-    if length <= LONGEST_UNROLLED and length * size_of(body) <= LARGEST_UNROLLED:
+    fixed, carry, rows = parts[:constants], parts[constants : constants + carried], parts[constants + carried :]
+    variables = equation.invars[constants + carried :], equation.outvars[:carried], equation.outvars[carried:]
+
+    def body(carry, own):
+        return emitter.run(settings["jaxpr"], [*fixed, *carry, *own])
+
+    size = size_of(settings["jaxpr"])
+    return _turns(emitter, body, size, settings["length"], settings["reverse"], list(carry), rows, variables)
+
+
+def over_rows(emitter: Emitter, program: ClosedJaxpr, equation, parts: Sequence[Entries], batched: Sequence[bool]):
+    """Results of a jaxpr for every row of the operands that have an axis of them in front."""
+    rows = [x for x, b in zip(parts, batched) if b]
+    variables = [v for v, b in zip(equation.invars, batched) if b], [], equation.outvars
+
+    def body(_, own):
+        left = iter(own)
+        return emitter.run(program, [next(left) if b else x for x, b in zip(parts, batched)])
+
+    return _turns(emitter, body, size_of(program), rows[0].shape[0], False, [], rows, variables)
+
+
+def _turns(
+    emitter: Emitter,
+    body: Callable,
+    size: int,
+    length: int,
+    reverse: bool,
+    carry: list,
+    rows: Sequence,
+    variables: tuple,
+) -> list[Entries]:
+    """What is carried, and the stacked results of the turns, of a loop over rows.
+
+    **Arguments:** `body`: (carried, own rows) -> carried and results; `size`: its operations; `variables`: of rows, of
+    what is carried, and of stacked results.
+    """
+    row_variables, carry_variables, made_variables = variables
+    carried = len(carry)
+    if length <= LONGEST_UNROLLED and length * size <= LARGEST_UNROLLED:
         made = []
-        for i in turns:
-            results = emitter.run(body, [*fixed, *carry, *(whole(x[i]) for x in rows)])
+        for i in range(length)[::-1] if reverse else range(length):
+            results = body(carry, [whole(x[i]) for x in rows])
             carry = results[:carried]
             made.append(results[carried:])
-        made = made[::-1] if settings["reverse"] else made
+        made = made[::-1] if reverse else made
         if not made:
             return carry + [np.empty(v.aval.shape, object) for v in made_variables]
         return carry + [np.stack([*column]) for column in zip(*made)]
-    row_variables = equation.invars[constants + carried :]
     around = Slots(emitter, carry_variables)
-    given = Slots(emitter, row_variables, length, drop=1)
     written = Slots(emitter, made_variables, length, drop=1)
     around.store(_typed(carry, carry_variables))
-    for i in range(length):
-        given.store([whole(x[i]) for x in rows], fixed=i)
+    given = [_in_memory(emitter, x, v) for x, v in zip(rows, row_variables)]
 
     def turn(counter: str) -> None:
-        at = counter
-        if settings["reverse"] and (given.row or written.row):
-            at = emitter.builder.scalar(f"sub i64 {length - 1}, {counter}")
-        own = given.load((at, given.row)) if given.row else [whole(x[0]) for x in rows]
-        results = emitter.run(body, [*fixed, *around.load(), *own])
+        at = emitter.builder.scalar(f"sub i64 {length - 1}, {counter}") if reverse else counter
+        own = [_row(emitter.builder, *place, x.shape[1:], at) for place, x in zip(given, rows)]
+        results = body(around.load(), own)
         around.store(_typed(results[:carried], carry_variables))
-        if written.row:
-            written.store(_typed(results[carried:], made_variables), (at, written.row))
+        written.store(_typed(results[carried:], made_variables), at)
 
     _counted(emitter, length, turn)
-    made = [written.load(fixed=i) for i in range(length)]
-    return around.load() + [np.stack([*column]) for column in zip(*made)]
+    made = [x.reshape(v.aval.shape) for x, v in zip(written.finished(), made_variables)]
+    return around.finished() + made
+
+
+def _in_memory(emitter: Emitter, array: Entries, variable) -> tuple[str, int]:
+    """Kind and first slot of an array, or of a copy of it."""
+    found = place_in_memory(array)
+    if found is None:
+        copy = Slots(emitter, [variable])
+        copy.store(_typed([array], [variable]))
+        found = copy.kinds[0], copy.firsts[0]
+    return found
 
 
 def repeat_while(emitter: Emitter, equation, parts: Sequence[Entries]) -> list[Entries]:
@@ -158,9 +204,9 @@ def repeat_while(emitter: Emitter, equation, parts: Sequence[Entries]) -> list[E
             around.store([_kept(emitter, goes_on, new, old) for new, old in zip(results, carry)])
         builder.line(f"br label %{loop}")
 
-    builder.inside(turn)
+    builder.inside(turn, TURNS)
     builder.begin(done)
-    return around.load()
+    return around.finished()
 
 
 def _kept(emitter: Emitter, mask: Value, new: Entries, old: Entries) -> Entries:
@@ -203,4 +249,4 @@ def branch(emitter: Emitter, equation, which: Entries, parts: Sequence[Entries])
         builder.inside(carry_out)
         builder.line(f"br label %{done}")
         builder.begin(done)
-    return found.load()
+    return found.finished()

@@ -1,6 +1,6 @@
 """LLVM's text compiled to machine code in this process, by llvmlite.
 
-Place in the pipeline: programs -> **machine_code** -> foreign_function, primitive.
+Place in the pipeline: programs -> **machine_code** -> registry.
 """
 
 import ctypes
@@ -23,43 +23,78 @@ def is_available() -> bool:
 
 
 @cache
+def _features() -> Any:
+    assert llvm is not None
+    return llvm.get_host_cpu_features()
+
+
+@cache
 def _target_machine(thorough: bool) -> Any:
     assert llvm is not None
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     if library := ctypes.util.find_library("m"):
         llvm.load_library_permanently(library)
-    features = llvm.get_host_cpu_features()
-    text = features.flatten()
-    if features.get("avx512f"):
+    text = _features().flatten()
+    if _features().get("avx512f"):
         text += ",-prefer-256-bit"
+    # At LLVM's second level a scheduler takes three times as long as all the rest, and nothing runs faster.
     return llvm.Target.from_default_triple().create_target_machine(
-        cpu=llvm.get_host_cpu_name(), features=text, opt=2 if thorough else 0, jit=True
+        cpu=llvm.get_host_cpu_name(), features=text, opt=1 if thorough else 0, jit=True
     )
+
+
+@cache
+def processor() -> str:
+    """What machine code depends on besides its text: processor, and versions of the compiler."""
+    assert llvm is not None
+    import llvmlite
+
+    return " ".join([
+        llvm.get_default_triple(), llvm.get_host_cpu_name(), _features().flatten(), llvmlite.__version__,
+        ".".join(map(str, llvm.llvm_version_info)),
+    ])  # fmt: skip
 
 
 def vector_width() -> int:
     """Doubles in a register of this processor."""
-    assert llvm is not None
-    features = llvm.get_host_cpu_features()
-    return 8 if features.get("avx512f") else 4 if features.get("avx2") or features.get("avx") else 2
+    return 8 if _features().get("avx512f") else 4 if _features().get("avx2") or _features().get("avx") else 2
 
 
-def compile_module(name: str, text: str, thorough: bool = True) -> int:
-    """Address of a function of a module.
+def compiled(text: str, thorough: bool = True) -> bytes:
+    """Object code of a module.
 
-    **Arguments:** `name` of the function; `text` of the module; `thorough`: whether instructions are chosen and
-    registers allocated with care, so that it runs faster, or as fast as possible, so that it compiles faster.  LLVM's
-    passes over the text are left out: what they find, the builder has found.
+    **Arguments:** `text` of the module; `thorough`: whether instructions are chosen and registers allocated with care,
+    so that it runs faster, or as fast as possible, so that it compiles faster.  LLVM's passes over the text are left
+    out: what they find, the builder has found.
     """
     assert llvm is not None
     machine = _target_machine(thorough)
-    module = llvm.parse_assembly(text)
+    module = llvm.parse_assembly(text, llvm.create_context())
     module.triple, module.data_layout = machine.triple, str(machine.target_data)
-    engine = llvm.create_mcjit_compiler(module, machine)
+    return machine.emit_object(module)
+
+
+def loaded(name: str, code: bytes) -> int:
+    """Address of a function of object code, which stays in this process.
+
+    **Raises:** ValueError for other bytes, and if they have no such function.
+    """
+    assert llvm is not None
+    machine = _target_machine(False)
+    found = llvm.ObjectFileRef.from_data(code)
+    if not found:
+        raise ValueError("no object code")
+    module = llvm.parse_assembly("", llvm.create_context())
+    module.triple = machine.triple
+    engine = llvm.create_mcjit_compiler(module, llvm.Target.from_default_triple().create_target_machine(jit=True))
+    engine.add_object_file(found)
     engine.finalize_object()
+    address = engine.get_function_address(name)
+    if not address:
+        raise ValueError(f"the object code has no function {name!r}")
     _ENGINES.append(engine)
-    return engine.get_function_address(name)
+    return address
 
 
 def capsule(address: int) -> Any:

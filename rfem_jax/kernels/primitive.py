@@ -9,9 +9,11 @@ Where there is no machine code (another device than a CPU, an operation that is 
 jaxpr.
 """
 
+import functools
 import threading
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any, Literal, TypeVar
 
 import jax
@@ -21,33 +23,65 @@ from jax.core import ShapedArray, Tracer
 from jax.extend.core import ClosedJaxpr, Primitive, jaxpr_as_fun
 from jax.interpreters import ad, batching, mlir
 
-from rfem_jax.kernels import machine_code, programs
-from rfem_jax.kernels.builder import Unsupported
+from rfem_jax.kernels import machine_code, programs, registry
+from rfem_jax.kernels.builder import TooLarge, Unsupported
 from rfem_jax.kernels.entries import shape_of, size_of
 
 Tree = TypeVar("Tree")
-LARGEST = 400_000  # operations, beyond which XLA compiles faster
+MOST_KNOWN = 64  # forms of arguments for which a function is remembered
+LARGEST_ARRAYS = 5_000_000  # entries of all arrays, of which it would take long to find that they are too many
+# Turns of a program, times blocks of samples, from which on it is compiled thoroughly: that takes 0.1 ms an operation
+# more and saves 0.35 ns of each turn of it, which pays after a hundred runs of so many turns.
+THOROUGH_FROM = 8000
+THOROUGH_UP_TO = 60_000  # operations: more would take longer than anyone waits who did not ask for it
 
 _kernel = Primitive("kernel")
 _kernel.multiple_results = True
 
 
-class Body:
-    """The jaxpr of a kernel for one sample, and what was made of it; compared by identity."""
+_expected = threading.local()
 
-    def __init__(self, program: ClosedJaxpr, name: str, thorough: bool) -> None:
-        self.program, self.name, self.thorough = program, name, thorough
+
+def expected_runs() -> int:
+    """How often what this thread compiles is expected to run."""
+    return getattr(_expected, "runs", 1)
+
+
+@contextmanager
+def expecting(runs: int) -> Iterator[None]:
+    """Declare that what is compiled within the block will run about so many times, for the automatic selection."""
+    before, _expected.runs = expected_runs(), max(runs, 1)
+    try:
+        yield
+    finally:
+        _expected.runs = before
+
+
+class Body:
+    """The jaxpr of a kernel for one sample, and what was made of it; compared by identity.
+
+    Attributes: plain: a function of the same operands and results for XLA, None: the jaxpr; reverse: one that reverse
+    mode takes, None: the jaxpr; linear_from: number of the first operand in which the kernel is linear, None where it
+    is in none; origin: of a tangent the kernel and its moving operands; single: of a tangent in several directions that
+    in one, and which operands have directions; long: whether it has a loop whose turns are not to be remembered; order:
+    of the derivatives in it.
+    """
+
+    def __init__(self, program: ClosedJaxpr, name: str, selection: str, plain: Callable | None = None) -> None:
+        self.program, self.name, self.selection, self.plain = program, name, selection, plain
+        self.reverse: Callable | None = None
+        self.linear_from: int | None = None
+        self.origin: tuple[Body, tuple[int, ...]] | None = None
+        self.single: tuple[Body, tuple[bool, ...]] | None = None
+        self.long, self.order = False, 0
         self._emitted: programs.Program | Unsupported | None = None
-        self._handlers: dict[int, str] = {}
+        self._handlers: dict[tuple[int, bool], tuple[str, str]] = {}
         self._derived: dict[Any, Body] = {}
         self._lock = threading.RLock()
 
     def by_xla(self, *operands: jax.Array, batched: tuple[bool, ...]) -> list[jax.Array]:
         """The results by JAX's own operations."""
-        function = jaxpr_as_fun(self.program)
-        if any(batched):
-            function = jax.vmap(function, in_axes=[0 if b else None for b in batched])
-        return function(*operands)
+        return _over_samples(self.plain or jaxpr_as_fun(self.program), batched)(*operands)
 
     def emitted(self) -> programs.Program | Unsupported:
         """The program, or why there is none."""
@@ -59,32 +93,58 @@ class Body:
     def _emit(self) -> programs.Program | Unsupported:
         if not machine_code.is_available():
             return Unsupported("llvmlite is not installed")
-        if size_of(self.program) > LARGEST:
-            return Unsupported(f"more than {LARGEST} operations")
+        if size_of(self.program) > LARGEST_ARRAYS:
+            return TooLarge(f"arrays of {LARGEST_ARRAYS} entries in all")
         try:
             return programs.emit(self.program)
+        except TooLarge as reason:
+            return reason
         except Unsupported as reason:
             warnings.warn(f"{self.name!r} is compiled by XLA: there is no machine code for {reason}.", stacklevel=2)
             return reason
 
-    def handler(self, lanes: int) -> str:
-        """Name under which XLA finds the machine code for a number of lanes."""
+    def handler(self, lanes: int, blocks: int) -> str:
+        """Name under which XLA finds the machine code for a number of lanes, and so many blocks of samples."""
+        program = self.emitted()
+        assert isinstance(program, programs.Program)
+        thorough = self.selection == "thorough"
+        if self.selection == "automatic":
+            turns = expected_runs() * blocks * program.work / max(program.operations, 1)
+            thorough = turns >= THOROUGH_FROM and program.operations <= THOROUGH_UP_TO
         with self._lock:
-            if lanes not in self._handlers:
-                program = self.emitted()
-                assert isinstance(program, programs.Program)
-                name, text = program.module(lanes)
-                _register(name, text, self.thorough)
-                self._handlers[lanes] = name
-            return self._handlers[lanes]
+            if (lanes, thorough) not in self._handlers:
+                self._handlers[lanes, thorough] = program.module(lanes, thorough)
+            name, text = self._handlers[lanes, thorough]
+        registry.announce(name, text, thorough)
+        return name
 
-    def derived(self, key: Any, make: Callable[[], tuple[Callable, Sequence[Any]]]) -> "Body":
-        """The kernel of another function, made once; `make`: function and shapes of its arguments."""
+    def derived(self, key: Any, make: Callable[[], tuple]) -> "Body":
+        """The kernel of another function, made once; `make`: function, shapes of its arguments, function for XLA."""
         with self._lock:
             if key not in self._derived:
-                function, like = make()
-                self._derived[key] = Body(jax.make_jaxpr(function)(*like), self.name, self.thorough)
+                function, like, *plain = make()
+                made = Body(jax.make_jaxpr(function)(*like), self.name, self.selection, *plain)
+                made.long, made.order = self.long, self.order + (key[0] == "tangent")
+                self._derived[key] = made
             return self._derived[key]
+
+    def as_moving(self, operands: Sequence[Any], moving: Sequence[int]) -> Callable:
+        """The results that have derivatives, as a function of the operands that move."""
+        function = jaxpr_as_fun(self.program)
+
+        def of_moving(*inputs):
+            merged = list(operands)
+            for i, x in zip(moving, inputs):
+                merged[i] = x
+            results = function(*merged)
+            return [results[i] for i in self.continuous]
+
+        return of_moving
+
+    @property
+    def continuous(self) -> list[int]:
+        """Numbers of the results that have derivatives."""
+        return [i for i, x in enumerate(self.results) if jnp.issubdtype(x.dtype, jnp.inexact)]
 
     @property
     def operands(self) -> list[jax.ShapeDtypeStruct]:
@@ -95,27 +155,39 @@ class Body:
         return [*map(shape_of, self.program.jaxpr.outvars)]
 
 
-_registered: set[str] = set()
-_registering = threading.Lock()
+def _one_by_one(function: Callable, spread: Sequence[bool]) -> Callable:
+    """The function for every row of the operands that have an axis of them in front, in a loop."""
+
+    def each(*given):
+        def one(rows):
+            left = iter(rows)
+            return function(*(next(left) if s else x for x, s in zip(given, spread)))
+
+        return jax.lax.map(one, [x for x, s in zip(given, spread) if s])
+
+    return each
 
 
-def _register(name: str, text: str, thorough: bool) -> None:
-    """Compile a module and tell XLA of its handler, once in a process."""
-    with _registering:
-        if name not in _registered:
-            address = machine_code.compile_module(name, text, thorough)
-            jax.ffi.register_ffi_target(name, machine_code.capsule(address), platform="cpu", api_version=1)
-            _registered.add(name)
+def _over_samples(function: Callable, batched: Sequence[bool]) -> Callable:
+    """The function of operands some of which have an axis of samples in front."""
+    return jax.vmap(function, in_axes=[0 if b else None for b in batched]) if any(batched) else function
 
 
 def kernel(
-    function: Callable[..., Tree], *, name: str | None = None, selection: Literal["thorough", "fast"] = "thorough"
+    function: Callable[..., Tree],
+    *,
+    name: str | None = None,
+    selection: Literal["automatic", "thorough", "fast"] = "automatic",
+    reverse: Callable[..., Tree] | None = None,
 ) -> Callable[..., Tree]:
     """A function of arrays, as one operation of JAX with machine code of its own.
 
-    **Arguments:** `function` of trees of arrays of float64, bool, int32 and int64; it is traced for one sample, and may
-    use loops and branches. `name`: what it is called in messages. `selection` of instructions and registers: "fast"
-    compiles several times as fast, and runs slower.
+    **Arguments:** `function` of trees of arrays of float64, bool, int32, uint32 and int64; it is traced for one sample,
+    and may use loops and branches; leaves that are no arrays are settings, which a hash tells apart. `name`: what it is
+    called in messages. `selection` of instructions and registers: "fast" compiles ten times as fast, and runs up to
+    twice as long; "automatic" takes it unless loops and samples are so many that it would not pay; the results are the
+    same. `reverse`: a function of the same results that is differentiated in reverse mode in its place, for a long loop
+    whose every turn would be remembered: a loop of JAX's own over a kernel, say, with checkpoints.
 
     **Returns:** a function of the same arguments and results. All transformations of JAX apply to it where they apply
     to `function`; in reverse mode loops must have a known number of turns, as everywhere in JAX. A sample's result is
@@ -123,27 +195,69 @@ def kernel(
 
     **Warns:** once for a function with an operation that has no machine code; XLA compiles it then.
     """
-    known: dict[Any, tuple[Body, Any]] = {}
+    known: dict[Any, tuple[Body, _Structure]] = {}
     called = name or getattr(function, "__name__", "a function")
 
+    @functools.wraps(function)
     def as_kernel(*arguments):
         leaves, tree = jax.tree.flatten(arguments)
-        leaves = [jnp.asarray(x) for x in leaves]
-        key = tree, tuple((x.shape, x.dtype) for x in leaves)
-        outer: list[Any] = []
-        if key not in known:
-            flat = lambda *leaves: function(*jax.tree.unflatten(tree, leaves))  # noqa: E731
-            program, shapes = jax.make_jaxpr(flat, return_shape=True)(*map(_like, leaves))
-            structure = jax.tree.structure(shapes)
-            program, outer = _with_operands(program)
-            found = Body(program, called, selection == "thorough"), structure
-            if outer:  # values of a transformation around this call are no part of the function
-                return jax.tree.unflatten(structure, _bind(found[0], [*outer, *leaves]))
-            known[key] = found
-        body, structure = known[key]
-        return jax.tree.unflatten(structure, _bind(body, leaves))
+        settings = tuple(None if _is_array(x) else x for x in leaves)
+        given = [jnp.asarray(x) for x in leaves if _is_array(x)]
+        key = tree, settings, tuple(map(type, settings)), tuple((x.shape, x.dtype) for x in given)
+        if key in known:
+            body, returned = known[key]
+            return returned.filled(_bind(body, given))
+        returned = _Structure()
+        flat = _of_arrays(function, tree, settings, returned)
+        program, outer = _with_operands(jax.make_jaxpr(flat)(*map(_like, given)))
+        if program.effects:  # as of a callback into Python, which is JAX's affair
+            return function(*arguments)
+        if outer and reverse is not None:  # what it closes over may be differentiated, too
+            return reverse(*arguments)
+        body = Body(program, called, selection)
+        if reverse is not None:
+            body.reverse, body.long = _of_arrays(reverse, tree, settings, _Structure()), True
+        if not outer:  # values of a transformation around this call are no part of the function
+            known[key] = body, returned
+            if len(known) > MOST_KNOWN:
+                del known[next(iter(known))]
+        return returned.filled(_bind(body, [*outer, *given]))
 
     return as_kernel
+
+
+class _Structure:
+    """The tree of a function's results with its leaves that are no arrays."""
+
+    def __init__(self) -> None:
+        self.tree, self.settings = jax.tree.structure(None), ()
+
+    def flattened(self, results: Any) -> list[jax.Array]:
+        """The arrays of a tree of results, whose structure is noted."""
+        leaves, self.tree = jax.tree.flatten(results)
+        self.settings = tuple(None if _is_array(x) or isinstance(x, bool | int | float) else x for x in leaves)
+        return [jnp.asarray(x) for x, one in zip(leaves, self.settings) if one is None]
+
+    def filled(self, arrays: Sequence[Any]) -> Any:
+        """The tree with arrays."""
+        left = iter(arrays)
+        return jax.tree.unflatten(self.tree, [next(left) if x is None else x for x in self.settings])
+
+
+def _is_array(leaf: Any) -> bool:
+    return isinstance(leaf, jax.Array | np.ndarray | np.generic)
+
+
+def _of_arrays(function: Callable, tree: Any, settings: tuple, returned: _Structure) -> Callable:
+    """The function of the arrays alone, with the arrays of its results."""
+
+    def flat(*arrays):
+        left = iter(arrays)
+        return returned.flattened(
+            function(*jax.tree.unflatten(tree, [next(left) if x is None else x for x in settings]))
+        )
+
+    return flat
 
 
 def _like(x: Any) -> jax.ShapeDtypeStruct:
@@ -182,7 +296,10 @@ def _samples(operands, batched: tuple[bool, ...]) -> int | None:
 
 
 def _batched_rule(operands, axes, *, body: Body, batched: tuple[bool, ...]):
-    """A new axis of samples in front of, and made one with, that which is there."""
+    """A new axis of samples in front of, and made one with, that which is there; or of directions of tangents."""
+    first = body.linear_from
+    if first is not None and all(axis is None for axis in axes[:first]):
+        return _in_directions(operands, axes, body, batched)
     size = next(x.shape[axis] for x, axis in zip(operands, axes) if axis is not None)
     inner = next(
         (x.shape[0 if axis is None or axis > 0 else 1] for x, b, axis in zip(operands, batched, axes) if b), None
@@ -205,6 +322,39 @@ def _batched_rule(operands, axes, *, body: Body, batched: tuple[bool, ...]):
     return results, [0] * len(results)
 
 
+def _in_directions(operands, axes, body: Body, batched: tuple[bool, ...]):
+    """A tangent in several directions: what does not depend on these is computed once."""
+    size = next(x.shape[axis] for x, axis in zip(operands, axes) if axis is not None)
+    spread = tuple(axis is not None for axis in axes)
+    place = int(any(batched))
+    moved = [x if axis is None else jnp.moveaxis(x, axis, int(b)) for x, axis, b in zip(operands, axes, batched)]
+
+    def make():
+        like = [
+            jax.ShapeDtypeStruct((size, *x.shape) if s else x.shape, x.dtype) for x, s in zip(body.operands, spread)
+        ]
+        by_xla = _over_samples(body.plain or jaxpr_as_fun(body.program), spread)
+        if body.origin is None:  # in several directions already
+            return _one_by_one(jaxpr_as_fun(body.program), spread), like, by_xla
+        of, moving = body.origin
+        if of.long and of.order == 0:  # turns are few operations beside what kernels within them do for each direction
+            return _over_samples(jaxpr_as_fun(body.program), spread), like, by_xla
+        if of.long:
+            return _one_by_one(jaxpr_as_fun(body.program), spread), like, by_xla
+
+        def each(*given):
+            operands, along = given[: len(of.operands)], given[len(of.operands) :]
+            linear = jax.linearize(of.as_moving(operands, moving), *(operands[i] for i in moving))[1]
+            return jax.vmap(kernel(linear), [0 if s else None for s in spread[len(of.operands) :]])(*along)
+
+        return each, like, by_xla
+
+    several = body.derived(("directions", size, spread), make)
+    several.linear_from, several.single = body.linear_from, (body, spread)
+    results = _bind(several, moved, batched)
+    return results, [place] * len(results)
+
+
 def _derivative(primals, tangents, *, body: Body, batched: tuple[bool, ...]):
     """Values, and tangents by a kernel that is linear in tangents."""
     values = _bind(body, primals, batched)
@@ -212,28 +362,19 @@ def _derivative(primals, tangents, *, body: Body, batched: tuple[bool, ...]):
         i for i, (x, dx) in enumerate(zip(primals, tangents))
         if type(dx) is not ad.Zero and jnp.issubdtype(x.dtype, jnp.inexact)
     )  # fmt: skip
-    continuous = [i for i, x in enumerate(body.results) if jnp.issubdtype(x.dtype, jnp.inexact)]
+    continuous = body.continuous
     along: list[Any] = [None] * len(values)
     if moving and continuous:
 
         def make():
-            function = jaxpr_as_fun(body.program)
-
             def tangent(*given):
                 operands, directions = given[: len(primals)], given[len(primals) :]
-
-                def of_moving(*inputs):
-                    merged = list(operands)
-                    for i, x in zip(moving, inputs):
-                        merged[i] = x
-                    results = function(*merged)
-                    return [results[i] for i in continuous]
-
-                return jax.jvp(of_moving, [operands[i] for i in moving], list(directions))[1]
+                return jax.jvp(body.as_moving(operands, moving), [operands[i] for i in moving], list(directions))[1]
 
             return tangent, [*body.operands, *(body.operands[i] for i in moving)]
 
         linear = body.derived(("tangent", moving), make)
+        linear.linear_from, linear.origin = len(primals), (body, moving)
         found = _bind(linear, [*primals, *(tangents[i] for i in moving)], (*batched, *(batched[i] for i in moving)))
         for i, x in zip(continuous, found):
             along[i] = x
@@ -252,6 +393,10 @@ def _transpose(cotangents, *operands, body: Body, batched: tuple[bool, ...]):
         for i in linear:
             found[i] = ad.Zero(operands[i].aval)
         return found
+
+    of = (body if body.single is None else body.single[0]).origin
+    if of is not None and of[0].reverse is not None and linear[0] >= len(of[0].operands):
+        return _pulled_back(cotangents, operands, body, batched)
 
     def make():
         function = jaxpr_as_fun(body.program)
@@ -283,6 +428,45 @@ def _transpose(cotangents, *operands, body: Body, batched: tuple[bool, ...]):
     return found
 
 
+def _pulled_back(cotangents, operands, body: Body, batched: tuple[bool, ...]):
+    """Cotangents of a tangent's directions, by the function that reverse mode takes."""
+    single, spread = (body, None) if body.single is None else body.single
+    assert single.origin is not None
+    of, moving = single.origin
+    reverse = of.reverse
+    assert reverse is not None
+    primals = operands[: len(of.operands)]
+
+    def pull(*values):
+        constants, back = values[: len(primals)], values[len(primals) :]
+
+        def of_moving(*inputs):
+            merged = list(constants)
+            for i, x in zip(moving, inputs):
+                merged[i] = x
+            results = reverse(*merged)
+            return [results[i] for i in of.continuous]
+
+        pulled = jax.vjp(of_moving, *(constants[i] for i in moving))[1]
+        if spread is None:
+            return pulled(list(back))
+        found = jax.vmap(pulled)(list(back))
+        return [x if s else jnp.sum(x, axis=0) for x, s in zip(found, spread[len(primals) :])]
+
+    samples = _samples(primals, batched)
+    front = () if samples is None else (samples,)
+    back = [
+        jnp.zeros((*front, *x.shape), x.dtype) if type(c) is ad.Zero else c for c, x in zip(cotangents, body.results)
+    ]
+    now = (*batched[: len(primals)], *((samples is not None,) * len(back)))
+    found = _over_samples(pull, now)(*primals, *back)
+    results: list[Any] = [None] * len(operands)
+    for i, x, b in zip(range(len(primals), len(operands)), found, batched[len(primals) :]):
+        # What all samples share has the sum of their cotangents.
+        results[i] = jnp.sum(x, axis=0) if samples is not None and not b else x
+    return results
+
+
 def _lanes(samples: int | None) -> int:
     """How many samples at a time."""
     count, widest = samples or 1, machine_code.vector_width()
@@ -291,7 +475,8 @@ def _lanes(samples: int | None) -> int:
 
 def _by_machine_code(*operands, body: Body, batched: tuple[bool, ...]):
     samples = _samples(operands, batched)
-    name = body.handler(_lanes(samples))
+    lanes = _lanes(samples)
+    name = body.handler(lanes, -(-(samples or 1) // lanes))
     front = () if samples is None else (samples,)
     results = [jax.ShapeDtypeStruct((*front, *x.shape), x.dtype) for x in body.results]
     sizes = [int(np.prod(x.shape, dtype=int)) if b else 0 for x, b in zip(body.operands, batched)]

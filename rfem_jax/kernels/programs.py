@@ -4,21 +4,22 @@ Place in the pipeline: emission, foreign_function -> **programs** -> primitive.
 """
 
 import hashlib
+import math
 from typing import NamedTuple
 
-import numpy as np
 from jax.extend.core import ClosedJaxpr
 
-from rfem_jax.kernels import foreign_function
+from rfem_jax.kernels import foreign_function, machine_code
 from rfem_jax.kernels.builder import Builder, filled, kind_of
 from rfem_jax.kernels.emission import Emitter
-from rfem_jax.kernels.entries import of_shape
+from rfem_jax.kernels.entries import place_in_memory, stored
 from rfem_jax.kernels.foreign_function import Buffer
 
 
 class Program(NamedTuple):
     """A program without the number of lanes: text of its body, intrinsics that it declares, and where its operands and
-    results are in the workspace, which has so many slots; operations: of vectors."""
+    results are in the workspace, which has so many slots; operations: of vectors; work: how many of these are carried
+    out, with a guess of the turns of loops that end by a condition."""
 
     body: str
     declarations: str
@@ -26,13 +27,16 @@ class Program(NamedTuple):
     results: list[Buffer]
     slots: int
     operations: int
+    work: int
 
-    def module(self, lanes: int) -> tuple[str, str]:
+    def module(self, lanes: int, thorough: bool) -> tuple[str, str]:
         """Name of the handler and text of the module for a number of lanes.  The name is that of the content: a program
         of XLA that was kept on disk names what it calls."""
-        body = filled(f"define internal void @program(ptr %workspace) {{\nentry:\n{self.body}\nret void\n}}", lanes)
+        begin = "define internal void @program(ptr %workspace) {\nentry:\n%never = icmp eq ptr %workspace, null"
+        body = filled(f"{begin}\n{self.body}\nret void\nnowhere:\nret void\n}}", lanes)
         declarations = filled(self.declarations, lanes)
-        layout = repr((self.operands, self.results, self.slots, lanes, foreign_function.interface_version()))
+        interface = foreign_function.interface_version()
+        layout = repr((self.operands, self.results, self.slots, lanes, interface, thorough, machine_code.processor()))
         digest = hashlib.sha256("\n".join([body, declarations, layout]).encode()).hexdigest()[:32]
         name = f"kernel_{digest}"
         handler = foreign_function.handler(name, self.operands, self.results, self.slots, lanes)
@@ -47,23 +51,25 @@ def emit(program: ClosedJaxpr) -> Program:
     builder = Builder()
     emitter = Emitter(builder)
 
-    def buffers(variables) -> list[Buffer]:
-        found = []
-        for variable in variables:
-            size = int(np.prod(variable.aval.shape, dtype=int))
-            found.append(Buffer(kind_of(variable.aval.dtype), size, builder.reserve(size)))
-        return found
+    def operand(variable) -> Buffer:
+        size = math.prod(variable.aval.shape)
+        return Buffer(kind_of(variable.aval.dtype), size, builder.reserve(size))
 
-    operands = buffers(program.jaxpr.invars)
-    given = [
-        of_shape([builder.load(kind, slot + i) for i in range(size)], variable.aval.shape)
-        for (kind, size, slot), variable in zip(operands, program.jaxpr.invars)
-    ]
-    found = emitter.run(program, given)
-    results = buffers(program.jaxpr.outvars)
-    for (kind, _, slot), array in zip(results, found):
+    def result(variable, array) -> Buffer:
+        at, size, kind = place_in_memory(array), array.size, kind_of(variable.aval.dtype)
+        if at is not None:
+            return Buffer(kind, size, at[1])
+        slot = builder.reserve(size)
         for i, entry in enumerate(array.flat):
             builder.store(entry, kind, slot + i)
+        return Buffer(kind, size, slot)
+
+    operands = [operand(variable) for variable in program.jaxpr.invars]
+    given = [stored(builder, b.kind, b.slot, v.aval.shape) for b, v in zip(operands, program.jaxpr.invars)]
+    results = [*map(result, program.jaxpr.outvars, emitter.run(program, given))]
     functions = [text for _, text in builder.functions.values()]
-    declarations = "\n".join([*sorted(builder.intrinsics.values()), *functions])
-    return Program("\n".join(builder.lines), declarations, operands, results, builder.slots, builder.operations)
+    tables = [f"{name} = {text}" for text, name in builder.tables.items()]
+    declarations = "\n".join([*tables, *sorted(builder.intrinsics.values()), *functions])
+    return Program(
+        "\n".join(builder.lines), declarations, operands, results, builder.slots, builder.operations, builder.work
+    )

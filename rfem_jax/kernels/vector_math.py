@@ -57,11 +57,38 @@ def logarithm(arithmetic: Arithmetic, x: Value) -> Value:
     return _call(arithmetic, "logarithm", _logarithm, x)[0]
 
 
+def logistic(arithmetic: Arithmetic, x: Value) -> Value:
+    return arithmetic.divide(ONE, arithmetic.add(ONE, exponential(arithmetic, arithmetic.negative(x))))
+
+
+def logarithm_of_more(arithmetic: Arithmetic, x: Value) -> Value:
+    """log(1 + x), with the rounding of the sum made good (W. Kahan)."""
+    total = arithmetic.add(ONE, x)
+    near, changed = arithmetic.compare("eq", total, ONE), arithmetic.subtract(total, ONE)
+    quotient = arithmetic.divide(x, arithmetic.select(near, ONE, changed))
+    quotient = arithmetic.select(arithmetic.function("is_finite", x), quotient, ONE)
+    return arithmetic.select(near, x, arithmetic.multiply(logarithm(arithmetic, total), quotient))
+
+
+def exponential_less_one(arithmetic: Arithmetic, x: Value) -> Value:
+    """exp(x) - 1, with the rounding of the difference made good (W. Kahan)."""
+    power = exponential(arithmetic, x)
+    less = arithmetic.subtract(power, ONE)
+    near, gone = arithmetic.compare("eq", power, ONE), arithmetic.compare("eq", less, np.float64(-1.0))
+    plain = arithmetic.either(gone, arithmetic.invert(arithmetic.function("is_finite", power)))
+    safe = arithmetic.select(arithmetic.either(near, plain), np.float64(2.0), power)
+    good = arithmetic.multiply(less, arithmetic.divide(x, logarithm(arithmetic, safe)))
+    return arithmetic.select(near, x, arithmetic.select(plain, less, good))
+
+
 FUNCTIONS: dict[str, Callable[[Arithmetic, Value], Value]] = {
     "sin": lambda arithmetic, x: sine_and_cosine(arithmetic, x)[0],
     "cos": lambda arithmetic, x: sine_and_cosine(arithmetic, x)[1],
     "exp": exponential,
     "log": logarithm,
+    "logistic": logistic,
+    "log1p": logarithm_of_more,
+    "expm1": exponential_less_one,
 }
 
 

@@ -7,9 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax.kernels import expand_primitive, is_available, kernel
-
-COMPILED_AS_SHIPPED = True
+from rfem_jax.kernels import expand_primitive, expecting, is_available, kernel, registry
 
 pytestmark = pytest.mark.skipif(not is_available(), reason="llvmlite is not installed")
 
@@ -197,6 +195,17 @@ def test_primitives_of_others_by_what_they_are_made_of():
     assert_same(jax.jit(fast(lambda x: thrice.bind(x, plus=1.0)))(X), 3.0 * X + 1.0)
 
 
+def test_rows_without_entries_at_a_place_that_is_computed():
+    """A mechanism without loops has tables without columns."""
+
+    def function(place, table, empty):
+        changed = jax.lax.dynamic_update_index_in_dim(empty, empty[0], place, 0)
+        return table[place], jax.lax.dynamic_index_in_dim(empty, place, keepdims=False), changed
+
+    arguments = jnp.asarray(1), jnp.arange(6.0).reshape(2, 3), jnp.zeros((2, 0))
+    assert_same(jax.jit(fast(function))(*arguments), function(*arguments))
+
+
 def test_a_new_number_traces_nothing():
     traced = []
 
@@ -215,3 +224,94 @@ def test_thorough_and_fast_compilation_give_the_same_bits():
     thorough, quick = kernel(integrated)(*arguments), kernel(integrated, selection="fast")(*arguments)
     for a, b in zip(jax.tree.leaves(thorough), jax.tree.leaves(quick)):
         np.testing.assert_array_equal(a, b)
+
+
+def turns(x, rate):
+    """A long loop over a kernel, and a kernel of the whole loop that reverse mode does not take."""
+
+    def turn(state, t):
+        state = state + 0.01 * jnp.sin(rate * state + t)
+        return state, jnp.sum(state**2)
+
+    return turn, (x, jnp.linspace(0.0, 1.0, 80))
+
+
+def by_jax(x, rate):
+    turn, (start, times) = turns(x, rate)
+    return jax.lax.scan(turn, start, times)
+
+
+def by_turns(x, rate):
+    turn, (start, times) = turns(x, rate)
+    return jax.lax.scan(kernel(turn, selection="fast"), start, times)
+
+
+LONG = kernel(by_jax, selection="fast", reverse=by_turns)
+
+
+@pytest.mark.parametrize(
+    "derivative",
+    [
+        lambda f: jax.jacfwd(f, argnums=(0, 1)),
+        lambda f: jax.jacrev(f, argnums=(0, 1)),
+        lambda f: jax.jacfwd(jax.jacfwd(f)),
+        lambda f: jax.jacfwd(jax.jacrev(f), argnums=(0, 1)),
+        lambda f: jax.jacrev(jax.jacfwd(f), argnums=(0, 1)),
+        lambda f: jax.vmap(jax.jacfwd(f), in_axes=(0, None)),
+        lambda f: jax.vmap(jax.jacrev(f), in_axes=(0, None)),
+        lambda f: jax.jacfwd(jax.vmap(f, in_axes=(0, None)), argnums=1),
+    ],
+    ids=["forward", "reverse", "twice forward", "forward of reverse", "reverse of forward", "batch", "batch of reverse",
+         "of a batch"],
+)  # fmt: skip
+def test_derivatives_of_a_long_loop(derivative):
+    x = jnp.stack([X, 2.0 * X])
+    assert_same(jax.jit(derivative(LONG))(x, jnp.asarray(0.7)), derivative(by_jax)(x, jnp.asarray(0.7)), rtol=1e-11)
+
+
+def test_reverse_mode_takes_the_other_function():
+    other = kernel(by_jax, selection="fast", reverse=lambda x, rate: (2.0 * x, jnp.zeros(80)))
+    np.testing.assert_array_equal(jax.jacrev(lambda x: other(x, jnp.asarray(0.7))[0])(X), 2.0 * np.eye(3))
+    np.testing.assert_allclose(
+        jax.jacfwd(lambda x: other(x, jnp.asarray(0.7))[0])(X), jax.jacfwd(lambda x: by_jax(x, 0.7)[0])(X), rtol=1e-12
+    )
+
+
+def test_directions_are_one_kernel():
+    """What does not depend on the directions is computed once for all of them."""
+
+    def costly(x):
+        for _ in range(40):
+            x = jnp.sin(x) + 0.1 * x
+        return x
+
+    lowered = {n: jax.jit(jax.vmap(jax.linearize(fast(costly), X)[1])).lower(jnp.eye(3)[:n]) for n in (1, 3)}
+    assert [text.as_text().count("custom_call @kernel_") for text in lowered.values()] == [1, 1]
+    np.testing.assert_allclose(jax.jacfwd(fast(costly))(X), jax.jacfwd(costly)(X), rtol=1e-12)
+
+
+def test_what_runs_often_is_compiled_thoroughly(monkeypatch):
+    chosen = []
+    announce = registry.announce
+
+    def noted(name, text, thorough):
+        chosen.append(thorough)
+        announce(name, text, thorough)
+
+    monkeypatch.setattr(registry, "announce", noted)
+    jax.jit(kernel(lambda x: x + 1.25))(X)
+    with expecting(10_000):
+        jax.jit(kernel(lambda x: x + 2.25))(X)
+    jax.jit(kernel(lambda x: jax.lax.fori_loop(0, 10_000, lambda i, y: jnp.sin(y + 3.25), x)))(X)
+    assert chosen == [False, True, True]
+
+
+def test_a_function_that_is_too_large_is_compiled_by_xla_in_silence(monkeypatch):
+    monkeypatch.setattr("rfem_jax.kernels.builder.MOST_OPERATIONS", 100)
+
+    def large(x):
+        for i in range(60):
+            x = x * 1.01 + 0.1 * i
+        return x
+
+    np.testing.assert_allclose(jax.jit(fast(large))(X), large(X), rtol=1e-14)

@@ -8,8 +8,6 @@ import pytest
 
 from rfem_jax.kernels import is_available, kernel
 
-COMPILED_AS_SHIPPED = True
-
 pytestmark = pytest.mark.skipif(not is_available(), reason="llvmlite is not installed")
 
 RANDOM = np.random.default_rng(0)

@@ -1,0 +1,128 @@
+"""Operations that are made of others beside what JAX makes of them: LAPACK, places that are computed, sums, sorting."""
+
+import warnings
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from rfem_jax.kernels import is_available, kernel
+
+pytestmark = pytest.mark.skipif(not is_available(), reason="llvmlite is not installed")
+
+RANDOM = np.random.default_rng(5)
+
+
+def strict(function):
+    """A kernel that may not fall back to XLA."""
+    made = kernel(function, selection="fast")
+
+    def called(*arguments):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            return jax.jit(made)(*arguments)
+
+    return called
+
+
+def solutions(matrix, right, vector):
+    return jnp.linalg.solve(matrix, right), jnp.linalg.solve(matrix, vector), jnp.linalg.inv(matrix)
+
+
+@pytest.mark.parametrize("n", [1, 2, 7, 20])
+def test_equations_are_solved_with_pivots(n):
+    matrix = RANDOM.normal(size=(n, n))
+    matrix[0, 0] = 0.0 if n > 1 else 2.0  # without an exchange of rows there is no solution
+    arguments = [jnp.asarray(x) for x in (matrix, RANDOM.normal(size=(n, 3)), RANDOM.normal(size=n))]
+    for found, wanted in zip(strict(solutions)(*arguments), solutions(*arguments), strict=True):
+        np.testing.assert_allclose(found, wanted, rtol=1e-11, atol=1e-13)
+
+
+@pytest.mark.parametrize("derivative", [jax.jacfwd, jax.jacrev])
+def test_derivatives_of_solutions(derivative):
+    matrix, vector = jnp.asarray(RANDOM.normal(size=(5, 5))), jnp.asarray(RANDOM.normal(size=5))
+    found = derivative(strict(jnp.linalg.solve), argnums=(0, 1))(matrix, vector)
+    inverse = np.linalg.inv(matrix)
+    solution = inverse @ np.asarray(vector)
+    np.testing.assert_allclose(found[1], inverse, rtol=1e-11)
+    np.testing.assert_allclose(found[0], -inverse[:, :, None] * solution[None, None], rtol=1e-10, atol=1e-12)
+
+
+def test_nothing_to_solve():
+    empty = strict(lambda matrix, right: jnp.linalg.solve(matrix, right))(jnp.zeros((0, 0)), jnp.zeros((0, 2)))
+    assert empty.shape == (0, 2)
+
+
+def test_a_singular_matrix_has_no_finite_solution():
+    found = strict(jnp.linalg.solve)(jnp.ones((2, 2)), jnp.array([1.0, 2.0]))
+    assert not np.isfinite(found).all()
+
+
+def places(x):
+    """Rows found by their values, written and read at places that are computed, and sorted."""
+    table = jnp.linspace(0.0, 1.0, 40)
+    at = jnp.sum(table <= x, dtype=jnp.int32)
+    long = jnp.linspace(0.0, 1.0, 5000)[100 * at + jnp.arange(3, dtype=at.dtype)]
+    written = table.at[(40.0 * x).astype(jnp.int32)].set(x)
+    added = table.at[(40.0 * x).astype(jnp.int32)].add(x)
+    rows = jnp.outer(table, table[:3])[jnp.array([3, 9], at.dtype) + at]
+    order = jnp.argsort(jnp.sin(9.0 * table[:11] + x))
+    bits = (at.astype(jnp.uint32) << jnp.uint32(3)) >> jnp.uint32(1)
+    several = jax.vmap(lambda row, place, value: row.at[place].add(value).at[place + 1].set(row[place - 1]))(
+        jnp.outer(table[:4], table[:6]), at // 12 + jnp.arange(4, dtype=at.dtype), table[4:8]
+    )
+    shifts = jnp.int32(-37) >> (at - 3), jnp.int32(5) << at.astype(jnp.int32), -jnp.sign(at - 20)
+    return *shifts, long, several, at, written, added, rows, order, jnp.sort(jnp.cos(x * table[:9])), bits
+
+
+def test_places_that_are_computed():
+    x = jnp.array([-0.3, 0.0, 0.1, 0.33, 0.5, 0.74])
+    for found, wanted in zip(jax.vmap(strict(places))(x), jax.vmap(places)(x), strict=True):
+        assert found.dtype == wanted.dtype
+        np.testing.assert_allclose(found, wanted, rtol=1e-14, atol=1e-15)
+
+
+def test_what_is_not_a_number_comes_last():
+    values = jnp.array([1.0, jnp.nan, -2.0, 0.5])
+    np.testing.assert_array_equal(strict(jnp.sort)(values), jnp.sort(values))
+
+
+def sums(x):
+    table = jnp.outer(jnp.sin(x + jnp.arange(4.0)), jnp.cos(jnp.arange(5.0) * x))
+    return (
+        jnp.cumsum(table[0]), jnp.cumsum(table, axis=1),
+        jnp.cumprod(table, axis=0), jax.lax.cummax(table, axis=1, reverse=True),
+        jax.lax.cummin(table), jnp.prod(table, axis=0), jnp.argmax(table, axis=1), jnp.argmin(table),
+        jnp.argmax(jnp.where(table[0] > 0.3, jnp.nan, table[0])), jnp.round(9.0 * table),
+        jax.lax.round(9.0 * table, jax.lax.RoundingMethod.AWAY_FROM_ZERO),
+    )  # fmt: skip
+
+
+def test_sums_and_places_along_axes():
+    x = jnp.array([-0.3, 0.0, 0.1, 0.33, 0.5, 2.74])
+    for found, wanted in zip(jax.vmap(strict(sums))(x), jax.vmap(sums)(x), strict=True):
+        assert found.dtype == wanted.dtype
+        np.testing.assert_allclose(found, wanted, rtol=1e-14, atol=1e-15)
+
+
+@pytest.mark.parametrize("function", [jnp.log1p, jnp.expm1, jax.nn.sigmoid, jax.nn.softplus])
+def test_functions_that_are_made_of_others(function):
+    sizes = np.concatenate([[0.0, np.inf], np.geomspace(1e-300, 700.0, 400)])
+    x = jnp.asarray(np.concatenate([-sizes, sizes, [np.nan]]))
+    x = x[(x > -1.0) | jnp.isnan(x)] if function is jnp.log1p else x
+    np.testing.assert_allclose(jax.vmap(strict(function))(x), function(x), rtol=4e-15)
+
+
+def test_a_callback_is_called():
+    seen = []
+
+    @jax.jit
+    @kernel
+    def watched(x):
+        jax.debug.callback(lambda x: seen.append(float(x)), x)
+        return 2.0 * x
+
+    assert watched(jnp.asarray(1.5)) == 3.0
+    jax.effects_barrier()
+    assert seen == [1.5]
