@@ -2,20 +2,17 @@
 
     python benchmarks/diffrax_loop.py METHOD LOOP MODE BATCH [--share 1] [--rfes 5] [--study FILE]
 
-METHOD: generalised_alpha, rk4; LOOP: own, or `diffeqsolve` in every interval of the time grid with the adjoint
-forward, direct or checkpoint; MODE: value, forward (three errors), reverse (one metric).  Main study; one process a
-row, since the programs are large.  `--share` simulates a share of the duration.
+METHOD: generalised_alpha, rk4; LOOP: own, which is a kernel, or `diffeqsolve` in every interval of the time grid with
+the adjoint forward, direct or checkpoint, which XLA compiles around kernels of right-hand sides; MODE: value, forward
+(three errors), reverse (one metric).  Main study; one process a row, since the programs are large.  `--share` simulates
+a share of the duration.
 """
 
 import argparse
 import time
 from pathlib import Path
 
-from rfem_jax.compilation.options import take_process
-
-take_process()
-
-import jax  # noqa: E402
+import jax
 
 jax.config.update("jax_enable_x64", True)
 
@@ -39,8 +36,11 @@ def by_diffeqsolve(adjoint: str):
     An interval of length zero takes one step by itself, where diffrax would take none.
     """
 
-    def integrate(solver, carry, start, length, steps, conditions, tolerance=None):
+    def integrate(solver, carry, schedule, conditions, tolerance=None):
         del tolerance  # of contacts, which these mechanisms do not have
+        start, step, _, _ = schedule.step(jnp.zeros(()))
+        steps = schedule.number
+        length = step * steps
         terms, y = diffrax.ODETerm(stepping.vector_field), (carry.trajectory, carry.peaks)
         memory = solver.resume(terms, start, start + length, y, conditions, carry.memory)
         moving = length > 0.0
@@ -99,6 +99,7 @@ def main() -> None:
     options = parser.parse_args()
     if options.loop != "own":
         stepping._fixed = by_diffeqsolve(options.loop)
+        integration.kernel = lambda function, **settings: function  # these loops have no machine code
     function = loads(options)
     if options.mode == "forward":
         function = jax.jacfwd(function)

@@ -29,11 +29,7 @@ os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_
 # SciPy's LAPACK keeps its threads spinning after a call: they would count as ours.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from rfem_jax.compilation.options import take_process
-
-take_process()
-
-import jax  # noqa: E402
+import jax
 
 jax.config.update("jax_enable_x64", True)
 

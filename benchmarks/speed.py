@@ -5,8 +5,8 @@
                                [--sweeps rfes links batch errors]
 
     methods   the fastest settings of generalised-alpha whose RMS loads are within 1 % and 0.1 %
-    table     cases x methods x batches x platforms: build, lowering, compilation, first and steady
-              run apart, accuracy, memory
+    table     cases x methods x batches x platforms: build, lowering (tracing, and the machine code of the
+              kernels), compilation by XLA, first and steady run apart, accuracy, memory
     peer      Exudyn at the same accuracy on the same processor
     dense     a naive dense right-hand side beside the recursive one
     devices   a batch on one CPU device and divided between two
@@ -50,15 +50,14 @@ from speed_timing import (
 )
 
 from rfem_jax import Method, discretise
-from rfem_jax.compilation.options import explicit_methods_scalarised
-from rfem_jax.compilation.scalarisation import nothing_known, scalarised
+from rfem_jax.kernels import is_available, kernel
 from rfem_jax.mechanics.dynamics import accelerations
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation
 from rfem_jax.mechanics.loads import static_state
 from rfem_jax.mechanics.model import State
-from rfem_jax.mechanics.model_with_errors import apply_errors, assembly_errors, structural_zeros
+from rfem_jax.mechanics.model_with_errors import apply_errors, assembly_errors, with_structural_zeros
 from rfem_jax.mechanics.reference_formulation import reference_accelerations
-from rfem_jax.simulation.integration import RESIDUAL_LIMIT
+from rfem_jax.simulation.run import RESIDUAL_LIMIT
 
 ACCURACIES = (1e-2, 1e-3)
 EXPLICIT_STEP = 1e-5  # s; in batches times for 0.5 s are by proportion
@@ -222,17 +221,20 @@ def compare_with_dense(model, case: str, best: dict[float, Found], size: Size) -
     gains = Stabilisation(jnp.asarray(1.0), jnp.asarray(1.0), jnp.asarray(0.3))
 
     def recursive(actual, state):
-        return accelerations(actual, state, DriveInput(), gains).coordinates
+        return accelerations(with_structural_zeros(actual), state, DriveInput(), gains).coordinates
 
     def dense(actual, state):
         return reference_accelerations(actual, state, DriveInput(), gains)[0]
 
-    if explicit_methods_scalarised():
-        recursive = scalarised(recursive, (structural_zeros(model.topology), nothing_known(state)))
+    # The recursive one is a kernel with its loop, as in a simulation; the dense one is compiled by XLA.
+    functions = {
+        "recursive": kernel(_repeated(recursive, size.evaluations), name="right-hand sides"),
+        "naive dense": _repeated(dense, size.evaluations),
+    }
     evaluations = 4 * STUDY.duration / EXPLICIT_STEP
     print(f"\nOne right-hand side in a batch of {batch}, CPU; 0.5 s by Runge-Kutta 4 at {1e6 * EXPLICIT_STEP:g} us")
-    for label, function in (("recursive", recursive), ("naive dense", dense)):
-        timing = timed(_repeated(jax.vmap(function), size.evaluations), mechanisms, states, repeats=size.repeats)
+    for label, function in functions.items():
+        timing = timed(jax.vmap(function), mechanisms, states, repeats=size.repeats)
         one = timing.cpu / size.evaluations / batch
         text = f"  {label:<12}{1e6 * one:9.2f} us a sample, {evaluations * one:8.2f} s a simulation"
         known = {a: f for a, f in best.items() if np.isfinite(f.seconds)}
@@ -246,13 +248,13 @@ def compare_with_dense(model, case: str, best: dict[float, Found], size: Size) -
 def _repeated(function, evaluations: int):
     """Many evaluations in one program, each of which needs the one before."""
 
-    def run(mechanisms, states):
-        def evaluate(states, _):
-            answer = function(mechanisms, states)
-            moved = jax.tree.map(lambda q, a: q + 1e-18 * a, states.position, answer)
-            return State(moved, states.velocity), None
+    def run(actual, state):
+        def evaluate(state, _):
+            answer = function(actual, state)
+            moved = jax.tree.map(lambda q, a: q + 1e-18 * a, state.position, answer)
+            return State(moved, state.velocity), None
 
-        return jax.lax.scan(evaluate, states, length=evaluations)[0]
+        return jax.lax.scan(evaluate, state, length=evaluations)[0]
 
     return run
 
@@ -329,7 +331,8 @@ def main() -> None:
     model, build, _ = run_once(lambda: discretise(STUDY.mechanism, rfes=size.rfes))
     print(
         f"{platform.processor() or platform.machine()}, {jax.devices()[0].device_kind}, "
-        f"JAX {jax.__version__}, XLA_FLAGS {os.environ['XLA_FLAGS']}\n"
+        f"JAX {jax.__version__}, XLA_FLAGS {os.environ['XLA_FLAGS']}, "
+        f"kernels {'of machine code' if is_available() else 'compiled by XLA'}\n"
         f"Building the model: {build:.2f} s"
     )
     explicit = [Method(name, step=EXPLICIT_STEP) for name in options.explicit]

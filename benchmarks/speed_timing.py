@@ -2,8 +2,8 @@
 
     study, errors -> program -> timed -> Timing;   RMS loads, converged ones -> error
 
-Importing it sets JAX up for the benchmarks: float64, one thread a device (so that the time of the
-processor is the program's, whatever else runs), two CPU devices.  Times in s, memory in bytes.
+Importing it sets JAX up for the benchmarks: float64, one thread a device for what XLA compiles (so that the time of
+the processor is the program's, whatever else runs), two CPU devices.  Times in s, memory in bytes.
 """
 
 import os
@@ -18,10 +18,6 @@ os.environ.setdefault("XLA_FLAGS", FLAGS)
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # XLA's pool must be larger than the number of devices that run at once.
 os.environ.setdefault("NPROC", "4")
-
-from rfem_jax.compilation.options import take_process  # noqa: E402
-
-take_process()
 
 import jax  # noqa: E402
 
@@ -63,8 +59,8 @@ TRIAL = Size(2, 0.025, 2e-4, (4, 5), 8, 2, 2, 1, (2,))
 
 
 class Timing(NamedTuple):
-    """One program: lowering, compilation, first run by the clock; steady: medians of clock and
-    processor time, the least and the most processor time; memory of intermediates; its result."""
+    """One program: lowering (with the machine code of its kernels), compilation by XLA, first run by the clock; steady:
+    medians of clock and processor time, the least and the most processor time; memory of intermediates; its result."""
 
     lowering: float
     compilation: float

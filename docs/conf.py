@@ -11,16 +11,10 @@ from pathlib import Path
 
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE / "_extensions"), str(HERE.parent)]
-# The kernels that execute the gallery: this tree, on the processor, compiled quickly: every program runs a few times.
+# The gallery is executed with this tree, on the processor, where XLA compiles quickly: every program runs a few times.
 os.environ["PYTHONPATH"] = os.pathsep.join([str(HERE.parent), *filter(None, [os.environ.get("PYTHONPATH")])])
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 os.environ.setdefault("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
-if tuple(map(int, metadata.version("jax").split(".")[:2])) < (0, 12):  # XLA refuses options that it no longer has
-    QUICK = (
-        "xla_llvm_enable_noalias_metadata xla_llvm_enable_alias_scope_metadata xla_llvm_enable_invariant_load_metadata "
-        "xla_cpu_use_fusion_emitters"
-    )
-    os.environ.setdefault("XLA_FLAGS", " ".join(f"--{name}=false" for name in QUICK.split()))
 
 project = "rfem_jax"
 author = "The rfem_jax developers"

@@ -13,14 +13,10 @@
     tables, pictures, files              report        the command `rfem-jax`
 
 Everything computes in float64: call `jax.config.update("jax_enable_x64", True)` first.  Names are
-loaded when they are first used, so importing the package is instant; it gives XLA its options, so import it
-before the first array is made.
+loaded when they are first used, so importing the package is instant.
 """
 
-from rfem_jax.compilation import options as _options
 from rfem_jax.lazy_names import lazy_names as _lazy_names
-
-_options.offer()
 
 _names = {
     "description": (

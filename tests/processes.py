@@ -1,4 +1,4 @@
-"""Programs in processes of their own: XLA reads its options once."""
+"""Programs in processes of their own, to which nothing is known and for which nothing was set."""
 
 import os
 import subprocess
@@ -16,12 +16,13 @@ def path_without_matplotlib(folder):
     return os.pathsep.join([str(folder), str(ROOT)])
 
 
-def in_a_new_process(code, *arguments, flags=""):
-    """What a program prints that starts with the given XLA_FLAGS."""
+def in_a_new_process(code, *arguments):
+    """What a program prints that starts with the compiler's options as XLA has them."""
     # Tracing makes lasting objects, and to look through them for garbage takes long.
+    environment = {name: value for name, value in os.environ.items() if name != "XLA_FLAGS"}
     answer = subprocess.run(
         [sys.executable, "-c", f"import gc\ngc.disable()\n{code}", *arguments],
-        env={**os.environ, "XLA_FLAGS": flags, "PYTHONPATH": str(ROOT), "JAX_PLATFORMS": "cpu"},
+        env={**environment, "PYTHONPATH": str(ROOT), "JAX_PLATFORMS": "cpu"},
         cwd=ROOT, capture_output=True, text=True,
     )  # fmt: skip
     assert answer.returncode == 0, answer.stderr

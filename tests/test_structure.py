@@ -1,10 +1,13 @@
 """The packages import one way only: report -> validation, tolerancing -> simulation ->
-mechanics -> compilation -> description; kernels import none of them."""
+mechanics -> compilation -> description; kernels import none of them.  None of them changes what is the user's, the
+environment and JAX's settings, or uses what is JAX's own."""
 
 import ast
 from pathlib import Path
 
 import pytest
+
+from tests.processes import in_a_new_process
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("kernels", "description", "compilation", "mechanics", "simulation", "validation", "tolerancing", "report")
@@ -152,3 +155,83 @@ def test_a_test_runs_every_program_beside_the_library(folder):
     programs = [path for path in paths if '__name__ == "__main__"' in path.read_text(encoding="utf-8")]
     assert programs
     assert [path for path in programs if path.relative_to(ROOT).as_posix() not in tests] == []
+
+
+ALL_FILES = sorted(
+    path for folder in ("rfem_jax", "tests", "benchmarks", "studies") for path in (ROOT / folder).rglob("*.py")
+)
+
+
+def test_no_file_uses_the_inside_of_jax():
+    """It changes without notice."""
+    inside = ".".join(("jax", "_src"))
+    assert len(ALL_FILES) > 500
+    assert [path for path in ALL_FILES if inside in path.read_text(encoding="utf-8")] == []
+
+
+def run_at_import(node: ast.AST):
+    """All parts of a module that run when it is imported."""
+    for child in ast.iter_child_nodes(node):
+        if isinstance(child, (ast.FunctionDef, ast.AsyncFunctionDef)):
+            for one in (*child.decorator_list, child.args, *filter(None, [child.returns])):
+                yield from run_at_import(one)
+        elif not isinstance(child, ast.Lambda):
+            yield child
+            yield from run_at_import(child)
+
+
+def changes_of_settings(path: Path) -> list[str]:
+    """What a module does with the environment, but to read it, and with JAX's settings, when it is imported."""
+    reading = ("get", "items", "copy")
+    found = []
+    for node in run_at_import(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Call):
+            *whose, act = ast.unparse(node.func).split(".")
+            of_environment = whose[-1:] == ["environ"] and act not in reading
+            if of_environment or act in ("putenv", "unsetenv") or (whose[-1:] == ["config"] and act == "update"):
+                found.append(ast.unparse(node))
+        targets = getattr(node, "targets", None) or [getattr(node, "target", None)]
+        found += [ast.unparse(node) for target in targets if target and "environ" in ast.unparse(target)]
+    return found
+
+
+@pytest.mark.parametrize("text", [
+    'import os\nos.environ["A"] = "1"', 'import os\nif True:\n    os.environ.setdefault("A", "1")',
+    'import os\ndel os.environ["A"]', 'import os\nos.environ |= {"A": "1"}',
+    'class A:\n    jax.config.update("jax_enable_x64", True)', '@of(os.environ.pop("A"))\ndef function(): pass',
+])  # fmt: skip
+def test_changes_of_settings_are_seen(text, tmp_path):
+    path = tmp_path / "module.py"
+    path.write_text(text, encoding="utf-8")
+    assert len(changes_of_settings(path)) == 1
+    path.write_text(
+        f"import os\ndef function():\n    os.environ.clear()\nA = os.environ.get({text!r})", encoding="utf-8"
+    )
+    assert changes_of_settings(path) == []
+
+
+def test_no_module_changes_settings_when_it_is_imported():
+    """The package changes none; tests do, but not the options of the compiler, which are those of users."""
+    for path in ALL_FILES:
+        if path.is_relative_to(ROOT / "rfem_jax"):
+            assert changes_of_settings(path) == [], path
+        if path.is_relative_to(ROOT / "tests"):
+            assert not [change for change in changes_of_settings(path) if "XLA_FLAGS" in change], path
+
+
+IMPORTED = """
+import os
+import jax
+environment, settings = dict(os.environ), {name: repr(value) for name, value in jax.config.values.items()}
+import rfem_jax
+assert [getattr(rfem_jax, name) for name in rfem_jax.__all__]
+assert dict(os.environ) == environment
+assert {name: repr(value) for name, value in jax.config.values.items()} == settings
+jax.config.update("jax_num_cpu_devices", 3)  # which no longer can be changed when JAX has looked for devices
+print(len(jax.devices()))
+"""
+
+
+def test_import_changes_nothing_and_starts_nothing():
+    """Not even that of all its modules."""
+    assert in_a_new_process(IMPORTED) == "3"

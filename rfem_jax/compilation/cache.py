@@ -1,6 +1,6 @@
 """Compiled programs kept on disk for the next process.
 
-Place in the pipeline: `call` reads and writes them here, through `keeping`.
+Place in the pipeline: `program` reads and writes them here, through `keeping`.
 
 Loading a program runs its code, so the folder must belong to the user (mode 0700, no link) or it is not used; every
 operation uses the descriptor of the folder that was checked.  A file is written under another name and renamed, so
@@ -12,6 +12,7 @@ import hashlib
 import os
 import secrets
 import stat
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -21,6 +22,17 @@ LIMIT = 2**30  # bytes of all files
 ENDING, UNFINISHED = ".program", ".part"
 PATIENCE = 3600.0  # s after which a file that nobody finished is deleted
 OFF = "RFEM_JAX_NO_CACHE"
+
+
+def user_cache_folder() -> Path:
+    """The platform's folder for files that may be deleted at any time, `.../rfem_jax`."""
+    if sys.platform == "win32":
+        base = os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local"
+    elif sys.platform == "darwin":
+        base = Path.home() / "Library" / "Caches"
+    else:
+        base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(base) / "rfem_jax"
 
 
 class Folder:

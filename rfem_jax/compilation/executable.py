@@ -1,8 +1,6 @@
 """A compiled program with the structure of its results, also as bytes for another process.
 
-Place in the pipeline: `call` makes and runs it, `cache` keeps the bytes.
-
-A `Traced` program is finished by compiling it, a `Packed` one, read from disk, by loading it; any thread may do so.
+Place in the pipeline: kernels, stages -> **executable** -> program, which makes and runs it; `cache` keeps the bytes.
 """
 
 import gc
@@ -15,24 +13,19 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from jax import Array
-from jax.core import ShapedArray
 from jax.experimental import serialize_executable
 from jax.experimental.compilation_cache import compilation_cache
 from jax.typing import ArrayLike
 from jaxlib.lapack import prepare_lapack_call
 
-from rfem_jax.compilation import keys, options
+from rfem_jax.compilation import keys
 from rfem_jax.compilation.stages import on_stage
-from rfem_jax.compilation.tracing_context import same_context
-from rfem_jax.compilation.unbatched_calls import keep_unbatched_calls
+from rfem_jax.kernels import registry
 from rfem_jax.stack_room import with_room
 
 # In the text of programs that call LAPACK on the CPU.  JAX looks up LAPACK's functions when it lowers such a program;
 # before that, the addresses that a loaded program calls are null.
 LAPACK = "lapack_"
-# Options for programs that run once: LLVM's optimisations take longer than they save.
-QUICK = {"xla_backend_optimization_level": 0}
 
 
 @dataclass(frozen=True)
@@ -41,13 +34,18 @@ class Place:
 
 
 class Executable:
-    """A compiled program, from a list of arrays to a list of arrays."""
+    """A compiled program of a list of arrays.
 
-    def __init__(self, compiled: jax.stages.Compiled, head: "Head"):
-        self.compiled, self.head = compiled, head
+    **Arguments:** `returned`: the tree of its results, with a `Place` for each array; `handlers`: names of the kernels'
+    handlers that it calls.
+    """
 
-    def __call__(self, arrays: Sequence[ArrayLike]) -> list[Array]:
-        return self.compiled(*arrays)
+    def __init__(self, compiled: jax.stages.Compiled, inputs: int, returned: Any, handlers: Sequence[str]):
+        self.compiled, self.inputs, self.returned, self.handlers = compiled, inputs, returned, tuple(handlers)
+
+    def __call__(self, arrays: Sequence[ArrayLike]) -> Any:
+        left = iter(self.compiled(*arrays))
+        return jax.tree.map(lambda x: next(left) if isinstance(x, Place) else x, self.returned)
 
     def dump(self) -> bytes:
         """As bytes, which `unpack` reads, also in another process.
@@ -59,85 +57,56 @@ class Executable:
         if loaded is None or text is None:
             raise ValueError("This platform does not give its executables.")
         devices = [device.id for device in loaded.local_devices()]
-        return pickle.dumps(Packed(self.head, program, devices, LAPACK in text))
-
-
-class Head(NamedTuple):
-    """What is known of a program without loading it: number of arguments; of each result shape, dtype and whether its
-    type is weak; `facts` about the results (see `call.Call`)."""
-
-    inputs: int
-    results: tuple[tuple[tuple[int, ...], Any, bool], ...]
-    facts: list
-
-    def shapes(self) -> list[jax.ShapeDtypeStruct]:
-        """The results without their values."""
-        return [jax.ShapeDtypeStruct(shape, dtype, weak_type=weak) for shape, dtype, weak in self.results]
-
-
-class Traced(NamedTuple):
-    """A program to be compiled."""
-
-    head: Head
-    lowered: jax.stages.Lowered
-    what: str
-    quick: bool
-    own: options.OwnProgram
-    kept: bool  # whether it is to be serialised
-
-    def finish(self) -> Executable:
-        """Compile it."""
-        once = ", once for all models of its kind" if self.kept else ""
-        on_stage(f"Compiling the program {self.what!r}{once}")
-        options.own_options_hold()
-        with _without_jaxs_cache if self.kept else nullcontext(), options.own_program(self.own):
-            quick = QUICK if self.quick else None
-            return Executable(self.lowered.compile(quick), self.head)  # pyright: ignore[reportArgumentType] # numbers are allowed
+        return pickle.dumps(Packed(program, self.inputs, self.returned, self.handlers, devices, LAPACK in text))
 
 
 class Packed(NamedTuple):
     """A compiled program as it is kept on disk."""
 
-    head: Head
     program: bytes
+    inputs: int
+    returned: Any
+    handlers: tuple[str, ...]
     devices: list[int]
     calls_lapack: bool
 
-    def finish(self) -> Executable:
-        """Load it."""
+    def loaded(self) -> Executable:
+        """The program, in this process."""
         if self.calls_lapack:
             prepare_lapack_call("getrf_ffi", np.dtype("float64"))
+        registry.prepare(self.handlers)
         by_id = {device.id: device for device in jax.local_devices()}
         devices = [by_id[number] for number in self.devices]
-        takes = jax.tree.structure(((0,) * self.head.inputs, {}))
-        returns = jax.tree.structure([0] * len(self.head.results))
+        results = sum(isinstance(x, Place) for x in jax.tree.leaves(self.returned))
+        takes, returns = jax.tree.structure(((0,) * self.inputs, {})), jax.tree.structure([0] * results)
         compiled = serialize_executable.deserialize_and_load(
             self.program, takes, returns, backend=devices[0].client, execution_devices=devices
         )
-        return Executable(compiled, self.head)
+        return Executable(compiled, self.inputs, self.returned, self.handlers)
+
+
+class WithinTransformation(Exception):
+    """The function depends on a traced value that is not among its arguments."""
 
 
 @with_room
-def trace(
-    function: Callable,
-    arrays: Sequence[ArrayLike | jax.ShapeDtypeStruct | ShapedArray],
-    facts: Callable[[], list],
-    quick: bool,
-    own: options.OwnProgram,
-    kept: bool,
-) -> Traced:
-    """Trace and lower a function for arrays, or for their shapes; `facts` is called afterwards.
+def compiled(function: Callable, arrays: Sequence[ArrayLike], returned: list, kept: bool) -> Executable:
+    """Trace and compile a function of arrays.
 
-    **Arguments:** `quick`: as `Call`; `own`: the kind of program; `kept`: whether it is to be serialised.
+    **Arguments:** `returned`: the function puts the tree of its results there; `kept`: whether it is to be serialised.
+
+    **Raises:** WithinTransformation, as where a force of the user's closes over what is differentiated.
     """
     what = function.__name__.strip("_").replace("_", " ")
-    on_stage(f"Tracing the program {what!r}")
-    keep_unbatched_calls()
-    with without_collections(), same_context(), options.own_program(own):
+    once = ", once for all models of its kind" if kept else ""
+    on_stage(f"Compiling the program {what!r}{once}")
+    with _without_collections(), registry.noting() as handlers:
         traced = jax.jit(function).trace(*arrays)
+        if len(traced.jaxpr.in_avals) > len(arrays):
+            raise WithinTransformation
         lowered = traced.lower()
-    results = tuple((x.shape, x.dtype, x.weak_type) for x in traced.jaxpr.out_avals)
-    return Traced(Head(len(arrays), results, facts()), lowered, what, quick, own, kept)
+    with _without_jaxs_cache if kept else nullcontext():
+        return Executable(lowered.compile(), len(arrays), returned[0], sorted(handlers))
 
 
 def unpack(content: bytes) -> Packed:
@@ -152,7 +121,7 @@ def unpack(content: bytes) -> Packed:
 
 
 @contextmanager
-def without_collections() -> Iterator[None]:
+def _without_collections() -> Iterator[None]:
     """No garbage collection within the block: tracing makes millions of lasting objects, and searching them for
     garbage takes a tenth of its time."""
     wanted = gc.isenabled()

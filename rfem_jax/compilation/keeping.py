@@ -1,6 +1,6 @@
 """Whether compiled programs are kept, and where.
 
-Place in the pipeline: `program` and `call` ask; the command and the user choose.
+Place in the pipeline: `program` asks; the command and the user choose.
 
 Programs are kept in the user's cache folder, unless the environment variable RFEM_JAX_NO_CACHE is set or the command
 has the option `--no-cache`; `keep_programs` chooses another folder, or none.  Programs that cannot be kept are
@@ -13,8 +13,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from rfem_jax.compilation import cache
-from rfem_jax.compilation.cache import OFF, Folder, UnsafeFolder
-from rfem_jax.compilation.options import user_cache_folder
+from rfem_jax.compilation.cache import OFF, Folder, UnsafeFolder, user_cache_folder
+from rfem_jax.kernels import is_available, registry
 
 DEFAULT = "the user's cache folder"
 
@@ -57,13 +57,10 @@ def keep_apart_from(folder: str | os.PathLike) -> None:
 
 
 def state() -> dict[str, str | int]:
-    """For `results.json`: whether kept programs were used, and whether the options of XLA are set."""
-    from rfem_jax.compilation import options
-
-    compilation = options.settle_quietly()
+    """For `results.json`: whether kernels have machine code, and whether kept programs were used."""
     on = wanted()
     return {
-        "xla_options": "set" if compilation.set else f"not set: {compilation.reason}",
+        "kernels": "machine code" if is_available() else "compiled by XLA: llvmlite is not installed",
         "kept_programs": "used" if on else f"not used: {_choice.reason}",
         "programs_loaded": statistics.loaded,
         "programs_traced": statistics.traced,
@@ -139,6 +136,17 @@ def _open() -> None:
             _choice.folder = Folder(path)
         except (OSError, RuntimeError, UnsafeFolder) as problem:
             _choice.reason = str(problem)
+
+
+def _read_code(name: str) -> bytes | None:
+    return read(name) if wanted() else None
+
+
+def _write_code(name: str, code: bytes) -> bool:
+    return wanted() and write(name, code)
+
+
+registry.keep_with(_read_code, _write_code)
 
 
 def _require_apart(path: Path) -> None:

@@ -1,6 +1,6 @@
 """The key of a kept program: a digest of everything that it depends on.
 
-Place in the pipeline: `call` asks for the key of a function and its arguments; tolerancing for that of a problem.
+Place in the pipeline: `program` asks for the key of a function and its arguments; tolerancing for that of a problem.
 
 Structure and static values enter by content; arrays among the arguments, which are inputs of the program, by shape
 and type; arrays inside of functions and static fields by content.  Functions and classes enter by name where their
@@ -25,7 +25,7 @@ import numpy as np
 from jax.core import ShapedArray, Tracer
 from jax.sharding import Mesh
 
-from rfem_jax.compilation import options
+from rfem_jax.kernels import machine_code
 from rfem_jax.usable_cores import usable_cores
 
 PACKAGE = "rfem_jax"
@@ -164,7 +164,7 @@ def read_sources() -> str:
     return hashlib.sha256(repr(sorted(parts)).encode()).hexdigest()
 
 
-# Read before the other modules are imported; `call` reads again and keeps nothing if a file has changed since.
+# Read before the other modules are imported; `program` reads again and keeps nothing if a file has changed since.
 hash_sources()
 
 
@@ -179,14 +179,9 @@ def surroundings() -> tuple:
     flags = os.environ.get("XLA_FLAGS", "").strip()
     if flags and not flags.startswith("-"):
         variables += (Path(flags).read_text(encoding="utf-8", errors="replace"),)
-    fixed = _versions(), _processor(), hash_sources(), tuple(options.settle()), options.FLAGS, _own_options()
+    kernels = machine_code.processor() if machine_code.is_available() else ""
+    fixed = _versions(), _processor(), hash_sources(), kernels
     return *fixed, changing, variables, _devices()
-
-
-@functools.cache
-def _own_options() -> list[str]:
-    with options.own_program() as program:
-        return program.options() if options.own_options_hold() else []
 
 
 def read_setting(name: str) -> Any:

@@ -1,33 +1,28 @@
 """Functions whose compiled programs are kept for other processes: `Program`, used like `eqx.filter_jit`.
 
-Place in the pipeline: mechanics, simulation and tolerancing decorate their entry functions with `Program`.
+Place in the pipeline: executable, keys, keeping, naming -> **program** -> mechanics, simulation and tolerancing, which
+decorate their entry functions with it.
 
-    call         structure and static values of the arguments make a `Call` of the arrays
-    executable   in memory, on disk (`cache`, under a key of `keys`), or compiled and kept
-    derivatives  and batches of a call are programs, too (`transformations`)
-
-A second process that does the same traces nothing.  `jax.export` with JAX's own cache of compiled programs would do
-so, too, but take half a second more a program, and a package (flatbuffers) that JAX does not require.  Where nothing is
-kept, programs are made in the same way; those with a function of the user are made in every process, and JAX makes
-their derivatives.
+Structure and static values of the arguments make a function of their arrays, and its executable is in memory, on disk
+(`cache`, under a key of `keys`), or compiled and kept.  A second process that does the same traces nothing.  Within a
+transformation of JAX a program is the function itself, under `jax.jit`.
 """
 
 import functools
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import equinox as eqx
 import jax
+from jax import Array
+from jax.core import Tracer
+from jax.typing import ArrayLike
 
-from rfem_jax.compilation import options
-from rfem_jax.compilation.call import call_of, kind
-from rfem_jax.compilation.executable import Place
+from rfem_jax.compilation import keeping, keys
+from rfem_jax.compilation.executable import Executable, Place, WithinTransformation, compiled, unpack
 from rfem_jax.compilation.naming import NotRenamable, in_words, names_in
-from rfem_jax.compilation.tracing_context import same_context
-from rfem_jax.compilation.transformations import Transformable, bind, no_staging, no_transformation
 from rfem_jax.stack_room import with_room
-
-options.settle()
 
 # Settings on which tracing depends, for programs in memory; the key of a kept program has all settings.
 SETTINGS = (
@@ -37,9 +32,10 @@ SETTINGS = (
 OPTIMISATIONS = "jax_disable_most_optimizations"
 # With these JAX inspects the computation, which a kept program does not allow.
 WATCHED = ("jax_disable_jit", "jax_debug_nans", "jax_debug_infs", "jax_check_tracer_leaks")
-MOST = 64  # calls of one function in memory
+MOST = 64  # functions of arrays of one program in memory
 
 _PLACE = Place()
+_making = threading.RLock()
 
 
 class Program:
@@ -47,96 +43,133 @@ class Program:
 
     Arrays among the leaves of its arguments are inputs, everything else is static, as in `eqx.filter_jit`.
 
-    **Arguments:** `function`: of one of this package's modules; `quick`: compile faster, run slower, for a program
-    that runs once in a process; `nameless`: names of things among the arguments are no part of it (`naming`).
+    **Arguments:** `function`: of one of this package's modules; `nameless`: names of things among the arguments are no
+    part of it (`naming`).
     """
 
-    def __init__(self, function: Callable, quick: bool = False, nameless: bool = False):
+    def __init__(self, function: Callable, nameless: bool = False):
         functools.update_wrapper(self, function)
-        options.note_function(function.__name__)
-        self.function, self.quick, self.nameless = function, quick, nameless
+        self.function, self.nameless = function, nameless
         self._jitted = eqx.filter_jit(function)
-        self._calls: dict[tuple, Transformable] = {}
+        self._of_arrays: dict[tuple, _OfArrays] = {}
+        self._by_names: set = set()  # structures of arguments with something that knows things by their names
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
-        if not no_staging() or _watched():
-            return self._plainly(args, kwargs)
-        return self._namelessly(self._called, args, kwargs)
-
-    def _namelessly(self, act: Callable[[tuple, dict], Any], args, kwargs) -> Any:
-        """What `act` does with the arguments, without the names of things in these."""
+        if _watched() or any(isinstance(x, Tracer) for x in jax.tree.leaves((args, kwargs))):
+            return self._within(args, kwargs)
         names = names_in(args) if self.nameless else None
-        if names is None:
-            return act(args, kwargs)
+        if names is None or jax.tree.structure((args, kwargs)) in self._by_names:
+            return self._called(args, kwargs)
         try:
-            return names.back.renamed(act(*names.arguments(args, kwargs)))
+            return names.back.renamed(self._called(*names.arguments(args, kwargs)))
         except NotRenamable:
-            return act(args, kwargs)
+            return self._called(args, kwargs)
         except Exception as error:
             if not in_words(error):
                 raise
-        return act(args, kwargs)  # which says what is wrong by the names
-
-    def _called(self, args, kwargs) -> Any:
-        call, arrays = self._call_with(args, kwargs)
-        if no_transformation():
-            return _filled(call, call.run(arrays))
-        # What a function of the user depends on may be transformed, too.
-        return self._plainly(args, kwargs) if call.name is None else _filled(call, bind(call, arrays))
+        result = self._called(args, kwargs)  # which says what is wrong by the names, or depends on them
+        self._by_names.add(jax.tree.structure((args, kwargs)))
+        return result
 
     @with_room
-    def _plainly(self, args, kwargs) -> Any:
-        """The result without a program of its own, as within another one."""
-        options.own_options_hold()
-        with same_context():
-            return self._jitted(*args, **kwargs)
+    def _within(self, args, kwargs) -> Any:
+        """The result within another program."""
+        return self._jitted(*args, **kwargs)
 
-    def ahead(self, *args: Any, **kwargs: Any) -> Any:
-        """Start to compile or load, in the background, what a call with these arguments will need.
-
-        **Arguments:** those of the call; arrays may be given as `jax.ShapeDtypeStruct`.
-
-        **Returns:** the result of the call with `jax.ShapeDtypeStruct` for arrays; None where the call will be a part
-        of another program, and nothing was started.
-        """
-        if not no_transformation() or _watched():
-            return None
-        return self._namelessly(self._begun, args, kwargs)
-
-    def _begun(self, args, kwargs) -> Any:
-        call, arrays = self._call_with(args, kwargs)
-        return _filled(call, call.ahead(arrays))
-
-    def _call_with(self, args, kwargs) -> tuple[Transformable, list]:
-        """The call and its arrays."""
+    def _called(self, args, kwargs) -> Any:
         leaves, tree = jax.tree.flatten((args, kwargs))
-        is_array = [eqx.is_array(leaf) or isinstance(leaf, jax.ShapeDtypeStruct) for leaf in leaves]
-        arrays = [leaf for leaf, is_one in zip(leaves, is_array) if is_one]
-        static = tuple(_PLACE if is_one else leaf for leaf, is_one in zip(leaves, is_array))
-        return self.call(tree, static, tuple(map(kind, arrays))), arrays
-
-    def call(self, tree, static: tuple, kinds: tuple) -> Transformable:
-        """The call of arguments and keyword arguments with this structure and these leaves, a `Place` for each array,
-        and arrays of these kinds; the same object each time."""
-        key = tree, static, tuple(map(type, static)), kinds, _settings()
-        if key not in self._calls:
-            self._calls[key] = self._call_of(tree, static)
-            if len(self._calls) > MOST:
-                del self._calls[next(iter(self._calls))]
-        return self._calls[key]
+        arrays = [leaf for leaf in leaves if eqx.is_array(leaf)]
+        static = tuple(_PLACE if eqx.is_array(leaf) else leaf for leaf in leaves)
+        key = tree, static, tuple(map(type, static)), _settings()
+        if key not in self._of_arrays:
+            self._of_arrays[key] = _OfArrays(self.function, tree, static)
+            if len(self._of_arrays) > MOST:
+                del self._of_arrays[next(iter(self._of_arrays))]
+        try:
+            return self._of_arrays[key](arrays)
+        except WithinTransformation:
+            return self._within(args, kwargs)
 
     def clear(self) -> None:
         """Forget the programs in memory."""
-        self._calls.clear()
-
-    def _call_of(self, tree, static) -> Transformable:
-        return call_of(self.function, tree, static, self.quick)
+        self._of_arrays.clear()
 
 
-def _filled(call: Transformable, arrays) -> Any:
-    """The tree of a call's results, with its arrays put in."""
-    arrays = iter(arrays)
-    return jax.tree.map(lambda x: next(arrays) if isinstance(x, Place) else x, call.facts)
+class _OfArrays:
+    """A function as one of the arrays among its arguments.
+
+    **Arguments:** `tree`, `static`: structure and leaves of (arguments, keyword arguments), with a `Place` for each
+    array.
+    """
+
+    def __init__(self, function: Callable, tree: Any, static: Sequence):
+        self.function, self.tree, self.static = function, tree, static
+        self._executables: dict[tuple, Executable] = {}
+        self.name: tuple | None = None  # of what it computes, for the key; None: not known, so that it is not kept
+        try:
+            self.name = keys.canonical(function), keys.canonical(jax.tree.unflatten(tree, static))
+        except keys.NotDigestible as reason:
+            keeping.note_unkept(function.__qualname__, str(reason))
+
+    def __call__(self, arrays: Sequence[ArrayLike]) -> Any:
+        kinds = tuple(map(_kind, arrays))
+        if kinds not in self._executables:
+            with _making:
+                if kinds not in self._executables:
+                    self._executables[kinds] = self._made(kinds, arrays)
+        return self._executables[kinds](arrays)
+
+    def _made(self, kinds: tuple, arrays: Sequence[ArrayLike]) -> Executable:
+        """The executable for arrays of these kinds: read from disk, or compiled and kept."""
+        if self.name is None or not keeping.wanted():
+            return self._compiled(arrays, kept=False)
+        key = keys.digest_named((self.name, kinds))
+        try:
+            content = keeping.read(key)
+            if content is not None:
+                executable = unpack(content).loaded()
+                keeping.statistics.loaded += 1
+                return executable
+        except Exception:  # damaged, or written by another version of something that is not in the key
+            keeping.forget(key)
+        executable = self._compiled(arrays, kept=True)
+        self._keep(key, executable)
+        return executable
+
+    def _compiled(self, arrays: Sequence[ArrayLike], kept: bool) -> Executable:
+        returned: list[Any] = []
+
+        def flat(*arrays):
+            left = iter(arrays)
+            leaves = [next(left) if isinstance(leaf, Place) else leaf for leaf in self.static]
+            args, kwargs = jax.tree.unflatten(self.tree, leaves)
+            results, tree = jax.tree.flatten(self.function(*args, **kwargs))
+            returned[:] = [jax.tree.unflatten(tree, [Place() if eqx.is_array(x) else x for x in results])]
+            return [x for x in results if eqx.is_array(x)]
+
+        flat.__name__ = flat.__qualname__ = self.function.__name__
+        executable = compiled(flat, arrays, returned, kept)
+        keeping.statistics.traced += 1
+        return executable
+
+    def _keep(self, key: str, made: Executable) -> None:
+        try:
+            content = made.dump()
+        except Exception as reason:  # a program with a callback into Python, say
+            keeping.note_unkept(self.function.__qualname__, str(reason))
+            return
+        if keys.read_sources() == keys.hash_sources() and keeping.write(key, content):
+            keeping.statistics.written += 1
+
+
+def _kind(array: ArrayLike) -> tuple:
+    """Shape, dtype, whether the type is weak, and the sharding of an array if it was chosen.
+
+    Not JAX's abstract value, which newer versions compare by identity.
+    """
+    aval = jax.typeof(array)
+    chosen = array.sharding if isinstance(array, Array) and array.committed else None
+    return aval.shape, aval.dtype, aval.weak_type, chosen
 
 
 def _watched() -> bool:

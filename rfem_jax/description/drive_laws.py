@@ -8,7 +8,7 @@ acceleration).  Source: theory (3.5), (3.6).
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from rfem_jax.description.drive_arguments import Phase, Scalar, Time, as_phase
 
@@ -38,13 +38,22 @@ def rise_steps(rise_time: float, interval: float) -> tuple[float, ...]:
     return tuple(rise_time * i / STEPS_IN_RISE for i in range(1, STEPS_IN_RISE))
 
 
+def row_at(knots: Float[Array, " knots"], t: Time) -> Int[Array, ""]:
+    """The last of increasing knots that is not above a number, the first one if all are; by bisection."""
+    last, row = knots.shape[0] - 1, jnp.zeros((), jnp.int32)
+    for bit in reversed(range(last.bit_length())):
+        tried = jnp.minimum(row + 2**bit, last)
+        row = jnp.where(knots[tried] <= t, tried, row)
+    return row
+
+
 def table_at(values: Float[Array, " times"], times: tuple[float, ...], t: Time, phase: Phase) -> Scalar:
     """Linear between the rows of a table, zero after the last."""
     phase = as_phase(phase)
     knots, rows = jnp.asarray(times), _jump_rows(times)
     first = jnp.asarray((0, *rows), jnp.int32)[phase]
     last = jnp.asarray((*(row - 1 for row in rows), len(times) - 1), jnp.int32)[phase]
-    piece = jnp.clip(jnp.searchsorted(knots, t, side="right") - 1, first, last - 1)
+    piece = jnp.clip(row_at(knots, t), first, last - 1)
     fraction = (t - knots[piece]) / (knots[piece + 1] - knots[piece])
     value = values[piece] + fraction * (values[piece + 1] - values[piece])
     return jnp.where(phase <= len(rows), value, 0.0)
@@ -85,7 +94,7 @@ def spline(
 def spline_at(knots: Float[Array, " times"], coefficients: Float[Array, "4 times-1"], t: Time) -> Motion:
     """Value of a cubic spline and its derivatives."""
     last = knots.shape[0] - 2
-    piece = jnp.clip(jnp.searchsorted(knots, t, side="right") - 1, 0, last)
+    piece = jnp.clip(row_at(knots, t), 0, last)
     a, b, c, d = coefficients[:, piece]
     x = t - knots[piece]
     value = ((a * x + b) * x + c) * x + d

@@ -12,6 +12,7 @@ are taken at the origin of the global frame, so that bodies share one reference 
 transform is needed.
 """
 
+import functools
 from collections.abc import Sequence
 
 import jax
@@ -26,6 +27,8 @@ from rfem_jax.mechanics.reordering import reorder
 
 Scalar = Float[Array, ""] | float
 
+# Columns whose cosine is smaller are orthogonal; sweeps over all pairs, of which five or six are enough.
+ROUNDING_OF_ROTATIONS, MOST_SWEEPS = 1e-15, 12
 IDENTITY = np.eye(3)
 CROSSED = np.cross(IDENTITY[:, None], IDENTITY[None]).transpose(0, 2, 1)  # [k]: of the vector product by unit vector k
 
@@ -219,13 +222,64 @@ def invert_positive(matrix: Float[Array, "n n *k"]) -> Float[Array, "n n *k"]:
     return jnp.concatenate([top, bottom])
 
 
+@functools.partial(jax.custom_jvp, nondiff_argnums=(1,))
 def pseudo_inverse(matrix: Float[Array, "m n"], smallest: float) -> Float[Array, "n m"]:
-    """Pseudo-inverse of a matrix whose entries that say something are of size one; singular values below `smallest`
-    times the largest, or times one, count as zero."""
+    """Pseudo-inverse of a small matrix whose entries that say something are of size one; singular values below
+    `smallest` times the largest, or times one, count as zero.
+
+    By one-sided Jacobi rotations, operations that kernels have (M. R. Hestenes, J. SIAM 6 (1958) 51-90); its derivative
+    is that of matrices of one rank (G. H. Golub, V. Pereyra, SIAM J. Numer. Anal. 10 (1973) 413-432).
+    """
     m, n = matrix.shape
-    # A row and a column of their own keep the largest singular value from being that of rounding.
-    framed = jnp.zeros((m + 1, n + 1)).at[:m, :n].set(matrix).at[m, n].set(1.0)
-    return jnp.linalg.pinv(framed, rtol=smallest)[:n, :m]
+    if m < n:
+        return pseudo_inverse(matrix.T, smallest).T
+    if not matrix.size:
+        return jnp.zeros((n, m))
+    columns, vectors = _orthogonalised(matrix)
+    squares = jnp.sum(columns**2, axis=1)
+    kept = squares > smallest**2 * jnp.maximum(jnp.max(squares), 1.0)
+    weights = jnp.where(kept, 1.0 / jnp.where(kept, squares, 1.0), 0.0)
+    return vectors.T @ (weights[:, None] * columns)
+
+
+@pseudo_inverse.defjvp
+def _differentiate_pseudo_inverse(smallest, primals, tangents):
+    (a,), (da,) = primals, tangents
+    p = pseudo_inverse(a, smallest)
+    beside = p @ p.T @ da.T @ (jnp.eye(a.shape[0]) - a @ p) + (jnp.eye(a.shape[1]) - p @ a) @ da.T @ p.T @ p
+    return p, beside - p @ da @ p
+
+
+def _orthogonalised(matrix: Float[Array, "m n"]) -> tuple[Float[Array, "n m"], Float[Array, "n n"]]:
+    """Orthogonal combinations of a matrix's columns, as rows, and the rotation that makes them, likewise."""
+    m, n = matrix.shape
+    first, second = np.triu_indices(n, 1)
+    pairs = jnp.asarray(first.astype(np.int32)), jnp.asarray(second.astype(np.int32))
+
+    def rotate(carry, pair):
+        rows, error = carry
+        a, b = (jax.lax.dynamic_slice(rows, (k, jnp.int32(0)), (1, m + n))[0] for k in pair)
+        both = jnp.sum(a[:m] * b[:m])
+        square_a, square_b = jnp.sum(a[:m] ** 2), jnp.sum(b[:m] ** 2)
+        size = jnp.sqrt(square_a * square_b)
+        turned = jnp.abs(both) > ROUNDING_OF_ROTATIONS * size
+        ratio = (square_b - square_a) / jnp.where(turned, 2.0 * both, 1.0)
+        tangent = jnp.where(ratio < 0.0, -1.0, 1.0) / (jnp.abs(ratio) + jnp.sqrt(1.0 + ratio**2))
+        tangent = jnp.where(turned, tangent, 0.0)
+        cosine = 1.0 / jnp.sqrt(1.0 + tangent**2)
+        new = cosine * a - cosine * tangent * b, cosine * tangent * a + cosine * b
+        for k, row in zip(pair, new):
+            rows = jax.lax.dynamic_update_slice(rows, row[None], (k, jnp.int32(0)))
+        return (rows, jnp.maximum(error, jnp.where(turned, 1.0, 0.0))), None
+
+    def sweep(carry):
+        rows, _, count = carry
+        (rows, error), _ = jax.lax.scan(rotate, (rows, jnp.zeros(())), pairs)
+        return rows, error, count + 1
+
+    start = jnp.concatenate([matrix.T, jnp.eye(n)], axis=1), jnp.ones(()), jnp.zeros((), jnp.int32)
+    rows, _, _ = jax.lax.while_loop(lambda carry: (carry[1] > 0.0) & (carry[2] < MOST_SWEEPS), sweep, start)
+    return rows[:, :m], rows[:, m:]
 
 
 def invert_block(m: Float[Array, "n n *k"]) -> Float[Array, "n n *k"]:

@@ -13,12 +13,14 @@ from jax import Array
 from jaxtyping import Float
 
 from rfem_jax.compilation.program import Program
+from rfem_jax.kernels import kernel
 from rfem_jax.mechanics import algebra, loads
 from rfem_jax.mechanics.kinematics import Motion, all_frames, motion_of, node_frames
 from rfem_jax.mechanics.model import Coordinates, Model
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors, ModelWithErrors, apply_errors
 
 
+@kernel
 def link_lines(model: Model, actual: ModelWithErrors, position: Coordinates) -> dict[str, Float[Array, "_ 3"]]:
     """Points (P, 3) [m] in global axes along every link: its origin, the middles of its rfes, its
     end."""
@@ -51,13 +53,14 @@ class Shape(NamedTuple):
     centre: Float[Array, "*t joints 3"]
 
 
-@functools.partial(Program, quick=True, nameless=True)
+@functools.partial(Program, nameless=True)
 def trace_shapes(model: Model, errors: AssemblyErrors, positions: Coordinates) -> Shape:
     """Shapes of a mechanism with its errors at many positions, whose arrays have a first axis of times."""
     actual = apply_errors(model, errors)
     return jax.vmap(lambda position: _shape(actual, position))(positions)
 
 
+@kernel
 def _shape(actual: ModelWithErrors, position: Coordinates) -> Shape:
     topology = actual.topology
     motion = motion_of(actual, loads.static_state(topology, position))

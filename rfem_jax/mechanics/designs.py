@@ -231,7 +231,7 @@ def _plan_of(blueprint: Blueprint, topology: Topology, names: tuple[str, ...]) -
     return Plan(tuple(jax.tree.leaves(flags)), closes, arms, structure.products)
 
 
-@partial(Program, quick=True, nameless=True)
+@partial(Program, nameless=True)
 def _made(
     base: Model, source: Source, values: dict[str, Array], deviations: dict[str, Array], plan: Plan
 ) -> tuple[list[Array], Int[Array, ""], Float[Array, ""]]:

@@ -17,12 +17,13 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.core import Tracer
-from jaxtyping import ArrayLike, Bool, Float, Int, PyTree
+from jaxtyping import ArrayLike, Bool, Float, Int
 
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.error_catalogue import error_dimension
 from rfem_jax.description.errors import InputError, suggestion
 from rfem_jax.description.units import quantity
+from rfem_jax.kernels import kernel
 from rfem_jax.mechanics import algebra
 from rfem_jax.mechanics.clearances import clearance_name
 from rfem_jax.mechanics.frame_forces import FrameForceSet, NodeFrame
@@ -212,7 +213,7 @@ def possible_errors(model: Model, errors: AssemblyErrors) -> Bool[Array, ""]:
     return ~(turned | jnp.any(errors.length <= -model.length))
 
 
-@jax.jit  # traced once for all its places
+@kernel
 def apply_errors(model: Model, errors: AssemblyErrors) -> ModelWithErrors:
     """Apply the errors to the model; deviations of parameters are applied before, by `designed`."""
     assert not errors.parameters, "`designed` has not been called"
@@ -308,8 +309,9 @@ def _start_angles(model: Model) -> Float[Array, " joints"]:
     return jnp.concatenate([jnp.stack(angles), model.cut_angles])
 
 
-def structural_zeros(actual: ModelWithErrors) -> PyTree:
-    """Entries that are zero for all numbers and errors: the model with boolean arrays, or False, for arrays.
+def with_structural_zeros(actual: ModelWithErrors) -> ModelWithErrors:
+    """The same constants; entries that are zero for all numbers and errors are constants of the program, in which a
+    kernel leaves out what is multiplied by them.
 
     A segment's centre of mass lies on its axis and its inertia is diagonal, unless it has a point mass.
     """
@@ -319,9 +321,10 @@ def structural_zeros(actual: ModelWithErrors) -> PyTree:
     off_axis = np.array([False, True, True])[:, None] & plain
     off_axis[0, n:] = plain[n:]
     off_diagonal = ~np.eye(3, dtype=bool)[:, :, None] & plain
-    known = off_axis, off_diagonal, off_diagonal[:, :, n:]
-    unknown = jax.tree.map(lambda _: False, actual)
-    return eqx.tree_at(lambda m: (m.centre, m.inertia, m.inverse_inertia), unknown, known)
+    zeros = off_axis, off_diagonal, off_diagonal[:, :, n:]
+    changed = actual.centre, actual.inertia, actual.inverse_inertia
+    known = [jnp.where(zero, 0.0, x) for zero, x in zip(zeros, changed)]
+    return eqx.tree_at(lambda m: (m.centre, m.inertia, m.inverse_inertia), actual, known)
 
 
 def _side(
@@ -368,7 +371,7 @@ def _bodies(
     holder = np.array(topology.masses, dtype=int)
     holder_link = np.array([topology.link_of(node) for node in topology.masses], dtype=int)
     point = jnp.concatenate([model.point_position[:1] * _at_links(scale, holder_link)[None], model.point_position[1:]])
-    # Sums at the nodes that hold them, by products: additions at places would be scatters (`compilation.options`).
+    # Sums at the nodes that hold them, by products: additions at places would be scatters.
     onto = (holder[:, None] == np.arange(nodes)).astype(float)
     total = mass + model.point_mass @ onto
     moment = mass[None] * beam_centre
@@ -430,8 +433,7 @@ def _spring_damping_elements(model: Model, length: Array) -> dict[str, Array]:
 
 
 def _at_links(values: Float[Array, "*k links"], links: Int[np.ndarray, " n"]) -> Float[Array, "*k n"]:
-    """Values of given links, by a product: the transpose of an index would be an addition at places
-    (`compilation.options`)."""
+    """Values of given links, by a product: the transpose of an index would be an addition at places."""
     return values @ (np.arange(values.shape[-1])[:, None] == links).astype(float)
 
 

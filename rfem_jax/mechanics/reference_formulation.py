@@ -265,7 +265,7 @@ def _pull(spring: CompliantSpring, stretch: Array) -> Array:
     x, f = spring.positions, spring.forces
     if x is None or f is None:
         return spring.stiffness * stretch
-    row = jnp.clip(jnp.searchsorted(x, size, side="right") - 1, 0, x.size - 2)
+    row = jnp.clip(jnp.sum(x <= size) - 1, 0, x.size - 2)
     exerted = f[row] + (f[row + 1] - f[row]) / (x[row + 1] - x[row]) * (size - x[row])
     return exerted / size * stretch
 

@@ -20,6 +20,10 @@ from jax.core import ShapedArray
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
+from rfem_jax.kernels import expand_primitive
+
+MOST_RUNS = 4  # of neighbouring rows, which are taken as slices
+
 _reorder, _repeat, _sum_groups = Primitive("reorder"), Primitive("repeat_rows"), Primitive("sum_row_groups")
 
 
@@ -36,7 +40,13 @@ def reorder(values: Array | np.ndarray, order: Sequence[int] | np.ndarray, axis:
 
 def rows(values: Array | np.ndarray, places: Sequence[int] | np.ndarray, axis: int = 0) -> Array:
     """Rows at known places of an axis, each at most once."""
-    return _gather(values, order=tuple(int(place) for place in places), axis=axis)
+    places = np.asarray(places, int)
+    runs = np.split(places, np.flatnonzero(np.diff(places) != 1) + 1)
+    if len(runs) > MOST_RUNS or not places.size:
+        return _gather(values, order=tuple(places.tolist()), axis=axis)
+    # Slices, and what joins them, compile in a tenth of the time of a gather.
+    parts = [lax.slice_in_dim(values, int(run[0]), int(run[-1]) + 1, axis=axis) for run in runs]
+    return parts[0] if len(parts) == 1 else lax.concatenate(parts, axis)
 
 
 def _gather(values: Array | np.ndarray, *, order: tuple[int, ...], axis: int) -> Array:
@@ -106,6 +116,7 @@ def _add_rules(primitive: Primitive, by_operations, type_of, transpose) -> None:
     ad.deflinear2(primitive, lambda cotangent, _, **settings: [transpose(cotangent, **settings)])
     batching.primitive_batchers[primitive] = batch
     mlir.register_lowering(primitive, mlir.lower_fun(by_operations, multiple_results=False))
+    expand_primitive(primitive.name, by_operations)
 
 
 def _back(cotangent, *, order, axis):

@@ -18,7 +18,7 @@ import os
 import signal
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import contextmanager, suppress
 from functools import partial
 from typing import Any, NoReturn
 
@@ -105,11 +105,9 @@ def _act(arguments: argparse.Namespace, line: ProgressLine) -> Answer:
         return command.act(arguments)
     set_up_jax(count_devices(arguments), getattr(arguments, "cache", True), getattr(arguments, "out", None))
     require_platform()
-    from rfem_jax.compilation.last_time import loading
     from rfem_jax.compilation.stages import listening
 
-    study = getattr(arguments, "study", None)
-    with listening(line), sharing(arguments), nullcontext() if study is None else loading(arguments.command, study):
+    with listening(line), sharing(arguments):
         return command.act(arguments)
 
 
@@ -138,10 +136,6 @@ def run_process() -> int:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # all is done
     # What is left is not looked through for garbage: half a second, for nothing.
     gc.freeze()
-    pending = sys.modules.get("rfem_jax.compilation.pending")
-    # After wrong input or an interruption nobody waits for programs.
-    if code != DONE and pending is not None and pending.in_progress():
-        _leave(code)
     return code
 
 

@@ -5,7 +5,6 @@ Place in the pipeline: command_line calls it before anything else; JAX reads mos
 
 import argparse
 import os
-import sys
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
@@ -31,16 +30,13 @@ def require_platform() -> None:
 
 
 def set_up_jax(devices: int | None = None, cache: bool = True, out: str | Path | None = None) -> None:
-    """Double precision, `devices` CPU devices (None: one), XLA's options, and unless not `cache`: programs kept
+    """Double precision, `devices` CPU devices (None: one), and unless not `cache`: programs kept
     in the user's folder, and JAX's own cache (in a folder of the user's choice) for what cannot be kept."""
     # SciPy's LAPACK keeps its threads spinning after every call, which would take half of the processor.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    from rfem_jax.compilation import keeping, options
-
-    options.take_process()
-    if not options.settle_quietly().set:
-        print(options.warning(), file=sys.stderr)
     import jax
+
+    from rfem_jax.compilation import keeping
 
     jax.config.update("jax_enable_x64", True)
     if devices is not None:

@@ -18,7 +18,8 @@ from typing import Any
 
 import jax
 
-from rfem_jax.compilation import keeping, keys, options
+from rfem_jax.compilation import keeping, keys
+from rfem_jax.compilation.cache import user_cache_folder
 from rfem_jax.description.study import Study
 from rfem_jax.tolerancing.problems.sharing import process_count
 from rfem_jax.whole_files import replacing
@@ -32,7 +33,7 @@ UNKNOWN = (
 
 def timings_file() -> Path | None:
     """The file, None where nothing is kept."""
-    return options.user_cache_folder() / "timings.json" if keeping.wanted() else None
+    return user_cache_folder() / "timings.json" if keeping.wanted() else None
 
 
 def key_of(study: Study, task: str) -> str | None:

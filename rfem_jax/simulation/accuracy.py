@@ -4,9 +4,8 @@ Place in the pipeline: model, drive, duration, accuracy -> **method** -> cases, 
 
 RMS loads of trial assemblies are compared between a step and half of it.  The implicit method is of order 2, so
 four thirds of the change estimate the error of the longer step (Richardson; theory (11.3), (11.4)).  The static starts
-are found once; one quickly compiled program serves all steps, and a thorough one the short steps that few mechanisms
-need.  Where no step is accurate enough (undamped vibrations, on whose phase forces depend) Runge-Kutta 4 is taken, at
-nine tenths of its largest stable step.
+are found once; one program serves all steps.  Where no step is accurate enough (undamped vibrations, on whose phase
+forces depend) Runge-Kutta 4 is taken, at nine tenths of its largest stable step.
 """
 
 import functools
@@ -46,7 +45,6 @@ from rfem_jax.simulation.time_grid import ROUNDING, TimeGrid
 
 TRIAL_INTERVALS = 50
 FIRST, LAST = 2, 256  # steps in an interval
-FEW = 32  # up to so many, running a quickly compiled program takes less time than compiling it thoroughly would
 # Changes are relative to the load of the joint, but at least to this share of the largest load of its kind.
 SMALL_LOAD = 0.05
 SMALL_MOMENT = 0.01  # likewise of the largest force times the longest link
@@ -122,15 +120,10 @@ def _longest_step(model, method: Method, drive, duration, accuracy, errors) -> f
     method, grid = _trial_grid(model, method, drive, duration)
     interval = duration / TRIAL_INTERVALS
     first = _first_steps(model, drive, grid, interval)
-    started = prepare_trials.ahead(model, errors, drive, method)
-    if started is not None:  # compile both side by side
-        prepared, carry = started
-        loads_of_few_steps.ahead(model, prepared, drive, carry, *_trial(grid, first, interval, method))
     prepared, carry = prepare_trials(model, errors, drive, method)
 
     def loads(steps):
-        program = loads_of_few_steps if steps <= FEW else loads_of_trials
-        found = program(model, prepared, drive, carry, *_trial(grid, steps, interval, method))
+        found = loads_of_trials(model, prepared, drive, carry, *_trial(grid, steps, interval, method))
         loads, residual, energy, assembled = map(np.asarray, found)
         # Trial errors that rigid links cannot be assembled with say nothing about the step.
         used = assembled if assembled.any() else np.ones_like(assembled)
@@ -287,9 +280,9 @@ def rms_loads(
     return jax.vmap(jax.jit(one))(errors)
 
 
-@functools.partial(Program, quick=True, nameless=True)
+@functools.partial(Program, nameless=True)
 def prepare_trials(model: Model, errors: AssemblyErrors, drive: Drive, method: Method) -> tuple[Prepared, Carry]:
-    """The static starts of `rms_loads`, which no number of steps changes; run once, they compile quickly."""
+    """The static starts of `rms_loads`, which no number of steps changes."""
     return jax.vmap(jax.jit(lambda errors: _prepared(model, errors, drive, method)))(errors)
 
 
@@ -309,9 +302,6 @@ def loads_of_trials(
         return _loads_of(model, prepared, drive, carry, grid, method, steps)
 
     return jax.vmap(jax.jit(one))(prepared, carry)
-
-
-loads_of_few_steps = Program(loads_of_trials.function, quick=True, nameless=True)
 
 
 def _prepared(model, errors, drive, method: Method) -> tuple[Prepared, Carry]:

@@ -86,7 +86,6 @@ def run_cases(
         return model, Runs({case.name: one_of(runs, i) for i, case in enumerate(study.cases)})
     unfinished = Unfinished(keep, (model, errors, drive, study.duration, method, study.save_every))
     method, grid, steps = of_any_step(method, grid, steps)
-    _compile_ahead(model, errors, drive, grid, method, steps, asked)
     prepared, carry = _prepare(model, errors, drive, method)
     try:
         carry, ends = _advance_all(model, prepared, study, carry, grid, method, steps, unfinished, progress)
@@ -153,23 +152,7 @@ def _pieces(grid: TimeGrid):
         yield grid.piece(first, size)
 
 
-def _compile_ahead(model, errors, drive, grid: TimeGrid, method, steps, asked) -> None:
-    """Start to compile all programs, or to load them, side by side."""
-    started = _prepare.ahead(model, errors, drive, method)
-    if started is None:
-        return
-    prepared, carry = started
-    piece = next(iter(_pieces(grid)))
-    advanced = _advance.ahead(model, prepared.actual, drive, carry, piece, method, steps)
-    if advanced is None:
-        return
-    carry, ends = advanced
-    cases, count = len(jax.tree.leaves(errors)[0]), len(grid.starts)
-    ends = jax.tree.map(lambda x: jax.ShapeDtypeStruct((cases, count, *x.shape[2:]), x.dtype), ends)
-    _conclude.ahead(model, prepared, drive, carry, ends, grid, method, steps, asked)
-
-
-@functools.partial(Program, quick=True, nameless=True)
+@functools.partial(Program, nameless=True)
 def _prepare(model, errors, drive, method):
     def one(errors):
         prepared = integration.prepare(model, errors, drive, None)
@@ -186,7 +169,7 @@ def _advance(model, actual, drive, carry, grid, method, steps):
     return jax.vmap(jax.jit(one))(actual, carry)
 
 
-@functools.partial(Program, quick=True, nameless=True)
+@functools.partial(Program, nameless=True)
 def _conclude(model, prepared, drive, carry, ends, grid, method, steps, asked):
     def one(prepared, carry, ends):
         return integration.conclude(model, prepared, drive, carry, ends, grid, method, steps, asked)

@@ -13,8 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from rfem_jax.compilation.scalarisation import nothing_known
-from rfem_jax.mechanics import friction, loads, model_with_errors
+from rfem_jax.mechanics import friction, loads
 from rfem_jax.mechanics.bush_contacts import contact_losses
 from rfem_jax.mechanics.dynamics import Accelerations, accelerations
 from rfem_jax.mechanics.element_loads import FrameLoads
@@ -66,12 +65,6 @@ class Conditions(eqx.Module):
     stabilisation: Stabilisation
     operators: tuple[LinkOperator | None, ...] | None = None
     ahead: Float[Array, ""] | None = None
-
-
-def structural_zeros(conditions: Conditions) -> Conditions:
-    """Entries of the conditions that are zero for all numbers: boolean arrays, or False."""
-    known = model_with_errors.structural_zeros(conditions.actual)
-    return eqx.tree_at(lambda tree: tree.actual, nothing_known(conditions), known)
 
 
 def at_instant(

@@ -11,22 +11,23 @@ state at the end of every interval, with an implicit method of every step, and c
 """
 
 import dataclasses
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import diffrax
 import jax
 import jax.numpy as jnp
+from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
-from rfem_jax.compilation.parts import ProgramInParts, in_parts
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.driven_motions import Drive
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.mechanism import AS_GIVEN
 from rfem_jax.description.methods import GeneralisedAlphaMethod, Method
 from rfem_jax.description.precision import require_float64
+from rfem_jax.kernels import kernel
 from rfem_jax.mechanics import loads
 from rfem_jax.mechanics.bush_contacts import with_memory
 from rfem_jax.mechanics.centre_lines import link_lines
@@ -54,7 +55,6 @@ from rfem_jax.simulation.driving import active_drives, all_jumps, all_step_ends,
 from rfem_jax.simulation.equations import Conditions, Scalar, Trajectory
 from rfem_jax.simulation.locking import with_limit
 from rfem_jax.simulation.observation import Record, energy_at, observe
-from rfem_jax.simulation.packing import pack, unpack
 from rfem_jax.simulation.records import finished_records, instant_records, require_records
 from rfem_jax.simulation.run import (
     DriveHistory,
@@ -69,7 +69,7 @@ from rfem_jax.simulation.run import (
 from rfem_jax.simulation.solvers.catalogue import observed_solver
 from rfem_jax.simulation.solvers.implicit_step import Memory
 from rfem_jax.simulation.stabilisation import stabilisation_of
-from rfem_jax.simulation.stepping import Carry, entries_of, last_step, repeated, step_intervals
+from rfem_jax.simulation.stepping import Carry, Intervals, entries_of, last_step, repeated
 from rfem_jax.simulation.time_grid import TimeGrid, divide_time, longest_interval, of_any_step
 
 
@@ -148,8 +148,9 @@ def simulate_steps(
     drive = drive if design is None else drive_of_design(model, drive, design)
     made = designed(model, design, errors)
     asked = require_records(made.model, record)
-    any_step = of_any_step(method, grid, steps)
-    run = _simulate(made.model, made.errors, drive, grid, start, method, steps, any_step, adjoint, asked)
+    if not any(isinstance(x, Tracer) for x in jax.tree.leaves((made, drive, start))):
+        method, grid, steps = of_any_step(method, grid, steps)  # one program for all steps; none of reverse mode
+    run = _simulate(made.model, made.errors, drive, grid, start, method, steps, adjoint, asked)
     return with_status(of_model(run, made.model, errors if made.errors is None else made.errors), made)
 
 
@@ -174,50 +175,26 @@ def grid_for(
     )
 
 
-@partial(ProgramInParts, nameless=True)
-def _simulate(run, model, errors, drive, grid, start, method, steps, any_step, adjoint, record):
-    """`any_step`: method, grid and steps for parts."""
-    method, grid, steps = any_step if in_parts(run) else (method, grid, steps)
-    prepared, carry, ends = integrated(run, model, errors, drive, grid, start, method, steps, adjoint)
-    return run(_concluded, model, prepared, drive, carry, ends, grid, method, steps, record)
+@partial(Program, nameless=True)
+def _simulate(model, errors, drive, grid, start, method, steps, adjoint, record):
+    prepared, carry, ends = integrated(model, errors, drive, grid, start, method, steps, adjoint)
+    return conclude(model, prepared, drive, carry, ends, grid, method, steps, record)
 
 
 def integrated(
-    run: Callable[..., Any],
     model: Model,
     errors: AssemblyErrors,
     drive: Drive,
     grid: TimeGrid,
     start: State | None,
     method: Method,
-    steps: int,
+    steps: int | Float[Array, ""],
     adjoint: diffrax.AbstractAdjoint | None,
 ) -> tuple[Prepared, Carry, IntervalEnd]:
-    """The parts of a simulation before its conclusion; `run`: that of a `ProgramInParts`."""
-    # Only the search for contacts and the load steps of exact elements run long enough for thorough compilation.
-    started = _started if model.topology.clearances or model.topology.exact else _started_soon
-    prepared, carry = run(started, model, errors, drive, start, method)
-    carry, ends = run(_advanced, model, prepared.actual, drive, carry, grid, method, steps, adjoint)
-    return prepared, carry, ends
-
-
-@Program
-def _started(model, errors, drive, start, method):
+    """A simulation before its conclusion."""
     prepared = prepare(model, errors, drive, start)
-    return prepared, start_carry(model, prepared, drive, method)
-
-
-_started_soon = Program(_started.function, quick=True)
-
-
-@Program
-def _advanced(model, actual, drive, carry, grid, method, steps, adjoint):
-    return advance(model, actual, drive, carry, grid, method, steps, adjoint)
-
-
-@Program
-def _concluded(model, prepared, drive, carry, ends, grid, method, steps, record):
-    return conclude(model, prepared, drive, carry, ends, grid, method, steps, record)
+    carry = start_carry(model, prepared, drive, method)
+    return prepared, *advance(model, prepared.actual, drive, carry, grid, method, steps, adjoint)
 
 
 def prepare(model: Model, errors: AssemblyErrors, drive: Drive, start: State | None) -> Prepared:
@@ -271,16 +248,28 @@ def advance(
 
     **Returns:** the carry at the end, and the ends of all intervals, whose arrays have a first axis of intervals.
     """
-    step_over = step_intervals(model, actual, drive, grid, method, steps, adjoint)
+    operators = Intervals(model, drive, grid, method, steps, adjoint).operators(actual)
 
-    def interval(carry, entry):
-        carry = step_over(carry, entry)
-        return carry, pack(IntervalEnd(carry.trajectory, carry.memory))
+    def interval_of(model, actual, drive, grid, steps, operators):
+        intervals = Intervals(model, drive, grid, method, steps, adjoint)
 
-    # Steps of an implicit method have checkpoints of their own.
-    by_step = method.implicit and not method.adaptive
-    carry, ends = jax.lax.scan(interval if by_step else repeated(interval), carry, entries_of(grid))
-    return carry, unpack(ends, IntervalEnd(carry.trajectory, carry.memory))
+        def interval(carry, entry):
+            carry = intervals.over(actual, operators, carry, entry)
+            return carry, IntervalEnd(carry.trajectory, carry.memory)
+
+        return interval
+
+    def in_one_loop(carry, entries, *others):
+        return jax.lax.scan(interval_of(*others), carry, entries)
+
+    def by_intervals(carry, entries, *others):
+        return jax.lax.scan(kernel(interval_of(*others), name="interval"), carry, entries)
+
+    def adaptively(carry, entries, *others):
+        return jax.lax.scan(repeated(interval_of(*others)), carry, entries)
+
+    advanced = adaptively if method.adaptive else kernel(in_one_loop, name="steps", reverse=by_intervals)
+    return advanced(carry, entries_of(grid), model, actual, drive, grid, steps, operators)
 
 
 def advance_unobserved(
@@ -294,15 +283,20 @@ def advance_unobserved(
 ) -> tuple[Carry, Energy]:
     """Integrate without records but the energies at the ends of the intervals; `steps`, in an interval, may be traced
     with an implicit method (then not in reverse mode)."""
-    step_over = step_intervals(model, actual, drive, grid, method, steps, None)
+    operators = Intervals(model, drive, grid, method, steps, None).operators(actual)
 
-    def interval(carry, entry):
-        carry = step_over(carry, entry)
-        state, integrals = State(carry.trajectory.position, carry.trajectory.velocity), carry.trajectory.integrals
-        return carry, (state, integrals.work, integrals.dissipation)
+    def in_one_loop(carry, entries, model, actual, drive, grid, steps, operators):
+        intervals = Intervals(model, drive, grid, method, steps, None)
 
-    carry, ends = jax.lax.scan(interval, carry, entries_of(grid))
-    return carry, jax.lax.map(lambda end: energy_at(actual, *end), ends)
+        def interval(carry, entry):
+            carry = intervals.over(actual, operators, carry, entry)
+            state, integrals = State(carry.trajectory.position, carry.trajectory.velocity), carry.trajectory.integrals
+            return carry, energy_at(actual, state, integrals.work, integrals.dissipation)
+
+        return jax.lax.scan(interval, carry, entries)
+
+    advanced = in_one_loop if method.adaptive else kernel(in_one_loop, name="steps")
+    return advanced(carry, entries_of(grid), model, actual, drive, grid, steps, operators)
 
 
 def observe_ends(
@@ -315,35 +309,30 @@ def observe_ends(
     steps: int | Float[Array, ""],
     asked: Sequence[str] = (),
 ) -> Record:
-    """Records of the ends of intervals, with a first axis of intervals; `asked`: names as in `simulation.records`.
-
-    They have a loop of their own: XLA compiles two loops faster than one with the operations of both.
-    """
+    """Records of the ends of intervals, with a first axis of intervals; `asked`: names as in `simulation.records`."""
     solver = observed_solver(method)
-    drives = active_drives(model, drive)
-    stabilisation = stabilisation_of(model, method)
 
-    @jax.checkpoint
-    def record(entry_and_end):
-        entry, end = entry_and_end
-        here = actual
-        if end.memory is not None and end.memory.contacts is not None:
-            here = with_memory(actual, end.memory.contacts)
-        conditions = Conditions(here, drives, entry.phase, stabilisation)
-        t, h = entry.start + entry.length, last_step(grid, entry, steps)
-        squares, state, now, instant = solver.instant(t, h, end.trajectory, end.memory, conditions)
-        seen = observe(here, state, now, end.trajectory.integrals, instant, squares)
-        return seen._replace(asked=instant_records(model, actual, state, instant, asked)) if asked else seen
+    def record_of(model, actual, drive, grid, steps):
+        drives, stabilisation = active_drives(model, drive), stabilisation_of(model, method)
 
-    forms = []
+        def record(entry, end):
+            here = actual
+            if end.memory is not None and end.memory.contacts is not None:
+                here = with_memory(actual, end.memory.contacts)
+            conditions = Conditions(here, drives, entry.phase, stabilisation)
+            t, h = entry.start + entry.length, last_step(grid, entry, steps)
+            squares, state, now, instant = solver.instant(t, h, end.trajectory, end.memory, conditions)
+            seen = observe(here, state, now, end.trajectory.integrals, instant, squares)
+            return seen._replace(asked=instant_records(model, actual, state, instant, asked)) if asked else seen
 
-    def packed(entry_and_end):
-        seen = record(entry_and_end)
-        forms.append(jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), seen))
-        return pack(seen)
+        return kernel(record, name="record")
 
-    records = jax.lax.map(packed, (entries_of(grid), ends))
-    return unpack(records, forms[0])
+    def in_one_loop(entries, ends, *others):
+        return jax.lax.map(lambda both: record_of(*others)(*both), (entries, ends))
+
+    return kernel(in_one_loop, name="records", reverse=in_one_loop)(
+        entries_of(grid), ends, model, actual, drive, grid, steps
+    )
 
 
 def conclude(

@@ -9,26 +9,21 @@ compile there, and runs the implicit method slower (measured in benchmarks/READM
 """
 
 import dataclasses
-import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import diffrax
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PyTree, Shaped
 
-from rfem_jax.compilation.options import explicit_methods_scalarised
-from rfem_jax.compilation.scalarisation import nothing_known, scalarised
 from rfem_jax.description.methods import GeneralisedAlphaMethod, Method
+from rfem_jax.kernels import kernel
 from rfem_jax.mechanics.bush_contacts import require_memory
-from rfem_jax.mechanics.derivative_rules import active_inputs
 from rfem_jax.mechanics.friction import require_implicit
 from rfem_jax.mechanics.model import Model
-from rfem_jax.mechanics.model_with_errors import ModelWithErrors
+from rfem_jax.mechanics.model_with_errors import ModelWithErrors, with_structural_zeros
 from rfem_jax.simulation import equations
-from rfem_jax.simulation.batches import like_batched
 from rfem_jax.simulation.driving import Drive, active_drives
 from rfem_jax.simulation.equations import Conditions, Scalar, Trajectory
 from rfem_jax.simulation.solvers.catalogue import observed_solver
@@ -41,7 +36,6 @@ from rfem_jax.simulation.time_grid import TimeGrid, steps_of_parts
 
 MAX_ADAPTIVE_STEPS = 100_000
 MOST_LENGTHS = 64  # of steps, for which operators are formed at the start; of more, in every step
-MOST_OPERATIONS = 20_000  # scalar operations of a right-hand side that compile within seconds
 
 
 class Carry(NamedTuple):
@@ -98,49 +92,61 @@ def last_step(grid: TimeGrid, entry: Entry, steps: int | Float[Array, ""]) -> Fl
     return _row(lengths / jnp.maximum(counts, 1.0), last)
 
 
-def step_intervals(
-    model: Model,
-    actual: ModelWithErrors,
-    drive: Drive,
-    grid: TimeGrid,
-    method: Method,
-    steps: int | Float[Array, ""],
-    adjoint: diffrax.AbstractAdjoint | None,
-) -> Callable[[Carry, Entry], Carry]:
-    """The function that integrates over one interval of the grid: from the carry at its start to that at its end."""
-    require_implicit(model, method.name, method.implicit)
-    require_memory(model, method.name, method.implicit)
-    drives = active_drives(model, drive)
-    stabilisation = stabilisation_of(model, method)
-    solver = observed_solver(method)
-    counts = steps
-    if grid.parts is not None:
-        counts = jnp.asarray(steps_of_parts(grid.distinct, steps, grid.parts.least))
-    lengths = jnp.asarray(grid.distinct) / (counts if grid.parts is None else jnp.maximum(counts, 1.0))
-    ahead = None if model.friction is None else grid.longest_step(steps)
-    tolerance = contact_tolerance_of(model, method)
-    if lengths.shape[0] > MOST_LENGTHS:
-        operators = None
-    elif tolerance is not None:
-        operators = jax.vmap(lambda parts: solver.operators(actual, parts))(part_lengths(lengths))
-    else:
-        operators = solver.operators(actual, lengths)
+class Intervals:
+    """Integration over the intervals of a grid, by any method.
 
-    def of_kind(kind):
-        return jax.tree.map(lambda x: _row(x, kind), operators)
+    **Arguments:** as of `integration.advance`.
 
-    def step_over(carry, entry):
+    **Raises:** `InputError` for a method that cannot integrate the model.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        drive: Drive,
+        grid: TimeGrid,
+        method: Method,
+        steps: int | Float[Array, ""],
+        adjoint: diffrax.AbstractAdjoint | None,
+    ) -> None:
+        require_implicit(model, method.name, method.implicit)
+        require_memory(model, method.name, method.implicit)
+        self.model, self.drive, self.grid, self.method = model, drive, grid, method
+        self.steps, self.adjoint = steps, adjoint
+        self.solver = observed_solver(method)
+        self.tolerance = contact_tolerance_of(model, method)
+        self.counts = steps
+        if grid.parts is not None:
+            self.counts = jnp.asarray(steps_of_parts(grid.distinct, steps, grid.parts.least))
+
+    def operators(self, actual: ModelWithErrors) -> PyTree:
+        """What steps of each distinct length need; None where they form it themselves."""
+        lengths = jnp.asarray(self.grid.distinct)
+        lengths = lengths / (self.counts if self.grid.parts is None else jnp.maximum(self.counts, 1.0))
+        if lengths.shape[0] > MOST_LENGTHS:
+            return None
+        if self.tolerance is not None:
+            return jax.vmap(lambda parts: self.solver.operators(actual, parts))(part_lengths(lengths))
+        return self.solver.operators(actual, lengths)
+
+    def over(self, actual: ModelWithErrors, operators: PyTree, carry: Carry, entry: Entry) -> Carry:
+        """From the carry at the start of an interval to that at its end."""
+        grid, steps, method = self.grid, self.steps, self.method
+        drives, stabilisation = active_drives(self.model, self.drive), stabilisation_of(self.model, method)
+        ahead = None if self.model.friction is None else grid.longest_step(steps)
+        actual = with_structural_zeros(actual)
         conditions = Conditions(actual, drives, entry.phase, stabilisation, ahead=ahead)
         if method.adaptive:
-            return _adaptive_in_parts(solver, carry, entry, conditions, method, adjoint)
+            return _adaptive_in_parts(self.solver, carry, entry, conditions, method, self.adjoint)
+
+        def of_kind(kind):
+            return jax.tree.map(lambda x: _row(x, kind), operators)
+
         if grid.parts is None:
             conditions = dataclasses.replace(conditions, operators=of_kind(entry.kind))
-            return _fixed(solver, carry, _even_steps(entry, steps), conditions, tolerance)
-        return _fixed(
-            solver, carry, _steps_in_parts(entry, counts, of_kind, steps, grid.parts.most), conditions, tolerance
-        )
-
-    return step_over
+            return _fixed(self.solver, carry, _even_steps(entry, steps), conditions, self.tolerance)
+        schedule = _steps_in_parts(entry, self.counts, of_kind, steps, grid.parts.most)
+        return _fixed(self.solver, carry, schedule, conditions, self.tolerance)
 
 
 def _row(values: Shaped[Array, "rows ..."], place: Int[Array, ""]) -> Shaped[Array, "..."]:
@@ -155,30 +161,14 @@ def contact_tolerance_of(model: Model, method: Method) -> float | None:
     return method.contact_tolerance or None
 
 
-@jax.custom_jvp
-def _scalarised_rate(t, trajectory, conditions):
-    zeros = False, nothing_known(trajectory), equations.structural_zeros(conditions)
-    return scalarised(_batched_rate, zeros, MOST_OPERATIONS)(t, trajectory, conditions)
-
-
-@functools.partial(_scalarised_rate.defjvp, symbolic_zeros=True)
-def _differentiate_rate(primals, tangents):
-    inputs, fixed, along = active_inputs(primals, tangents)
-    return jax.jvp(lambda inputs: _batched_rate(*eqx.combine(inputs, fixed)), (inputs,), (along,))
-
-
-def _batched_rate(t, trajectory, conditions):
-    """The right-hand side, all its arrays with the same batch axes."""
-    rate = equations.right_hand_side(t, trajectory, conditions)
-    return like_batched(rate, *(x for x in jax.tree.leaves(rate) if x.size))
+_rate = kernel(equations.right_hand_side, name="right-hand side")
 
 
 def vector_field(t: Scalar, y: tuple[Trajectory, PyTree], conditions: Conditions) -> tuple[Trajectory, PyTree]:
     """Time derivative of the state (trajectory, squared maxima of loads), zero for the maxima."""
     trajectory, peaks = y
     # Reverse mode recomputes a stage from its state: to store hundreds of intermediates costs more.
-    rate_of = _scalarised_rate if explicit_methods_scalarised() else equations.right_hand_side
-    rate = jax.checkpoint(rate_of)(t, trajectory, conditions)
+    rate = jax.checkpoint(_rate)(t, trajectory, conditions)
     return rate, jax.tree.map(jnp.zeros_like, peaks)
 
 

@@ -37,7 +37,6 @@ from rfem_jax.tolerancing.problems.quadratic_model import (
     QuadraticModel,
     expand_point,
     plan_expansion,
-    prepare_expansion,
 )
 from rfem_jax.tolerancing.problems.reproduction import REPRODUCED, changes_by_step, changes_that_count, may_strike
 from rfem_jax.tolerancing.progress import ProgressBar, ProgressOption
@@ -283,9 +282,6 @@ def sensitivity(
         widths = np.array([values[known.index(name)] for name in names])
     problems = (problem,) if refined is None else (problem, refined)
     how = plan_expansion(problems, names, order, mode, batch)
-    if refined is not None:  # compile both side by side, where they have programs of their own
-        for one in problems:
-            prepare_expansion(one, at, how)
     with ProgressBar(progress, len(problems) * len(how.names), unit="direction") as bar:
         model, *finer = [expand_point(one, at, how, bar.advance) for one in problems]
     point = read_point(problem, at)

@@ -197,7 +197,7 @@ def worst_case(
     mode = choose_mode(mode, len(names), 1, problem)
     if model is None:
         widths = dict(zip(names, map(float, half_widths), strict=True))
-        model = expand_by_differences(problem, at, widths, mode=mode, batch=batch, values_follow=True)
+        model = expand_by_differences(problem, at, widths, mode=mode, batch=batch)
     base, centre = split_errors(problem, at, names)
     if model is False:
         require_reproduced(problem, names, base, np.asarray(centre), half_widths, mode=mode, batch=batch)

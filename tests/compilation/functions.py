@@ -12,8 +12,8 @@ import jax.numpy as jnp
 from jax.sharding import PartitionSpec
 
 from rfem_jax.compilation import keeping, keys
-from rfem_jax.compilation.parts import ProgramInParts
 from rfem_jax.compilation.program import Program
+from rfem_jax.kernels import kernel
 
 
 class Oscillator(eqx.Module):
@@ -52,31 +52,29 @@ def spread(x, mesh):
     return jax.shard_map(lambda x: jnp.cumsum(x, axis=0), mesh=mesh, in_specs=over, out_specs=over)(x)
 
 
+@kernel
+def folded(x, rate):
+    """A kernel of its own."""
+    return jnp.sin(rate * x) + jnp.exp(-x) @ jnp.arange(3.0) / (1.0 + x**2)
+
+
+def shaken(oscillator, x, *, shift=0.0):
+    """A kernel in a loop of XLA's."""
+
+    def step(x, _):
+        x = folded(x, oscillator.rate) + shift
+        return x, jnp.sum(x)
+
+    return jax.lax.scan(step, x, None, length=oscillator.steps)
+
+
+def stirred(oscillator, x):
+    """The same kernel in another program."""
+    return folded(x, oscillator.rate)
+
+
 swing_kept, solve_kept, spread_kept = Program(swing), Program(solve), Program(spread)
-
-
-@Program
-def turned(oscillator, rate):
-    """The first part of a journey, which x does not enter."""
-    return {"rate": oscillator.rate * jnp.sin(rate), "count": oscillator.count + 1}
-
-
-@Program
-def walked(oscillator, start, x):
-    """The second part, a `swing` at another rate."""
-    return swing(Oscillator(start["rate"], start["count"], oscillator.steps), x)
-
-
-@Program
-def ended(scale, walk):
-    """The last part."""
-    return walk._replace(end={**walk.end, "end": scale * walk.end["end"] * walk.path[-1]})
-
-
-@ProgramInParts
-def journey(run, oscillator, x, rate):
-    """A function in three parts."""
-    return run(ended, 2.0, run(walked, oscillator, run(turned, oscillator, rate), x))
+shaken_kept, stirred_kept = Program(shaken), Program(stirred)
 
 
 def oscillator(rate=0.7, steps=3):
@@ -85,7 +83,7 @@ def oscillator(rate=0.7, steps=3):
 
 def forget():
     """Empty the memory, as in the next process."""
-    for program in (swing_kept, solve_kept, spread_kept, turned, walked, ended, journey):
+    for program in (swing_kept, solve_kept, spread_kept, shaken_kept, stirred_kept):
         program.clear()
 
 

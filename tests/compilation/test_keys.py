@@ -16,8 +16,6 @@ from rfem_jax.tolerancing.problems.execution import fingerprint_problem
 from rfem_jax.tolerancing.problems.metrics import end_angle, metric
 from tests.mechanisms import four_bar
 
-COMPILED_AS_SHIPPED = True
-
 SMALL = "generalised_alpha"
 
 
@@ -127,11 +125,29 @@ def test_the_key_has_xlas_options_and_the_environment(monkeypatch):
     before.add(digest_named(("program",)))
     monkeypatch.setenv("NPROC", "3")
     before.add(digest_named(("program",)))
-    monkeypatch.setattr(keys.options, "settle", lambda: (False, "JAX had started"))
+    monkeypatch.setenv("EQX_ON_ERROR", "nan")
     before.add(digest_named(("program",)))
-    monkeypatch.setattr(keys.options, "FLAGS", "--others")
-    before.add(digest_named(("program",)))
-    assert len(before) == 5
+    assert len(before) == 4
+    monkeypatch.setenv("HOME", "elsewhere")
+    assert digest_named(("program",)) in before
+
+
+def test_the_key_has_what_is_in_a_file_of_xlas_options(monkeypatch, tmp_path):
+    file, found = tmp_path / "flags", set()
+    monkeypatch.setenv("XLA_FLAGS", str(file))
+    for text in ("--xla_cpu_enable_fast_math=true", "--xla_cpu_enable_fast_math=false"):
+        file.write_text(text, encoding="utf-8")
+        found.add(digest_named(("program",)))
+    assert len(found) == 2
+
+
+def test_the_key_has_the_compiler_of_kernels(monkeypatch):
+    found = digest_named(("program",))
+    monkeypatch.setattr(keys.machine_code, "processor", lambda: "another version")
+    monkeypatch.setattr(keys.machine_code, "is_available", lambda: True)
+    other = digest_named(("program",))
+    monkeypatch.setattr(keys.machine_code, "is_available", lambda: False)
+    assert len({found, other, digest_named(("program",))}) >= 2 and other != digest_named(("program",))
 
 
 @pytest.mark.parametrize(

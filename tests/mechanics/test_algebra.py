@@ -1,5 +1,6 @@
 """Rotations, cross products, small inverses and picked columns against NumPy."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -61,3 +62,25 @@ def test_columns_are_those_of_numpy(indices, axis):
     values = rng.normal(size=(4, 4, 4))
     found = algebra.columns(jnp.asarray(values), indices, axis)
     np.testing.assert_array_equal(found, np.take(values, np.array(indices, int), axis=axis))
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (4, 4), (7, 3), (3, 7), (12, 13), (0, 3), (3, 0)])
+@pytest.mark.parametrize("rank", [1, 2, 13])
+def test_pseudo_inverse(shape, rank):
+    random = np.random.default_rng(3)
+    rank = min(rank, *shape)
+    factors = random.normal(size=(shape[0], rank)), random.normal(size=(rank, shape[1]))
+    matrix, change = factors[0] @ factors[1], random.normal(size=(rank, shape[1]))
+    found = jax.jit(lambda a: algebra.pseudo_inverse(a, 1e-9))(jnp.asarray(matrix))
+    np.testing.assert_allclose(found, np.linalg.pinv(matrix, rcond=1e-9), rtol=1e-9, atol=1e-11)
+    if matrix.size:
+        # Along a change that keeps the rank.
+        along = jnp.asarray(factors[0] @ change)
+        by_rule = jax.jvp(lambda a: algebra.pseudo_inverse(a, 1e-9), (jnp.asarray(matrix),), (along,))[1]
+        ends = [np.linalg.pinv(factors[0] @ (factors[1] + s * change), rcond=1e-9) for s in (1e-5, -1e-5)]
+        np.testing.assert_allclose(by_rule, (ends[0] - ends[1]) / 2e-5, rtol=1e-5, atol=1e-6 * np.abs(found).max())
+
+
+def test_pseudo_inverse_of_what_says_nothing():
+    """Entries of rounding count as zero, not as each other's largest."""
+    np.testing.assert_array_equal(algebra.pseudo_inverse(jnp.full((3, 2), 1e-14), 1e-9), np.zeros((2, 3)))

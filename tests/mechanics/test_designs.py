@@ -15,7 +15,6 @@ from rfem_jax.mechanics.status import STATUS
 from tests.mechanisms import STEEL, chain_with_forces, compliant_four_bar, four_bar
 
 OUT = (("position", "y"), ("orientation", "xz"))
-pytestmark = pytest.mark.usefixtures("quick_compilation")
 OUT_OF_PLANE = tuple(f"{part}.{axis}" for part, axes in OUT for axis in axes)
 NEW = {"crank.length": 0.13, "rocker.section.height": 0.012, "steel.density": 7000.0, "D.position.x": 0.31}
 

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from rfem_jax import InputError, Mechanism, assembly_errors, discretise
+from rfem_jax.kernels import kernel
 from rfem_jax.mechanics.elements import elasticity
 from rfem_jax.mechanics.kinematics import relative_motion
 from rfem_jax.mechanics.model import Coordinates, State
 from rfem_jax.mechanics.model_with_errors import apply_errors
 from rfem_jax.mechanics.reference_formulation import exact_deflections, transforms
 from tests.mechanisms import four_bar, open_chain, random_state, some_errors
-from tests.numpy_evaluation import by_numpy
 
 
 def actual_chain(elements, errors=None):
@@ -42,7 +42,7 @@ def at_rest(position):
     return State(position, jax.tree.map(jnp.zeros_like, position))
 
 
-@by_numpy
+@kernel
 def spring_forces(actual, elastic):
     position = Coordinates(jnp.zeros(actual.topology.n_links), elastic)
     return generalised(actual, at_rest(position))
@@ -55,7 +55,7 @@ def energy(actual, elastic):
 
 def test_spring_forces_are_minus_the_gradient_of_the_energy(exact):
     _, actual, state = exact
-    gradient = np.asarray(by_numpy(jax.grad(energy, argnums=1))(actual, state.position.elastic))
+    gradient = np.asarray(kernel(jax.grad(energy, argnums=1))(actual, state.position.elastic))
     forces = np.asarray(spring_forces(actual, state.position.elastic))
     scale = np.abs(gradient).max(axis=1, keepdims=True)
     np.testing.assert_allclose(forces / scale, -gradient / scale, rtol=0, atol=1e-11)
@@ -65,7 +65,7 @@ def test_dampers_do_the_work_of_the_dissipated_power(exact):
     """Also: their generalised forces are minus half the derivative of the power by the rates."""
     _, actual, state = exact
 
-    @by_numpy
+    @kernel
     def both(actual, state):
         damping = generalised(actual, state) - generalised(actual, at_rest(state.position))
 
@@ -85,7 +85,7 @@ def test_dampers_do_the_work_of_the_dissipated_power(exact):
 def test_rates_of_the_deflections_are_their_derivatives(exact):
     _, actual, state = exact
 
-    @by_numpy
+    @kernel
     def both(actual, state):
         def stretch(position):
             return elasticity.deflections(actual, at_rest(position))[0]
@@ -140,7 +140,7 @@ def test_a_rigid_motion_of_both_faces_changes_nothing(exact):
         position = with_elastic(state.position, moved(share))
         return elasticity.deflections(actual, at_rest(position))[0]
 
-    (before, rate), after = by_numpy(lambda: (jax.jvp(stretch, (0.0,), (1.0,)), stretch(0.8)))()
+    (before, rate), after = kernel(lambda: (jax.jvp(stretch, (0.0,), (1.0,)), stretch(0.8)))()
     first = [a for a, b in actual.topology.ranges if b > a]
     inner = np.setdiff1d(np.arange(actual.topology.n_rfes), first)
     np.testing.assert_allclose(after[:, inner], before[:, inner], rtol=0, atol=1e-14)
@@ -154,8 +154,8 @@ def test_both_forms_have_the_same_stiffness_when_undeformed():
     for elements in ("linear", "geometrically_exact"):
         _, actual = actual_chain(elements)
         zero = jnp.zeros((6, actual.topology.n_rfes))
-        hessian = by_numpy(jax.hessian(energy, argnums=1))(actual, zero)
-        by_force = -by_numpy(jax.jacfwd(spring_forces, argnums=1))(actual, zero)
+        hessian = kernel(jax.hessian(energy, argnums=1))(actual, zero)
+        by_force = -kernel(jax.jacfwd(spring_forces, argnums=1))(actual, zero)
         n = zero.size
         hessians += [np.asarray(hessian).reshape(n, n), np.asarray(by_force).reshape(n, n)]
     scale = np.sqrt(np.diag(hessians[0]))
@@ -168,7 +168,7 @@ def test_second_derivatives_of_forces_at_zero_are_those_nearby():
     """No limit of a quotient, root or inverse sine may make them NaN or wrong."""
     _, actual = actual_chain("geometrically_exact")
     zero = jnp.zeros((6, actual.topology.n_rfes))
-    curve = by_numpy(jax.jacfwd(jax.jacrev(spring_forces, argnums=1), argnums=1))
+    curve = kernel(jax.jacfwd(jax.jacrev(spring_forces, argnums=1), argnums=1))
     at_zero = np.asarray(curve(actual, zero))
     nearby = np.asarray(curve(actual, zero + 1e-8))
     assert np.isfinite(at_zero).all() and np.abs(at_zero).max() > 1.0

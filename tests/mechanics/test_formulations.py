@@ -9,6 +9,7 @@ import pytest
 from jax.flatten_util import ravel_pytree
 
 from rfem_jax import discretise
+from rfem_jax.kernels import kernel
 from rfem_jax.mechanics import loads
 from rfem_jax.mechanics.dynamics import accelerations
 from rfem_jax.mechanics.frame_forces import Time
@@ -36,7 +37,6 @@ from tests.mechanisms import (
     three_link_loop,
     two_cuts_of_different_kinds,
 )
-from tests.numpy_evaluation import each_by_numpy
 
 GAINS = Stabilisation(3.0, 7.0, 0.3)
 STATES = 5
@@ -62,7 +62,10 @@ def close(actual, state):
             return value, value
 
         jacobian, value = jax.jacfwd(residual, has_aux=True)(flat)
-        return flat - moves * (jnp.linalg.pinv(jacobian * moves[None]) @ value), None
+        free = jacobian * moves[None]
+        square = free @ free.T
+        damping = 1e-13 * jnp.trace(square) * jnp.eye(len(square))  # rows may say the same
+        return flat - free.T @ jnp.linalg.solve(square + damping, value), None
 
     flat, _ = jax.lax.scan(newton, flat, length=12)
     return State(unravel(flat), state.velocity)
@@ -141,7 +144,7 @@ def compared(request):
     size = 0.1 if model.topology.sprung else 0.5
     samples = [(some_errors(model, rng), random_state(model, rng, size)) for _ in range(STATES)]
     samples = jax.tree.map(lambda *x: jnp.stack(x), *samples)
-    return model, prescribed, each_by_numpy(both)(*samples)
+    return model, prescribed, jax.jit(jax.vmap(both if model.topology.minimum_norm else kernel(both)))(*samples)
 
 
 def test_accelerations_and_multipliers_agree(compared):

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from rfem_jax import Compliance, Joint, JointFriction, Mechanism, PointSpring, assembly_errors, discretise
+from rfem_jax.kernels import kernel
 from rfem_jax.mechanics import loads
 from rfem_jax.mechanics.dynamics import accelerations
 from rfem_jax.mechanics.friction import friction_lines
@@ -20,7 +21,6 @@ from rfem_jax.mechanics.joint_forces import FrictionState
 from rfem_jax.mechanics.model_with_errors import apply_errors
 from rfem_jax.mechanics.reference_friction import reference_with_friction
 from tests.mechanisms import link, loop_cut_by, random_state, some_errors
-from tests.numpy_evaluation import each_by_numpy
 
 from .test_formulations import close
 
@@ -196,7 +196,7 @@ def compared(request):
     size = 0.1 if model.topology.sprung else 0.5  # displacements of bearings are small
     samples = [(some_errors(model, rng), random_state(model, rng, size), share) for share in (0.0, 0.2)]
     samples = jax.tree.map(lambda *x: jnp.stack(x), *samples)
-    return model, each_by_numpy(both)(*samples)
+    return model, jax.jit(jax.vmap(kernel(both)))(*samples)
 
 
 def without_loads(tree):

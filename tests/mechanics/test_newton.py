@@ -8,6 +8,7 @@ import pytest
 from jax.flatten_util import ravel_pytree
 
 from rfem_jax import Joint, Link, Material, Mechanism, PointMass, Rectangle, assembly_errors, discretise
+from rfem_jax.kernels import kernel
 from rfem_jax.mechanics.dynamics import accelerations
 from rfem_jax.mechanics.elements import elasticity, exact_elements
 from rfem_jax.mechanics.implicit.condensation import link_operators, present_operators
@@ -19,7 +20,6 @@ from rfem_jax.mechanics.model import Coordinates, State
 from rfem_jax.mechanics.model_with_errors import apply_errors
 from rfem_jax.mechanics.statics.assembly import equilibrium, length_scale
 from tests.mechanisms import chain_of_kinds, four_bar, twisted_spatial_loop, two_loop_six_bar
-from tests.numpy_evaluation import by_numpy
 
 PAIRS = [(four_bar, True), (twisted_spatial_loop, False), (two_loop_six_bar, False), (chain_of_kinds, True)]
 
@@ -71,7 +71,7 @@ def test_solved_accelerations_have_no_residual(mechanism):
     model, actual, drive, state, prescribed = mechanism
     scale = length_scale(model)
 
-    @by_numpy
+    @kernel
     def both(state):
         gains = Stabilisation(jnp.zeros(()), jnp.zeros(()), scale)
         result = accelerations(actual, state, drive, gains)
@@ -89,7 +89,7 @@ def test_solved_accelerations_have_no_residual(mechanism):
             ),
         )
 
-    result, evaluation, unsolved = both(state)
+    result, evaluation, unsolved = jax.tree.map(np.array, both(state))
     if prescribed:
         # The residual of the prescribed joint is the moment that enforces its angle.
         evaluation.hinge[model.topology.driven_coordinate] = 0.0
@@ -103,7 +103,7 @@ def test_increments_at_a_given_state_find_the_accelerations(mechanism):
     model, actual, drive, state, prescribed = mechanism
     scale, topology = length_scale(model), model.topology
 
-    @by_numpy
+    @kernel
     def solve(state):
         gains = Stabilisation(jnp.zeros(()), jnp.zeros(()), scale)
         result = accelerations(actual, state, drive, gains)
@@ -199,7 +199,7 @@ def test_matrix_is_the_tangent_at_rest(mechanism):
         zero = jnp.zeros(())
         drive = DriveInput(motions={topology.driven_coordinate: (model.start_joints[topology.driven], zero, zero)})
 
-    @by_numpy
+    @kernel
     def both(load):
         start = model.start_coordinates()
         equations, wrenches, evaluation, unknowns, unravel = equations_at(
@@ -229,7 +229,7 @@ def test_matrix_holds_for_links_that_are_bent_to_fit(elements):
     topology, scale = model.topology, length_scale(model)
     factors = jnp.asarray(3e-6), jnp.asarray(2e-3)
 
-    @by_numpy
+    @kernel
     def iterations():
         start = equilibrium(model, actual, {0: model.start_joints[0]})[0]
         equations, _, evaluation, unknowns, _ = equations_at(actual, start, scale, DriveInput(), factors, False)
@@ -263,8 +263,8 @@ def test_operators_of_exact_elements_are_the_linear_ones_at_the_undeformed_state
     factors = jnp.asarray(3e-7), jnp.asarray(6e-4)
     rest = model.start_coordinates()
     relative = relative_motion(actual, rest, jax.tree.map(jnp.zeros_like, rest))
-    present = by_numpy(present_operators)(actual, relative, *factors)
-    constant = by_numpy(lambda r: link_operators(r, *factors))(actual)
+    present = kernel(present_operators)(actual, relative, *factors)
+    constant = kernel(lambda r: link_operators(r, *factors))(actual)
     for one, other in zip(jax.tree.leaves(present), jax.tree.leaves(constant)):
         np.testing.assert_allclose(one, other, rtol=0, atol=1e-8 * np.abs(other).max(initial=1e-300))
 
@@ -310,7 +310,7 @@ def test_stiffness_of_exact_elements_holds_the_power_of_the_springs(exact_chain)
     relative = relative_motion(actual, position, jax.tree.map(jnp.zeros_like, position))
     twists = jnp.asarray(rng.normal(size=(6, n)))
 
-    @by_numpy
+    @kernel
     def both():
         springs = exact_elements.stiffness_blocks(actual, position.elastic[:3], relative)
         moved = relative._replace(angular=twists[:3], linear=twists[3:])

@@ -6,9 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax.compilation.scalarisation import scalarised
+from rfem_jax.kernels import kernel
 from rfem_jax.mechanics import algebra, products
-from tests.numpy_evaluation import by_numpy
 
 rng = np.random.default_rng(0)
 
@@ -49,7 +48,7 @@ def names(program):
     return [equation.primitive.name for equation in program.jaxpr.eqns]
 
 
-@pytest.mark.parametrize("run", [lambda f: f, jax.jit, by_numpy, lambda f: jax.jit(scalarised(f))])
+@pytest.mark.parametrize("run", [lambda f: f, jax.jit, kernel])
 def test_values(case, run):
     function, plain, given = case
     np.testing.assert_allclose(run(function)(*given), plain(*given), rtol=1e-14, atol=1e-15)
@@ -103,7 +102,7 @@ def test_a_product_is_one_operation_and_so_is_its_derivative(name):
     assert names(jax.make_jaxpr(lambda a, b: jax.vjp(function, a, b)[1](function(a, b)))(*given)).count(kind) <= 4
 
 
-@pytest.mark.parametrize("run", [lambda f: f, by_numpy, lambda f: jax.jit(scalarised(f))])
+@pytest.mark.parametrize("run", [lambda f: f, kernel])
 def test_a_sum_of_constant_matrices(run):
     first, second, weights = rng.normal(size=(3, 3)), rng.normal(size=(3, 3)), rng.normal(size=(2, 5))
 

@@ -5,9 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax.compilation.scalarisation import scalarised
+from rfem_jax.kernels import kernel
 from rfem_jax.mechanics.reordering import reorder, repeat, rows, sum_groups
-from tests.numpy_evaluation import by_numpy
 
 ORDER = (2, 0, 3, 1)
 X = np.random.default_rng(1).normal(size=(3, 4, 5))
@@ -80,7 +79,7 @@ def summed(counts):
 
 @pytest.mark.parametrize("counts", COUNTS)
 @pytest.mark.parametrize("pair", [repeated, summed])
-@pytest.mark.parametrize("run", [lambda f: f, jax.jit, by_numpy, scalarised])
+@pytest.mark.parametrize("run", [lambda f: f, jax.jit, kernel])
 def test_groups_of_rows(counts, pair, run):
     found, expected = pair(counts)
     x = np.random.default_rng(3).normal(size=(3, 4 if pair is repeated else sum(counts), 5))

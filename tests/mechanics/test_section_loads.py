@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from rfem_jax import PointForce, PointMass, discretise
+from rfem_jax.kernels import kernel
 from rfem_jax.mechanics import loads
 from rfem_jax.mechanics.dynamics import accelerations
 from rfem_jax.mechanics.frame_forces import Time
@@ -18,7 +19,6 @@ from rfem_jax.mechanics.section_loads import loads_of_sections
 from rfem_jax.simulation.observation import solved_instant
 from tests.mechanics.test_formulations import close
 from tests.mechanisms import random_state, some_errors, two_loop_six_bar
-from tests.numpy_evaluation import by_numpy
 
 LINKS = {"rocker": 4, "arm": 3, "output": 1}  # with their rfes
 STEP = 1e-10  # m
@@ -59,7 +59,7 @@ def moving():
         sections = {name: loads_of_sections(model, actual, state, now, l) for name, l in names.items()}
         return actual, now, inertial, frames, sections
 
-    return model, by_numpy(solved)(errors, state)
+    return model, kernel(solved)(errors, state)
 
 
 def wrench(moment, force, place):

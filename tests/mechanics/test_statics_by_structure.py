@@ -11,7 +11,6 @@ from rfem_jax.mechanics.model_with_errors import apply_errors, assembly_errors
 from rfem_jax.mechanics.statics import assembly, search
 from rfem_jax.mechanics.status import NOT_ASSEMBLED, OK
 from tests.mechanisms import four_bar, link, some_errors, twisted_spatial_loop
-from tests.numpy_evaluation import by_numpy
 
 
 def four_bar_of_long_chains():
@@ -34,7 +33,7 @@ def equilibria(make):
 def with_derivatives(at):
     """Values, derivatives along both arguments, backward of one number and the same forward, status."""
 
-    @by_numpy
+    @jax.jit
     def evaluate(share, rotation):
         values, jvp, status = jax.linearize(at, share, rotation, has_aux=True)
         forward = jvp(1.0, 0.0), jvp(0.0, 1.0)
@@ -93,7 +92,7 @@ def test_the_preconditioner_is_nearly_exact(make, most):
         value = scaled.residual(Coordinates(hinge, others[0]), others[1])
         return value.at[given].set(unknowns[given])
 
-    @by_numpy
+    @jax.jit
     def iteration():
         preconditioner = assembly._preconditioner(scaled, given, actual, start)
         return jnp.eye(start.size) - jax.vmap(preconditioner, 1, 1)(jax.jacfwd(residual)(start))
@@ -111,7 +110,7 @@ def test_where_the_recursion_does_not_converge_the_jacobian_does(monkeypatch):
         position, _, status = assembly.equilibrium(model, loaded, {})
         return position.joints[0], status
 
-    @by_numpy
+    @jax.jit
     def both(gravity):
         angle, jvp, status = jax.linearize(at, gravity, has_aux=True)
         derivatives = jax.vmap(jvp)(jnp.eye(3)), jax.linear_transpose(jvp, gravity)(1.0)[0]
@@ -124,7 +123,7 @@ def test_where_the_recursion_does_not_converge_the_jacobian_does(monkeypatch):
     np.testing.assert_allclose(derivatives[0][0], -9.8 / (0.6**2 + 9.8**2), rtol=1e-4)
     np.testing.assert_allclose(derivatives[0], derivatives[1], rtol=1e-9)
     monkeypatch.setattr(search, "linearised", without_matrix)
-    assert by_numpy(at)(gravity)[1] == NOT_ASSEMBLED
+    assert jax.jit(at)(gravity)[1] == NOT_ASSEMBLED
 
 
 def test_rates_of_a_start_that_moves_are_those_of_equilibria():
@@ -132,7 +131,7 @@ def test_rates_of_a_start_that_moves_are_those_of_equilibria():
     model = discretise(four_bar(rfes=2))
     actual = apply_errors(model, assembly_errors(model, {"D.delta_x": 5e-3, "C.child.d_y": 2e-4}))
 
-    @by_numpy
+    @jax.jit
     def moving(angle):
         return assembly.moving_equilibrium(model, actual, {0: angle}, {0: jnp.asarray(30.0)})
 
@@ -142,7 +141,7 @@ def test_rates_of_a_start_that_moves_are_those_of_equilibria():
     angle, step = model.start_joints[0], 1e-5
     state, multipliers, status = moving(angle)
     ahead, behind = (moving(angle + sign * step)[0].position for sign in (1.0, -1.0))
-    position, same_multipliers, same_status = by_numpy(resting)(angle)
+    position, same_multipliers, same_status = jax.jit(resting)(angle)
     assert int(status) == int(same_status) == 0
     jax.tree.map(lambda x, y: np.testing.assert_allclose(x, y, rtol=0, atol=1e-13), position, state.position)
     np.testing.assert_allclose(multipliers, same_multipliers, rtol=1e-12)

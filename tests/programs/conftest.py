@@ -12,15 +12,13 @@ import jax
 import pytest
 
 from rfem_jax.report import command_line
-from tests.conftest import QUICK_FLAGS
 
 ROOT = Path(__file__).parents[2]
 COMMAND_LINE = "rfem_jax.report.command_line"
-# Compiled without most optimisations, and kept by JAX for the next test and the next session.
+# Kept by JAX for the next test and the next session.
 ENVIRONMENT = {
     "PYTHONPATH": str(ROOT),
     "JAX_PLATFORMS": "cpu",
-    "JAX_DISABLE_MOST_OPTIMIZATIONS": "1",
     "JAX_COMPILATION_CACHE_DIR": str(ROOT / ".pytest_cache" / "compiled"),
     "MPLBACKEND": "agg",
 }
@@ -66,7 +64,7 @@ step = 1e-5
 
 def in_a_process_of_its_own(program, arguments):
     """Exit code, what is printed, and errors of a program that is compiled as it is."""
-    environment = {**os.environ, **ENVIRONMENT, "XLA_FLAGS": QUICK_FLAGS, "RFEM_JAX_NO_CACHE": "1"}
+    environment = {**os.environ, **ENVIRONMENT, "RFEM_JAX_NO_CACHE": "1"}
     start = [program] if program.endswith(".py") else ["-m", program]
     command = [sys.executable, *start, *arguments]
     answer = subprocess.run(command, env=environment, cwd=ROOT, capture_output=True, text=True)
@@ -74,8 +72,7 @@ def in_a_process_of_its_own(program, arguments):
 
 
 def in_this_process(program, arguments):
-    """The same of a program in this process: what is not worth its compilation is evaluated by NumPy, and what was
-    traced before is not traced again."""
+    """The same of a program in this process: what was compiled before is not compiled again."""
     said, errors = io.StringIO(), io.StringIO()
     with (
         pytest.MonkeyPatch.context() as patch,

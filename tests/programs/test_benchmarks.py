@@ -26,11 +26,21 @@ def test_main_study(run_program):
 
 
 def test_program_size(run_program):
-    said = run_program("benchmarks/program_size.py", "--batch", 2, "--kept")
-    lines = re.findall(r", (\w+), batch of 2, kept: (\d+) equations, traced in .* ms$", said, re.M)
-    sizes = {name: int(count) for name, count in lines}
-    # As a kept program an explicit method's is made of scalars.
-    assert set(sizes) == {"rk4", "generalised_alpha"} and sizes["rk4"] > sizes["generalised_alpha"] > 1000
+    """The loop over steps is a kernel, of the explicit method a smaller one."""
+    said = run_program("benchmarks/program_size.py", "--batch", 2)
+    steps = [row for row in rows_of(said) if row[0] == "steps"]
+    assert [row[1:3] for row in steps] == [["1", "2"]] * 2
+    assert 1000 < int(steps[0][3]) < int(steps[1][3])
+    assert len(re.findall(r"^traced in [\d.]+ s, by XLA compiled in [\d.]+ s, run [\d.]+ ms$", said, re.M)) == 2
+
+
+def test_programs_of_a_command(run_program, pendulum_file, tmp_path):
+    said = run_program("benchmarks/program_size.py", "--command", "run", pendulum_file, "--out", tmp_path)
+    programs = {row[0]: row[1:] for row in rows_of(said)}
+    assert {"prepare", "advance", "conclude"} <= set(programs)
+    kernels, operations, *seconds = programs["advance"]
+    assert int(kernels) >= 1 and int(operations) > 100 and float(seconds[-1]) > 0.0
+    assert re.search(r"^whole command [\d.]+ s, programs [\d.]+ s of it$", said, re.M)
 
 
 def test_clearance(run_program):

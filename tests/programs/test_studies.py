@@ -67,7 +67,7 @@ def test_bearing_stiffness(run_program, tmp_path):
         assert len(own) == 12 and (low < sums).all() and (sums < high).all()
 
 
-def test_clearance_in_motion(long_loops_compiled, run_program, tmp_path):
+def test_clearance_in_motion(run_program, tmp_path):
     said = run_program("studies/clearance/motion.py", "--quick", "--out", tmp_path)
     assert "The 95 % RMS force of D is least" in said
     assert {path.stem for path in tmp_path.glob("*.png")} == {"motion_over_clearance"}
@@ -111,7 +111,7 @@ def test_clearance(run_program, tmp_path):
     assert taken[0] == pytest.approx(0.25 * (force[0] - force[1]) / (force[0] - force[3]))
 
 
-def test_robust_four_bar(often_called_programs_compiled, run_program, tmp_path):
+def test_robust_four_bar(run_program, tmp_path):
     """Every way is answered, and its price is that of its mass and its tolerances. The step of the trial is too long
     for some of the fresh mechanisms."""
     said = run_program("studies/robust_four_bar/study.py", "--quick", "--reserves", 1.5, "--out", tmp_path)

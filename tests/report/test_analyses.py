@@ -30,11 +30,6 @@ errors = {{ "arm.length" = "2 mm" }}
 """
 
 
-@pytest.fixture(scope="module", autouse=True)
-def _quick(quick_compilation):
-    yield
-
-
 @pytest.fixture(autouse=True)
 def _settled(monkeypatch):
     """JAX is set up already."""

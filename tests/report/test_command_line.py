@@ -20,7 +20,7 @@ import rfem_jax
 import rfem_jax.mechanics.designs  # the module itself serves beside the stand-in for its package
 from rfem_jax import task_kinds
 from rfem_jax.compilation import cache, keeping
-from rfem_jax.compilation.options import user_cache_folder
+from rfem_jax.compilation.cache import user_cache_folder
 from rfem_jax.compilation.stages import listening, on_stage
 from rfem_jax.description import InputError
 from rfem_jax.report import command_line, console

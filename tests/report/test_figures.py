@@ -34,8 +34,6 @@ from rfem_jax.report.shapes import (
 from rfem_jax.report.style import SETTINGS, bar_style, line_style
 from rfem_jax.report.summary import summarise
 
-PICTURES_AS_SHIPPED = True
-
 NAMES = {
     *("angle", "rate", "angle_D", "energy", "maximum_forces", "rms_loads", "preload"),
     *("base_joint_force", "base_joint_moment", "joint_D_force", "joint_D_moment"),

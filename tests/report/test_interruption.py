@@ -19,8 +19,6 @@ from . import closed_form
 from .conftest import STUDY
 from .test_tasks import TASKS
 
-ALWAYS_COMPILED = True
-
 SLIDER = f"""{STEEL}{ROUND}{link("arm", 0.3)}{hinge("arm")}[drive]
 joint = "A"
 kind = "moment_ramp"
@@ -145,7 +143,7 @@ def test_samples_are_kept_and_run_says_how_to_go_on(closed, task_file, tmp_path,
     assert main(["monte-carlo", str(task_file), "--out", str(out)]) == 0
 
 
-def test_cases_go_on_where_they_stopped(tmp_path, capsys, monkeypatch, quick_compilation):
+def test_cases_go_on_where_they_stopped(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(command_line, "set_up_jax", lambda *_: None)
     path, out = tmp_path / "study.toml", tmp_path / "out"
     path.write_text(SLIDER, encoding="utf-8")

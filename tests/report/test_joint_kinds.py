@@ -15,8 +15,6 @@ from rfem_jax.report.summary import summarise
 from rfem_jax.simulation.accuracy import trial_errors
 from tests.study_texts import STEEL, hinge, link, rectangle
 
-pytestmark = pytest.mark.usefixtures("quick_compilation")
-
 LINKS = link("crank", 0.06) + link("piston", 0.05) + link("rod", 0.2)
 STUDY = f"""
 title = "Slider-crank without redundant constraints"

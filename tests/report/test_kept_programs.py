@@ -1,5 +1,5 @@
-"""The command keeps its programs: the second run traces none, writes the same numbers, and says so; with
---no-cache nothing is kept."""
+"""The command keeps its programs, and the object code of their kernels: the second run traces none, writes the same
+numbers, and says so; with --no-cache nothing is kept."""
 
 import json
 import os
@@ -54,7 +54,10 @@ def run(folder, out, *options, angle="-90"):
 def test_a_second_run_traces_nothing_and_writes_the_same(tmp_path):
     first, histories = run(tmp_path, "first")
     made = first["compilation"]["programs_traced"]
-    assert made > 3 and first["compilation"]["xla_options"] == "set"
+    assert made > 3 and first["compilation"]["kept_programs"] == "used"
+    assert first["compilation"]["kernels"] == "machine code"
+    kept = [path.name for path in (tmp_path / "home" / "rfem_jax" / "programs").iterdir()]
+    assert len(kept) > made > 3 and any(name.startswith("kernel_") for name in kept)
     again, same = run(tmp_path, "again")
     assert again["compilation"] == {**first["compilation"], "programs_traced": 0, "programs_loaded": made}
     assert same == histories and again["cases"] == first["cases"]

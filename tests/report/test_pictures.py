@@ -13,8 +13,6 @@ from matplotlib.ticker import FuncFormatter
 from rfem_jax.report import pictures
 from rfem_jax.report.style import SETTINGS, new_figure
 
-PICTURES_AS_SHIPPED = True
-
 
 def curves(count, formatter=None):
     figures = {}

@@ -27,8 +27,6 @@ from . import closed_form
 from .conftest import STUDY
 from .test_tasks import FORCE, MOMENT, TASKS
 
-PICTURES_AS_SHIPPED = True
-
 WIDTHS = dict(zip(closed_form.NAMES, closed_form.WIDTHS, strict=True))
 
 

@@ -17,8 +17,6 @@ from . import closed_form
 from .conftest import STUDY
 from .test_tasks import MOMENT, TASKS
 
-ALWAYS_COMPILED = True
-
 COMMANDS = ("sensitivity", "monte-carlo", "worst-case", "allocate")
 
 
@@ -42,7 +40,7 @@ def contents(folder):
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_the_same_command_twice_writes_the_same_files(every_picture_drawn, task_file, tmp_path, command):
+def test_the_same_command_twice_writes_the_same_files(task_file, tmp_path, command):
     out = tmp_path / "out"
     assert call(command, task_file, out) == 0
     first = contents(out)

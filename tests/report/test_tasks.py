@@ -30,8 +30,6 @@ from tests.study_texts import ROUND, STEEL, hinge, link
 from . import closed_form
 from .conftest import STUDY, rows_of
 
-ALWAYS_COMPILED = True
-
 TASKS = """
 [tolerances]
 "D.delta_x" = "0.25 deg"

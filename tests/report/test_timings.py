@@ -4,7 +4,7 @@ import dataclasses
 
 import pytest
 
-from rfem_jax.compilation import keeping, options
+from rfem_jax.compilation import keeping
 from rfem_jax.description import load_study
 from rfem_jax.description.tasks.study_tasks import Tasks
 from rfem_jax.report import timings
@@ -25,7 +25,7 @@ def study(tmp_path):
 def kept(tmp_path, monkeypatch):
     """Timings are kept in a folder of the test."""
     monkeypatch.setattr(keeping, "wanted", lambda: True)
-    monkeypatch.setattr(options, "user_cache_folder", lambda: tmp_path / "cache")
+    monkeypatch.setattr(timings, "user_cache_folder", lambda: tmp_path / "cache")
     return tmp_path / "cache" / "timings.json"
 
 
@@ -71,7 +71,7 @@ def test_it_is_told_before_and_recorded_after(study, kept, capsys):
 
 
 def test_nothing_is_kept_where_programs_are_not(study, tmp_path, monkeypatch):
-    monkeypatch.setattr(options, "user_cache_folder", lambda: tmp_path / "cache")
+    monkeypatch.setattr(timings, "user_cache_folder", lambda: tmp_path / "cache")
     key = timings.key_of(study, "sensitivity")
     timings.record(key, 3.0, 1, compiled=False)
     assert timings.estimate(key, 1) is None and not (tmp_path / "cache").exists()

@@ -5,11 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.custom_derivatives import SymbolicZero
 
-from rfem_jax import Method, assembly_errors, discretise, load_study
-from rfem_jax.compilation.transformations import has_batch_axis
-from rfem_jax.simulation import integration
 from rfem_jax.simulation.batches import like_batched
-from tests.processes import ROOT
 
 
 def made(align):
@@ -101,24 +97,3 @@ def test_tangents_of_zeros_where_a_source_has_one():
         for one, zero, constant in zip(value, tangent, constants, strict=True):
             np.testing.assert_array_equal(one, constant)
             np.testing.assert_array_equal(zero, jnp.zeros_like(constant))
-
-
-def test_the_loop_over_steps_starts_with_the_batch_axes_and_tangents_of_its_end():
-    """Else all that is inside of it is transformed twice."""
-    study = load_study(ROOT / "studies" / "four_bar" / "study.toml")
-    model = discretise(study.mechanism)
-    method = Method("generalised_alpha", step=1e-3)
-    batched = []
-
-    def first(tilt):
-        errors = assembly_errors(model, {"D.delta_x": tilt})
-        prepared = integration.prepare(model, errors, study.drive, None)
-        carry = integration.start_carry(model, prepared, study.drive, method)
-        batched[:] = map(has_batch_axis, jax.tree.leaves(carry))
-        return carry.trajectory, carry.peaks, carry.memory
-
-    jax.eval_shape(jax.vmap(first), jnp.ones(2))
-    assert batched and all(batched)
-    seen = []
-    jax.eval_shape(lambda x: seen.extend(moving(first, x)[0]), jnp.ones(()))
-    assert seen and all(seen)

@@ -7,7 +7,7 @@ import pytest
 
 from rfem_jax import Joint, JointSpring, Link, Mechanism, Method, PrescribedRate, RigidBody, assembly_errors, discretise
 from rfem_jax.simulation.cycle import cycle_run, steady_cycle
-from tests.numpy_evaluation import by_numpy
+from tests.evaluation import evaluated
 
 MASS, STIFFNESS, DAMPING, RATE, GRAVITY = 0.5, 200.0, 4.0, 9.0, 9.81
 NAMES = ("slide.stiffness", "slide.damping", "block.mass", "gravity.z")
@@ -44,12 +44,12 @@ def test_derivatives_of_a_cycle_are_those_of_a_driven_oscillator(model):
     cycle = steady_cycle(model, tolerance=1e-11, **SETTINGS)
     assert cycle.converged
     point = jnp.asarray(POINT)
-    value, forward = by_numpy(lambda x: (place(cycle, x), jax.jacfwd(lambda y: place(cycle, y))(x)))(point)
+    value, forward = evaluated(lambda x: (place(cycle, x), jax.jacfwd(lambda y: place(cycle, y))(x)))(point)
     assert float(value) == pytest.approx(mean_square(POINT), rel=1e-5)
     # Of a simple closed form by complex steps, exact.
     exact = [np.imag(mean_square(POINT + 1e-30j * axis)) / 1e-30 for axis in np.eye(4)]
     np.testing.assert_allclose(forward * POINT, np.array(exact) * POINT, rtol=1e-4)
-    backward = by_numpy(jax.grad(lambda x: place(cycle, x)))(point)
+    backward = evaluated(jax.grad(lambda x: place(cycle, x)))(point)
     np.testing.assert_allclose(backward, forward, rtol=1e-8)
 
     def of_new_cycle(stiffness):

@@ -24,7 +24,7 @@ from rfem_jax import (
 )
 from tests.mechanisms import four_bar, link
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("quick_compilation")]
+pytestmark = pytest.mark.slow
 
 KINDS = ("delta_x", "delta_z", "d_x", "d_y", "d_z")
 # Every kind on the seat and on the bore, every joint on both sides, and all of joint D's seat.
@@ -79,7 +79,7 @@ def central_differences(function, point, steps):
 
 
 @pytest.fixture(scope="module")
-def problem(quick_compilation):
+def problem():
     return Problem(discretise(four_bar(3)), MomentRamp("A", 1.5, 0.06), 0.12, METRICS, METHOD, save_every=2e-2)
 
 
@@ -112,7 +112,7 @@ def test_forward_mode_equals_differences(values, jacobian):
     assert gap.max() < 1e-6, f"{METRICS[metric]} by {NAMES[error]}"
 
 
-def test_reverse_mode_equals_forward_mode(problem, jacobian, long_loops_compiled):
+def test_reverse_mode_equals_forward_mode(problem, jacobian):
     """The gradient of a sum of all metrics, each weighted so that it counts; by XLA, which has compiled wrong programs
     of loops in reverse mode, where the Jacobian is NumPy's."""
     weights = np.random.default_rng(7).uniform(0.5, 1.0, len(METRICS))
@@ -154,7 +154,7 @@ def flexible_arm(rfes):
     return Mechanism([link("arm", 0.3, rfes)], [Joint("A", "base", "arm", angle=0.4)], driven_joint="A")
 
 
-def test_geometrically_exact_elements(long_loops_compiled):
+def test_geometrically_exact_elements():
     """Three errors of different kinds, by all three ways, all compiled."""
     model = discretise(flexible_arm(3), elements="geometrically_exact")
     problem = Problem(

@@ -26,8 +26,8 @@ from rfem_jax import (
     parameters,
     simulate,
 )
+from tests.evaluation import evaluated
 from tests.mechanisms import BUSHING, four_bar, link
-from tests.numpy_evaluation import by_numpy
 
 pytestmark = pytest.mark.slow
 OUT = ("position.y", "orientation.x", "orientation.z")
@@ -77,9 +77,9 @@ def test_every_number_of_a_description(elements):
     positive = np.array([".inertia." in name for name in names])
     point = nominal + np.where(positive, 1e-5, 0.0)
     sizes = np.where(positive, 1e-5, sizes)
-    forward = by_numpy(jax.jacfwd(loads))(jnp.asarray(point))[:-1] * sizes
+    forward = evaluated(jax.jacfwd(loads))(jnp.asarray(point))[:-1] * sizes
     steps = STEP * np.concatenate([k * np.diag(sizes) for k in (-2, -1, 1, 2)])
-    ends = by_numpy(jax.vmap(loads))(jnp.asarray(point + steps)).reshape(4, len(names), -1)
+    ends = evaluated(jax.vmap(loads))(jnp.asarray(point + steps)).reshape(4, len(names), -1)
     assert not ends[:, :, -1].any()
     differences = ((ends[0] - 8.0 * ends[1] + 8.0 * ends[2] - ends[3]) / (12.0 * STEP)).T[:-1]
     scale = np.maximum(abs(differences), 1e-3 * abs(differences).max(axis=1, keepdims=True))
@@ -87,5 +87,7 @@ def test_every_number_of_a_description(elements):
     row, column = np.unravel_index(gap.argmax(), gap.shape)
     assert gap.max() < 1e-6, f"{row} by {names[column]}"
     weights = 1.0 / abs(forward).max(axis=1)
-    reverse = by_numpy(jax.grad(lambda numbers: jnp.asarray(weights) @ loads(numbers)[:-1]))(jnp.asarray(point))
+    reverse = np.asarray(
+        evaluated(jax.grad(lambda numbers: jnp.asarray(weights) @ loads(numbers)[:-1]))(jnp.asarray(point))
+    )
     np.testing.assert_allclose(reverse * sizes, weights @ forward, rtol=1e-8, atol=1e-9)

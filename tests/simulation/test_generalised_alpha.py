@@ -39,11 +39,6 @@ def rms(model, run):
     return np.array([[float(metrics.rms_force[j]), float(metrics.rms_moment[j])] for j in model.joint_names])
 
 
-@pytest.fixture(scope="module", autouse=True)
-def _quick(quick_compilation):
-    yield
-
-
 @pytest.fixture(scope="module")
 def soft(small):
     """A four-bar of links a thousand times softer, whose vibrations all steps resolve."""
@@ -243,7 +238,7 @@ def test_auto_takes_no_step_longer_than_between_saved_times(save_every, monkeypa
         assert chosen.name == name
 
 
-def test_auto_on_rigid_links_that_errors_keep_from_closing(long_loops_compiled):
+def test_auto_on_rigid_links_that_errors_keep_from_closing():
     study = load_study(STUDY)
     links = [replace(link, rigid=True) for link in study.mechanism.links]
     rigid = replace(study.mechanism, links=links, redundant_reactions="minimum_norm")

@@ -17,7 +17,7 @@ HOSTILE = "<script>alert(1)</script>"
 
 
 @pytest.fixture(scope="module")
-def runs(quick_compilation):
+def runs():
     """Two cases of a slider that is moved along x and carries a pendulum."""
     joints = [Joint("G", "base", "slider", kind="prismatic"), Joint("A", "slider", "arm", angle=0.2)]
     mechanism = Mechanism([link("slider", 0.1), link("arm", 0.3)], joints, driven_joint="G")

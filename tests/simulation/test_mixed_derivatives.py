@@ -52,8 +52,8 @@ from rfem_jax import (
 from rfem_jax.description.error_catalogue import error_dimension
 from rfem_jax.mechanics.loads import static_state
 from rfem_jax.simulation.driving import drive_numbers
+from tests.evaluation import evaluated
 from tests.mechanisms import BUSHING, chain_with_balls, chain_with_drives, four_bar, loop_cut_by, loop_with_a_ball
-from tests.numpy_evaluation import by_numpy
 
 pytestmark = pytest.mark.slow
 
@@ -306,8 +306,8 @@ def test_forward_reverse_and_differences_agree(made):
     scatter = np.random.default_rng(3).uniform(-0.5, 0.5, len(names)) * sizes
     of_errors = np.array([name in error_names for name in names])
     states = np.stack([nominal, nominal + np.where(of_errors, scatter, 0.0)])
-    evaluated = by_numpy(jax.vmap(metrics))
-    values, status = evaluated(states)
+    sampled = evaluated(jax.vmap(metrics))
+    values, status = sampled(states)
     assert not status.any()
     weights = np.random.default_rng(4).uniform(0.5, 1.0, values.shape[1])
     weights = weights / np.maximum(abs(values).max(axis=0), 1e-6 * abs(values).max())
@@ -315,17 +315,17 @@ def test_forward_reverse_and_differences_agree(made):
     def weighed(numbers):
         return jnp.asarray(weights) @ metrics(numbers)[0]
 
-    gradients = by_numpy(jax.vmap(jax.grad(weighed)))(states) * sizes
+    gradients = evaluated(jax.vmap(jax.grad(weighed)))(states) * sizes
     assert np.isfinite(gradients).all()
     along, usual = (np.stack(part) for part in zip(*(directions(one, of_errors) for one in gradients), strict=True))
     repeated = np.repeat(states, 2, axis=0)
-    pushed = by_numpy(jax.vmap(lambda at, along: jax.jvp(weighed, (at,), (along,))[1]))
+    pushed = evaluated(jax.vmap(lambda at, along: jax.jvp(weighed, (at,), (along,))[1]))
     forward = pushed(repeated, (along * sizes).reshape(repeated.shape)).reshape(2, 2)
     reverse = np.einsum("sn,sdn->sd", gradients, along)
     scale = np.maximum(np.einsum("sn,sdn->sd", abs(gradients), abs(along)), usual[:, None])
     assert (abs(forward - reverse) / scale).max() < 1e-8
     points = np.concatenate([states[:, None] + STEP * k * along * sizes for k in (-2, -1, 1, 2)], axis=1)
-    found, status = evaluated(points.reshape(-1, len(names)))
+    found, status = sampled(points.reshape(-1, len(names)))
     assert not status.any()
     ends = (found @ weights).reshape(2, 4, 2)
     difference = (ends[:, 0] - 8.0 * ends[:, 1] + 8.0 * ends[:, 2] - ends[:, 3]) / (12.0 * STEP)

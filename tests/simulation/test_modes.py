@@ -11,8 +11,8 @@ from rfem_jax import InputError, Joint, Link, Mechanism, PrescribedRate, assembl
 from rfem_jax.simulation.modes import REPEATED, natural_frequencies
 from rfem_jax.simulation.stability import eigenvalues
 from rfem_jax.simulation.vibration import Vibration
+from tests.evaluation import evaluated
 from tests.mechanisms import BAR, STEEL, compliant_four_bar, four_bar, link
-from tests.numpy_evaluation import by_numpy
 
 LENGTH = 0.4
 
@@ -25,7 +25,7 @@ def weightless(model):
 def test_modes_of_a_perfect_four_bar_are_those_of_its_vibration(locked):
     """Which `vibration` finds from the velocities of free bodies; without weight, which it neglects."""
     model = weightless(discretise(four_bar(2)))
-    found = by_numpy(lambda: natural_frequencies(model, locked=locked, count=8))()
+    found = evaluated(lambda: natural_frequencies(model, locked=locked, count=8))()
     other = eigenvalues(model, PrescribedRate("A", 0.0) if locked else None)
     expected = np.sort(np.abs(other))[::2][:8] / (2 * np.pi)  # undamped: moduli of the pairs
     first = 0 if locked else 1
@@ -39,7 +39,7 @@ def test_modes_of_a_perfect_four_bar_are_those_of_its_vibration(locked):
 
 def test_springs_of_cut_joints_are_in_the_stiffness():
     model = weightless(discretise(compliant_four_bar()))
-    found = by_numpy(lambda: natural_frequencies(model, locked=False, count=6))()
+    found = evaluated(lambda: natural_frequencies(model, locked=False, count=6))()
     squares = np.sort(Vibration(model).modes(np.asarray(model.start_joints)).squares)[:6]
     assert abs(found.square[0]) < 1e-2
     np.testing.assert_allclose(found.square[1:], squares[1:], rtol=1e-6)
@@ -58,7 +58,7 @@ def test_a_square_cantilever_has_its_frequencies_in_pairs_with_closed_form_deriv
     def frequencies(length):
         return natural_frequencies(model, assembly_errors(model, {"bar.length": length}), count=3)
 
-    found = by_numpy(lambda: frequencies(jnp.zeros(())))()
+    found = evaluated(lambda: frequencies(jnp.zeros(())))()
     beam = 1.875104**2 / (2 * np.pi * LENGTH**2) * np.sqrt(STEEL.youngs_modulus * 0.01**2 / 12 / STEEL.density)
     np.testing.assert_allclose(found.frequency[:2], beam, rtol=0.01)
     assert found.frequency[2] > 5 * beam
@@ -75,14 +75,14 @@ def test_derivatives_are_those_of_differences_and_closed_forms():
         return natural_frequencies(model, assembly_errors(model, {"bar.length": length}), count=3).frequency
 
     zero, step = jnp.zeros(()), 1e-5
-    at = by_numpy(jax.vmap(frequencies))(jnp.asarray([0.0, step, -step, 1e-3, -1e-3]))
+    at = evaluated(jax.vmap(frequencies))(jnp.asarray([0.0, step, -step, 1e-3, -1e-3]))
     difference = (at[1] - at[2]) / (2 * step)
-    forward = by_numpy(jax.jacfwd(frequencies))(zero)
+    forward = evaluated(jax.jacfwd(frequencies))(zero)
     np.testing.assert_allclose(forward, difference, rtol=1e-6)
     np.testing.assert_allclose(forward[:2], -2 * at[0, :2] / LENGTH, rtol=0.02)
-    backward = by_numpy(jax.grad(lambda x: frequencies(x) @ jnp.asarray([1.0, 2.0, 3.0])))(zero)
+    backward = evaluated(jax.grad(lambda x: frequencies(x) @ jnp.asarray([1.0, 2.0, 3.0])))(zero)
     assert float(backward) == pytest.approx(float(forward @ [1.0, 2.0, 3.0]), rel=1e-8)
-    curvature = by_numpy(jax.jacfwd(jax.jacfwd(frequencies)))(zero)
+    curvature = evaluated(jax.jacfwd(jax.jacfwd(frequencies)))(zero)
     np.testing.assert_allclose(curvature, (at[3] + at[4] - 2 * at[0]) / 1e-6, rtol=1e-3)
 
 
@@ -94,8 +94,8 @@ def test_preload_by_errors_moves_frequencies_as_their_derivatives_say():
 
     # Even in a tilt out of the plane: derivatives at half a degree.
     tilt, step = jnp.asarray(np.radians(0.5)), 1e-4
-    at = by_numpy(jax.vmap(frequencies))(tilt + jnp.asarray([step, -step]))
-    forward = by_numpy(jax.jacfwd(frequencies))(tilt)
+    at = evaluated(jax.vmap(frequencies))(tilt + jnp.asarray([step, -step]))
+    forward = evaluated(jax.jacfwd(frequencies))(tilt)
     np.testing.assert_allclose(forward, (at[0] - at[1]) / (2 * step), rtol=1e-4, atol=1e-5 * np.abs(forward).max())
 
 
@@ -104,7 +104,7 @@ def test_a_pendulum_swings_below_and_falls_from_above(angle, sign):
     """y of the hinge and x of the arm: at +90 deg the arm hangs."""
     length = 0.3
     model = discretise(Mechanism([link("arm", length)], [Joint("A", "base", "arm", angle=angle)], driven_joint="A"))
-    found = by_numpy(lambda: natural_frequencies(model, locked=False, count=3))()
+    found = evaluated(lambda: natural_frequencies(model, locked=False, count=3))()
     assert found.square.shape == (1,)
     square = 9.81 * (length / 2) / (length**2 / 3 + (0.01**2 / 12))
     assert float(found.square[0]) == pytest.approx(sign * square, rel=1e-9)
@@ -124,9 +124,9 @@ def test_a_higher_section_swings_faster_as_a_deviation_and_as_a_design():
     def designed(height):
         return natural_frequencies(model, count=2, design=design(model, {name: height})).frequency
 
-    deviating, as_designed = by_numpy(lambda x: (lowest(x), designed(0.01 + x)))(jnp.asarray(more))
+    deviating, as_designed = evaluated(lambda x: (lowest(x), designed(0.01 + x)))(jnp.asarray(more))
     np.testing.assert_allclose(deviating, as_designed, rtol=1e-10)
     width, height = np.sort(deviating)
     assert height / width == pytest.approx(1.1, rel=1e-3)
-    slope = by_numpy(jax.jacfwd(lowest))(jnp.asarray(more))
+    slope = evaluated(jax.jacfwd(lowest))(jnp.asarray(more))
     np.testing.assert_allclose(np.sort(slope), [0.0, height / 0.011], rtol=2e-3, atol=1e-3 * height / 0.011)

@@ -22,8 +22,8 @@ from rfem_jax import (
     simulate,
 )
 from rfem_jax.mechanics.designs import designed
+from tests.evaluation import evaluated
 from tests.mechanisms import link
-from tests.numpy_evaluation import by_numpy
 
 METHODS = {
     "rk4": Method("rk4", step=1e-3),
@@ -100,13 +100,13 @@ def test_derivatives_by_the_weights_of_networks(kind, method):
 
     along = np.random.default_rng(2).uniform(-1.0, 1.0, numbers.shape)
     cotangent = jnp.asarray([0.7, 1.3])
-    forward = by_numpy(lambda x: jax.jvp(lambda x: ends(x)[0], (x,), (jnp.asarray(along),))[1])(numbers)
-    reverse = by_numpy(jax.grad(lambda x: cotangent @ ends(x)[0]))(numbers)
+    forward = evaluated(lambda x: jax.jvp(lambda x: ends(x)[0], (x,), (jnp.asarray(along),))[1])(numbers)
+    reverse = evaluated(jax.grad(lambda x: cotangent @ ends(x)[0]))(numbers)
     assert np.abs(forward).min() > 1e-8
     assert reverse @ along == pytest.approx(np.asarray(cotangent) @ forward, rel=1e-9)
     step = 2e-3
     points = np.asarray(numbers) + step * np.array([-2, -1, 0, 1, 2])[:, None] * along
-    values, status = by_numpy(jax.vmap(jax.jit(ends)))(jnp.asarray(points))
+    values, status = evaluated(jax.vmap(jax.jit(ends)))(jnp.asarray(points))
     assert not status.any()
     difference = (values[0] - 8.0 * values[1] + 8.0 * values[3] - values[4]) / (12.0 * step)
     np.testing.assert_allclose(forward, difference, rtol=1e-6)

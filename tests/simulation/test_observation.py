@@ -15,8 +15,6 @@ from rfem_jax.mechanics.model_with_errors import apply_errors
 from rfem_jax.mechanics.statics.assembly import length_scale
 from tests.mechanisms import link
 
-pytestmark = pytest.mark.usefixtures("quick_compilation")
-
 
 @pytest.fixture(scope="module")
 def run(small):

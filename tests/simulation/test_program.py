@@ -22,10 +22,13 @@ from rfem_jax import (
 from rfem_jax.description.study import Case, Study
 from rfem_jax.mechanics import kinematics
 from rfem_jax.mechanics.status import DIVERGED, NOT_ASSEMBLED
-from rfem_jax.simulation import integration, stepping
+from rfem_jax.simulation import integration
 from tests.mechanisms import STEEL, four_bar, link
 
-pytestmark = pytest.mark.usefixtures("quick_compilation")
+
+def _holds_equations(x):
+    """Whether a parameter is a jaxpr, in its closed form or not, or a kernel."""
+    return any(hasattr(x, name) for name in ("eqns", "jaxpr", "program"))
 
 
 def equations_in(jaxpr) -> int:
@@ -33,16 +36,20 @@ def equations_in(jaxpr) -> int:
     count = 0
     for equation in jaxpr.eqns:
         count += 1
-        for value in jax.tree.leaves(equation.params, is_leaf=lambda x: hasattr(x, "eqns") or hasattr(x, "jaxpr")):
-            inner = getattr(value, "jaxpr", value)
+        for value in jax.tree.leaves(equation.params, is_leaf=_holds_equations):
+            inner = getattr(value, "program", value)
+            inner = getattr(inner, "jaxpr", inner)
             if hasattr(inner, "eqns"):
                 count += equations_in(inner)
     return count
 
 
+def itself(function):
+    return function
+
+
 @pytest.mark.parametrize("counts", [(3, 9), (17, 65)], ids=["links in one piece", "links in segments"])
 def test_program_does_not_grow_with_the_number_of_rfes(small, counts, monkeypatch):
-    monkeypatch.setattr(stepping, "explicit_methods_scalarised", lambda: False)
     # Without its jit, which would return what another test has traced.
     monkeypatch.setattr(integration, "_simulate", integration._simulate.function)
     sizes = []
@@ -56,7 +63,7 @@ def test_program_does_not_grow_with_the_number_of_rfes(small, counts, monkeypatc
     assert sizes[0] > 1000
 
 
-@pytest.mark.parametrize("transformed", [lambda f: f, jax.jacfwd, jax.grad], ids=["value", "forward", "reverse"])
+@pytest.mark.parametrize("transformed", [itself, jax.jacfwd, jax.grad], ids=["value", "forward", "reverse"])
 def test_kinematics_are_traced_once_for_all_their_places(transformed, monkeypatch):
     """They stand in static start, steps, matrix, loads and balances, and in the rules of their derivatives."""
     places, plain = [], kinematics.relative_motion
@@ -70,7 +77,9 @@ def test_kinematics_are_traced_once_for_all_their_places(transformed, monkeypatc
 
     jax.clear_caches()
     jax.make_jaxpr(transformed(force))(1e-3)
-    assert len(places) == 1
+    # Before JAX 0.12 it traces a rule of a derivative in another context than the function.
+    contexts = 1 if transformed is itself or jax.__version_info__ >= (0, 12) else 2
+    assert 1 <= len(places) <= contexts
 
 
 def test_new_numbers_do_not_retrace(small):

@@ -11,7 +11,6 @@ from rfem_jax.description.errors import InputError
 from rfem_jax.mechanics.centre_lines import trace_shapes
 from tests.report.page_folder import content_of
 
-pytestmark = pytest.mark.usefixtures("quick_compilation")
 ERRORS = {"D.delta_x": 0.004, "D.d_y": 2e-4}
 
 

@@ -6,8 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from rfem_jax import Joint, Mechanism, Method, MomentRamp, Problem, design, discretise
+from tests.evaluation import evaluated
 from tests.mechanisms import link
-from tests.numpy_evaluation import by_numpy
 
 METHOD = Method("generalised_alpha", step=5e-3, corrections=9, tolerance=1e-14)
 POINT = {"arm.section.width": 1e-3, "A.delta_x": 4e-3, "drive.moment": 0.1}
@@ -28,9 +28,9 @@ def test_hessian_of_loads_of_a_motion():
         return jnp.stack([values[name] for name in metrics])
 
     point = jnp.asarray(list(POINT.values())) / SIZES
-    forward, reverse = (by_numpy(jax.jacfwd(first(loads)))(point) for first in (jax.jacfwd, jax.jacrev))
+    forward, reverse = (evaluated(jax.jacfwd(first(loads)))(point) for first in (jax.jacfwd, jax.jacrev))
     around = point[None] + jnp.concatenate([k * STEP * jnp.eye(3) for k in (-2, -1, 1, 2)])
-    ends = by_numpy(jax.vmap(jax.jacfwd(loads)))(around).reshape(4, 3, 2, 3)
+    ends = evaluated(jax.vmap(jax.jacfwd(loads)))(around).reshape(4, 3, 2, 3)
     differences = np.moveaxis((ends[0] - 8.0 * ends[1] + 8.0 * ends[2] - ends[3]) / (12.0 * STEP), 0, 2)
     np.testing.assert_allclose(forward, differences, rtol=1e-6)
     np.testing.assert_allclose(reverse, forward, rtol=1e-8)

@@ -22,8 +22,6 @@ from rfem_jax.simulation.time_grid import divide_time
 
 ERRORS = {"D.delta_x": 4e-3, "D.d_y": 2e-4}
 
-pytestmark = pytest.mark.usefixtures("quick_compilation")
-
 
 def in_one_interval(model, drive, method):
     """Conditions, start and carry of a mechanism with errors."""

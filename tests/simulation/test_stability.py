@@ -23,8 +23,6 @@ from rfem_jax.validation.reference_values import read_reference
 REFERENCE = read_reference("four_bar_study")
 STUDIES = Path(__file__).parents[2] / "studies" / "four_bar"
 
-pytestmark = pytest.mark.usefixtures("quick_compilation")
-
 
 @pytest.fixture(scope="module")
 def models():

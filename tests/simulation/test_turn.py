@@ -9,15 +9,15 @@ from rfem_jax import InputError, Joint, Mechanism, assemble, assembly_errors, di
 from rfem_jax.mechanics.bush_contacts import carrying
 from rfem_jax.simulation.turn import closed_poses, kinetostatic_turn, turn_over, turn_positions
 from rfem_jax.validation.clearances import TILT, flexible_four_bar
+from tests.evaluation import evaluated
 from tests.mechanisms import BAR, STEEL, four_bar, link
-from tests.numpy_evaluation import by_numpy
 
 
 def test_an_arm_is_held_against_its_weight_over_a_revolution():
     length, gravity = 0.3, 9.81
     model = discretise(Mechanism([link("arm", length)], [Joint("A", "base", "arm", angle=0.2)], driven_joint="A"))
     positions = turn_positions(model, 8)
-    turn = by_numpy(lambda: kinetostatic_turn(model, positions=positions))()
+    turn = evaluated(lambda: kinetostatic_turn(model, positions=positions))()
     np.testing.assert_allclose(turn.position, 0.2 + np.arange(8) * np.pi / 4)
     mass = STEEL.density * BAR.area * length
     # The arm's x axis turns about y: at an angle a its end is at L (cos a, 0, -sin a).
@@ -29,7 +29,7 @@ def test_an_arm_is_held_against_its_weight_over_a_revolution():
     np.testing.assert_allclose(turn.stress["arm"], bending + axial, rtol=1e-6)
     assert not turn.status.any()
     higher = assembly_errors(model, {"arm.section.height": 1e-3})  # of 10 mm
-    heavier = by_numpy(lambda: kinetostatic_turn(model, higher, positions))()
+    heavier = evaluated(lambda: kinetostatic_turn(model, higher, positions))()
     np.testing.assert_allclose(heavier.holding, 1.1 * turn.holding, atol=1e-12)
     assert not heavier.status.any()
 
@@ -44,17 +44,17 @@ def test_a_turn_is_the_assembly_at_its_angles_and_its_moment_the_derivative_of_t
     def turned(size):
         return turn_over(model, jax.tree.map(lambda x: size * x, errors), poses)
 
-    turn = by_numpy(turned)(jnp.ones(()))
+    turn = evaluated(turned)(jnp.ones(()))
     assert not turn.status.any()
     derivative = (turn.energy[2] - turn.energy[0]) / (2 * step)
     assert float(turn.holding[1]) == pytest.approx(float(derivative), rel=1e-4)
-    other = by_numpy(lambda: assemble(model, errors, hold={"A": middle}))()
+    other = evaluated(lambda: assemble(model, errors, hold={"A": middle}))()
     assert int(other.status) == 0
     for name, load in other.preload.items():
         np.testing.assert_allclose(turn.loads[name].force[1], load.force, rtol=1e-7, atol=1e-6)
         np.testing.assert_allclose(turn.loads[name].moment[1], load.moment, rtol=1e-7, atol=1e-6)
-    change = by_numpy(jax.jacfwd(lambda size: turned(size).holding))(jnp.ones(()))
-    high, low = (by_numpy(turned)(jnp.asarray(1 + h)).holding for h in (1e-4, -1e-4))
+    change = evaluated(jax.jacfwd(lambda size: turned(size).holding))(jnp.ones(()))
+    high, low = (evaluated(turned)(jnp.asarray(1 + h)).holding for h in (1e-4, -1e-4))
     np.testing.assert_allclose(change, (high - low) / 2e-4, rtol=1e-5)
 
 
@@ -86,7 +86,7 @@ def test_contacts_of_a_turn_are_those_of_assemblies_and_loads_have_derivatives_b
         return own, change.loads["D"], change.contacts["D"].penetration
 
     tight, step = -5e-5, 1e-7
-    found = by_numpy(jax.vmap(turned))(jnp.asarray([tight, tight + step, tight - step]))
+    found = evaluated(jax.vmap(turned))(jnp.asarray([tight, tight + step, tight - step]))
     ((status, *turn), slope, deeper), ((_, *high), *_), ((_, *low), *_) = (
         jax.tree.map(lambda value: value[i], found) for i in range(3)
     )

@@ -33,8 +33,6 @@ from rfem_jax.simulation.stepping import stabilisation_of
 from rfem_jax.simulation.vibration import Modes, Vibration
 from tests.mechanisms import four_bar, link
 
-pytestmark = pytest.mark.usefixtures("quick_compilation")
-
 
 @eqx.filter_jit
 def _accelerations_linearised(model, angles, stabilisation):

@@ -18,8 +18,6 @@ from rfem_jax.mechanics.orientations import moved
 from rfem_jax.simulation.vibration import Vibration
 from tests.mechanisms import chain_of_kinds, chain_with_balls, loop_cut_by, two_cuts_of_different_kinds
 
-pytestmark = pytest.mark.usefixtures("quick_compilation")
-
 
 @eqx.filter_jit
 def linearised(model):

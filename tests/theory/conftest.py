@@ -24,7 +24,6 @@ from rfem_jax import (
     discretise,
     simulate,
 )
-from tests.conftest import compiled_quickly
 
 CRANK, COUPLER, ROCKER, GROUND = 0.12, 0.30, 0.32, 0.28
 HEIGHT, DENSITY = 0.01, 7850.0
@@ -315,7 +314,6 @@ def flexible_four_bar_runs():
             save_every=1e-3,
         )
 
-    with compiled_quickly():
-        results = eqx.filter_jit(eqx.filter_vmap(simulated))(*batch)
+    results = eqx.filter_jit(eqx.filter_vmap(simulated))(*batch)
     assert (np.asarray(results.status) == 0).all()
     return model, {name: jax.tree.map(lambda x: np.asarray(x)[i], results) for i, name in enumerate(cases)}

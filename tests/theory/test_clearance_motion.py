@@ -76,7 +76,7 @@ class TestSingleImpact:
         run = simulate(model, drive=None, duration=duration, method=method, save_every=duration, start=thrown(model))
         assert STATUS[int(run.status)].name == "steps_exhausted"
 
-    def test_no_step_is_chosen_where_impacts_are_chaotic(self, long_loops_optimised):
+    def test_no_step_is_chosen_where_impacts_are_chaotic(self):
         model, drive, _ = slider_crank(FAST)
         with pytest.raises(ValueError, match="after a few impacts motion is chaotic"):
             choose_method(model, Method("auto"), drive, 0.008)

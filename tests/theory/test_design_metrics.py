@@ -31,8 +31,8 @@ from rfem_jax import (
 from rfem_jax.description.bearings import LIFE_EXPONENTS
 from rfem_jax.description.design_metrics import MILLION_REVOLUTIONS
 from rfem_jax.tolerancing.problems.metrics import metric
+from tests.evaluation import evaluated
 from tests.mechanisms import STEEL
-from tests.numpy_evaluation import by_numpy
 
 LENGTH, WIDTH, HEIGHT, FORCE, TORQUE = 0.5, 0.008, 0.01, 2.0, 0.7
 STEP = 1e-5  # m, of differences
@@ -79,7 +79,7 @@ def bent(request):
         found = problem({"bar.length": length})[0]
         return jnp.stack([found[name] for name in METRICS])
 
-    at_none, longer, shorter = by_numpy(jax.vmap(values))(jnp.asarray([0.0, STEP, -STEP]))
+    at_none, longer, shorter = evaluated(jax.vmap(values))(jnp.asarray([0.0, STEP, -STEP]))
     return request.param, values, dict(zip(METRICS, at_none)), (longer - shorter) / (2 * STEP)
 
 
@@ -108,7 +108,7 @@ def test_the_p_norm_of_the_stress_keeps_its_bounds(bent):
 def test_derivatives_by_the_length_are_those_of_the_closed_forms_in_both_modes(bent):
     elements, values, _, difference = bent
     zero = jnp.zeros(())
-    forward = by_numpy(jax.jacfwd(values))(zero)
+    forward = evaluated(jax.jacfwd(values))(zero)
     high, low = (np.array(expected(LENGTH + h)) for h in (1e-6, -1e-6))
     slope = (high - low) / 2e-6
     np.testing.assert_allclose(np.asarray(forward)[[0, 2, 5]], slope, rtol=1e-3)
@@ -117,7 +117,7 @@ def test_derivatives_by_the_length_are_those_of_the_closed_forms_in_both_modes(b
     if elements == "linear":
         return
     weights = jnp.asarray([1e-8, 1e-8, 1.0, 1.0, 1.0, 1.0])
-    backward = by_numpy(jax.grad(lambda length: weights @ values(length)))(zero)
+    backward = evaluated(jax.grad(lambda length: weights @ values(length)))(zero)
     assert float(backward) == pytest.approx(float(weights @ forward), rel=1e-9)
 
 
@@ -133,7 +133,7 @@ def test_derivatives_by_the_section_of_a_design_are_those_of_the_closed_forms_in
         return jnp.stack([found[name] for name in asked])
 
     point = np.array([WIDTH, HEIGHT])
-    forward = by_numpy(jax.jacfwd(values))(jnp.asarray(point))
+    forward = evaluated(jax.jacfwd(values))(jnp.asarray(point))
     h = 1e-6
     slopes = [
         (
@@ -145,10 +145,10 @@ def test_derivatives_by_the_section_of_a_design_are_those_of_the_closed_forms_in
     ]
     np.testing.assert_allclose(np.asarray(forward).T, slopes, rtol=1e-3)
     around = jnp.asarray([point + sign * STEP * axis for axis in np.eye(2) for sign in (1, -1)])
-    ends = by_numpy(jax.vmap(values))(around)
+    ends = evaluated(jax.vmap(values))(around)
     np.testing.assert_allclose(np.asarray(forward).T, (ends[::2] - ends[1::2]) / (2 * STEP), rtol=1e-5)
     weights = jnp.asarray([1e-8, 1.0, 1.0])
-    backward = by_numpy(jax.grad(lambda section: weights @ values(section)))(jnp.asarray(point))
+    backward = evaluated(jax.grad(lambda section: weights @ values(section)))(jnp.asarray(point))
     np.testing.assert_allclose(backward, np.asarray(weights) @ forward, rtol=1e-9)
 
 
@@ -160,9 +160,9 @@ def test_derivatives_are_finite_without_load():
         return jnp.stack([found[name] for name in METRICS[:4]])
 
     zero = jnp.zeros(())
-    assert np.all(np.abs(by_numpy(values)(zero)) < 1e-12)
-    assert np.isfinite(by_numpy(jax.jacfwd(values))(zero)).all()
-    assert np.isfinite(by_numpy(jax.grad(lambda x: jnp.sum(values(x))))(zero))
+    assert np.all(np.abs(evaluated(values)(zero)) < 1e-12)
+    assert np.isfinite(evaluated(jax.jacfwd(values))(zero)).all()
+    assert np.isfinite(evaluated(jax.grad(lambda x: jnp.sum(values(x))))(zero))
 
 
 def test_the_tension_of_a_turning_bar_is_that_of_its_mass_farther_out():
@@ -171,7 +171,7 @@ def test_the_tension_of_a_turning_bar_is_that_of_its_mass_farther_out():
     bar = Link("bar", LENGTH, SLENDER, STEEL, rigid=True, point_masses=(PointMass(mass, LENGTH),))
     model = discretise(Mechanism([bar], [Joint("A", "base", "bar")], (0, 0, 0), driven_joint="A"))
     drive, method = PrescribedRate("A", rate), Method("rk4", step=1e-5)
-    run = by_numpy(lambda: simulate(model, drive=drive, duration=1e-5, method=method, record="bar.sections"))()
+    run = evaluated(lambda: simulate(model, drive=drive, duration=1e-5, method=method, record="bar.sections"))()
     sections = run.recorded["bar.sections"]
     x = np.asarray(sections.place)
     tension = rate**2 * (STEEL.density * WIDTH * HEIGHT * (LENGTH**2 - x**2) / 2 + mass * LENGTH)
@@ -270,7 +270,7 @@ def test_an_unloaded_bearing_lives_for_ever_and_has_derivatives():
 
     assert float(metric("A.bearing_life")(bearing_run(jnp.zeros((11, 3)), jnp.ones(11), times))) == np.inf
     for derivative in (jax.jacfwd, jax.jacrev, jax.hessian):
-        one = by_numpy(derivative(found))(jnp.zeros(()))
+        one = evaluated(derivative(found))(jnp.zeros(()))
         assert all(np.isfinite(value) for value in one.values())
 
 
@@ -283,7 +283,7 @@ def test_the_loads_of_a_crank_s_bearing_and_its_power():
     model = discretise(Mechanism([bar], [joint], (0, 0, -gravity), driven_joint="A"))
     names = ("A.peak_drive_power", "peak_drive_power", "A.bearing_damage", "A.equivalent_load")
     problem = Problem(model, PrescribedRate("A", rate), 0.1, names, Method("rk4", step=1e-3), save_every=1e-3)
-    values = by_numpy(lambda: problem({})[0])()
+    values = evaluated(lambda: problem({})[0])()
     own = STEEL.density * WIDTH * HEIGHT * 0.2
     angle = rate * np.linspace(0.0, 0.1, 101)
     power = rate * gravity * (mass + own / 2) * 0.2 * np.cos(angle)

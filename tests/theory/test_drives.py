@@ -34,8 +34,6 @@ from rfem_jax.simulation.driving import require_driven
 from rfem_jax.simulation.stability import eigenvalues
 from tests.mechanisms import link
 
-pytestmark = pytest.mark.usefixtures("quick_compilation")
-
 NO_MASS = GivenSection(1e6, 1e6, 1e6, 1e2, 1e2, 1e2, 1e-9, 1e-15, 1e-15, 1e-15)
 EXPLICIT, IMPLICIT = Method("rk4", step=1e-4), Method("generalised_alpha", step=1e-4, tolerance=1e-10)
 
@@ -56,7 +54,7 @@ class TestForceOnASlide:
     @pytest.mark.parametrize(
         ("method", "accuracy"), [(Method("leapfrog", step=1e-5), 1e-8), (IMPLICIT, 1e-6)], ids=["leapfrog", "implicit"]
     )
-    def test_motion_load_and_work(self, long_loops_compiled, method, accuracy):
+    def test_motion_load_and_work(self, method, accuracy):
         drive = ForceRamp("G", "6 N", "50 ms")
         run = simulate(self.model(), drive=drive, duration=0.1, method=method, save_every=0.01)
         assert int(run.status) == 0

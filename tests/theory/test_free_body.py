@@ -78,6 +78,6 @@ def test_every_method_follows_the_closed_form(tumbling, method, turned, moved):
     assert np.abs(run.loads["O"].force).max() < 1e-9 and np.abs(run.loads["O"].moment).max() < 1e-9
 
 
-def test_the_implicit_method_has_order_two_on_the_rotations(long_loops_compiled, tumbling):
+def test_the_implicit_method_has_order_two_on_the_rotations(tumbling):
     coarse, fine = (errors(tumbling(Method("generalised_alpha", step=h, tolerance=1e-11)))[0] for h in (1e-3, 5e-4))
     assert 3.5 < coarse / fine < 4.5

@@ -75,7 +75,7 @@ class TestFlywheel:
         return one_body(wheel, "revolute", cut, friction)
 
     @pytest.mark.parametrize("cut, method, tolerance", [(False, RK4, 1e-8), (True, IMPLICIT, 2e-5)], ids=str)
-    def test_rate_load_and_energy(self, long_loops_compiled, cut, method, tolerance):
+    def test_rate_load_and_energy(self, cut, method, tolerance):
         model = self.model(cut)
 
         def run_down(constant, viscous):
@@ -331,7 +331,7 @@ class TestPendulum:
 
         return run
 
-    def test_motion_energy_and_derivatives(self, long_loops_compiled):
+    def test_motion_energy_and_derivatives(self):
         end, at = self.made(), jnp.asarray(self.NUMBERS)
         along = at * jnp.array([1.0, -0.5, 0.7, 0.3])
         (values, run), (change, run_change) = jax.jvp(end, (at,), (along,))
@@ -398,7 +398,7 @@ class TestRigidFourBar:
     )  # fmt: skip
 
     @pytest.mark.parametrize("by_hinge, method, angle, moments, forces", CASES, ids=["constant", "by_load"])
-    def test_against_given_values(self, long_loops_compiled, by_hinge, method, angle, moments, forces):
+    def test_against_given_values(self, by_hinge, method, angle, moments, forces):
         model, start = self.model(by_hinge)
         run = simulate(model, drive=None, start=start, duration=0.1, method=method, save_every=0.05)
         assert int(run.status) == 0

@@ -68,7 +68,7 @@ class TestOscillator:
     """A block on a guide with a spring to a point of the base on its line."""
 
     @pytest.mark.parametrize("method", [RK4, ALPHA], ids=lambda method: method.name)
-    def test_motion_tension_and_energy(self, long_loops_compiled, method):
+    def test_motion_tension_and_energy(self, method):
         run = released(sliders(SPRING), duration=0.4, method=method, save_every=0.1)
         assert int(run.status) == 0
         x, v = oscillation(np.asarray(run.times))

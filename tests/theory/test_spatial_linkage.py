@@ -18,8 +18,6 @@ from scipy.spatial.transform import Rotation
 from rfem_jax import Method, PrescribedRate, assembly_errors, describe, discretise, load_study, simulate
 from rfem_jax.report.overview import study_text
 
-pytestmark = pytest.mark.usefixtures("quick_compilation")
-
 STUDY = Path(__file__).parents[2] / "studies" / "spatial_linkage" / "study.toml"
 RATE, DURATION = 10.0 * np.pi, 0.2  # one revolution
 COMPONENTS = ("d_x", "d_y", "d_z")

@@ -100,7 +100,7 @@ def test_rss_of_24_tolerances_is_the_closed_form_of_every_cost(case):
     assert share == pytest.approx(stats.norm.cdf(3.0), abs=3e-4)
 
 
-def test_yield_of_24_tolerances_is_the_closed_form_and_holds_on_fresh_samples(long_loops_optimised):
+def test_yield_of_24_tolerances_is_the_closed_form_and_holds_on_fresh_samples():
     target = 0.9
     result = allocate(
         PROBLEM, {"load": 3.0}, costs(Reciprocal), BOUNDS, "yield", key=KEY, target=target,

@@ -25,8 +25,6 @@ from rfem_jax.tolerancing.problems.results_store import ChunkWriteError, Corrupt
 from rfem_jax.tolerancing.sampling.monte_carlo_study import monte_carlo
 from rfem_jax.tolerancing.sampling.study_identity import require_folder
 
-ALWAYS_COMPILED = True
-
 jax.config.update("jax_enable_x64", True)
 
 KEY = jax.random.key(3)

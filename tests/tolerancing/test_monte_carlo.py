@@ -24,8 +24,6 @@ from rfem_jax.tolerancing.problems.problem import FunctionProblem, Metric
 from rfem_jax.tolerancing.problems.quadratic_model import expand
 from rfem_jax.tolerancing.sampling.monte_carlo_study import monte_carlo
 
-ALWAYS_COMPILED = True
-
 jax.config.update("jax_enable_x64", True)
 
 KEY = jax.random.key(7)
@@ -304,10 +302,10 @@ from test_monte_carlo import KEY, TOLERANCES, VIBRATION, monte_carlo
 study = monte_carlo(VIBRATION, TOLERANCES, 150, KEY, batch=20, resume=folder)
 from rfem_jax.tolerancing.problems.evaluation import evaluate_points
 from rfem_jax.tolerancing.problems.linearisation import linearise_points
-from rfem_jax.tolerancing.problems.sample_values import evaluate_lanes
-programs = evaluate_lanes._jitted._cached._cache_size()
+from rfem_jax.compilation.keeping import statistics
+programs = statistics.traced
 np.testing.assert_array_equal(evaluate_points(VIBRATION, TOLERANCES.names, {{}}, study.errors)[0], study.values)
-assert evaluate_lanes._jitted._cached._cache_size() == programs
+assert statistics.traced == programs > 0
 _, jacobians, _ = linearise_points(VIBRATION, TOLERANCES.names, {{}}, study.errors)
 np.savez(f"{{folder}}-{{process}}.npz", errors=study.errors, values=study.values, jacobians=jacobians)
 print(len(jax.local_devices()), jax.process_count(), study.chunks_computed)
@@ -315,15 +313,10 @@ print(len(jax.local_devices()), jax.process_count(), study.chunks_computed)
 
 
 def start(folder, port, process, devices):
-    from tests.conftest import QUICK_FLAGS  # not for the processes, which import this module
-
     library = str(Path(rfem_jax.__file__).parents[1])
     environment = {**os.environ, "JAX_PLATFORMS": "cpu", "PYTHONPATH": library}
-    # Other settings of the compiler may round the last bit in another way.
-    environment["XLA_FLAGS"] = f"--xla_force_host_platform_device_count={devices} {QUICK_FLAGS}"
+    environment["XLA_FLAGS"] = f"--xla_force_host_platform_device_count={devices}"
     environment["NPROC"] = "4"
-    quick = jax.config.read("jax_disable_most_optimizations")
-    environment["JAX_DISABLE_MOST_OPTIMIZATIONS"] = str(quick)
     script = SCRIPT.format(tests=str(Path(__file__).parent))
     return subprocess.Popen(
         [sys.executable, "-c", script, str(folder), str(port), str(process)],

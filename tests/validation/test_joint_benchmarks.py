@@ -119,7 +119,7 @@ def test_the_published_equations_of_the_elastic_rod(monkeypatch):
 
 
 @pytest.mark.slow
-def test_elastic_rod(long_loops_compiled):
+def test_elastic_rod():
     """All is met but the published deflection, whose model has no quadratic strain."""
     lines = computed(flexible_slider_crank.validate)
     missed = [line for line in lines if line.verdict != PASS]
@@ -135,7 +135,7 @@ def test_flywheel_with_friction(monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("case, count", [("constant", 14), ("by load", 14), ("bushings", 13)])
-def test_joints_that_are_not_ideal(long_loops_compiled, case, count):
+def test_joints_that_are_not_ideal(case, count):
     group, run, allowed = nonideal_joints.CASES[case]
     assert_all_pass(joint_cases.checked(nonideal_joints.REFERENCE, case, group, run(), allowed), count)
 
@@ -171,7 +171,7 @@ class TestFourBarWithPlay:
         assert_all_pass(clearances.four_bar_lines(model, "all", 3), 5)
 
 
-def test_single_impacts(monkeypatch, long_loops_compiled):
+def test_single_impacts(monkeypatch):
     """A pin that is heavier by a thousandth fails."""
     restored, damped = impacts.run_impact(restitution=0.9), impacts.run_impact(damping=impacts.DAMPING)
     assert int(restored.status) == int(damped.status) == 0

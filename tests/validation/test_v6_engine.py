@@ -9,7 +9,7 @@ from rfem_jax.mechanics.dynamics import accelerations
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation
 from rfem_jax.mechanics.model_with_errors import apply_errors, assembly_errors
 from rfem_jax.validation import v6_engine as engine
-from tests.numpy_evaluation import by_numpy
+from tests.evaluation import evaluated
 
 BOX = 7700.0 * 0.02  # kg/m^2, of boxes 20 mm wide
 PISTON = 7700.0 * np.pi * 0.05**2 * 0.1
@@ -76,4 +76,4 @@ def test_acceleration_is_that_of_lagranges_equation(rate):
         found = accelerations(actual, state, DriveInput({}), Stabilisation(0.0, 0.0, 1.0))
         return found.coordinates.joints[model.topology.joints.index("A")]
 
-    assert float(by_numpy(shaft)(state)) == pytest.approx(lagrange(rate), rel=1e-8)
+    assert float(evaluated(shaft)(state)) == pytest.approx(lagrange(rate), rel=1e-8)

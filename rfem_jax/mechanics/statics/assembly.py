@@ -26,6 +26,7 @@ from jaxtyping import ArrayLike, Bool, Float, Int
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.errors import InputError, require_choice, suggestion
 from rfem_jax.description.mechanism import AS_GIVEN, EQUILIBRIUM, STARTS
+from rfem_jax.kernels import kernel
 from rfem_jax.mechanics import loads
 from rfem_jax.mechanics.algebra import Scalar, apply_transposed, cross, dot
 from rfem_jax.mechanics.bush_contacts import ContactState, contact_states
@@ -299,7 +300,7 @@ def equilibrium(
     guess = jnp.where(is_given, angles @ onto, undeformed)
     perfect, undeformed, guess = jax.lax.stop_gradient((perfect, undeformed, guess))
     equations = Equations(
-        jax.jit(lambda unknowns, args: residual(unknowns, scaled, args)),
+        kernel(lambda unknowns, args: residual(unknowns, scaled, args), name="static equations"),
         scaled.coordinates,
         n_coordinates=scaled.units.size,
         solve=shortest_solution if topology.minimum_norm else jnp.linalg.solve,
@@ -316,12 +317,14 @@ def equilibrium(
         preconditioner = _preconditioner(scaled, given, actual, end)
         return solve_linear(equations, preconditioner, linear, value)
 
-    unknowns = implicit_function(lambda x, inputs: residual(x, *inputs), tangent_solve, end, (scaled, args))
+    equations_of = kernel(lambda x, inputs: residual(x, *inputs), name="static equations")
+    unknowns = implicit_function(equations_of, tangent_solve, end, (scaled, args))
     position = scaled.coordinates(unknowns)
     found = found & jnp.all(jnp.isfinite(unknowns))
     return position, scaled.multipliers(unknowns), _status_of(actual, position, found, scaled.length)
 
 
+@kernel
 def _status_of(actual: ModelWithErrors, position: Coordinates, found: Bool[Array, ""], scale: Scalar) -> Int[Array, ""]:
     """What is to be said of a position, and of whether the search has found it."""
     in_range = range_used(actual.topology, position) < 1.0
@@ -385,18 +388,21 @@ def _preconditioner(scaled: _Scaled, given: np.ndarray, actual: ModelWithErrors,
     topology = scaled.topology
     held, stiffness = tuple(given.tolist()), scaled.force / scaled.length
     position = scaled.coordinates(unknowns)
-    tangent = static_tangent(actual, position, held, scaled.length, stiffness)
+    tangent_at = kernel(
+        lambda actual, position: static_tangent(actual, position, held, scaled.length, stiffness), name="static tangent"
+    )
+    tangent = tangent_at(actual, position)
 
-    @jax.jit  # traced once for all its places
     def solve(residual):
         forces, closing = scaled.unscaled(residual)
         by_part = Residual(forces.joints, -forces.elastic[:3], -forces.elastic[3:], -closing)
         increment = scaled.unknowns(*static_increment(topology, tangent, by_part))
         return increment + jnp.where(np.isin(np.arange(unknowns.size), given), residual, 0.0)
 
-    return solve
+    return kernel(solve, name="static increment")
 
 
+@kernel
 def _rows(scaled: _Scaled, actual: ModelWithErrors) -> Array:
     """Sums of the absolute entries in every row of the equations' Jacobian, undeformed."""
     topology = scaled.topology
@@ -473,6 +479,7 @@ def _static_residual(
     return hinge, external + elastic, closing
 
 
+@kernel
 def static_loads(
     model: Model, actual: ModelWithErrors, state: State, multipliers: Float[Array, " constraints"]
 ) -> loads.JointLoads:

@@ -63,7 +63,7 @@ def compute_modes(study: Study, model: Model, count: int, locked: bool) -> Modes
     return ModesResult(modes, names, units, derivatives)
 
 
-@partial(Program, quick=True, nameless=True)
+@partial(Program, nameless=True)
 def _of_cases(
     model: Model, errors: AssemblyErrors, names: tuple[str, ...], count: int, locked: bool
 ) -> tuple[NaturalModes, Float[Array, "cases modes errors"]]:
@@ -182,7 +182,7 @@ def mode_shapes(study: Study, model: Model, result: ModesResult) -> Shapes:
     return Shapes(*jax.tree.map(np.asarray, _shapes(model, errors, first)))
 
 
-@partial(Program, quick=True, nameless=True)
+@partial(Program, nameless=True)
 def _shapes(model: Model, errors: AssemblyErrors, modes: NaturalModes):
     """Lines of the links at the equilibrium, and their displacements in every mode."""
     made = designed(model, None, errors)

@@ -33,7 +33,7 @@ def compute_turn(study: Study, model: Model, positions: Float[np.ndarray, " posi
     return jax.tree.map(np.asarray, _of_cases(model, errors_of_cases(study, model), closed_poses(model, positions)))
 
 
-@partial(Program, quick=True, nameless=True)
+@partial(Program, nameless=True)
 def _of_cases(model: Model, errors: AssemblyErrors, poses: ClosedPose) -> Turn:
     return jax.vmap(lambda one: turn_over(model, one, poses))(errors)
 

@@ -73,7 +73,7 @@ class AllocationReport(TaskReport[AllocationTask, AllocationStudy]):
         sizes, lower, upper = read_bounds(problem, task.bounds, task.zones)
         mode = choose_mode(task.mode, len(sizes.errors), len(problem.metrics) if together else 1, problem)
         typical = dict(zip(sizes.errors, map(float, sizes.reaches(np.sqrt(lower * upper))), strict=True))
-        model = expand_by_differences(problem, None, typical, mode=mode, batch=task.batch, values_follow=True)
+        model = expand_by_differences(problem, None, typical, mode=mode, batch=task.batch)
         solve = partial(solve, model=model, mode=mode)
         on_stage(f"Allocating {len(task.bounds)} tolerances")
         limits = {name: tuple(map(_closed, pair)) for name, pair in task.limits.items()}

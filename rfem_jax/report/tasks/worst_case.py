@@ -42,7 +42,7 @@ class WorstCaseReport(TaskReport[WorstCaseTask, dict[str, WorstCase]]):
         on_stage("Expanding to second order")
         centre = {name: float(mean) for name, mean in tolerances.centres().items()}
         mode = choose_mode(task.mode, len(tolerances.names), 1, problem)  # that of the searches: one program
-        model = expand_by_differences(problem, centre, tolerances, mode=mode, batch=task.batch, values_follow=True)
+        model = expand_by_differences(problem, centre, tolerances, mode=mode, batch=task.batch)
         corners: Any = "auto" if task.corners is None else task.corners
         search = partial(
             search_worst_case, problem, tolerances, model=model, region=task.region, starts=task.starts,

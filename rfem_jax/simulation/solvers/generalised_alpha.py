@@ -46,6 +46,7 @@ from jaxtyping import Array, Bool, Float, PyTree
 
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.methods import GeneralisedAlphaMethod, Method
+from rfem_jax.kernels import kernel
 from rfem_jax.mechanics import loads
 from rfem_jax.mechanics.bush_contacts import contact_losses, contact_memory, remembers, with_memory
 from rfem_jax.mechanics.cut_joints import Closure, closure, spring_row_tangent
@@ -276,7 +277,8 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
 
     def operators(self, actual: ModelWithErrors, lengths: Float[Array, " lengths"]) -> tuple[LinkOperator | None, ...]:
         """Condensed links for steps of several lengths [s], which are the first axis of the result."""
-        return jax.vmap(lambda h: link_operators(actual, *self.factors(h)))(lengths)
+        condensed = kernel(lambda actual, h: link_operators(actual, *self.factors(h)), name="condensed links")
+        return jax.vmap(condensed, in_axes=(None, 0))(actual, lengths)
 
     def instant(
         self, t: Scalar, h: Float[Array, ""], trajectory: Trajectory, memory: Memory, conditions: Conditions

@@ -23,6 +23,7 @@ import jax.numpy as jnp
 from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Array, Bool, Float
 
+from rfem_jax.kernels import kernel
 from rfem_jax.mechanics.clearances import ContactMemory
 from rfem_jax.mechanics.derivative_rules import active_inputs
 from rfem_jax.mechanics.implicit.condensation import LinkOperator
@@ -220,21 +221,25 @@ def _end_and_tangent(method, matrix, constants, solution, inputs, fixed, along):
     if start.conditions.actual.friction is not None or topology.clearances:
         matrix = jax.lax.stop_gradient(method.matrix_at(matrix, solution, evaluation, constants, start))
 
-    def refine(found, _):
-        residual, _ = linearised(found, along)
-        return jax.tree.map(jnp.add, found, newton_increment(topology, matrix, residual)), None
-
-    found = jax.jvp(predicted, (inputs,), (along,))[1]
-    if method.tangent_increments > 1:
-        found, _ = jax.lax.scan(refine, found, None, length=method.tangent_increments - 1)
-    residual, end_tangent = linearised(found, along)
-
     # What the last increment changes of the loads also follows from the iteration matrix, as accurately as the
     # increment itself; another evaluation of the linearised equations would cost half as much again.
     def end_at(wrenches, unknowns):
         return method.end_from_wrenches(wrenches, unknowns, evaluation, constants, start)
 
-    increment, wrenches = increment_and_wrenches(topology, matrix, residual)
     tree_joints = list(evaluation.wrenches[: topology.n_links])
-    more = jax.jvp(end_at, (tree_joints, solution), (wrenches, increment))[1]
-    return end, jax.tree.map(jnp.add, end_tangent, more)
+    predicted_by, end_by = jax.linearize(predicted, inputs)[1], jax.linearize(end_at, tree_joints, solution)[1]
+
+    def tangent(along):
+        def refine(found, _):
+            residual, _ = linearised(found, along)
+            return jax.tree.map(jnp.add, found, newton_increment(topology, matrix, residual)), None
+
+        found = predicted_by(along)
+        if method.tangent_increments > 1:
+            found, _ = jax.lax.scan(refine, found, None, length=method.tangent_increments - 1)
+        residual, end_tangent = linearised(found, along)
+        increment, wrenches = increment_and_wrenches(topology, matrix, residual)
+        return jax.tree.map(jnp.add, end_tangent, end_by(wrenches, increment))
+
+    # A kernel of its own, which is entered once for every direction within that of the step.
+    return end, kernel(tangent, name="tangent of a step")(along)

@@ -126,7 +126,7 @@ def check_request(
     mode = choose_mode(mode, len(names), len(problem.metrics) if together else 1, problem)
     if model is None:
         typical = dict(zip(names, map(float, sizes.reaches(np.sqrt(lower * upper))), strict=True))
-        model = expand_by_differences(problem, at, typical, mode=mode, batch=batch, values_follow=True)
+        model = expand_by_differences(problem, at, typical, mode=mode, batch=batch)
     elif model.names != names or model.hessian is None:
         raise InputError(
             "Argument `model` must be of order 2 in the errors of `bounds`, in their order, but it "

@@ -31,7 +31,6 @@ from rfem_jax.tolerancing.problems.sample_values import (
     divided,
     evaluate_lanes,
     local_mesh,
-    rows_of,
 )
 
 
@@ -154,13 +153,6 @@ def evaluate_points(
         min(batch, default_lanes()) * mesh.size, points, of=(problem, ("values", tuple(names), base)),
     )  # fmt: skip
     return np.where((statuses == 0)[:, None], values[:, rows], np.nan), statuses
-
-
-def prepare_points(problem: ToleranceProblem, names: Sequence[str], base: Base, batch: int = 256) -> None:
-    """Start to compile or load, in the background, the program of `evaluate_points` with these arguments."""
-    mesh = local_mesh()
-    points = rows_of(mesh, min(batch, default_lanes()), len(names))
-    evaluate_lanes.ahead(values_form(problem).problem, names, base, points, mesh)
 
 
 def describe_status(problem: ToleranceProblem, status: int | Int[Array, ""] | np.integer) -> str:

@@ -35,6 +35,7 @@ from jaxtyping import Float
 from rfem_jax.compilation import keys
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.errors import InputError
+from rfem_jax.kernels import expecting
 from rfem_jax.tolerancing.problems import sharing
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem, values_form
@@ -44,7 +45,6 @@ from rfem_jax.tolerancing.problems.sample_values import (
     divided,
     evaluate_lanes,
     mesh_of,
-    rows_of,
     too_few_threads,
 )
 from rfem_jax.tolerancing.progress import ProgressBar, ProgressOption
@@ -87,14 +87,14 @@ def evaluate(problem: ToleranceProblem, tolerances: Tolerances, points: Float[np
     """
     mesh, names, (problem, metrics, checks) = mesh_of(jax.local_devices()), tolerances.names, values_form(problem)
     width, count = lanes * mesh.size, len(points)
-    evaluate_lanes.ahead(problem, names, {}, rows_of(mesh, lanes, len(names)), mesh)
     points = np.concatenate([points, np.repeat(points[-1:], -count % width, axis=0)])
     blocks = np.split(points, len(points) // lanes)
     errors = np.concatenate([np.asarray(_draw(tolerances, jnp.asarray(block))) for block in blocks])
     parts = []
     for first in range(0, len(points), width):
         rows = divided(mesh, errors[first : first + width])
-        parts.append(jax.device_get(evaluate_lanes(problem, names, {}, rows, mesh)))
+        with expecting(len(points) // width):
+            parts.append(jax.device_get(evaluate_lanes(problem, names, {}, rows, mesh)))
     values, status = (np.concatenate(part)[:count] for part in zip(*parts, strict=True))
     watched = {name: values[:, row] for name, row in checks.items()}
     return {"errors": errors[:count], "values": values[:, metrics], "status": status, **watched}

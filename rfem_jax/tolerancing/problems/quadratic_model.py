@@ -14,7 +14,6 @@ Source: Griewank, Walther, Evaluating Derivatives, 2nd ed. (2008), chapters 3 an
 Soc. A 210 (1911) 307-357 (extrapolation).
 """
 
-import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -30,13 +29,11 @@ from rfem_jax.description.errors import InputError
 from rfem_jax.description.precision import require_float64
 from rfem_jax.tolerancing.checks import ErrorValues, check_known
 from rfem_jax.tolerancing.problems.evaluation import (
-    prepare_points,
     select_half_widths,
     split_errors,
 )
 from rfem_jax.tolerancing.problems.kept_evaluations import remembered
 from rfem_jax.tolerancing.problems.linearisation import (
-    REVERSE_COST,
     ValueVector,
     choose_mode,
     differentiate,
@@ -51,9 +48,6 @@ from rfem_jax.tolerancing.problems.sample_values import Base, stack_metrics
 from rfem_jax.tolerancing.progress import ProgressBar, ProgressOption
 
 STEP = 0.01  # of a tolerance
-# Of all simulations of an expansion, a derivative counted as one: up to so many, compiling its program thoroughly takes
-# longer than that saves.
-FEW_STEPS = 200_000
 NO_EFFECT = 1e-9  # of the joint forces: what errors change less is rounding
 SUMS = {"forward": 8, "reverse": 2}  # each one is two directions more in reverse mode
 
@@ -170,18 +164,16 @@ def _differentiate(problem, names, base, x, directions, order, mode, batch):
     return value, first, None, status
 
 
-_differentiate_along = {quick: Program(_differentiate, quick=quick, nameless=True) for quick in (False, True)}
+_differentiate_along = Program(_differentiate, nameless=True)
 
 
 class Expansion(NamedTuple):
-    """How problems are expanded: by which errors, to which order, in which mode, with how many directions at once, and
-    whether by a quickly compiled program."""
+    """How problems are expanded: by which errors, to which order, in which mode, with how many directions at once."""
 
     names: tuple[str, ...]
     order: int
     mode: str
     batch: int
-    quick: bool
 
 
 def plan_expansion(
@@ -198,10 +190,7 @@ def plan_expansion(
     if order not in (1, 2):
         raise InputError(f"Argument `order` must be 1 or 2, but it is {order!r}.")
     mode = choose_mode(mode, len(names), len(problem.metrics), problem)
-    first = 1 + len(names) if mode == "forward" else REVERSE_COST * _cotangents(problem, mode)
-    simulations = first * (1 + len(names)) if order == 2 else first
-    steps = simulations * sum(getattr(one, "implicit_steps", math.inf) for one in problems)
-    return Expansion(names, order, mode, int(batch), steps <= FEW_STEPS)
+    return Expansion(names, order, mode, int(batch))
 
 
 def _cotangents(problem, mode) -> int:
@@ -217,19 +206,11 @@ def _directions_at_once(problem, how: Expansion) -> int:
     return min(max(1, how.batch // inner), k)
 
 
-def prepare_expansion(problem: ToleranceProblem, at: ErrorValues | None, how: Expansion) -> None:
-    """Start to compile or load, in the background, the program of `expand_point` with these arguments."""
-    base, x = split_errors(problem, at, how.names)
-    directions = jax.ShapeDtypeStruct((_directions_at_once(problem, how), len(how.names)), jnp.float64)
-    arguments = how.names, base, x, directions, how.order, how.mode, how.batch
-    _differentiate_along[how.quick].ahead(of_any_step(problem, how.mode), *arguments)
-
-
 def expand_point(
     problem: ToleranceProblem, at: ErrorValues | None, how: Expansion, advance: Callable[[int], object]
 ) -> QuadraticModel:
     """As `expand`, which checks the arguments; `advance(count)` is called when `count` more directions are done."""
-    names, order, mode, batch, quick = how
+    names, order, mode, batch = how
     m, k = len(problem.metrics), len(names)
     base, x = split_errors(problem, at, names)
     width, shared = _directions_at_once(problem, how), of_any_step(problem, mode)
@@ -241,7 +222,7 @@ def expand_point(
         settings = order, mode, batch
 
         def compute():
-            found = _differentiate_along[quick](shared, names, base, x, jnp.asarray(directions), *settings)
+            found = _differentiate_along(shared, names, base, x, jnp.asarray(directions), *settings)
             return jax.device_get(found)
 
         parts.append(remembered(problem, ("directions", names, base, x, directions, *settings), compute))
@@ -311,14 +292,12 @@ def expand_by_differences(
     *,
     mode: str = "auto",
     batch: int = 256,
-    values_follow: bool = False,
 ) -> QuadraticModel:
     """Expand every metric of `problem` to second order, the Hessian by differences of gradients.
 
     Args: at {error: value}, None for the nominal point, zero; half_widths, a Tolerances collection or {error: typical
         tolerance} of every error to differentiate by, the unit of the steps (values in rad or m, or strings with a
-        unit); mode, batch as `linearise_points`; values_follow, whether `evaluate_points` with the same arguments is
-        next: its program is compiled meanwhile.
+        unit); mode, batch as `linearise_points`.
     Returns: QuadraticModel with its `hessian_error`.
     Raises: InputError for unknown names or mode, and for derivatives through impacts that a finer step does not
         reproduce.
@@ -328,8 +307,6 @@ def expand_by_differences(
     base, x = split_errors(problem, at, names)
     m, k = len(problem.metrics), len(names)
     mode = choose_mode(mode, k, m, problem)
-    if values_follow:
-        prepare_points(problem, names, base, batch)
     require_reproduced(problem, names, base, np.asarray(x), t, mode=mode, batch=batch)
     offsets = np.concatenate([np.zeros((1, k)), *(s * np.eye(k) for s in (1, -1, 2, -2))])
     points = np.asarray(x) + STEP * offsets * t

@@ -91,15 +91,8 @@ def over_samples(mesh: Mesh) -> NamedSharding:
     return NamedSharding(mesh, PartitionSpec("samples"))
 
 
-def rows_of(mesh: Mesh, lanes: int, errors: int) -> jax.ShapeDtypeStruct:
-    """Form of the points, `lanes` on each device, that `evaluate_lanes` is given."""
-    # Where an array was put by choice is part of a program's key: on one device nothing is.
-    sharding = None if mesh.size == 1 else over_samples(mesh)
-    return jax.ShapeDtypeStruct((lanes * mesh.size, errors), jnp.float64, sharding=sharding)
-
-
 def divided(mesh: Mesh, rows: Float[np.ndarray, "n k"] | Float[Array, "n k"]) -> Float[Array, "n k"]:
-    """Points (n, k) as `rows_of` has them, on their devices."""
+    """Points (n, k), equally many for each device, on their devices."""
     return jnp.asarray(rows) if mesh.size == 1 else jax.device_put(rows, over_samples(mesh))
 
 

@@ -5,19 +5,19 @@ The only place where tolerance studies meet the mechanics.
 """
 
 import functools
-import math
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from rfem_jax.compilation import keys
-from rfem_jax.compilation.parts import ProgramInParts, in_parts
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.drive_numbers import drive_number_unit
 from rfem_jax.description.driven_motions import Drive
@@ -239,14 +239,6 @@ class Problem(eqx.Module):
         kept = ("metrics", "method", "save_every", "design", "others")
         return Problem(self.model, self.drive, self.duration, **{name: getattr(self, name) for name in kept} | settings)
 
-    @property
-    def implicit_steps(self) -> float:
-        """Number of steps of a run by the implicit method, infinite for others."""
-        if not self.method.implicit or self.method.adaptive:
-            return math.inf
-        grid, steps = self._grid()
-        return grid.total_steps(steps)
-
     def of_any_step(self) -> "Problem":
         """The same problem in the form that shares its programs with those of other steps; not for reverse mode."""
         grid, count = grid_for(self.drive, self.duration, self.method, self.save_every, self.model)
@@ -269,8 +261,9 @@ class Problem(eqx.Module):
             return _values_and_status(problem, errors)
         model, drive, method = replace(problem.model, source=None), problem.drive, problem.method
         grid, steps = problem._grid()
-        any_step = of_any_step(method, grid, steps)
-        return _values_in_parts(problem.metrics, model, errors, drive, grid, method, steps, any_step)
+        if not any(isinstance(x, Tracer) for x in jax.tree.leaves((model, errors, drive))):
+            method, grid, steps = of_any_step(method, grid, steps)  # one program for all steps; none of reverse mode
+        return _values_of_numbers(problem.metrics, model, errors, drive, grid, method, steps)
 
     def with_residual(
         self, errors: Errors
@@ -323,17 +316,10 @@ def _values_and_status(problem: Problem, errors: AssemblyErrors) -> tuple[Values
     return problem.with_residual(errors)[:2]
 
 
-@functools.partial(ProgramInParts, nameless=True)
-def _values_in_parts(run, metrics, model, errors, drive, grid, method, steps, any_step):
-    """As `_values_and_status`, of a mechanism whose numbers are those of the model; `any_step`: method, grid and steps
-    for parts."""
-    method, grid, steps = any_step if in_parts(run) else (method, grid, steps)
-    prepared, carry, ends = integrated(run, model, errors, drive, grid, None, method, steps, None)
-    return run(_values_of, metrics, model, errors, prepared, drive, carry, ends, grid, method, steps)
-
-
-@Program
-def _values_of(metrics, model, errors, prepared, drive, carry, ends, grid, method, steps):
+@functools.partial(Program, nameless=True)
+def _values_of_numbers(metrics, model, errors, drive, grid, method, steps):
+    """As `_values_and_status`, of a mechanism whose numbers are those of the model."""
+    prepared, carry, ends = integrated(model, errors, drive, grid, None, method, steps, None)
     asked = require_records(model, _records_of(metrics))
     run = of_model(conclude(model, prepared, drive, carry, ends, grid, method, steps, asked), model, errors)
     return {m.name: jnp.asarray(m(run)) for m in metrics}, run.status

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from rfem_jax.tolerancing.problems.evaluation import evaluate_points, prepare_points
+from rfem_jax.tolerancing.problems.evaluation import evaluate_points
 from rfem_jax.tolerancing.problems.linearisation import linearise_points
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem
 from rfem_jax.tolerancing.problems.reproduction import require_reproduced
@@ -89,10 +89,6 @@ class Observer:
             self.problem, self.variables.names, self.base, centre, self.variables.reaches(start),
             mode=self.mode, batch=self.batch,
         )  # fmt: skip
-
-    def prepare(self) -> None:
-        """Start to compile or load, in the background, the program of `values`, which verifies an answer at the end."""
-        prepare_points(self.problem, self.variables.names, self.base, self.batch)
 
     def values(self, y: Float[np.ndarray, " p"], z: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n m"]:
         """Values alone, by a program without derivatives; NaN where a sample failed."""

@@ -137,7 +137,6 @@ def optimise(
     criterion = CRITERIA[robust](
         observer, request.limits, keys[0], level=target, coverage=coverage, distribution=distribution, samples=samples
     )
-    observer.prepare()
     study = _Study(request, settings, observer, criterion, steps)
     begun = study.begin(starts, keys[1])[:searches]
     solved = [study.solve(start, jax.random.fold_in(keys[2], n)) for n, start in enumerate(begun)]

@@ -1,4 +1,5 @@
-"""Programs that are compiled ahead, side by side, are those that are used: each is traced once."""
+"""Programs are shared: one serves all steps of a method, all tasks of a study, values and what follows from them; each
+is traced once."""
 
 import dataclasses
 
@@ -7,24 +8,23 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax import ForceRamp, InputError, Joint, Mechanism, Method, MomentRamp, discretise, simulate
-from rfem_jax.compilation import call
+from rfem_jax import ForceRamp, InputError, Joint, Mechanism, Method, MomentRamp, assembly_errors, discretise, simulate
+from rfem_jax.compilation import program
 from rfem_jax.simulation.accuracy import choose_method
-from rfem_jax.simulation.integration import grid_for
+from rfem_jax.simulation.integration import grid_for, simulate_steps
 from rfem_jax.simulation.time_grid import of_any_step
 from rfem_jax.tolerancing.problems.distributions import Uniform
 from rfem_jax.tolerancing.problems.evaluation import evaluate_points, split_errors
 from rfem_jax.tolerancing.problems.execution import fingerprint_problem
 from rfem_jax.tolerancing.problems.linearisation import linearise_points
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
-from rfem_jax.tolerancing.problems.problem import FunctionProblem, Metric, shared_form
-from rfem_jax.tolerancing.problems.quadratic_model import expand_by_differences, plan_expansion
+from rfem_jax.tolerancing.problems.problem import Metric, shared_form
+from rfem_jax.tolerancing.problems.quadratic_model import expand_by_differences
 from rfem_jax.tolerancing.problems.simulated_problem import Problem
 from rfem_jax.tolerancing.sampling.monte_carlo_study import monte_carlo
 from rfem_jax.tolerancing.sensitivities import sensitivity
 from tests.compilation.functions import covered
 from tests.mechanisms import four_bar, link
-from tests.numpy_evaluation import by_numpy
 
 DRIVE, DURATION = MomentRamp("A", 0.5, 0.01), 0.02
 WIDTHS = {"A.delta_x": 0.01}
@@ -44,13 +44,13 @@ def arm():
 @pytest.fixture
 def traced(monkeypatch, tmp_path):
     """Names of the traced programs, with an empty folder of kept ones."""
-    names, trace = [], call.trace
+    names, compiled = [], program.compiled
 
     def noted(function, *others):
         names.append(function.__name__)
-        return trace(function, *others)
+        return compiled(function, *others)
 
-    monkeypatch.setattr(call, "trace", noted)
+    monkeypatch.setattr(program, "compiled", noted)
     with covered(tmp_path / "programs"):
         yield names
 
@@ -69,7 +69,7 @@ def test_sensitivities_with_a_finer_step(traced, problem):
 
 def test_values_after_an_expansion(traced, problem):
     """And those of a Monte Carlo study, whose distribution has a program of its own."""
-    expand_by_differences(problem, None, WIDTHS, values_follow=True)
+    expand_by_differences(problem, None, WIDTHS)
     base, _ = split_errors(problem, None, tuple(WIDTHS))
     values, _ = evaluate_points(problem, tuple(WIDTHS), base, [[0.0], [0.01]])
     assert np.all(np.isfinite(values))
@@ -100,7 +100,7 @@ def test_one_program_serves_all_steps(traced):
         assert np.all(one != other) and np.allclose(one, other, rtol=0.2)
     # This step alone, of values and in reverse mode.
     by_step = jax.value_and_grad(lambda x: problem({"A.delta_x": x, **at})[0]["A.mean_square_moment"])
-    alone, gradient = by_numpy(by_step)(jnp.asarray(0.01))
+    alone, gradient = jax.jit(by_step)(jnp.asarray(0.01))
     np.testing.assert_allclose(alone, found[1][0][1], rtol=1e-12)
     np.testing.assert_allclose(gradient, found[1][1][1], rtol=1e-6)
     assert abs(gradient) * WIDTHS["A.delta_x"] > 0.1 * alone
@@ -125,7 +125,7 @@ def test_tasks_of_a_study_share_their_programs(traced):
     np.testing.assert_array_equal(again, study.values)
     np.testing.assert_array_equal(*found["A.mean_square_force"])
     alone = Problem(model, DRIVE, DURATION, "A.rms_moment", method)
-    own, slopes = by_numpy(jax.vmap(lambda x: jax.jvp(of(alone), (x,), (jnp.ones(()),))))(jnp.asarray(tilts)[:, 0])
+    own, slopes = jax.jit(jax.vmap(lambda x: jax.jvp(of(alone), (x,), (jnp.ones(()),))))(jnp.asarray(tilts)[:, 0])
     np.testing.assert_allclose(found["A.rms_moment"][0], (own[:, 0], slopes[:, 0]), rtol=1e-8)
 
 
@@ -152,7 +152,7 @@ def test_tasks_share_a_program_of_gradients(traced):
     np.testing.assert_array_equal(value, same)
     np.testing.assert_array_equal(gradient, again)
     alone = Problem(model, DRIVE, DURATION, asked, method)
-    exact = by_numpy(jax.vmap(jax.jacfwd(of(alone))))(jnp.asarray(tilts)[:, 0])
+    exact = jax.jit(jax.vmap(jax.jacfwd(of(alone))))(jnp.asarray(tilts)[:, 0])
     assert np.all(np.isfinite(both)) and np.all(np.abs(both[1]) > 0.0)
     np.testing.assert_allclose(both[:, :, 0], exact, rtol=1e-6, atol=1e-9 * np.abs(exact).max())
 
@@ -191,17 +191,20 @@ def test_the_angle_is_of_no_slide():
     assert [one.name for one in problem.with_others().metrics] == ["P.rms_force", "P.rms_moment"]
 
 
-def test_parts_of_a_simulation_serve_all_steps(traced):
-    """Of a loop with one flexible link."""
+def test_a_program_of_simulations_serves_all_steps(traced):
+    """Of a loop with one flexible link, where the number of steps is no part of the program."""
     links = [link("crank", 0.12), link("coupler", 0.3, 2), link("rocker", 0.3)]
     model, forces = discretise(dataclasses.replace(four_bar(), links=links)), []
     for step in (2e-3, 1e-3):
         method = Method("generalised_alpha", step=step)
-        run = simulate(model, drive=DRIVE, duration=DURATION, method=method, save_every=4e-3)
+        shared, grid, steps = of_any_step(method, *grid_for(DRIVE, DURATION, method, 4e-3, model))
+        run = simulate_steps(model, assembly_errors(model), DRIVE, grid, shared, steps)
         assert int(run.status) == 0
         forces.append(float(run.metrics.rms_force["A"]))
-    assert sorted(traced) == ["_advanced", "_concluded", "_started"]
+    assert traced == ["_simulate"]
     assert 1e-6 < abs(forces[1] / forces[0] - 1.0) < 0.1
+    alone = simulate(model, drive=DRIVE, duration=DURATION, method=method, save_every=4e-3)
+    np.testing.assert_allclose(alone.metrics.rms_force["A"], forces[1], rtol=1e-9)
 
 
 def test_the_form_that_serves_all_steps():
@@ -209,12 +212,11 @@ def test_the_form_that_serves_all_steps():
     shared = problem.of_any_step()
     assert (shared.method.step, shared.save_every, float(shared.steps)) == (4e-3, 4e-3, 4.0)
     assert shared.of_any_step() is shared
-    assert problem.implicit_steps == shared.implicit_steps == 4 * 8  # with the start, the jump and its restart
     # Saved times by default: a step that is longer than between them is the time between them.
     assert stepped(1e-3, None).of_any_step().save_every == 1e-3
     assert float(stepped(1e-3, None).of_any_step().steps) == 1.0
     explicit = stepped(1e-5, method="rk4")
-    assert explicit.of_any_step() is explicit and explicit.implicit_steps == np.inf
+    assert explicit.of_any_step() is explicit
     # The finer one keeps the times, and shares the program of the other.
     finer = problem.refined()
     assert (finer.method.step, finer.save_every) == (0.5 * 1.3e-3, 4e-3)
@@ -238,19 +240,6 @@ def test_a_problem_is_shown_in_a_line(problem):
     """JAX asks for it in every transformation."""
     said = "arm: A.mean_square_moment over 0.02 s by generalised_alpha with steps of 0.002 s"
     assert repr(problem) == f"<Problem of {said}>"
-
-
-def test_few_steps_are_compiled_quickly(problem):
-    """Value and one derivative, once by 10 steps and once by 20, of the first or the second order."""
-    closed = FunctionProblem(lambda errors: {"x": errors["x"]}, ["x"], ["x"])
-    each = 2 * problem.implicit_steps
-    for order, number in ((1, each), (2, 2 * each)):
-        for few, quick in ((number, True), (number - 1, False)):
-            with pytest.MonkeyPatch.context() as patch:
-                patch.setattr("rfem_jax.tolerancing.problems.quadratic_model.FEW_STEPS", few)
-                assert plan_expansion((problem,), tuple(WIDTHS), order, "forward", 32).quick is quick
-                assert not plan_expansion((problem, problem.refined()), tuple(WIDTHS), order, "forward", 32).quick
-    assert not plan_expansion((closed,), None, 1, "auto", 32).quick
 
 
 def test_trials_of_auto(traced):
