@@ -258,6 +258,7 @@ def flat(leaves):
     return np.concatenate([leaf.ravel() for leaf in leaves.values()])
 
 
+@pytest.mark.exhaustive
 def test_all_numbers_together_are_what_their_description_would_be(described, model, together):
     both, nominal, other, names = together
     cotangent = np.random.default_rng(6).uniform(-1.0, 1.0, flat(leaves_of(model)).size)

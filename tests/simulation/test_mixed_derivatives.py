@@ -271,7 +271,15 @@ def drive_numbers_of(mixed: Mixed, model: Any) -> dict[str, float]:
     return {name: float(value) for name, value in drive_numbers(model, mixed.drive, None).items()}
 
 
-@pytest.mark.parametrize("made", MIXED, ids=lambda made: made.__name__)
+# Each compiles for minutes, all directions and both modes; these two always.
+ALWAYS = (gas_over_a_stroke, several_drives)
+
+
+@pytest.mark.parametrize(
+    "made",
+    [made if made in ALWAYS else pytest.param(made, marks=pytest.mark.exhaustive) for made in MIXED],
+    ids=lambda made: made.__name__,
+)
 def test_forward_reverse_and_differences_agree(made):
     mixed = made()
     model = discretise(mixed.mechanism, elements=mixed.elements)
