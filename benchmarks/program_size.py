@@ -77,7 +77,7 @@ def samples_of(equation) -> int:
 def print_kernels(jaxpr) -> None:
     """A row for every kernel of a program, and number of samples."""
     from rfem_jax.kernels import machine_code
-    from rfem_jax.kernels.primitive import THOROUGH_FROM
+    from rfem_jax.kernels.bodies import thorough_pays
     from rfem_jax.kernels.programs import Program
 
     calls: dict = {}
@@ -91,7 +91,7 @@ def print_kernels(jaxpr) -> None:
             print_row(body.name, count, samples, f"compiled by XLA: {program}", *"-----")
             continue
         lanes = min(1 << (samples - 1).bit_length(), machine_code.vector_width())
-        thorough = -(-samples // lanes) * program.work >= THOROUGH_FROM * program.operations
+        thorough = thorough_pays(program, -(-samples // lanes))
         codes = [
             processor_time(machine_code.compiled, program.module(lanes, choice)[1], choice) for choice in (False, True)
         ]

@@ -4,7 +4,9 @@ XLA's compiler for CPUs is made for large arrays: a program of ten thousand oper
 many seconds, and runs many times slower than its arithmetic.  Here every entry of every array is a vector over samples,
 LLVM compiles the operations on these as they stand, and JAX sees one primitive with rules for batches and derivatives.
 
-    primitive         `kernel(function)`: the primitive, its batches, derivatives and transposes
+    transformations   batches, directions, derivatives and transposes of kernels
+    primitive         `kernel(function)`: the primitive
+    bodies            the jaxpr of a kernel, and what is made of it
     programs          a jaxpr as the text of a module for LLVM
     emission          primitives of JAX as operations on entries
     linear_algebra    LU factors and triangular systems, of other primitives
@@ -20,9 +22,10 @@ LLVM compiles the operations on these as they stand, and JAX sees one primitive 
 The package knows nothing of mechanics, and uses public interfaces of JAX and llvmlite alone (docs/kernels.md).
 """
 
-from rfem_jax.kernels import linear_algebra  # noqa: F401 # which says what its primitives are made of
+from rfem_jax.kernels import linear_algebra, transformations  # noqa: F401 # which tell JAX and the emitter
+from rfem_jax.kernels.bodies import expecting
 from rfem_jax.kernels.emission import expand_primitive
 from rfem_jax.kernels.machine_code import is_available
-from rfem_jax.kernels.primitive import expecting, kernel
+from rfem_jax.kernels.primitive import kernel
 
 __all__ = ["expand_primitive", "expecting", "is_available", "kernel"]

@@ -1,0 +1,162 @@
+"""What a kernel is made of: its jaxpr for one sample, the machine code, and the kernels that are derived from it.
+
+Place in the pipeline: programs, machine_code, registry -> **bodies** -> primitive.
+"""
+
+import threading
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
+
+from rfem_jax.kernels import machine_code, programs, registry
+from rfem_jax.kernels.builder import TooLarge, Unsupported
+from rfem_jax.kernels.entries import shape_of, size_of
+
+LARGEST_ARRAYS = 5_000_000  # entries of all arrays, of which it would take long to find that they are too many
+# Turns of a program, times blocks of samples, from which on it is compiled thoroughly: that takes 0.1 ms an operation
+# more and saves 0.35 ns of each turn of it, which pays after a hundred runs of so many turns.
+THOROUGH_FROM = 8000
+THOROUGH_UP_TO = 60_000  # operations: more would take longer than anyone waits who did not ask for it
+
+
+_expected = threading.local()
+
+
+def expected_runs() -> int:
+    """How often what this thread compiles is expected to run."""
+    return getattr(_expected, "runs", 1)
+
+
+@contextmanager
+def expecting(runs: int) -> Iterator[None]:
+    """Declare that what is compiled within the block will run about so many times, for the automatic selection."""
+    before, _expected.runs = expected_runs(), max(runs, 1)
+    try:
+        yield
+    finally:
+        _expected.runs = before
+
+
+def thorough_pays(program: programs.Program, blocks: int) -> bool:
+    """Whether a program for so many blocks of samples is to be compiled thoroughly, where that is left open."""
+    turns = expected_runs() * blocks * program.work / max(program.operations, 1)
+    return turns >= THOROUGH_FROM and program.operations <= THOROUGH_UP_TO
+
+
+class Body:
+    """The jaxpr of a kernel for one sample, and what was made of it; compared by identity.
+
+    Attributes: plain: a function of the same operands and results for XLA, None: the jaxpr; reverse: one that reverse
+    mode takes, None: the jaxpr; linear_from: number of the first operand in which the kernel is linear, None where it
+    is in none; origin: of a tangent the kernel and its moving operands; single: of a tangent in several directions that
+    in one, and which operands have directions; long: whether it has a loop whose turns are not to be remembered; order:
+    of the derivatives in it.
+    """
+
+    def __init__(self, program: ClosedJaxpr, name: str, selection: str, plain: Callable | None = None) -> None:
+        self.program, self.name, self.selection, self.plain = program, name, selection, plain
+        self.reverse: Callable | None = None
+        self.linear_from: int | None = None
+        self.origin: tuple[Body, tuple[int, ...]] | None = None
+        self.single: tuple[Body, tuple[bool, ...]] | None = None
+        self.long, self.order = False, 0
+        self._emitted: programs.Program | Unsupported | None = None
+        self._handlers: dict[tuple[int, bool], tuple[str, str]] = {}
+        self._derived: dict[Any, Body] = {}
+        self._lock = threading.RLock()
+
+    def by_xla(self, *operands: jax.Array, batched: tuple[bool, ...]) -> list[jax.Array]:
+        """The results by JAX's own operations."""
+        return over_samples(self.plain or jaxpr_as_fun(self.program), batched)(*operands)
+
+    def emitted(self) -> programs.Program | Unsupported:
+        """The program, or why there is none."""
+        with self._lock:
+            if self._emitted is None:
+                self._emitted = self._emit()
+            return self._emitted
+
+    def _emit(self) -> programs.Program | Unsupported:
+        if not machine_code.is_available():
+            return Unsupported("llvmlite is not installed")
+        if size_of(self.program) > LARGEST_ARRAYS:
+            return TooLarge(f"arrays of {LARGEST_ARRAYS} entries in all")
+        try:
+            return programs.emit(self.program)
+        except TooLarge as reason:
+            return reason
+        except Unsupported as reason:
+            warnings.warn(f"{self.name!r} is compiled by XLA: there is no machine code for {reason}.", stacklevel=2)
+            return reason
+
+    def handler(self, lanes: int, blocks: int) -> str:
+        """Name under which XLA finds the machine code for a number of lanes, and so many blocks of samples."""
+        program = self.emitted()
+        assert isinstance(program, programs.Program)
+        thorough = thorough_pays(program, blocks) if self.selection == "automatic" else self.selection == "thorough"
+        with self._lock:
+            if (lanes, thorough) not in self._handlers:
+                self._handlers[lanes, thorough] = program.module(lanes, thorough)
+            name, text = self._handlers[lanes, thorough]
+        registry.announce(name, text, thorough)
+        return name
+
+    def derived(self, key: Any, make: Callable[[], tuple]) -> "Body":
+        """The kernel of another function, made once; `make`: function, shapes of its arguments, function for XLA."""
+        with self._lock:
+            if key not in self._derived:
+                function, like, *plain = make()
+                made = Body(jax.make_jaxpr(function)(*like), self.name, self.selection, *plain)
+                made.long, made.order = self.long, self.order + (key[0] == "tangent")
+                self._derived[key] = made
+            return self._derived[key]
+
+    def as_moving(self, operands: Sequence[Any], moving: Sequence[int], function: Callable | None = None) -> Callable:
+        """The results that have derivatives, of the kernel or of another function in its place, as a function of the
+        operands that move."""
+        function = function or jaxpr_as_fun(self.program)
+
+        def of_moving(*inputs):
+            merged = list(operands)
+            for i, x in zip(moving, inputs):
+                merged[i] = x
+            results = function(*merged)
+            return [results[i] for i in self.continuous]
+
+        return of_moving
+
+    @property
+    def continuous(self) -> list[int]:
+        """Numbers of the results that have derivatives."""
+        return [i for i, x in enumerate(self.results) if jnp.issubdtype(x.dtype, jnp.inexact)]
+
+    @property
+    def operands(self) -> list[jax.ShapeDtypeStruct]:
+        return [*map(shape_of, self.program.jaxpr.invars)]
+
+    @property
+    def results(self) -> list[jax.ShapeDtypeStruct]:
+        return [*map(shape_of, self.program.jaxpr.outvars)]
+
+
+def one_by_one(function: Callable, spread: Sequence[bool]) -> Callable:
+    """The function for every row of the operands that have an axis of them in front, in a loop."""
+
+    def each(*given):
+        def one(rows):
+            left = iter(rows)
+            return function(*(next(left) if s else x for x, s in zip(given, spread)))
+
+        return jax.lax.map(one, [x for x, s in zip(given, spread) if s])
+
+    return each
+
+
+def over_samples(function: Callable, batched: Sequence[bool]) -> Callable:
+    """The function of operands some of which have an axis of samples in front."""
+    return jax.vmap(function, in_axes=[0 if b else None for b in batched]) if any(batched) else function
