@@ -9,6 +9,7 @@ LLVM compiles the operations on these as they stand, and JAX sees one primitive 
     bodies            the jaxpr of a kernel, and what is made of it
     programs          a jaxpr as the text of a module for LLVM
     emission          primitives of JAX as operations on entries
+    places            entries at places that are known or computed
     linear_algebra    LU factors and triangular systems, of other primitives
     loops             loops and branches, over all samples at once
     vector_math       sine, cosine, exponential function and logarithm of vectors

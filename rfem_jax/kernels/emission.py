@@ -7,7 +7,6 @@ move entries (slices, transposes, gathers at known places) cost nothing: they ar
 Loops and branches are in `loops`.
 """
 
-import functools
 import math
 from collections.abc import Callable, Sequence
 from typing import Any, SupportsIndex
@@ -18,19 +17,18 @@ from jax.extend.core import ClosedJaxpr, JaxprEqn, Literal
 
 from rfem_jax.kernels import loops, vector_math
 from rfem_jax.kernels.arithmetic import Arithmetic, common_kind
-from rfem_jax.kernels.builder import DTYPES, Builder, Entry, Unsupported, Value, is_known, kind_of
+from rfem_jax.kernels.builder import Builder, Entry, Unsupported, is_known
 from rfem_jax.kernels.entries import (
     Entries,
     each,
     entries_of,
     is_program,
     needed,
-    numbers,
     of_shape,
-    place_in_memory,
     shape_of,
     whole,
 )
+from rfem_jax.kernels.places import Places
 
 # Primitives whose operation on arrays is that on entries.
 ELEMENTWISE = frozenset(
@@ -58,7 +56,7 @@ def expand_primitive(name: str, function: Callable) -> None:
     _EXPANSIONS[name] = function
 
 
-class Emitter:
+class Emitter(Places):
     """Carries out jaxprs by the operations of a builder."""
 
     def __init__(self, builder: Builder) -> None:
@@ -293,194 +291,12 @@ class Emitter:
         found[tuple(slice(a, a + n + max(n - 1, 0) * i, i + 1) for a, i, n in zip(lows, inner, x.shape))] = x
         return [found]
 
-    def _gather(self, equation, operand, indices):
-        known = numbers(indices, np.int64)
-        if known is None:
-            return [self._gathered_rows(equation, operand, indices)]
-        numbers_, sizes = equation.params["dimension_numbers"], equation.params["slice_sizes"]
-        places = known.shape[:-1]
-        taken = np.empty((*places, *sizes), object)
-        for place in np.ndindex(*places):
-            start = np.zeros(operand.ndim, int)
-            start[list(numbers_.start_index_map)] = known[place]
-            for axis, batch in zip(numbers_.operand_batching_dims, numbers_.start_indices_batching_dims):
-                start[axis] = place[batch]
-            if (start < 0).any() or (start + sizes > operand.shape).any():
-                raise Unsupported("gather of what is outside of an array")
-            taken[place] = operand[tuple(slice(a, a + size) for a, size in zip(start, sizes))]
-        gone = (*numbers_.collapsed_slice_dims, *numbers_.operand_batching_dims)
-        left = (size for axis, size in enumerate(sizes) if axis not in gone)
-        taken = taken.reshape(*places, *left)
-        return [np.moveaxis(taken, range(len(places), taken.ndim), numbers_.offset_dims)]
-
-    def _gathered_rows(self, equation, operand, indices):
-        """Windows at places that are values, of an index by lane."""
-        numbers_, sizes = equation.params["dimension_numbers"], equation.params["slice_sizes"]
-        places = indices.shape[:-1]
-        gone = (*numbers_.collapsed_slice_dims, *numbers_.operand_batching_dims)
-        kept = [size for axis, size in enumerate(sizes) if axis not in gone]
-        taken = np.empty((*places, *kept), object)
-        for place in np.ndindex(*places):
-            starts = [np.int64(0)] * operand.ndim
-            for axis, of in zip(numbers_.operand_batching_dims, numbers_.start_indices_batching_dims):
-                starts[axis] = np.int64(place[of])
-            for axis, index in zip(numbers_.start_index_map, indices[place]):
-                starts[axis] = index
-            taken[(*place, ...)] = self._window(operand, starts, sizes).reshape(kept)
-        return np.moveaxis(taken, range(len(places), taken.ndim), numbers_.offset_dims)
-
-    def _dynamic_slice(self, equation, operand, *starts):
-        return [self._window(operand, [x[()] for x in starts], equation.params["slice_sizes"])]
-
-    def _clamped(self, start: Entry, largest: int) -> Entry:
-        arithmetic = self.arithmetic
-        start = arithmetic.convert(start, np.dtype(np.int64))
-        return arithmetic.smaller(arithmetic.larger(start, np.int64(0)), np.int64(largest))
-
-    def _window(self, operand: Entries, starts: Sequence[Entry], sizes: Sequence[int]) -> Entries:
-        """Entries from places on that may be values, which are moved so far that the window is within the array."""
-        starts = [self._clamped(a, n - size) for a, n, size in zip(starts, operand.shape, sizes)]
-        if not operand.size:
-            return np.empty(sizes, object)
-        fixed = tuple(slice(int(a), int(a) + n) if is_known(a) else slice(None) for a, n in zip(starts, sizes))
-        operand = operand[fixed]
-        moving = [(axis, a) for axis, a in enumerate(starts) if not is_known(a)]
-        if not moving:
-            return operand
-        if 0 in sizes:
-            return np.empty(sizes, object)
-        row = self._row_of(operand.shape, moving)
-        places = np.arange(operand.size).reshape(operand.shape)[tuple(slice(0, n) for n in sizes)]
-        kind = common_kind(operand.flat)
-        known = numbers(operand, DTYPES[kind])
-        if known is not None:
-            table = self.builder.table(kind, known.ravel())
-            found = [self.builder.gather_of_table(kind, table, int(place), row) for place in places.flat]
-            return of_shape(found, sizes)
-        kind, first = self._in_memory(operand)
-        found = [self.builder.gather(kind, first + int(place), row) for place in places.flat]
-        return of_shape(found, sizes)
-
-    def _row_of(self, shape: Sequence[int], moving: Sequence[tuple[int, Entry]]) -> Value:
-        """How many entries after the first one a window begins."""
-        total: Entry = np.int64(0)
-        for axis, start in moving:
-            stride = np.int64(math.prod(shape[axis + 1 :]))
-            total = self.arithmetic.add(total, self.arithmetic.multiply(start, stride))
-        assert isinstance(total, Value)
-        return total
-
-    def _in_memory(self, entries: Entries) -> tuple[str, int]:
-        """Kind and first slot of an array, or of a copy of it."""
-        found = place_in_memory(entries)
-        return found if found is not None else self._copied(entries)
-
-    def _copied(self, entries: Entries) -> tuple[str, int]:
-        """Kind and first slot of a copy of an array."""
-        kind = common_kind(entries.flat)
-        first = self.builder.reserve(entries.size)
-        for i, entry in enumerate(entries.flat):
-            self.builder.store(entry, kind, first + i)
-        return kind, first
-
-    def _dynamic_update_slice(self, equation, operand, update, *starts):
-        return [self._updated(operand, update, [a[()] for a in starts])]
-
-    def _updated(self, operand: Entries, update: Entries, starts: Sequence[Entry]) -> Entries:
-        """An array with a window at places that may be values, which is moved so far that it is within the array."""
-        if not update.size:
-            return operand
-        starts = [self._clamped(a, n - m) for a, n, m in zip(starts, operand.shape, update.shape)]
-        moving = [(axis, a) for axis, a in enumerate(starts) if not is_known(a)]
-        within = tuple(slice(int(a), int(a) + n) if is_known(a) else slice(0, n) for a, n in zip(starts, update.shape))
-        if not moving:
-            operand = operand.copy()
-            operand[within] = update
-            return operand
-        kind, first = self._copied(operand)
-        row = self._row_of(operand.shape, moving)
-        places = np.arange(operand.size).reshape(operand.shape)[within]
-        for place, entry in zip(places.flat, update.flat):
-            self.builder.scatter(entry, kind, first + int(place), row)
-        return of_shape([self.builder.load(kind, first + i) for i in range(operand.size)], operand.shape)
-
-    def _scatter(self, equation, operand, indices, updates):
-        return [self._scattered(equation, operand, indices, updates, lambda old, new: new)]
-
-    def _scatter_add(self, equation, operand, indices, updates):
-        return [self._scattered(equation, operand, indices, updates, self.arithmetic.add)]
-
-    def _scattered(self, equation, operand, indices, updates, combined: Callable) -> Entries:
-        """Updates at places that are known."""
-        known = numbers(indices, np.int64)
-        settings = equation.params["dimension_numbers"]
-        if known is None or settings.operand_batching_dims:
-            return self._scattered_by_lane(operand, indices, updates, settings, combined)
-        operand = operand.copy()
-        windows = settings.update_window_dims
-        batch_axes = [i for i in range(updates.ndim) if i not in windows]
-        window_axes = [i for i in range(operand.ndim) if i not in settings.inserted_window_dims]
-        for place in np.ndindex(*updates.shape):
-            index = known[tuple(place[i] for i in batch_axes)]
-            at = np.zeros(operand.ndim, int)
-            at[window_axes] = [place[i] for i in windows]
-            at[list(settings.scatter_dims_to_operand_dims)] += index
-            if (at < 0).any() or (at >= operand.shape).any():
-                raise Unsupported("scatter to what is outside of an array")
-            operand[tuple(at)] = combined(operand[tuple(at)], updates[place])
-        return operand
-
-    def _scattered_by_lane(self, operand, indices, updates, settings, combined: Callable) -> Entries:
-        """Windows at places that are values, one after the other; nothing where one is outside of the array."""
-        arithmetic = self.arithmetic
-        single = (*settings.inserted_window_dims, *settings.operand_batching_dims)
-        left = (updates.shape[i] for i in settings.update_window_dims)
-        sizes = [1 if axis in single else next(left) for axis in range(operand.ndim)]
-        batch_axes = [i for i in range(updates.ndim) if i not in settings.update_window_dims]
-        for place in np.ndindex(*indices.shape[:-1]):
-            starts, inside = [np.int64(0)] * operand.ndim, np.bool_(True)
-            for axis, of in zip(settings.operand_batching_dims, settings.scatter_indices_batching_dims):
-                starts[axis] = np.int64(place[of])
-            for axis, index in zip(settings.scatter_dims_to_operand_dims, indices[place]):
-                index = arithmetic.convert(index, np.dtype(np.int64))
-                within = arithmetic.compare("le", index, np.int64(operand.shape[axis] - sizes[axis]))
-                inside = arithmetic.function("and", inside, within)
-                inside = arithmetic.function("and", inside, arithmetic.compare("ge", index, np.int64(0)))
-                starts[axis] = index
-            update = np.moveaxis(updates, batch_axes, range(len(batch_axes)))[(*place, ...)]
-            old = self._window(operand, starts, sizes)
-            new = each(lambda a, b: arithmetic.select(inside, combined(a, b), a), [old, update.reshape(sizes)])
-            operand = self._updated(operand, new, starts)
-        return operand
-
     # Loops and branches
 
     def _kernel(self, equation, *parts):
         """A kernel within this one, in a loop where it has several samples."""
         program, batched = equation.params["body"].program, equation.params["batched"]
         return loops.over_rows(self, program, equation, parts, batched) if any(batched) else self.run(program, parts)
-
-    def _sort(self, equation, *parts):
-        """Of one axis, by one key: every entry goes to the place that as many others are before."""
-        if parts[0].ndim != 1 or equation.params["num_keys"] != 1:
-            raise Unsupported("sort of several axes or by several keys")
-        arithmetic, keys = self.arithmetic, parts[0]
-        zero, one = np.int64(0), np.int64(1)
-        ranks = []
-        for i, key in enumerate(keys):
-            before = (arithmetic.function("le_to" if j < i else "lt_to", other, key) for j, other in enumerate(keys))
-            counts = [arithmetic.select(b, one, zero) for j, b in enumerate(before) if j != i]
-            ranks.append(functools.reduce(arithmetic.add, counts, zero))
-        found = []
-        for part, variable in zip(parts, equation.outvars):
-            kind, first = kind_of(variable.aval.dtype), self.builder.reserve(part.size)
-            for entry, rank in zip(part, ranks):
-                if is_known(rank):
-                    self.builder.store(entry, kind, first + int(rank))
-                else:
-                    self.builder.scatter(entry, kind, first, rank)
-            found.append(of_shape([self.builder.load(kind, first + i) for i in range(part.size)], part.shape))
-        return found
 
     def _platform_index(self, equation):
         """Which of several forms of a function is for a CPU."""
