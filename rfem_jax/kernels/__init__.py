@@ -24,9 +24,9 @@ The package knows nothing of mechanics, and uses public interfaces of JAX and ll
 """
 
 from rfem_jax.kernels import linear_algebra, transformations  # noqa: F401 # which tell JAX and the emitter
-from rfem_jax.kernels.bodies import expecting
+from rfem_jax.kernels.bodies import expecting, left_to_xla
 from rfem_jax.kernels.emission import expand_primitive
 from rfem_jax.kernels.machine_code import is_available
 from rfem_jax.kernels.primitive import kernel
 
-__all__ = ["expand_primitive", "expecting", "is_available", "kernel"]
+__all__ = ["expand_primitive", "expecting", "is_available", "kernel", "left_to_xla"]

@@ -24,7 +24,22 @@ THOROUGH_FROM = 8000
 THOROUGH_UP_TO = 60_000  # operations: more would take longer than anyone waits who did not ask for it
 
 
-_expected = threading.local()
+_expected, _choice = threading.local(), threading.local()
+
+
+@contextmanager
+def left_to_xla() -> Iterator[None]:
+    """Leave kernels to XLA that this thread compiles within the block, under a `jax.jit` of one's own: to compare."""
+    before, _choice.xla = is_left_to_xla(), True
+    try:
+        yield
+    finally:
+        _choice.xla = before
+
+
+def is_left_to_xla() -> bool:
+    """Whether kernels that this thread compiles are left to XLA."""
+    return getattr(_choice, "xla", False)
 
 
 def expected_runs() -> int:

@@ -49,7 +49,7 @@ _EXPANSIONS: dict[str, Callable] = {}
 
 
 def expand_primitive(name: str, function: Callable) -> None:
-    """Say what a primitive that is not JAX's is made of.
+    """Say what a primitive is made of, where its implementation is not of primitives of JAX that have machine code.
 
     **Arguments:** `name` of the primitive; `function` of its operands and settings, that uses primitives of JAX.
     """
@@ -62,6 +62,7 @@ class Emitter(Places):
     def __init__(self, builder: Builder) -> None:
         self.builder = builder
         self.arithmetic = Arithmetic(builder)
+        self._expanding: set[str] = set()
 
     def run(self, program: ClosedJaxpr, given: Sequence[Entries]) -> list[Entries]:
         """Results of a jaxpr.
@@ -100,9 +101,7 @@ class Emitter(Places):
         special = getattr(self, f"_{name.replace('-', '_')}", None)
         if special is not None:
             return special(equation, *parts)
-        if name in _EXPANSIONS:
-            return self._expanded(equation, parts)
-        raise Unsupported(name)
+        return self._expanded(equation, parts)
 
     def _function(self, name: str, *entries: Entry) -> Entry:
         """A function of entries: of vectors, or folded if they are known."""
@@ -111,9 +110,19 @@ class Emitter(Places):
         return self.arithmetic.function(name, *entries)
 
     def _expanded(self, equation: JaxprEqn, parts: list[Entries]) -> list[Entries]:
-        like = [shape_of(v) for v in equation.invars]
-        function = _EXPANSIONS[equation.primitive.name]
-        return self.run(jax.make_jaxpr(lambda *x: function(*x, **equation.params))(*like), parts)
+        """By what a primitive was said to be made of, or by its implementation, where that is of other primitives."""
+        name, like = equation.primitive.name, [shape_of(v) for v in equation.invars]
+        function = _EXPANSIONS.get(name, equation.primitive.impl)
+        if name in self._expanding:  # its implementation is itself
+            raise Unsupported(name)
+        self._expanding.add(name)
+        try:
+            program = jax.make_jaxpr(lambda *x: function(*x, **equation.params))(*like)
+        except Exception as reason:  # it is of numbers, not of arrays that are traced
+            raise Unsupported(name) from reason
+        found = self.run(program, parts)
+        self._expanding.discard(name)
+        return found
 
     # Arithmetic with settings
 

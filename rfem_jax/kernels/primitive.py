@@ -19,7 +19,7 @@ from jax.extend.core import ClosedJaxpr, Primitive, jaxpr_as_fun
 from jax.interpreters import mlir
 
 from rfem_jax.kernels import machine_code
-from rfem_jax.kernels.bodies import Body
+from rfem_jax.kernels.bodies import Body, is_left_to_xla
 from rfem_jax.kernels.builder import Unsupported
 from rfem_jax.kernels.entries import shape_of
 
@@ -170,7 +170,7 @@ def _by_machine_code(*operands, body: Body, batched: tuple[bool, ...]):
 
 
 def _on_cpu(*operands, body: Body, batched: tuple[bool, ...]):
-    if isinstance(body.emitted(), Unsupported):
+    if is_left_to_xla() or isinstance(body.emitted(), Unsupported):
         return body.by_xla(*operands, batched=batched)
     return _by_machine_code(*operands, body=body, batched=batched)
 

@@ -19,7 +19,6 @@ from jax.core import ShapedArray
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
-from rfem_jax.kernels import expand_primitive
 from rfem_jax.mechanics.reordering import reorder
 
 Labels = tuple[int, ...]
@@ -213,7 +212,6 @@ def _define(primitive: Primitive, by_operations, type_of, back, batched) -> None
     ad.primitive_transposes[primitive] = _transposed(back)
     batching.primitive_batchers[primitive] = batched
     mlir.register_lowering(primitive, mlir.lower_fun(by_operations, multiple_results=False))
-    expand_primitive(primitive.name, by_operations)
 
 
 _define(_sum_of_products, _sum_by_operations, _sum_type, _sum_back, _sum_batched)

@@ -20,8 +20,6 @@ from jax.core import ShapedArray
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
-from rfem_jax.kernels import expand_primitive
-
 MOST_RUNS = 4  # of neighbouring rows, which are taken as slices
 
 _reorder, _repeat, _sum_groups = Primitive("reorder"), Primitive("repeat_rows"), Primitive("sum_row_groups")
@@ -116,7 +114,6 @@ def _add_rules(primitive: Primitive, by_operations, type_of, transpose) -> None:
     ad.deflinear2(primitive, lambda cotangent, _, **settings: [transpose(cotangent, **settings)])
     batching.primitive_batchers[primitive] = batch
     mlir.register_lowering(primitive, mlir.lower_fun(by_operations, multiple_results=False))
-    expand_primitive(primitive.name, by_operations)
 
 
 def _back(cotangent, *, order, axis):

@@ -74,7 +74,6 @@ def run_study(folder, text):
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore:'steps' is compiled by XLA")  # its loop is equinox's own
 def test_its_runs_have_results_and_pictures(registered, tmp_path):
     """The same loads as by the classical method of order 4, but not to the last digit."""
     own = RK4.replace('method = "rk4"', 'method = "kutta3"\nmiddle = 0.4')

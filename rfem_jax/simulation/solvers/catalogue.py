@@ -13,7 +13,6 @@ from collections.abc import Callable
 from typing import Any, Protocol, runtime_checkable
 
 import diffrax
-import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
 from rfem_jax.description.methods import (
@@ -23,7 +22,6 @@ from rfem_jax.description.methods import (
     Method,
     add_method_class,
 )
-from rfem_jax.kernels import expand_primitive
 from rfem_jax.mechanics.inputs import DriveInput
 from rfem_jax.mechanics.model import State
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
@@ -31,12 +29,6 @@ from rfem_jax.simulation.equations import Conditions, Scalar, Trajectory
 from rfem_jax.simulation.observation import Instant
 from rfem_jax.simulation.solvers.explicit import Leapfrog, PeakTracking, RungeKutta4
 from rfem_jax.simulation.solvers.generalised_alpha import GeneralisedAlpha, MadeJump, StepState
-
-# What equinox, and so solvers made with it, asks of all samples of a batch: in a kernel every sample goes by itself.
-for _name, _function in {"unvmap_all": jnp.all, "unvmap_any": jnp.any, "unvmap_max": jnp.max}.items():
-    expand_primitive(_name, _function)
-for _name in ("nontraceable", "nondifferentiable_backward", "nonbatchable"):
-    expand_primitive(_name, lambda x, **_: x)
 
 
 @runtime_checkable
