@@ -1,5 +1,6 @@
 """Settings of all tests: double precision, no silent promotion of ranks or dtypes."""
 
+import gc
 import os
 from pathlib import Path
 
@@ -21,6 +22,8 @@ if TYPES_CHECKED:
 
 import jax  # noqa: E402
 import pytest  # noqa: E402
+
+from rfem_jax.compilation.program import forget_programs  # noqa: E402
 
 if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
     # The two workers, and the next session, compile the same programs.
@@ -71,5 +74,7 @@ def memory_maps() -> int:
 def _drop_old_programs():
     """Compiled programs of past modules go, before there are so many that the next one crashes."""
     yield
-    if memory_maps() > 30_000:
+    if memory_maps() > 10_000:
+        forget_programs()
         jax.clear_caches()
+        gc.collect()

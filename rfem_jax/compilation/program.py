@@ -10,6 +10,7 @@ transformation of JAX a program is the function itself, under `jax.jit`.
 
 import functools
 import threading
+import weakref
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -32,10 +33,19 @@ SETTINGS = (
 OPTIMISATIONS = "jax_disable_most_optimizations"
 # With these JAX inspects the computation, which a kept program does not allow.
 WATCHED = ("jax_disable_jit", "jax_debug_nans", "jax_debug_infs", "jax_check_tracer_leaks")
-MOST = 64  # functions of arrays of one program in memory
+# Functions of arrays of one program in memory.  Each may take some hundred memory maps, of which Linux allows 65530 in
+# a process.
+MOST = 16
 
 _PLACE = Place()
 _making = threading.RLock()
+_programs: weakref.WeakSet["Program"] = weakref.WeakSet()
+
+
+def forget_programs() -> None:
+    """Forget all compiled programs in memory; with `jax.clear_caches()` their memory is free."""
+    for program in _programs:
+        program.clear()
 
 
 class Program:
@@ -52,6 +62,7 @@ class Program:
         self.function, self.nameless = function, nameless
         self._jitted = eqx.filter_jit(function)
         self._of_arrays: dict[tuple, _OfArrays] = {}
+        _programs.add(self)
         self._by_names: set = set()  # structures of arguments with something that knows things by their names
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
