@@ -14,6 +14,7 @@ LLVM compiles the operations on these as they stand, and JAX sees one primitive 
     loops             loops and branches, over all samples at once
     vector_math       sine, cosine, exponential function and logarithm of vectors
     arithmetic        operations on entries; known numbers are folded
+    memory            arrays in the workspace: where they lie, rows, copies
     entries           arrays as NumPy's arrays of entries
     builder           LLVM's assembly language
     foreign_function  the function that XLA calls

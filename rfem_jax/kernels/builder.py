@@ -26,7 +26,7 @@ import numpy as np
 OPERATIONS_OF_A_BLOCK = 300
 MOST_OPERATIONS = 150_000  # of a program: to compile more takes longer than XLA does
 TURNS = 8  # of a loop, where it is not known how many there will be
-MARKS = re.compile(r"#(?:\((\d+)\)|lanes|[dbiuln])")
+MARKS = re.compile(r"#(?:\((-?\d+)\)|lanes|[dbiuln])")
 
 
 class Value:
@@ -41,17 +41,23 @@ class Value:
         self.name, self.kind = name, kind
 
 
+Rows = tuple[tuple[str, int], ...]  # numbers of rows (scalars), and how many slots such a row has
+
+
 class Stored(Value):
-    """A value in a slot of the workspace that is written no more while it is in use: loaded where it is used."""
+    """A value in the workspace that is written no more while it is in use: loaded where it is used.
 
-    __slots__ = ("builder", "slot")
+    It is in a slot, or so many rows after it.
+    """
 
-    def __init__(self, builder: "Builder", kind: str, slot: int) -> None:
-        self.builder, self.kind, self.slot = builder, kind, slot
+    __slots__ = ("builder", "rows", "slot")
+
+    def __init__(self, builder: "Builder", kind: str, slot: int, rows: Rows = ()) -> None:
+        self.builder, self.kind, self.slot, self.rows = builder, kind, slot, rows
 
     @property
     def name(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride] # computed where it is used
-        return self.builder.load_once(self.kind, self.slot).name
+        return self.builder.load_once(self.kind, self.slot, self.rows).name
 
 
 Entry = Any  # of an array: a `Value`, or a number of NumPy's that is known
@@ -183,6 +189,22 @@ class Builder:
         self._turns //= turns
         self._scopes.pop()
 
+    def counted(self, length: int, turn: Callable[[str], None]) -> None:
+        """A loop of a known number of turns, each given the counter, a scalar."""
+        loop, done = self.fresh("loop"), self.fresh("done")
+        before = self.block
+        self.line(f"br label %{loop}")
+        place = len(self.lines) + 1
+        self.begin(loop)
+        counter, following = f"%{self.fresh('i')}", f"%{self.fresh('i')}"
+        self.line("")  # for the counter's own line, which names the last block of the loop
+        self.inside(lambda: turn(counter), length)
+        self.line(f"{following} = add i64 {counter}, 1")
+        goes_on = self.scalar(f"icmp ult i64 {following}, {length}")
+        self.line(f"br i1 {goes_on}, label %{loop}, label %{done}")
+        self.lines[place] = f"{counter} = phi i64 [ 0, %{before} ], [ {following}, %{self.block} ]"
+        self.begin(done)
+
     # The workspace
 
     def reserve(self, slots: int) -> int:
@@ -191,36 +213,35 @@ class Builder:
         self.slots += slots
         return first
 
-    def address(self, slot: int, row: tuple[str, int] | None = None) -> str:
-        """Address of a slot, or of the one that many rows (a scalar, and how many slots a row has) after it."""
+    def address(self, slot: int, rows: Rows = ()) -> str:
+        """Address of a slot, or of the one that many rows after it."""
         place = self.scalar(f"getelementptr i8, ptr %workspace, i64 #({slot})")
-        if row is None:
-            return place
-        counter, size = row
-        offset = self.scalar(f"mul i64 {counter}, #({size})")
-        return self.scalar(f"getelementptr i8, ptr {place}, i64 {offset}")
+        for counter, size in rows:
+            offset = self.scalar(f"mul i64 {counter}, #({size})")
+            place = self.scalar(f"getelementptr i8, ptr {place}, i64 {offset}")
+        return place
 
-    def load(self, kind: str, slot: int, row: tuple[str, int] | None = None) -> Value:
+    def load(self, kind: str, slot: int, rows: Rows = ()) -> Value:
         """The value in a slot: whole numbers and conditions are kept as 64 bits."""
-        place = self.address(slot, row)
+        place = self.address(slot, rows)
         stored = self._fresh_value("d" if kind == "d" else "l", f"load #{'d' if kind == 'd' else 'l'}, ptr {place}")
         return stored if kind in "dl" else self._fresh_value(kind, f"trunc #l {stored.name} to #{kind}")
 
-    def load_once(self, kind: str, slot: int) -> Value:
+    def load_once(self, kind: str, slot: int, rows: Rows = ()) -> Value:
         """The value in a slot that is written no more, loaded already or now."""
-        key = f"slot {kind} {slot}"
+        key = f"slot {kind} {slot} {rows}"
         for scope in reversed(self._scopes):
             if key in scope:
                 return scope[key]
-        value = self._scopes[-1][key] = self.load(kind, slot)
+        value = self._scopes[-1][key] = self.load(kind, slot, rows)
         return value
 
-    def store(self, entry: Entry, kind: str, slot: int, row: tuple[str, int] | None = None) -> None:
+    def store(self, entry: Entry, kind: str, slot: int, rows: Rows = ()) -> None:
         """Put an entry into a slot."""
         value = self.operand(entry, kind)
         if kind in "biu":
             value = self.operation("l", f"{'sext' if kind == 'i' else 'zext'} #{kind} {value} to #l").name
-        place = self.address(slot, row)
+        place = self.address(slot, rows)
         self.line(f"store #{'d' if kind == 'd' else 'l'} {value}, ptr {place}")
 
     def gather(self, kind: str, slot: int, rows: Value) -> Value:

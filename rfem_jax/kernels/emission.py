@@ -7,8 +7,9 @@ move entries (slices, transposes, gathers at known places) cost nothing: they ar
 Loops and branches are in `loops`.
 """
 
+import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from typing import Any, SupportsIndex
 
 import jax
@@ -46,6 +47,7 @@ SAME = frozenset(
 
 # Primitives of others, by functions of JAX's own primitives.
 _EXPANSIONS: dict[str, Callable] = {}
+MOST_EXPANSIONS = 1000  # that are remembered
 
 
 def expand_primitive(name: str, function: Callable) -> None:
@@ -54,6 +56,12 @@ def expand_primitive(name: str, function: Callable) -> None:
     **Arguments:** `name` of the primitive; `function` of its operands and settings, that uses primitives of JAX.
     """
     _EXPANSIONS[name] = function
+
+
+@functools.lru_cache(maxsize=MOST_EXPANSIONS)
+def _traced(function: Callable, settings: tuple[tuple[str, Any], ...], like: tuple) -> ClosedJaxpr:
+    """The jaxpr of a function with settings, for operands of given shapes: the same few come thousands of times."""
+    return jax.make_jaxpr(lambda *operands: function(*operands, **dict(settings)))(*like)
 
 
 class Emitter(Places):
@@ -116,8 +124,10 @@ class Emitter(Places):
         if name in self._expanding:  # its implementation is itself
             raise Unsupported(name)
         self._expanding.add(name)
+        settings = tuple(equation.params.items())
+        traced = _traced if all(isinstance(x, Hashable) for _, x in settings) else _traced.__wrapped__
         try:
-            program = jax.make_jaxpr(lambda *x: function(*x, **equation.params))(*like)
+            program = traced(function, settings, tuple(like))
         except Exception as reason:  # it is of numbers, not of arrays that are traced
             raise Unsupported(name) from reason
         found = self.run(program, parts)

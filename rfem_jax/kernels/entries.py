@@ -1,6 +1,6 @@
 """Arrays of entries: object arrays of NumPy, whose entries are known numbers and values of the builder.
 
-Place in the pipeline: builder -> **entries** -> loops, emission.
+Place in the pipeline: builder -> **entries** -> memory, loops, emission.
 """
 
 import math
@@ -11,7 +11,7 @@ import jax
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Var
 
-from rfem_jax.kernels.builder import Builder, Entry, Stored, is_known
+from rfem_jax.kernels.builder import Entry, is_known
 
 Entries = np.ndarray  # of dtype object
 
@@ -28,22 +28,6 @@ def of_shape(entries: Sequence[Entry], shape: Sequence[int]) -> Entries:
     for i, entry in enumerate(entries):
         found[i] = entry
     return found.reshape(shape)
-
-
-def stored(builder: Builder, kind: str, slot: int, shape: Sequence[int]) -> Entries:
-    """An array that is in the workspace from a slot on."""
-    return of_shape([Stored(builder, kind, slot + i) for i in range(math.prod(shape))], shape)
-
-
-def place_in_memory(entries: Entries) -> tuple[str, int] | None:
-    """Kind and first slot of an array that is in the workspace as it stands; None of any other."""
-    found = [*entries.flat]
-    if not found or not all(isinstance(x, Stored) for x in found):
-        return None
-    kind, slot = found[0].kind, found[0].slot
-    if any(x.kind != kind or x.slot != slot + i for i, x in enumerate(found)):
-        return None
-    return kind, slot
 
 
 def whole(entries) -> Entries:

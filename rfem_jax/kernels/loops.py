@@ -1,6 +1,6 @@
 """Loops and branches of a jaxpr, over all lanes at once.
 
-Place in the pipeline: entries, arithmetic -> **loops** -> emission, which hands itself over for the bodies.
+Place in the pipeline: memory, arithmetic -> **loops** -> emission, which hands itself over for the bodies.
 
 What goes around in a loop is kept in the workspace.  A `while` goes on as long as any lane does, and a lane that has
 come to its end keeps what it had; a branch is entered if any lane takes it, and every lane keeps the results of its
@@ -16,7 +16,8 @@ from jax.extend.core import ClosedJaxpr
 
 from rfem_jax.kernels.arithmetic import Arithmetic
 from rfem_jax.kernels.builder import DTYPES, TURNS, Builder, Entry, Unsupported, Value, is_known, kind_of
-from rfem_jax.kernels.entries import Entries, of_shape, place_in_memory, size_of, stored, whole
+from rfem_jax.kernels.entries import Entries, of_shape, size_of, whole
+from rfem_jax.kernels.memory import columns_of, copy, row_of, stored
 
 LONGEST_UNROLLED = 64
 LARGEST_UNROLLED = 3000  # operations of all turns
@@ -54,23 +55,20 @@ class Slots:
     def store(self, arrays: Sequence[Entries], row: str | None = None) -> None:
         """Into the first row, or into one that is computed."""
         for array, kind, first, size in zip(arrays, self.kinds, self.firsts, self.sizes, strict=True):
-            for i, entry in enumerate(array.flat):
-                self.builder.store(entry, kind, first + i, None if row is None else (row, size))
+            copy(self.builder, array, kind, first, () if row is None else ((row, size),))
 
     def load(self) -> list[Entries]:
         """The first row, which may be written again."""
-        return [_row(*of) for of in zip([self.builder] * len(self.kinds), self.kinds, self.firsts, self.shapes)]
+        load = self.builder.load
+        return [
+            of_shape([load(kind, first + i) for i in range(size)], shape)
+            for kind, first, size, shape in zip(self.kinds, self.firsts, self.sizes, self.shapes)
+        ]
 
     def finished(self) -> list[Entries]:
         """All rows, which are written no more; without the axis of rows if there is one."""
         shapes = self.shapes if self.rows == 1 else [(self.rows, *shape) for shape in self.shapes]
         return [stored(self.builder, *of) for of in zip(self.kinds, self.firsts, shapes)]
-
-
-def _row(builder: Builder, kind: str, first: int, shape: Sequence[int], row: str | None = None) -> Entries:
-    """An array loaded from the workspace: from a slot on, or so many rows of its size later."""
-    size = math.prod(shape)
-    return of_shape([builder.load(kind, first + i, None if row is None else (row, size)) for i in range(size)], shape)
 
 
 def _typed(arrays: Sequence[Entries], variables: Sequence) -> list[Entries]:
@@ -80,24 +78,6 @@ def _typed(arrays: Sequence[Entries], variables: Sequence) -> list[Entries]:
         as_type = DTYPES[kind_of(variable.aval.dtype)].type
         found.append(of_shape([as_type(x) if is_known(x) else x for x in array.flat], array.shape))
     return found
-
-
-def _counted(emitter: Emitter, length: int, turn: Callable[[str], None]) -> None:
-    """A loop of a known number of turns, each given the counter, a scalar."""
-    builder = emitter.builder
-    loop, done = builder.fresh("loop"), builder.fresh("done")
-    before = builder.block
-    builder.line(f"br label %{loop}")
-    place = len(builder.lines) + 1
-    builder.begin(loop)
-    counter, following = f"%{builder.fresh('i')}", f"%{builder.fresh('i')}"
-    builder.line("")  # for the counter's own line, which names the last block of the loop
-    builder.inside(lambda: turn(counter), length)
-    builder.line(f"{following} = add i64 {counter}, 1")
-    goes_on = builder.scalar(f"icmp ult i64 {following}, {length}")
-    builder.line(f"br i1 {goes_on}, label %{loop}, label %{done}")
-    builder.lines[place] = f"{counter} = phi i64 [ 0, %{before} ], [ {following}, %{builder.block} ]"
-    builder.begin(done)
 
 
 def scan(emitter: Emitter, equation, parts: Sequence[Entries]) -> list[Entries]:
@@ -142,7 +122,7 @@ def _turns(
     """
     row_variables, carry_variables, made_variables = variables
     carried = len(carry)
-    if length <= LONGEST_UNROLLED and length * size <= LARGEST_UNROLLED:
+    if length <= 1 or (length <= LONGEST_UNROLLED and length * size <= LARGEST_UNROLLED):
         made = []
         for i in range(length)[::-1] if reverse else range(length):
             results = body(carry, [whole(x[i]) for x in rows])
@@ -155,28 +135,20 @@ def _turns(
     around = Slots(emitter, carry_variables)
     written = Slots(emitter, made_variables, length, drop=1)
     around.store(_typed(carry, carry_variables))
-    given = [_in_memory(emitter, x, v) for x, v in zip(rows, row_variables)]
+    builder, rows = emitter.builder, _typed(rows, row_variables)
+    kinds = [kind_of(v.aval.dtype) for v in row_variables]
+    columns = [columns_of(builder, x, kind) for x, kind in zip(rows, kinds)]
 
     def turn(counter: str) -> None:
-        at = emitter.builder.scalar(f"sub i64 {length - 1}, {counter}") if reverse else counter
-        own = [_row(emitter.builder, *place, x.shape[1:], at) for place, x in zip(given, rows)]
+        at = builder.scalar(f"sub i64 {length - 1}, {counter}") if reverse else counter
+        own = [row_of(builder, kind, of, x.shape[1:], at) for kind, of, x in zip(kinds, columns, rows)]
         results = body(around.load(), own)
         around.store(_typed(results[:carried], carry_variables))
         written.store(_typed(results[carried:], made_variables), at)
 
-    _counted(emitter, length, turn)
+    builder.counted(length, turn)
     made = [x.reshape(v.aval.shape) for x, v in zip(written.finished(), made_variables)]
     return around.finished() + made
-
-
-def _in_memory(emitter: Emitter, array: Entries, variable) -> tuple[str, int]:
-    """Kind and first slot of an array, or of a copy of it."""
-    found = place_in_memory(array)
-    if found is None:
-        copy = Slots(emitter, [variable])
-        copy.store(_typed([array], [variable]))
-        found = copy.kinds[0], copy.firsts[0]
-    return found
 
 
 def repeat_while(emitter: Emitter, equation, parts: Sequence[Entries]) -> list[Entries]:

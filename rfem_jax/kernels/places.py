@@ -1,6 +1,6 @@
 """Entries at places: windows that are read or written where a number says, known or computed, and sorted entries.
 
-Place in the pipeline: builder, arithmetic, entries -> **places** -> emission, whose emitter has these rules.
+Place in the pipeline: arithmetic, memory -> **places** -> emission, whose emitter has these rules.
 """
 
 import functools
@@ -11,7 +11,8 @@ import numpy as np
 
 from rfem_jax.kernels.arithmetic import Arithmetic, common_kind
 from rfem_jax.kernels.builder import DTYPES, Builder, Entry, Unsupported, Value, is_known, kind_of
-from rfem_jax.kernels.entries import Entries, each, numbers, of_shape, place_in_memory
+from rfem_jax.kernels.entries import Entries, each, numbers, of_shape
+from rfem_jax.kernels.memory import copy, in_one_piece
 
 
 class Places:
@@ -84,7 +85,7 @@ class Places:
             table = self.builder.table(kind, known.ravel())
             found = [self.builder.gather_of_table(kind, table, int(place), row) for place in places.flat]
             return of_shape(found, sizes)
-        kind, first = self._in_memory(operand)
+        first = in_one_piece(self.builder, operand, kind)
         found = [self.builder.gather(kind, first + int(place), row) for place in places.flat]
         return of_shape(found, sizes)
 
@@ -96,19 +97,6 @@ class Places:
             total = self.arithmetic.add(total, self.arithmetic.multiply(start, stride))
         assert isinstance(total, Value)
         return total
-
-    def _in_memory(self, entries: Entries) -> tuple[str, int]:
-        """Kind and first slot of an array, or of a copy of it."""
-        found = place_in_memory(entries)
-        return found if found is not None else self._copied(entries)
-
-    def _copied(self, entries: Entries) -> tuple[str, int]:
-        """Kind and first slot of a copy of an array."""
-        kind = common_kind(entries.flat)
-        first = self.builder.reserve(entries.size)
-        for i, entry in enumerate(entries.flat):
-            self.builder.store(entry, kind, first + i)
-        return kind, first
 
     def _dynamic_update_slice(self, equation, operand, update, *starts):
         return [self._updated(operand, update, [a[()] for a in starts])]
@@ -124,7 +112,9 @@ class Places:
             operand = operand.copy()
             operand[within] = update
             return operand
-        kind, first = self._copied(operand)
+        kind = common_kind(operand.flat)
+        first = self.builder.reserve(operand.size)
+        copy(self.builder, operand, kind, first)
         row = self._row_of(operand.shape, moving)
         places = np.arange(operand.size).reshape(operand.shape)[within]
         for place, entry in zip(places.flat, update.flat):

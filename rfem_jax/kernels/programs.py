@@ -12,8 +12,8 @@ from jax.extend.core import ClosedJaxpr
 from rfem_jax.kernels import foreign_function, machine_code
 from rfem_jax.kernels.builder import Builder, filled, kind_of
 from rfem_jax.kernels.emission import Emitter
-from rfem_jax.kernels.entries import place_in_memory, stored
 from rfem_jax.kernels.foreign_function import Buffer
+from rfem_jax.kernels.memory import in_one_piece, stored
 
 
 class Program(NamedTuple):
@@ -56,13 +56,8 @@ def emit(program: ClosedJaxpr) -> Program:
         return Buffer(kind_of(variable.aval.dtype), size, builder.reserve(size))
 
     def result(variable, array) -> Buffer:
-        at, size, kind = place_in_memory(array), array.size, kind_of(variable.aval.dtype)
-        if at is not None:
-            return Buffer(kind, size, at[1])
-        slot = builder.reserve(size)
-        for i, entry in enumerate(array.flat):
-            builder.store(entry, kind, slot + i)
-        return Buffer(kind, size, slot)
+        kind = kind_of(variable.aval.dtype)
+        return Buffer(kind, array.size, in_one_piece(builder, array, kind))
 
     operands = [operand(variable) for variable in program.jaxpr.invars]
     given = [stored(builder, b.kind, b.slot, v.aval.shape) for b, v in zip(operands, program.jaxpr.invars)]

@@ -40,6 +40,7 @@ POINTS_WITH_TANGENTS = 4  # times the lanes: points x tangents at once
 ValueVector = Float[Array, " m"]
 Jacobian = Float[Array, "m k"]
 Function = Callable[[Float[Array, " k"]], tuple[ValueVector, Status]]
+CheckedFunction = Callable[[Float[Array, " k"]], tuple[tuple[ValueVector, Float[Array, " c"]], Status]]
 
 
 def choose_mode(mode: str, errors: int, metrics: int, problem: ToleranceProblem | None = None) -> str:
@@ -75,32 +76,43 @@ def differentiate(
 
 
 def push_directions(function, x, directions, batch):
-    """Value (m,), derivatives (d, m) along directions (d, k), and status; traced."""
+    """Value (m,), derivatives (d, m) along directions (d, k), and status; traced. The value may be several arrays."""
 
     def push(tangent):
         return jax.jvp(function, (x,), (tangent,), has_aux=True)
 
     value, derivatives, status = map_chunks(push, directions, batch)
-    return value[0], derivatives, status[0]
+    return jax.tree.map(lambda x: x[0], value), derivatives, status[0]
 
 
 def differentiate_twice(
-    function: Function, x: Float[Array, " k"], directions: Float[Array, "d k"], mode: str, batch: int
+    function: CheckedFunction, x: Float[Array, " k"], directions: Float[Array, "d k"], mode: str, batch: int
 ) -> tuple[ValueVector, Jacobian, Float[Array, "d m k"], Status]:
-    """Value (m,), Jacobian (m, k), its derivatives (d, m, k) along directions, and status; traced.
+    """Value (m + c,), Jacobian (m + c, k), derivatives (d, m, k) of its first m rows along directions, and status, of
+    `function(x) -> (((m,), (c,)), status)`; traced.
 
-    Forward mode over the first derivative in the chosen mode.
+    Forward mode over the first derivative in the chosen mode.  What only the c other values depend on is not
+    differentiated twice: they are a part of their own.
     """
 
     def first(y):
-        value, jacobian, status = differentiate(function, y, mode, batch)
-        return jacobian, (value, status)
+        if mode == "reverse":
+            values, pull, status = jax.vjp(function, y, has_aux=True)
+            zeros = [jnp.zeros_like(value) for value in values]
+            jacobians = [
+                map_chunks(lambda c: pull((*zeros[:i], c, *zeros[i + 1 :]))[0], jnp.eye(len(value)), batch)
+                for i, value in enumerate(values)
+            ]
+        else:
+            values, derivatives, status = push_directions(function, y, jnp.eye(len(y)), batch)
+            jacobians = [derivative.T for derivative in derivatives]
+        return jacobians[0], (values, jacobians[1], status)
 
     def push(tangent):
         return jax.jvp(first, (x,), (tangent,), has_aux=True)
 
-    jacobian, change, (value, status) = jax.vmap(push)(directions)
-    return value[0], jacobian[0], change, status[0]
+    jacobian, change, (values, others, status) = jax.vmap(push)(directions)
+    return jnp.concatenate(values, axis=1)[0], jnp.concatenate([jacobian[0], others[0]]), change, status[0]
 
 
 @partial(Program, nameless=True)

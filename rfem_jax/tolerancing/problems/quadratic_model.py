@@ -120,9 +120,9 @@ class QuadraticModel(eqx.Module):
 
 def stack_checked(
     problem: ImplicitProblem, names: Sequence[str], base: Base, x: Float[Array, " k"], count: int
-) -> tuple[ValueVector, Status]:
-    """`stack_metrics` with 2 `count` values more: sums, with random signs, of the residual of the equations of motion
-    and of the joint forces.
+) -> tuple[tuple[ValueVector, Float[Array, " c"]], Status]:
+    """`stack_metrics`, and c = 2 `count` values beside them: sums, with random signs, of the residual of the equations
+    of motion and of the joint forces.
 
     The mean of their squared derivatives is the sum of the squared derivatives of all these forces, so that a few
     directions, of either mode, tell how accurate the derivatives are.
@@ -134,7 +134,7 @@ def stack_checked(
         jnp.sum(jax.random.rademacher(key, (count, part.size), part.dtype) * part.reshape(1, -1), axis=1)
         for part in (residual, forces)
     ]
-    return jnp.concatenate([jnp.stack([values[m.name] for m in problem.metrics]), *sums]), status
+    return (jnp.stack([values[m.name] for m in problem.metrics]), jnp.concatenate(sums)), status
 
 
 def _sums(problem, mode) -> int:
@@ -150,13 +150,18 @@ def _differentiate(problem, names, base, x, directions, order, mode, batch):
     """
     count = _sums(problem, mode)
 
-    def function(y):
+    def checked(y):
         if count:
             return stack_checked(problem, names, base, y, count)
-        return stack_metrics(problem, names, base, y)
+        values, status = stack_metrics(problem, names, base, y)
+        return (values, jnp.zeros(0)), status
+
+    def function(y):
+        values, status = checked(y)
+        return jnp.concatenate(values), status
 
     if order == 2:
-        return differentiate_twice(function, x, directions, mode, batch)
+        return differentiate_twice(checked, x, directions, mode, batch)
     if mode == "forward":
         value, first, status = push_directions(function, x, directions, batch)
     else:

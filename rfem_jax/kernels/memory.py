@@ -1,0 +1,129 @@
+"""Arrays in the workspace: where they lie, their rows, and copies of them.
+
+Place in the pipeline: builder, entries -> **memory** -> loops, places, programs.
+
+Arrays whose axes were exchanged, or that are a part of another one, still lie evenly: so far from one entry to the next
+along each axis.  Their rows are read where they are, and what has to be copied is copied in loops.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from rfem_jax.kernels.builder import Builder, Entry, Rows, Stored, is_known
+from rfem_jax.kernels.entries import Entries, of_shape
+
+LARGEST_UNROLLED_COPY = 64  # entries
+
+
+def stored(builder: Builder, kind: str, slot: int, shape: Sequence[int]) -> Entries:
+    """An array that is in the workspace from a slot on."""
+    return of_shape([Stored(builder, kind, slot + i) for i in range(math.prod(shape))], shape)
+
+
+class Location(NamedTuple):
+    """Where the entries of an array are: their slots, all so many rows after these."""
+
+    kind: str
+    slots: np.ndarray
+    rows: Rows
+
+
+def location_of(entries: Entries) -> Location | None:
+    """Where an array is in the workspace; None of one that is elsewhere, or scattered over several rows."""
+    found = [*entries.flat]
+    if not found or not all(isinstance(x, Stored) for x in found) or len({(x.kind, x.rows) for x in found}) > 1:
+        return None
+    return Location(found[0].kind, np.array([x.slot for x in found]).reshape(entries.shape), found[0].rows)
+
+
+def in_one_piece(builder: Builder, entries: Entries, kind: str) -> int:
+    """First slot of an array of a kind, or of a copy of it if it is not in the workspace in one piece."""
+    found = location_of(entries)
+    if found is not None and found.kind == kind and not found.rows:
+        first = int(found.slots.flat[0])
+        if (found.slots.ravel() == first + np.arange(found.slots.size)).all():
+            return first
+    first = builder.reserve(entries.size)
+    copy(builder, entries, kind, first)
+    return first
+
+
+def copy(builder: Builder, entries: Entries, kind: str, first: int, rows: Rows = ()) -> None:
+    """Put an array into the workspace, from a slot on, or so many rows after it."""
+    found = location_of(entries) if entries.size > LARGEST_UNROLLED_COPY else None
+    steps = None if found is None or found.kind != kind else _steps(found.slots)
+    if found is None or steps is None:
+        for i, entry in enumerate(entries.flat):
+            builder.store(entry, kind, first + i, rows)
+        return
+    source = int(found.slots.flat[0])
+
+    def copy_from(axis: int, there: Rows, here: Rows) -> None:
+        if axis == len(steps):
+            builder.store(builder.load(kind, source, there), kind, first, here)
+            return
+        length, step = steps[axis]
+        own = math.prod(n for n, _ in steps[axis + 1 :])
+        builder.counted(length, lambda i: copy_from(axis + 1, (*there, (i, step)), (*here, (i, own))))
+
+    copy_from(0, found.rows, rows)
+
+
+def _steps(slots: np.ndarray) -> list[tuple[int, int]] | None:
+    """Length of every axis, and how many slots it is from one of its entries to the next; None unless that is the same
+    everywhere. Axes that follow each other without a gap are one."""
+    first, found = int(slots.flat[0]), []
+    places = np.full(slots.shape, first)
+    for axis, length in enumerate(slots.shape):
+        if length == 1:
+            continue
+        at = tuple(int(k == axis) for k in range(slots.ndim))
+        step = int(slots[at]) - first
+        places += step * np.arange(length).reshape([length if k == axis else 1 for k in range(slots.ndim)])
+        if found and found[-1][1] == step * length:
+            found[-1] = found[-1][0] * length, step
+        else:
+            found.append((length, step))
+    return found if (places == slots).all() else None
+
+
+class Column(NamedTuple):
+    """An entry of every row: where it is in the first one, and how many slots it is to the next row."""
+
+    slot: int
+    step: int
+    rows: Rows
+
+
+def columns_of(builder: Builder, rows: Entries, kind: str) -> list[Column | Entry]:
+    """The entries of rows (rows, ...): columns in the workspace, where need be copies, and entries that all rows
+    share."""
+    return [_column(builder, column, kind) for column in rows.reshape(len(rows), -1).T]
+
+
+def _column(builder: Builder, column: Entries, kind: str) -> Column | Entry:
+    first = column[0]
+    if is_known(first):
+        same = all(is_known(x) for x in column) and len({np.asarray(x).tobytes() for x in column}) == 1
+    else:
+        same = all(x is first for x in column)
+    if same:
+        return first
+    found = location_of(column)
+    if found is not None and found.kind == kind:
+        steps = np.diff(found.slots)
+        if (steps == steps[0]).all():
+            return Column(int(found.slots[0]), int(steps[0]), found.rows) if steps[0] else first
+    slot = builder.reserve(len(column))
+    copy(builder, column, kind, slot)
+    return Column(slot, 1, ())
+
+
+def row_of(builder: Builder, kind: str, columns: Sequence[Column | Entry], shape: Sequence[int], at: str) -> Entries:
+    """The row whose number is a scalar."""
+    return of_shape(
+        [Stored(builder, kind, x.slot, (*x.rows, (at, x.step))) if isinstance(x, Column) else x for x in columns], shape
+    )
