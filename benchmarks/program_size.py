@@ -76,9 +76,8 @@ def samples_of(equation) -> int:
 
 def print_kernels(jaxpr) -> None:
     """A row for every kernel of a program, and number of samples."""
-    from rfem_jax.kernels import machine_code
-    from rfem_jax.kernels.bodies import thorough_pays
-    from rfem_jax.kernels.programs import Program
+    from rfem_jax.kernels import machine_code, programs
+    from rfem_jax.kernels.bodies import Size, thorough_pays
 
     calls: dict = {}
     for equation in calls_of_kernels(jaxpr):
@@ -86,12 +85,13 @@ def print_kernels(jaxpr) -> None:
         calls[key] = calls.get(key, 0) + 1
     print_head(KERNELS)
     for (body, samples), count in calls.items():
-        program, emission = processor_time(body.emitted)
-        if not isinstance(program, Program):
-            print_row(body.name, count, samples, f"compiled by XLA: {program}", *"-----")
+        size = body.size()
+        if not isinstance(size, Size):
+            print_row(body.name, count, samples, f"compiled by XLA: {size}", *"-----")
             continue
+        program, emission = processor_time(programs.emit, body.program)
         lanes = min(1 << (samples - 1).bit_length(), machine_code.vector_width())
-        thorough = thorough_pays(program, -(-samples // lanes))
+        thorough = thorough_pays(size, -(-samples // lanes))
         codes = [
             processor_time(machine_code.compiled, program.module(lanes, choice)[1], choice) for choice in (False, True)
         ]

@@ -7,6 +7,7 @@ LLVM compiles the operations on these as they stand, and JAX sees one primitive 
     transformations   batches, directions, derivatives and transposes of kernels
     primitive         `kernel(function)`: the primitive
     bodies            the jaxpr of a kernel, and what is made of it
+    contents          a jaxpr as a digest, under which all of this is kept
     programs          a jaxpr as the text of a module for LLVM
     emission          primitives of JAX as operations on entries
     places            entries at places that are known or computed

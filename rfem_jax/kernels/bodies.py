@@ -1,19 +1,20 @@
 """What a kernel is made of: its jaxpr for one sample, the machine code, and the kernels that are derived from it.
 
-Place in the pipeline: programs, machine_code, registry -> **bodies** -> primitive.
+Place in the pipeline: programs, contents, machine_code, registry -> **bodies** -> primitive.
 """
 
+import functools
 import threading
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 
-from rfem_jax.kernels import machine_code, programs, registry
+from rfem_jax.kernels import contents, machine_code, programs, registry
 from rfem_jax.kernels.builder import TooLarge, Unsupported
 from rfem_jax.kernels.entries import shape_of, size_of
 
@@ -57,10 +58,17 @@ def expecting(runs: int) -> Iterator[None]:
         _expected.runs = before
 
 
-def thorough_pays(program: programs.Program, blocks: int) -> bool:
+class Size(NamedTuple):
+    """Operations of a program, and how many of them are carried out (see `programs.Program`)."""
+
+    operations: int
+    work: int
+
+
+def thorough_pays(size: Size, blocks: int) -> bool:
     """Whether a program for so many blocks of samples is to be compiled thoroughly, where that is left open."""
-    turns = expected_runs() * blocks * program.work / max(program.operations, 1)
-    return turns >= THOROUGH_FROM and program.operations <= THOROUGH_UP_TO
+    turns = expected_runs() * blocks * size.work / max(size.operations, 1)
+    return turns >= THOROUGH_FROM and size.operations <= THOROUGH_UP_TO
 
 
 class Body:
@@ -80,8 +88,9 @@ class Body:
         self.origin: tuple[Body, tuple[int, ...]] | None = None
         self.single: tuple[Body, tuple[bool, ...]] | None = None
         self.long, self.order = False, 0
-        self._emitted: programs.Program | Unsupported | None = None
-        self._handlers: dict[tuple[int, bool], tuple[str, str]] = {}
+        self._emitted: programs.Program | None = None
+        self._size: Size | Unsupported | None = None
+        self._handlers: dict[tuple[int, bool], str] = {}
         self._derived: dict[Any, Body] = {}
         self._lock = threading.RLock()
 
@@ -89,36 +98,54 @@ class Body:
         """The results by JAX's own operations."""
         return over_samples(self.plain or jaxpr_as_fun(self.program), batched)(*operands)
 
-    def emitted(self) -> programs.Program | Unsupported:
-        """The program, or why there is none."""
-        with self._lock:
-            if self._emitted is None:
-                self._emitted = self._emit()
-            return self._emitted
+    @functools.cached_property
+    def digest(self) -> str | None:
+        """Of the content of the jaxpr, None if it is not known."""
+        return contents.digest_of(self.program)
 
-    def _emit(self) -> programs.Program | Unsupported:
-        if not machine_code.is_available():
-            return Unsupported("llvmlite is not installed")
+    def size(self) -> Size | Unsupported:
+        """The size of the program, or why there is none; what was noted of the same content is not found again."""
+        with self._lock:
+            if self._size is None:
+                if not machine_code.is_available():
+                    self._size = Unsupported("llvmlite is not installed")
+                else:
+                    noted = registry.noted(f"size_{self.digest}") if self.digest else None
+                    self._size = self._emitted_size() if noted is None else Size(*map(int, noted.split()))
+            return self._size
+
+    def _emitted_size(self) -> Size | Unsupported:
         if size_of(self.program) > LARGEST_ARRAYS:
             return TooLarge(f"arrays of {LARGEST_ARRAYS} entries in all")
         try:
-            return programs.emit(self.program)
+            self._emitted = programs.emit(self.program)
         except TooLarge as reason:
             return reason
         except Unsupported as reason:
             warnings.warn(f"{self.name!r} is compiled by XLA: there is no machine code for {reason}.", stacklevel=2)
             return reason
+        size = Size(self._emitted.operations, self._emitted.work)
+        if self.digest:
+            registry.note(f"size_{self.digest}", f"{size.operations} {size.work}".encode())
+        return size
 
     def handler(self, lanes: int, blocks: int) -> str:
         """Name under which XLA finds the machine code for a number of lanes, and so many blocks of samples."""
-        program = self.emitted()
-        assert isinstance(program, programs.Program)
-        thorough = thorough_pays(program, blocks) if self.selection == "automatic" else self.selection == "thorough"
+        size = self.size()
+        assert isinstance(size, Size)
+        thorough = thorough_pays(size, blocks) if self.selection == "automatic" else self.selection == "thorough"
+
+        def module() -> tuple[str, str]:
+            if self._emitted is None:
+                self._emitted = programs.emit(self.program)
+            return self._emitted.module(lanes, thorough, self.digest)
+
         with self._lock:
             if (lanes, thorough) not in self._handlers:
-                self._handlers[lanes, thorough] = program.module(lanes, thorough)
-            name, text = self._handlers[lanes, thorough]
-        registry.announce(name, text, thorough)
+                name = programs.handler_name(self.digest, lanes, thorough) if self.digest else module()[0]
+                self._handlers[lanes, thorough] = name
+            name = self._handlers[lanes, thorough]
+            registry.announce(name, lambda: module()[1], thorough)
         return name
 
     def derived(self, key: Any, make: Callable[[], tuple]) -> "Body":

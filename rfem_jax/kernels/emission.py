@@ -32,6 +32,9 @@ from rfem_jax.kernels.entries import (
 from rfem_jax.kernels.places import Places
 
 # Primitives whose operation on arrays is that on entries.
+SIMPLE = {
+    "add": "add", "add_any": "add", "sub": "subtract", "neg": "negative", "mul": "multiply", "div": "divide",
+}  # fmt: skip
 ELEMENTWISE = frozenset(
     (
         "sin cos tan asin acos atan atan2 exp exp2 log sqrt rsqrt tanh sinh cosh abs max min sign floor ceil "
@@ -64,6 +67,30 @@ def _traced(function: Callable, settings: tuple[tuple[str, Any], ...], like: tup
     return jax.make_jaxpr(lambda *operands: function(*operands, **dict(settings)))(*like)
 
 
+def expansion_of(equation: JaxprEqn) -> ClosedJaxpr:
+    """What an equation's primitive was said to be made of, or its implementation.
+
+    **Raises:** `Unsupported` if it has none that can be traced.
+    """
+    primitive, like = equation.primitive, tuple(shape_of(v) for v in equation.invars)
+    function, settings = _EXPANSIONS.get(primitive.name, primitive.impl), tuple(equation.params.items())
+    traced = _traced if all(isinstance(x, Hashable) for _, x in settings) else _traced.__wrapped__
+    try:
+        return traced(function, settings, like)
+    except Exception as reason:  # it is of numbers, not of arrays that are traced
+        raise Unsupported(primitive.name) from reason
+
+
+def called_program(settings: dict[str, Any]) -> ClosedJaxpr:
+    """The jaxpr of a call."""
+    inner: Any = settings.get("jaxpr", settings.get("call_jaxpr"))
+    return inner if is_program(inner) else ClosedJaxpr(inner, ())
+
+
+def _rule_of(name: str) -> str:
+    return f"_{name.replace('-', '_')}"
+
+
 class Emitter(Places):
     """Carries out jaxprs by the operations of a builder."""
 
@@ -93,23 +120,23 @@ class Emitter(Places):
         """Results of one equation of a jaxpr."""
         name, settings = equation.primitive.name, equation.params
         arithmetic = self.arithmetic
-        simple = {
-            "add": arithmetic.add, "add_any": arithmetic.add, "sub": arithmetic.subtract, "neg": arithmetic.negative,
-            "mul": arithmetic.multiply, "div": arithmetic.divide,
-        }  # fmt: skip
-        if name in simple:
-            return [each(simple[name], parts)]
+        if name in SIMPLE:
+            return [each(getattr(arithmetic, SIMPLE[name]), parts)]
         if name in ELEMENTWISE:
             return [each(lambda *x: self._function(name, *x), parts)]
         if name in SAME:
             return parts
         if name in CALLS:
-            inner: Any = settings.get("jaxpr", settings.get("call_jaxpr"))
-            return self.run(inner if is_program(inner) else ClosedJaxpr(inner, ()), parts)
-        special = getattr(self, f"_{name.replace('-', '_')}", None)
+            return self.run(called_program(settings), parts)
+        special = getattr(self, _rule_of(name), None)
         if special is not None:
             return special(equation, *parts)
         return self._expanded(equation, parts)
+
+    @classmethod
+    def knows(cls, name: str) -> bool:
+        """Whether there is a rule for a primitive; any other is what it is made of."""
+        return name in SIMPLE or name in ELEMENTWISE | SAME | CALLS or hasattr(cls, _rule_of(name))
 
     def _function(self, name: str, *entries: Entry) -> Entry:
         """A function of entries: of vectors, or folded if they are known."""
@@ -119,18 +146,11 @@ class Emitter(Places):
 
     def _expanded(self, equation: JaxprEqn, parts: list[Entries]) -> list[Entries]:
         """By what a primitive was said to be made of, or by its implementation, where that is of other primitives."""
-        name, like = equation.primitive.name, [shape_of(v) for v in equation.invars]
-        function = _EXPANSIONS.get(name, equation.primitive.impl)
+        name = equation.primitive.name
         if name in self._expanding:  # its implementation is itself
             raise Unsupported(name)
         self._expanding.add(name)
-        settings = tuple(equation.params.items())
-        traced = _traced if all(isinstance(x, Hashable) for _, x in settings) else _traced.__wrapped__
-        try:
-            program = traced(function, settings, tuple(like))
-        except Exception as reason:  # it is of numbers, not of arrays that are traced
-            raise Unsupported(name) from reason
-        found = self.run(program, parts)
+        found = self.run(expansion_of(equation), parts)
         self._expanding.discard(name)
         return found
 

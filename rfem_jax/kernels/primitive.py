@@ -170,7 +170,7 @@ def _by_machine_code(*operands, body: Body, batched: tuple[bool, ...]):
 
 
 def _on_cpu(*operands, body: Body, batched: tuple[bool, ...]):
-    if is_left_to_xla() or isinstance(body.emitted(), Unsupported):
+    if is_left_to_xla() or isinstance(body.size(), Unsupported):
         return body.by_xla(*operands, batched=batched)
     return _by_machine_code(*operands, body=body, batched=batched)
 

@@ -29,18 +29,24 @@ class Program(NamedTuple):
     operations: int
     work: int
 
-    def module(self, lanes: int, thorough: bool) -> tuple[str, str]:
-        """Name of the handler and text of the module for a number of lanes.  The name is that of the content: a program
-        of XLA that was kept on disk names what it calls."""
+    def module(self, lanes: int, thorough: bool, digest: str | None = None) -> tuple[str, str]:
+        """Name of the handler and text of the module for a number of lanes.  The name is that of the content, whose
+        digest may be known: a program of XLA that was kept on disk names what it calls."""
         begin = "define internal void @program(ptr %workspace) {\nentry:\n%never = icmp eq ptr %workspace, null"
         body = filled(f"{begin}\n{self.body}\nret void\nnowhere:\nret void\n}}", lanes)
         declarations = filled(self.declarations, lanes)
-        interface = foreign_function.interface_version()
-        layout = repr((self.operands, self.results, self.slots, lanes, interface, thorough, machine_code.processor()))
-        digest = hashlib.sha256("\n".join([body, declarations, layout]).encode()).hexdigest()[:32]
-        name = f"kernel_{digest}"
+        if digest is None:
+            interface = foreign_function.interface_version()
+            layout = repr((self.operands, self.results, self.slots, interface, machine_code.processor()))
+            digest = hashlib.sha256("\n".join([body, declarations, layout]).encode()).hexdigest()[:40]
+        name = handler_name(digest, lanes, thorough)
         handler = foreign_function.handler(name, self.operands, self.results, self.slots, lanes)
         return name, "\n".join([declarations, body, handler])
+
+
+def handler_name(digest: str, lanes: int, thorough: bool) -> str:
+    """Name under which XLA finds the machine code of a program for a number of lanes."""
+    return f"kernel_{digest}_{lanes}_{'thorough' if thorough else 'fast'}"
 
 
 def emit(program: ClosedJaxpr) -> Program:

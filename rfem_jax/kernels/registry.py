@@ -25,6 +25,7 @@ class _Store(NamedTuple):
 
 
 _known: set[str] = set()
+_noted: dict[str, bytes] = {}
 _lock = threading.RLock()
 _store: list[_Store] = []
 _notes = threading.local()
@@ -48,7 +49,23 @@ def noting() -> Iterator[set[str]]:
         _notes.names = before
 
 
-def announce(name: str, text: str, thorough: bool) -> None:
+def note(name: str, content: bytes) -> None:
+    """Note something about a kernel beside its object code."""
+    _noted[name] = content
+    if _store:
+        _store[0].write(name, content)
+
+
+def noted(name: str) -> bytes | None:
+    """What was noted under a name."""
+    if name not in _noted and _store:
+        content = _store[0].read(name)
+        if content is not None:
+            _noted[name] = content
+    return _noted.get(name)
+
+
+def announce(name: str, text: Callable[[], str], thorough: bool) -> None:
     """Make a handler known to XLA when a program that calls it is lowered: by its text, unless its code is kept.
 
     At once, also where names are noted: a kernel may be computed while a program is traced.
@@ -58,7 +75,7 @@ def announce(name: str, text: str, thorough: bool) -> None:
         noted.add(name)
     with _lock:
         if name not in _known and not _know_kept(name):
-            code = machine_code.compiled(text, thorough)
+            code = machine_code.compiled(text(), thorough)
             if _store:
                 _store[0].write(name, code)
             _know(name, code)

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax.kernels import is_available, kernel
+from rfem_jax.kernels import is_available, kernel, programs
 
 pytestmark = pytest.mark.skipif(not is_available(), reason="llvmlite is not installed")
 
@@ -126,3 +126,50 @@ def test_a_callback_is_called():
     assert watched(jnp.asarray(1.5)) == 3.0
     jax.effects_barrier()
     assert seen == [1.5]
+
+
+def sums_over_rows(rows):
+    """Sums over rows of rows, of arrays whose axes are exchanged, in reverse order, and that are a part of others."""
+
+    def inner(total, row):
+        total = total + jnp.sin(row[0]) * row[1]
+        return total, total
+
+    def outer(total, block):
+        last, all_of_them = jax.lax.scan(inner, total, block)
+        return last, (all_of_them, block[::-1])
+
+    swapped = jnp.swapaxes(rows, 0, 1)[:, 1:, :2]
+    total, (sums, blocks) = jax.lax.scan(outer, rows[0, 0, 0], swapped)
+    backwards, _ = jax.lax.scan(inner, total, rows[3, ::-1, :2], reverse=True)
+    partly_known = jnp.concatenate([rows[:, :, :1], jnp.zeros_like(rows[:, :, :1])], axis=2)
+    _, constant = jax.lax.scan(outer, total, partly_known)
+    same = jax.lax.scan(inner, total, jnp.broadcast_to(rows[0, 0], (70, rows.shape[2])))
+    return total, jnp.moveaxis(sums, 0, 1), jnp.swapaxes(blocks, 0, 2), backwards, constant, same
+
+
+@pytest.mark.parametrize("shape", [(70, 80, 3), (5, 80, 3), (80, 4, 2)])
+def test_rows_are_read_where_they_lie(shape):
+    rows = jnp.asarray(RANDOM.normal(size=(3, *shape)))
+    found, wanted = jax.vmap(strict(sums_over_rows))(rows), jax.vmap(sums_over_rows)(rows)
+    for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(wanted), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-13)
+
+
+def test_kernels_of_derivatives_do_not_grow_with_the_number_of_rows():
+    def function(numbers, rows):
+        def step(state, row):
+            state = state + 0.01 * jnp.sin(state * numbers) * row
+            return state, state * row
+
+        return jax.lax.scan(step, numbers, rows)
+
+    def along(numbers, rows, directions):
+        return jax.vmap(lambda one: jax.jvp(lambda x: function(numbers, x), (rows,), (one,)))(directions)
+
+    def operations(of, *shapes):
+        return programs.emit(jax.make_jaxpr(of)(np.ones(2), *map(np.ones, shapes))).operations
+
+    assert operations(along, (400, 2), (3, 400, 2)) == operations(along, (100, 2), (3, 100, 2))
+    second = jax.jacfwd(jax.jacfwd(function))
+    assert operations(second, (400, 2)) == operations(second, (100, 2))
