@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 OPERATIONS_OF_A_BLOCK = 300
-MOST_OPERATIONS = 150_000  # of a program: to compile more takes longer than XLA does
+MOST_OPERATIONS = 2_000_000  # of a program: LLVM takes 20 us for each, and some kB of memory; XLA far more
 TURNS = 8  # of a loop, where it is not known how many there will be
 MARKS = re.compile(r"#(?:\((-?\d+)\)|lanes|[dbiuln])")
 
