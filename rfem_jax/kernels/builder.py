@@ -71,14 +71,15 @@ class TooLarge(Unsupported):
     """More operations than machine code is made of."""
 
 
-def kind_of(dtype: np.dtype) -> str:
-    """The kind of values of a type of numbers.
+def kind_of(dtype: Any) -> str:
+    """The kind of values of a type of numbers, or of another type of JAX's, such as that of random keys.
 
     **Raises:** `Unsupported` for a type without one.
     """
-    found = {"float64": "d", "bool": "b", "int32": "i", "uint32": "u", "int64": "l"}.get(np.dtype(dtype).name)
+    name = str(getattr(dtype, "name", dtype))
+    found = {"float64": "d", "bool": "b", "int32": "i", "uint32": "u", "int64": "l"}.get(name)
     if found is None:
-        raise Unsupported(f"numbers of type {np.dtype(dtype).name}")
+        raise Unsupported(f"numbers of type {name}")
     return found
 
 

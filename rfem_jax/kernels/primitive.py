@@ -179,7 +179,17 @@ def _anywhere(*operands, body: Body, batched: tuple[bool, ...]):
     return body.by_xla(*operands, batched=batched)
 
 
+_compiled = jax.jit(lambda *x, **settings: kernel_p.bind(*x, **settings), static_argnames=("body", "batched"))
+
+
+def _now(*operands, body: Body, batched: tuple[bool, ...]):
+    """The results at once; by XLA where JAX then looks for the operation whose result is no number."""
+    if any(getattr(jax.config, name) for name in ("jax_debug_nans", "jax_debug_infs")):
+        return jax.jit(functools.partial(body.by_xla, batched=batched))(*operands)
+    return _compiled(*operands, body=body, batched=batched)
+
+
 kernel_p.def_abstract_eval(_type)
-kernel_p.def_impl(jax.jit(lambda *x, **settings: kernel_p.bind(*x, **settings), static_argnames=("body", "batched")))
+kernel_p.def_impl(_now)
 mlir.register_lowering(kernel_p, mlir.lower_fun(_anywhere, multiple_results=True))
 mlir.register_lowering(kernel_p, mlir.lower_fun(_on_cpu, multiple_results=True), platform="cpu")

@@ -315,3 +315,22 @@ def test_a_function_that_is_too_large_is_compiled_by_xla_in_silence(monkeypatch)
         return x
 
     np.testing.assert_allclose(jax.jit(fast(large))(X), large(X), rtol=1e-14)
+
+
+def test_jax_finds_what_is_no_number():
+    found = kernel(lambda x: 2.0 * jnp.sin(x))
+    infinite = jnp.array([jnp.inf, 1.0])
+    assert jnp.isnan(found(infinite))[0]
+    jax.config.update("jax_debug_nans", True)
+    try:
+        for function in (found, jax.jit(found), jax.vmap(found)):
+            with pytest.raises(FloatingPointError, match="nan"):
+                function(infinite)
+    finally:
+        jax.config.update("jax_debug_nans", False)
+
+
+def test_random_keys_are_left_to_xla():
+    with pytest.warns(UserWarning, match="there is no machine code for numbers of type key"):
+        found = kernel(lambda key: jax.random.normal(key, (3,)))(jax.random.key(0))
+    np.testing.assert_array_equal(found, jax.random.normal(KEY, (3,)))
