@@ -74,15 +74,27 @@ def thorough_pays(size: Size, blocks: int) -> bool:
 class Body:
     """The jaxpr of a kernel for one sample, and what was made of it; compared by identity.
 
-    Attributes: plain: a function of the same operands and results for XLA, None: the jaxpr; reverse: one that reverse
-    mode takes, None: the jaxpr; linear_from: number of the first operand in which the kernel is linear, None where it
-    is in none; origin: of a tangent the kernel and its moving operands; single: of a tangent in several directions that
-    in one, and which operands have directions; long: whether it has a loop whose turns are not to be remembered; order:
-    of the derivatives in it.
+    A derivative's jaxpr is made when it is asked for: it never is where all is computed in several directions, or where
+    nothing needs its values.
+
+    Attributes: operands, results: their shapes and types; plain: a function of the same operands and results for XLA,
+    None: the jaxpr; reverse: one that reverse mode takes, None: the jaxpr; linear_from: number of the first operand in
+    which the kernel is linear, None where it is in none; origin: of a tangent the kernel and its moving operands;
+    single: of a tangent in several directions that in one, and which operands have directions; long: whether it has a
+    loop whose turns are not to be remembered; order: of the derivatives in it.
     """
 
-    def __init__(self, program: ClosedJaxpr, name: str, selection: str, plain: Callable | None = None) -> None:
-        self.program, self.name, self.selection, self.plain = program, name, selection, plain
+    def __init__(
+        self,
+        make: Callable[[], ClosedJaxpr],
+        operands: Sequence[jax.ShapeDtypeStruct],
+        results: Sequence[jax.ShapeDtypeStruct],
+        name: str,
+        selection: str,
+        plain: Callable | None = None,
+    ) -> None:
+        self._make, self.operands, self.results = make, operands, results
+        self.name, self.selection, self.plain = name, selection, plain
         self.reverse: Callable | None = None
         self.linear_from: int | None = None
         self.origin: tuple[Body, tuple[int, ...]] | None = None
@@ -93,6 +105,18 @@ class Body:
         self._handlers: dict[tuple[int, bool], str] = {}
         self._derived: dict[Any, Body] = {}
         self._lock = threading.RLock()
+
+    @classmethod
+    def of(cls, program: ClosedJaxpr, name: str, selection: str) -> "Body":
+        """Of a jaxpr."""
+        operands, results = map(shape_of, program.jaxpr.invars), map(shape_of, program.jaxpr.outvars)
+        return cls(lambda: program, [*operands], [*results], name, selection)
+
+    @functools.cached_property
+    def program(self) -> ClosedJaxpr:
+        """The jaxpr."""
+        with self._lock:
+            return self._make()
 
     def by_xla(self, *operands: jax.Array, batched: tuple[bool, ...]) -> list[jax.Array]:
         """The results by JAX's own operations."""
@@ -148,12 +172,13 @@ class Body:
             registry.announce(name, lambda: module()[1], thorough)
         return name
 
-    def derived(self, key: Any, make: Callable[[], tuple]) -> "Body":
-        """The kernel of another function, made once; `make`: function, shapes of its arguments, function for XLA."""
+    def derived(self, key: Any, make: Callable[[], "Derived"]) -> "Body":
+        """The kernel of another function, made once."""
         with self._lock:
             if key not in self._derived:
-                function, like, *plain = make()
-                made = Body(jax.make_jaxpr(function)(*like), self.name, self.selection, *plain)
+                function, operands, results, plain = make()
+                program = functools.partial(jax.make_jaxpr(function), *operands)
+                made = Body(program, operands, results, self.name, self.selection, plain)
                 made.long, made.order = self.long, self.order + (key[0] == "tangent")
                 self._derived[key] = made
             return self._derived[key]
@@ -177,13 +202,15 @@ class Body:
         """Numbers of the results that have derivatives."""
         return [i for i, x in enumerate(self.results) if jnp.issubdtype(x.dtype, jnp.inexact)]
 
-    @property
-    def operands(self) -> list[jax.ShapeDtypeStruct]:
-        return [*map(shape_of, self.program.jaxpr.invars)]
 
-    @property
-    def results(self) -> list[jax.ShapeDtypeStruct]:
-        return [*map(shape_of, self.program.jaxpr.outvars)]
+class Derived(NamedTuple):
+    """What a kernel is made of: function, shapes and types of its arguments and of its results, function for XLA (None:
+    the same)."""
+
+    function: Callable
+    operands: Sequence[jax.ShapeDtypeStruct]
+    results: Sequence[jax.ShapeDtypeStruct]
+    plain: Callable | None = None
 
 
 def one_by_one(function: Callable, spread: Sequence[bool]) -> Callable:

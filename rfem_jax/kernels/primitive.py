@@ -71,7 +71,7 @@ def kernel(
             return function(*arguments)
         if outer and reverse is not None:  # what it closes over may be differentiated, too
             return reverse(*arguments)
-        body = Body(program, called, selection)
+        body = Body.of(program, called, selection)
         if reverse is not None:
             body.reverse, body.long = _of_arrays(reverse, tree, settings, _Structure()), True
         if not outer:  # values of a transformation around this call are no part of the function

@@ -14,7 +14,7 @@ from jax.core import ShapedArray
 from jax.extend.core import jaxpr_as_fun
 from jax.interpreters import ad, batching
 
-from rfem_jax.kernels.bodies import Body, one_by_one, over_samples
+from rfem_jax.kernels.bodies import Body, Derived, one_by_one, over_samples
 from rfem_jax.kernels.primitive import bind, kernel, kernel_p, samples_of
 
 
@@ -53,29 +53,36 @@ def _in_directions(operands, axes, body: Body, batched: tuple[bool, ...]):
     moved = [x if axis is None else jnp.moveaxis(x, axis, int(b)) for x, axis, b in zip(operands, axes, batched)]
 
     def make():
-        like = [
-            jax.ShapeDtypeStruct((size, *x.shape) if s else x.shape, x.dtype) for x, s in zip(body.operands, spread)
-        ]
-        by_xla = over_samples(body.plain or jaxpr_as_fun(body.program), spread)
+        like = [_several(x, size) if s else x for x, s in zip(body.operands, spread)]
+        results = [_several(x, size) for x in body.results]
+
+        def single(*given):
+            return jaxpr_as_fun(body.program)(*given)
+
+        by_xla = over_samples(body.plain or single, spread)
         if body.origin is None:  # in several directions already
-            return one_by_one(jaxpr_as_fun(body.program), spread), like, by_xla
+            return Derived(one_by_one(single, spread), like, results, by_xla)
         of, moving = body.origin
         if of.long and of.order == 0:  # turns are few operations beside what kernels within them do for each direction
-            return over_samples(jaxpr_as_fun(body.program), spread), like, by_xla
+            return Derived(over_samples(single, spread), like, results, by_xla)
         if of.long:
-            return one_by_one(jaxpr_as_fun(body.program), spread), like, by_xla
+            return Derived(one_by_one(single, spread), like, results, by_xla)
 
         def each(*given):
             operands, along = given[: len(of.operands)], given[len(of.operands) :]
             linear = jax.linearize(of.as_moving(operands, moving), *(operands[i] for i in moving))[1]
             return jax.vmap(kernel(linear), [0 if s else None for s in spread[len(of.operands) :]])(*along)
 
-        return each, like, by_xla
+        return Derived(each, like, results, by_xla)
 
     several = body.derived(("directions", size, spread), make)
     several.linear_from, several.single = body.linear_from, (body, spread)
     results = bind(several, moved, batched)
     return results, [place] * len(results)
+
+
+def _several(like: jax.ShapeDtypeStruct, size: int) -> jax.ShapeDtypeStruct:
+    return jax.ShapeDtypeStruct((size, *like.shape), like.dtype)
 
 
 def _derivative(primals, tangents, *, body: Body, batched: tuple[bool, ...]):
@@ -94,7 +101,8 @@ def _derivative(primals, tangents, *, body: Body, batched: tuple[bool, ...]):
                 operands, directions = given[: len(primals)], given[len(primals) :]
                 return jax.jvp(body.as_moving(operands, moving), [operands[i] for i in moving], list(directions))[1]
 
-            return tangent, [*body.operands, *(body.operands[i] for i in moving)]
+            like = [*body.operands, *(body.operands[i] for i in moving)]
+            return Derived(tangent, like, [body.results[i] for i in continuous])
 
         linear = body.derived(("tangent", moving), make)
         linear.linear_from, linear.origin = len(primals), (body, moving)
@@ -122,9 +130,8 @@ def _transpose(cotangents, *operands, body: Body, batched: tuple[bool, ...]):
         return _pulled_back(cotangents, operands, body, batched)
 
     def make():
-        function = jaxpr_as_fun(body.program)
-
         def transposed(*values):
+            function = jaxpr_as_fun(body.program)
             constants, back = values[: len(fixed)], values[len(fixed) :]
 
             def of_linear(*inputs):
@@ -139,7 +146,8 @@ def _transpose(cotangents, *operands, body: Body, batched: tuple[bool, ...]):
             like = [body.operands[i] for i in linear]
             return jax.linear_transpose(of_linear, *like)(list(back))
 
-        return transposed, [*(body.operands[i] for i in fixed), *(body.results[i] for i in given)]
+        like = [*(body.operands[i] for i in fixed), *(body.results[i] for i in given)]
+        return Derived(transposed, like, [body.operands[i] for i in linear])
 
     back = body.derived(("transpose", linear, fixed, given), make)
     any_batch = any(batched)
