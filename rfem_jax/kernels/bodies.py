@@ -4,6 +4,7 @@ Place in the pipeline: programs, contents, machine_code, registry -> **bodies** 
 """
 
 import functools
+import re
 import threading
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -135,7 +136,8 @@ class Body:
                     self._size = Unsupported("llvmlite is not installed")
                 else:
                     noted = registry.noted(f"size_{self.digest}") if self.digest else None
-                    self._size = self._emitted_size() if noted is None else Size(*map(int, noted.split()))
+                    numbers = re.fullmatch(rb"(\d+) (\d+)", noted or b"")
+                    self._size = Size(*map(int, numbers.groups())) if numbers else self._emitted_size()
             return self._size
 
     def _emitted_size(self) -> Size | Unsupported:

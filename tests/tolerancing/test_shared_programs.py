@@ -1,5 +1,4 @@
-"""Programs are shared: one serves all steps of a method, all tasks of a study, values and what follows from them; each
-is traced once."""
+"""Programs are shared: one serves all steps of a method, values and what follows from them; each is traced once."""
 
 import dataclasses
 
@@ -15,10 +14,8 @@ from rfem_jax.simulation.integration import grid_for, simulate_steps
 from rfem_jax.simulation.time_grid import of_any_step
 from rfem_jax.tolerancing.problems.distributions import Uniform
 from rfem_jax.tolerancing.problems.evaluation import evaluate_points, split_errors
-from rfem_jax.tolerancing.problems.execution import fingerprint_problem
 from rfem_jax.tolerancing.problems.linearisation import linearise_points
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
-from rfem_jax.tolerancing.problems.problem import Metric, shared_form
 from rfem_jax.tolerancing.problems.quadratic_model import expand_by_differences
 from rfem_jax.tolerancing.problems.simulated_problem import Problem
 from rfem_jax.tolerancing.sampling.monte_carlo_study import monte_carlo
@@ -106,89 +103,33 @@ def test_one_program_serves_all_steps(traced):
     assert abs(gradient) * WIDTHS["A.delta_x"] > 0.1 * alone
 
 
-def test_tasks_of_a_study_share_their_programs(traced):
-    """Each has its own metrics, and the values and derivatives of a problem that has these alone."""
-    model, method = discretise(arm()), Method("generalised_alpha", step=2e-3)
-    all_metrics = ("A.rms_moment", "A.mean_square_moment", "A.mean_square_force", "A.rms_force")
-    tilts, found = [[0.002], [0.01]], {}
-    for asked in (("A.mean_square_force",), ("A.rms_moment", "A.mean_square_force"), ("A.mean_square_moment",)):
-        problem = Problem(model, DRIVE, DURATION, asked, method, others=all_metrics)
-        values, _ = evaluate_points(problem, tuple(WIDTHS), {}, tilts)
-        same, jacobians, _ = linearise_points(problem, tuple(WIDTHS), {}, tilts, mode="forward")
-        np.testing.assert_allclose(same, values, rtol=1e-12)
-        for i, name in enumerate(asked):
-            found.setdefault(name, []).append((values[:, i], jacobians[:, i, 0]))
-    assert sorted(traced) == ["_linearise", "evaluate_lanes"]
-    study = monte_carlo(problem, Tolerances({name: Uniform(width) for name, width in WIDTHS.items()}), 4, KEY)
-    assert len(traced) - traced.count("_draw") == 2 and study.values.shape == (4, 1)
-    again, _ = evaluate_points(problem, tuple(WIDTHS), {}, study.errors)
-    np.testing.assert_array_equal(again, study.values)
-    np.testing.assert_array_equal(*found["A.mean_square_force"])
-    alone = Problem(model, DRIVE, DURATION, "A.rms_moment", method)
-    own, slopes = jax.jit(jax.vmap(lambda x: jax.jvp(of(alone), (x,), (jnp.ones(()),))))(jnp.asarray(tilts)[:, 0])
-    np.testing.assert_allclose(found["A.rms_moment"][0], (own[:, 0], slopes[:, 0]), rtol=1e-8)
-
-
 def of(problem):
     """Its metrics (m,) by the tilt."""
     return lambda x: jnp.stack([problem({"A.delta_x": x})[0][one.name] for one in problem.metrics])
 
 
-def test_tasks_share_a_program_of_gradients(traced):
-    """In reverse mode, at zero error too, where some metrics that others ask for have a kink."""
+def test_one_program_has_the_gradients_of_all_metrics(traced):
+    """In reverse mode, at zero error, too."""
     model, method = discretise(arm()), Method("generalised_alpha", step=2e-3)
-    others, tilts = ("A.rms_moment", "A.mean_square_moment", "A.mean_square_force"), [[0.0], [0.01]]
-    found = {}
-    for asked in (("A.mean_square_force",), ("A.mean_square_moment", "A.mean_square_force")):
-        problem = Problem(model, DRIVE, DURATION, asked, method, others=others)
-        values, gradients, _ = linearise_points(problem, tuple(WIDTHS), {}, tilts, mode="reverse")
-        last = len(asked) - 1
-        one, gradient, _ = linearise_points(problem, tuple(WIDTHS), {}, tilts, metric=last, mode="reverse")
-        np.testing.assert_array_equal(one, values)
-        np.testing.assert_array_equal(gradient, gradients[:, last])
-        found[asked] = values[:, last], gradient[:, 0], gradients
+    asked, tilts = ("A.mean_square_moment", "A.mean_square_force"), [[0.0], [0.01]]
+    problem = Problem(model, DRIVE, DURATION, asked, method)
+    values, gradients, _ = linearise_points(problem, tuple(WIDTHS), {}, tilts, mode="reverse")
+    for i in range(2):
+        same, gradient, _ = linearise_points(problem, tuple(WIDTHS), {}, tilts, metric=i, mode="reverse")
+        np.testing.assert_array_equal(same, values)
+        np.testing.assert_array_equal(gradient, gradients[:, i])
     assert traced == ["_linearise"]
-    (value, gradient, _), (same, again, both) = found.values()
-    np.testing.assert_array_equal(value, same)
-    np.testing.assert_array_equal(gradient, again)
-    alone = Problem(model, DRIVE, DURATION, asked, method)
-    exact = jax.jit(jax.vmap(jax.jacfwd(of(alone))))(jnp.asarray(tilts)[:, 0])
-    assert np.all(np.isfinite(both)) and np.all(np.abs(both[1]) > 0.0)
-    np.testing.assert_allclose(both[:, :, 0], exact, rtol=1e-6, atol=1e-9 * np.abs(exact).max())
-
-
-def test_what_is_computed_beside_the_metrics_asked_for():
-    """Nothing that needs more of a run, nor functions of the user's; what is asked for stays as it is."""
-    model, method = discretise(flexible_arm()), Method("generalised_alpha", step=2e-3)
-    own = Metric("turned", function=lambda run: run.angle[-1])
-    others = ("arm.peak_stress", own, "A.rms_force", "A.mean_square_moment")
-
-    def names(asked, others):
-        problem = Problem(model, DRIVE, DURATION, asked, method, others=others)
-        wide, rows = shared_form(problem)
-        assert [wide.metrics[i].name for i in rows] == [one.name for one in problem.metrics]
-        assert shared_form(problem, "reverse").problem.metrics == wide.metrics
-        # Samples of a Monte Carlo study serve whatever else is asked.
-        alone = Problem(model, DRIVE, DURATION, asked, method)
-        if asked != (own, "A.rms_force"):
-            assert fingerprint_problem(problem) == fingerprint_problem(alone)
-        return [one.name for one in wide.metrics]
-
-    assert names("A.rms_force", others) == ["A.mean_square_moment", "A.rms_force"]
-    assert names((own, "A.rms_force"), others) == ["A.mean_square_moment", "A.rms_force", "turned"]
-    assert names("arm.peak_stress", others) == ["A.mean_square_moment", "A.rms_force", "arm.peak_stress"]
-    assert names(("A.rms_force", "A.mean_square_force"), ()) == ["A.rms_force", "A.mean_square_force"]
+    exact = jax.jit(jax.vmap(jax.jacfwd(of(problem))))(jnp.asarray(tilts)[:, 0])
+    assert np.all(np.isfinite(gradients)) and np.all(np.abs(gradients[1]) > 0.0)
+    np.testing.assert_allclose(gradients[:, :, 0], exact, rtol=1e-6, atol=1e-9 * np.abs(exact).max())
 
 
 def test_the_angle_is_of_no_slide():
-    """Asked for it is refused, beside other metrics it is left out."""
     block = Mechanism([link("block", 0.1)], [Joint("P", "base", "block", kind="prismatic")], driven_joint="P")
     given = discretise(block), ForceRamp("P", 5.0, 0.01), DURATION
     method = Method("generalised_alpha", step=2e-3)
     with pytest.raises(InputError, match="moves `P` along an axis"):
         Problem(*given, "angle_error", method)
-    problem = Problem(*given, "P.rms_force", method, others=("angle_error", "P.rms_moment"))
-    assert [one.name for one in problem.with_others().metrics] == ["P.rms_force", "P.rms_moment"]
 
 
 def test_a_program_of_simulations_serves_all_steps(traced):

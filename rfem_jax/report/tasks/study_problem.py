@@ -19,9 +19,7 @@ def build_problem(
     model: Model | None = None,
     trials: Mapping[str, ArrayLike] | None = None,
 ) -> Problem:
-    """The study's mechanism, drive and method as a function of its errors, which shares its programs with those of the
-    study's other tasks; `trials` as those of `Problem`."""
+    """The study's mechanism, drive and method as a function of its errors; `trials` as those of `Problem`."""
     model = model_of_study(study) if model is None else model
-    of_tasks = dict.fromkeys(name for task in study.tasks.asked.values() for name in getattr(task, "metrics", ()))
-    settings = {"save_every": study.save_every, "trials": trials, "others": of_tasks}
+    settings = {"save_every": study.save_every, "trials": trials}
     return Problem(model, study.designed_drive, study.duration, metrics, study.method, **settings)

@@ -211,9 +211,8 @@ def _wait_for(store: ResultsStore, missing: dict[int, int], signs: sharing.Signs
 
 
 def fingerprint_problem(problem: ToleranceProblem) -> str:
-    """SHA-256 of a problem, whatever other studies of its mechanism ask for: of its own `fingerprint()` if it has one;
-    else of all its numbers, its structure and the sources of this package; else, where it contains a function of the
-    user, of its program.
+    """SHA-256 of a problem: of its own `fingerprint()` if it has one; else of all its numbers, its structure and the
+    sources of this package; else, where it contains a function of the user, of its program.
 
     The program (StableHLO of one sample, with all constants) changes with every number and every operation of the
     model, and not from run to run; so do numbers and sources, which need no tracing.
@@ -221,8 +220,6 @@ def fingerprint_problem(problem: ToleranceProblem) -> str:
     own = getattr(problem, "fingerprint", None)
     if callable(own):
         return hashlib.sha256(str(own()).encode()).hexdigest()
-    alone = getattr(problem, "alone", None)
-    problem = problem if alone is None else alone()
     try:
         return keys.digest_content(problem)
     except keys.NotDigestible:

@@ -22,7 +22,7 @@ from jaxtyping import Array, Float, Int
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.errors import InputError
 from rfem_jax.tolerancing.problems.evaluation import map_chunks, run_in_chunks
-from rfem_jax.tolerancing.problems.problem import Status, ToleranceProblem, shared_form
+from rfem_jax.tolerancing.problems.problem import Status, ToleranceProblem, of_any_step
 from rfem_jax.tolerancing.problems.sample_values import (
     Base,
     default_lanes,
@@ -101,6 +101,8 @@ def differentiate_twice(
             zeros = [jnp.zeros_like(value) for value in values]
             jacobians = [
                 map_chunks(lambda c: pull((*zeros[:i], c, *zeros[i + 1 :]))[0], jnp.eye(len(value)), batch)
+                if len(value)
+                else jnp.zeros((0, len(y)))
                 for i, value in enumerate(values)
             ]
         else:
@@ -165,7 +167,7 @@ def linearise_points(
     if mode == "forward":
         width = max(1, min(width, POINTS_WITH_TANGENTS * default_lanes() // k))
 
-    (shared, rows), mesh = shared_form(problem, mode), local_mesh()
+    shared, mesh = of_any_step(problem, mode), local_mesh()
 
     def program(*of_points):
         return _linearise(shared, names, base, *(divided(mesh, one) for one in of_points), mode, mesh)
@@ -175,12 +177,11 @@ def linearise_points(
         return run_in_chunks(program, width * mesh.size, points, weights, of=of)
 
     if mode == "forward":
-        values, jacobians, status = run(points, np.zeros((n, len(shared.metrics))))
-        values, jacobians = values[:, rows], jacobians[:, rows]
+        values, jacobians, status = run(points, np.zeros((n, m)))
         return values, jacobians if metric is None else jacobians[np.arange(n), metric], status
-    picked = np.eye(len(shared.metrics))[rows]  # weights that pick a metric
+    picked = np.eye(m)  # weights that pick a metric
     if metric is None:  # the program has one gradient per point: each point once per metric
         values, gradients, status = run(np.repeat(points, m, axis=0), np.tile(picked, (n, 1)))
-        return values[::m, rows], gradients.reshape(n, m, k), status[::m]
+        return values[::m], gradients.reshape(n, m, k), status[::m]
     values, gradients, status = run(points, picked[np.broadcast_to(metric, (n,))])
-    return values[:, rows], gradients, status
+    return values, gradients, status

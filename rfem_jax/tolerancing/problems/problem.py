@@ -162,22 +162,6 @@ def of_any_step(problem: ToleranceProblem, mode: str = "forward") -> TolerancePr
     return problem if shared is None or mode == "reverse" else shared()
 
 
-class Shared(NamedTuple):
-    """A problem in the form whose programs several studies share; rows (m,): where its own metrics are among those of
-    this form."""
-
-    problem: ToleranceProblem
-    rows: list[int]
-
-
-def shared_form(problem: ToleranceProblem, mode: str = "forward") -> Shared:
-    """As `of_any_step`, and with the metrics that other studies of the same mechanism ask for."""
-    with_others = getattr(problem, "with_others", None)
-    whole = problem if with_others is None else with_others()
-    names = [one.name for one in whole.metrics]
-    return Shared(of_any_step(whole, mode), [names.index(one.name) for one in problem.metrics])
-
-
 class Watched(NamedTuple):
     """A problem in the form of its program of values; rows (m,): where its own metrics are among those of this form;
     checks {name: row}: numbers that tell with how much caution a good sample is to be read."""
@@ -188,11 +172,9 @@ class Watched(NamedTuple):
 
 
 def values_form(problem: ToleranceProblem) -> Watched:
-    """As `shared_form`, with the problem's `checks`, if it has any, beside the metrics."""
+    """As `of_any_step`, with the problem's `checks`, if it has any, beside the metrics."""
     with_checks = getattr(problem, "with_checks", None)
-    if with_checks is None:
-        return Watched(*shared_form(problem), {})
-    whole, checks = with_checks()
+    whole, checks = (problem, ()) if with_checks is None else with_checks()
     names = [one.name for one in whole.metrics]
     rows = [names.index(one.name) for one in problem.metrics]
     return Watched(of_any_step(whole), rows, {name: names.index(name) for name in checks})

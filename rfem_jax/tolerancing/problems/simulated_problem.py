@@ -17,7 +17,6 @@ from jax.core import Tracer
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from rfem_jax.compilation import keys
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.drive_numbers import drive_number_unit
 from rfem_jax.description.driven_motions import Drive
@@ -70,8 +69,6 @@ class Problem(eqx.Module):
         trials: {error name: its values (n,)} of n assemblies by which the method "auto" chooses its step, such as
             `first_samples` gives; None, or where none of its steps is accurate for these: the perfect one, to whose
             small loads errors are largest, and one with all joints tilted and shifted.
-        others: names of metrics that other studies of this mechanism ask for; samples have them, too, so that all
-            these studies share their programs (see `with_others`).
     Raises: InputError for unknown and repeated metrics, metrics without a function and of joints that do not exist.
     """
 
@@ -82,7 +79,6 @@ class Problem(eqx.Module):
     method: Method = eqx.field(static=True)
     save_every: float | None = eqx.field(static=True)
     design: Design | None = None
-    others: tuple[Metric, ...] = eqx.field(static=True, default=())
     steps: Float[Array, ""] | None = eqx.field(init=False)  # in an interval, where it is traced
 
     def __init__(
@@ -95,13 +91,11 @@ class Problem(eqx.Module):
         save_every: float | int | None = None,
         design: Design | None = None,
         trials: Mapping[str, ArrayLike] | None = None,
-        others: Iterable[str | Metric] = (),
     ):
         self.model, self.drive, self.design, self.steps = model, drive, design, None
         metrics = (metrics,) if isinstance(metrics, (str, Metric)) else metrics
         self.metrics = tuple(_known_metric(model, m) for m in metrics)
         check_distinct((m.name for m in self.metrics), "metrics")
-        self.others = tuple(_known_metric(model, m) for m in others)
         _check_angle(model, self.metrics)
         self.duration, self.save_every = float(duration), None if save_every is None else float(save_every)
         self.method = choose_method(model, method, drive, self.duration, trials, self.save_every)
@@ -207,36 +201,19 @@ class Problem(eqx.Module):
         every = self.save_every if self.method.adaptive else self._interval
         return self._changed(method=finer, save_every=every)
 
-    def alone(self) -> "Problem":
-        """The same problem without `others`: what its results are known by."""
-        return self._changed(others=()) if self.others else self
-
-    def with_others(self) -> "Problem":
-        """The same problem with the metrics of `others` beside its own, in an order that does not depend on which are
-        its own; without those that need more of a run than its own do, or are functions of the user's."""
-        added = [
-            one
-            for one in self.others
-            if set(one.records) <= set(self.records) and _of_this_package(one) and _fits_drive(self.model, one)
-        ]
-        named = {one.name: one for one in (*self.metrics, *added)}
-        if len(named) == len(self.metrics):
-            return self
-        return self._changed(metrics=[named[name] for name in sorted(named)], others=())
-
     def with_checks(self) -> tuple["Problem", tuple[str, ...]]:
-        """The problem of `with_others` with its checks beside the metrics, and their names: the estimated error of
-        linear elements, where links have such."""
-        whole, topology = self.with_others(), self.model.topology
+        """The problem with its checks beside the metrics, and their names: the estimated error of linear elements,
+        where links have such."""
+        topology = self.model.topology
         if topology.exact or not topology.n_rfes:
-            return whole, ()
-        named = {one.name: one for one in (*whole.metrics, metric(LINEAR_ERROR))}
-        if len(named) == len(whole.metrics):
-            return whole, (LINEAR_ERROR,)
-        return whole._changed(metrics=list(named.values()), others=()), (LINEAR_ERROR,)
+            return self, ()
+        named = {one.name: one for one in (*self.metrics, metric(LINEAR_ERROR))}
+        if len(named) == len(self.metrics):
+            return self, (LINEAR_ERROR,)
+        return self._changed(metrics=list(named.values())), (LINEAR_ERROR,)
 
     def _changed(self, **settings: Any) -> "Problem":
-        kept = ("metrics", "method", "save_every", "design", "others")
+        kept = ("metrics", "method", "save_every", "design")
         return Problem(self.model, self.drive, self.duration, **{name: getattr(self, name) for name in kept} | settings)
 
     def of_any_step(self) -> "Problem":
@@ -245,7 +222,7 @@ class Problem(eqx.Module):
         method, _, steps = of_any_step(self.method, grid, count)
         if isinstance(steps, int) or self.steps is not None:
             return self
-        same = self._changed(method=method, save_every=self._interval, others=())
+        same = self._changed(method=method, save_every=self._interval)
         return eqx.tree_at(lambda one: one.steps, same, steps, is_leaf=lambda x: x is None)
 
     @property
@@ -330,23 +307,10 @@ def _records_of(metrics: Iterable[Metric]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(name for one in metrics for name in one.records))
 
 
-@functools.cache
-def _of_this_package(one: Metric) -> bool:
-    """Whether programs with it can be kept."""
-    try:
-        keys.digest_value(one)
-    except keys.NotDigestible:
-        return False
-    return True
-
-
-def _fits_drive(model: Model, one: Metric) -> bool:
-    driven = model.topology.driven_coordinate
-    return one.name != "angle_error" or driven is None or not model.topology.slides[driven]
-
-
 def _check_angle(model: Model, metrics: Iterable[Metric]) -> None:
-    if not all(_fits_drive(model, one) for one in metrics):
+    driven = model.topology.driven_coordinate
+    slides = driven is not None and model.topology.slides[driven]
+    if slides and any(one.name == "angle_error" for one in metrics):
         raise InputError(
             "Argument `metrics` must fit the drive, but `angle_error` is of an angle and the first drive moves "
             f"`{model.topology.drive_labels[0]}` along an axis; leave it out, or give a Metric of the displacement."
