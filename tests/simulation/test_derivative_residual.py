@@ -3,6 +3,7 @@ differentiated equations."""
 
 import jax
 import numpy as np
+import pytest
 
 from rfem_jax import Method, MomentRamp, assembly_errors, simulate
 from rfem_jax.simulation.run import RESIDUAL_LIMIT, derivative_residual
@@ -28,6 +29,7 @@ def forces(change):
     return np.stack([np.asarray(load.force) for load in change.loads.values()])
 
 
+@pytest.mark.exhaustive
 def test_it_bounds_the_error_of_a_derivative(small):
     exact, found = (change_of_run(small.model, tolerance) for tolerance in (1e-11, 1e-3))
     assert derivative_residual(exact) < 1e-10
@@ -36,6 +38,7 @@ def test_it_bounds_the_error_of_a_derivative(small):
     assert 1e-6 < error < derivative_residual(found) < RESIDUAL_LIMIT
 
 
+@pytest.mark.exhaustive
 def test_a_derivative_that_has_not_converged_is_seen(small, monkeypatch):
     """The run is as it should be, but its derivative has only half of every Newton increment."""
     whole = implicit_step.increment_and_wrenches
