@@ -8,7 +8,8 @@ import inspect
 import re
 from collections.abc import Collection, Mapping
 from dataclasses import MISSING, dataclass, fields, is_dataclass
-from typing import Any
+from types import NoneType, UnionType
+from typing import Any, get_args, get_origin
 
 from rfem_jax.description.bearings import Bearing
 from rfem_jax.description.clearance import Clearance
@@ -72,11 +73,13 @@ _IN_A_FILE = {  # where a file has something else than the class
 
 @dataclass(frozen=True)
 class Key:
-    """A key of a table: its name; what stands where it is left out (NEEDED: it must be there); what it means."""
+    """A key of a table: its name; what stands where it is left out (NEEDED: it must be there); what it means; type of
+    its values, "" where it may have several."""
 
     name: str
     default: str
     meaning: str
+    type: str = ""
 
 
 @dataclass(frozen=True)
@@ -193,9 +196,22 @@ def _table(
     own: Mapping[str, str] | None = None,
 ) -> KeyTable:
     meanings = {"cost": _IN_A_FILE["cost"], **argument_meanings(kind), **(own or {})}
-    keys = [Key(name, NEEDED, _in_a_file(meanings.get(name, ""))) for name in required]
-    keys += [Key(name, _default(kind, name), _in_a_file(meanings.get(name, ""))) for name in optional]
+    defaults = dict.fromkeys(required, NEEDED) | {name: _default(kind, name) for name in optional}
+    keys = (Key(name, text, _in_a_file(meanings.get(name, "")), _type(kind, name)) for name, text in defaults.items())
     return KeyTable(header, tuple(keys))
+
+
+def _type(kind: type, name: str) -> str:
+    """Type of an argument of a class, in the words of JSON Schema but for "list" and "table"; "number" for what may
+    have a unit; "" for what may be of several types, or is given in another form."""
+    parameter = inspect.signature(kind).parameters.get(name)
+    if parameter is None:
+        return ""
+    found = {one for one in (get_args(parameter.annotation) or [parameter.annotation]) if one is not NoneType}
+    if isinstance(parameter.annotation, UnionType) and len(found) == 1:
+        parameter = parameter.replace(annotation=found.pop())
+    names = {float: "number", int: "integer", bool: "boolean", str: "string", tuple: "list", dict: "table"}
+    return names.get(get_origin(parameter.annotation) or parameter.annotation, "")
 
 
 def _in_a_file(meaning: str) -> str:

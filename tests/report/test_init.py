@@ -7,6 +7,7 @@ import tomllib
 import pytest
 
 from rfem_jax.description import load_study
+from rfem_jax.description.schema import FILE, LINE, study_schema
 from rfem_jax.mechanics import describe, discretise
 from rfem_jax.report import command_line
 from rfem_jax.report.command_line import main
@@ -19,6 +20,8 @@ def test_a_study_that_closes_at_its_start(kind, tmp_path, monkeypatch, capsys):
     assert main(["init", "mine", "--kind", kind]) == 0
     said = capsys.readouterr()
     assert "rfem-jax check mine.toml" in said.out and said.err == ""
+    assert (tmp_path / "mine.toml").read_text(encoding="utf-8").startswith(f"{LINE}\n")
+    assert json.loads((tmp_path / FILE).read_text(encoding="utf-8")) == study_schema()
     study = load_study("mine.toml")
     assert study.title == f"My {kind}" and len(study.cases) == 3
     found = describe(discretise(study.mechanism))
@@ -35,7 +38,10 @@ def test_nothing_is_overwritten(tmp_path, capsys):
     assert main(["init", str(tmp_path / "none" / "mine")]) == 2
     assert "cannot (No such file" in capsys.readouterr().err
     assert main(["init", str(tmp_path / "new"), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["files"] == [str(tmp_path / "new.toml")]
+    assert json.loads(capsys.readouterr().out)["files"] == [
+        str(tmp_path / "new.toml"),
+        str(tmp_path / FILE),
+    ]
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -1,6 +1,6 @@
 """`rfem-jax init`: a commented study to start from.
 
-Place in the pipeline: files of `report/starting_studies` -> **init** -> the user's own study file.
+Place in the pipeline: files of `report/starting_studies`, `schema` -> **init** -> the user's own study file.
 """
 
 import argparse
@@ -19,7 +19,8 @@ def command() -> Command:
         name="init",
         purpose="write a commented study to start from",
         description="Write NAME.toml, a complete study of a mechanism with comments, to change into your own. "
-        "A file that exists is not overwritten.",
+        "A file that exists is not overwritten. Beside it rfem_jax.schema.json, by which editors complete and check "
+        "study files.",
         add_arguments=_add_arguments,
         act=act,
         computes=False,
@@ -34,6 +35,7 @@ def _add_arguments(parser: argparse.ArgumentParser) -> None:
 def act(arguments: argparse.Namespace) -> Answer:
     """Write the file and say what to do with it. Raises InputError."""
     from rfem_jax.description.errors import InputError
+    from rfem_jax.description.schema import FILE, schema_text
 
     name = arguments.name
     path = Path(name if name.endswith(".toml") else f"{name}.toml")
@@ -42,6 +44,8 @@ def act(arguments: argparse.Namespace) -> Answer:
     try:
         with open(path, "x", encoding="utf-8") as file:
             file.write(text)
+        schema = path.with_name(FILE)
+        schema.write_text(schema_text(), encoding="utf-8")
     except FileExistsError:
         raise InputError(
             f"Argument `NAME` must be of a new file, but `{path}` exists; choose another name, or remove the file."
@@ -53,4 +57,5 @@ def act(arguments: argparse.Namespace) -> Answer:
         ) from problem
     show(f"{path} written: a {arguments.kind}. Go on with\n")
     show(f"  rfem-jax check {path}\n  rfem-jax run {path} --out results/{path.stem}")
-    return Answer(document={"files": [str(path)], "kind": arguments.kind})
+    show(f"\n{schema} beside it lets editors of TOML complete and check studies.")
+    return Answer(document={"files": [str(path), str(schema)], "kind": arguments.kind})

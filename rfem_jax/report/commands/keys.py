@@ -31,14 +31,21 @@ def _add_arguments(parser: argparse.ArgumentParser) -> None:
         help='tables with this word in their header, such as "joints"; "metrics" for all metrics, '
         "or a word in the names of some",
     )
+    parser.add_argument(
+        "--schema", action="store_true", help="print a JSON Schema of study files, by which editors complete them"
+    )
 
 
 def act(arguments: argparse.Namespace) -> Answer:
     """Print the reference. Raises InputError."""
     from dataclasses import asdict
 
+    from rfem_jax.description.schema import schema_text, study_schema
     from rfem_jax.report.keys_text import chosen_metrics, chosen_tables, reference_text
 
+    if arguments.schema:
+        show(schema_text().rstrip())
+        return Answer(document=study_schema())
     show(reference_text(arguments.table))
     if metrics := chosen_metrics(arguments.table):
         return Answer(document={"metrics": [asdict(table) for table in metrics]})
