@@ -59,7 +59,7 @@ def vector_of(model):
     return nominal, np.where(nominal != 0.0, abs(nominal), turns), leaves
 
 
-@pytest.mark.exhaustive
+@pytest.mark.long
 @pytest.mark.parametrize("mechanism", [compliant_four_bar, chain_with_forces])
 def test_all_parameters_at_once(mechanism):
     # Not square: there the torsion constant of a rectangle has no second derivative, and differences are coarse.
@@ -106,7 +106,7 @@ def test_loops_are_closed_and_what_cannot_close_spoils_no_batch():
         assert abs(gaps(geometry, place(geometry, np.asarray(start))).residual).max() < 1e-12
 
 
-@pytest.mark.exhaustive
+@pytest.mark.long
 def test_statics_of_a_design_and_its_derivatives():
     model = discretise(four_bar(rfes=2))
     errors = assembly_errors(model, {"D.delta_x": 0.5e-2})

@@ -374,7 +374,7 @@ def moving_at_the_start(model, rate):
     return State(start, Coordinates(jnp.asarray(rate * free / free[0]), jnp.zeros_like(start.elastic)))
 
 
-@pytest.mark.exhaustive
+@pytest.mark.long
 @pytest.mark.parametrize(
     "make", [loop, partial(slider_crank, gravity=(0.5, 3.0, -9.0)), partial(door, reaction_length=0.7)]
 )
@@ -433,7 +433,7 @@ def test_near_a_dead_centre_loads_are_large_and_right(angle):
     np.testing.assert_allclose(found.preload["C"].force[0], pull, rtol=1e-10 / angle)  # of a step that counts as none
 
 
-@pytest.mark.exhaustive
+@pytest.mark.long
 @pytest.mark.parametrize("method", [Method("rk4", step=2e-4), Method("generalised_alpha", step=2e-4, tolerance=1e-10)])
 def test_derivatives_of_least_reactions_in_motion(method):
     model = discretise(loop())

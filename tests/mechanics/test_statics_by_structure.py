@@ -53,7 +53,7 @@ def without_matrix(function, at, *others):
     return function(at, *others), jnp.full((at.size, at.size), jnp.nan)
 
 
-@pytest.mark.exhaustive
+@pytest.mark.long
 @pytest.mark.parametrize("make", [four_bar_of_long_chains, twisted_spatial_loop])
 def test_recursion_alone_finds_the_equilibrium_and_its_derivatives(make, monkeypatch):
     with monkeypatch.context() as patch:

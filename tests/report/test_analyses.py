@@ -43,7 +43,7 @@ def study(tmp_path):
     return path
 
 
-@pytest.mark.exhaustive
+@pytest.mark.long
 def test_modes_of_all_cases_with_derivatives(study, tmp_path, capsys):
     out = tmp_path / "out"
     assert main(["modes", str(study), "--out", str(out), "--count", "2"]) == 0

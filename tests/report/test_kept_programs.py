@@ -50,7 +50,7 @@ def run(folder, out, *options, angle="-90"):
     return results, [(folder / out / f"{case}.csv").read_bytes() for case in ("P1", "P2")]
 
 
-@pytest.mark.exhaustive
+@pytest.mark.long
 @pytest.mark.slow
 def test_a_second_run_traces_nothing_and_writes_the_same(tmp_path):
     first, histories = run(tmp_path, "first")

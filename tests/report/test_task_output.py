@@ -58,7 +58,7 @@ def test_the_same_command_twice_writes_the_same_files(task_file, tmp_path, comma
     assert bool(chunks) == (command == "monte-carlo")
 
 
-@pytest.mark.exhaustive
+@pytest.mark.long
 def test_another_study_overwrites_results_of_all_tasks_but_monte_carlo(task_file, tmp_path, capsys):
     out = tmp_path / "out"
     assert [call(command, task_file, out) for command in COMMANDS] == [0, 0, 0, 0]

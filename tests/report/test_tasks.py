@@ -420,7 +420,7 @@ sys.exit(command_line.main(sys.argv[1:]))
 """
 
 
-@pytest.mark.exhaustive
+@pytest.mark.long
 @pytest.mark.slow
 def test_two_processes_share_the_samples(task_file, tmp_path):
     out, root = tmp_path / "out", Path(__file__).parents[2]

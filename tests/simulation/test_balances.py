@@ -34,7 +34,7 @@ def named(run):
     return STATUS[int(run.status)].name
 
 
-@pytest.mark.exhaustive
+@pytest.mark.long
 def test_long_steps_of_a_rigid_four_bar_are_not_accepted():
     """Of 5 ms at 573 rpm: loads are 13 % off; with steps of 2.5 ms 3 %, and of 0.2 ms not at all."""
     described = four_bar()
@@ -52,7 +52,7 @@ def test_long_steps_of_a_rigid_four_bar_are_not_accepted():
     assert "remark: the energies are off by" in shorter.summary() and "remark" not in fine.summary()
 
 
-@pytest.mark.exhaustive
+@pytest.mark.long
 def test_little_energy_says_little():
     """A mechanism at rest, whose energies are rounding, and one that moves by a hair under a large load."""
     model = discretise(four_bar(2))
@@ -82,7 +82,7 @@ def bump(kind):
     return Mechanism([link("bar", 0.3)], [joint], forces=forces, driven_joint="A", gravity=WEIGHTLESS)
 
 
-@pytest.mark.exhaustive
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["joint", "between points"])
 def test_a_table_over_position_that_is_passed_within_a_step_is_noticed(kind):
     model = discretise(bump(kind))

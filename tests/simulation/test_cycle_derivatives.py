@@ -35,7 +35,7 @@ def mean_square(numbers):
     return 0.5 * (mass * gravity) ** 2 / (dynamic**2 + (damping * RATE) ** 2)
 
 
-@pytest.mark.exhaustive
+@pytest.mark.long
 def test_derivatives_of_a_cycle_are_those_of_a_driven_oscillator(model):
     def place(cycle, numbers):
         deviations = dict(zip(NAMES, numbers - POINT, strict=True))

@@ -29,7 +29,7 @@ def forces(change):
     return np.stack([np.asarray(load.force) for load in change.loads.values()])
 
 
-@pytest.mark.exhaustive
+@pytest.mark.long
 def test_it_bounds_the_error_of_a_derivative(small):
     exact, found = (change_of_run(small.model, tolerance) for tolerance in (1e-11, 1e-3))
     assert derivative_residual(exact) < 1e-10
@@ -38,7 +38,7 @@ def test_it_bounds_the_error_of_a_derivative(small):
     assert 1e-6 < error < derivative_residual(found) < RESIDUAL_LIMIT
 
 
-@pytest.mark.exhaustive
+@pytest.mark.long
 def test_a_derivative_that_has_not_converged_is_seen(small, monkeypatch):
     """The run is as it should be, but its derivative has only half of every Newton increment."""
     whole = implicit_step.increment_and_wrenches

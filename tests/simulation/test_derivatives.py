@@ -170,7 +170,7 @@ def test_geometrically_exact_elements():
     np.testing.assert_allclose(reverse, forward[1], rtol=1e-9)
 
 
-@pytest.mark.exhaustive
+@pytest.mark.long
 def test_adaptive_method_in_both_modes():
     """dopri8 with diffrax's adjoints, over the drive's jump."""
     model, drive = discretise(flexible_arm(2)), MomentRamp("A", 1.5, 5e-4)

@@ -51,7 +51,7 @@ def mechanism():
     return Mechanism(links, joints, driven_joint="A", forces=forces)
 
 
-@pytest.mark.exhaustive
+@pytest.mark.long
 @pytest.mark.parametrize("elements", ["linear", "geometrically_exact"])
 def test_every_number_of_a_description(elements):
     model = discretise(mechanism(), elements=elements)

@@ -238,7 +238,7 @@ def test_auto_takes_no_step_longer_than_between_saved_times(save_every, monkeypa
         assert chosen.name == name
 
 
-@pytest.mark.exhaustive
+@pytest.mark.long
 def test_auto_on_rigid_links_that_errors_keep_from_closing():
     study = load_study(STUDY)
     links = [replace(link, rigid=True) for link in study.mechanism.links]

@@ -109,7 +109,7 @@ class TestWhereItLocks:
 
 
 class TestStatus:
-    @pytest.mark.exhaustive
+    @pytest.mark.long
     @pytest.mark.parametrize("method", ["rk4", "generalised_alpha"])
     def test_of_a_run(self, method):
         model = discretise(locking())

@@ -37,7 +37,7 @@ def test_modes_of_a_perfect_four_bar_are_those_of_its_vibration(locked):
     np.testing.assert_allclose(found.damping[first:], 0.5e-5 * 2 * np.pi * found.frequency[first:], rtol=1e-6)
 
 
-@pytest.mark.exhaustive
+@pytest.mark.long
 def test_springs_of_cut_joints_are_in_the_stiffness():
     model = weightless(discretise(compliant_four_bar()))
     found = evaluated(lambda: natural_frequencies(model, locked=False, count=6))()
@@ -66,7 +66,7 @@ def test_a_square_cantilever_has_its_frequencies_in_pairs_with_closed_form_deriv
     np.testing.assert_array_equal(found.repeated, [1.0, 1.0, found.separation[2] < REPEATED])
 
 
-@pytest.mark.exhaustive
+@pytest.mark.long
 def test_derivatives_are_those_of_differences_and_closed_forms():
     """A bar that is held against turning about its hinge has one frequency in the plane; a longer bar is slower by the
     square of its length."""
@@ -88,7 +88,7 @@ def test_derivatives_are_those_of_differences_and_closed_forms():
     np.testing.assert_allclose(curvature, (at[3] + at[4] - 2 * at[0]) / 1e-6, rtol=1e-3)
 
 
-@pytest.mark.exhaustive
+@pytest.mark.long
 def test_preload_by_errors_moves_frequencies_as_their_derivatives_say():
     model = discretise(four_bar(2))
 
@@ -116,7 +116,7 @@ def test_a_pendulum_swings_below_and_falls_from_above(angle, sign):
         natural_frequencies(model, count=0)
 
 
-@pytest.mark.exhaustive
+@pytest.mark.long
 def test_a_higher_section_swings_faster_as_a_deviation_and_as_a_design():
     """In the plane of the height f ~ h (EI ~ h^3, mass ~ h), of few segments and little shear."""
     model = cantilever(3)

@@ -87,7 +87,7 @@ def run(model, net, kind, method):
     return jnp.stack([1e-2 * found.metrics.rms_force["B"], found.angles["B"][-1]]), found.status
 
 
-@pytest.mark.exhaustive
+@pytest.mark.long
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("kind", ["moment", "motion"])
 def test_derivatives_by_the_weights_of_networks(kind, method):

@@ -43,7 +43,7 @@ def test_window_is_the_mean_over_its_times(run):
             np.testing.assert_allclose(getattr(first, f"rms_{kind}")[joint] ** 2, halves[0], rtol=1e-12)
 
 
-@pytest.mark.exhaustive
+@pytest.mark.long
 def test_derivative_of_a_window(small):
     def load(tilt):
         return small.run({"D.delta_x": tilt}).window(0.01, 0.02).mean_square_moment["D"]

@@ -56,7 +56,7 @@ def traced(monkeypatch):
 METHODS = {"rk4": Method("rk4", step=1e-3), "generalised_alpha": Method("generalised_alpha", step=1e-3)}
 
 
-@pytest.mark.exhaustive
+@pytest.mark.long
 @pytest.mark.parametrize("method", METHODS)
 def test_values_and_derivatives_are_those_of_one_program(model, traced, method):
     def mean_square(moment, tilt):
@@ -75,7 +75,7 @@ def test_values_and_derivatives_are_those_of_one_program(model, traced, method):
         np.testing.assert_allclose(slope, (apart[0] - apart[1]) / (2.0 * step[i]), rtol=1e-6, atol=1e-9 * abs(value))
 
 
-@pytest.mark.exhaustive
+@pytest.mark.long
 def test_functions_may_close_over_what_is_differentiated():
     """By the implicit method, whose rules of differentiation see the leaves of a function alone."""
 

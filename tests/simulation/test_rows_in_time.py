@@ -155,7 +155,7 @@ def test_steps_of_many_lengths_stay_smooth(bar):
     np.testing.assert_allclose(run.loads["A"].force, wanted.loads["A"].force, rtol=0, atol=2e-3 * scale)
 
 
-@pytest.mark.exhaustive
+@pytest.mark.long
 def test_derivatives_by_the_numbers_of_a_table(bar):
     """In both modes, where steps have different lengths; and new numbers are no new program."""
     traced = []

@@ -16,7 +16,7 @@ SIZES = np.array([2e-3, 1e-2, 30.0])
 STEP = 2e-2  # of differences, in sizes of the numbers
 
 
-@pytest.mark.exhaustive
+@pytest.mark.long
 def test_hessian_of_loads_of_a_motion():
     model = discretise(Mechanism([link("arm", 0.3, 2)], [Joint("A", "base", "arm", angle=0.5)], driven_joint="A"))
     metrics = ("A.rms_moment", "A.mean_square_force")

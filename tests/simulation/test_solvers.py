@@ -32,7 +32,7 @@ def in_one_interval(model, drive, method):
     return prepared, conditions, y
 
 
-@pytest.mark.exhaustive
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["rk4", "generalised_alpha"])
 def test_loop_over_steps_is_diffrax_s_own_loop(small, name):
     """One interval by `advance` and by diffeqsolve with the same solver and steps."""
@@ -196,7 +196,7 @@ def test_time_grid():
         divide_time(-1.0, 1e-5, None, ())
 
 
-@pytest.mark.exhaustive
+@pytest.mark.long
 def test_adaptive_methods_do_not_integrate_where_no_time_passes(small):
     """The first saved time is the start: an interval of length zero."""
     seen = []

@@ -80,7 +80,7 @@ def falling(**more):
 
 
 class TestWithoutADrive:
-    @pytest.mark.exhaustive
+    @pytest.mark.long
     def test_rods_fall_from_where_they_are(self):
         """The equilibrium, at which it started once, has other forces and does not move."""
         model = discretise(falling())
@@ -139,7 +139,7 @@ class TestWithoutADrive:
         found = assemble(model, assembly_errors(model)).state.position.joints
         np.testing.assert_allclose(found, resting[:1], rtol=1e-9)
 
-    @pytest.mark.exhaustive
+    @pytest.mark.long
     def test_a_freedom_beside_a_drive(self):
         """Of a chain of two bars with a moment on the first hinge the second starts as given, too."""
         links, joints = (
@@ -190,7 +190,7 @@ class TestWhatIsHeld:
             np.testing.assert_allclose(run.loads["S"].force, 0.0, atol=1e-12)
             np.testing.assert_allclose(run.displacements["S"][-1], [0.1, 0.2, 0.3 - 0.5 * 9.81 * 4e-6], atol=1e-9)
 
-    @pytest.mark.exhaustive
+    @pytest.mark.long
     def test_an_idle_rod_is_held_with_the_rest(self):
         """A rod between two balls: its spin is held, and may have a rate, with the crank driven or not."""
         loop = loop_with_a_ball()
@@ -252,7 +252,7 @@ class TestWhatIsHeld:
 
 
 class TestRates:
-    @pytest.mark.exhaustive
+    @pytest.mark.long
     def test_others_follow(self):
         """Rates of a falling four-bar by the rate of its crank: those of the closure equations, at every joint."""
         model = discretise(falling(rate=2.0))
@@ -372,7 +372,7 @@ def ends(model, names, numbers):
 
 
 class TestDerivatives:
-    @pytest.mark.exhaustive
+    @pytest.mark.long
     def test_by_errors_and_design_in_both_modes(self):
         joints = [dataclasses.replace(one, rate=5.0) if one.name == "A" else one for one in four_bar(2).joints]
         model = discretise(undriven(dataclasses.replace(four_bar(2), joints=joints)))

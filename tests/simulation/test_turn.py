@@ -34,7 +34,7 @@ def test_an_arm_is_held_against_its_weight_over_a_revolution():
     assert not heavier.status.any()
 
 
-@pytest.mark.exhaustive
+@pytest.mark.long
 def test_a_turn_is_the_assembly_at_its_angles_and_its_moment_the_derivative_of_the_energy():
     model = discretise(four_bar(2))
     errors = assembly_errors(model, {"D.delta_x": "0.5 deg", "coupler.length": "0.1 mm"})
@@ -73,7 +73,7 @@ def test_turns_that_cannot_be_are_refused():
         kinetostatic_turn(free)
 
 
-@pytest.mark.exhaustive
+@pytest.mark.long
 def test_contacts_of_a_turn_are_those_of_assemblies_and_loads_have_derivatives_by_the_clearance():
     model = discretise(flexible_four_bar(), rfes=2)
     wrong = {"D.delta_x": TILT, "D.d_y": 5e-4}

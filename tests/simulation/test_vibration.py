@@ -84,7 +84,7 @@ def models():
     return {"alike": model, "coupled": coupled}
 
 
-@pytest.mark.exhaustive
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["alike", "coupled"])
 def test_eigenvalues_are_those_of_the_equations_of_motion(models, name):
     """But for the zeros of the two coordinates of every closure equation; without gravity, which adds 1e-6."""
@@ -101,7 +101,7 @@ def test_eigenvalues_are_those_of_the_equations_of_motion(models, name):
         assert np.abs(got - one).min() < 1e-8 * np.abs(one)
 
 
-@pytest.mark.exhaustive
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["alike", "coupled"])
 @pytest.mark.parametrize("method", ["rk4", "leapfrog"])
 def test_limit_is_that_of_the_whole_linear_system(models, name, method):

@@ -35,7 +35,7 @@ def linearised(model):
     return jax.jacfwd(rate)(flat)
 
 
-@pytest.mark.exhaustive
+@pytest.mark.long
 @pytest.mark.parametrize("make", [chain_of_kinds, chain_with_balls, two_cuts_of_different_kinds],
                          ids=lambda make: make.__name__)  # fmt: skip
 def test_eigenvalues_are_those_of_the_equations_of_motion(make):

@@ -190,7 +190,7 @@ def test_derivative_along_a_revolution(study_script):
     np.testing.assert_allclose(study_script.derivative_along_revolution(values, angles), expected, atol=1e-12)
 
 
-@pytest.mark.exhaustive
+@pytest.mark.long
 def test_crooked_pins_follow_from_seat_and_bore(study_script):
     """The derivatives added for crooked pins are those of the library's own pins, kept in place while
     the crank turns; at the start they stress nothing."""

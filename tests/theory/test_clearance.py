@@ -22,7 +22,7 @@ def four_bar():
     return discretise(flexible_four_bar())
 
 
-@pytest.mark.exhaustive
+@pytest.mark.long
 def test_derivatives_by_clearance_stiffness_and_mass():
     """Of the place of a pin pressed at rest."""
     hanging = hung(HARD)
@@ -39,7 +39,7 @@ def test_derivatives_by_clearance_stiffness_and_mass():
 
 
 class TestFourBar:
-    @pytest.mark.exhaustive
+    @pytest.mark.long
     def test_derivatives_by_clearance_and_misalignment(self, four_bar):
         names = ["D.clearance.radial", "D.clearance.length"]
 
@@ -56,7 +56,7 @@ class TestFourBar:
             difference = (loads(at + step) - loads(at - step)) / (2 * size)
             np.testing.assert_allclose(forward[:, n], difference, rtol=1e-5)
 
-    @pytest.mark.exhaustive
+    @pytest.mark.long
     def test_samples_of_a_batch_are_in_different_contact_states(self, four_bar):
         def loads(tilt):
             errors = assembly_errors(four_bar, {"D.delta_x": tilt})
@@ -71,7 +71,7 @@ class TestFourBar:
             for one, row in zip(loads(tilts[n]), together, strict=True):
                 np.testing.assert_allclose(row[n], one, rtol=1e-6, atol=1e-8)
 
-    @pytest.mark.exhaustive
+    @pytest.mark.long
     def test_little_clearance_of_stiff_contacts_is_the_ideal_hinge(self, four_bar):
         """Of first order in the clearance, and for a linear law in the compliance."""
         ideal = discretise(flexible_four_bar(None))
@@ -93,7 +93,7 @@ class TestFourBar:
         np.testing.assert_allclose(off[3] / off[4], 10.0, rtol=0.03)
         assert (off[2] < 0.025).all() and (off[4] < 1e-3).all()
 
-    @pytest.mark.exhaustive
+    @pytest.mark.long
     def test_the_present_matrix_finds_what_that_of_the_perfect_mechanism_does(self, four_bar, monkeypatch):
         """The latter is not iterated, so that only Newton's method under loads is left."""
         held, wanted = held_angles(four_bar, None), design(four_bar, {"D.clearance.radial": 1.3e-4})

@@ -76,13 +76,13 @@ class TestSingleImpact:
         run = simulate(model, drive=None, duration=duration, method=method, save_every=duration, start=thrown(model))
         assert STATUS[int(run.status)].name == "steps_exhausted"
 
-    @pytest.mark.exhaustive
+    @pytest.mark.long
     def test_no_step_is_chosen_where_impacts_are_chaotic(self):
         model, drive, _ = slider_crank(FAST)
         with pytest.raises(ValueError, match="after a few impacts motion is chaotic"):
             choose_method(model, Method("auto"), drive, 0.008)
 
-    @pytest.mark.exhaustive
+    @pytest.mark.long
     def test_adaptive_steps_follow_contacts_of_every_sample(self):
         """One sample has struck and left, one is in contact, one touches nothing."""
         model, duration = guided(damping=0.475), 8.2e-4
@@ -140,7 +140,7 @@ def swing(model, duration=0.02, contact_tolerance=0.02, **settings):
                     **settings)  # fmt: skip
 
 
-@pytest.mark.exhaustive
+@pytest.mark.long
 def test_a_pressed_pin_moves_as_an_ideal_hinge(pressed):
     run, ideal = swing(pressed), swing(discretise(pendulum(None)))
     assert int(run.status) == 0
@@ -150,7 +150,7 @@ def test_a_pressed_pin_moves_as_an_ideal_hinge(pressed):
     assert float(run.momentum_balance_error) < 1e-7 and float(run.hinge_moment_error) < 1e-5
 
 
-@pytest.mark.exhaustive
+@pytest.mark.long
 def test_derivatives_of_continuous_contact(pressed):
     def mean_square(values):
         wanted = design(pressed, {"D.clearance.radial": values[0], "D.clearance.stiffness": values[1]})
@@ -164,7 +164,7 @@ def test_derivatives_of_continuous_contact(pressed):
         np.testing.assert_allclose(forward[n], difference, rtol=1e-5)
 
 
-@pytest.mark.exhaustive
+@pytest.mark.long
 def test_reverse_mode_through_whole_steps_with_contact(pressed):
     def mean_square(values):
         wanted = design(pressed, {"D.clearance.radial": values[0], "D.clearance.stiffness": values[1]})

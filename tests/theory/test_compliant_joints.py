@@ -124,7 +124,7 @@ class TestFourBarOnBushings:
                 np.testing.assert_allclose(1e3 / factor * found[0], force, rtol=0, atol=5e-4)
                 np.testing.assert_allclose(1e3 / factor * found[1], moment, rtol=0, atol=1e-4)
 
-    @pytest.mark.exhaustive
+    @pytest.mark.long
     def test_derivatives_of_the_preload(self, bushed):
         names = list(TILTED)
 
@@ -323,7 +323,7 @@ class TestDrives:
             simulate(model, drive=PrescribedRate("A", 1.0), duration=0.1, method=Method("rk4", step=1e-4))
 
 
-@pytest.mark.exhaustive
+@pytest.mark.long
 def test_derivatives_of_a_motion_with_respect_to_error_and_stiffness():
     """A rod between two bearings, one of them cut: an implicit step has both kinds of springs."""
     first = Compliance(radial=1e5, tilt=50.0, tilt_damping=0.01)

@@ -105,7 +105,7 @@ def test_the_p_norm_of_the_stress_keeps_its_bounds(bent):
     assert norm == pytest.approx(largest, rel=0.03)
 
 
-@pytest.mark.exhaustive
+@pytest.mark.long
 def test_derivatives_by_the_length_are_those_of_the_closed_forms_in_both_modes(bent):
     elements, values, _, difference = bent
     zero = jnp.zeros(())
@@ -122,7 +122,7 @@ def test_derivatives_by_the_length_are_those_of_the_closed_forms_in_both_modes(b
     assert float(backward) == pytest.approx(float(weights @ forward), rel=1e-9)
 
 
-@pytest.mark.exhaustive
+@pytest.mark.long
 def test_derivatives_by_the_section_of_a_design_are_those_of_the_closed_forms_in_both_modes():
     model = cantilever()
     asked = ("bar.max_stress", "bar.end_deflection", "mass")

@@ -52,7 +52,7 @@ def assert_preload(reference, case, assembled):
 class TestSliderCrank:
     """The rigid slider-crank at 60 rad/s."""
 
-    @pytest.mark.exhaustive
+    @pytest.mark.long
     def test_derivatives_in_both_modes(self):
         model = slider_crank()
         names = ("G.delta_y", "G.d_z", "rod.length", "C.child.delta_x")
@@ -164,7 +164,7 @@ def block_on_a_plate(errors):
 class TestPlanarAndFixed:
     """These two kinds in the tree and cut: derivatives by their errors, in both modes."""
 
-    @pytest.mark.exhaustive
+    @pytest.mark.long
     def test_a_block_that_slides_on_a_plate(self):
         joints = [
             Joint("F", "base", "plate", kind="fixed", position=PLACE),
@@ -230,7 +230,7 @@ class TestUniversal:
         model = discretise(spatial_linkages.rsur_flexible())
         assert_preload(spatial_linkages.REFERENCE, "RSUR flexible", assemble(model, assembly_errors(model)))
 
-    @pytest.mark.exhaustive
+    @pytest.mark.long
     def test_derivatives_of_an_implicit_run_with_a_quaternion(self):
         mechanism = spatial_linkages.rsur_flexible(rfes=2)
         model = discretise(mechanism, elements="linear")

@@ -153,7 +153,7 @@ def _resultants(loads):
     )
 
 
-@pytest.mark.exhaustive
+@pytest.mark.long
 @pytest.mark.slow
 def test_flexible_loop_with_errors_moves_the_same_wherever_it_is_cut(four_bar):
     """Only the coupler bends, and has the same link frame with the loop cut at C or D."""

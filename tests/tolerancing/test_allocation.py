@@ -57,7 +57,7 @@ SQUARE = make({"f": lambda x: x[0] ** 2}, 1)
 UNIFORM = {"distribution": Uniform, "samples": 256}
 
 
-@pytest.mark.exhaustive
+@pytest.mark.long
 def test_rss_of_a_linear_metric_is_the_closed_form():
     result = allocate(LINEAR, {"f": 2.0}, COSTS, bounds(3), "rss", key=KEY, samples=128)
     exact = (FACTORS / GRADIENT**2) ** (1 / 3)

@@ -81,7 +81,7 @@ def fresh_loads(t, n=200_000):
     return 1.0 + e @ G
 
 
-@pytest.mark.exhaustive
+@pytest.mark.long
 @pytest.mark.parametrize("case", CASES)
 def test_rss_of_24_tolerances_is_the_closed_form_of_every_cost(case):
     model, price, optimum = CASES[case]

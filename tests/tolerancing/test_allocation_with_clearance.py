@@ -15,7 +15,7 @@ TILT, RADIAL = "D.delta_x", "D.clearance.radial"
 LENGTH = float(np.asarray(HARD.length))
 
 
-@pytest.mark.exhaustive
+@pytest.mark.long
 def test_a_tilt_and_the_clearance_that_bears_it_are_allocated_together():
     """The worst shaft has the largest tilt in the tightest bush, and its ends are pressed in by
     LENGTH / 2 sin(tilt) - PLAY + radial."""

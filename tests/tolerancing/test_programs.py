@@ -48,7 +48,7 @@ def counted(k, m=2):
     return FunctionProblem(function, names, [f"f{i}" for i in range(m)]), traces
 
 
-@pytest.mark.exhaustive
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("k", "criterion", "mode"),
     [
@@ -165,7 +165,7 @@ def test_hessian_by_differences_does_not_exist_at_kinks_and_failures():
     assert result.value == pytest.approx(0.04) and np.isnan(result.quadratic_value)
 
 
-@pytest.mark.exhaustive
+@pytest.mark.long
 def test_searches_of_the_host_are_those_of_the_traced_loop():
     def wave(x):
         return jnp.sum(jnp.cos(5 * x) - 0.1 * (x - 1) ** 2) + x[0] * x[1]

@@ -150,7 +150,7 @@ def sum_problem(k, weights: Any = 1.0):
 
 # (k, exact), and for comparison OpenTURNS 1.27: SubsetSampling 2.9e-6 +- 0.6e-6, 6.7e-6 +- 1.3e-6, 1.5e-6 +- 0.3e-6,
 # DirectionalSampling 2.17e-6, 7.10e-6, 0 (none of its 2000 directions of 30 counts).
-@pytest.mark.exhaustive
+@pytest.mark.long
 @pytest.mark.parametrize(("k", "exact"), [(10, 2.17e-6), (20, 7.1e-6), (30, 2.0e-6)])
 def test_mean_squares_of_many_errors(k, exact):
     problem, tolerances = sum_problem(k)

@@ -157,7 +157,7 @@ def test_no_weight_is_large():
     assert np.mean(mixture.weights(w)) == pytest.approx(1.0, abs=0.1)
 
 
-@pytest.mark.exhaustive
+@pytest.mark.long
 def test_plain_monte_carlo_sees_the_same_where_it_can():
     """Uniform errors, correlated ones and a zone, a probability of some per cent."""
     tolerances = Tolerances(

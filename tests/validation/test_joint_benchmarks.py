@@ -211,7 +211,7 @@ def test_published_linkages(monkeypatch):
     assert_all_pass(computed(published_linkages.validate), 16)
 
 
-@pytest.mark.exhaustive
+@pytest.mark.long
 @pytest.mark.slow
 def test_andrews_squeezer():
     """The table is met but for accelerations and forces that are not those of its angles and rates."""
