@@ -9,7 +9,7 @@ import re
 from collections.abc import Collection, Mapping
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from types import NoneType, UnionType
-from typing import Any, get_args, get_origin
+from typing import Any, get_args
 
 from rfem_jax.description.bearings import Bearing
 from rfem_jax.description.clearance import Clearance
@@ -202,16 +202,17 @@ def _table(
 
 
 def _type(kind: type, name: str) -> str:
-    """Type of an argument of a class, in the words of JSON Schema but for "list" and "table"; "number" for what may
-    have a unit; "" for what may be of several types, or is given in another form."""
+    """Type of an argument of a class, in the words of JSON Schema; "number" for what may have a unit; "" for what
+    may be of several types, is given in another form, or is a list or a table."""
     parameter = inspect.signature(kind).parameters.get(name)
     if parameter is None:
         return ""
-    found = {one for one in (get_args(parameter.annotation) or [parameter.annotation]) if one is not NoneType}
-    if isinstance(parameter.annotation, UnionType) and len(found) == 1:
-        parameter = parameter.replace(annotation=found.pop())
-    names = {float: "number", int: "integer", bool: "boolean", str: "string", tuple: "list", dict: "table"}
-    return names.get(get_origin(parameter.annotation) or parameter.annotation, "")
+    union = isinstance(parameter.annotation, UnionType)
+    found = {
+        one for one in (get_args(parameter.annotation) if union else [parameter.annotation]) if one is not NoneType
+    }
+    names = {float: "number", int: "integer", bool: "boolean", str: "string"}
+    return names.get(found.pop(), "") if len(found) == 1 else ""
 
 
 def _in_a_file(meaning: str) -> str:

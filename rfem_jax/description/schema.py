@@ -21,13 +21,12 @@ LINE = f"#:schema ./{FILE}"  # at the beginning of a study
 Schema = dict[str, Any]
 
 NUMBER: Schema = {"type": ["number", "string"]}  # a string has a unit
+# Lists and tables are left out: in place of many of them a single value may stand.
 TYPES: dict[str, Schema] = {
     "number": NUMBER,
     "integer": {"type": "integer"},
     "boolean": {"type": "boolean"},
     "string": {"type": "string"},
-    "list": {"type": "array"},
-    "table": {"type": "object"},
 }
 JOINTS, LINKS = "[[mechanism.joints]]", "[[mechanism.links]]"
 

@@ -71,3 +71,12 @@ def test_the_slider_crank_runs(tmp_path, monkeypatch):
     assert main(["run", str(path), "--out", str(out)]) == 0
     cases = json.loads((out / "results.json").read_text(encoding="utf-8"))["cases"]
     assert [case["status"] for case in cases.values()] == ["ok"] * 3
+
+
+def test_the_schema_is_printed(capsys):
+    assert main(["keys", "--schema"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert {key: printed[key] for key in study_schema()} == study_schema()
+    assert main(["keys", "--schema", "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert {key: printed[key] for key in study_schema()} == study_schema()
