@@ -16,14 +16,14 @@ def path_without_matplotlib(folder):
     return os.pathsep.join([str(folder), str(ROOT)])
 
 
-def in_a_new_process(code, *arguments):
-    """What a program prints that starts with the compiler's options as XLA has them."""
+def in_a_new_process(code, *arguments, timeout=None):
+    """What a program prints that starts with the compiler's options as XLA has them, and ends within `timeout` [s]."""
     # Tracing makes lasting objects, and to look through them for garbage takes long.
     environment = {name: value for name, value in os.environ.items() if name != "XLA_FLAGS"}
     answer = subprocess.run(
         [sys.executable, "-c", f"import gc\ngc.disable()\n{code}", *arguments],
         env={**environment, "PYTHONPATH": str(ROOT), "JAX_PLATFORMS": "cpu"},
-        cwd=ROOT, capture_output=True, text=True,
+        cwd=ROOT, capture_output=True, text=True, timeout=timeout,
     )  # fmt: skip
     assert answer.returncode == 0, answer.stderr
     return answer.stdout.strip()

@@ -21,6 +21,7 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float
 
+from rfem_jax.kernels import kernel
 from rfem_jax.mechanics import products
 from rfem_jax.mechanics.products import combine, contract, contract_constant
 from rfem_jax.mechanics.reordering import reorder
@@ -29,6 +30,7 @@ Scalar = Float[Array, ""] | float
 
 # Columns whose cosine is smaller are orthogonal; sweeps over all pairs, of which five or six are enough.
 ROUNDING_OF_ROTATIONS, MOST_SWEEPS = 1e-15, 12
+LARGEST_KERNEL = 16  # equations that a kernel solves as fast as LAPACK; it grows with the square of their number
 IDENTITY = np.eye(3)
 CROSSED = np.cross(IDENTITY[:, None], IDENTITY[None]).transpose(0, 2, 1)  # [k]: of the vector product by unit vector k
 
@@ -220,6 +222,30 @@ def invert_positive(matrix: Float[Array, "n n *k"]) -> Float[Array, "n n *k"]:
     top = jnp.concatenate([a_inverse - product_transposed(corner, ab), corner], axis=1)
     bottom = jnp.concatenate([transpose(corner), schur_inverse], axis=1)
     return jnp.concatenate([top, bottom])
+
+
+_by_kernel = kernel(jnp.linalg.solve, name="linear equations")
+_one_by_one = jax.custom_batching.sequential_vmap(jnp.linalg.solve)
+
+
+def solve_equations(matrix: Float[Array, "n n"], value: Float[Array, " n *k"]) -> Float[Array, " n *k"]:
+    """Solution of linear equations, of one right-hand side or several.
+
+    On a CPU by a kernel up to some size, and one sample after the other above it.  LAPACK's functions for batches wait
+    for threads of the pool on which XLA runs them: where a program has several of them, all threads may wait for ever.
+    """
+    if len(matrix) <= LARGEST_KERNEL:
+        return _by_kernel(matrix, value)
+
+    def solved(matrix, value):
+        return jax.lax.platform_dependent(matrix, value, cpu=_one_by_one, default=jnp.linalg.solve)
+
+    return jax.lax.custom_linear_solve(
+        lambda x: matrix @ x,
+        value,
+        lambda _, b: solved(matrix, b),
+        transpose_solve=lambda _, b: solved(matrix.T, b),
+    )
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(1,))

@@ -24,7 +24,7 @@ from jax import Array
 from jaxtyping import Float
 
 from rfem_jax.mechanics import loads
-from rfem_jax.mechanics.algebra import pseudo_inverse
+from rfem_jax.mechanics.algebra import pseudo_inverse, solve_equations
 from rfem_jax.mechanics.cut_joints import Closure, closure
 from rfem_jax.mechanics.kinematics import motion_of
 from rfem_jax.mechanics.model import Coordinates, Model, Topology, length_scale
@@ -72,7 +72,7 @@ def close_start(nominal: Model, made: Model) -> ClosedStart:
         return matrix.T @ residual(z, made) + kept @ z
 
     def solve(linear, value):
-        return jnp.linalg.solve(jax.vmap(linear, out_axes=1)(jnp.eye(value.shape[0])), value)
+        return solve_equations(jax.vmap(linear, out_axes=1)(jnp.eye(value.shape[0])), value)
 
     z = jax.lax.custom_root(equations, found, lambda _, start: start, solve)
     position, now = closed(z, made)
@@ -114,7 +114,7 @@ def _follow(
         matrix = jax.vmap(push, out_axes=1)(jnp.eye(size))
         of_start = jnp.eye(size) - pseudo_inverse(matrix, RANK_TOLERANCE) @ matrix
         kept = jnp.where(count == 0, of_start, kept)
-        step = jnp.linalg.solve(matrix.T @ matrix + kept, matrix.T @ value + kept @ z)
+        step = solve_equations(matrix.T @ matrix + kept, matrix.T @ value + kept @ z)
         largest = jnp.max(jnp.abs(step), initial=0.0)
         step = jnp.where(last, 0.0, step * jnp.minimum(1.0, LARGEST_STEP / jnp.maximum(largest, LARGEST_STEP)))
         return z - step, matrix, kept, jnp.where(share < 1.0, jnp.inf, largest), count + 1, last

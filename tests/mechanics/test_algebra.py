@@ -1,11 +1,14 @@
 """Rotations, cross products, small inverses and picked columns against NumPy."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from rfem_jax.mechanics import algebra
+from tests.processes import in_a_new_process
 
 rng = np.random.default_rng(0)
 
@@ -84,3 +87,42 @@ def test_pseudo_inverse(shape, rank):
 def test_pseudo_inverse_of_what_says_nothing():
     """Entries of rounding count as zero, not as each other's largest."""
     np.testing.assert_array_equal(algebra.pseudo_inverse(jnp.full((3, 2), 1e-14), 1e-9), np.zeros((2, 3)))
+
+
+@pytest.mark.parametrize("size", [5, 20])  # by a kernel, and one sample after the other
+@pytest.mark.parametrize("columns", [(), (2,)])
+def test_equations_are_solved_with_derivatives_of_both_orders_in_both_modes(size, columns):
+    assert (size <= algebra.LARGEST_KERNEL) == (size == 5)
+    matrices = jnp.asarray(rng.normal(size=(3, size, size)))
+    values = jnp.asarray(rng.normal(size=(3, size, *columns)))
+    for derivative in (lambda function: function, jax.jacfwd, jax.jacrev):
+        found = jax.jit(jax.vmap(derivative(algebra.solve_equations)))(matrices, values)
+        wanted = jax.vmap(derivative(jnp.linalg.solve))(matrices, values)
+        np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-11 * np.abs(wanted).max())
+    along = matrices[1]
+
+    def squares(solve, share):
+        return jnp.sum(solve(matrices[0] + share * along, values[0]) ** 2)
+
+    for second in (lambda f: jax.jacfwd(jax.jacfwd(f)), lambda f: jax.jacfwd(jax.grad(f))):
+        found, wanted = (
+            second(functools.partial(squares, solve))(0.1) for solve in (algebra.solve_equations, jnp.linalg.solve)
+        )
+        np.testing.assert_allclose(found, wanted, rtol=1e-8)
+
+
+SEVERAL = """
+import jax, jax.numpy as jnp
+jax.config.update("jax_enable_x64", True)
+from rfem_jax.mechanics.algebra import solve_equations
+matrices = jax.random.normal(jax.random.key(0), (64, 10, 32, 32))
+solved = jax.jit(jax.vmap(lambda of_one: sum(solve_equations(matrix, jnp.ones(32)) for matrix in of_one)))
+for _ in range(20):
+    found = jax.block_until_ready(solved(matrices))
+print(bool(jnp.isfinite(found).all()))
+"""
+
+
+def test_several_equations_of_a_batch_do_not_wait_for_each_other():
+    """With LAPACK's function for batches the process hangs with JAX 0.10 on two cores."""
+    assert in_a_new_process(SEVERAL, timeout=120).split() == ["True"]

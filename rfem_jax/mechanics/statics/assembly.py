@@ -28,7 +28,7 @@ from rfem_jax.description.errors import InputError, require_choice, suggestion
 from rfem_jax.description.mechanism import AS_GIVEN, EQUILIBRIUM, STARTS
 from rfem_jax.kernels import kernel
 from rfem_jax.mechanics import loads
-from rfem_jax.mechanics.algebra import Scalar, apply_transposed, cross, dot
+from rfem_jax.mechanics.algebra import Scalar, apply_transposed, cross, dot, solve_equations
 from rfem_jax.mechanics.bush_contacts import ContactState, contact_states
 from rfem_jax.mechanics.cut_joints import Closure, closure, spring_residual, spring_row_tangent
 from rfem_jax.mechanics.derivative_rules import implicit_function
@@ -303,7 +303,7 @@ def equilibrium(
         kernel(lambda unknowns, args: residual(unknowns, scaled, args), name="static equations"),
         scaled.coordinates,
         n_coordinates=scaled.units.size,
-        solve=shortest_solution if topology.minimum_norm else jnp.linalg.solve,
+        solve=shortest_solution if topology.minimum_norm else solve_equations,
     )
 
     # The search is not differentiated: its derivatives are those of the implicit function, taken at its result.

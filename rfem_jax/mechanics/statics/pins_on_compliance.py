@@ -21,7 +21,7 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float
 
-from rfem_jax.mechanics.algebra import product, product_transposed
+from rfem_jax.mechanics.algebra import product, product_transposed, solve_equations
 from rfem_jax.mechanics.clearances import PinInBush
 from rfem_jax.mechanics.frame_forces import START, FrameForce, NodeFrame, Pose, Time
 from rfem_jax.mechanics.orientations import exponential, rotation_of
@@ -128,7 +128,7 @@ def pins_at_rest(
     def improve(carry):
         wrenches, _, count = carry
         value, by_unit = jax.linearize(excess, wrenches)
-        direction = -jnp.linalg.solve(jax.vmap(by_unit, out_axes=1)(jnp.eye(value.size)), value)
+        direction = -solve_equations(jax.vmap(by_unit, out_axes=1)(jnp.eye(value.size)), value)
         # Gravity may push pins from the middle: where Newton's step leads uphill, its opposite is taken.
         direction = jnp.where(value @ (compliance @ direction) > 0.0, -direction, direction)
         moved = compliance @ direction
