@@ -82,7 +82,8 @@ class Body:
     None: the jaxpr; reverse: one that reverse mode takes, None: the jaxpr; linear_from: number of the first operand in
     which the kernel is linear, None where it is in none; origin: of a tangent the kernel and its moving operands;
     single: of a tangent in several directions that in one, and which operands have directions; long: whether it has a
-    loop whose turns are not to be remembered; order: of the derivatives in it.
+    loop whose turns are not to be remembered; in_parts: whether it is differentiated as if it were no kernel; order:
+    of the derivatives in it.
     """
 
     def __init__(
@@ -100,7 +101,7 @@ class Body:
         self.linear_from: int | None = None
         self.origin: tuple[Body, tuple[int, ...]] | None = None
         self.single: tuple[Body, tuple[bool, ...]] | None = None
-        self.long, self.order = False, 0
+        self.long, self.in_parts, self.order = False, False, 0
         self._emitted: programs.Program | None = None
         self._size: Size | Unsupported | None = None
         self._handlers: dict[tuple[int, bool], str] = {}
@@ -126,7 +127,7 @@ class Body:
     @functools.cached_property
     def digest(self) -> str | None:
         """Of the content of the jaxpr, None if it is not known."""
-        return contents.digest_of(self.program)
+        return contents.digest_of(self.program, self.in_parts)
 
     def size(self) -> Size | Unsupported:
         """The size of the program, or why there is none; what was noted of the same content is not found again."""
@@ -144,11 +145,12 @@ class Body:
         if size_of(self.program) > LARGEST_ARRAYS:
             return TooLarge(f"arrays of {LARGEST_ARRAYS} entries in all")
         try:
-            self._emitted = programs.emit(self.program)
+            self._emitted = programs.emit(self.program, self.in_parts)
         except TooLarge as reason:
             return reason
         except Unsupported as reason:
-            warnings.warn(f"{self.name!r} is compiled by XLA: there is no machine code for {reason}.", stacklevel=2)
+            if not self.in_parts:
+                warnings.warn(f"{self.name!r} is compiled by XLA: there is no machine code for {reason}.", stacklevel=2)
             return reason
         size = Size(self._emitted.operations, self._emitted.work)
         if self.digest:
@@ -163,7 +165,7 @@ class Body:
 
         def module() -> tuple[str, str]:
             if self._emitted is None:
-                self._emitted = programs.emit(self.program)
+                self._emitted = programs.emit(self.program, self.in_parts)
             return self._emitted.module(lanes, thorough, self.digest)
 
         with self._lock:
@@ -188,13 +190,10 @@ class Body:
     def as_moving(self, operands: Sequence[Any], moving: Sequence[int], function: Callable | None = None) -> Callable:
         """The results that have derivatives, of the kernel or of another function in its place, as a function of the
         operands that move."""
-        function = function or jaxpr_as_fun(self.program)
+        all_results = with_moving(operands, moving, function or jaxpr_as_fun(self.program))
 
         def of_moving(*inputs):
-            merged = list(operands)
-            for i, x in zip(moving, inputs):
-                merged[i] = x
-            results = function(*merged)
+            results = all_results(*inputs)
             return [results[i] for i in self.continuous]
 
         return of_moving
@@ -213,6 +212,18 @@ class Derived(NamedTuple):
     operands: Sequence[jax.ShapeDtypeStruct]
     results: Sequence[jax.ShapeDtypeStruct]
     plain: Callable | None = None
+
+
+def with_moving(operands: Sequence[Any], moving: Sequence[int], function: Callable) -> Callable:
+    """A function of all operands as one of those that move."""
+
+    def of_moving(*inputs):
+        merged = list(operands)
+        for i, x in zip(moving, inputs):
+            merged[i] = x
+        return function(*merged)
+
+    return of_moving
 
 
 def one_by_one(function: Callable, spread: Sequence[bool]) -> Callable:

@@ -278,6 +278,15 @@ class Builder:
         pointers = self.scalar(f"getelementptr i8, ptr {base}, #l {offsets.name}")
         return self._gathered(kind, pointers)
 
+    def store_number(self, kind: str, table: str, place: str, slot: int, rows: Rows) -> None:
+        """Put the number of a table that has a place, a scalar, into a slot in all lanes."""
+        single, name = ("double", "#d") if kind == "d" else ("i64", "#l")
+        at = self.scalar(f"getelementptr {single}, ptr {table}, i64 {place}")
+        number = self.scalar(f"load {single}, ptr {at}")
+        lane = self.scalar(f"insertelement {name} poison, {single} {number}, i64 0")
+        all_lanes = self.scalar(f"shufflevector {name} {lane}, {name} poison, <#n x i32> zeroinitializer")
+        self.line(f"store {name} {all_lanes}, ptr {self.address(slot, rows)}")
+
     def scatter(self, entry: Entry, kind: str, slot: int, rows: Value) -> None:
         """Put an entry into slots that differ between lanes."""
         self.intrinsics["scatter"] = "declare void @llvm.masked.scatter.v#nf64.v#np0(#d, <#n x ptr>, i32, #b)"

@@ -37,14 +37,14 @@ class NoDigest(Exception):
     """Something that is not known by its content."""
 
 
-def digest_of(program: ClosedJaxpr) -> str | None:
-    """SHA-256 (hexadecimal) of a jaxpr, and of what else its machine code depends on; None if something in it is not
-    known by its content."""
+def digest_of(program: ClosedJaxpr, short: bool = False) -> str | None:
+    """SHA-256 (hexadecimal) of a jaxpr, and of what else its machine code depends on (`short`: see `programs.emit`);
+    None if something in it is not known by its content."""
     try:
         content = _Contents().of(program)
     except (NoDigest, Unsupported):
         return None
-    return hashlib.sha256(f"{_surroundings()} {content}".encode()).hexdigest()[:40]
+    return hashlib.sha256(f"{_surroundings()} {short} {content}".encode()).hexdigest()[:40]
 
 
 @functools.cache

@@ -29,6 +29,7 @@ from rfem_jax.kernels.entries import (
     shape_of,
     whole,
 )
+from rfem_jax.kernels.long_arrays import each_in_a_loop, is_long, products_in_a_loop, reduced_in_a_loop
 from rfem_jax.kernels.places import Places
 
 # Primitives whose operation on arrays is that on entries.
@@ -92,10 +93,10 @@ def _rule_of(name: str) -> str:
 
 
 class Emitter(Places):
-    """Carries out jaxprs by the operations of a builder."""
+    """Carries out jaxprs by the operations of a builder; `short`: long arrays in loops, see `long_arrays`."""
 
-    def __init__(self, builder: Builder) -> None:
-        self.builder = builder
+    def __init__(self, builder: Builder, short: bool = False) -> None:
+        self.builder, self.short = builder, short
         self.arithmetic = Arithmetic(builder)
         self._expanding: set[str] = set()
 
@@ -121,9 +122,9 @@ class Emitter(Places):
         name, settings = equation.primitive.name, equation.params
         arithmetic = self.arithmetic
         if name in SIMPLE:
-            return [each(getattr(arithmetic, SIMPLE[name]), parts)]
+            return [self._each(getattr(arithmetic, SIMPLE[name]), parts)]
         if name in ELEMENTWISE:
-            return [each(lambda *x: self._function(name, *x), parts)]
+            return [self._each(lambda *x: self._function(name, *x), parts)]
         if name in SAME:
             return parts
         if name in CALLS:
@@ -137,6 +138,13 @@ class Emitter(Places):
     def knows(cls, name: str) -> bool:
         """Whether there is a rule for a primitive; any other is what it is made of."""
         return name in SIMPLE or name in ELEMENTWISE | SAME | CALLS or hasattr(cls, _rule_of(name))
+
+    def _each(self, function: Callable, parts: Sequence[Entries]) -> Entries:
+        """A function of entries applied to each; arrays without axes are broadcast."""
+        shape = np.broadcast_shapes(*(x.shape for x in parts))
+        if self.short and is_long(parts, shape):
+            return each_in_a_loop(self.builder, function, parts, shape)
+        return each(function, parts)
 
     def _function(self, name: str, *entries: Entry) -> Entry:
         """A function of entries: of vectors, or folded if they are known."""
@@ -157,14 +165,14 @@ class Emitter(Places):
     # Arithmetic with settings
 
     def _integer_pow(self, equation, x):
-        return [each(lambda a: self.arithmetic.power(a, equation.params["y"]), [x])]
+        return [self._each(lambda a: self.arithmetic.power(a, equation.params["y"]), [x])]
 
     def _convert_element_type(self, equation, x):
         dtype = equation.outvars[0].aval.dtype
-        return [each(lambda a: self.arithmetic.convert(a, dtype), [x])]
+        return [self._each(lambda a: self.arithmetic.convert(a, dtype), [x])]
 
     def _select_n(self, equation, which, *cases):
-        return [each(lambda w, *x: self.arithmetic.choose(w, list(x)), [which, *cases])]
+        return [self._each(lambda w, *x: self.arithmetic.choose(w, list(x)), [which, *cases])]
 
     def _dot_general(self, equation, a, b):
         (a_summed, b_summed), (a_batch, b_batch) = equation.params["dimension_numbers"]
@@ -175,6 +183,8 @@ class Emitter(Places):
         shape = [a.shape[i] for i in (*a_batch, *a_own)] + [b.shape[i] for i in b_own]
         a = a.transpose([*a_batch, *a_own, *a_summed]).reshape(batch, rows, terms)
         b = b.transpose([*b_batch, *b_own, *b_summed]).reshape(batch, columns, terms)
+        if self.short and is_long((max(a, b, key=np.size),), (batch, rows, columns, terms)):
+            return [products_in_a_loop(self.arithmetic, a, b).reshape(shape)]
         multiply = self.arithmetic.multiply
         places = np.ndindex(batch, rows, columns)
         sums = [self.arithmetic.sum(map(multiply, a[i, j], b[i, k])) for i, j, k in places]
@@ -183,6 +193,8 @@ class Emitter(Places):
     def _reduced(self, function: Callable, nothing, values: Entries, axes: Sequence[SupportsIndex]) -> Entries:
         values = np.moveaxis(values, axes, range(len(axes)))
         kept = values.shape[len(axes) :]
+        if self.short and is_long((values,), values.shape) and common_kind(values.flat) in "db":
+            return reduced_in_a_loop(self.builder, function, nothing, values, len(axes))
         terms = [whole(values[place]) for place in np.ndindex(*values.shape[: len(axes)])]
         if not terms:
             return of_shape([nothing] * math.prod(kept), kept)

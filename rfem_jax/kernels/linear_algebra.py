@@ -1,4 +1,4 @@
-"""Factors of matrices and triangular systems by operations of their entries, in loops over rows.
+"""Factors of matrices, triangular systems and singular values by operations of their entries, in loops over rows.
 
 Place in the pipeline: emission -> **linear_algebra**, which says there what LAPACK's primitives of JAX are made of.
 
@@ -8,9 +8,13 @@ code grows with the square of their number.
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from rfem_jax.kernels.emission import expand_primitive
+
+ORTHOGONAL = 1e-15  # cosine of the angle between columns below which they are not turned
+MOST_SWEEPS = 40  # over all pairs; some ten are enough
 
 
 def factors(matrix: Array, **others: object) -> tuple[Array, Array, Array]:
@@ -89,5 +93,97 @@ def solved(
     return x if left_side else x.T
 
 
+def singular_values(
+    matrix: Array, *, full_matrices: bool, compute_uv: bool, subset_by_index: object, **others: object
+) -> list[Array]:
+    """Singular values, the largest first, and if wanted singular vectors (columns of U, rows of V^T); any leading axes.
+
+    By Jacobi's rotations of the columns, one pair after the other, until all are orthogonal (Demmel and Veselic, 1992:
+    small singular values to as many digits as the matrix has). U is the orthogonal factor of these columns, so that it
+    has all of its columns also where singular values are zero.
+
+    **Raises:** NotImplementedError where only some singular values are wanted.
+    """
+    if subset_by_index is not None:
+        raise NotImplementedError("a part of the singular values")
+    settings = {"full_matrices": full_matrices, "compute_uv": compute_uv, "subset_by_index": None}
+    if matrix.ndim > 2:
+        return jax.vmap(lambda one: singular_values(one, **settings))(matrix)
+    rows, columns = matrix.shape
+    if rows < columns:
+        found = singular_values(matrix.T, **settings)
+        return [found[0], found[2].T, found[1].T] if compute_uv else found
+    scale = jnp.max(jnp.abs(matrix), initial=0.0)
+    scale = jnp.where(scale > 0.0, scale, 1.0)
+    images, right = _orthogonal_columns(matrix.T / scale)
+    sizes = jnp.sqrt(jnp.sum(images**2, axis=1))
+    order = jnp.argsort(-sizes)
+    images, right, values = images[order], right[order], sizes[order] * scale
+    if not compute_uv:
+        return [values]
+    left = _orthogonal_factor(images.T)
+    return [values, left if full_matrices else left[:, :columns], right]
+
+
+def _orthogonal_columns(columns: Array) -> tuple[Array, Array]:
+    """Columns (as rows) turned until they are orthogonal, and the rotation V^T: matrix = images^T V^T."""
+    count = len(columns)
+    i = jnp.arange(count, dtype=jnp.int32)[:, None]
+    first, second = (jnp.asarray(x, jnp.int32) for x in np.triu_indices(count, 1))
+
+    def row(rows: Array, place: Array) -> Array:
+        return jax.lax.dynamic_slice(rows, (place, jnp.int32(0)), (1, rows.shape[1]))[0]
+
+    def turn(carry, pair):
+        a, v, worst = carry
+        p, q = pair
+        x, y = row(a, p), row(a, q)
+        xx, yy, xy = jnp.sum(x * x), jnp.sum(y * y), jnp.sum(x * y)
+        needed = jnp.abs(xy) > ORTHOGONAL * jnp.sqrt(xx) * jnp.sqrt(yy)
+        zeta = (yy - xx) / (2.0 * jnp.where(needed, xy, 1.0))
+        tangent = jnp.where(zeta < 0.0, -1.0, 1.0) / (jnp.abs(zeta) + jnp.sqrt(1.0 + zeta * zeta))
+        tangent = jnp.where(needed, tangent, 0.0)
+        cosine = 1.0 / jnp.sqrt(1.0 + tangent * tangent)
+
+        def rotated(rows):
+            x, y = row(rows, p), row(rows, q)
+            at_p, at_q = cosine * (x - tangent * y), cosine * (tangent * x + y)
+            return jnp.where(i == p, at_p, jnp.where(i == q, at_q, rows))
+
+        return (rotated(a), rotated(v), worst | needed), None
+
+    def sweep(carry):
+        a, v, _, sweeps = carry
+        (a, v, turned), _ = jax.lax.scan(turn, (a, v, jnp.zeros((), bool)), (first, second))
+        return a, v, turned, sweeps + 1
+
+    start = columns, jnp.eye(count), jnp.ones((), bool), jnp.int32(0)
+    return jax.lax.while_loop(lambda carry: carry[2] & (carry[3] < MOST_SWEEPS), sweep, start)[:2]
+
+
+def _orthogonal_factor(matrix: Array) -> Array:
+    """Q (rows, rows) of a matrix = Q R with a diagonal of R that is not negative, by Householder's reflections."""
+    rows, columns = matrix.shape
+    i = jnp.arange(rows, dtype=jnp.int32)
+
+    def reflect(carry, k):
+        r, q = carry
+        x = jax.lax.dynamic_slice(r, (jnp.int32(0), k), (rows, 1))[:, 0]
+        x = jnp.where(i >= k, x, 0.0)
+        head = jnp.sum(jnp.where(i == k, x, 0.0))
+        size = jnp.sqrt(jnp.sum(x * x))
+        sign = jnp.where(head < 0.0, -1.0, 1.0)
+        v = x + jnp.where(i == k, sign * size, 0.0)
+        square = jnp.sum(v * v)
+        factor = jnp.where(square > 0.0, 2.0 / jnp.where(square > 0.0, square, 1.0), 0.0)
+        r = r - factor * v[:, None] * (v @ r)[None]
+        q = q - factor * (q @ v)[:, None] * v[None]
+        return (r, q), jnp.where(square > 0.0, -sign, 1.0)
+
+    (_, q), signs = jax.lax.scan(reflect, (matrix, jnp.eye(rows)), jnp.arange(columns, dtype=jnp.int32))
+    return q * jnp.concatenate([signs, jnp.ones(rows - columns)])[None]
+
+
 expand_primitive("lu", factors)
 expand_primitive("triangular_solve", solved)
+expand_primitive("svd", singular_values)

@@ -17,6 +17,7 @@ from jax.extend.core import ClosedJaxpr
 from rfem_jax.kernels.arithmetic import Arithmetic
 from rfem_jax.kernels.builder import DTYPES, TURNS, Builder, Entry, Unsupported, Value, is_known, kind_of
 from rfem_jax.kernels.entries import Entries, of_shape, size_of, whole
+from rfem_jax.kernels.long_arrays import LONG, each_in_a_loop, is_long
 from rfem_jax.kernels.memory import columns_of, copy, row_of, stored
 
 LONGEST_UNROLLED = 64
@@ -30,6 +31,7 @@ class Emitter(Protocol):
 
     builder: Builder
     arithmetic: Arithmetic
+    short: bool
 
     def run(self, program: ClosedJaxpr, given: Sequence[Entries]) -> list[Entries]: ...
 
@@ -46,7 +48,7 @@ class Slots:
     """Arrays in the workspace, of given shapes and types, each `rows` times one after the other."""
 
     def __init__(self, emitter: Emitter, variables: Sequence, rows: int = 1, drop: int = 0) -> None:
-        self.builder, self.rows = emitter.builder, rows
+        self.builder, self.rows, self.short = emitter.builder, rows, emitter.short
         self.shapes = [v.aval.shape[drop:] for v in variables]
         self.kinds = [kind_of(v.aval.dtype) for v in variables]
         self.sizes = [math.prod(shape) for shape in self.shapes]
@@ -59,11 +61,14 @@ class Slots:
 
     def load(self) -> list[Entries]:
         """The first row, which may be written again."""
-        load = self.builder.load
-        return [
-            of_shape([load(kind, first + i) for i in range(size)], shape)
-            for kind, first, size, shape in zip(self.kinds, self.firsts, self.sizes, self.shapes)
-        ]
+        return [self._loaded(*of) for of in zip(self.kinds, self.firsts, self.sizes, self.shapes)]
+
+    def _loaded(self, kind: str, first: int, size: int, shape: Sequence[int]) -> Entries:
+        if not self.short or size < LONG:
+            return of_shape([self.builder.load(kind, first + i) for i in range(size)], shape)
+        other = self.builder.reserve(size)
+        copy(self.builder, stored(self.builder, kind, first, shape), kind, other)
+        return stored(self.builder, kind, other, shape)
 
     def finished(self) -> list[Entries]:
         """All rows, which are written no more; without the axis of rows if there is one."""
@@ -182,6 +187,10 @@ def repeat_while(emitter: Emitter, equation, parts: Sequence[Entries]) -> list[E
 
 
 def _kept(emitter: Emitter, mask: Value, new: Entries, old: Entries) -> Entries:
+    if emitter.short and is_long((new, old), new.shape):
+        return each_in_a_loop(
+            emitter.builder, lambda a, b: emitter.arithmetic.select(mask, a, b), (new, old), new.shape
+        )
     return of_shape([emitter.arithmetic.select(mask, a, b) for a, b in zip(new.flat, old.flat)], new.shape)
 
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rfem_jax.kernels.builder import Builder, Entry, Rows, Stored, is_known
+from rfem_jax.kernels.builder import DTYPES, Builder, Entry, Rows, Stored, is_known
 from rfem_jax.kernels.entries import Entries, of_shape
 
 LARGEST_UNROLLED_COPY = 64  # entries
@@ -53,6 +53,10 @@ def in_one_piece(builder: Builder, entries: Entries, kind: str) -> int:
 
 def copy(builder: Builder, entries: Entries, kind: str, first: int, rows: Rows = ()) -> None:
     """Put an array into the workspace, from a slot on, or so many rows after it."""
+    if entries.size > LARGEST_UNROLLED_COPY and all(map(is_known, entries.flat)):
+        table = builder.table(kind, np.array([*entries.flat], DTYPES[kind]))
+        builder.counted(entries.size, lambda i: builder.store_number(kind, table, i, first, (*rows, (i, 1))))
+        return
     found = location_of(entries) if entries.size > LARGEST_UNROLLED_COPY else None
     steps = None if found is None or found.kind != kind else _steps(found.slots)
     if found is None or steps is None:
@@ -72,22 +76,31 @@ def copy(builder: Builder, entries: Entries, kind: str, first: int, rows: Rows =
     copy_from(0, found.rows, rows)
 
 
-def _steps(slots: np.ndarray) -> list[tuple[int, int]] | None:
-    """Length of every axis, and how many slots it is from one of its entries to the next; None unless that is the same
-    everywhere. Axes that follow each other without a gap are one."""
-    first, found = int(slots.flat[0]), []
-    places = np.full(slots.shape, first)
+def steps_of(slots: np.ndarray) -> list[int] | None:
+    """How many slots it is from one entry to the next along every axis; None unless that is the same everywhere."""
+    first = int(slots.flat[0])
+    places, steps = np.full(slots.shape, first), []
     for axis, length in enumerate(slots.shape):
+        at = tuple(int(k == axis) for k in range(slots.ndim))
+        steps.append(int(slots[at]) - first if length > 1 else 0)
+        places += steps[-1] * np.arange(length).reshape([length if k == axis else 1 for k in range(slots.ndim)])
+    return steps if (places == slots).all() else None
+
+
+def _steps(slots: np.ndarray) -> list[tuple[int, int]] | None:
+    """Length of every axis with more than one entry, and `steps_of` it. Axes that follow each other without a gap are
+    one."""
+    steps, found = steps_of(slots), []
+    if steps is None:
+        return None
+    for length, step in zip(slots.shape, steps):
         if length == 1:
             continue
-        at = tuple(int(k == axis) for k in range(slots.ndim))
-        step = int(slots[at]) - first
-        places += step * np.arange(length).reshape([length if k == axis else 1 for k in range(slots.ndim)])
         if found and found[-1][1] == step * length:
             found[-1] = found[-1][0] * length, step
         else:
             found.append((length, step))
-    return found if (places == slots).all() else None
+    return found
 
 
 class Column(NamedTuple):

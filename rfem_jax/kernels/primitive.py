@@ -36,6 +36,7 @@ def kernel(
     name: str | None = None,
     selection: Literal["automatic", "thorough", "fast"] = "automatic",
     reverse: Callable[..., Tree] | None = None,
+    in_parts: bool = False,
 ) -> Callable[..., Tree]:
     """A function of arrays, as one operation of JAX with machine code of its own.
 
@@ -44,13 +45,16 @@ def kernel(
     called in messages. `selection` of instructions and registers: "fast" compiles ten times as fast, and runs up to
     twice as long; "automatic" takes it unless loops and samples are so many that it would not pay; the results are the
     same. `reverse`: a function of the same results that is differentiated in reverse mode in its place, for a long loop
-    whose every turn would be remembered: a loop of JAX's own over a kernel, say, with checkpoints.
+    whose every turn would be remembered: a loop of JAX's own over a kernel, say, with checkpoints. `in_parts`: only its
+    values are one kernel; it is differentiated as if it were no kernel, so that derivatives are made of the kernels in
+    it and JAX's operations between them: for a large function of many small kernels.
 
     **Returns:** a function of the same arguments and results. All transformations of JAX apply to it where they apply
     to `function`; in reverse mode loops must have a known number of turns, as everywhere in JAX. A sample's result is
     the same, to the last bit, in every batch and at every place in it.
 
-    **Warns:** once for a function with an operation that has no machine code; XLA compiles it then.
+    **Warns:** once for a function with an operation that has no machine code; XLA compiles it then, and `in_parts`
+    nothing is said, since the kernels in it have machine code.
     """
     known: dict[Any, tuple[Body, _Structure]] = {}
     called = name or getattr(function, "__name__", "a function")
@@ -74,6 +78,7 @@ def kernel(
         body = Body.of(program, called, selection)
         if reverse is not None:
             body.reverse, body.long = _of_arrays(reverse, tree, settings, _Structure()), True
+        body.in_parts = in_parts
         if not outer:  # values of a transformation around this call are no part of the function
             known[key] = body, returned
             if len(known) > MOST_KNOWN:

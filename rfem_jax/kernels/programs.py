@@ -49,13 +49,13 @@ def handler_name(digest: str, lanes: int, thorough: bool) -> str:
     return f"kernel_{digest}_{lanes}_{'thorough' if thorough else 'fast'}"
 
 
-def emit(program: ClosedJaxpr) -> Program:
-    """The program of a jaxpr.
+def emit(program: ClosedJaxpr, short: bool = False) -> Program:
+    """The program of a jaxpr; `short`: with loops over long arrays (`long_arrays`).
 
     **Raises:** `Unsupported` for an operation, or a type of numbers, without machine code.
     """
     builder = Builder()
-    emitter = Emitter(builder)
+    emitter = Emitter(builder, short)
 
     def operand(variable) -> Buffer:
         size = math.prod(variable.aval.shape)

@@ -14,7 +14,7 @@ from jax.core import ShapedArray
 from jax.extend.core import jaxpr_as_fun
 from jax.interpreters import ad, batching
 
-from rfem_jax.kernels.bodies import Body, Derived, one_by_one, over_samples
+from rfem_jax.kernels.bodies import Body, Derived, one_by_one, over_samples, with_moving
 from rfem_jax.kernels.primitive import bind, kernel, kernel_p, samples_of
 
 
@@ -87,12 +87,14 @@ def _several(like: jax.ShapeDtypeStruct, size: int) -> jax.ShapeDtypeStruct:
 
 def _derivative(primals, tangents, *, body: Body, batched: tuple[bool, ...]):
     """Values, and tangents by a kernel that is linear in tangents."""
-    values = bind(body, primals, batched)
     moving = tuple(
         i for i, (x, dx) in enumerate(zip(primals, tangents))
         if type(dx) is not ad.Zero and jnp.issubdtype(x.dtype, jnp.inexact)
     )  # fmt: skip
     continuous = body.continuous
+    if body.in_parts:
+        return _derivative_in_parts(primals, tangents, body, batched, moving)
+    values = bind(body, primals, batched)
     along: list[Any] = [None] * len(values)
     if moving and continuous:
 
@@ -109,9 +111,22 @@ def _derivative(primals, tangents, *, body: Body, batched: tuple[bool, ...]):
         found = bind(linear, [*primals, *(tangents[i] for i in moving)], (*batched, *(batched[i] for i in moving)))
         for i, x in zip(continuous, found):
             along[i] = x
+    return values, _with_zeros(values, along, continuous)
+
+
+def _derivative_in_parts(primals, tangents, body: Body, batched: tuple[bool, ...], moving: tuple[int, ...]):
+    """Values and tangents of the jaxpr, whose kernels have rules of their own."""
+    function = over_samples(jaxpr_as_fun(body.program), batched)
+    inputs, directions = [primals[i] for i in moving], [tangents[i] for i in moving]
+    values, along = jax.jvp(with_moving(primals, moving, function), inputs, directions)
+    return values, _with_zeros(values, along, body.continuous)
+
+
+def _with_zeros(values, along, continuous: list[int]) -> list[Any]:
+    """The tangents of all results, zeros where there is none and where a result has none."""
     zeros = [ad.Zero(ShapedArray(x.shape, jax.dtypes.float0 if i not in continuous else x.dtype))
              for i, x in enumerate(values)]  # fmt: skip
-    return values, [zero if x is None else x for x, zero in zip(along, zeros)]
+    return [zero if x is None or i not in continuous else x for i, (x, zero) in enumerate(zip(along, zeros))]
 
 
 def _transpose(cotangents, *operands, body: Body, batched: tuple[bool, ...]):

@@ -88,7 +88,7 @@ def summarise_run(study: Study, run: Run) -> dict[str, Any]:
     return summary
 
 
-def _contacts(history: ContactState, lost: Float[Array, " times"]) -> dict[str, Any]:
+def _contacts(history: ContactState, lost: Float[Array | np.ndarray, " times"]) -> dict[str, Any]:
     """Of a joint with clearance: the contacts that carry at the start, none of a pin that floats; the numbers
     `quantities.CONTACTS` of its saved times, penetrations and forces of the contact where they are largest; `lost` [J]:
     by the contacts since the start."""

@@ -34,6 +34,7 @@ from rfem_jax.mechanics.model import Model
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors, assembly_errors
 from rfem_jax.mechanics.status import OK
 from rfem_jax.simulation import balances, integration
+from rfem_jax.simulation.conclusion import load_summary
 from rfem_jax.simulation.driving import Drive, require_driven
 from rfem_jax.simulation.integration import Prepared
 from rfem_jax.simulation.remarks import REMARKABLE_BALANCE
@@ -313,12 +314,10 @@ def _prepared(model, errors, drive, method: Method) -> tuple[Prepared, Carry]:
 
 def _loads_of(model, prepared: Prepared, drive, carry: Carry, grid, method: Method, steps):
     carry, energy = integration.advance_unobserved(model, prepared.actual, drive, carry, grid, method, steps)
-    metrics = integration.metrics_of(model, carry, grid.starts[-1] + grid.lengths[-1])
-    force = jnp.stack(list(metrics.rms_force.values()))
-    moment = jnp.stack(list(metrics.rms_moment.values()))
+    rms = load_summary(model, carry, grid.starts[-1] + grid.lengths[-1]).rms
     largest = balances.largest_force(carry)
     if model.friction is not None:
-        largest = jnp.maximum(largest, jnp.max(moment) / jnp.max(model.length))
+        largest = jnp.maximum(largest, jnp.max(rms[1]) / jnp.max(model.length))
     residual = carry.residual / jnp.where(largest > 0.0, largest, 1.0)
     balance = balances.balance_error(model, energy, largest)
-    return jnp.stack([force, moment]), residual, balance, prepared.status == OK
+    return rms, residual, balance, prepared.status == OK

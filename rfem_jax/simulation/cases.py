@@ -23,6 +23,7 @@ from rfem_jax.mechanics.model import Model
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors, assembly_errors
 from rfem_jax.simulation import integration, labelled_runs
 from rfem_jax.simulation.accuracy import choose_method
+from rfem_jax.simulation.conclusion import run_of
 from rfem_jax.simulation.driving import require_driven
 from rfem_jax.simulation.locking import with_limit
 from rfem_jax.simulation.records import require_records
@@ -89,14 +90,17 @@ def run_cases(
     prepared, carry = _prepare(model, errors, drive, method)
     try:
         carry, ends = _advance_all(model, prepared, study, carry, grid, method, steps, unfinished, progress)
-        runs = _conclude(model, prepared, drive, carry, ends, grid, method, steps, asked)
-        runs = with_limit(runs, model, drive)
+        conclusions = _conclude(model, prepared, drive, carry, ends, grid, method, steps, asked)
+        conclusions = jax.tree.map(np.asarray, conclusions)
     except KeyboardInterrupt:
         unfinished.write()
         raise
     unfinished.remove()
-    found = (of_model(one_of(runs, i), model, one) for i, one in enumerate(each))
-    return model, Runs({case.name: run for case, run in zip(study.cases, found)})
+    runs = Runs()
+    for i, (case, of_case) in enumerate(zip(study.cases, each, strict=True)):
+        run = run_of(model, jax.tree.map(lambda x: np.asarray(x[i]), conclusions))
+        runs[case.name] = with_limit(of_model(run, model, of_case), model, drive)
+    return model, runs
 
 
 def errors_of_cases(study: Study, model: Model) -> list[AssemblyErrors]:

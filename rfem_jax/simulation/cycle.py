@@ -30,6 +30,7 @@ from rfem_jax.mechanics.model import Model, State, Topology
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors, assembly_errors
 from rfem_jax.mechanics.point_laws import changing
 from rfem_jax.simulation import integration
+from rfem_jax.simulation.conclusion import Conclusion, run_of
 from rfem_jax.simulation.driving import Drive, drive_of_design, require_driven
 from rfem_jax.simulation.records import require_records
 from rfem_jax.simulation.run import Run
@@ -83,11 +84,11 @@ def steady_cycle(
     made = designed(model, design, errors)
     model, errors = made.model, errors if made.errors is None else made.errors
     asked = require_records(model, record)
-    state, run = _revolution(model, errors, drive, grid, None, method, steps, asked)
+    state, conclusion = _revolution(model, errors, drive, grid, None, method, steps, asked)
     start, found = state, []
     residual, done = np.inf, 1
     while done < most:
-        state, run = _revolution(model, errors, drive, grid, start, method, steps, asked)
+        state, conclusion = _revolution(model, errors, drive, grid, start, method, steps, asked)
         done += 1
         before = _numbers(start)
         after = _numbers(_turned_back(model.topology, start, state))
@@ -96,7 +97,9 @@ def steady_cycle(
             break
         found = [*found, (before, after)][-MEMORY:]
         start = _state(start, _mixed(found))
-    return Cycle(with_status(run, made), start, float(residual), done, bool(residual <= tolerance))
+    return Cycle(
+        with_status(run_of(model, conclusion), made), start, float(residual), done, bool(residual <= tolerance)
+    )
 
 
 def cycle_run(
@@ -124,12 +127,12 @@ def cycle_run(
     made = designed(model, design, assembly_errors(model) if errors is None else errors)
     assert made.errors is not None, "errors were given"
     asked = require_records(model, record)
-    run = _periodic(made.model, made.errors, drive, grid, cycle.start, method, steps, asked)
-    return with_status(run, made)
+    conclusion = _periodic(made.model, made.errors, drive, grid, cycle.start, method, steps, asked)
+    return with_status(run_of(made.model, conclusion), made)
 
 
 @partial(Program, nameless=True)
-def _periodic(model, errors, drive, grid: TimeGrid, start: State, method, steps, asked) -> Run:
+def _periodic(model, errors, drive, grid: TimeGrid, start: State, method, steps, asked) -> Conclusion:
     numbers, unravel = ravel_pytree(jax.lax.stop_gradient(start))
 
     def end_of(numbers, model, errors):
@@ -181,12 +184,14 @@ def require_constant_rate(model: Model, drive: Drive) -> PrescribedRate:
 
 
 @partial(Program, nameless=True)
-def _revolution(model, errors, drive, grid: TimeGrid, start: State | None, method, steps, asked) -> tuple[State, Run]:
+def _revolution(
+    model, errors, drive, grid: TimeGrid, start: State | None, method, steps, asked
+) -> tuple[State, Conclusion]:
     prepared = integration.prepare(model, errors, drive, start)
     carry = integration.start_carry(model, prepared, drive, method)
     carry, ends = integration.advance(model, prepared.actual, drive, carry, grid, method, steps, None)
-    run = integration.conclude(model, prepared, drive, carry, ends, grid, method, steps, asked)
-    return State(carry.trajectory.position, carry.trajectory.velocity), run
+    conclusion = integration.conclude(model, prepared, drive, carry, ends, grid, method, steps, asked)
+    return State(carry.trajectory.position, carry.trajectory.velocity), conclusion
 
 
 def _turned_back(topology: Topology, start: State, end: State) -> State:

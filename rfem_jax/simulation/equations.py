@@ -26,7 +26,8 @@ from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 from rfem_jax.mechanics.orientations import position_rate
 from rfem_jax.simulation.driving import ActiveDrives
 
-Scalar = int | float | Float[Array | np.ndarray, ""]
+Numbers = Array | np.ndarray  # of JAX within a computation, of NumPy in what it returned
+Scalar = int | float | Float[Numbers, ""]
 
 
 class Integrals(eqx.Module):
@@ -180,7 +181,7 @@ def largest_component(peaks: Float[Array, "4 joints"]) -> Float[Array, ""]:
     return jnp.max(peaks[:2])
 
 
-def safe_sqrt(square: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+def safe_sqrt(square: Float[Numbers, "*shape"]) -> Float[Array, "*shape"]:
     """Square root whose derivative is zero at zero, where the root has a kink; NaN stays NaN."""
     is_zero = square <= 0.0
     return jnp.where(is_zero, 0.0, jnp.sqrt(jnp.where(is_zero, 1.0, square)))

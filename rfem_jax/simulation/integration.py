@@ -34,16 +34,8 @@ from rfem_jax.mechanics.centre_lines import link_lines
 from rfem_jax.mechanics.designs import Design, designed, with_status
 from rfem_jax.mechanics.model import Model, State
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors, ModelWithErrors, apply_errors, assembly_errors
-from rfem_jax.mechanics.orientations import angles_of
 from rfem_jax.mechanics.reordering import rows
-from rfem_jax.mechanics.statics.assembly import (
-    Load,
-    held_angles,
-    moving_equilibrium,
-    named,
-    static_loads,
-    with_start,
-)
+from rfem_jax.mechanics.statics.assembly import held_angles, moving_equilibrium, static_loads, with_start
 from rfem_jax.mechanics.status import (
     DESIGN_OUT_OF_RANGE,
     OK,
@@ -51,21 +43,13 @@ from rfem_jax.mechanics.status import (
 from rfem_jax.simulation import equations
 from rfem_jax.simulation.balances import checks_of
 from rfem_jax.simulation.batches import like_batched
+from rfem_jax.simulation.conclusion import Conclusion, ball_angles, load_summary, run_of
 from rfem_jax.simulation.driving import active_drives, all_jumps, all_step_ends, drive_of_design, require_driven
-from rfem_jax.simulation.equations import Conditions, Scalar, Trajectory
+from rfem_jax.simulation.equations import Conditions, Trajectory
 from rfem_jax.simulation.locking import with_limit
 from rfem_jax.simulation.observation import Record, energy_at, observe
 from rfem_jax.simulation.records import finished_records, instant_records, require_records
-from rfem_jax.simulation.run import (
-    DriveHistory,
-    DrivenJoint,
-    Energy,
-    LoadIntegrals,
-    Loads,
-    Metrics,
-    Run,
-    of_model,
-)
+from rfem_jax.simulation.run import Energy, Run, of_model
 from rfem_jax.simulation.solvers.catalogue import observed_solver
 from rfem_jax.simulation.solvers.implicit_step import Memory
 from rfem_jax.simulation.stabilisation import stabilisation_of
@@ -150,7 +134,8 @@ def simulate_steps(
     asked = require_records(made.model, record)
     if not any(isinstance(x, Tracer) for x in jax.tree.leaves((made, drive, start))):
         method, grid, steps = of_any_step(method, grid, steps)  # one program for all steps; none of reverse mode
-    run = _simulate(made.model, made.errors, drive, grid, start, method, steps, adjoint, asked)
+    conclusion = _simulate(made.model, made.errors, drive, grid, start, method, steps, adjoint, asked)
+    run = run_of(made.model, conclusion)
     return with_status(of_model(run, made.model, errors if made.errors is None else made.errors), made)
 
 
@@ -197,6 +182,7 @@ def integrated(
     return prepared, *advance(model, prepared.actual, drive, carry, grid, method, steps, adjoint)
 
 
+@partial(kernel, name="assembly", in_parts=True)
 def prepare(model: Model, errors: AssemblyErrors, drive: Drive, start: State | None) -> Prepared:
     """Assemble the mechanism by static equilibrium, or take the given start."""
     with jax.named_scope("assembly"):
@@ -335,6 +321,7 @@ def observe_ends(
     )
 
 
+@partial(kernel, name="conclusion", in_parts=True)
 def conclude(
     model: Model,
     prepared: Prepared,
@@ -345,114 +332,26 @@ def conclude(
     method: Method,
     steps: int | Float[Array, ""],
     asked: Sequence[str] = (),
-) -> Run:
+) -> Conclusion:
     """Loads, metrics, balances and status from the last carry and all ends of intervals; `asked`: as `observe_ends`."""
     record = observe_ends(model, prepared.actual, drive, ends, grid, method, steps, asked)
     # The maxima are taken at the starts of steps: the last instant is still missing.
     carry = carry._replace(peaks=jnp.maximum(carry.peaks, jnp.max(record.squares, axis=0)))
-    record = jax.tree.map(lambda x: rows(x, grid.saved), record)
+    record, positions = jax.tree.map(lambda x: rows(x, grid.saved), (record, ends.trajectory.position))
     times = rows(jnp.asarray(grid.starts + grid.lengths), grid.saved)
     # Since the start: the work of tables over position is known up to a constant.
     energy = dataclasses.replace(record.energy, work=record.energy.work - record.energy.work[0])
     shortest = grid.shortest_step(steps)
-    checks = checks_of(model, prepared.actual, prepared.status, carry, record, energy, times[-1], shortest)
-    drives = _histories(model, record)
-    first = next(iter(drives.values()), DriveHistory(0.0 * times, 0.0 * times, record.drive_forces[0]))
-    return Run(
+    return Conclusion(
         times=times,
-        angle=first.position,
-        rate=first.rate,
-        drive_moment=first.force,
-        drives=drives,
-        angles=_coordinates(model, record, rotation=True),
-        displacements=_coordinates(model, record, rotation=False),
-        loads=Loads({name: Load(*(part[:, :, j] for part in record.loads)) for name, j in _joints(model)}),
-        preload=named(model, prepared.preload),
-        energy=energy,
-        metrics=metrics_of(model, carry, times[-1]),
-        driven_joint=DrivenJoint(first.position[-1], first.rate[-1]),
-        equation_residual=record.residual,
-        ends={name: record.ends[:, :, l] for l, name in enumerate(model.link_names)},
-        forces=record.forces,
-        contacts=record.contacts,
-        contact_losses=_by_clearance(model, record.contact_losses),
+        record=record._replace(energy=energy),
+        preload=prepared.preload,
+        summary=load_summary(model, carry, times[-1]),
+        checks=checks_of(model, prepared.actual, prepared.status, carry, record, energy, times[-1], shortest),
         contact_changes=carry.contact_changes,
-        branch={model.topology.joints[j]: record.branch[:, i] for i, j in enumerate(model.topology.cuts)},
-        integrals=_integrals(model, record.square_integrals),
+        ball_angles=ball_angles(model, record),
         centre_lines=link_lines(model, prepared.actual, prepared.state.position),
         nominal_lines=link_lines(model, apply_errors(model, assembly_errors(model)), model.start_coordinates()),
-        friction_losses=_by_friction(model, record.friction_losses),
         recorded=finished_records(model, prepared.actual, record.asked, record.friction_losses, asked),
-        positions=jax.tree.map(lambda x: rows(x, grid.saved), ends.trajectory.position),
-        **checks,
+        positions=positions,
     )
-
-
-def metrics_of(model: Model, carry: Carry, duration: Scalar) -> Metrics:
-    """Mean squares, RMS values and maxima by joint over a duration [s]."""
-    integrals = carry.trajectory.integrals
-    force = (integrals.axial_square + integrals.normal_square) / duration
-    moment = integrals.moment_square / duration
-    highest = equations.safe_sqrt(carry.peaks)
-
-    def by_name(values):
-        return {name: values[j] for name, j in _joints(model)}
-
-    def with_axis(values):
-        without = [name for name, j in _joints(model) if model.topology.kind(j).axis is None]
-        return {**by_name(values), **dict.fromkeys(without, jnp.asarray(jnp.nan))}
-
-    return Metrics(
-        mean_square_force=by_name(force),
-        mean_square_moment=by_name(moment),
-        rms_force=by_name(equations.safe_sqrt(force)),
-        rms_moment=by_name(equations.safe_sqrt(moment)),
-        max_axial_force=with_axis(highest[0]),
-        max_normal_force=with_axis(highest[1]),
-        max_force=by_name(highest[2]),
-        max_moment=by_name(highest[3]),
-    )
-
-
-def _coordinates(model: Model, record: Record, rotation: bool) -> dict[str, Array]:
-    """Angles or displacements by tree joint: (times,), or (times, k) of a kind that has several."""
-    found, topology = {}, model.topology
-    for l, at in enumerate(topology.positions):
-        plain = zip(topology.own_positions[l], topology.kind(l).nominal.freedoms)
-        wanted = [record.joints[:, k] for k, freedom in plain if freedom.rotation is rotation]
-        if rotation and topology.kind(l).ball:
-            wanted = list(angles_of(record.joints[:, at.stop - 4 : at.stop]).T)
-        if wanted:
-            found[topology.joints[l]] = jnp.stack(wanted, axis=1) if len(wanted) > 1 else wanted[0]
-    return found
-
-
-def _histories(model: Model, record: Record) -> dict[str, DriveHistory]:
-    """Position, rate and force of every driven coordinate, by its name."""
-    topology, found = model.topology, {}
-    for label, k, force in zip(topology.drive_labels, topology.drives, record.drive_forces):
-        found[label] = DriveHistory(record.joints[:, topology.place_of(k)], record.joint_rates[:, k], force)
-    return found
-
-
-def _by_friction(model: Model, values: Float[Array, "times frictions"] | None) -> dict[str, Float[Array, " times"]]:
-    """Histories by the names of the frictions."""
-    if values is None:
-        return {}
-    return {name: values[:, i] for i, name in enumerate(sorted(model.friction or {}))}
-
-
-def _by_clearance(model: Model, values: Float[Array, "times clearances"] | None) -> dict[str, Float[Array, " times"]]:
-    """Histories by the names of the joints with clearance."""
-    if values is None:
-        return {}
-    return {model.topology.joints[j]: values[:, i] for i, j in enumerate(model.topology.clearances)}
-
-
-def _integrals(model: Model, squares: Float[Array, "times 2 joints"]) -> LoadIntegrals:
-    """Integrals of squared loads by joint."""
-    return LoadIntegrals(*({name: squares[:, kind, j] for name, j in _joints(model)} for kind in range(2)))
-
-
-def _joints(model):
-    return [(name, model.topology.joints.index(name)) for name in model.joint_names]

@@ -14,7 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 
 from rfem_jax.labelled_data import DataFrame, Dataset
 from rfem_jax.mechanics.bush_contacts import ContactState
@@ -22,7 +22,7 @@ from rfem_jax.mechanics.model import Coordinates, Model
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors
 from rfem_jax.mechanics.statics.assembly import Load
 from rfem_jax.mechanics.status import STATUS
-from rfem_jax.simulation.equations import Scalar, safe_sqrt
+from rfem_jax.simulation.equations import Numbers, Scalar, safe_sqrt
 from rfem_jax.simulation.remarks import remarks_on
 
 RESIDUAL_LIMIT = 0.05  # of the largest joint force: with a larger residual the equations of motion are not solved
@@ -32,19 +32,19 @@ class Energy(eqx.Module):
     """Energies [J] at the saved times: kinetic, elastic, gravity (zero level: the first base joint's nominal
     position); work of the drives and dissipated energy since the start."""
 
-    kinetic: Float[Array, "*times"]
-    elastic: Float[Array, "*times"]
-    gravity: Float[Array, "*times"]
-    work: Float[Array, "*times"]
-    dissipation: Float[Array, "*times"]
+    kinetic: Float[Numbers, "*times"]
+    elastic: Float[Numbers, "*times"]
+    gravity: Float[Numbers, "*times"]
+    work: Float[Numbers, "*times"]
+    dissipation: Float[Numbers, "*times"]
 
     @property
-    def total(self) -> Float[Array, "*times"]:
+    def total(self) -> Float[Numbers, "*times"]:
         """Mechanical energy [J]."""
         return self.kinetic + self.elastic + self.gravity
 
     @property
-    def exchanged(self) -> Float[Array, "*batch"]:
+    def exchanged(self) -> Float[Numbers, "*batch"]:
         """The largest energy [J] that moves in one of its forms: kinetic energy, or the range of elastic energy, of
         gravity energy, of work, or of dissipated energy. Zero levels, and the energy of links bent to fit, do not
         count."""
@@ -61,37 +61,37 @@ class Metrics(eqx.Module):
     resultant force and moment; maxima over the whole duration of the absolute axial force and of the normal force (NaN
     for a joint without an axis), of the resultant force and of the resultant moment [N, N m]."""
 
-    mean_square_force: dict[str, Float[Array, ""]]
-    mean_square_moment: dict[str, Float[Array, ""]]
-    rms_force: dict[str, Float[Array, ""]]
-    rms_moment: dict[str, Float[Array, ""]]
-    max_axial_force: dict[str, Float[Array, ""]]
-    max_normal_force: dict[str, Float[Array, ""]]
-    max_force: dict[str, Float[Array, ""]]
-    max_moment: dict[str, Float[Array, ""]]
+    mean_square_force: dict[str, Float[Numbers, ""]]
+    mean_square_moment: dict[str, Float[Numbers, ""]]
+    rms_force: dict[str, Float[Numbers, ""]]
+    rms_moment: dict[str, Float[Numbers, ""]]
+    max_axial_force: dict[str, Float[Numbers, ""]]
+    max_normal_force: dict[str, Float[Numbers, ""]]
+    max_force: dict[str, Float[Numbers, ""]]
+    max_moment: dict[str, Float[Numbers, ""]]
 
 
 class LoadIntegrals(eqx.Module):
     """Integrals from 0 to the saved times of the squared resultant force [N^2 s] and moment [(N m)^2 s], by
     joint."""
 
-    force_square: dict[str, Float[Array, " times"]]
-    moment_square: dict[str, Float[Array, " times"]]
+    force_square: dict[str, Float[Numbers, " times"]]
+    moment_square: dict[str, Float[Numbers, " times"]]
 
 
 class WindowLoads(eqx.Module):
     """Mean squares and RMS of the resultant force and moment over a window of time, by joint."""
 
-    mean_square_force: dict[str, Float[Array, ""]]
-    mean_square_moment: dict[str, Float[Array, ""]]
+    mean_square_force: dict[str, Float[Numbers, ""]]
+    mean_square_moment: dict[str, Float[Numbers, ""]]
 
     @property
-    def rms_force(self) -> dict[str, Float[Array, ""]]:
+    def rms_force(self) -> dict[str, Float[Numbers, ""]]:
         """RMS force [N] by joint."""
         return {name: safe_sqrt(value) for name, value in self.mean_square_force.items()}
 
     @property
-    def rms_moment(self) -> dict[str, Float[Array, ""]]:
+    def rms_moment(self) -> dict[str, Float[Numbers, ""]]:
         """RMS moment [N m] by joint."""
         return {name: safe_sqrt(value) for name, value in self.mean_square_moment.items()}
 
@@ -119,12 +119,12 @@ class Loads(dict[str, Load]):
         return tuple(self)
 
     @property
-    def force(self) -> Float[Array, "*batch times joints 3"]:
+    def force(self) -> Float[Numbers, "*batch times joints 3"]:
         """Forces [N] of all joints, each in its frame H."""
         return jnp.stack([jnp.asarray(one.force) for one in self.values()], axis=-2)
 
     @property
-    def moment(self) -> Float[Array, "*batch times joints 3"]:
+    def moment(self) -> Float[Numbers, "*batch times joints 3"]:
         """Moments [N m] of all joints, each in its frame H."""
         return jnp.stack([jnp.asarray(one.moment) for one in self.values()], axis=-2)
 
@@ -133,34 +133,34 @@ class DriveHistory(eqx.Module):
     """A driven coordinate at the saved times: position [rad, m], rate [rad/s, m/s], and the moment [N m] or force [N]
     of its drive, given or that which enforces the motion (zero without a drive)."""
 
-    position: Float[Array, "*times"]
-    rate: Float[Array, "*times"]
-    force: Float[Array, "*times"]
+    position: Float[Numbers, "*times"]
+    rate: Float[Numbers, "*times"]
+    force: Float[Numbers, "*times"]
 
 
 class DrivenJoint(eqx.Module):
     """The first driven coordinate at the end: angle [rad] and rate [rad/s], or displacement [m] and speed [m/s]."""
 
-    angle_end: Float[Array, ""]
-    rate_end: Float[Array, ""]
+    angle_end: Float[Numbers, ""]
+    rate_end: Float[Numbers, ""]
 
 
 class PointHistory(eqx.Module):
     """A force between two points at the saved times: force [N], moment [N m] on the second one (of a force or moment at
     one point: on that), and place, first_place [m] of both (the latter then in the origin), in global axes."""
 
-    force: Float[Array, "*times 3"]
-    moment: Float[Array, "*times 3"]
-    place: Float[Array, "*times 3"]
-    first_place: Float[Array, "*times 3"]
+    force: Float[Numbers, "*times 3"]
+    moment: Float[Numbers, "*times 3"]
+    place: Float[Numbers, "*times 3"]
+    first_place: Float[Numbers, "*times 3"]
 
     @property
-    def length(self) -> Float[Array, "*times"]:
+    def length(self) -> Float[Numbers, "*times"]:
         """Distance of the two points [m]."""
         return jnp.linalg.norm(jnp.asarray(self.place) - self.first_place, axis=-1)
 
     @property
-    def tension(self) -> Float[Array, "*times"]:
+    def tension(self) -> Float[Numbers, "*times"]:
         """Force [N] that pulls the two points together."""
         apart = jnp.asarray(self.place) - self.first_place
         return -jnp.sum(self.force * apart, axis=-1) / jnp.linalg.norm(apart, axis=-1)
@@ -199,39 +199,39 @@ class Run(eqx.Module):
     positions: coordinates at the saved times; model, errors: what was simulated.
     """
 
-    times: Float[Array, " times"]
-    angle: Float[Array, " times"]
-    rate: Float[Array, " times"]
-    drive_moment: Float[Array, " times"]
+    times: Float[Numbers, " times"]
+    angle: Float[Numbers, " times"]
+    rate: Float[Numbers, " times"]
+    drive_moment: Float[Numbers, " times"]
     drives: dict[str, DriveHistory]
-    angles: dict[str, Float[Array, " times ..."]]
-    displacements: dict[str, Float[Array, " times ..."]]
+    angles: dict[str, Float[Numbers, " times ..."]]
+    displacements: dict[str, Float[Numbers, " times ..."]]
     loads: Loads
     preload: dict[str, Load]
     energy: Energy
     metrics: Metrics
     driven_joint: DrivenJoint
-    energy_balance_error: Float[Array, ""]
-    closure_drift: Float[Array, ""]
-    closure_drift_angle: Float[Array, ""]
-    momentum_balance_error: Float[Array, ""]
-    hinge_moment_error: Float[Array, ""]
-    stabilisation_share: Float[Array, ""]
-    solution_residual: Float[Array, ""]
-    linear_error: Float[Array, ""]
-    equation_residual: Float[Array, "times n"]
-    status: Int[Array, ""]
-    centre_lines: dict[str, Float[Array, "_ 3"]]
-    nominal_lines: dict[str, Float[Array, "_ 3"]]
-    ends: dict[str, Float[Array, "times 3"]]
-    branch: dict[str, Float[Array, " times"]]
+    energy_balance_error: Float[Numbers, ""]
+    closure_drift: Float[Numbers, ""]
+    closure_drift_angle: Float[Numbers, ""]
+    momentum_balance_error: Float[Numbers, ""]
+    hinge_moment_error: Float[Numbers, ""]
+    stabilisation_share: Float[Numbers, ""]
+    solution_residual: Float[Numbers, ""]
+    linear_error: Float[Numbers, ""]
+    equation_residual: Float[Numbers, "times n"]
+    status: Int[Numbers, ""]
+    centre_lines: dict[str, Float[Numbers, "_ 3"]]
+    nominal_lines: dict[str, Float[Numbers, "_ 3"]]
+    ends: dict[str, Float[Numbers, "times 3"]]
+    branch: dict[str, Float[Numbers, " times"]]
     integrals: LoadIntegrals
     forces: dict[str, PointHistory]
-    friction_losses: dict[str, Float[Array, " times"]] = eqx.field(default_factory=dict)
+    friction_losses: dict[str, Float[Numbers, " times"]] = eqx.field(default_factory=dict)
     contacts: dict[str, ContactState] = eqx.field(default_factory=dict)
-    contact_losses: dict[str, Float[Array, " times"]] = eqx.field(default_factory=dict)
-    contact_changes: Float[Array, ""] | None = None
-    design_gap: Float[Array, ""] | None = None
+    contact_losses: dict[str, Float[Numbers, " times"]] = eqx.field(default_factory=dict)
+    contact_changes: Float[Numbers, ""] | None = None
+    design_gap: Float[Numbers, ""] | None = None
     recorded: dict[str, Any] = eqx.field(default_factory=dict)
     positions: Coordinates | None = None
     model: Model | None = None
@@ -311,7 +311,7 @@ class Run(eqx.Module):
         return run_html(self)
 
 
-def derivative_residual(change: Run) -> Float[Array, "*directions"]:
+def derivative_residual(change: Run) -> Float[Numbers, "*directions"]:
     """How far a derivative is from solving the differentiated equations of motion.
 
     **Arguments:** `change`: derivative of a run along one direction, as `jax.jvp` gives it (for several: under

@@ -89,7 +89,7 @@ def test_functions_among_settings_have_no_digest():
 
 def test_what_has_the_same_content_is_emitted_once(monkeypatch):
     emitted, emit = [], programs.emit
-    monkeypatch.setattr(programs, "emit", lambda program: (emitted.append(program), emit(program))[1])
+    monkeypatch.setattr(programs, "emit", lambda program, short: (emitted.append(program), emit(program, short))[1])
     found = [jax.jit(kernel(lambda x: jnp.sin(x) * 0.71234, name=name))(X) for name in ("first", "second")]
     np.testing.assert_array_equal(*found)
     assert len(emitted) == 1

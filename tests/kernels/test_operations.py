@@ -173,3 +173,37 @@ def test_kernels_of_derivatives_do_not_grow_with_the_number_of_rows():
     assert operations(along, (400, 2), (3, 400, 2)) == operations(along, (100, 2), (3, 100, 2))
     second = jax.jacfwd(jax.jacfwd(function))
     assert operations(second, (400, 2)) == operations(second, (100, 2))
+
+
+@pytest.mark.parametrize("shape", [(5, 5), (7, 3), (3, 7), (12, 12), (1, 1)])
+@pytest.mark.parametrize("kind", ["any", "a column of zeros", "two equal columns", "sizes far apart"])
+def test_singular_values_beside_lapacks(shape, kind):
+    matrices = RANDOM.normal(size=(8, *shape))
+    if kind == "a column of zeros":
+        matrices[:, :, 0] = 0.0
+    elif kind == "two equal columns":
+        matrices[:, :, -1] = 2.0 * matrices[:, :, 0]
+    elif kind == "sizes far apart":
+        matrices *= np.logspace(0, -12, shape[1])
+    bound, count = 1e-14 * max(shape), min(shape)
+    for full in (False, True):
+        of_one = strict(lambda x: tuple(jnp.linalg.svd(x, full_matrices=full)))
+        left, values, right = jax.vmap(of_one)(jnp.asarray(matrices))
+        np.testing.assert_allclose(values, np.linalg.svd(matrices, compute_uv=False), rtol=0, atol=5 * bound)
+        product = np.einsum("bij,bj,bjk->bik", left[:, :, :count], values, right[:, :count])
+        np.testing.assert_allclose(product, matrices, rtol=0, atol=5 * bound)
+        for vectors in (np.asarray(left), np.swapaxes(right, 1, 2)):
+            squares = np.einsum("bij,bik->bjk", vectors, vectors)
+            np.testing.assert_allclose(squares, np.broadcast_to(np.eye(squares.shape[-1]), squares.shape), atol=bound)
+
+
+def test_singular_values_alone_and_of_what_is_no_number():
+    values = strict(lambda x: jnp.linalg.svd(x, compute_uv=False))
+    np.testing.assert_array_equal(values(jnp.zeros((3, 3))), np.zeros(3))
+    assert np.isnan(values(jnp.full((3, 3), jnp.nan))).all()
+    inverse = strict(lambda x: jnp.linalg.pinv(x, rtol=1e-12))
+    assert np.isnan(inverse(jnp.full((3, 3), jnp.nan))).all()
+    small_values = np.linalg.svd(np.vander([1.0, 2.0, 3.0]) * [1.0, 1e-7, 1e-13], compute_uv=False)
+    np.testing.assert_allclose(
+        values(jnp.vander(jnp.array([1.0, 2.0, 3.0])) * jnp.array([1.0, 1e-7, 1e-13])), small_values, rtol=1e-6
+    )

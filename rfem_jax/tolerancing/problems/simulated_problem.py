@@ -31,6 +31,7 @@ from rfem_jax.mechanics.model import Model
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors, assembly_errors
 from rfem_jax.mechanics.status import PAST_LIMIT, STATUS
 from rfem_jax.simulation.accuracy import choose_method
+from rfem_jax.simulation.conclusion import run_of
 from rfem_jax.simulation.driving import design_with, drive_numbers, drive_of_design, require_driven
 from rfem_jax.simulation.integration import conclude, grid_for, integrated, simulate_steps
 from rfem_jax.simulation.locking import FAILED_IN_MOTION, DriveLimit, drive_limit
@@ -256,7 +257,7 @@ class Problem(eqx.Module):
         run = simulate_steps(problem.model, errors, problem.drive, grid, problem.method, steps, **settings)
         forces = jnp.stack([load.force for load in run.loads.values()])
         values = {m.name: jnp.asarray(m(run)) for m in self.metrics}
-        return values, run.status, run.equation_residual, forces
+        return values, jnp.asarray(run.status), jnp.asarray(run.equation_residual), forces
 
     @property
     def _interval(self) -> float:
@@ -298,7 +299,8 @@ def _values_of_numbers(metrics, model, errors, drive, grid, method, steps):
     """As `_values_and_status`, of a mechanism whose numbers are those of the model."""
     prepared, carry, ends = integrated(model, errors, drive, grid, None, method, steps, None)
     asked = require_records(model, _records_of(metrics))
-    run = of_model(conclude(model, prepared, drive, carry, ends, grid, method, steps, asked), model, errors)
+    conclusion = conclude(model, prepared, drive, carry, ends, grid, method, steps, asked)
+    run = of_model(run_of(model, conclusion), model, errors)
     return {m.name: jnp.asarray(m(run)) for m in metrics}, run.status
 
 

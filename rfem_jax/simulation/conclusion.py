@@ -1,0 +1,180 @@
+"""What a simulation ends with as arrays over all joints, and the `Run` with a name for each of them.
+
+Place in the pipeline: records, carry -> **conclusion** -> Run.
+
+The arrays are what is compiled; giving each joint its own is no computation, and is done outside of programs.
+"""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Float
+
+from rfem_jax.mechanics import loads
+from rfem_jax.mechanics.model import Coordinates, Model
+from rfem_jax.mechanics.orientations import angles_of
+from rfem_jax.mechanics.statics.assembly import Load, named
+from rfem_jax.simulation import equations
+from rfem_jax.simulation.equations import Numbers, Scalar
+from rfem_jax.simulation.observation import Record
+from rfem_jax.simulation.run import DriveHistory, DrivenJoint, LoadIntegrals, Loads, Metrics, Run
+from rfem_jax.simulation.stepping import Carry
+
+
+class LoadSummary(NamedTuple):
+    """Of all joints over the whole duration: mean squares of the resultant force [N^2] and moment [(N m)^2], their RMS
+    values, and maxima of the axial, the normal and the resultant force [N] (the first two NaN without an axis) and of
+    the resultant moment [N m]."""
+
+    mean_squares: Float[Numbers, "2 joints"]
+    rms: Float[Numbers, "2 joints"]
+    highest: Float[Numbers, "4 joints"]
+
+
+class Conclusion(NamedTuple):
+    """What a simulation ends with.
+
+    record: at the saved `times` [s]; checks: fields of `Run` by their names; ball_angles: rotation vectors (times, 3)
+    [rad] of tree joints that turn about any axis, by link; the others as fields of `Run`.
+    """
+
+    times: Float[Numbers, " times"]
+    record: Record
+    preload: loads.JointLoads
+    summary: LoadSummary
+    checks: dict[str, Any]
+    contact_changes: Float[Numbers, ""] | None
+    ball_angles: dict[int, Float[Numbers, "times 3"]]
+    centre_lines: Mapping[str, Float[Numbers, "points 3"]]
+    nominal_lines: Mapping[str, Float[Numbers, "points 3"]]
+    recorded: dict[str, Any]
+    positions: Coordinates
+
+
+def load_summary(model: Model, carry: Carry, duration: Scalar) -> LoadSummary:
+    """Mean squares, RMS values and maxima over a duration [s]."""
+    integrals = carry.trajectory.integrals
+    force = (integrals.axial_square + integrals.normal_square) / duration
+    mean = jnp.stack([force, integrals.moment_square / duration])
+    highest = equations.safe_sqrt(carry.peaks)
+    without_axis = [model.topology.kind(j).axis is None for j in range(len(model.topology.joints))]
+    if any(without_axis):
+        unknown = np.array([without_axis, without_axis, *([[False] * len(without_axis)] * 2)])
+        highest = jnp.where(unknown, jnp.nan, highest)
+    return LoadSummary(mean, equations.safe_sqrt(mean), highest)
+
+
+def ball_angles(model: Model, record: Record) -> dict[int, Float[Numbers, "times 3"]]:
+    """Rotation vectors [rad] of tree joints that turn about any axis, by link."""
+    topology = model.topology
+    balls = {l: at for l, at in enumerate(topology.positions) if topology.kind(l).ball}
+    return {l: angles_of(record.joints[:, at.stop - 4 : at.stop]) for l, at in balls.items()}
+
+
+def run_of(model: Model, conclusion: Conclusion) -> Run:
+    """The run with its arrays by the names of joints, links and drives; of NumPy's arrays where these are NumPy's."""
+    leaves = jax.tree.leaves(conclusion)
+    if any(isinstance(x, Tracer) for x in leaves):
+        return _compiled(model, conclusion)
+    # NumPy's slices are views; each of JAX's would be a program of its own.
+    run = _by_name(model, jax.tree.map(np.asarray, conclusion))
+    if all(isinstance(x, np.ndarray) for x in leaves):
+        return jax.tree.map(np.asarray, run)  # with names in the order in which JAX returns them
+    return jax.device_put(run)
+
+
+def _by_name(model: Model, conclusion: Conclusion) -> Run:
+    times, record, topology = conclusion.times, conclusion.record, model.topology
+    drives = _histories(model, record)
+    nothing = DriveHistory(0.0 * times, 0.0 * times, record.drive_forces[0])
+    first = next(iter(drives.values()), nothing)
+    return Run(
+        times=times,
+        angle=first.position,
+        rate=first.rate,
+        drive_moment=first.force,
+        drives=drives,
+        angles=_coordinates(model, conclusion, rotation=True),
+        displacements=_coordinates(model, conclusion, rotation=False),
+        loads=Loads({name: Load(*(part[..., j] for part in record.loads)) for name, j in _joints(model)}),
+        preload=named(model, conclusion.preload),
+        energy=record.energy,
+        metrics=_metrics(model, conclusion.summary),
+        driven_joint=DrivenJoint(first.position[..., -1], first.rate[..., -1]),
+        equation_residual=record.residual,
+        ends={name: record.ends[..., l] for l, name in enumerate(model.link_names)},
+        forces=record.forces,
+        contacts=record.contacts,
+        contact_losses=_by_clearance(model, record.contact_losses),
+        contact_changes=conclusion.contact_changes,
+        branch={topology.joints[j]: record.branch[..., i] for i, j in enumerate(topology.cuts)},
+        integrals=LoadIntegrals(*(_by_joint(model, record.square_integrals[..., kind, :]) for kind in range(2))),
+        centre_lines=dict(conclusion.centre_lines),
+        nominal_lines=dict(conclusion.nominal_lines),
+        friction_losses=_by_friction(model, record.friction_losses),
+        recorded=conclusion.recorded,
+        positions=conclusion.positions,
+        **conclusion.checks,
+    )
+
+
+_compiled = eqx.filter_jit(_by_name)
+
+
+def _metrics(model: Model, summary: LoadSummary) -> Metrics:
+    force, moment = (_by_joint(model, summary.mean_squares[..., kind, :]) for kind in range(2))
+    rms_force, rms_moment = (_by_joint(model, summary.rms[..., kind, :]) for kind in range(2))
+    return Metrics(
+        force, moment, rms_force, rms_moment, *(_by_joint(model, summary.highest[..., kind, :]) for kind in range(4))
+    )
+
+
+def _coordinates(model: Model, conclusion: Conclusion, rotation: bool) -> dict[str, Float[Numbers, "times ..."]]:
+    """Angles or displacements by tree joint: (times,), or (times, k) of a kind that has several."""
+    found, topology, joints = {}, model.topology, conclusion.record.joints
+    for l, own in enumerate(topology.own_positions):
+        if rotation and l in conclusion.ball_angles:
+            found[topology.joints[l]] = conclusion.ball_angles[l]
+            continue
+        freedoms = topology.kind(l).nominal.freedoms
+        wanted = [k for k, freedom in zip(own, freedoms) if freedom.rotation is rotation]
+        if wanted:
+            found[topology.joints[l]] = joints[..., np.array(wanted)] if len(wanted) > 1 else joints[..., wanted[0]]
+    return found
+
+
+def _histories(model: Model, record: Record) -> dict[str, DriveHistory]:
+    """Position, rate and force of every driven coordinate, by its name."""
+    topology, found = model.topology, {}
+    for label, k, force in zip(topology.drive_labels, topology.drives, record.drive_forces):
+        found[label] = DriveHistory(record.joints[..., topology.place_of(k)], record.joint_rates[..., k], force)
+    return found
+
+
+def _by_friction(model: Model, values: Float[Numbers, "times frictions"] | None) -> dict[str, Float[Numbers, " times"]]:
+    """Histories by the names of the frictions."""
+    if values is None:
+        return {}
+    return {name: values[..., i] for i, name in enumerate(sorted(model.friction or {}))}
+
+
+def _by_clearance(
+    model: Model, values: Float[Numbers, "times clearances"] | None
+) -> dict[str, Float[Numbers, " times"]]:
+    """Histories by the names of the joints with clearance."""
+    if values is None:
+        return {}
+    return {model.topology.joints[j]: values[..., i] for i, j in enumerate(model.topology.clearances)}
+
+
+def _by_joint(model: Model, values: Float[Numbers, "*axes joints"]) -> dict[str, Float[Numbers, "*axes"]]:
+    return {name: values[..., j] for name, j in _joints(model)}
+
+
+def _joints(model: Model) -> list[tuple[str, int]]:
+    return [(name, model.topology.joints.index(name)) for name in model.joint_names]
