@@ -161,7 +161,9 @@ class Body:
         """Name under which XLA finds the machine code for a number of lanes, and so many blocks of samples."""
         size = self.size()
         assert isinstance(size, Size)
-        thorough = thorough_pays(size, blocks) if self.selection == "automatic" else self.selection == "thorough"
+        thorough = self.selection == "thorough"
+        if self.selection == "automatic" and not self.in_parts:  # much of whose code is seldom run
+            thorough = thorough_pays(size, blocks)
 
         def module() -> tuple[str, str]:
             if self._emitted is None:

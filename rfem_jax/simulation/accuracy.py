@@ -34,7 +34,7 @@ from rfem_jax.mechanics.model import Model
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors, assembly_errors
 from rfem_jax.mechanics.status import OK
 from rfem_jax.simulation import balances, integration
-from rfem_jax.simulation.conclusion import load_summary
+from rfem_jax.simulation.conclusion import joint_places, load_summary
 from rfem_jax.simulation.driving import Drive, require_driven
 from rfem_jax.simulation.integration import Prepared
 from rfem_jax.simulation.remarks import REMARKABLE_BALANCE
@@ -314,7 +314,7 @@ def _prepared(model, errors, drive, method: Method) -> tuple[Prepared, Carry]:
 
 def _loads_of(model, prepared: Prepared, drive, carry: Carry, grid, method: Method, steps):
     carry, energy = integration.advance_unobserved(model, prepared.actual, drive, carry, grid, method, steps)
-    rms = load_summary(model, carry, grid.starts[-1] + grid.lengths[-1]).rms
+    rms = load_summary(model, carry, grid.starts[-1] + grid.lengths[-1]).rms[:, joint_places(model)]
     largest = balances.largest_force(carry)
     if model.friction is not None:
         largest = jnp.maximum(largest, jnp.max(rms[1]) / jnp.max(model.length))

@@ -101,7 +101,12 @@ def _by_name(model: Model, conclusion: Conclusion) -> Run:
         drives=drives,
         angles=_coordinates(model, conclusion, rotation=True),
         displacements=_coordinates(model, conclusion, rotation=False),
-        loads=Loads({name: Load(*(part[..., j] for part in record.loads)) for name, j in _joints(model)}),
+        loads=Loads(
+            {
+                name: Load(*(part[..., j] for part in record.loads))
+                for name, j in zip(model.joint_names, joint_places(model))
+            }
+        ),
         preload=named(model, conclusion.preload),
         energy=record.energy,
         metrics=_metrics(model, conclusion.summary),
@@ -173,8 +178,9 @@ def _by_clearance(
 
 
 def _by_joint(model: Model, values: Float[Numbers, "*axes joints"]) -> dict[str, Float[Numbers, "*axes"]]:
-    return {name: values[..., j] for name, j in _joints(model)}
+    return {name: values[..., j] for name, j in zip(model.joint_names, joint_places(model))}
 
 
-def _joints(model: Model) -> list[tuple[str, int]]:
-    return [(name, model.topology.joints.index(name)) for name in model.joint_names]
+def joint_places(model: Model) -> np.ndarray:
+    """Places of the joints along the axes of joints, in the order of the description."""
+    return np.array([model.topology.joints.index(name) for name in model.joint_names])
