@@ -26,7 +26,17 @@ jax.config.update("jax_enable_x64", True)
 import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
 
-from rfem_jax import Method, Problem, Tolerances, discretise, first_samples, load_study  # noqa: E402
+from rfem_jax import (  # noqa: E402
+    Automatic,
+    GeneralisedAlpha,
+    Method,
+    Problem,
+    Simulation,
+    Tolerances,
+    discretise,
+    first_samples,
+    load_study,
+)
 
 STUDY = load_study(Path(__file__).parents[1] / "studies" / "monte_carlo" / "study.toml")
 TOLERANCES = Tolerances.of(STUDY)
@@ -36,7 +46,17 @@ REPEATS = 5
 def problem_with(model, method: Method, duration: float, trials=None) -> Problem:
     """The study's mechanism with all RMS loads as metrics."""
     metrics = [f"{joint}.{kind}" for kind in ("rms_force", "rms_moment") for joint in model.joint_names]
-    return Problem(model, STUDY.drive, duration, metrics, method, min(STUDY.save_every, duration), trials=trials)
+    return Problem(
+        Simulation(
+            model,
+            drive=STUDY.drive,
+            duration=duration,
+            method=method,
+            save_every=min(STUDY.save_every, duration),
+            trials=trials,
+        ),
+        metrics,
+    )
 
 
 def loads(problem: Problem, samples: dict) -> np.ndarray:
@@ -102,7 +122,7 @@ def main() -> None:
     model, others = discretise(STUDY.mechanism), first_samples(TOLERANCES, jax.random.key(2), options.samples)
     coarse, fine = (
         loads(
-            problem_with(model, Method("generalised_alpha", step=step, tolerance=1e-6), options.duration),
+            problem_with(model, GeneralisedAlpha(step=step, tolerance=1e-6), options.duration),
             others,
         )
         for step in (options.fine, options.fine / 2)
@@ -116,7 +136,7 @@ def main() -> None:
     print("|---|---|---|---|---|")
     trials = first_samples(TOLERANCES, jax.random.key(1))
     for accuracy in options.accuracies:
-        problem = problem_with(model, Method("auto", accuracy=accuracy), options.duration, trials)
+        problem = problem_with(model, Automatic(accuracy=accuracy), options.duration, trials)
         found = errors_of(loads(problem, others), exact)
         times = []
         for batch in options.batches:

@@ -35,7 +35,7 @@ from comparison_report import Report
 from exudyn_clearance import SolverSettings
 from exudyn_clearance import simulate as by_exudyn
 
-from rfem_jax import Method, design, simulate
+from rfem_jax import Explicit, GeneralisedAlpha, Method, RungeKutta4, Simulation, design, simulate
 from rfem_jax.validation.impacts import FAST, REFERENCE, SLOW, CrankCase, impacts_of, slider_crank
 
 TARGET = 1e-7, 1e-3  # s, relative
@@ -43,11 +43,10 @@ INTERVAL = 2e-6  # s between our saved times
 SPREAD = 0.01  # of the clearances of a batch
 DAMPING = {FAST.name: 0.07, SLOW.name: 0.7}  # s/m: about what a restitution of 0.9 gives the first impacts
 # From cheap to dear.
-EXPLICIT_STEPS = tuple(Method("rk4", step=h) for h in (2e-6, 1e-6, 5e-7))
-ADAPTIVE = tuple(Method("dopri8", rtol=r, atol=1e-2 * r) for r in (1e-6, 1e-8))
+EXPLICIT_STEPS = tuple(RungeKutta4(step=h) for h in (2e-6, 1e-6, 5e-7))
+ADAPTIVE = tuple(Explicit("dopri8", rtol=r, atol=1e-2 * r) for r in (1e-6, 1e-8))
 FOLLOWING = tuple(
-    Method("generalised_alpha", step=INTERVAL, contact_tolerance=tolerance)
-    for tolerance in (2e-2, 2e-3, 2e-4, 2e-5, 2e-6)
+    GeneralisedAlpha(step=INTERVAL, contact_tolerance=tolerance) for tolerance in (2e-2, 2e-3, 2e-4, 2e-5, 2e-6)
 )
 THEIR_EXPLICIT = tuple(SolverSettings("dopri5", h, r) for r in (1e-6, 1e-7, 1e-8, 1e-9) for h in (5e-5, 2e-5))
 THEIR_IMPLICIT = tuple(SolverSettings("generalised_alpha", h, 1e-4) for h in (1e-6, 5e-7, 2e-7, 1e-7))
@@ -124,8 +123,17 @@ def ours(case: CrankCase, losses: dict[str, float], duration: float, known: list
 
     def attempt(method: Method) -> Answer:
         def one(radial):
-            run = simulate(model, drive=drive, duration=duration, method=method, save_every=INTERVAL, start=start,
-                           design=design(model, {"C.clearance.radial": radial}))  # fmt: skip
+            run = simulate(
+                Simulation(
+                    model,
+                    drive=drive,
+                    duration=duration,
+                    method=method,
+                    save_every=INTERVAL,
+                    start=start,
+                    design=design(model, {"C.clearance.radial": radial}),
+                )
+            )
             force = jnp.linalg.norm(run.loads["C"].force, axis=1)
             return run.times, run.contacts["C"].penetration[:, 0], force
 

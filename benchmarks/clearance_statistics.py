@@ -20,7 +20,7 @@ import numpy as np
 from clearance_reference import Contact, Crank, batch
 from scipy.stats import ks_2samp
 
-from rfem_jax import Method, design, simulate
+from rfem_jax import RungeKutta4, Simulation, design, simulate
 from rfem_jax.validation.impacts import FAST, slider_crank
 
 CHI, SPREAD = 0.03, 0.01  # s/m; relative, of the clearances
@@ -65,11 +65,20 @@ def by_own_code(radial: np.ndarray, first: float, duration: float) -> Sample:
 def by_us(radial: np.ndarray, first: float, duration: float) -> Sample:
     """Likewise; without compilation."""
     model, drive, start = slider_crank(FAST, damping=CHI)
-    method = Method("rk4", step=STEP)
+    method = RungeKutta4(step=STEP)
 
     def one(radial):
-        run = simulate(model, drive=drive, duration=duration, method=method, save_every=INTERVAL, start=start,
-                       design=design(model, {"C.clearance.radial": radial}))  # fmt: skip
+        run = simulate(
+            Simulation(
+                model,
+                drive=drive,
+                duration=duration,
+                method=method,
+                save_every=INTERVAL,
+                start=start,
+                design=design(model, {"C.clearance.radial": radial}),
+            )
+        )
         force = jnp.linalg.norm(run.loads["C"].force, axis=1)
         mean_square = run.window(first, duration).mean_square_force["C"]
         return run.contacts["C"].penetration[:, 0], force, mean_square, run.status

@@ -15,7 +15,7 @@ import time
 import jax
 import numpy as np
 
-from rfem_jax import STATUS, Method, PrescribedRate, assembly_errors, discretise, simulate
+from rfem_jax import STATUS, GeneralisedAlpha, PrescribedRate, Simulation, assembly_errors, discretise, simulate
 from rfem_jax.validation.clearances import SOFT, flexible_four_bar
 from rfem_jax.validation.nonideal_joints import bars
 
@@ -43,11 +43,11 @@ def main() -> int:
     ideal = None
     for name, mechanism, tolerance in rows if options.whole else rows[:2]:
         model = discretise(mechanism)
-        method = Method("generalised_alpha", step=STEP, contact_tolerance=tolerance)
+        method = GeneralisedAlpha(step=STEP, contact_tolerance=tolerance)
         errors, drive, times = assembly_errors(model, ERRORS), PrescribedRate("A", 2.0 * np.pi), []
         for _ in range(repeats + 1):  # the first one compiles
             start = time.process_time()
-            run = simulate(model, errors, drive=drive, duration=SECOND, method=method, save_every=SAVED)
+            run = simulate(Simulation(model, drive=drive, duration=SECOND, method=method, save_every=SAVED), errors)
             jax.block_until_ready(run.status)
             times.append(time.process_time() - start)
         shortest = 1e3 * min(times[1:])

@@ -19,7 +19,7 @@ jax.config.update("jax_enable_x64", True)
 import diffrax  # noqa: E402
 import jax.numpy as jnp  # noqa: E402
 
-from rfem_jax import Method, assembly_errors, discretise, load_study  # noqa: E402
+from rfem_jax import GeneralisedAlpha, RungeKutta4, assembly_errors, discretise, load_study  # noqa: E402
 from rfem_jax.simulation import integration, stepping  # noqa: E402
 
 STUDY = Path(__file__).parents[1] / "studies" / "four_bar" / "study.toml"
@@ -71,9 +71,9 @@ def loads(options):
     model = discretise(study.mechanism, rfes=options.rfes)
     names = [f"{max(model.joint_names)}.{kind}" for kind in KINDS]
     if options.method == "rk4":
-        chosen, duration = Method("rk4", step=1e-5), options.share * (0.12 if options.mode == "value" else 0.02)
+        chosen, duration = RungeKutta4(step=1e-5), options.share * (0.12 if options.mode == "value" else 0.02)
     else:
-        chosen, duration = Method("generalised_alpha", step=2.5e-3, tolerance=1e-3), options.share * 0.5
+        chosen, duration = GeneralisedAlpha(step=2.5e-3, tolerance=1e-3), options.share * 0.5
     grid, steps = integration.grid_for(study.drive, duration, chosen, duration / 20)
 
     def function(point):

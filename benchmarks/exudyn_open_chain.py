@@ -16,10 +16,11 @@ from rfem_jax import (
     Link,
     Material,
     Mechanism,
-    Method,
     MomentRamp,
     PointMass,
     Rectangle,
+    RungeKutta4,
+    Simulation,
     assembly_errors,
     discretise,
     simulate,
@@ -66,13 +67,15 @@ def compare_open_chain(report, trial: bool = False) -> None:
     errors = assembly_errors(model, all_errors(model))
     drive = MomentRamp("Q", 0.3, 0.02)
     ours = simulate(
-        model,
+        Simulation(
+            model,
+            drive=drive,
+            duration=duration,
+            method=RungeKutta4(step=5e-6),
+            save_every=SAVE_EVERY,
+            start=static_state(model.topology, model.start_coordinates()),
+        ),
         errors,
-        drive=drive,
-        duration=duration,
-        method=Method("rk4", step=5e-6),
-        save_every=SAVE_EVERY,
-        start=static_state(model.topology, model.start_coordinates()),
     )
     link = linkage(model, errors)
     start = ((link.rotation, link.centre), {})

@@ -24,14 +24,7 @@ from exudyn_runs import rms_loads as rms_loads_of
 from exudyn_speed import FULL, variants
 from speed_timing import run_once
 
-from rfem_jax import (
-    STATUS,
-    Method,
-    assemble,
-    assembly_errors,
-    discretise,
-    simulate,
-)
+from rfem_jax import STATUS, GeneralisedAlpha, Simulation, assemble, assembly_errors, discretise, simulate
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors
 from rfem_jax.simulation.accuracy import rms_loads
 from rfem_jax.simulation.integration import grid_for
@@ -74,8 +67,10 @@ def compare(report, case: Case) -> list:
     model = discretise(case.mechanism, elements="geometrically_exact")
     errors = assembly_errors(model, case.errors)
     every = case.duration / case.saved
-    method = Method("generalised_alpha", step=every / case.steps[0])
-    ours = simulate(model, errors, drive=case.drive, duration=case.duration, method=method, save_every=every)
+    method = GeneralisedAlpha(step=every / case.steps[0])
+    ours = simulate(
+        Simulation(model, drive=case.drive, duration=case.duration, method=method, save_every=every), errors
+    )
     link = linkage(model, errors)
     start = equilibrium(link, SPHERICAL)
     steps = (every / n for n in (case.steps[1] // 2, case.steps[1]))
@@ -179,7 +174,7 @@ def time_ours(model, errors: AssemblyErrors, case: Case, samples: int, trial: bo
     """Step [s], and seconds of processor time of a sample alone and in a batch: generalised-alpha, tolerance and
     largest residual by the accuracy as "auto" has them; the errors are scaled sample by sample in the batch."""
     interval, found = case.duration / round(SEARCHED * case.saved), []
-    method = Method("generalised_alpha", step=interval, tolerance=ACCURACY / ACCURACY_OF_TOLERANCE)
+    method = GeneralisedAlpha(step=interval, tolerance=ACCURACY / ACCURACY_OF_TOLERANCE)
     grid, _ = grid_for(case.drive, case.duration, method, interval, model)
 
     def loads(count, samples=1):

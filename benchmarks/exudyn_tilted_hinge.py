@@ -8,7 +8,7 @@ import numpy as np
 from exudyn_models import Settings
 from exudyn_runs import simulate
 
-from rfem_jax import STATUS, Method, PrescribedRate, assembly_errors, discretise
+from rfem_jax import STATUS, GeneralisedAlpha, PrescribedRate, assembly_errors, discretise
 from rfem_jax import simulate as simulate_ours
 from rfem_jax.validation.reference_values import read_reference
 from rfem_jax.validation.tilted_hinge import SAVE_EVERY, WINDOW, mechanism
@@ -50,7 +50,7 @@ def by_us(m: int, form: str):
         drive=PrescribedRate("A", 0.6),
         duration=WINDOW[1],
         save_every=SAVE_EVERY,
-        method=Method("generalised_alpha", step=STEP),
+        method=GeneralisedAlpha(step=STEP),
     )
     window = run.window(*WINDOW)
     values = {"status": STATUS[int(run.status)].name}

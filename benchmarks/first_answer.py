@@ -46,7 +46,7 @@ study = load_study("studies/four_bar/study.toml")
 model = discretise(study.mechanism)
 metrics = [f"{joint}.mean_square_moment" for joint in "ABCD"]
 names = ("D.delta_x", "D.delta_z", "D.d_y")
-problem = Problem(model, study.drive, study.duration, metrics, Method("auto", accuracy=1e-3))
+problem = Problem(model, study.drive, study.duration, metrics, Automatic(accuracy=1e-3))
 points = jnp.linspace(0.5, 1.5, 16)[:, None] * jnp.array([[5e-3, 4e-3, 5e-4]])
 
 def values(point):

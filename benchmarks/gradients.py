@@ -36,14 +36,9 @@ jax.config.update("jax_enable_x64", True)
 import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
 
-from rfem_jax import (  # noqa: E402
-    Method,
-    Problem,
-    discretise,
-    largest_stable_step,
-    load_study,
-)
-from rfem_jax.simulation.solvers.generalised_alpha import GeneralisedAlpha  # noqa: E402
+from rfem_jax import GeneralisedAlpha, Problem, Simulation, discretise, largest_stable_step, load_study  # noqa: E402
+from rfem_jax.description.methods import named_method  # noqa: E402
+from rfem_jax.simulation.solvers.generalised_alpha import GeneralisedAlphaSolver  # noqa: E402
 
 STUDY = Path(__file__).parents[1] / "studies" / "four_bar" / "study.toml"
 FIRST = ("D.delta_x", "D.delta_z", "D.d_y")
@@ -62,11 +57,16 @@ def build_problem(options, method: str) -> Problem:
     model = discretise(study.mechanism, rfes=options.rfes)
     metrics = tuple(f"{joint}.mean_square_moment" for joint in sorted(model.joint_names))
     if method == "generalised_alpha":
-        chosen, duration = Method(method, step=2e-3, tolerance=options.tolerance), 0.5 * options.share
-        return Problem(model, study.drive, duration, metrics, chosen, save_every=min(2e-2, duration))
-    chosen = Method(method, step=0.9 * largest_stable_step(model, Method(method, step=1e-6)))
+        chosen, duration = named_method(method, step=2e-3, tolerance=options.tolerance), 0.5 * options.share
+        return Problem(
+            Simulation(model, drive=study.drive, duration=duration, method=chosen, save_every=min(2e-2, duration)),
+            metrics,
+        )
+    chosen = named_method(method, step=0.9 * largest_stable_step(model, named_method(method, step=1e-6)))
     duration = 0.01 * options.share
-    return Problem(model, study.drive, duration, metrics, chosen, save_every=min(1e-3, duration))
+    return Problem(
+        Simulation(model, drive=study.drive, duration=duration, method=chosen, save_every=min(1e-3, duration)), metrics
+    )
 
 
 def chosen_errors(problem: Problem, count: int) -> tuple[str, ...]:
@@ -110,10 +110,13 @@ def influences(options, step: float, tolerance: float) -> np.ndarray:
     """Derivatives times the errors' sizes (samples, metrics, errors)."""
     study = load_study(options.study)
     model = discretise(study.mechanism, rfes=options.rfes)
-    method = Method("generalised_alpha", step=step, tolerance=tolerance, corrections=12)
+    method = GeneralisedAlpha(step=step, tolerance=tolerance, corrections=12)
     metrics = tuple(f"{j}.mean_square_{kind}" for j in sorted(model.joint_names) for kind in ("force", "moment"))
     duration = 0.5 * options.share
-    problem = Problem(model, study.drive, duration, metrics, method, save_every=min(2.5e-2, duration))
+    problem = Problem(
+        Simulation(model, drive=study.drive, duration=duration, method=method, save_every=min(2.5e-2, duration)),
+        metrics,
+    )
     sizes = KINDS
     if not set(KINDS) <= set(problem.error_names):
         joint = sorted(model.joint_names)[-1]
@@ -134,11 +137,11 @@ def measure_accuracy(options) -> None:
         exact = influences(options, step, TIGHT)
         scale = np.abs(exact).max(axis=2, keepdims=True)
         for tolerance in options.tolerances:
-            method = Method("generalised_alpha", step=step, tolerance=tolerance)
+            method = GeneralisedAlpha(step=step, tolerance=tolerance)
             found = influences(options, step, tolerance)
             off = np.abs((found - exact) / scale).max(axis=(1, 2))
             shown = "".join(f"{one:>10.1e}" for one in off)
-            count = GeneralisedAlpha(method).tangent_increments
+            count = GeneralisedAlphaSolver(method).tangent_increments
             print(f"{1e3 * step:>8g}{tolerance:>11g}{count:>12}    {shown}", flush=True)
 
 

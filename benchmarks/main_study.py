@@ -19,7 +19,7 @@ jax.config.update("jax_enable_x64", True)
 
 import jax.numpy as jnp  # noqa: E402
 
-from rfem_jax import assembly_errors, discretise, load_study, simulate  # noqa: E402
+from rfem_jax import Simulation, assembly_errors, discretise, load_study, simulate  # noqa: E402
 from rfem_jax.kernels import kernel  # noqa: E402
 from rfem_jax.mechanics.dynamics import accelerations  # noqa: E402
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation  # noqa: E402
@@ -50,12 +50,8 @@ def measure(study, model, samples: int, duration: float) -> None:
 
     def run(errors):
         return simulate(
-            model,
+            Simulation(model, drive=study.drive, duration=duration, method=study.method, save_every=study.save_every),
             errors,
-            drive=study.drive,
-            duration=duration,
-            method=study.method,
-            save_every=study.save_every,
         ).metrics
 
     start = time.perf_counter()

@@ -109,7 +109,8 @@ def measure(folder: Path, gradient: str | None, batch: int | None) -> None:
     jax.config.update("jax_enable_compilation_cache", False)
     import jax.numpy as jnp
 
-    from rfem_jax import Method, assembly_errors, discretise, load_study, simulate
+    from rfem_jax import Simulation, assembly_errors, discretise, load_study, simulate
+    from rfem_jax.description.methods import named_method
 
     study = load_study(folder / "studies" / "four_bar" / "study.toml")
     model = discretise(study.mechanism)
@@ -117,9 +118,10 @@ def measure(folder: Path, gradient: str | None, batch: int | None) -> None:
 
         def metrics(values, name=name, step=step, duration=duration):
             errors = assembly_errors(model, values)
-            method = Method(name, step=step)
+            method = named_method(name, step=step)
             run = simulate(
-                model, errors, drive=study.drive, duration=duration, method=method, save_every=0.25 * duration
+                Simulation(model, drive=study.drive, duration=duration, method=method, save_every=0.25 * duration),
+                errors,
             )
             return run.metrics
 

@@ -49,7 +49,8 @@ from speed_timing import (
     timed,
 )
 
-from rfem_jax import Method, discretise
+from rfem_jax import GeneralisedAlpha, Method, discretise
+from rfem_jax.description.methods import named_method
 from rfem_jax.kernels import is_available, kernel
 from rfem_jax.mechanics.dynamics import accelerations
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation
@@ -81,7 +82,7 @@ def search_settings(model, case: str, reference, options) -> dict[float, Found]:
     print(f"\nSettings of generalised_alpha, batch of {samples}: error of the case, of all, residual, CPU ms a sample")
     for tolerance in options.tolerances:
         for radius in options.radii:
-            first = Method("generalised_alpha", step=INTERVAL, tolerance=tolerance, spectral_radius=radius)
+            first = GeneralisedAlpha(step=INTERVAL, tolerance=tolerance, spectral_radius=radius)
             rows.append(_search_steps(model, case, reference, first, options.size))
     best = {}
     for accuracy in ACCURACIES:
@@ -287,7 +288,7 @@ def defaults() -> dict[float, Found]:
     settings = {1e-2: (6.25e-3, 0.4), 1e-3: (2.5e-3, 0.6)}
     return {
         accuracy: Found(
-            Method("generalised_alpha", step=step, tolerance=accuracy, spectral_radius=radius),
+            GeneralisedAlpha(step=step, tolerance=accuracy, spectral_radius=radius),
             *3 * (np.nan,),
         )
         for accuracy, (step, radius) in settings.items()
@@ -335,7 +336,7 @@ def main() -> None:
         f"kernels {'of machine code' if is_available() else 'compiled by XLA'}\n"
         f"Building the model: {build:.2f} s"
     )
-    explicit = [Method(name, step=EXPLICIT_STEP) for name in options.explicit]
+    explicit = [named_method(name, step=EXPLICIT_STEP) for name in options.explicit]
     rows: list[dict] = []
     for case in options.cases:
         best = defaults()

@@ -18,18 +18,19 @@ import numpy as np
 from speed_timing import STUDY, sample_errors, simulation, timed
 
 from rfem_jax import (
+    GeneralisedAlpha,
     Joint,
     Link,
     Material,
     Mechanism,
-    Method,
     MomentRamp,
     Problem,
     Rectangle,
+    Simulation,
     discretise,
 )
 
-METHOD = Method("generalised_alpha", step=2.5e-3, tolerance=1e-3)
+METHOD = GeneralisedAlpha(step=2.5e-3, tolerance=1e-3)
 BATCH, SHORT, TRIAL = 8, 0.1, 5e-3  # samples; s simulated by the row of parallelograms, and in a trial
 SWEEP_NAMES = ("rfes", "links", "batch", "errors")
 FIRST = ("D.delta_x", "D.delta_z", "D.d_y")
@@ -144,7 +145,9 @@ def over_errors(counts, trial: bool) -> list[Points]:
     mechanism, drive = pendulum() if trial else (STUDY.mechanism, STUDY.drive)
     model, duration = discretise(mechanism), TRIAL if trial else STUDY.duration
     metrics = tuple(f"{joint}.mean_square_moment" for joint in sorted(model.joint_names))
-    problem = Problem(model, drive, duration, metrics, METHOD, save_every=min(25e-3, duration))
+    problem = Problem(
+        Simulation(model, drive=drive, duration=duration, method=METHOD, save_every=min(25e-3, duration)), metrics
+    )
     first = tuple(name for name in FIRST if name in problem.error_names)
     others = [n for n in problem.error_names if "pin" not in n and n not in FIRST]
     curves = {"forward": [], "reverse": []}

@@ -28,7 +28,7 @@ import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
 from jax import Array  # noqa: E402
 
-from rfem_jax import Method, assembly_errors, load_study, simulate  # noqa: E402
+from rfem_jax import GeneralisedAlpha, Method, Simulation, assembly_errors, load_study, simulate  # noqa: E402
 from rfem_jax.simulation.accuracy import rms_loads  # noqa: E402
 from rfem_jax.simulation.integration import grid_for  # noqa: E402
 
@@ -113,12 +113,8 @@ def simulation(model, method: Method, drive=STUDY.drive, duration=STUDY.duration
 
     def run(errors) -> Array:
         metrics = simulate(
-            model,
+            Simulation(model, drive=drive, duration=duration, method=method, save_every=min(INTERVAL, duration)),
             assembly_errors(model, errors),
-            drive=drive,
-            duration=duration,
-            method=method,
-            save_every=min(INTERVAL, duration),
         ).metrics
         kinds = (metrics.rms_force, metrics.rms_moment)
         return jnp.stack([jnp.stack([kind[name] for name in model.joint_names]) for kind in kinds])
@@ -143,7 +139,7 @@ def stepping(model, case: str, count: int, method: Method, duration=STUDY.durati
 def converged(model, case: str, steps: int = 500, samples: int = len(SCALES), duration=STUDY.duration) -> np.ndarray:
     """RMS loads of the samples by generalised-alpha, extrapolated from steps of twice `INTERVAL` / steps and of that
     (with 500: 50 us) by its order 2."""
-    method = Method("generalised_alpha", step=INTERVAL)
+    method = GeneralisedAlpha(step=INTERVAL)
     loads = stepping(model, case, samples, method, duration)
     coarse, fine = (np.asarray(loads(n)[0]) for n in (steps // 2, steps))
     return fine + (fine - coarse) / 3.0

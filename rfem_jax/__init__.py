@@ -20,11 +20,12 @@ from rfem_jax.lazy_names import lazy_names as _lazy_names
 
 _names = {
     "description": (
-        "Bearing Case Circle Clearance Compliance ForceFunction ForceRamp ForceTable GivenSection InputError Joint "
-        "JointForceFunction JointForceTable JointFriction JointSpring Link Material Mechanism Method MomentFunction "
+        "Automatic Bearing Case Circle Clearance Compliance Explicit ForceFunction ForceRamp ForceTable "
+        "GeneralisedAlpha GivenSection InputError Joint JointForceFunction JointForceTable JointFriction JointSpring "
+        "Leapfrog Link Material Mechanism Method MomentFunction "
         "MomentRamp MomentTable PointForce PointMass PointMoment PointSpring PointSpringFunction PointSpringTable "
         "PrescribedDisplacements PrescribedFunction PrescribedRate PrescribedRunUp PrescribedSpeed "
-        "PrescribedSpinUp PrescribedTable Rectangle RigidBody Study Tube load_study"
+        "PrescribedSpinUp PrescribedTable Rectangle RigidBody RungeKutta4 Study Tube load_study"
     ),
     "mechanics": (
         "AssemblyErrors Coordinates Design Model State STATUS assemble assembly_errors describe design designed "
@@ -39,8 +40,8 @@ _names = {
     "compilation.keeping": "keep_programs",
     "task_kinds": "TaskKind register_task",
     "simulation": (
-        "Run check_step choose_method cycle_run derivative_residual kinetostatic_turn largest_stable_step "
-        "natural_frequencies register_method run_cases simulate steady_cycle"
+        "EquationsOfMotion Run Simulation check_step choose_method cycle_run derivative_residual equations_of_motion "
+        "kinetostatic_turn largest_stable_step natural_frequencies register_method run_cases simulate steady_cycle"
     ),
 }
 

@@ -15,7 +15,7 @@ from tests.mechanisms import chain_with_balls, four_bar, loop_with_a_ball, two_c
 drive = rfem_jax.MomentRamp("A", 1.5, 0.01)
 for elements in ("linear", "geometrically_exact"):
     model = rfem_jax.discretise(four_bar(3), elements=elements)
-    for method in (rfem_jax.Method("rk4", step=1e-5), rfem_jax.Method("generalised_alpha", step=1e-3)):
+    for method in (rfem_jax.RungeKutta4(step=1e-5), rfem_jax.GeneralisedAlpha(step=1e-3)):
 
         def simulate(tilt):
             errors = rfem_jax.assembly_errors(model, {"D.delta_x": tilt})
@@ -26,9 +26,9 @@ for elements in ("linear", "geometrically_exact"):
         differentiated = (elements == "linear") == (method.name == "rk4")
         print(jax.eval_shape(jax.jacfwd(simulate) if differentiated else simulate, 0.01).shape)
 for make, method in (
-    (chain_with_balls, rfem_jax.Method("rk4", step=1e-5)),
-    (loop_with_a_ball, rfem_jax.Method("generalised_alpha", step=1e-3)),
-    (two_cuts_of_different_kinds, rfem_jax.Method("leapfrog", step=1e-5)),
+    (chain_with_balls, rfem_jax.RungeKutta4(step=1e-5)),
+    (loop_with_a_ball, rfem_jax.GeneralisedAlpha(step=1e-3)),
+    (two_cuts_of_different_kinds, rfem_jax.Leapfrog(step=1e-5)),
 ):
     model = rfem_jax.discretise(make())
     driven = drive if model.driven_joint else None

@@ -4,6 +4,8 @@ Place in the pipeline: the first package; imports nothing of the others. Everyth
 enters and converted to SI floats.
 """
 
+import warnings
+
 from rfem_jax.description import design_metrics as design_metrics  # they register themselves
 from rfem_jax.description.bearings import Bearing
 from rfem_jax.description.clearance import Clearance
@@ -27,11 +29,13 @@ from rfem_jax.description.links import Link, PointMass
 from rfem_jax.description.materials import Material
 from rfem_jax.description.mechanism import Mechanism
 from rfem_jax.description.methods import (
-    AutomaticMethod,
-    DiffraxMethod,
-    FixedStepMethod,
-    GeneralisedAlphaMethod,
+    Automatic,
+    Explicit,
+    FixedStep,
+    GeneralisedAlpha,
+    Leapfrog,
     Method,
+    RungeKutta4,
 )
 from rfem_jax.description.point_forces import (
     PointForce,
@@ -62,19 +66,19 @@ from rfem_jax.description.translation_drives import (
 from rfem_jax.description.units import quantity
 
 __all__ = [
-    "AutomaticMethod",
+    "Automatic",
     "Bearing",
     "Case",
     "Circle",
     "Clearance",
     "Compliance",
-    "DiffraxMethod",
-    "FixedStepMethod",
+    "Explicit",
+    "FixedStep",
     "ForceDrive",
     "ForceFunction",
     "ForceRamp",
     "ForceTable",
-    "GeneralisedAlphaMethod",
+    "GeneralisedAlpha",
     "GivenDrive",
     "GivenSection",
     "InputError",
@@ -83,6 +87,7 @@ __all__ = [
     "JointForceTable",
     "JointFriction",
     "JointSpring",
+    "Leapfrog",
     "Link",
     "Material",
     "Mechanism",
@@ -107,6 +112,7 @@ __all__ = [
     "PrescribedTable",
     "Rectangle",
     "RigidBody",
+    "RungeKutta4",
     "Section",
     "SectionProperties",
     "Study",
@@ -115,3 +121,19 @@ __all__ = [
     "nearest",
     "quantity",
 ]
+
+_FORMER_NAMES = {
+    "AutomaticMethod": Automatic,
+    "DiffraxMethod": Explicit,
+    "FixedStepMethod": FixedStep,
+    "GeneralisedAlphaMethod": GeneralisedAlpha,
+}
+
+
+def __getattr__(name: str) -> type[Method]:
+    """Names of the version before, which a later one refuses."""
+    if name not in _FORMER_NAMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    now = _FORMER_NAMES[name]
+    warnings.warn(f"`{name}` is called `{now.__name__}` now.", DeprecationWarning, stacklevel=2)
+    return now

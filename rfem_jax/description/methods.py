@@ -1,28 +1,30 @@
-"""Methods of integration and their settings, a class for each family.
+"""Methods of integration with their settings, a class for each.
 
-Place in the pipeline: specified in a study; `simulation` makes the solver of a method.
+Place in the pipeline: specified in Python or in a study; `simulation` makes the solver of a method.
 
-    FixedStepMethod     rk4, leapfrog
-    GeneralisedAlphaMethod
-    DiffraxMethod       explicit solvers of diffrax, with a fixed step or with tolerances
-    AutomaticMethod     auto: `simulation.accuracy` chooses the method and its step
+    RungeKutta4, Leapfrog   explicit, with a fixed step
+    GeneralisedAlpha        implicit
+    Explicit                explicit solvers of diffrax, with a fixed step or with tolerances
+    Automatic               `simulation.accuracy` chooses the method and its step
+    named_method            the method that a study file names
 
 Symbols: step h [s]; rtol, atol [1] relative and absolute tolerance of adaptive steps; stabilisation
-[1] dimensionless Baumgarte gain; accuracy [1] relative accuracy asked of the method "auto".
+[1] dimensionless Baumgarte gain; accuracy [1] relative accuracy asked of `Automatic`.
 Source: theory (3.12), (3.13), (5.7), (7.1) to (7.7), (11.4).
 """
 
+import inspect
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from numbers import Real
-from typing import Any, ClassVar, TypeVar, cast
+from typing import TYPE_CHECKING, Any, ClassVar
 
-from rfem_jax.description.errors import ChecksItself, InputError, Problems, require_choice, require_name
+from rfem_jax.description.errors import ChecksItself, InputError, Problems, require_choice, require_name, suggestion
 from rfem_jax.description.units import non_negative_quantity, positive_quantity
 
-AnyMethod = TypeVar("AnyMethod", bound="Method")
 MOST_COUNT = 10**9
-DEFAULT_ACCURACY = 1e-3  # of "auto"
+DEFAULT_ACCURACY = 1e-3  # of `Automatic`
 
 
 def _count(given: Any, dimension: str, where: str) -> int:
@@ -47,44 +49,54 @@ def setting(
     return field(default=default, metadata={"dimension": dimension, "convert": convert, "below_one": below_one})
 
 
-@dataclass(frozen=True, init=False)
-class Method(ChecksItself):
-    """An integration method with its settings; numbers in SI or strings with a unit.
+class _MethodClass(type):
+    """The type of the classes of methods: what is wrong with the names of arguments is said in a sentence."""
 
-    `Method(name, **settings)` makes an object of the class that has this name: `Method("rk4", step=1e-5)` is a
-    `FixedStepMethod`. A class of one's own is added by `rfem_jax.register_method`.
+    if not TYPE_CHECKING:  # for whom the arguments are those of `__init__`
 
-    Args:
-        name: "rk4" (classical Runge-Kutta 4), "leapfrog", "generalised_alpha", an explicit solver of diffrax
-            by its lower-case name ("tsit5", "dopri5", "dopri8", ...), or "auto".
-        settings: those of the class, by their names.
+        def __call__(cls, *arguments: Any, **settings: Any) -> Any:
+            if cls is Method or (cls is FixedStep and arguments):
+                made = named_method(*arguments, **settings)
+                warnings.warn(
+                    f"Methods are made by their classes: write {type(made).__name__}(...) in place of "
+                    f'{cls.__name__}("{made.name}", ...), which a later version refuses.',
+                    DeprecationWarning,
+                    stacklevel=2,
+                )
+                return made
+            _check_names(cls, arguments, settings)
+            return super().__call__(*arguments, **settings)
+
+        @property
+        def __signature__(cls) -> inspect.Signature:
+            signature = inspect.signature(cls.__init__)
+            return signature.replace(parameters=[*signature.parameters.values()][1:])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Method(ChecksItself, metaclass=_MethodClass):
+    """A method of integration with its settings; numbers in SI or strings with a unit.
+
+    The base of all classes of methods. A class of one's own is added by `rfem_jax.register_method`.
+
     Raises:
-        InputError: an unknown name, a value out of range, or settings that do not fit the method.
+        InputError: a value out of range, or settings that do not fit the method.
     """
 
-    name: str = "rk4"
     # What every method may be asked for; a class that has the setting declares it again.
     step: float | None = field(default=None, init=False)
     stabilisation: float | None = field(default=None, init=False)
 
-    names: ClassVar[tuple[str, ...]] = ()
+    names: ClassVar[tuple[str, ...]] = ()  # in study files
     implicit: ClassVar[bool] = False  # whether every step solves equations
     example: ClassVar[str] = ""  # of settings that must be given
 
-    def __new__(cls: type[AnyMethod], name: Any = "rk4", *arguments: Any, **settings: Any) -> AnyMethod:
-        del arguments
-        if cls is not Method:
-            return object.__new__(cls)
-        kind = METHOD_CLASSES[require_choice(name, tuple(METHOD_CLASSES), "`name` of the method")]
-        _refuse_settings_of_others(name, kind, settings)
-        return cast(AnyMethod, object.__new__(kind))
-
-    def __init__(self, name: str = "rk4", **settings: Any) -> None:
-        """For signatures alone: `__new__` makes an object of a subclass, which has an `__init__` of its own."""
-        raise NotImplementedError
+    @property
+    def name(self) -> str:
+        """Its name in study files and results."""
+        return self.names[0]
 
     def __post_init__(self):
-        require_choice(self.name, self.names, "`name` of the method")
         problems = Problems()
         for one in settings_of(type(self)):
             with problems.noted():
@@ -112,12 +124,11 @@ class Method(ChecksItself):
         object.__setattr__(self, name, value)
 
 
-@dataclass(frozen=True)
-class FixedStepMethod(Method):
-    """An explicit method with a fixed step.
+@dataclass(frozen=True, kw_only=True)
+class FixedStep(Method):
+    """An explicit method with a fixed step: the base of such classes.
 
     Args:
-        name: "rk4" or "leapfrog".
         step: h [s], > 0; must be given.
         stabilisation: Baumgarte gain, >= 0; None = the default, 0 = none.
     """
@@ -125,16 +136,38 @@ class FixedStepMethod(Method):
     step: float | None = setting(dimension="time")
     stabilisation: float | None = setting(convert=non_negative_quantity)
 
-    names: ClassVar[tuple[str, ...]] = ("rk4", "leapfrog")
     example: ClassVar[str] = "step = 1e-5"
 
 
-@dataclass(frozen=True)
-class GeneralisedAlphaMethod(Method):
+@dataclass(frozen=True, kw_only=True)
+class RungeKutta4(FixedStep):
+    """The classical Runge-Kutta method of order 4.
+
+    Args:
+        step: h [s], > 0; must be given.
+        stabilisation: Baumgarte gain, >= 0; None = the default, 0 = none.
+    """
+
+    names: ClassVar[tuple[str, ...]] = ("rk4",)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Leapfrog(FixedStep):
+    """The leapfrog method, of order 2: one evaluation a step.
+
+    Args:
+        step: h [s], > 0; must be given.
+        stabilisation: Baumgarte gain, >= 0; None = the default, 0 = none.
+    """
+
+    names: ClassVar[tuple[str, ...]] = ("leapfrog",)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GeneralisedAlpha(Method):
     """The implicit method.
 
     Args:
-        name: "generalised_alpha".
         step: h [s], > 0; must be given.
         spectral_radius: at infinite frequency, from 0 (such vibrations vanish in one step) to below 1 (they stay).
         corrections: largest number of Newton increments in a step, at least 1; where steps follow contacts one more
@@ -147,7 +180,6 @@ class GeneralisedAlphaMethod(Method):
             as reverse mode needs them.
     """
 
-    name: str = "generalised_alpha"
     step: float | None = setting(dimension="time")
     spectral_radius: float = setting(
         0.6,
@@ -166,18 +198,20 @@ class GeneralisedAlphaMethod(Method):
     example: ClassVar[str] = "step = 1e-3"
 
 
-@dataclass(frozen=True)
-class DiffraxMethod(Method):
+@dataclass(frozen=True, kw_only=True)
+class Explicit(Method):
     """An explicit solver of diffrax, with a fixed step or with tolerances.
 
     Args:
-        name: "tsit5", "dopri5", "dopri8", "bosh3", "heun", "midpoint" or "ralston".
+        solver: such as `diffrax.Dopri8()`, a Runge-Kutta method of diffrax or one of your own that derives from
+            `diffrax.AbstractERK`; or the lower-case name of one: "tsit5", "dopri5", "dopri8", "bosh3", "heun",
+            "midpoint" or "ralston".
         step: h [s], > 0, of fixed steps; or else both tolerances.
         rtol, atol: tolerances of adaptive steps, > 0.
         stabilisation: Baumgarte gain, >= 0; None = the default, 0 = none.
     """
 
-    name: str = "tsit5"
+    solver: Any = field(kw_only=False)
     step: float | None = setting(dimension="time")
     rtol: float | None = setting()
     atol: float | None = setting()
@@ -185,7 +219,12 @@ class DiffraxMethod(Method):
 
     names: ClassVar[tuple[str, ...]] = ("tsit5", "dopri5", "dopri8", "bosh3", "heun", "midpoint", "ralston")
 
+    @property
+    def name(self) -> str:
+        return self.solver if isinstance(self.solver, str) else type(self.solver).__name__.lower()
+
     def __post_init__(self):
+        object.__setattr__(self, "solver", self._known_solver())
         super().__post_init__()
         tolerances = self.rtol is not None or self.atol is not None
         if self.step is not None and tolerances:
@@ -200,22 +239,36 @@ class DiffraxMethod(Method):
                 "and `atol`, but neither is complete; add for example rtol = 1e-8 and atol = 1e-10."
             )
 
+    def _known_solver(self) -> Any:
+        """The name of one of diffrax's solvers that is as diffrax makes it, which a study file can hold; any other
+        solver as it is."""
+        if isinstance(self.solver, str):
+            return require_choice(self.solver, self.names, "`solver`")
+        kind = type(self.solver)
+        # By the names of its bases: importing diffrax takes long, and nothing else here needs it.
+        if "AbstractERK" not in (base.__name__ for base in kind.__mro__):
+            raise InputError(
+                "Argument `solver` must be an explicit Runge-Kutta method of diffrax, but was "
+                f"{self.solver!r}; write for example diffrax.Dopri8()."
+            )
+        name = kind.__name__.lower()
+        own = kind.__module__.partition(".")[0] == "diffrax" and name in self.names and self.solver == kind()
+        return name if own else self.solver
+
     @property
     def adaptive(self) -> bool:
         return self.rtol is not None
 
 
-@dataclass(frozen=True)
-class AutomaticMethod(Method):
+@dataclass(frozen=True, kw_only=True)
+class Automatic(Method):
     """A method and a step that keep an accuracy, chosen for the mechanism.
 
     Args:
-        name: "auto".
         accuracy: relative, of the RMS joint loads, > 0, < 1; None = 1e-3.
         stabilisation: Baumgarte gain, >= 0, if an explicit method is chosen; None = the default, 0 = none.
     """
 
-    name: str = "auto"
     accuracy: float | None = setting(below_one="it is a relative error, such as 1e-4")
     stabilisation: float | None = setting(convert=non_negative_quantity)
 
@@ -223,21 +276,55 @@ class AutomaticMethod(Method):
 
 
 METHOD_CLASSES: dict[str, type[Method]] = {
-    name: kind
-    for kind in (FixedStepMethod, GeneralisedAlphaMethod, DiffraxMethod, AutomaticMethod)
-    for name in kind.names
+    name: kind for kind in (RungeKutta4, Leapfrog, GeneralisedAlpha, Explicit, Automatic) for name in kind.names
 }
+
+
+def named_method(name: str = "rk4", **settings: Any) -> Method:
+    """The method of a name in study files, with its settings.
+
+    Args:
+        name: "rk4", "leapfrog", "generalised_alpha", "auto", one of `Explicit.names`, or of a registered class.
+        settings: those of the class, by their names.
+    Raises:
+        InputError: an unknown name, and as the class.
+    """
+    kind = METHOD_CLASSES[require_choice(name, tuple(METHOD_CLASSES), "`name` of the method")]
+    _refuse_settings_of_others(name, kind, settings)
+    return kind(name, **settings) if issubclass(kind, Explicit) else kind(**settings)
+
+
+def _check_names(kind: type[Method], arguments: tuple, settings: dict[str, Any]) -> None:
+    """Raise InputError for arguments without names, and for names that are no settings of the class."""
+    parameters = inspect.signature(kind.__init__).parameters
+    without_names = [one.name for one in parameters.values() if one.kind is one.POSITIONAL_OR_KEYWORD][1:]
+    known = [name for name in parameters if name != "self"]
+    problems = Problems()
+    with problems.noted():
+        if len(arguments) > len(without_names):
+            raise InputError(
+                f"Arguments of {kind.__name__} must be given by their names, but {arguments[len(without_names)]!r} was "
+                f"given without one; write {known[len(without_names)]}=... (or {', '.join(known)})."
+            )
+    for name in settings:
+        with problems.noted():
+            if name not in known:
+                raise InputError(
+                    f"Argument `{name}` must be a setting of {kind.__name__}, but is not; {suggestion(name, known)}"
+                )
+    problems.refuse()
 
 
 def add_method_class(kind: type[Method]) -> None:
     """Make the names of a class known; its solver is said by `rfem_jax.register_method`, which calls this.
 
     Raises:
-        InputError: no subclass with names of its own, or a name that is known already.
+        InputError: no subclass with a name of its own, or a name that is known already.
     """
-    if not (isinstance(kind, type) and issubclass(kind, Method) and kind.names):
+    if not (isinstance(kind, type) and issubclass(kind, Method) and len(kind.names) == 1):
         raise InputError(
-            f"Argument `kind` must be a subclass of Method with `names`, but was {kind!r}; see CONTRIBUTING.md."
+            f"Argument `kind` must be a subclass of Method with one name in `names`, but was {kind!r}; see "
+            "CONTRIBUTING.md."
         )
     for name in kind.names:
         require_name(name, "`names` of the method", reserved=tuple(METHOD_CLASSES))
@@ -245,8 +332,8 @@ def add_method_class(kind: type[Method]) -> None:
 
 
 def settings_of(kind: type[Method]) -> list[Any]:
-    """The dataclass fields of a class that are settings: all that can be given but the name."""
-    return [one for one in fields(kind) if one.init and one.name != "name"]
+    """The dataclass fields of a class that are settings of a study file, made by `setting`."""
+    return [one for one in fields(kind) if one.init and "convert" in one.metadata]
 
 
 def setting_names() -> list[str]:

@@ -23,7 +23,7 @@ from rfem_jax.description.force_reader import read_force, read_joint, read_sprin
 from rfem_jax.description.links import Link, PointMass
 from rfem_jax.description.materials import Material
 from rfem_jax.description.mechanism import STARTS, Mechanism
-from rfem_jax.description.methods import Method, setting_names
+from rfem_jax.description.methods import Method, named_method, setting_names
 from rfem_jax.description.rigid_bodies import RigidBody
 from rfem_jax.description.sections import Circle, GivenSection, Rectangle, Section, Tube
 from rfem_jax.description.tables import build, build_by_trial, checked_table, keys_of, keys_of_kind, kind_of, read_list
@@ -108,7 +108,7 @@ def read_simulation(table: object) -> tuple[Any, Method, Any, Any]:
     content = problems.usable(lambda: checked_table(table, place, required, (*optional, *setting_names())))
     settings = {key: content[key] for key in setting_names() if key in content}
     name = content.get("method", "rk4" if "step" in content else "auto")
-    method = None if name is ABSENT else build_by_trial(partial(Method, name), settings, place, problems)
+    method = None if name is ABSENT else build_by_trial(partial(named_method, name), settings, place, problems)
     for key in ("duration", "save_every"):
         if key in content and content[key] is not ABSENT:
             with problems.noted():

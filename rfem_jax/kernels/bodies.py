@@ -176,6 +176,8 @@ class Body:
                 self._handlers[lanes, thorough] = name
             name = self._handlers[lanes, thorough]
             registry.announce(name, lambda: module()[1], thorough)
+            if self.digest:  # some megabytes of text, which another number of lanes would write again
+                self._emitted = None
         return name
 
     def derived(self, key: Any, make: Callable[[], "Derived"]) -> "Body":

@@ -21,13 +21,7 @@ from jaxtyping import Array, Bool, Float
 
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.errors import InputError
-from rfem_jax.description.methods import (
-    DEFAULT_ACCURACY,
-    AutomaticMethod,
-    FixedStepMethod,
-    GeneralisedAlphaMethod,
-    Method,
-)
+from rfem_jax.description.methods import DEFAULT_ACCURACY, Automatic, GeneralisedAlpha, Method, RungeKutta4
 from rfem_jax.mechanics.friction import require_implicit
 from rfem_jax.mechanics.loads import has_tables_over_position
 from rfem_jax.mechanics.model import Model
@@ -76,7 +70,7 @@ def choose_method(
 
     **Raises:** `InputError` if "auto" is given without a duration, or with a drive of another than the driven joint.
     """
-    if not isinstance(method, AutomaticMethod):
+    if not isinstance(method, Automatic):
         return method
     if duration is None:
         raise InputError(
@@ -85,7 +79,7 @@ def choose_method(
         )
     require_driven(model, drive)
     accuracy = DEFAULT_ACCURACY if method.accuracy is None else method.accuracy
-    implicit = GeneralisedAlphaMethod(step=duration, tolerance=accuracy / ACCURACY_OF_TOLERANCE)
+    implicit = GeneralisedAlpha(step=duration, tolerance=accuracy / ACCURACY_OF_TOLERANCE)
     longest = duration if save_every is None else min(duration, save_every)
     step = _longest_step(model, implicit, drive, duration, accuracy, errors)
     if step is None and isinstance(errors, Mapping):  # of samples, any may fail with all steps
@@ -105,7 +99,7 @@ def choose_method(
             "change with all that are tried. Pins strike their bushes, and after a few impacts motion is chaotic; take "
             "a step for the mechanism without clearance: contacts are followed, and statistics of batches hold."
         )
-    trial = FixedStepMethod("rk4", step=1e-6, stabilisation=method.stabilisation)
+    trial = RungeKutta4(step=1e-6, stabilisation=method.stabilisation)
     limit = 0.9 * largest_stable_step(model, trial, drive)
     # Rigid links have no limit, and a stop that is not touched at rest sets none; but no step is longer than those that
     # were not accurate enough with the implicit method.

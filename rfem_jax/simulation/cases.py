@@ -28,6 +28,8 @@ from rfem_jax.simulation.driving import require_driven
 from rfem_jax.simulation.locking import with_limit
 from rfem_jax.simulation.records import require_records
 from rfem_jax.simulation.run import Run, of_model, one_of
+from rfem_jax.simulation.simulating import simulate
+from rfem_jax.simulation.specification import Simulation
 from rfem_jax.simulation.time_grid import TimeGrid, of_any_step
 from rfem_jax.simulation.unfinished import Unfinished
 
@@ -115,18 +117,9 @@ def _run_with_parameters(
 ) -> Run:
     """Runs whose models differ, all at once."""
 
-    def simulate(errors):
-        return integration.simulate(
-            model,
-            errors,
-            drive=drive,
-            duration=study.duration,
-            method=method,
-            save_every=study.save_every,
-            record=asked,
-        )
-
-    return jax.tree.map(np.asarray, jax.vmap(simulate)(errors))
+    settings = {"duration": study.duration, "method": method, "save_every": study.save_every}
+    simulation = Simulation(model, drive=drive, **settings)
+    return jax.tree.map(np.asarray, jax.vmap(lambda one: simulate(simulation, one, record=asked))(errors))
 
 
 def _advance_all(model, prepared, study: Study, carry, grid: TimeGrid, method, steps, unfinished: Unfinished, progress):

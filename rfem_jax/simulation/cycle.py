@@ -10,6 +10,7 @@ the slow ones.
 
 from collections.abc import Iterable
 from functools import partial
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -23,8 +24,6 @@ from rfem_jax.compilation.program import Program
 from rfem_jax.description.driven_motions import each_drive
 from rfem_jax.description.drives import PrescribedRate
 from rfem_jax.description.errors import InputError
-from rfem_jax.description.methods import Method
-from rfem_jax.description.precision import require_float64
 from rfem_jax.mechanics.designs import Design, designed, with_status
 from rfem_jax.mechanics.model import Model, State, Topology
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors, assembly_errors
@@ -34,6 +33,7 @@ from rfem_jax.simulation.conclusion import Conclusion, run_of
 from rfem_jax.simulation.driving import Drive, drive_of_design, require_driven
 from rfem_jax.simulation.records import require_records
 from rfem_jax.simulation.run import Run
+from rfem_jax.simulation.specification import Simulation, simulation_of_call
 from rfem_jax.simulation.time_grid import TimeGrid
 
 RANK = 1e-9  # of what a revolution leaves of changes of its start
@@ -56,30 +56,28 @@ class Cycle(eqx.Module):
 
 
 def steady_cycle(
-    model: Model,
+    simulation: Simulation | Model,
     errors: AssemblyErrors | None = None,
     *,
-    drive: PrescribedRate,
-    method: Method,
-    save_every: float | None = None,
     tolerance: float = 1e-6,
     most: int = 200,
     record: str | Iterable[str] = (),
-    design: Design | None = None,
+    **former: Any,
 ) -> Cycle:
     """The steady cycle of a mechanism that is driven at a constant rate.
 
-    **Arguments:** `drive`: a `PrescribedRate` about a hinge, without a rise; `method` with a step; `tolerance` of the
-    residual; `most`: revolutions that are simulated at most; `record`: as of `simulate`; `design`: from
-    `rfem_jax.design`, other values for numbers of the model and of the drive. Not differentiable: `cycle_run` is.
+    **Arguments:** `simulation`: its drive a `PrescribedRate` about a hinge, without a rise; its duration is not used;
+    `tolerance` of the residual; `most`: revolutions that are simulated at most; `record`: as of `simulate`. Not
+    differentiable: `cycle_run` is. A model in place of the simulation, with `former` arguments, is the call of an
+    earlier version, which warns.
 
     **Raises:** `InputError` for another drive, for forces that are functions of time, and for joints of the tree that
     turn about any axis.
     """
-    require_float64()
-    require_constant_rate(model, drive)
-    drive, period = _with_period(model, drive, design)
-    grid, steps = integration.grid_for(drive, period, method, save_every, model)
+    simulation = simulation_of_call("steady_cycle", simulation, former)
+    model, method, design = simulation.model, simulation.method, simulation.design
+    drive, period = _with_period(model, require_constant_rate(model, simulation.drive), design)
+    grid, steps = integration.grid_for(drive, period, method, simulation.save_every, model)
     errors = assembly_errors(model) if errors is None else errors
     made = designed(model, design, errors)
     model, errors = made.model, errors if made.errors is None else made.errors
@@ -104,14 +102,11 @@ def steady_cycle(
 
 def cycle_run(
     cycle: Cycle,
-    model: Model,
+    simulation: Simulation | Model,
     errors: AssemblyErrors | None = None,
     *,
-    drive: PrescribedRate,
-    method: Method,
-    save_every: float | None = None,
     record: str | Iterable[str] = (),
-    design: Design | None = None,
+    **former: Any,
 ) -> Run:
     """One revolution of a steady cycle as a function of the errors and the design, about those it was found for.
 
@@ -121,9 +116,10 @@ def cycle_run(
     **Returns:** `Run`, equal to `cycle.run` within its residual. Works under jit, vmap, forward and reverse mode: start
     of the cycle and all loads change as the periodic motion does (theory (11.19)); first derivatives only.
     """
-    require_float64()
-    drive, period = _with_period(model, drive, design)
-    grid, steps = integration.grid_for(drive, period, method, save_every, model)
+    simulation = simulation_of_call("cycle_run", simulation, former)
+    model, method, design = simulation.model, simulation.method, simulation.design
+    drive, period = _with_period(model, require_constant_rate(model, simulation.drive), design)
+    grid, steps = integration.grid_for(drive, period, method, simulation.save_every, model)
     made = designed(model, design, assembly_errors(model) if errors is None else errors)
     assert made.errors is not None, "errors were given"
     asked = require_records(model, record)

@@ -25,8 +25,7 @@ from rfem_jax.compilation.program import Program
 from rfem_jax.description.driven_motions import Drive
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.mechanism import AS_GIVEN
-from rfem_jax.description.methods import GeneralisedAlphaMethod, Method
-from rfem_jax.description.precision import require_float64
+from rfem_jax.description.methods import GeneralisedAlpha, Method
 from rfem_jax.kernels import kernel
 from rfem_jax.mechanics import loads
 from rfem_jax.mechanics.bush_contacts import with_memory
@@ -35,7 +34,7 @@ from rfem_jax.mechanics.designs import Design, designed, with_status
 from rfem_jax.mechanics.model import Model, State
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors, ModelWithErrors, apply_errors, assembly_errors
 from rfem_jax.mechanics.reordering import rows
-from rfem_jax.mechanics.statics.assembly import held_angles, moving_equilibrium, static_loads, with_start
+from rfem_jax.mechanics.statics.assembly import held_angles, moving_equilibrium, static_loads
 from rfem_jax.mechanics.status import (
     DESIGN_OUT_OF_RANGE,
     OK,
@@ -44,9 +43,8 @@ from rfem_jax.simulation import equations
 from rfem_jax.simulation.balances import checks_of
 from rfem_jax.simulation.batches import like_batched
 from rfem_jax.simulation.conclusion import Conclusion, ball_angles, load_summary, run_of
-from rfem_jax.simulation.driving import active_drives, all_jumps, all_step_ends, drive_of_design, require_driven
+from rfem_jax.simulation.driving import active_drives, all_jumps, all_step_ends, drive_of_design
 from rfem_jax.simulation.equations import Conditions, Trajectory
-from rfem_jax.simulation.locking import with_limit
 from rfem_jax.simulation.observation import Record, energy_at, observe
 from rfem_jax.simulation.records import finished_records, instant_records, require_records
 from rfem_jax.simulation.run import Energy, Run, of_model
@@ -73,48 +71,6 @@ class IntervalEnd(NamedTuple):
     memory: Memory | None
 
 
-def simulate(
-    model: Model,
-    errors: AssemblyErrors | None = None,
-    *,
-    drive: Drive,
-    duration: float,
-    method: Method,
-    save_every: float | None = None,
-    start: State | str | None = None,
-    adjoint: diffrax.AbstractAdjoint | None = None,
-    record: str | Iterable[str] = (),
-    design: Design | None = None,
-) -> Run:
-    """Assemble a mechanism with its errors and simulate its motion.
-
-    **Arguments:** `errors` from `assembly_errors` (None: perfect); `drive`: a moment or force on the model's driven
-    joint, its prescribed motion, a list of such drives on as many driven motions, or None; `duration` [s]; `method`;
-    `save_every` [s]: interval of saved times (None: 500 intervals); `start`: "as_given", with all freedoms at the start
-    values of the joints and at their initial rates, flexible links settled, or "equilibrium", in which freedoms that no
-    drive holds have settled, too (None: as the mechanism says, "as_given" unless it says another); or a `State`, which
-    replaces the static assembly (the preload is then unknown, NaN); `adjoint`: diffrax's adjoint, for adaptive methods
-    only (None: forward mode; give `diffrax.RecursiveCheckpointAdjoint()` for reverse mode); `design`: from
-    `rfem_jax.design`, other values for numbers of the model and its drives; `record`: what the run records besides,
-    such as "coupler.sections" (see `simulation.records`), into `run.recorded`.
-
-    **Returns:** `Run`.  Works under jit, vmap, jacfwd; with fixed-step methods also grad, jacrev and Hessians (memory
-    in reverse mode: the state at the end of every interval, and the steps of one interval; with an implicit method the
-    state at the end of every step).
-
-    **Raises:** `InputError` for arguments that cannot be used, such as a drive of another joint than the driven one.  A
-    run that fails says so in its status.
-    """
-    require_float64()
-    require_driven(model, drive)
-    grid, steps = grid_for(drive, duration, method, save_every, model)
-    errors = assembly_errors(model) if errors is None else errors
-    if isinstance(start, str):
-        model, start = with_start(model, start), None
-    run = simulate_steps(model, errors, drive, grid, method, steps, start, adjoint, record, design)
-    return with_limit(run, model, drive if design is None else drive_of_design(model, drive, design))
-
-
 def simulate_steps(
     model: Model,
     errors: AssemblyErrors,
@@ -127,7 +83,7 @@ def simulate_steps(
     record: str | Iterable[str] = (),
     design: Design | None = None,
 ) -> Run:
-    """As `simulate`, over a grid of `grid_for` whose number of steps in an interval may be traced (see
+    """As `simulate` of these, over a grid of `grid_for` whose number of steps in an interval may be traced (see
     `time_grid.of_any_step`)."""
     drive = drive if design is None else drive_of_design(model, drive, design)
     made = designed(model, design, errors)
@@ -153,7 +109,7 @@ def grid_for(
             "replace it by `choose_method(model, method, drive, duration)`, which chooses the step."
         )
     rows = all_step_ends(drive, model, longest_interval(duration, method.step, save_every))
-    per_row = method.steps_per_row if isinstance(method, GeneralisedAlphaMethod) else None
+    per_row = method.steps_per_row if isinstance(method, GeneralisedAlpha) else None
     from_start = model is not None and model.friction is not None
     return divide_time(
         duration, method.step, save_every, all_jumps(drive, model), method.implicit, from_start, rows, per_row

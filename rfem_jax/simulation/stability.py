@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Complex
 
 from rfem_jax.description.errors import InputError
-from rfem_jax.description.methods import FixedStepMethod, Method
+from rfem_jax.description.methods import Leapfrog, Method, RungeKutta4
 from rfem_jax.mechanics.discretisation import CLOSING_TOLERANCE, close_at
 from rfem_jax.mechanics.friction import require_implicit
 from rfem_jax.mechanics.model import Model
@@ -145,7 +145,7 @@ def _with_gaps(modes: Modes, rate: float) -> Modes:
 
 
 def _stability_known(method: Method) -> bool:
-    return method.name in FixedStepMethod.names or _tableau(method) is not None
+    return type(method) in (RungeKutta4, Leapfrog) or _tableau(method) is not None
 
 
 def _tableau(method: Method) -> Any:
@@ -181,7 +181,7 @@ def _stability_function(method: Method, z: np.ndarray) -> np.ndarray:
 
 
 def _leapfrog_amplification(modes: Modes, h: float) -> np.ndarray:
-    """Matrices of one step of `Leapfrog` for (q, v, a_before): one a mode, or one of all coupled modes."""
+    """Matrices of one step of `LeapfrogSolver` for (q, v, a_before): one a mode, or one of all coupled modes."""
     if modes.damping.ndim == 1:
         by_position, by_rate = -modes.squares[:, None, None], -modes.damping[:, None, None]
     else:

@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PyTree, Shaped
 
-from rfem_jax.description.methods import GeneralisedAlphaMethod, Method
+from rfem_jax.description.methods import GeneralisedAlpha, Method
 from rfem_jax.kernels import kernel
 from rfem_jax.mechanics.bush_contacts import require_memory
 from rfem_jax.mechanics.friction import require_implicit
@@ -28,7 +28,7 @@ from rfem_jax.simulation.driving import Drive, active_drives
 from rfem_jax.simulation.equations import Conditions, Scalar, Trajectory
 from rfem_jax.simulation.solvers.catalogue import observed_solver
 from rfem_jax.simulation.solvers.contact_steps import follow_contacts, part_lengths
-from rfem_jax.simulation.solvers.generalised_alpha import GeneralisedAlpha
+from rfem_jax.simulation.solvers.generalised_alpha import GeneralisedAlphaSolver
 from rfem_jax.simulation.solvers.implicit_step import SOLUTION, Memory
 from rfem_jax.simulation.solvers.recorded_steps import RecordedSteps
 from rfem_jax.simulation.stabilisation import stabilisation_of
@@ -156,7 +156,7 @@ def _row(values: Shaped[Array, "rows ..."], place: Int[Array, ""]) -> Shaped[Arr
 
 def contact_tolerance_of(model: Model, method: Method) -> float | None:
     """The tolerance with which steps are divided where contacts need it, None where they stay as they are."""
-    if not model.topology.clearances or not isinstance(method, GeneralisedAlphaMethod):
+    if not model.topology.clearances or not isinstance(method, GeneralisedAlpha):
         return None
     return method.contact_tolerance or None
 
@@ -232,7 +232,7 @@ def _fixed(solver, carry: Carry, schedule: Schedule, conditions, tolerance=None)
         y, memory, before = state
         t0, h, operators, place = schedule.step(index)
         own = conditions if operators is None else dataclasses.replace(conditions, operators=operators)
-        if schedule.parts and isinstance(solver, GeneralisedAlpha):
+        if schedule.parts and isinstance(solver, GeneralisedAlphaSolver):
             y, memory = _at_new_length(solver, y, memory, before, h, place, tolerance)
             before = jnp.where(place >= 0.0, h, before)
         if tolerance is not None:
@@ -272,7 +272,7 @@ def _fixed(solver, carry: Carry, schedule: Schedule, conditions, tolerance=None)
     return carry._replace(trajectory=trajectory, peaks=peaks, memory=memory)
 
 
-def _at_new_length(solver: GeneralisedAlpha, y, memory: Memory, before, h, place, tolerance):
+def _at_new_length(solver: GeneralisedAlphaSolver, y, memory: Memory, before, h, place, tolerance):
     """State and memory at the start of a step, whose length may differ from that of the step before."""
     trajectory, peaks = y
     if tolerance is not None and memory.following is not None:

@@ -5,18 +5,10 @@ Place in the pipeline: a benchmark of `catalogue`. Reference values: `references
 
 import numpy as np
 
-from rfem_jax.description import (
-    Joint,
-    JointForceTable,
-    Mechanism,
-    Method,
-    PointForce,
-    PointSpring,
-    PrescribedRate,
-)
+from rfem_jax.description import Joint, JointForceTable, Mechanism, PointForce, PointSpring, PrescribedRate, RungeKutta4
 from rfem_jax.mechanics.discretisation import discretise
 from rfem_jax.mechanics.loads import static_state
-from rfem_jax.simulation import Run, simulate
+from rfem_jax.simulation import Run, Simulation, simulate
 from rfem_jax.validation.joint_cases import Shares, checked
 from rfem_jax.validation.lines import Line, Outcome, Progress, absolute
 from rfem_jax.validation.reference_values import read_reference
@@ -61,17 +53,24 @@ def pendulum() -> Mechanism:
 def run_gas() -> Run:
     """One turn at a constant rate."""
     period = 2.0 * np.pi / RATE
-    method = Method("rk4", step=period / 2000)
-    return simulate(discretise(slider_crank()), drive=PrescribedRate("A", RATE), duration=period, method=method,
-                    save_every=period / 40)  # fmt: skip
+    method = RungeKutta4(step=period / 2000)
+    return simulate(
+        Simulation(
+            discretise(slider_crank()),
+            drive=PrescribedRate("A", RATE),
+            duration=period,
+            method=method,
+            save_every=period / 40,
+        )
+    )
 
 
 def run_pendulum() -> Run:
     """A second, let go from rest."""
     model = discretise(pendulum())
     start = static_state(model.topology, model.start_coordinates())
-    method = Method("rk4", step=5e-4)
-    return simulate(model, drive=None, duration=1.0, method=method, save_every=0.1, start=start)
+    method = RungeKutta4(step=5e-4)
+    return simulate(Simulation(model, drive=None, duration=1.0, method=method, save_every=0.1, start=start))
 
 
 def gas_lines(run: Run) -> list[Line]:

@@ -14,14 +14,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rfem_jax.description import Joint, JointForceFunction, Mechanism, Method, MomentTable
+from rfem_jax.description import Joint, JointForceFunction, Mechanism, MomentTable, RungeKutta4
 from rfem_jax.mechanics.discretisation import discretise
 from rfem_jax.mechanics.dynamics import accelerations
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation
 from rfem_jax.mechanics.loads import static_state
 from rfem_jax.mechanics.model import Coordinates, Model, State
 from rfem_jax.mechanics.model_with_errors import apply_errors, assembly_errors
-from rfem_jax.simulation import Run, simulate
+from rfem_jax.simulation import Run, Simulation, simulate
 from rfem_jax.validation.lines import Line, Outcome, Progress, absolute
 from rfem_jax.validation.reference_values import read_reference
 from rfem_jax.validation.rigid_links import body, turn_y
@@ -99,8 +99,9 @@ def simulated() -> tuple[Model, Run]:
     model = discretise(mechanism())
     drives = [MomentTable(joint, [0.0, 1.0], [moment, moment]) for joint, moment in _moments().items()]
     start = static_state(model.topology, model.start_coordinates())
-    return model, simulate(model, drive=drives, duration=DURATION, method=Method("rk4", step=STEP), save_every=0.001,
-                           start=start)  # fmt: skip
+    return model, simulate(
+        Simulation(model, drive=drives, duration=DURATION, method=RungeKutta4(step=STEP), save_every=0.001, start=start)
+    )
 
 
 def accelerations_at_end(model: Model, run: Run) -> dict[str, float]:

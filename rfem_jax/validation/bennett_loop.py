@@ -14,9 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from rfem_jax.description import Joint, Link, Mechanism, Method, PointMass, PrescribedRate
+from rfem_jax.description import Joint, Link, Mechanism, PointMass, PrescribedRate, RungeKutta4
 from rfem_jax.mechanics.discretisation import describe, discretise
-from rfem_jax.simulation import Run, simulate
+from rfem_jax.simulation import Run, Simulation, simulate
 from rfem_jax.validation.lines import Line, Outcome, Progress, absolute, same
 from rfem_jax.validation.rigid_links import MASSLESS
 
@@ -87,8 +87,15 @@ def drive_moment(crank: Float[Array, ""]) -> Float[Array, ""]:
 
 def simulated() -> Run:
     """The crank turns at a constant rate."""
-    return simulate(discretise(mechanism()), drive=PrescribedRate("A", RATE), duration=DURATION,
-                    method=Method("rk4", step=1e-3), save_every=0.04)  # fmt: skip
+    return simulate(
+        Simulation(
+            discretise(mechanism()),
+            drive=PrescribedRate("A", RATE),
+            duration=DURATION,
+            method=RungeKutta4(step=1e-3),
+            save_every=0.04,
+        )
+    )
 
 
 def validate(full: bool, progress: Progress) -> Outcome:

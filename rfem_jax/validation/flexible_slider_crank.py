@@ -17,11 +17,11 @@ elements, and in the full validation extrapolated from 4 and 8, whose errors dec
 import jax.numpy as jnp
 import numpy as np
 
-from rfem_jax.description import GivenSection, Joint, Link, Mechanism, Method, PointForce, PrescribedRate
+from rfem_jax.description import GeneralisedAlpha, GivenSection, Joint, Link, Mechanism, PointForce, PrescribedRate
 from rfem_jax.mechanics.discretisation import discretise
 from rfem_jax.mechanics.model import Coordinates, Model, State
 from rfem_jax.mechanics.status import STATUS
-from rfem_jax.simulation import Run, simulate
+from rfem_jax.simulation import Run, Simulation, simulate
 from rfem_jax.validation.flexible_rod_theory import Rod
 from rfem_jax.validation.lines import Curve, Line, Outcome, Picture, Progress, absolute, relative, same
 from rfem_jax.validation.reference_values import read_reference
@@ -102,9 +102,17 @@ def start(model: Model, parts: int) -> State:
 def run(parts: int, elements: str, step: float) -> Run:
     """Two and a half turns at a constant rate."""
     model = discretise(mechanism(parts), elements=elements)
-    method = Method("generalised_alpha", step=step, tolerance=1e-7, spectral_radius=0.9)
-    return simulate(model, drive=PrescribedRate("A", RATE), duration=DURATION, method=method,
-                    save_every=DURATION / SAVED, start=start(model, parts))  # fmt: skip
+    method = GeneralisedAlpha(step=step, tolerance=1e-7, spectral_radius=0.9)
+    return simulate(
+        Simulation(
+            model,
+            drive=PrescribedRate("A", RATE),
+            duration=DURATION,
+            method=method,
+            save_every=DURATION / SAVED,
+            start=start(model, parts),
+        )
+    )
 
 
 def deflection(run: Run) -> np.ndarray:

@@ -18,11 +18,18 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.integrate import solve_ivp
 
-from rfem_jax.description import Joint, Mechanism, Method, PointSpring, PointSpringFunction, PrescribedDisplacements
+from rfem_jax.description import (
+    Joint,
+    Mechanism,
+    PointSpring,
+    PointSpringFunction,
+    PrescribedDisplacements,
+    RungeKutta4,
+)
 from rfem_jax.mechanics.discretisation import discretise
 from rfem_jax.mechanics.loads import static_state
 from rfem_jax.mechanics.model import Coordinates
-from rfem_jax.simulation import Run, simulate
+from rfem_jax.simulation import Run, Simulation, simulate
 from rfem_jax.validation.joint_tables import ARM, GRAVITY, MASS, NONE, ORIGIN, SLIDING, angular_velocity, table_lines
 from rfem_jax.validation.lines import Line, Outcome, Progress, absolute
 from rfem_jax.validation.reference_values import read_reference
@@ -95,8 +102,9 @@ def released(name: str) -> Run:
     lower = model.start_coordinates()
     start = static_state(model.topology, Coordinates(lower.joints.at[2].add(1.0), lower.elastic))
     # Saved often: the spring shakes the body at its end ten times a second.
-    return simulate(model, drive=None, duration=DURATION, method=Method("rk4", step=1e-3), save_every=0.002,
-                    start=start)  # fmt: skip
+    return simulate(
+        Simulation(model, drive=None, duration=DURATION, method=RungeKutta4(step=1e-3), save_every=0.002, start=start)
+    )
 
 
 def observed(run: Run) -> dict[str, Float[np.ndarray, "times 3"]]:
@@ -160,7 +168,7 @@ def moved(name: str) -> Run:
     plate = body("body", 1.0, MASS, ORIGIN, (1.0, 1.0, 1.0))
     model = discretise(Mechanism((plate,), (joint,), gravity=GRAVITY, driven_joint="J"))
     drive = PrescribedDisplacements("J", (0.0, DURATION), (0.0, DURATION * speed))
-    return simulate(model, drive=drive, duration=DURATION, method=Method("rk4", step=1e-2), save_every=0.1)
+    return simulate(Simulation(model, drive=drive, duration=DURATION, method=RungeKutta4(step=1e-2), save_every=0.1))
 
 
 def moved_lines(name: str, run: Run) -> list[Line]:

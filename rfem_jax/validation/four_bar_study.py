@@ -12,17 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rfem_jax.description import (
-    Case,
-    Joint,
-    Link,
-    Material,
-    Mechanism,
-    Method,
-    MomentRamp,
-    Rectangle,
-    Study,
-)
+from rfem_jax.description import Case, Joint, Link, Material, Mechanism, MomentRamp, Rectangle, RungeKutta4, Study
 from rfem_jax.mechanics.discretisation import discretise
 from rfem_jax.simulation import Run, run_cases
 from rfem_jax.validation.lines import Curve, Line, Outcome, Picture, Progress, absolute, relative
@@ -74,7 +64,7 @@ def study() -> Study:
         mechanism=Mechanism(links, joints),
         drive=MomentRamp("A", 1.5, 0.1),
         duration=0.5,
-        method=Method("rk4", step=1e-5),
+        method=RungeKutta4(step=1e-5),
         save_every=1e-3,
         cases=(Case("P1"), Case("P2", {"D.delta_x": np.radians(0.5)})),
     )

@@ -15,10 +15,10 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import brentq
 
-from rfem_jax.description import Clearance, Joint, Mechanism, Method, PrescribedRate
+from rfem_jax.description import Clearance, Explicit, GeneralisedAlpha, Joint, Mechanism, Method, PrescribedRate
 from rfem_jax.mechanics.discretisation import discretise
 from rfem_jax.mechanics.model import Coordinates, Model, State
-from rfem_jax.simulation import Run, simulate
+from rfem_jax.simulation import Run, Simulation, simulate
 from rfem_jax.validation.lines import Curve, Line, Picture, Progress, absolute, relative, same
 from rfem_jax.validation.reference_values import read_reference
 from rfem_jax.validation.rigid_links import body
@@ -51,7 +51,7 @@ class CrankCase(NamedTuple):
 
 
 # Starts are within 2e-9 s of the reference in the fast case, within 6e-9 s in the slow one.
-STEPS = Method("generalised_alpha", step=4e-7, contact_tolerance=2.5e-6)
+STEPS = GeneralisedAlpha(step=4e-7, contact_tolerance=2.5e-6)
 FAST = CrankCase("5000 rpm", 523.598775598, 5e-4, 66101983979.0, 1.5e-3, "impact", STEPS, 4e-7, (2e-8, 2e-4))
 SLOW = CrankCase("600 rpm", 62.8318530718, 1e-4, 150888204748.0, 6.5e-3, "slow_impact", STEPS, 4e-7, (1e-7, 2e-4))
 
@@ -121,10 +121,12 @@ def speed_at_the_end(run: Run) -> float:
 
 def run_impact(**losses: float) -> Run:
     """The pin hits its bush once: with `restitution` by the implicit method, with `damping` by an explicit one."""
-    implicit = Method("generalised_alpha", step=4e-7)
-    method = implicit if "restitution" in losses else Method("dopri8", rtol=1e-10, atol=1e-12)
+    implicit = GeneralisedAlpha(step=4e-7)
+    method = implicit if "restitution" in losses else Explicit("dopri8", rtol=1e-10, atol=1e-12)
     model = guided(**losses)
-    return simulate(model, drive=None, duration=DURATION, method=method, save_every=2e-6, start=thrown(model))
+    return simulate(
+        Simulation(model, drive=None, duration=DURATION, method=method, save_every=2e-6, start=thrown(model))
+    )
 
 
 def _lost_line(group: str, run: Run, allowed: float) -> Line:
@@ -187,8 +189,11 @@ def slider_crank(case: CrankCase, **losses: float) -> tuple[Model, PrescribedRat
 def run_slider_crank(case: CrankCase) -> Run:
     """The first impacts."""
     model, drive, start = slider_crank(case)
-    return simulate(model, drive=drive, duration=case.duration, method=case.method, save_every=case.save_every,
-                    start=start)  # fmt: skip
+    return simulate(
+        Simulation(
+            model, drive=drive, duration=case.duration, method=case.method, save_every=case.save_every, start=start
+        )
+    )
 
 
 def contact_forces(run: Run, joint: str) -> Float[np.ndarray, " times"]:

@@ -19,11 +19,11 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.integrate import solve_ivp
 
-from rfem_jax.description import Joint, JointForceFunction, JointSpring, Mechanism, Method
+from rfem_jax.description import Joint, JointForceFunction, JointSpring, Mechanism, RungeKutta4
 from rfem_jax.description.forces import JointForce
 from rfem_jax.mechanics.discretisation import discretise
 from rfem_jax.mechanics.loads import static_state
-from rfem_jax.simulation import Run, simulate
+from rfem_jax.simulation import Run, Simulation, simulate
 from rfem_jax.validation.lines import Line, Outcome, Progress, absolute
 from rfem_jax.validation.reference_values import Reference, read_reference
 from rfem_jax.validation.rigid_links import Axes, angles_of, body, turn_x, turn_y, turn_z
@@ -101,7 +101,9 @@ def simulated(name: str) -> Run:
                   orientation=angles_of(case.frame @ case.axes), child_orientation=angles_of(case.axes))  # fmt: skip
     model = discretise(Mechanism((pendulum,), (joint,), gravity=GRAVITY, forces=case.forces))
     start = static_state(model.topology, model.start_coordinates())
-    return simulate(model, drive=None, duration=5.02, method=Method("rk4", step=1e-3), save_every=0.01, start=start)
+    return simulate(
+        Simulation(model, drive=None, duration=5.02, method=RungeKutta4(step=1e-3), save_every=0.01, start=start)
+    )
 
 
 def motions(kind: str, run: Run) -> tuple[Float[np.ndarray, "times 3 3"], Float[np.ndarray, "times 3"]]:

@@ -8,11 +8,21 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from rfem_jax.description import Joint, JointFriction, Link, Material, Mechanism, Method, MomentRamp, Rectangle
+from rfem_jax.description import (
+    GeneralisedAlpha,
+    Joint,
+    JointFriction,
+    Link,
+    Material,
+    Mechanism,
+    MomentRamp,
+    Rectangle,
+    RungeKutta4,
+)
 from rfem_jax.description.compliance import Compliance
 from rfem_jax.mechanics.discretisation import discretise
 from rfem_jax.mechanics.model_with_errors import assembly_errors
-from rfem_jax.simulation import Run, simulate
+from rfem_jax.simulation import Run, Simulation, simulate
 from rfem_jax.validation.joint_cases import Shares, checked
 from rfem_jax.validation.lines import Line, Outcome, Progress, absolute, relative
 from rfem_jax.validation.reference_values import read_reference
@@ -84,29 +94,53 @@ def run_down(by_hinge: Sequence[dict]) -> Mechanism:
 def run_bushings() -> Run:
     """From rest with the errors of D under a moment that grows and ends."""
     model = discretise(bushings())
-    return simulate(model, assembly_errors(model, TILTED), drive=MomentRamp("A", 1.5, 0.1), duration=0.4,
-                    method=Method("rk4", step=1e-5), save_every=0.05)  # fmt: skip
+    return simulate(
+        Simulation(
+            model, drive=MomentRamp("A", 1.5, 0.1), duration=0.4, method=RungeKutta4(step=1e-5), save_every=0.05
+        ),
+        assembly_errors(model, TILTED),
+    )
 
 
 def run_constant() -> Run:
     """Let go at 18 rad/s, friction that does not depend on the loads."""
     model = discretise(run_down([{"constant": moment} for moment in CONSTANT]))
-    return simulate(model, drive=None, duration=0.5, method=Method("rk4", step=1e-4), save_every=0.05,
-                    start=start_at_rate(model, rate_of(18.0)))  # fmt: skip
+    return simulate(
+        Simulation(
+            model,
+            drive=None,
+            duration=0.5,
+            method=RungeKutta4(step=1e-4),
+            save_every=0.05,
+            start=start_at_rate(model, rate_of(18.0)),
+        )
+    )
 
 
 def run_by_load() -> Run:
     """Likewise, friction by the loads."""
     model = discretise(run_down([{"coefficient": 0.2, "radius": radius} for radius in RADII]))
-    return simulate(model, drive=None, duration=0.5, method=Method("generalised_alpha", step=1e-4), save_every=0.05,
-                    start=start_at_rate(model, rate_of(18.0)))  # fmt: skip
+    return simulate(
+        Simulation(
+            model,
+            drive=None,
+            duration=0.5,
+            method=GeneralisedAlpha(step=1e-4),
+            save_every=0.05,
+            start=start_at_rate(model, rate_of(18.0)),
+        )
+    )
 
 
 def run_flexible(step: float = 2e-5) -> Run:
     """As `run_bushings`, flexible and with friction."""
     model = discretise(flexible())
-    return simulate(model, assembly_errors(model, TILTED), drive=MomentRamp("A", 1.5, 0.1), duration=0.4,
-                    method=Method("generalised_alpha", step=step), save_every=0.1)  # fmt: skip
+    return simulate(
+        Simulation(
+            model, drive=MomentRamp("A", 1.5, 0.1), duration=0.4, method=GeneralisedAlpha(step=step), save_every=0.1
+        ),
+        assembly_errors(model, TILTED),
+    )
 
 
 CASES: dict[str, tuple[str, Callable[[], Run], Shares]] = {
@@ -124,8 +158,16 @@ def wheel_lines() -> list[Line]:
     joint = Joint("G", "base", "wheel")
     mechanism = Mechanism((wheel,), (joint,), driven_joint="G", forces=(friction,), gravity=(0.0, 0.0, 0.0))
     model = discretise(mechanism)
-    run = simulate(model, drive=None, duration=4.0, method=Method("rk4", step=1e-3), save_every=0.5,
-                   start=start_at_rate(model, rate_of(WHEEL_RATE)))  # fmt: skip
+    run = simulate(
+        Simulation(
+            model,
+            drive=None,
+            duration=4.0,
+            method=RungeKutta4(step=1e-3),
+            save_every=0.5,
+            start=start_at_rate(model, rate_of(WHEEL_RATE)),
+        )
+    )
     times, decay = np.asarray(run.times), WHEEL_VISCOUS / INERTIA
     sliding = times < REFERENCE["stop_time"][0]
     limit, left = COULOMB / WHEEL_VISCOUS, np.exp(-decay * times)

@@ -14,9 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rfem_jax.description import Joint, Link, Mechanism, Method, PointMass
+from rfem_jax.description import Joint, Link, Mechanism, PointMass, RungeKutta4
 from rfem_jax.mechanics.discretisation import discretise
-from rfem_jax.simulation import Run, simulate
+from rfem_jax.simulation import Run, Simulation, simulate
 from rfem_jax.validation import v6_engine
 from rfem_jax.validation.lines import Curve, Line, Outcome, Picture, Progress, absolute, relative
 from rfem_jax.validation.reference_values import read_reference
@@ -117,8 +117,16 @@ def run_modelica(name: str) -> Run:
     """Released at a rate of the driven joint."""
     loop = MODELICA[name]
     model = discretise(loop.make())
-    return simulate(model, drive=None, duration=loop.duration, method=Method("rk4", step=loop.step),
-                    save_every=min(0.1, loop.duration), start=start_at_rate(model, rate_of(loop.rate)))  # fmt: skip
+    return simulate(
+        Simulation(
+            model,
+            drive=None,
+            duration=loop.duration,
+            method=RungeKutta4(step=loop.step),
+            save_every=min(0.1, loop.duration),
+            start=start_at_rate(model, rate_of(loop.rate)),
+        )
+    )
 
 
 def _at(run: Run, named: str) -> int:

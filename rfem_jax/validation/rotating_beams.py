@@ -21,16 +21,9 @@ import numpy as np
 from jaxtyping import Float
 
 from rfem_jax.compilation.program import Program
-from rfem_jax.description import (
-    GivenSection,
-    Joint,
-    Link,
-    Mechanism,
-    Method,
-    PrescribedSpinUp,
-)
+from rfem_jax.description import GivenSection, Joint, Link, Mechanism, PrescribedSpinUp, RungeKutta4
 from rfem_jax.mechanics.discretisation import discretise
-from rfem_jax.simulation import STATUS, Run, one_of, simulate
+from rfem_jax.simulation import STATUS, Run, Simulation, one_of, simulate
 from rfem_jax.validation.lines import Curve, Line, Outcome, Picture, Progress, absolute, relative, same
 from rfem_jax.validation.reference_values import read_reference
 from rfem_jax.validation.rotating_beam_theory import tip_lag
@@ -102,8 +95,8 @@ def simulate_beams(beams: Sequence[Beam], elements: str) -> list[Run]:
 @Program
 @eqx.filter_vmap
 def _simulate(model, drive):
-    method = Method("rk4", step=STEP)
-    return simulate(model, drive=drive, duration=DURATION, method=method, save_every=0.02)
+    method = RungeKutta4(step=STEP)
+    return simulate(Simulation(model, drive=drive, duration=DURATION, method=method, save_every=0.02))
 
 
 def tip_in_hub_frame(run: Run) -> tuple[Float[np.ndarray, " times"], Float[np.ndarray, " times"]]:

@@ -13,15 +13,15 @@ from rfem_jax.description import (
     Link,
     Material,
     Mechanism,
-    Method,
     MomentRamp,
     PrescribedFunction,
     PrescribedRate,
     Rectangle,
+    RungeKutta4,
 )
 from rfem_jax.mechanics.discretisation import discretise
 from rfem_jax.mechanics.model_with_errors import assembly_errors
-from rfem_jax.simulation import Run, simulate
+from rfem_jax.simulation import Run, Simulation, simulate
 from rfem_jax.simulation.driving import Drive
 from rfem_jax.validation.joint_cases import Shares, checked
 from rfem_jax.validation.lines import Line, Outcome, Progress, relative
@@ -78,9 +78,12 @@ def flexible(elements: str = "geometrically_exact") -> Mechanism:
 def run_rigid() -> Run:
     """One turn at a constant rate."""
     period = 2.0 * np.pi / RATE
-    method = Method("rk4", step=period / 1000)
-    return simulate(discretise(rigid()), drive=PrescribedRate("A", RATE), duration=period, method=method,
-                    save_every=period / 40)  # fmt: skip
+    method = RungeKutta4(step=period / 1000)
+    return simulate(
+        Simulation(
+            discretise(rigid()), drive=PrescribedRate("A", RATE), duration=period, method=method, save_every=period / 40
+        )
+    )
 
 
 def smooth_turning(t, phase):
@@ -100,16 +103,20 @@ def run_flexible(case: str, step: float = 1e-5) -> Run:
     """From static equilibrium with the errors."""
     model = discretise(flexible())
     drive, duration = drives()[case]
-    return simulate(model, assembly_errors(model, ERRORS), drive=drive, duration=duration,
-                    method=Method("rk4", step=step), save_every=0.05)  # fmt: skip
+    return simulate(
+        Simulation(model, drive=drive, duration=duration, method=RungeKutta4(step=step), save_every=0.05),
+        assembly_errors(model, ERRORS),
+    )
 
 
 def run_linear(step: float = 1e-5) -> Run:
     """The flexible one with linear elements, under the moment."""
     model = discretise(flexible("linear"))
     drive, duration = drives()["moment"]
-    return simulate(model, assembly_errors(model, ERRORS), drive=drive, duration=duration,
-                    method=Method("rk4", step=step), save_every=0.05)  # fmt: skip
+    return simulate(
+        Simulation(model, drive=drive, duration=duration, method=RungeKutta4(step=step), save_every=0.05),
+        assembly_errors(model, ERRORS),
+    )
 
 
 def derivatives(step: float = 1e-5) -> dict[str, dict[str, dict[str, float]]]:
@@ -119,7 +126,9 @@ def derivatives(step: float = 1e-5) -> dict[str, dict[str, dict[str, float]]]:
 
     def mean_squares(values):
         errors = assembly_errors(model, dict(zip(ERRORS, values, strict=True)))
-        run = simulate(model, errors, drive=drive, duration=duration, method=Method("rk4", step=step), save_every=0.1)
+        run = simulate(
+            Simulation(model, drive=drive, duration=duration, method=RungeKutta4(step=step), save_every=0.1), errors
+        )
         return {"force": run.metrics.mean_square_force, "moment": run.metrics.mean_square_moment}
 
     found = jax.jacfwd(mean_squares)(jnp.asarray([*ERRORS.values()]))

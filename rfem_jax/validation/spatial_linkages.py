@@ -10,18 +10,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from rfem_jax.description import (
-    Joint,
-    Link,
-    Material,
-    Mechanism,
-    Method,
-    MomentRamp,
-    PrescribedRate,
-    Rectangle,
-)
+from rfem_jax.description import Joint, Link, Material, Mechanism, MomentRamp, PrescribedRate, Rectangle, RungeKutta4
 from rfem_jax.mechanics.discretisation import discretise
-from rfem_jax.simulation import Run, simulate
+from rfem_jax.simulation import Run, Simulation, simulate
 from rfem_jax.validation.joint_cases import Shares, checked
 from rfem_jax.validation.lines import Line, Outcome, Progress, absolute
 from rfem_jax.validation.reference_values import read_reference
@@ -169,21 +160,29 @@ def run_rssr() -> Run:
     """One turn at a constant rate."""
     model, period = discretise(rssr()), 2.0 * np.pi / RATE
     start = start_without_spin(model, rate_of(RATE))
-    return simulate(model, drive=PrescribedRate("A", RATE), duration=period, method=Method("rk4", step=period / 1000),
-                    save_every=period / 40, start=start)  # fmt: skip
+    return simulate(
+        Simulation(
+            model,
+            drive=PrescribedRate("A", RATE),
+            duration=period,
+            method=RungeKutta4(step=period / 1000),
+            save_every=period / 40,
+            start=start,
+        )
+    )
 
 
 def run_with_ramp(mechanism: Mechanism, moment: float, duration: float, step: float) -> Run:
     """From rest under a moment that grows for 50 ms and ends."""
-    drive, method = MomentRamp("A", moment, 0.05), Method("rk4", step=step)
-    return simulate(discretise(mechanism), drive=drive, duration=duration, method=method, save_every=0.05)
+    drive, method = MomentRamp("A", moment, 0.05), RungeKutta4(step=step)
+    return simulate(Simulation(discretise(mechanism), drive=drive, duration=duration, method=method, save_every=0.05))
 
 
 def run_rsup(cross: str) -> Run:
     """Five seconds, let go with the crank up at 6 rad/s."""
     model = discretise(rsup(cross))
-    start, method = start_at_rate(model, rate_of(6.0)), Method("rk4", step=5e-4)
-    return simulate(model, drive=None, duration=5.0, method=method, save_every=0.05, start=start)
+    start, method = start_at_rate(model, rate_of(6.0)), RungeKutta4(step=5e-4)
+    return simulate(Simulation(model, drive=None, duration=5.0, method=method, save_every=0.05, start=start))
 
 
 def rigid_runs() -> dict[str, tuple[str, Callable[[], Run]]]:

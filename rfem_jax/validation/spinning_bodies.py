@@ -10,10 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from rfem_jax.description import Joint, Mechanism, Method
+from rfem_jax.description import Joint, Mechanism, RungeKutta4
 from rfem_jax.mechanics.discretisation import discretise
 from rfem_jax.mechanics.model import Coordinates, State
-from rfem_jax.simulation import Run, simulate
+from rfem_jax.simulation import Run, Simulation, simulate
 from rfem_jax.validation.lines import Curve, Line, Outcome, Picture, Progress, absolute, relative
 from rfem_jax.validation.rigid_body_theory import FreeBody, HeavyTop, Rotations
 from rfem_jax.validation.rigid_links import Axes, angles_of, body, turn_x, turn_y, turn_z
@@ -41,8 +41,9 @@ def simulated(
     model = discretise(Mechanism((top,), (joint,), gravity=(0.0, 0.0, -gravity)))
     rates = Coordinates(jnp.asarray(start @ np.array(spin)), jnp.zeros((6, 0)))
     released = State(model.start_coordinates(), rates)
-    return simulate(model, drive=None, duration=DURATION, method=Method("rk4", step=STEP), save_every=0.05,
-                    start=released)  # fmt: skip
+    return simulate(
+        Simulation(model, drive=None, duration=DURATION, method=RungeKutta4(step=STEP), save_every=0.05, start=released)
+    )
 
 
 def rotations(run: Run) -> Rotations:

@@ -19,16 +19,7 @@ import numpy as np
 from jaxtyping import Float
 
 from rfem_jax.compilation.program import Program
-from rfem_jax.description import (
-    Case,
-    GivenSection,
-    Joint,
-    Link,
-    Mechanism,
-    Method,
-    PrescribedRate,
-    Study,
-)
+from rfem_jax.description import Case, GeneralisedAlpha, GivenSection, Joint, Link, Mechanism, PrescribedRate, Study
 from rfem_jax.mechanics.cut_joints import closure
 from rfem_jax.mechanics.discretisation import discretise
 from rfem_jax.mechanics.kinematics import motion_of
@@ -36,7 +27,7 @@ from rfem_jax.mechanics.loads import static_state
 from rfem_jax.mechanics.model import Model
 from rfem_jax.mechanics.model_with_errors import apply_errors, assembly_errors
 from rfem_jax.mechanics.statics.assembly import length_scale
-from rfem_jax.simulation import STATUS, Run, run_cases, simulate
+from rfem_jax.simulation import STATUS, Run, Simulation, run_cases, simulate
 from rfem_jax.validation.lines import Curve, Line, Outcome, Picture, Progress, absolute, relative, same
 from rfem_jax.validation.reference_values import read_reference
 
@@ -50,7 +41,7 @@ DIFFERENCE = np.radians(0.05)  # of the tilt, for central differences
 WINDOW = (0.1, 2.4)  # s
 END, TRAJECTORY_END, SAVE_EVERY = 3.2, 2.496, 0.004  # s
 # Half of this step changes RMS loads in W1 by less than 1e-5.
-METHOD = Method("generalised_alpha", step=2e-3, corrections=4)
+METHOD = GeneralisedAlpha(step=2e-3, corrections=4)
 # Share of the reference: that of m = 4 by the data set; second order from there.
 FORCE_SHARE, MOMENT_SHARE = {4: 0.025, 16: 0.0025}, {4: 0.04, 16: 0.0025}
 
@@ -276,9 +267,9 @@ def derivative_lines(model: Model, runs: dict[str, Run]) -> list[Line]:
 def _derivatives(model: Model, tilt):
     def loads(tilt):
         run = simulate(
-            model, assembly_errors(model, {"C.pin_tilt_x": tilt}), drive=PrescribedRate("A", 0.6),
-            duration=WINDOW[1], method=METHOD, save_every=SAVE_EVERY,
-        )  # fmt: skip
+            Simulation(model, drive=PrescribedRate("A", 0.6), duration=WINDOW[1], method=METHOD, save_every=SAVE_EVERY),
+            assembly_errors(model, {"C.pin_tilt_x": tilt}),
+        )
         window = run.window(*WINDOW)
         return {"force": window.mean_square_force, "moment": window.mean_square_moment}
 

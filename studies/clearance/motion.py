@@ -27,7 +27,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.stats import qmc
 
-from rfem_jax import Method, PrescribedRate, assembly_errors, design, load_study, simulate
+from rfem_jax import GeneralisedAlpha, PrescribedRate, Simulation, assembly_errors, design, load_study, simulate
 from rfem_jax.report.output import write_csv
 
 RATE = 300.0 * 2.0 * np.pi / 60.0  # rad/s
@@ -70,9 +70,16 @@ def of_batch(model, names, method, errors, radial) -> Found:
     def one(row):
         wanted = design(model, {f"{JOINT}.clearance.radial": radial, f"{JOINT}.clearance.axial": AXIAL * radial})
         run = simulate(
-            model, assembly_errors(model, dict(zip(names, row, strict=True))), drive=PrescribedRate("A", RATE),
-            duration=DURATION, method=method, save_every=SAVED, design=wanted,
-        )  # fmt: skip
+            Simulation(
+                model,
+                drive=PrescribedRate("A", RATE),
+                duration=DURATION,
+                method=method,
+                save_every=SAVED,
+                design=wanted,
+            ),
+            assembly_errors(model, dict(zip(names, row, strict=True))),
+        )
         of = run.metrics
         loads = of.rms_force[JOINT], of.rms_moment[JOINT], of.max_normal_force[JOINT]
         return Found(*loads, run.contact_changes, run.energy_balance_error, run.status)
@@ -118,7 +125,7 @@ def main() -> None:
     most = np.array([float(value) for value in case.errors.values()])
     errors = (2.0 * qmc.Sobol(len(most), seed=0).random(size.samples) - 1.0) * most
     share = 0.5 if options.finer else 1.0
-    method = Method("generalised_alpha", step=share * STEP, contact_tolerance=share**2 * TOLERANCE)
+    method = GeneralisedAlpha(step=share * STEP, contact_tolerance=share**2 * TOLERANCE)
     rows = []
     for clearance in size.clearances:
         print(f"[{time.monotonic() - start:4.0f} s] radial clearance {clearance:g} um", file=sys.stderr, flush=True)

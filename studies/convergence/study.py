@@ -39,15 +39,16 @@ import numpy as np  # noqa: E402
 from rfem_jax import (  # noqa: E402
     STATUS,
     AssemblyErrors,
-    Method,
     Model,
     Run,
+    Simulation,
     Study,
     assembly_errors,
     discretise,
     load_study,
     simulate,
 )
+from rfem_jax.description.methods import named_method  # noqa: E402
 from rfem_jax.report.output import write_csv, write_json  # noqa: E402
 
 CASES = ("P1", "P2", "P5")
@@ -117,12 +118,14 @@ class Program(NamedTuple):
 def run_of(study: Study, model: Model, errors: AssemblyErrors, method: tuple[str, float], plan: Plan) -> Run:
     """One simulation of the plan."""
     return simulate(
-        model,
+        Simulation(
+            model,
+            drive=study.drive,
+            duration=plan.duration,
+            method=named_method(method[0], step=method[1]),
+            save_every=plan.save_every,
+        ),
         errors,
-        drive=study.drive,
-        duration=plan.duration,
-        method=Method(method[0], step=method[1]),
-        save_every=plan.save_every,
     )
 
 

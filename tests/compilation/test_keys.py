@@ -9,9 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax import Method, MomentRamp, Problem, discretise
+from rfem_jax import MomentRamp, Problem, RungeKutta4, Simulation, discretise
 from rfem_jax.compilation import keys
 from rfem_jax.compilation.keys import NotDigestible, canonical, digest_content, digest_named
+from rfem_jax.description.methods import named_method
 from rfem_jax.tolerancing.problems.execution import fingerprint_problem
 from rfem_jax.tolerancing.problems.metrics import end_angle, metric
 from tests.mechanisms import four_bar
@@ -46,7 +47,7 @@ class Pair(NamedTuple):
         (np.zeros(2), np.zeros(3), np.zeros((1, 2)), np.array([0.0, 1e-300]), np.zeros(2, np.float32)),
         (jnp.sin, jnp.cos, functools.partial(jnp.sin), functools.partial(jnp.sin, 1.0), len, max),
         (metric("A.rms_force"), metric("B.rms_force"), metric("A.rms_moment"), end_angle(), end_angle(1.0)),
-        (Method("rk4", step=1e-5), Method("rk4", step=1.1e-5), Method(SMALL, step=1e-5)),
+        (RungeKutta4(step=1e-5), RungeKutta4(step=1.1e-5), named_method(SMALL, step=1e-5)),
     ],
 )
 def test_different_values_have_different_names(values):
@@ -191,8 +192,8 @@ def test_sources_are_read_whole(tmp_path, monkeypatch):
 
 def test_a_problems_fingerprint_has_its_numbers_and_is_not_the_machines(monkeypatch):
     def problem(moment=1.0, duration=0.1, name="A.rms_force", step=1e-3):
-        method = Method(SMALL, step=step)
-        return Problem(model, MomentRamp("A", moment, 0.01), duration, [name], method)
+        method = named_method(SMALL, step=step)
+        return Problem(Simulation(model, drive=MomentRamp("A", moment, 0.01), duration=duration, method=method), [name])
 
     model = discretise(four_bar(2))
     whole = fingerprint_problem(problem())

@@ -1,39 +1,42 @@
 """Methods: names, settings that fit, refusals."""
 
 import copy
+import inspect
 import pickle
 from dataclasses import replace
 
 import diffrax
 import pytest
 
-from rfem_jax.description import InputError, Method
-from rfem_jax.description.methods import METHOD_CLASSES, DiffraxMethod, FixedStepMethod
+from rfem_jax import Automatic, Explicit, GeneralisedAlpha, Leapfrog, Method, RungeKutta4, description
+from rfem_jax.description import FixedStep, InputError
+from rfem_jax.description.methods import METHOD_CLASSES, named_method
 
 
-@pytest.mark.parametrize("name", DiffraxMethod.names)
+@pytest.mark.parametrize("name", Explicit.names)
 def test_adaptive_methods_are_explicit_solvers_of_diffrax_with_an_error_estimate(name):
     (solver,) = [kind for key, kind in vars(diffrax).items() if key.lower() == name]
     assert issubclass(solver, diffrax.AbstractAdaptiveSolver)
     assert not issubclass(solver, diffrax.AbstractImplicitSolver)
-    adaptive = Method(name, rtol=1e-8, atol="1e-8 %")
+    adaptive = Explicit(name, rtol=1e-8, atol="1e-8 %")
     assert adaptive.adaptive and adaptive.atol == pytest.approx(1e-10)
-    assert not Method(name, step=1e-5).adaptive
+    assert not Explicit(name, step=1e-5).adaptive
+    assert Explicit(solver(), step=1e-5) == Explicit(name, step=1e-5) == Explicit(solver=name, step=1e-5)
 
 
 def test_fixed_methods():
-    assert Method("rk4", step="10 us").step == 1e-5
-    assert Method("leapfrog", step=1e-6, stabilisation=0).stabilisation == 0.0
-    assert Method("auto", accuracy=1e-4).accuracy == 1e-4
-    assert Method("auto").accuracy is None
+    assert RungeKutta4(step="10 us").step == 1e-5
+    assert Leapfrog(step=1e-6, stabilisation=0).stabilisation == 0.0
+    assert Automatic(accuracy=1e-4).accuracy == 1e-4
+    assert Automatic().accuracy is None
 
 
 def test_no_other_name_is_known(refused):
     for name in METHOD_CLASSES:
         with refused("`name` of the method", f"`{name}`?"):
-            Method(name + "x", step=1e-5)
+            named_method(name + "x", step=1e-5)
     with refused("`name` of the method"):
-        Method(4, step=1e-5)
+        named_method(4, step=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -60,7 +63,7 @@ def test_no_other_name_is_known(refused):
 )
 def test_settings_that_do_not_fit_are_refused(refused, settings, pieces):
     with refused(*pieces):
-        Method(**settings)
+        named_method(**settings)
 
 
 @pytest.mark.parametrize(
@@ -79,35 +82,72 @@ def test_settings_that_do_not_fit_are_refused(refused, settings, pieces):
 )
 def test_settings_of_the_implicit_method(refused, settings, pieces):
     with refused(*pieces):
-        Method(**{"name": "generalised_alpha", "step": 1e-3, **settings})
+        named_method(**{"name": "generalised_alpha", "step": 1e-3, **settings})
 
 
 def test_defaults_belong_to_the_implicit_method_alone():
-    implicit = Method("generalised_alpha", step=1e-3, corrections=4.0)
+    implicit = GeneralisedAlpha(step=1e-3, corrections=4.0)
     assert (implicit.spectral_radius, implicit.corrections, implicit.tolerance) == (0.6, 4, 1e-8)
     assert isinstance(implicit.corrections, int) and implicit.implicit
-    assert not hasattr(Method("rk4", step=1e-3), "spectral_radius")
+    assert not hasattr(RungeKutta4(step=1e-3), "spectral_radius")
 
 
 @pytest.mark.parametrize("name", METHOD_CLASSES)
 def test_a_method_is_of_the_class_that_has_its_name(name):
-    method = Method(name, **({"step": 1e-3} if name != "auto" else {}))
+    method = named_method(name, **({"step": 1e-3} if name != "auto" else {}))
     kind = METHOD_CLASSES[name]
-    assert type(method) is kind and method.name == name
-    assert method == kind(name, **({"step": 1e-3} if name != "auto" else {}))
+    assert type(method) is kind and method.name == name and isinstance(method, Method)
     assert method == copy.copy(method) == pickle.loads(pickle.dumps(method)) == replace(method)
     assert hash(method) == hash(replace(method))
 
 
-def test_a_class_refuses_the_names_of_others(refused):
-    with refused("`name` of the method", "rk4", "leapfrog"):
-        FixedStepMethod("dopri8", step=1e-3)
+def test_names_of_arguments_that_are_wrong_are_told_in_a_sentence(refused):
+    with refused("`stepp`", "RungeKutta4", "did you mean `step`?"):
+        RungeKutta4(stepp=1e-5)
+    with refused("`rtol`", "GeneralisedAlpha", "spectral_radius"):
+        GeneralisedAlpha(step=1e-3, rtol=1e-6)
+    with refused("by their names", "0.001", "step="):
+        GeneralisedAlpha(1e-3)
+    with refused("`solver`", "tsit5"):
+        Explicit("rk45", rtol=1e-6, atol=1e-8)
+    with refused("`solver`", "Runge-Kutta", "Kvaerno5", "diffrax.Dopri8()"):
+        Explicit(diffrax.Kvaerno5(), rtol=1e-6, atol=1e-8)
+
+
+def test_a_solver_of_ones_own_stays_as_it_is():
+    class Third(diffrax.Bosh3):
+        pass
+
+    method = Explicit(Third(), step=1e-4)
+    assert type(method.solver) is Third and method.name == "third"
+    kept = Explicit(diffrax.Dopri5(scan_kind="lax"), step=1e-4)
+    assert kept.solver == diffrax.Dopri5(scan_kind="lax") and kept.name == "dopri5"
+    assert replace(method, step=1e-5).solver is method.solver
+
+
+def test_calls_and_names_of_the_version_before_work_and_warn():
+    with pytest.warns(DeprecationWarning, match=r"RungeKutta4\(...\) in place of Method"):
+        assert Method("rk4", step=1e-5) == RungeKutta4(step=1e-5)
+    with pytest.warns(DeprecationWarning, match="Explicit"):
+        assert Method("dopri8", rtol=1e-8, atol=1e-9) == Explicit("dopri8", rtol=1e-8, atol=1e-9)
+    with pytest.warns(DeprecationWarning, match=r"Leapfrog\(...\)"):
+        assert FixedStep("leapfrog", step=1e-5) == Leapfrog(step=1e-5)
+    for before, now in (("AutomaticMethod", Automatic), ("DiffraxMethod", Explicit), ("FixedStepMethod", FixedStep),
+                        ("GeneralisedAlphaMethod", GeneralisedAlpha)):  # fmt: skip
+        with pytest.warns(DeprecationWarning, match=now.__name__):
+            assert getattr(description, before) is now
+    assert not hasattr(description, "EulerMethod")
+
+
+def test_signatures_are_those_of_the_settings():
+    assert [*inspect.signature(RungeKutta4).parameters] == ["step", "stabilisation"]
+    assert [*inspect.signature(Explicit).parameters] == ["solver", "step", "stabilisation", "rtol", "atol"]
 
 
 def test_all_mistakes_are_told_at_once():
     with pytest.raises(InputError) as caught:
-        Method("generalised_alpha", step=-1.0, tolerance=2.0, corrections=0)
+        GeneralisedAlpha(step=-1.0, tolerance=2.0, corrections=0)
     assert [problem.split("`")[1] for problem in caught.value.problems] == ["step", "corrections", "tolerance"]
     with pytest.raises(InputError) as caught:
-        Method("rk4", step=1e-5, rtol=1e-3, accuracy=1e-3)
+        named_method("rk4", step=1e-5, rtol=1e-3, accuracy=1e-3)
     assert [problem.split("`")[1] for problem in caught.value.problems] == ["rtol", "accuracy"]

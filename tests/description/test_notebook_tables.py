@@ -2,7 +2,7 @@
 
 import dataclasses
 
-from rfem_jax import Case, Method, MomentRamp, Study, rich_text
+from rfem_jax import Case, MomentRamp, RungeKutta4, Study, rich_text
 
 from ..mechanisms import four_bar
 
@@ -21,7 +21,7 @@ def test_tables_of_a_mechanism():
 def test_everything_of_a_study_is_escaped():
     ramp = MomentRamp("A", 1.5, 0.1)
     case = Case("P1", {"D.delta_x": 0.01})
-    study = Study(HOSTILE, four_bar(), ramp, 0.1, Method("rk4", step=1e-5), cases=(case,), note=HOSTILE)
+    study = Study(HOSTILE, four_bar(), ramp, 0.1, RungeKutta4(step=1e-5), cases=(case,), note=HOSTILE)
     text = study._repr_html_()
     assert text.count(ESCAPED) == 2 and "<b onmouse" not in text
     assert (

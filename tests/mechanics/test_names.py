@@ -16,10 +16,11 @@ from rfem_jax import (
     JointFriction,
     JointSpring,
     Mechanism,
-    Method,
     MomentRamp,
     PointForce,
     Problem,
+    RungeKutta4,
+    Simulation,
     assemble,
     assembly_errors,
     design,
@@ -125,7 +126,7 @@ def pendulum(one, other, upper, lower, spring, rub, load):
 
 
 NAMES = ("A", "B", "upper", "lower", "spring", "rub", "load"), ("z", "y", "link-2", "link-1", "c", "b", "a")
-METHOD = Method("rk4", step=1e-3)
+METHOD = RungeKutta4(step=1e-3)
 
 
 def results(names):
@@ -135,14 +136,17 @@ def results(names):
     errors = assembly_errors(model, {f"{other}.d_x": 1e-3})
     drive = MomentRamp(one, 0.5, 2e-3)
     wanted = design(model, {f"{lower}.length": 0.21})
-    run = simulate(model, errors, drive=drive, duration=3e-3, method=METHOD, record=f"{upper}.sections")
+    run = simulate(Simulation(model, drive=drive, duration=3e-3, method=METHOD), errors, record=f"{upper}.sections")
     assert [*run.loads] == sorted([one, other]) and [*run.ends] == sorted([upper, lower])
     assert [*run.recorded] == [f"{upper}.sections"] and [*run.friction_losses] == [names[5]]
-    designed = simulate(model, errors, drive=drive, duration=3e-3, method=METHOD, design=wanted)
+    designed = simulate(Simulation(model, drive=drive, duration=3e-3, method=METHOD, design=wanted), errors)
     rest = assemble(model, errors)
     turn = kinetostatic_turn(model, errors, np.array([0.1, 0.2]))
     modes = natural_frequencies(model, errors, count=1)
-    problem = Problem(model, drive, 3e-3, [f"{other}.rms_force", f"{one}.peak_moment", "end_energy"], METHOD)
+    problem = Problem(
+        Simulation(model, drive=drive, duration=3e-3, method=METHOD),
+        [f"{other}.rms_force", f"{one}.peak_moment", "end_energy"],
+    )
     values, status = problem({f"{other}.d_x": jnp.asarray(1e-3), f"{lower}.length": jnp.asarray(1e-3)})
     assert [*values] == sorted([f"{other}.rms_force", f"{one}.peak_moment", "end_energy"]) and int(status) == 0
     rows = evaluate_lanes(problem, (f"{other}.d_x",), {}, jnp.asarray([[1e-3], [2e-3]]), local_mesh())
@@ -166,7 +170,9 @@ def test_programs_of_other_names_are_traced_once(traced):
 def test_functions_of_the_user_read_runs_by_their_names(traced):
     def found(names):
         metric = Metric("own", "N", function=lambda run: jnp.max(run.loads[names[1]].force))
-        return Problem(pendulum(*names), MomentRamp(names[0], 0.5, 2e-3), 3e-3, metric, METHOD)({})[0]["own"]
+        return Problem(
+            Simulation(pendulum(*names), drive=MomentRamp(names[0], 0.5, 2e-3), duration=3e-3, method=METHOD), metric
+        )({})[0]["own"]
 
     assert float(found(NAMES[0])) == pytest.approx(float(found(NAMES[1])), rel=1e-12)
 

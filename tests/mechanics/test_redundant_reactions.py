@@ -16,13 +16,15 @@ from scipy.spatial.transform import Rotation
 
 from rfem_jax import (
     STATUS,
+    GeneralisedAlpha,
     Joint,
     Link,
     Mechanism,
-    Method,
     PointForce,
     PrescribedRate,
     RigidBody,
+    RungeKutta4,
+    Simulation,
     assemble,
     assembly_errors,
     describe,
@@ -33,6 +35,7 @@ from rfem_jax import (
     simulate,
 )
 from rfem_jax.description.errors import InputError
+from rfem_jax.description.methods import named_method
 from rfem_jax.mechanics import loads as joint_loads
 from rfem_jax.mechanics.dynamics import accelerations
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation
@@ -192,10 +195,10 @@ def test_a_door_hangs_alike_on_both_hinges(cut, names, length):
     require_least(model, found.preload, length)
 
 
-@pytest.mark.parametrize("method", [Method("rk4", step=1e-3), Method("generalised_alpha", step=1e-3)])
+@pytest.mark.parametrize("method", [RungeKutta4(step=1e-3), GeneralisedAlpha(step=1e-3)])
 def test_a_door_hangs_alike_in_its_motion(method):
     model = discretise(door(reaction_length=1.0))
-    run = simulate(model, drive=None, duration=2e-3, method=method)
+    run = simulate(Simulation(model, drive=None, duration=2e-3, method=method))
     assert STATUS[int(run.status)].name == "ok"
     force, moment = door_loads(1.0)
     for load in run.loads.values():
@@ -241,7 +244,7 @@ def test_least_reactions_of_spatial_loops_and_slides(make):
 def test_reactions_are_least_in_motion_in_both_formulations_of_a_step():
     model = discretise(loop())
     runs = [
-        simulate(model, drive=None, duration=h, method=Method(name, step=h))
+        simulate(Simulation(model, drive=None, duration=h, method=named_method(name, step=h)))
         for name, h in (("rk4", 1e-6), ("generalised_alpha", 1e-6))
     ]
     for run in runs:
@@ -292,10 +295,10 @@ def test_a_mechanism_that_rests_in_any_plane_is_described_alike():
         assert (describe(hung).rank, describe(hung).mobility) == (0, 1)
 
 
-@pytest.mark.parametrize("method", [Method("rk4", step=1e-4), Method("generalised_alpha", step=1e-4)])
+@pytest.mark.parametrize("method", [RungeKutta4(step=1e-4), GeneralisedAlpha(step=1e-4)])
 def test_nothing_acts_in_any_plane(method):
     model = turned(discretise(slider_crank(gravity=(0.0, 0.0, 0.0))), random_rotations(1)[3])
-    run = simulate(model, drive=None, duration=5e-4, method=method)
+    run = simulate(Simulation(model, drive=None, duration=5e-4, method=method))
     assert STATUS[int(run.status)].name == "ok"
     np.testing.assert_allclose(run.angles["A"], np.radians(45), atol=1e-12)
 
@@ -342,7 +345,7 @@ def test_derivatives_of_least_reactions(name):
 def test_links_without_mass_are_for_positions_at_rest():
     model = discretise(toggle(0.0))
     with pytest.raises(InputError, match="`mass` of the body of `left`, .* must be greater than 0 in a motion"):
-        simulate(model, drive=None, duration=1e-3, method=Method("rk4", step=1e-4))
+        simulate(Simulation(model, drive=None, duration=1e-3, method=RungeKutta4(step=1e-4)))
     with pytest.raises(InputError, match="`mass` of the body"):
         natural_frequencies(model)
     with pytest.raises(InputError, match="`mass` of a body must be greater than 0 where it has inertia"):
@@ -434,13 +437,13 @@ def test_near_a_dead_centre_loads_are_large_and_right(angle):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("method", [Method("rk4", step=2e-4), Method("generalised_alpha", step=2e-4, tolerance=1e-10)])
+@pytest.mark.parametrize("method", [RungeKutta4(step=2e-4), GeneralisedAlpha(step=2e-4, tolerance=1e-10)])
 def test_derivatives_of_least_reactions_in_motion(method):
     model = discretise(loop())
 
     def squares(error):
         errors, drive = assembly_errors(model, {"coupler.length": error}), PrescribedRate("A", 8.0)
-        run = simulate(model, errors, drive=drive, duration=4e-4, method=method, save_every=4e-4)
+        run = simulate(Simulation(model, drive=drive, duration=4e-4, method=method, save_every=4e-4), errors)
         return jnp.stack([run.metrics.mean_square_moment["D"], run.metrics.mean_square_force["C"]])
 
     forward, reverse, step = jax.jacfwd(squares)(0.0), jax.jacrev(squares)(0.0), 1e-5

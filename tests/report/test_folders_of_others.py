@@ -10,7 +10,7 @@ import pytest
 import rfem_jax.mechanics
 import rfem_jax.simulation
 from rfem_jax.compilation import program
-from rfem_jax.description import Method
+from rfem_jax.description import RungeKutta4
 from rfem_jax.report import command_line
 from rfem_jax.report.command_line import main
 from rfem_jax.report.commands import run
@@ -87,7 +87,7 @@ def test_samples_of_another_accuracy_of_a_method_that_is_chosen(
     nothing_computed,
 ):
     out = tmp_path / "out"
-    chosen = Method("rk4", step=1e-5)
+    chosen = RungeKutta4(step=1e-5)
     monkeypatch.setattr(rfem_jax.simulation, "choose_method", lambda *_, **__: chosen)
     changed(task_file, FIXED, AUTO)
     assert call("monte-carlo", task_file, out) == 0
@@ -107,7 +107,7 @@ def test_steps_are_chosen_for_the_samples_by_the_samples(task_file, monkeypatch,
 
     def choose(model, method, drive, duration, trials=None, save_every=None):
         asked.append(trials)
-        return Method("rk4", step=1e-5 if trials is None else 5e-6)
+        return RungeKutta4(step=1e-5 if trials is None else 5e-6)
 
     monkeypatch.setattr(rfem_jax.simulation, "choose_method", choose)
     study = read_study(str(task_file))

@@ -8,8 +8,9 @@ import diffrax
 import numpy as np
 import pytest
 
-from rfem_jax import Method, check_step, discretise, load_study, register_method
-from rfem_jax.description import FixedStepMethod, InputError, methods
+from rfem_jax import Explicit, Method, Simulation, check_step, discretise, load_study, register_method, simulate
+from rfem_jax.description import FixedStep, InputError, methods
+from rfem_jax.description.methods import named_method
 from rfem_jax.report import command_line
 from rfem_jax.report.command_line import main
 from rfem_jax.simulation.solvers import catalogue
@@ -19,14 +20,13 @@ RK4 = PENDULUM.replace("duration = 0.5", "duration = 0.02\nsave_every = 1e-3").r
 
 
 @dataclass(frozen=True)
-class Kutta3(FixedStepMethod):
+class Kutta3(FixedStep):
     """Kutta's method of order 3, its middle node anywhere.
 
     Args:
         middle: node of the second stage, as a share of the step.
     """
 
-    name: str = "kutta3"
     middle: float = methods.setting(0.5)
 
     names: ClassVar[tuple[str, ...]] = ("kutta3",)
@@ -89,24 +89,24 @@ def test_its_step_is_checked_by_its_own_stability_function(registered, tmp_path)
     path.write_text(RK4, encoding="utf-8")
     study = load_study(path)
     model = discretise(study.mechanism)
-    limits = [check_step(model, Method(name, step=1e-6), study.drive) for name in ("kutta3", "rk4")]
+    limits = [check_step(model, named_method(name, step=1e-6), study.drive) for name in ("kutta3", "rk4")]
     # On the imaginary axis, that of undamped vibration: |R| <= 1 up to sqrt(3) and up to sqrt(8).
     assert limits[0] / limits[1] == pytest.approx(np.sqrt(3.0 / 8.0), rel=0.05)
     with pytest.raises(InputError, match=r"`step` must be at most .* 'kutta3'"):
-        check_step(model, Method("kutta3", step=1.01 * limits[0]), study.drive)
+        check_step(model, named_method("kutta3", step=1.01 * limits[0]), study.drive)
 
 
 def test_its_settings_are_checked_like_all_others(registered, tmp_path):
-    assert Method("kutta3", step="1 us") == Kutta3(step=1e-6, middle=0.5)
+    assert named_method("kutta3", step="1 us") == Kutta3(step=1e-6, middle=0.5)
     for settings, pieces in (
         ({"middle": -0.1}, "`middle` of the method must be greater than 0"),
         ({}, '`step` must be given for the method "kutta3"'),
         ({"step": 1e-5, "rtol": 1e-3}, '`rtol` must be left out with the method "kutta3"'),
     ):
         with pytest.raises(InputError, match=pieces):
-            Method("kutta3", **settings)
+            named_method("kutta3", **settings)
     with pytest.raises(InputError, match=r'`middle` must be left out with the method "rk4".*"kutta3"'):
-        Method("rk4", step=1e-5, middle=0.4)
+        named_method("rk4", step=1e-5, middle=0.4)
 
 
 def test_what_cannot_be_registered(registered):
@@ -117,4 +117,16 @@ def test_what_cannot_be_registered(registered):
 
 def test_without_registration_nobody_knows_it():
     with pytest.raises(InputError, match="`name` of the method must be one of"):
-        Method("kutta3", step=1e-5)
+        named_method("kutta3", step=1e-5)
+
+
+def test_a_solver_of_ones_own_needs_no_class_of_methods(registered, tmp_path):
+    (tmp_path / "study.toml").write_text(RK4, encoding="utf-8")
+    study = load_study(tmp_path / "study.toml")
+    model, settings = discretise(study.mechanism), {"drive": study.drive, "duration": 0.005, "save_every": 1e-3}
+    wanted = simulate(Simulation(model, method=Kutta3(step=1e-5, middle=0.4), **settings))
+    found = simulate(
+        Simulation(model, method=Explicit(make_kutta3(Kutta3(step=1.0, middle=0.4)), step=1e-5), **settings)
+    )
+    np.testing.assert_array_equal(found.metrics.rms_force["A"], wanted.metrics.rms_force["A"])
+    assert found.status == 0

@@ -5,11 +5,20 @@ from dataclasses import replace
 import jax
 import pytest
 
-from rfem_jax.description import Clearance, JointFriction, Method, MomentRamp, Study, load_study
+from rfem_jax.description import (
+    Clearance,
+    Explicit,
+    GeneralisedAlpha,
+    JointFriction,
+    MomentRamp,
+    RungeKutta4,
+    Study,
+    load_study,
+)
 from rfem_jax.description.tasks.study_tasks import Tasks
 from rfem_jax.mechanics import assembly_errors, discretise
 from rfem_jax.report.study_cost import STEP_SECONDS, cost_text, numbers_saved, saved_times, times_text
-from rfem_jax.simulation import simulate
+from rfem_jax.simulation import Simulation, simulate
 from rfem_jax.text_layout import size_text, time_text
 from rfem_jax.validation.clearances import flexible_four_bar
 
@@ -33,9 +42,9 @@ def tasks(tmp_path):
 @pytest.mark.parametrize(
     ("method", "save_every"),
     [
-        (Method("rk4", step=1e-3), 2e-3),
-        (Method("rk4", step=3e-4), None),
-        (Method("generalised_alpha", step=2e-3), 3e-3),
+        (RungeKutta4(step=1e-3), 2e-3),
+        (RungeKutta4(step=3e-4), None),
+        (GeneralisedAlpha(step=2e-3), 3e-3),
     ],
 )
 def test_the_size_of_results_is_that_of_a_run(tmp_path, method, save_every):
@@ -44,12 +53,8 @@ def test_the_size_of_results_is_that_of_a_run(tmp_path, method, save_every):
     drive = MomentRamp("A", 1.0, 5e-3)  # jumps between two saved times
     study = replace(load_study(path), duration=0.02, save_every=save_every, method=method, drive=drive)
     model = discretise(study.mechanism)
-    run = jax.eval_shape(
-        lambda: simulate(
-            model, assembly_errors(model, {}), drive=study.drive, duration=study.duration, method=study.method,
-            save_every=study.save_every,
-        )
-    )  # fmt: skip
+    simulation = Simulation.of(study, model=model)
+    run = jax.eval_shape(lambda: simulate(simulation, assembly_errors(model, {})))
     (times,) = run.times.shape
     assert saved_times(study) == times
     histories = [leaf for leaf in jax.tree.leaves(run) if leaf.shape[:1] == (times,)]
@@ -60,10 +65,12 @@ def test_the_size_of_results_is_that_of_a_run(tmp_path, method, save_every):
 def test_the_size_of_results_with_clearance_and_friction(cut):
     loose = flexible_four_bar(cut=cut)
     mechanism = replace(loose, forces=(JointFriction("rubbing", "B", constant=0.1, sliding_rate=0.1),))
-    study = Study("Play", mechanism, None, 0.016, Method("generalised_alpha", step=1e-3), 1e-3, ())
+    study = Study("Play", mechanism, None, 0.016, GeneralisedAlpha(step=1e-3), 1e-3, ())
     model = discretise(mechanism)
     run = jax.eval_shape(
-        lambda: simulate(model, drive=None, duration=study.duration, method=study.method, save_every=study.save_every)
+        lambda: simulate(
+            Simulation(model, drive=None, duration=study.duration, method=study.method, save_every=study.save_every)
+        )
     )
     (times,) = run.times.shape
     histories = [leaf for leaf in jax.tree.leaves(run) if leaf.shape[:1] == (times,)]
@@ -110,7 +117,7 @@ def test_derivatives_are_taken_twice_where_pins_may_strike(tmp_path):
 def test_times_go_by_steps_bodies_and_simulations(tmp_path):
     path = tmp_path / "study.toml"
     path.write_text(STUDY + TASKS.replace("n = 32", "n = 32000"), encoding="utf-8")
-    study = replace(load_study(path), method=Method("rk4", step=5e-6))
+    study = replace(load_study(path), method=RungeKutta4(step=5e-6))
 
     def told(study):
         return " ".join(times_text(study).split())
@@ -118,8 +125,8 @@ def test_times_go_by_steps_bodies_and_simulations(tmp_path):
     one = 100_000 * 11 * STEP_SECONDS  # steps; a rigid crank and two links of five rfes
     assert f"cases {3 * one:.0f} s, sensitivity 20 s, monte carlo {32000 * one / 3600:.0f} hours" in told(study)
     assert told(study).endswith("allocation not known beforehand.")
-    assert f"cases {6 * one:.0f} s," in told(replace(study, method=Method("rk4", step=2.5e-6)))
-    assert times_text(replace(study, method=Method("tsit5", rtol=1e-8, atol=1e-10))) == ""
+    assert f"cases {6 * one:.0f} s," in told(replace(study, method=RungeKutta4(step=2.5e-6)))
+    assert times_text(replace(study, method=Explicit("tsit5", rtol=1e-8, atol=1e-10))) == ""
 
 
 @pytest.mark.parametrize(

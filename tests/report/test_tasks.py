@@ -14,7 +14,7 @@ import pytest
 
 import rfem_jax.simulation
 from rfem_jax.compilation.stages import listening
-from rfem_jax.description import Method, load_study
+from rfem_jax.description import Explicit, GeneralisedAlpha, RungeKutta4, load_study
 from rfem_jax.report import command_line, pictures
 from rfem_jax.report.command_line import main
 from rfem_jax.report.tasks import study_problem, task_report, worst_case
@@ -348,12 +348,12 @@ def test_wrong_options_are_one_sentence(task_file, tmp_path, capsys, options, wo
 @pytest.mark.parametrize(
     ("method", "expected"),
     [
-        (Method("rk4", step=2e-5), Method("rk4", step=1e-5)),
+        (RungeKutta4(step=2e-5), RungeKutta4(step=1e-5)),
         (
-            Method("generalised_alpha", step=2e-3, contact_tolerance=0.02),
-            Method("generalised_alpha", step=1e-3, contact_tolerance=0.005),  # steps that follow are halved
+            GeneralisedAlpha(step=2e-3, contact_tolerance=0.02),
+            GeneralisedAlpha(step=1e-3, contact_tolerance=0.005),  # steps that follow are halved
         ),
-        (Method("dopri8", rtol=1e-6, atol=1e-9), Method("dopri8", rtol=1e-7, atol=1e-10)),
+        (Explicit("dopri8", rtol=1e-6, atol=1e-9), Explicit("dopri8", rtol=1e-7, atol=1e-10)),
     ],
 )
 def test_the_finer_method(method, expected):

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import jax
 import pytest
 
-from rfem_jax import Method, Model, MomentRamp, assembly_errors, discretise, simulate
+from rfem_jax import Model, MomentRamp, RungeKutta4, Simulation, assembly_errors, discretise, simulate
 from tests.mechanisms import four_bar
 
 
@@ -25,12 +25,12 @@ def small():
     settings = {
         "drive": drive,
         "duration": 0.02,
-        "method": Method("rk4", step=2e-5),
+        "method": RungeKutta4(step=2e-5),
         "save_every": 1e-3,
     }
 
     @jax.jit
     def run(values):
-        return simulate(model, assembly_errors(model, values), **settings)
+        return simulate(Simulation(model, **settings), assembly_errors(model, values))
 
     return Small(model, drive, settings, run)

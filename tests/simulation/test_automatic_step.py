@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax import Method, MomentRamp, assembly_errors, discretise
+from rfem_jax import Automatic, GeneralisedAlpha, MomentRamp, Simulation, assembly_errors, discretise
 from rfem_jax.simulation.accuracy import _longer, choose_method, estimate_change
 from rfem_jax.tolerancing.problems.distributions import Uniform
 from rfem_jax.tolerancing.problems.evaluation import evaluate_points
@@ -45,18 +45,20 @@ def model():
 def test_assemblies_by_their_names(model):
     samples = first_samples(TOLERANCES, KEY)
     stacked = jax.vmap(lambda one: assembly_errors(model, one))(samples)
-    settings = model, Method("auto", accuracy=ACCURACY), DRIVE, DURATION
+    settings = model, Automatic(accuracy=ACCURACY), DRIVE, DURATION
     chosen = choose_method(*settings, stacked)
     assert choose_method(*settings, samples) == chosen
     # What is no error of a joint or link is left out; of nothing else remain the assemblies of its own.
     assert choose_method(*settings, samples | {"drive.moment": jnp.zeros(8)}) == chosen
     assert choose_method(*settings, {"drive.moment": jnp.zeros(8)}) == choose_method(*settings)
-    problem = Problem(model, DRIVE, DURATION, "A.rms_force", settings[1], trials=samples)
+    problem = Problem(
+        Simulation(model, drive=DRIVE, duration=DURATION, method=settings[1], trials=samples), "A.rms_force"
+    )
     assert problem.method == chosen != choose_method(*settings)
 
 
 def test_a_sample_that_fails_does_not_spoil_the_choice(model, monkeypatch):
-    settings = model, Method("auto", accuracy=ACCURACY), DRIVE, DURATION
+    settings = model, Automatic(accuracy=ACCURACY), DRIVE, DURATION
     samples = first_samples(TOLERANCES, KEY, 3)
     # One that cannot be assembled is left out; where one fails with all steps, the assemblies of "auto" decide.
     spoilt = {name: values.at[1].set(jnp.nan) for name, values in samples.items()}
@@ -80,7 +82,7 @@ def test_the_first_samples_are_those_of_the_study():
 
 def test_other_samples_are_as_accurate(model):
     tried = first_samples(TOLERANCES, KEY)
-    chosen = choose_method(model, Method("auto", accuracy=ACCURACY), DRIVE, DURATION, tried)
+    chosen = choose_method(model, Automatic(accuracy=ACCURACY), DRIVE, DURATION, tried)
     others = first_samples(TOLERANCES, jax.random.key(7), 16)
 
     names = [f"{joint}.{load}" for load in ("rms_force", "rms_moment") for joint in "ABDC"]
@@ -88,11 +90,13 @@ def test_other_samples_are_as_accurate(model):
 
     def loads(method):
         """(samples, 2, joints), by one program for all steps."""
-        problem = Problem(model, DRIVE, DURATION, names, method, save_every=DURATION / 2)
+        problem = Problem(
+            Simulation(model, drive=DRIVE, duration=DURATION, method=method, save_every=DURATION / 2), names
+        )
         values, status = evaluate_points(problem, TOLERANCES.names, {}, points)
         assert not status.any()
         return values.reshape(len(points), 2, -1)
 
-    fine = loads(Method("generalised_alpha", step=chosen.step / 8.0, tolerance=1e-7))
+    fine = loads(GeneralisedAlpha(step=chosen.step / 8.0, tolerance=1e-7))
     error = estimate_change(loads(chosen), fine, float(np.max(model.length)))
     assert 0.02 * ACCURACY < error < ACCURACY

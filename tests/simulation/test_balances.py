@@ -8,16 +8,18 @@ import numpy as np
 import pytest
 
 from rfem_jax import (
+    Automatic,
+    GeneralisedAlpha,
     Joint,
     JointForceTable,
     Mechanism,
-    Method,
     MomentFunction,
     MomentRamp,
     MomentTable,
     PointForce,
     PointSpringTable,
     PrescribedRate,
+    Simulation,
     choose_method,
     discretise,
     simulate,
@@ -42,7 +44,7 @@ def test_long_steps_of_a_rigid_four_bar_are_not_accepted():
     model = discretise(dataclasses.replace(described, links=links, redundant_reactions="minimum_norm"))
     settings = {"drive": PrescribedRate("A", 60.0), "duration": 0.21}
     long, shorter, fine = (
-        simulate(model, method=Method("generalised_alpha", step=step), **settings) for step in (5e-3, 2.5e-3, 2e-4)
+        simulate(Simulation(model, method=GeneralisedAlpha(step=step), **settings)) for step in (5e-3, 2.5e-3, 2e-4)
     )
     assert named(long) == "not_balanced" and float(long.energy_balance_error) > BALANCE_LIMIT
     assert float(long.metrics.rms_force["C"]) > 1.1 * float(fine.metrics.rms_force["C"])
@@ -56,11 +58,11 @@ def test_long_steps_of_a_rigid_four_bar_are_not_accepted():
 def test_little_energy_says_little():
     """A mechanism at rest, whose energies are rounding, and one that moves by a hair under a large load."""
     model = discretise(four_bar(2))
-    settings = {"duration": 0.02, "method": Method("generalised_alpha", step=1e-3)}
-    rest = simulate(model, drive=None, **settings)
+    settings = {"duration": 0.02, "method": GeneralisedAlpha(step=1e-3)}
+    rest = simulate(Simulation(model, drive=None, **settings))
     assert named(rest) == "ok" and float(rest.energy_balance_error) < 1e-3
     heavy = discretise(four_bar(2, forces=[PointForce("load", "coupler", 0.15, (0.0, 0.0, -500.0))]))
-    slow = simulate(heavy, drive=PrescribedRate("A", 1e-4), **settings)
+    slow = simulate(Simulation(heavy, drive=PrescribedRate("A", 1e-4), **settings))
     assert named(slow) == "ok" and float(slow.energy_balance_error) < 1e-3
 
 
@@ -87,14 +89,14 @@ def bump(kind):
 def test_a_table_over_position_that_is_passed_within_a_step_is_noticed(kind):
     model = discretise(bump(kind))
     drive, settings = MomentRamp("A", 30.0, 0.02), {"duration": 0.05, "save_every": 2e-3}
-    fine = simulate(model, drive=drive, method=Method("generalised_alpha", step=1e-5), **settings)
+    fine = simulate(Simulation(model, drive=drive, method=GeneralisedAlpha(step=1e-5), **settings))
     assert named(fine) == "ok" and float(fine.energy_balance_error) < 1e-3
-    passed = simulate(model, drive=drive, method=Method("generalised_alpha", step=2e-3), **settings)
+    passed = simulate(Simulation(model, drive=drive, method=GeneralisedAlpha(step=2e-3), **settings))
     assert abs(float(passed.rate[-1]) / float(fine.rate[-1]) - 1.0) > 0.02
     assert named(passed) == "not_balanced"
     # The work is the integral of the table: that of the whole bump is known.
-    method = choose_method(model, Method("auto"), drive, settings["duration"], save_every=settings["save_every"])
-    chosen = simulate(model, drive=drive, method=method, **settings)
+    method = choose_method(model, Automatic(), drive, settings["duration"], save_every=settings["save_every"])
+    chosen = simulate(Simulation(model, drive=drive, method=method, **settings))
     assert named(chosen) == "ok" and float(chosen.energy_balance_error) < REMARKABLE_BALANCE
     np.testing.assert_allclose(chosen.rate[-1], fine.rate[-1], rtol=1e-2)
 
@@ -108,17 +110,17 @@ def test_auto_sees_a_narrow_peak_of_a_function():
     bar = discretise(Mechanism([link("bar", 0.3)], [Joint("A", "base", "bar")], driven_joint="A", gravity=WEIGHTLESS))
     settings = {"duration": 0.05, "save_every": 5e-3}
     drive = MomentFunction("A", peak)
-    method = choose_method(bar, Method("auto"), drive, **settings)
-    run = simulate(bar, drive=drive, method=method, **settings)
+    method = choose_method(bar, Automatic(), drive, **settings)
+    run = simulate(Simulation(bar, drive=drive, method=method, **settings))
     mass = 7850.0 * 0.01**2 * 0.3
     inertia = mass * (0.3**2 / 3.0 + 0.01**2 / 12.0)
     np.testing.assert_allclose(run.rate[-1], 40.0 * 1e-4 * np.sqrt(np.pi) / inertia, rtol=1e-3)
     narrow = MomentFunction("A", lambda t, phase: peak(0.0203 + 300.0 * (t - 0.0203), phase))
     with pytest.raises(InputError, match="`breakpoints`"):
-        choose_method(bar, Method("auto"), narrow, **settings)
+        choose_method(bar, Automatic(), narrow, **settings)
     # Breakpoints around it are ends of intervals, which have steps of their own.
     narrow = MomentFunction("A", narrow.function, breakpoints=(0.0203 - 2e-6, 0.0203 + 2e-6))
-    assert choose_method(bar, Method("auto"), narrow, **settings).name == "generalised_alpha"
+    assert choose_method(bar, Automatic(), narrow, **settings).name == "generalised_alpha"
 
 
 def between_stops(time):
@@ -145,8 +147,8 @@ def test_auto_between_stiff_stops_meets_the_closed_form():
     joint = Joint("A", "base", "bar")
     bar = discretise(Mechanism([link("bar", 0.3)], [joint], forces=[stops], driven_joint="A", gravity=WEIGHTLESS))
     drive = MomentTable("A", [0.0, 5e-4, 1e-3, 1.0], [0.0, 2e3 * IMPULSE, 0.0, 0.0])
-    method = choose_method(bar, Method("auto"), drive, 0.06)
-    run = simulate(bar, drive=drive, duration=0.06, method=method)
+    method = choose_method(bar, Automatic(), drive, 0.06)
+    run = simulate(Simulation(bar, drive=drive, duration=0.06, method=method))
     assert named(run) == "ok" and float(run.energy_balance_error) < 5e-3
     angles, rates = np.array([between_stops(float(time)) for time in run.times[15:]]).T
     np.testing.assert_allclose(run.angle[15:], angles, rtol=0, atol=1e-3)

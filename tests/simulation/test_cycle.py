@@ -4,15 +4,17 @@ import numpy as np
 import pytest
 
 from rfem_jax import (
+    GeneralisedAlpha,
     InputError,
     Joint,
     Link,
     Material,
     Mechanism,
-    Method,
     MomentRamp,
     PrescribedRate,
     Rectangle,
+    RungeKutta4,
+    Simulation,
     design,
     discretise,
     simulate,
@@ -32,15 +34,21 @@ def arm():
 def test_a_cycle_is_what_many_revolutions_come_to(arm):
     rate = 12.0
     period = 2 * np.pi / rate
-    drive, method = PrescribedRate("A", rate), Method("generalised_alpha", step=period / 60)
+    drive, method = PrescribedRate("A", rate), GeneralisedAlpha(step=period / 60)
     # The same rate as a number that a design sets.
     cycle = steady_cycle(
-        arm, drive=PrescribedRate("A", 5.0), method=method, tolerance=1e-9, save_every=period / 10,
-        design=design(arm, {"drive.rate": rate}),
-    )  # fmt: skip
+        Simulation(
+            arm,
+            drive=PrescribedRate("A", 5.0),
+            method=method,
+            save_every=period / 10,
+            design=design(arm, {"drive.rate": rate}),
+        ),
+        tolerance=1e-9,
+    )
     assert cycle.converged and cycle.residual <= 1e-9
     count = 40
-    long = simulate(arm, drive=drive, duration=count * period, method=method, save_every=period / 10)
+    long = simulate(Simulation(arm, drive=drive, duration=count * period, method=method, save_every=period / 10))
     last = long.window((count - 1) * period, count * period)
     assert float(cycle.run.metrics.rms_force["A"]) == pytest.approx(float(last.rms_force["A"]), rel=1e-6)
     assert float(cycle.run.metrics.rms_moment["A"]) == pytest.approx(float(last.rms_moment["A"]), rel=1e-6)
@@ -50,7 +58,7 @@ def test_a_cycle_is_what_many_revolutions_come_to(arm):
 
 
 def test_cycles_that_cannot_be_are_refused(arm):
-    method = Method("rk4", step=1e-5)
+    method = RungeKutta4(step=1e-5)
     for drive in (PrescribedRate("A", 1.0, rise_time=0.1), MomentRamp("A", 1.0, 0.1)):
         with pytest.raises(InputError, match="PrescribedRate without a rise time"):
-            steady_cycle(arm, drive=drive, method=method)
+            steady_cycle(Simulation(arm, drive=drive, method=method))

@@ -5,7 +5,18 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax import Joint, JointSpring, Link, Mechanism, Method, PrescribedRate, RigidBody, assembly_errors, discretise
+from rfem_jax import (
+    Joint,
+    JointSpring,
+    Link,
+    Mechanism,
+    PrescribedRate,
+    RigidBody,
+    RungeKutta4,
+    Simulation,
+    assembly_errors,
+    discretise,
+)
 from rfem_jax.simulation.cycle import cycle_run, steady_cycle
 from tests.evaluation import evaluated
 
@@ -14,7 +25,7 @@ NAMES = ("slide.stiffness", "slide.damping", "block.mass", "gravity.z")
 POINT = np.array([STIFFNESS, DAMPING, MASS, -GRAVITY])
 SETTINGS = {
     "drive": PrescribedRate("A", RATE),
-    "method": Method("rk4", step=2 * np.pi / RATE / 72),
+    "method": RungeKutta4(step=2 * np.pi / RATE / 72),
     "save_every": 2 * np.pi / RATE / 24,
 }
 
@@ -39,10 +50,10 @@ def mean_square(numbers):
 def test_derivatives_of_a_cycle_are_those_of_a_driven_oscillator(model):
     def place(cycle, numbers):
         deviations = dict(zip(NAMES, numbers - POINT, strict=True))
-        run = cycle_run(cycle, model, assembly_errors(model, deviations), **SETTINGS)
+        run = cycle_run(cycle, Simulation(model, **SETTINGS), assembly_errors(model, deviations))
         return jnp.mean(run.displacements["P"][:-1] ** 2)
 
-    cycle = steady_cycle(model, tolerance=1e-11, **SETTINGS)
+    cycle = steady_cycle(Simulation(model, **SETTINGS), tolerance=1e-11)
     assert cycle.converged
     point = jnp.asarray(POINT)
     value, forward = evaluated(lambda x: (place(cycle, x), jax.jacfwd(lambda y: place(cycle, y))(x)))(point)
@@ -56,7 +67,8 @@ def test_derivatives_of_a_cycle_are_those_of_a_driven_oscillator(model):
     def of_new_cycle(stiffness):
         errors = assembly_errors(model, {"slide.stiffness": stiffness})
         return np.mean(
-            np.asarray(steady_cycle(model, errors, tolerance=1e-12, **SETTINGS).run.displacements["P"][:-1]) ** 2
+            np.asarray(steady_cycle(Simulation(model, **SETTINGS), errors, tolerance=1e-12).run.displacements["P"][:-1])
+            ** 2
         )
 
     ends = [of_new_cycle(step) for step in (-2.0, -1.0, 1.0, 2.0)]

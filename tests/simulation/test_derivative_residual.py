@@ -5,7 +5,7 @@ import jax
 import numpy as np
 import pytest
 
-from rfem_jax import Method, MomentRamp, assembly_errors, simulate
+from rfem_jax import GeneralisedAlpha, MomentRamp, Simulation, assembly_errors, simulate
 from rfem_jax.simulation.run import RESIDUAL_LIMIT, derivative_residual
 from rfem_jax.simulation.solvers import implicit_step
 
@@ -14,12 +14,12 @@ ALONG = {"D.delta_x": 2e-3, "D.d_y": 5e-4, "B.child.delta_z": 1e-3, "coupler.len
 
 def change_of_run(model, tolerance):
     """Derivative of a run with respect to a common factor of the errors; every step is saved."""
-    method = Method("generalised_alpha", step=2.5e-3, tolerance=tolerance, corrections=12)
+    method = GeneralisedAlpha(step=2.5e-3, tolerance=tolerance, corrections=12)
 
     def run(share):
         errors = assembly_errors(model, {name: share * size for name, size in ALONG.items()})
         return simulate(
-            model, errors, drive=MomentRamp("A", 1.5, 0.02), duration=0.05, method=method, save_every=2.5e-3
+            Simulation(model, drive=MomentRamp("A", 1.5, 0.02), duration=0.05, method=method, save_every=2.5e-3), errors
         )
 
     return jax.jit(lambda share: jax.jvp(run, (share,), (1.0,))[1])(1.0)

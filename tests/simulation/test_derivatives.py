@@ -13,11 +13,13 @@ import numpy as np
 import pytest
 
 from rfem_jax import (
+    Explicit,
+    GeneralisedAlpha,
     Joint,
     Mechanism,
-    Method,
     MomentRamp,
     Problem,
+    Simulation,
     assembly_errors,
     discretise,
     simulate,
@@ -56,7 +58,7 @@ METRICS = tuple(
     )
 ) + ("angle_error", "end_energy")  # fmt: skip
 # Newton's method converges to rounding: differences are those of the exact solution, as the derivatives are.
-METHOD = Method("generalised_alpha", step=3e-3, corrections=9, tolerance=1e-14)
+METHOD = GeneralisedAlpha(step=3e-3, corrections=9, tolerance=1e-14)
 
 
 def stacked(problem, names=NAMES):
@@ -80,7 +82,12 @@ def central_differences(function, point, steps):
 
 @pytest.fixture(scope="module")
 def problem():
-    return Problem(discretise(four_bar(3)), MomentRamp("A", 1.5, 0.06), 0.12, METRICS, METHOD, save_every=2e-2)
+    return Problem(
+        Simulation(
+            discretise(four_bar(3)), drive=MomentRamp("A", 1.5, 0.06), duration=0.12, method=METHOD, save_every=2e-2
+        ),
+        METRICS,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -158,9 +165,9 @@ def test_geometrically_exact_elements():
     """Three errors of different kinds, by all three ways, all compiled."""
     model = discretise(flexible_arm(3), elements="geometrically_exact")
     problem = Problem(
-        model, MomentRamp("A", 1.5, 0.06), 0.12,
-        ("A.mean_square_force", "A.mean_square_moment"), METHOD, save_every=2e-2,
-    )  # fmt: skip
+        Simulation(model, drive=MomentRamp("A", 1.5, 0.06), duration=0.12, method=METHOD, save_every=2e-2),
+        ("A.mean_square_force", "A.mean_square_moment"),
+    )
     function, point = stacked(problem, FEW), jnp.asarray(FEW_POINT)
     forward = np.asarray(jax.jit(jax.jacfwd(function))(point))
     reverse = np.asarray(jax.jit(jax.grad(lambda x: function(x)[1]))(point))
@@ -174,13 +181,14 @@ def test_geometrically_exact_elements():
 def test_adaptive_method_in_both_modes():
     """dopri8 with diffrax's adjoints, over the drive's jump."""
     model, drive = discretise(flexible_arm(2)), MomentRamp("A", 1.5, 5e-4)
-    method = Method("dopri8", rtol=1e-9, atol=1e-10)
+    method = Explicit("dopri8", rtol=1e-9, atol=1e-10)
 
     def moment(point, adjoint=None):
         run = simulate(
-            model, assembly_errors(model, dict(zip(FEW, point))), drive=drive, duration=1e-3,
-            method=method, save_every=5e-4, adjoint=adjoint,
-        )  # fmt: skip
+            Simulation(model, drive=drive, duration=1e-3, method=method, save_every=5e-4),
+            assembly_errors(model, dict(zip(FEW, point))),
+            adjoint=adjoint,
+        )
         return run.metrics.mean_square_moment["A"]
 
     checkpointed = diffrax.RecursiveCheckpointAdjoint(checkpoints=20)

@@ -12,14 +12,15 @@ import numpy as np
 import pytest
 
 from rfem_jax import (
+    GeneralisedAlpha,
     JointFriction,
     JointSpring,
     Mechanism,
-    Method,
     MomentRamp,
     PointMass,
     PointSpring,
     Rectangle,
+    Simulation,
     assembly_errors,
     design,
     discretise,
@@ -32,7 +33,7 @@ from tests.mechanisms import BUSHING, four_bar, link
 pytestmark = pytest.mark.slow
 OUT = ("position.y", "orientation.x", "orientation.z")
 ERRORS = {"D.delta_x": 4e-3, "B.child.delta_z": -3e-3, "coupler.twist": 2e-3}
-METHOD = Method("generalised_alpha", step=2e-3, corrections=9, tolerance=1e-14)
+METHOD = GeneralisedAlpha(step=2e-3, corrections=9, tolerance=1e-14)
 STEP = 2e-3  # of differences, in sizes of the numbers
 
 
@@ -69,9 +70,11 @@ def test_every_number_of_a_description(elements):
         wanted = {name: given[name] for name, away in zip(names, out, strict=True) if not away and name not in ERRORS}
         deviating = {name: given[name] for name, away in zip(names, out, strict=True) if away or name in ERRORS}
         run = simulate(
-            model, assembly_errors(model, deviating), drive=MomentRamp("A", 1.5, 3e-3), duration=6e-3, method=METHOD,
-            design=design(model, wanted),
-        )  # fmt: skip
+            Simulation(
+                model, drive=MomentRamp("A", 1.5, 3e-3), duration=6e-3, method=METHOD, design=design(model, wanted)
+            ),
+            assembly_errors(model, deviating),
+        )
         squares = [*run.metrics.mean_square_force.values(), *run.metrics.mean_square_moment.values()]
         return jnp.stack([*squares, run.angle[-1], run.status.astype(float)])
 

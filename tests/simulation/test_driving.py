@@ -5,10 +5,13 @@ from dataclasses import replace
 import pytest
 
 from rfem_jax import (
+    Automatic,
+    GeneralisedAlpha,
     InputError,
-    Method,
     MomentRamp,
     PrescribedRate,
+    RungeKutta4,
+    Simulation,
     check_step,
     choose_method,
     discretise,
@@ -19,7 +22,7 @@ from rfem_jax.description.study import Study
 from rfem_jax.simulation.driving import require_driven
 from tests.mechanisms import four_bar
 
-EXPLICIT, IMPLICIT = Method("rk4", step=1e-5), Method("generalised_alpha", step=1e-3)
+EXPLICIT, IMPLICIT = RungeKutta4(step=1e-5), GeneralisedAlpha(step=1e-3)
 
 
 @pytest.fixture(scope="module")
@@ -33,13 +36,13 @@ def models():
 @pytest.mark.parametrize(("driven", "found"), [(None, "the model has none"), ("A", "that is `A`")])
 def test_a_drive_of_another_joint_is_refused(models, driven, found, drive, method):
     with pytest.raises(InputError, match=f"acts on `D` and {found}.*driven_joint='D'"):
-        simulate(models[driven], drive=drive, duration=0.01, method=method)
+        simulate(Simulation(models[driven], drive=drive, duration=0.01, method=method))
 
 
 def test_so_it_is_where_a_step_is_chosen_or_checked(models):
     drive = MomentRamp("D", 1.5, 0.1)
     with pytest.raises(InputError, match="acts on `D`"):
-        choose_method(models["A"], Method("auto"), drive, 0.1)
+        choose_method(models["A"], Automatic(), drive, 0.1)
     with pytest.raises(InputError, match="acts on `D`"):
         check_step(models["A"], EXPLICIT, drive)
 

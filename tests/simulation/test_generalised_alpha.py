@@ -11,12 +11,15 @@ import pytest
 
 from rfem_jax import (
     STATUS,
+    Automatic,
+    GeneralisedAlpha,
     InputError,
     Joint,
+    Leapfrog,
     Mechanism,
-    Method,
     MomentRamp,
     PrescribedRate,
+    Simulation,
     assembly_errors,
     choose_method,
     discretise,
@@ -57,9 +60,9 @@ def bent(small):
     def force(factor, method):
         errors = assembly_errors(small.model, {name: factor * e for name, e in flaws.items()})
         run = simulate(
-            small.model, errors, drive=MomentRamp("A", 1.5, 0.1), duration=0.5, method=method,
-            save_every=2.5e-2,
-        )  # fmt: skip
+            Simulation(small.model, drive=MomentRamp("A", 1.5, 0.1), duration=0.5, method=method, save_every=2.5e-2),
+            errors,
+        )
         return run.metrics.mean_square_force["D"]
 
     return force
@@ -68,18 +71,18 @@ def bent(small):
 @pytest.fixture(scope="module")
 def found(small, soft):
     """The soft four-bar by the implicit method."""
-    method = Method("generalised_alpha", step=2.5e-4, corrections=4)
+    method = GeneralisedAlpha(step=2.5e-4, corrections=4)
     settings = {**small.settings, "save_every": 2e-3, "method": method}
-    return jax.tree.map(np.asarray, simulate(soft, assembly_errors(soft, ERRORS), **settings))
+    return jax.tree.map(np.asarray, simulate(Simulation(soft, **settings), assembly_errors(soft, ERRORS)))
 
 
 def test_converges_to_runge_kutta_with_order_two(small, soft):
     errors = jax.tree.map(lambda x: x[None], assembly_errors(soft, ERRORS))
-    method = Method("generalised_alpha", step=2e-3, corrections=4)
+    method = GeneralisedAlpha(step=2e-3, corrections=4)
     grid, _ = integration.grid_for(small.drive, 0.02, method, 2e-3)
     steps = (4.0, 8.0, 16.0, 32.0)
     loads = [np.asarray(rms_loads(soft, errors, small.drive, grid, method, jnp.asarray(k))[0]) for k in steps]
-    exact = rms(soft, simulate(soft, assembly_errors(soft, ERRORS), **small.settings))
+    exact = rms(soft, simulate(Simulation(soft, **small.settings), assembly_errors(soft, ERRORS)))
     changes = np.array([np.abs(one[0].T / exact - 1.0).max() for one in loads])
     np.testing.assert_allclose(np.log2(changes[1:-1] / changes[2:]), 2.0, atol=0.3)
     assert changes[-1] < 5e-4
@@ -101,12 +104,8 @@ def test_reactions_do_not_oscillate_from_step_to_step(small):
     rough = []
     for h in (5e-4, 2.5e-4):
         run = simulate(
-            small.model,
+            Simulation(small.model, drive=drive, duration=0.02, method=GeneralisedAlpha(step=h), save_every=h),
             assembly_errors(small.model, ERRORS),
-            drive=drive,
-            duration=0.02,
-            method=Method("generalised_alpha", step=h),
-            save_every=h,
         )
         force = np.asarray(run.loads["C"].force)[4:]
         rough.append(np.abs(np.diff(force, 2, axis=0)).max() / np.abs(force).max())
@@ -118,9 +117,9 @@ def test_newton_s_method_stops_at_the_tolerance(small):
     """The residual is below the tolerance, but not far below: no further increments are made."""
     loads = {}
     for tolerance in (1e-2, 1e-8):
-        method = Method("generalised_alpha", step=1e-3, corrections=9, tolerance=tolerance)
+        method = GeneralisedAlpha(step=1e-3, corrections=9, tolerance=tolerance)
         settings = {**small.settings, "method": method, "save_every": 2e-3}
-        run = simulate(small.model, assembly_errors(small.model, ERRORS), **settings)
+        run = simulate(Simulation(small.model, **settings), assembly_errors(small.model, ERRORS))
         assert int(run.status) == 0
         assert 1e-4 * tolerance < run.solution_residual <= tolerance
         loads[tolerance] = rms(small.model, run)
@@ -130,9 +129,9 @@ def test_newton_s_method_stops_at_the_tolerance(small):
 def test_derivatives_do_not_grow_from_step_to_step(bent):
     """Few increments for bent links with errors of their lengths: the error of a derivative must not grow from step to
     step (to 1e37 with the iteration matrix of the perfect links)."""
-    method = Method("generalised_alpha", step=2.5e-3, tolerance=1e-3)
+    method = GeneralisedAlpha(step=2.5e-3, tolerance=1e-3)
     derivative = jax.jit(lambda x: jax.jvp(lambda x: bent(x, method), (x,), (1.0,))[1])
-    exact = Method("generalised_alpha", step=2.5e-3, corrections=9, tolerance=1e-10)
+    exact = GeneralisedAlpha(step=2.5e-3, corrections=9, tolerance=1e-10)
     values = jax.jit(jax.vmap(lambda x: bent(x, exact)))(jnp.array([0.999, 1.001]))
     difference = float(values[1] - values[0]) / 0.002
     np.testing.assert_allclose(float(derivative(1.0)), difference, rtol=2e-2)
@@ -141,13 +140,13 @@ def test_derivatives_do_not_grow_from_step_to_step(bent):
 def test_derivatives_of_a_batch_are_those_of_its_samples():
     """Also where a step's end does not depend on the sample: an open chain without a drive has no drift."""
     pendulum = Mechanism([link("bar", 0.3, 2)], [Joint("A", "base", "bar", angle=0.4)])
-    model, method = discretise(pendulum), Method("generalised_alpha", step=1e-3)
+    model, method = discretise(pendulum), GeneralisedAlpha(step=1e-3)
 
     def force(error):
         run = simulate(
-            model, assembly_errors(model, {"bar.length": error}), drive=None, duration=4e-3,
-            method=method, save_every=2e-3,
-        )  # fmt: skip
+            Simulation(model, drive=None, duration=4e-3, method=method, save_every=2e-3),
+            assembly_errors(model, {"bar.length": error}),
+        )
         return run.metrics.mean_square_force["A"]
 
     errors, batch = jnp.array([2e-3, 5e-3]), jax.vmap(force)
@@ -161,9 +160,9 @@ def test_derivatives_of_a_batch_are_those_of_its_samples():
 
 def test_a_step_that_does_not_converge_says_so(small):
     """One Newton increment in a long step, with a large error, after the jump."""
-    method = Method("generalised_alpha", step=5e-3, corrections=1)
+    method = GeneralisedAlpha(step=5e-3, corrections=1)
     settings = {**small.settings, "method": method, "save_every": 2e-3}
-    run = simulate(small.model, assembly_errors(small.model, {"D.delta_x": 0.02}), **settings)
+    run = simulate(Simulation(small.model, **settings), assembly_errors(small.model, {"D.delta_x": 0.02}))
     assert STATUS[int(run.status)].name in ("not_converged", "diverged", "drifted")
 
 
@@ -186,10 +185,10 @@ def test_a_mechanism_of_fixed_joints(rfes):
     """No joint has a coordinate: a beam bent by its weight stays as it is, whatever its errors."""
     model = discretise(Mechanism([link("beam", 0.3, rfes)], [Joint("A", "base", "beam", kind="fixed")]))
     tilts = jnp.asarray([0.0, 0.3])
-    settings = {"drive": None, "duration": 2e-3, "method": Method("generalised_alpha", step=1e-3), "save_every": 1e-3}
+    settings = {"drive": None, "duration": 2e-3, "method": GeneralisedAlpha(step=1e-3), "save_every": 1e-3}
 
     def weighed(tilt):
-        run = simulate(model, assembly_errors(model, {"A.delta_x": tilt}), **settings)
+        run = simulate(Simulation(model, **settings), assembly_errors(model, {"A.delta_x": tilt}))
         return run.loads["A"].force[-1], run.status
 
     force, status = jax.vmap(weighed)(tilts)
@@ -202,16 +201,16 @@ def test_a_mechanism_of_fixed_joints(rfes):
 def test_auto_takes_the_step_from_the_accuracy(monkeypatch):
     study = load_study(STUDY)
     model = discretise(study.mechanism)
-    steps = [choose_method(model, Method("auto", accuracy=accuracy), study.drive, 0.5) for accuracy in (1e-2, 1e-3)]
+    steps = [choose_method(model, Automatic(accuracy=accuracy), study.drive, 0.5) for accuracy in (1e-2, 1e-3)]
     assert all(method.name == "generalised_alpha" for method in steps)
     assert 1e-3 < steps[0].step < 5e-3 and 3e-4 < steps[1].step < 1.5e-3
-    same = Method("leapfrog", step=1e-6)
+    same = Leapfrog(step=1e-6)
     assert choose_method(model, same) is same
     with pytest.raises(InputError, match="`duration` must be given"):
-        choose_method(model, Method("auto"), study.drive)
+        choose_method(model, Automatic(), study.drive)
     # Where no implicit step is accurate enough, the explicit method at a stable step.
     monkeypatch.setattr("rfem_jax.simulation.accuracy.LAST", 4)
-    chosen = choose_method(model, Method("auto", accuracy=1e-3), study.drive, 0.5)
+    chosen = choose_method(model, Automatic(accuracy=1e-3), study.drive, 0.5)
     assert chosen.name == "rk4"
     np.testing.assert_allclose(chosen.step, 0.9 * LARGEST_STEP, rtol=0.02)
 
@@ -232,7 +231,7 @@ def test_auto_takes_no_step_longer_than_between_saved_times(save_every, monkeypa
     model = discretise(study.mechanism)
     for name, free in (("generalised_alpha", 1e-3), ("rk4", None)):
         monkeypatch.setattr("rfem_jax.simulation.accuracy._longest_step", lambda *_, step=free: step)
-        chosen = choose_method(model, Method("auto"), study.drive, 0.5, save_every=save_every)
+        chosen = choose_method(model, Automatic(), study.drive, 0.5, save_every=save_every)
         longest = 1e-3 if free else 0.9 * LARGEST_STEP
         np.testing.assert_allclose(chosen.step, min(longest, save_every or 0.5), rtol=0.02)
         assert chosen.name == name
@@ -244,9 +243,9 @@ def test_auto_on_rigid_links_that_errors_keep_from_closing():
     links = [replace(link, rigid=True) for link in study.mechanism.links]
     rigid = replace(study.mechanism, links=links, redundant_reactions="minimum_norm")
     model = discretise(rigid)
-    chosen = choose_method(model, Method("auto"), study.drive, 0.5)
+    chosen = choose_method(model, Automatic(), study.drive, 0.5)
     assert chosen.name == "generalised_alpha" and 1e-4 < chosen.step < 1e-2
-    run = simulate(model, drive=study.drive, duration=0.5, method=chosen)
+    run = simulate(Simulation(model, drive=study.drive, duration=0.5, method=chosen))
     assert STATUS[int(run.status)][0] == "ok"
 
 
@@ -255,5 +254,5 @@ def test_a_rigid_mechanism_has_no_longer_steps_than_were_tried(monkeypatch):
     links = [replace(link, rigid=True) for link in study.mechanism.links]
     model = discretise(replace(study.mechanism, links=links, redundant_reactions="minimum_norm"))
     monkeypatch.setattr("rfem_jax.simulation.accuracy._longest_step", lambda *_: None)
-    chosen = choose_method(model, Method("auto"), study.drive, 0.5)
+    chosen = choose_method(model, Automatic(), study.drive, 0.5)
     assert chosen.name == "rk4" and 0.98 * 0.5 / 50 / 256 < chosen.step <= 0.5 / 50 / 256

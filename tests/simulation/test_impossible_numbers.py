@@ -6,16 +6,17 @@ import numpy as np
 import pytest
 
 from rfem_jax import (
+    GeneralisedAlpha,
     InputError,
     Joint,
     JointSpring,
     Link,
     Material,
     Mechanism,
-    Method,
     Normal,
     Problem,
     Rectangle,
+    Simulation,
     Tolerances,
     assemble,
     assembly_errors,
@@ -25,7 +26,7 @@ from rfem_jax import (
 )
 from rfem_jax.mechanics.status import DESIGN_OUT_OF_RANGE, OK, STATUS
 
-METHOD = Method("generalised_alpha", step=1e-3)
+METHOD = GeneralisedAlpha(step=1e-3)
 STEEL = Material("steel", 2.1e11, 7850.0, poisson_ratio=0.3)
 
 
@@ -38,7 +39,7 @@ def model():
 
 
 def run(model, errors):
-    return simulate(model, errors, drive=None, duration=2e-3, method=METHOD, save_every=1e-3)
+    return simulate(Simulation(model, drive=None, duration=2e-3, method=METHOD, save_every=1e-3), errors)
 
 
 IMPOSSIBLE = {
@@ -77,7 +78,7 @@ def test_concrete_numbers_are_refused(model, name, value):
 
 def test_samples_that_fail_are_counted(model):
     """Of a length that is scattered by as much as it is."""
-    problem = Problem(model, None, 2e-3, "A.rms_force", METHOD, save_every=1e-3)
+    problem = Problem(Simulation(model, drive=None, duration=2e-3, method=METHOD, save_every=1e-3), "A.rms_force")
     result = monte_carlo(problem, Tolerances({"bar.length": Normal(0.6)}), 32, jax.random.key(1), batch=32)
     failed = result.errors[:, 0] <= -0.3
     assert 0 < failed.sum() < 16

@@ -5,7 +5,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax import Method, MomentRamp, assembly_errors, discretise, simulate
+from rfem_jax import (
+    Explicit,
+    GeneralisedAlpha,
+    Leapfrog,
+    MomentRamp,
+    RungeKutta4,
+    Simulation,
+    assembly_errors,
+    discretise,
+    simulate,
+)
 from rfem_jax.kernels import is_available, left_to_xla, registry
 from rfem_jax.mechanics.loads import static_state
 from tests.mechanisms import four_bar
@@ -51,18 +61,20 @@ def test_mechanisms(made, monkeypatch):
 
     def simulated():
         return simulate(
-            model, drive=mixed.drive, duration=duration, method=mixed.method, save_every=duration, start=at_rest
+            Simulation(
+                model, drive=mixed.drive, duration=duration, method=mixed.method, save_every=duration, start=at_rest
+            )
         )
 
     assert_alike(*both_ways(simulated, monkeypatch), 1e-8)
 
 
 METHODS = {
-    "rk4": Method("rk4", step=1e-5),
-    "leapfrog": Method("leapfrog", step=5e-6),
-    "generalised_alpha": Method("generalised_alpha", step=1e-4),
-    "midpoint": Method("midpoint", step=1e-5),
-    "dopri5": Method("dopri5", rtol=1e-7, atol=1e-9),
+    "rk4": RungeKutta4(step=1e-5),
+    "leapfrog": Leapfrog(step=5e-6),
+    "generalised_alpha": GeneralisedAlpha(step=1e-4),
+    "midpoint": Explicit("midpoint", step=1e-5),
+    "dopri5": Explicit("dopri5", rtol=1e-7, atol=1e-9),
 }
 
 
@@ -72,7 +84,9 @@ def test_methods(method, monkeypatch):
     tilted = assembly_errors(model, {"D.delta_x": jnp.asarray(5e-3)})
 
     def simulated():
-        return simulate(model, tilted, drive=MomentRamp("A", 1.5, 2e-4), duration=1e-3, method=METHODS[method],
-                        save_every=2e-4)  # fmt: skip
+        return simulate(
+            Simulation(model, drive=MomentRamp("A", 1.5, 2e-4), duration=1e-3, method=METHODS[method], save_every=2e-4),
+            tilted,
+        )
 
     assert_alike(*both_ways(simulated, monkeypatch), 1e-6 if method == "dopri5" else 1e-9)

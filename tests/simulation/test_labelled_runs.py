@@ -6,7 +6,18 @@ import jax
 import numpy as np
 import pytest
 
-from rfem_jax import Case, InputError, Joint, Mechanism, Method, PrescribedSpeed, Study, simulate
+from rfem_jax import (
+    Case,
+    GeneralisedAlpha,
+    InputError,
+    Joint,
+    Mechanism,
+    PrescribedSpeed,
+    RungeKutta4,
+    Simulation,
+    Study,
+    simulate,
+)
 from rfem_jax.simulation import run_cases
 from rfem_jax.simulation.run import Loads, one_of
 from rfem_jax.validation.clearances import SOFT, WEIGHT, hung
@@ -23,7 +34,7 @@ def runs():
     mechanism = Mechanism([link("slider", 0.1), link("arm", 0.3)], joints, driven_joint="G")
     cases = (Case("nominal"), Case("tilted", {"A.delta_x": 0.01}))
     drive = PrescribedSpeed("G", 0.5)
-    _, found = run_cases(Study(HOSTILE, mechanism, drive, 0.02, Method("rk4", step=2e-3), 0.01, cases))
+    _, found = run_cases(Study(HOSTILE, mechanism, drive, 0.02, RungeKutta4(step=2e-3), 0.01, cases))
     return found
 
 
@@ -66,8 +77,8 @@ def test_a_dataset_of_all_cases(runs):
 
 def test_contacts_of_pins(tmp_path):
     xarray = pytest.importorskip("xarray", reason="the extra xarray is not installed")
-    method = Method("generalised_alpha", step=1e-4)
-    run = simulate(hung(SOFT), drive=None, duration=3e-4, method=method, save_every=1e-4)
+    method = GeneralisedAlpha(step=1e-4)
+    run = simulate(Simulation(hung(SOFT), drive=None, duration=3e-4, method=method, save_every=1e-4))
     found, pin = run.to_xarray(), run.contacts["D"]
     assert found.contact_force.dims == ("time", "pin", "contact") and found.contact_force.attrs["units"] == "N"
     np.testing.assert_array_equal(found.contact_force.sel(pin="D", contact="end"), pin.normal_force[:, 1])

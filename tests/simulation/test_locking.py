@@ -8,18 +8,20 @@ from rfem_jax import (
     Case,
     Joint,
     Mechanism,
-    Method,
     MomentTable,
     PrescribedDisplacements,
     PrescribedRate,
     PrescribedSpinUp,
     PrescribedTable,
     Problem,
+    RungeKutta4,
+    Simulation,
     Study,
     assembly_errors,
     discretise,
     simulate,
 )
+from rfem_jax.description.methods import named_method
 from rfem_jax.mechanics.status import PAST_LIMIT
 from rfem_jax.simulation.cases import run_cases
 from rfem_jax.simulation.locking import drive_limit
@@ -115,27 +117,31 @@ class TestStatus:
         model = discretise(locking())
         drive = PrescribedRate("A", -4.0)
         duration, time = 0.3, (LIMIT - START) / 4.0
-        settings = {"drive": drive, "method": Method(method, step=2e-3), "save_every": 1e-2}
-        run = simulate(model, duration=duration, **settings)
+        settings = {"drive": drive, "method": named_method(method, step=2e-3), "save_every": 1e-2}
+        run = simulate(Simulation(model, duration=duration, **settings))
         assert int(run.status) == PAST_LIMIT, STATUS[int(run.status)]
         # Before the limit all is well.
-        assert int(simulate(model, duration=0.9 * time, **settings).status) == 0
+        assert int(simulate(Simulation(model, duration=0.9 * time, **settings)).status) == 0
 
     def test_of_a_batch_and_of_samples(self):
         """Cases of a study with errors; samples of a problem know it, too, by the words for their code."""
-        method, cases = Method("rk4", step=2e-3), [Case("nominal"), Case("shifted", {"D.d_x": 1e-4})]
+        method, cases = RungeKutta4(step=2e-3), [Case("nominal"), Case("shifted", {"D.d_x": 1e-4})]
         study = Study("", locking(), PrescribedRate("A", -8.0), 0.1, method, 1e-2, cases)
         model, runs = run_cases(study)
         assert [STATUS[int(run.status)].name for run in runs.values()] == ["past_limit"] * 2
         assert np.isfinite(runs["shifted"].angle[:5]).all()
-        problem = Problem(model, study.drive, 0.1, ["A.rms_force"], method, 1e-2)
+        problem = Problem(
+            Simulation(model, drive=study.drive, duration=0.1, method=method, save_every=1e-2), ["A.rms_force"]
+        )
         assert problem.describe_status(3) == "past_limit" and problem.describe_status(1) == "not_assembled"
-        early = Problem(model, study.drive, 0.02, ["A.rms_force"], method, 1e-2)
+        early = Problem(
+            Simulation(model, drive=study.drive, duration=0.02, method=method, save_every=1e-2), ["A.rms_force"]
+        )
         assert early.describe_status(3) == "diverged"
 
     def test_not_of_a_run_that_fails_before(self):
         """Too long a step fails at once: the limit that comes later is not why."""
         model = discretise(locking(3))
-        settings = {"drive": PrescribedRate("A", -0.5), "method": Method("rk4", step=1e-3), "save_every": 1e-2}
-        run = simulate(model, assembly_errors(model, {"D.d_y": 1e-4}), duration=1.5, **settings)
+        settings = {"drive": PrescribedRate("A", -0.5), "method": RungeKutta4(step=1e-3), "save_every": 1e-2}
+        run = simulate(Simulation(model, duration=1.5, **settings), assembly_errors(model, {"D.d_y": 1e-4}))
         assert STATUS[int(run.status)].name == "diverged"

@@ -18,6 +18,7 @@ from rfem_jax import (
     Compliance,
     ForceRamp,
     ForceTable,
+    GeneralisedAlpha,
     GivenSection,
     Joint,
     JointForceFunction,
@@ -42,6 +43,8 @@ from rfem_jax import (
     PrescribedSpinUp,
     Rectangle,
     RigidBody,
+    RungeKutta4,
+    Simulation,
     Tube,
     assembly_errors,
     design,
@@ -64,9 +67,9 @@ THICK = Tube(0.02, 0.004, shear_factor=1.9, name="thick")
 GIVEN = GivenSection(2e7, 7e6, 6e6, 150.0, 180.0, 120.0, 0.7, 1.4e-5, 8e-6, 6e-6, 1e-5, name="given")
 TENSOR = [[3e-4, 5e-5, -2e-5], [5e-5, 4e-4, 8e-5], [-2e-5, 8e-5, 5e-4]]
 TABLE = {"positions": [0.0, 0.01, 0.2], "forces": [0.0, 300.0, 8000.0]}  # of a resultant
-IMPLICIT = Method("generalised_alpha", step=1e-3, corrections=9, tolerance=1e-14)
-FINE = Method("generalised_alpha", step=2.5e-4, corrections=9, tolerance=1e-14)  # energies balance within 1 %
-EXPLICIT = Method("rk4", step=1e-3)
+IMPLICIT = GeneralisedAlpha(step=1e-3, corrections=9, tolerance=1e-14)
+FINE = GeneralisedAlpha(step=2.5e-4, corrections=9, tolerance=1e-14)  # energies balance within 1 %
+EXPLICIT = RungeKutta4(step=1e-3)
 STEP = 0.01  # of differences, in directions
 SIZES = {"angle": 4e-3, "length": 3e-4}
 GEOMETRY = ("length", "position", "orientation", "centre", "points", "angle", "displacement", "start")
@@ -303,9 +306,17 @@ def test_forward_reverse_and_differences_agree(made):
         deviating = {name: given[name] for name in (*error_names, *geometric)}
         wanted = {name: x for name, x in given.items() if name not in deviating}
         run = simulate(
-            model, assembly_errors(model, deviating), drive=mixed.drive, duration=duration, method=method,
-            save_every=duration, start=at_rest, design=design(model, wanted) if wanted else None,
-        )  # fmt: skip
+            Simulation(
+                model,
+                drive=mixed.drive,
+                duration=duration,
+                method=method,
+                save_every=duration,
+                start=at_rest,
+                design=design(model, wanted) if wanted else None,
+            ),
+            assembly_errors(model, deviating),
+        )
         squares = [*run.metrics.mean_square_force.values(), *run.metrics.mean_square_moment.values()]
         ends = [x[-1] for x in (*run.angles.values(), *run.displacements.values())]
         found = jnp.concatenate([jnp.stack([*squares, run.energy.total[-1]]), *map(jnp.ravel, ends)])

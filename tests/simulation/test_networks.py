@@ -9,14 +9,16 @@ import pytest
 from jax.flatten_util import ravel_pytree
 
 from rfem_jax import (
+    GeneralisedAlpha,
     Joint,
     JointForceFunction,
     Mechanism,
-    Method,
     MomentFunction,
     PointForce,
     PointSpringFunction,
     PrescribedFunction,
+    RungeKutta4,
+    Simulation,
     design,
     discretise,
     simulate,
@@ -26,8 +28,8 @@ from tests.evaluation import evaluated
 from tests.mechanisms import link
 
 METHODS = {
-    "rk4": Method("rk4", step=1e-3),
-    "generalised_alpha": Method("generalised_alpha", step=1e-3, corrections=9, tolerance=1e-14),
+    "rk4": RungeKutta4(step=1e-3),
+    "generalised_alpha": GeneralisedAlpha(step=1e-3, corrections=9, tolerance=1e-14),
 }
 
 
@@ -82,7 +84,9 @@ def run(model, net, kind, method):
     model = eqx.tree_at(functions_of, model, (law.function, push.force, tie.function))
     drive = MomentFunction("A", OfTime(net)) if kind == "moment" else PrescribedFunction("A", Angle(net))
     found = simulate(
-        model, drive=drive, duration=4e-3, method=METHODS[method], design=design(model, {"lower.length": 0.21})
+        Simulation(
+            model, drive=drive, duration=4e-3, method=METHODS[method], design=design(model, {"lower.length": 0.21})
+        )
     )
     return jnp.stack([1e-2 * found.metrics.rms_force["B"], found.angles["B"][-1]]), found.status
 

@@ -8,13 +8,15 @@ import numpy as np
 import pytest
 
 from rfem_jax import (
+    GeneralisedAlpha,
     Joint,
     JointForceFunction,
     Mechanism,
-    Method,
     MomentFunction,
     PointForce,
     Problem,
+    RungeKutta4,
+    Simulation,
     discretise,
     simulate,
 )
@@ -53,14 +55,17 @@ def traced(monkeypatch):
     return keeping.statistics
 
 
-METHODS = {"rk4": Method("rk4", step=1e-3), "generalised_alpha": Method("generalised_alpha", step=1e-3)}
+METHODS = {"rk4": RungeKutta4(step=1e-3), "generalised_alpha": GeneralisedAlpha(step=1e-3)}
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("method", METHODS)
 def test_values_and_derivatives_are_those_of_one_program(model, traced, method):
     def mean_square(moment, tilt):
-        problem = Problem(model, MomentFunction("A", Sine(moment)), DURATION, METRIC, METHODS[method])
+        problem = Problem(
+            Simulation(model, drive=MomentFunction("A", Sine(moment)), duration=DURATION, method=METHODS[method]),
+            METRIC,
+        )
         return problem({"A.delta_x": tilt})[0]["mean_square"]
 
     at = jnp.asarray(0.7), jnp.asarray(ERROR)
@@ -84,7 +89,9 @@ def test_functions_may_close_over_what_is_differentiated():
         spring = JointForceFunction("spring", "A", lambda angle, rate: -x[1] * angle)
         force = PointForce("force", "arm", 0.2, lambda t, phase: x[2] * jnp.stack([t, 0.0 * t, t]))
         changed = discretise(arm(forces=[spring, force]))
-        run = simulate(changed, drive=drive, duration=5e-3, method=METHODS["generalised_alpha"], save_every=5e-3)
+        run = simulate(
+            Simulation(changed, drive=drive, duration=5e-3, method=METHODS["generalised_alpha"], save_every=5e-3)
+        )
         return run.metrics.mean_square_force["A"]
 
     at = jnp.asarray([1.0, 50.0, 500.0])

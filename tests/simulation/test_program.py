@@ -10,9 +10,11 @@ import pytest
 
 from rfem_jax import (
     STATUS,
+    GeneralisedAlpha,
     InputError,
-    Method,
     MomentRamp,
+    RungeKutta4,
+    Simulation,
     assemble,
     assembly_errors,
     discretise,
@@ -55,7 +57,7 @@ def test_program_does_not_grow_with_the_number_of_rfes(small, counts, monkeypatc
     sizes = []
     for rfes in counts:
         model = discretise(four_bar(), rfes=rfes)
-        program = jax.make_jaxpr(lambda e, model=model: simulate(model, e, **small.settings).metrics)(
+        program = jax.make_jaxpr(lambda e, model=model: simulate(Simulation(model, **small.settings), e).metrics)(
             assembly_errors(model)
         )
         sizes.append(equations_in(program.jaxpr))
@@ -68,11 +70,13 @@ def test_kinematics_are_traced_once_for_all_their_places(transformed, monkeypatc
     """They stand in static start, steps, matrix, loads and balances, and in the rules of their derivatives."""
     places, plain = [], kinematics.relative_motion
     monkeypatch.setattr(kinematics, "relative_motion", lambda *given: places.append(1) or plain(*given))
-    model, method = discretise(four_bar(2)), Method("generalised_alpha", step=1e-3)
+    model, method = discretise(four_bar(2)), GeneralisedAlpha(step=1e-3)
 
     def force(tilt):
         errors = assembly_errors(model, {"D.delta_x": tilt})
-        run = simulate(model, errors, drive=MomentRamp("A", 1.0, 0.01), duration=4e-3, method=method, save_every=1e-3)
+        run = simulate(
+            Simulation(model, drive=MomentRamp("A", 1.0, 0.01), duration=4e-3, method=method, save_every=1e-3), errors
+        )
         return run.metrics.mean_square_force["A"]
 
     jax.clear_caches()
@@ -106,7 +110,7 @@ def test_a_failed_sample_does_not_spoil_its_batch(small):
     model = small.model
 
     def one(tilt):
-        return simulate(model, assembly_errors(model, {"D.delta_x": tilt}), **small.settings)
+        return simulate(Simulation(model, **small.settings), assembly_errors(model, {"D.delta_x": tilt}))
 
     tilts = jnp.array([0.0, 5e-3, jnp.nan])
     runs = jax.jit(jax.vmap(one))(tilts)
@@ -117,8 +121,8 @@ def test_a_failed_sample_does_not_spoil_its_batch(small):
 
 
 def test_a_diverging_run_says_so(small):
-    settings = {**small.settings, "method": Method("rk4", step=2e-4)}
-    run = simulate(small.model, None, **settings)
+    settings = {**small.settings, "method": RungeKutta4(step=2e-4)}
+    run = simulate(Simulation(small.model, **settings), None)
     assert int(run.status) == DIVERGED
     assert "step is too large" in STATUS[DIVERGED].message
 
@@ -159,7 +163,7 @@ def test_bad_arguments_are_refused(small):
     with pytest.raises(InputError, match="`rfes` must be a whole number"):
         discretise(four_bar(), rfes=1)
     with pytest.raises(InputError, match="`duration` must be positive"):
-        simulate(small.model, None, **{**small.settings, "duration": 0.0})
+        simulate(Simulation(small.model, **{**small.settings, "duration": 0.0}), None)
 
 
 def test_what_cannot_close_is_refused():

@@ -6,14 +6,18 @@ import numpy as np
 import pytest
 
 from rfem_jax import (
+    Automatic,
+    Explicit,
+    GeneralisedAlpha,
     Joint,
     Mechanism,
-    Method,
     MomentFunction,
     MomentTable,
     PointMoment,
     PrescribedSpinUp,
     PrescribedTable,
+    RungeKutta4,
+    Simulation,
     choose_method,
     discretise,
     simulate,
@@ -23,7 +27,7 @@ from tests.mechanisms import link
 
 TIMES, MOMENTS = (0.0, 0.02, 0.0202, 0.0204, 1.0), (0.0, 0.0, 40.0, 0.0, 0.0)
 IMPULSE, DURATION, SAVE = 8e-3, 0.05, 5e-3  # N m s, s
-LONG = Method("generalised_alpha", step=5e-3)
+LONG = GeneralisedAlpha(step=5e-3)
 ARM = (0.0, 0.0, 0.0)
 
 
@@ -42,7 +46,7 @@ def inertia():
 
 def run_of(model, drive, method, **more):
     settings = {"duration": DURATION, "save_every": SAVE, **more}
-    return simulate(model, drive=drive, method=method, **settings)
+    return simulate(Simulation(model, drive=drive, method=method, **settings))
 
 
 def test_rows_divide_intervals_into_parts():
@@ -84,11 +88,11 @@ def test_steps_between_rows_are_not_more_than_all_others():
     "method",
     [
         LONG,
-        Method("generalised_alpha", step=5e-3, steps_per_row=1),
-        Method("generalised_alpha", step=7e-4, spectral_radius=0.2, steps_per_row=1),
-        Method("rk4", step=5e-3),
-        Method("dopri5", rtol=1e-9, atol=1e-12),
-        Method("auto"),
+        GeneralisedAlpha(step=5e-3, steps_per_row=1),
+        GeneralisedAlpha(step=7e-4, spectral_radius=0.2, steps_per_row=1),
+        RungeKutta4(step=5e-3),
+        Explicit("dopri5", rtol=1e-9, atol=1e-12),
+        Automatic(),
     ],
     ids=lambda method: f"{method.name} {method.step} {getattr(method, 'steps_per_row', '')}",
 )
@@ -108,7 +112,7 @@ def test_an_uneven_pulse_gives_its_impulse(bar, jump):
     times = [0.0, 0.0071, 0.0072, 0.00745, 0.0121, 0.0122, 0.0122 if jump else 0.0124, 0.0131, 0.05]
     moments = [0.0, 0.0, 30.0, -4.0, 1.0, 25.0, -20.0, 0.0, 0.0]
     drive = MomentTable("A", times, moments)
-    run = run_of(bar, drive, Method("generalised_alpha", step=2e-3, steps_per_row=1))
+    run = run_of(bar, drive, GeneralisedAlpha(step=2e-3, steps_per_row=1))
     wanted = np.trapezoid(moments, times) / inertia()
     np.testing.assert_allclose(run.rate[-1], wanted, rtol=1e-9)
 
@@ -126,17 +130,14 @@ def test_a_moment_at_a_point_and_a_prescribed_motion():
     bump = PrescribedTable("A", there, (0.0, 0.0, 1e-5, 2e-5, 1e-5, 0.0, 0.0))
     settings = {"drive": bump, "method": LONG}
     seen = float(run_of(model, **settings).metrics.max_normal_force["A"])
-    fine = float(run_of(model, drive=bump, method=Method("generalised_alpha", step=2e-6)).metrics.max_normal_force["A"])
+    fine = float(run_of(model, drive=bump, method=GeneralisedAlpha(step=2e-6)).metrics.max_normal_force["A"])
     assert seen == pytest.approx(fine, rel=0.02) and fine > 10.0
 
 
 def test_a_rise_within_a_step_is_seen(bar):
     """The acceleration of a spin-up vanishes at both of its ends."""
     drive = PrescribedSpinUp("A", 30.0, 1e-3)
-    found = [
-        run_of(bar, drive, Method("generalised_alpha", step=step)).metrics.mean_square_force["A"]
-        for step in (5e-3, 5e-6)
-    ]
+    found = [run_of(bar, drive, GeneralisedAlpha(step=step)).metrics.mean_square_force["A"] for step in (5e-3, 5e-6)]
     np.testing.assert_allclose(*found, rtol=0.05)
 
 
@@ -148,7 +149,7 @@ def test_steps_of_many_lengths_stay_smooth(bar):
     table = MomentTable("A", tuple(times), tuple(np.sin(120.0 * times)))
     run = run_of(bar, table, LONG)
     smooth = MomentFunction("A", lambda t, phase: jnp.sin(120.0 * t))
-    wanted = run_of(bar, smooth, Method("rk4", step=1e-4))
+    wanted = run_of(bar, smooth, RungeKutta4(step=1e-4))
     np.testing.assert_allclose(run.rate, wanted.rate, rtol=0, atol=2e-3 * float(np.abs(wanted.rate).max()))
     np.testing.assert_allclose(run.angle, wanted.angle, rtol=0, atol=2e-3 * float(np.abs(wanted.angle).max()))
     scale = float(np.abs(wanted.loads["A"].force).max())

@@ -6,11 +6,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax import Joint, Mechanism, Method, MomentRamp, Problem, design, discretise
+from rfem_jax import GeneralisedAlpha, Joint, Mechanism, MomentRamp, Problem, Simulation, design, discretise
 from tests.evaluation import evaluated
 from tests.mechanisms import link
 
-METHOD = Method("generalised_alpha", step=5e-3, corrections=9, tolerance=1e-14)
+METHOD = GeneralisedAlpha(step=5e-3, corrections=9, tolerance=1e-14)
 POINT = {"arm.section.width": 1e-3, "A.delta_x": 4e-3, "drive.moment": 0.1}
 SIZES = np.array([2e-3, 1e-2, 30.0])
 STEP = 2e-2  # of differences, in sizes of the numbers
@@ -22,7 +22,9 @@ def test_hessian_of_loads_of_a_motion():
     metrics = ("A.rms_moment", "A.mean_square_force")
     # The design sets one of the numbers, which deviates from there.
     wanted = design(model, {"drive.moment": 2.0})
-    problem = Problem(model, MomentRamp("A", 1.5, 1e-2), 2e-2, metrics, METHOD, design=wanted)
+    problem = Problem(
+        Simulation(model, drive=MomentRamp("A", 1.5, 1e-2), duration=2e-2, method=METHOD, design=wanted), metrics
+    )
     assert problem.nominal_value("drive.moment") == 2.0
 
     def loads(scaled):

@@ -7,7 +7,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax import InputError, Method, MomentFunction, assembly_errors, simulate
+from rfem_jax import (
+    Explicit,
+    GeneralisedAlpha,
+    InputError,
+    Leapfrog,
+    MomentFunction,
+    Simulation,
+    assembly_errors,
+    simulate,
+)
+from rfem_jax.description.methods import named_method
 from rfem_jax.simulation import integration
 from rfem_jax.simulation.driving import active_drives
 from rfem_jax.simulation.equations import (
@@ -16,7 +26,7 @@ from rfem_jax.simulation.equations import (
     start_trajectory,
 )
 from rfem_jax.simulation.solvers.catalogue import observed_solver
-from rfem_jax.simulation.solvers.explicit import Leapfrog
+from rfem_jax.simulation.solvers.explicit import LeapfrogSolver
 from rfem_jax.simulation.stepping import stabilisation_of, vector_field
 from rfem_jax.simulation.time_grid import divide_time
 
@@ -36,7 +46,7 @@ def in_one_interval(model, drive, method):
 @pytest.mark.parametrize("name", ["rk4", "generalised_alpha"])
 def test_loop_over_steps_is_diffrax_s_own_loop(small, name):
     """One interval by `advance` and by diffeqsolve with the same solver and steps."""
-    model, method = small.model, Method(name, step={"rk4": 2e-5}.get(name, 2.5e-4))
+    model, method = small.model, named_method(name, step={"rk4": 2e-5}.get(name, 2.5e-4))
     prepared, conditions, y = in_one_interval(model, small.drive, method)
     solution = jax.jit(
         lambda y: (
@@ -67,7 +77,7 @@ def test_loop_over_steps_is_diffrax_s_own_loop(small, name):
 
 def test_a_failure_of_newton_s_method_is_the_result_of_diffeqsolve(small):
     """One Newton increment is not enough for a long step whose iteration matrix has links far too soft."""
-    method = Method("generalised_alpha", step=5e-3, corrections=1)
+    method = GeneralisedAlpha(step=5e-3, corrections=1)
     _, conditions, y = in_one_interval(small.model, small.drive, method)
     solver = observed_solver(method)
     operators = jax.tree.map(lambda x: 0.1 * x[0], solver.operators(conditions.actual, jnp.asarray([method.step])))
@@ -92,7 +102,9 @@ def test_a_failure_of_newton_s_method_is_the_result_of_diffeqsolve(small):
 def test_peaks_are_the_maxima_of_a_fine_history(small):
     """Running maxima without a history against the saved history at every step."""
     settings = {**small.settings, "save_every": 2e-5}
-    run = jax.jit(lambda values: simulate(small.model, assembly_errors(small.model, values), **settings))(ERRORS)
+    run = jax.jit(lambda values: simulate(Simulation(small.model, **settings), assembly_errors(small.model, values)))(
+        ERRORS
+    )
     coarse = small.run(ERRORS)
     for name, load in run.loads.items():
         force = np.asarray(load.force)
@@ -109,9 +121,7 @@ def test_mean_squares_are_those_of_a_fine_history(small):
     run = small.run(ERRORS)
     fine = jax.jit(
         lambda values: simulate(
-            small.model,
-            assembly_errors(small.model, values),
-            **{**small.settings, "save_every": 2e-5},
+            Simulation(small.model, **{**small.settings, "save_every": 2e-5}), assembly_errors(small.model, values)
         )
     )(ERRORS)
     times = np.asarray(fine.times)[1:]
@@ -128,12 +138,12 @@ def test_mean_squares_are_those_of_a_fine_history(small):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "method",
-    [Method("leapfrog", step=4e-6), Method("dopri5", rtol=1e-8, atol=1e-10)],
+    [Leapfrog(step=4e-6), Explicit("dopri5", rtol=1e-8, atol=1e-10)],
     ids=lambda m: m.name,
 )
 def test_other_methods_agree_with_runge_kutta(small, method):
     settings = {**small.settings, "method": method}
-    run = simulate(small.model, assembly_errors(small.model, ERRORS), **settings)
+    run = simulate(Simulation(small.model, **settings), assembly_errors(small.model, ERRORS))
     exact = small.run(ERRORS)
     assert int(run.status) == 0
     np.testing.assert_allclose(run.angle[-1], exact.angle[-1], rtol=1e-5)
@@ -168,7 +178,7 @@ def test_leapfrog_needs_a_velocity_of_second_order():
     for steps in (50, 100, 200):
         sol = diffrax.diffeqsolve(
             diffrax.ODETerm(field),
-            Leapfrog(),
+            LeapfrogSolver(),
             0.0,
             1.0,
             1.0 / steps,
@@ -206,9 +216,14 @@ def test_adaptive_methods_do_not_integrate_where_no_time_passes(small):
         return 1.5 + 0.0 * t
 
     run = simulate(
-        small.model, drive=MomentFunction("A", moment), duration=2e-4, save_every=1e-4,
-        method=Method("dopri5", rtol=1e-6, atol=1e-8),
-    )  # fmt: skip
+        Simulation(
+            small.model,
+            drive=MomentFunction("A", moment),
+            duration=2e-4,
+            save_every=1e-4,
+            method=Explicit("dopri5", rtol=1e-6, atol=1e-8),
+        )
+    )
     jax.block_until_ready(run.times)
     jax.effects_barrier()
     assert int(run.status) == 0

@@ -7,9 +7,12 @@ import numpy as np
 import pytest
 
 from rfem_jax import (
+    Automatic,
+    Explicit,
     InputError,
-    Method,
     PrescribedRate,
+    RungeKutta4,
+    Simulation,
     assembly_errors,
     check_step,
     discretise,
@@ -17,6 +20,7 @@ from rfem_jax import (
     load_study,
     simulate,
 )
+from rfem_jax.description.methods import named_method
 from rfem_jax.simulation.stability import eigenvalues
 from rfem_jax.validation.reference_values import read_reference
 
@@ -42,7 +46,7 @@ def models():
     ],
 )
 def test_limits_of_the_study(models, name, method, limit):
-    got = largest_stable_step(models[name], Method(method, step=1e-6))
+    got = largest_stable_step(models[name], named_method(method, step=1e-6))
     np.testing.assert_allclose(got, limit, rtol=5e-3)
 
 
@@ -56,24 +60,24 @@ def test_frequencies_with_the_crank_held(models):
 
 def test_a_step_too_large_is_refused_with_the_allowed_one(models):
     with pytest.raises(InputError, match=r"`step` must be at most 1.9\de-05 s .* but is 3e-05"):
-        check_step(models["study"], Method("rk4", step=3e-5))
-    assert check_step(models["study"], Method("rk4", step=1e-5)) > 1.9e-5
-    assert check_step(models["study"], Method("dopri5", rtol=1e-6, atol=1e-8)) is None
+        check_step(models["study"], RungeKutta4(step=3e-5))
+    assert check_step(models["study"], RungeKutta4(step=1e-5)) > 1.9e-5
+    assert check_step(models["study"], Explicit("dopri5", rtol=1e-6, atol=1e-8)) is None
 
 
 def test_auto_must_be_chosen_before_a_simulation(small):
     with pytest.raises(InputError, match="choose_method"):
-        simulate(small.model, None, **{**small.settings, "method": Method("auto")})
+        simulate(Simulation(small.model, **{**small.settings, "method": Automatic()}), None)
 
 
 def test_simulations_confirm_the_limit(small, method="rk4"):
     """Just below the limit the run is fine, just above it diverges."""
-    limit = largest_stable_step(small.model, Method(method, step=1e-6))
+    limit = largest_stable_step(small.model, named_method(method, step=1e-6))
     errors = assembly_errors(small.model, {"D.delta_x": 5e-3})
     settings = {**small.settings, "duration": 0.03, "save_every": 3e-2}
     states = []
     for share in (0.97, 1.06):
-        settings["method"] = replace(Method(method, step=1e-6), step=share * limit)
-        states.append(simulate(small.model, errors, **settings))
+        settings["method"] = replace(named_method(method, step=1e-6), step=share * limit)
+        states.append(simulate(Simulation(small.model, **settings), errors))
     assert int(states[0].status) == 0
     assert int(states[1].status) != 0 or float(states[1].energy_balance_error) > 1.0

@@ -12,16 +12,18 @@ import pytest
 from rfem_jax import (
     STATUS,
     Compliance,
+    GeneralisedAlpha,
     InputError,
     Joint,
     JointSpring,
     Link,
     Mechanism,
-    Method,
     MomentTable,
     PointMass,
     PrescribedRate,
     RigidBody,
+    RungeKutta4,
+    Simulation,
     assemble,
     assembly_errors,
     design,
@@ -49,7 +51,7 @@ from tests.mechanisms import (
 from tests.study_texts import STEEL, hinge, rectangle
 from tests.study_texts import link as study_link
 
-IMPLICIT = Method("generalised_alpha", step=1e-3, corrections=9, tolerance=1e-14)
+IMPLICIT = GeneralisedAlpha(step=1e-3, corrections=9, tolerance=1e-14)
 
 
 def undriven(mechanism):
@@ -84,8 +86,8 @@ class TestWithoutADrive:
     def test_rods_fall_from_where_they_are(self):
         """The equilibrium, at which it started once, has other forces and does not move."""
         model = discretise(falling())
-        settings = {"duration": 0.1, "method": Method("rk4", step=2e-3), "save_every": 0.1}
-        run = simulate(model, drive=None, **settings)
+        settings = {"duration": 0.1, "method": RungeKutta4(step=2e-3), "save_every": 0.1}
+        run = simulate(Simulation(model, drive=None, **settings))
         assert int(run.status) == 0
         np.testing.assert_allclose(run.angles["A"][0], -np.pi / 2, rtol=0, atol=1e-14)
         forces = {name: float(jnp.linalg.norm(run.loads[name].force[0])) for name in "ABCD"}
@@ -93,18 +95,18 @@ class TestWithoutADrive:
         assert float(run.energy_balance_error) < 1e-9 and float(run.energy.kinetic[-1]) > 0.1
         # A moment drive that gives nothing is the same mechanism: it always held what it drives.
         driven = discretise(dataclasses.replace(falling(), driven_joint="A"))
-        other = simulate(driven, drive=MomentTable("A", [0.0, 1.0], [0.0, 0.0]), **settings)
+        other = simulate(Simulation(driven, drive=MomentTable("A", [0.0, 1.0], [0.0, 0.0]), **settings))
         np.testing.assert_allclose(run.angles["D"], other.angles["D"], rtol=0, atol=1e-12)
 
     def test_an_equilibrium_is_there_for_who_asks(self):
         model = discretise(falling())
-        run = simulate(model, drive=None, duration=0.01, method=Method("rk4", step=5e-3), start="equilibrium")
+        run = simulate(Simulation(model, drive=None, duration=0.01, method=RungeKutta4(step=5e-3), start="equilibrium"))
         np.testing.assert_allclose(run.angles["A"], np.radians(-117.3), rtol=0, atol=2e-3)
         assert float(run.energy.kinetic[-1]) < 1e-20
         same = discretise(dataclasses.replace(falling(), start="equilibrium"))
-        other = simulate(same, drive=None, duration=0.01, method=Method("rk4", step=5e-3))
+        other = simulate(Simulation(same, drive=None, duration=0.01, method=RungeKutta4(step=5e-3)))
         np.testing.assert_array_equal(run.angles["A"], other.angles["A"])
-        back = simulate(same, drive=None, duration=0.01, method=Method("rk4", step=5e-3), start="as_given")
+        back = simulate(Simulation(same, drive=None, duration=0.01, method=RungeKutta4(step=5e-3), start="as_given"))
         np.testing.assert_allclose(back.angles["A"][0], -np.pi / 2, rtol=0, atol=1e-14)
 
     def test_a_flexible_bar_sags_and_is_let_go(self):
@@ -118,12 +120,12 @@ class TestWithoutADrive:
         np.testing.assert_allclose(np.abs(made.preload["A"].moment[1]), weight * length / 2.0, rtol=1e-4)
         tip = weight * length**3 / (8.0 * 210e9 * 1e-8 / 12.0)
         np.testing.assert_allclose(-made.state.position.elastic[2, -1], tip, rtol=0.15)  # of the middle of the last rfe
-        run = simulate(model, drive=None, duration=1e-3, method=IMPLICIT, save_every=1e-3)
+        run = simulate(Simulation(model, drive=None, duration=1e-3, method=IMPLICIT, save_every=1e-3))
         np.testing.assert_allclose(run.preload["A"].moment, made.preload["A"].moment, rtol=1e-12)
         assert abs(float(run.loads["A"].moment[0, 1])) < 1e-9 * weight * length
         np.testing.assert_allclose(run.angles["A"][0], 0.0, atol=1e-15)
         rigid = discretise(Mechanism([link("bar", length)], [Joint("A", "base", "bar", angle=0.0)]))
-        run = simulate(rigid, drive=None, duration=1e-3, method=IMPLICIT, save_every=1e-3)
+        run = simulate(Simulation(rigid, drive=None, duration=1e-3, method=IMPLICIT, save_every=1e-3))
         np.testing.assert_allclose(np.linalg.norm(run.loads["A"].force[0]), 0.25 * weight, rtol=1e-3)
 
     def test_a_spring_on_a_free_motion_holds_nothing(self):
@@ -131,8 +133,8 @@ class TestWithoutADrive:
         mechanism = Mechanism([link("bar", 0.5)], [Joint("A", "base", "bar", angle=0.3)], forces=[spring])
         model = discretise(mechanism)
         settings = {"drive": None, "duration": 2e-3, "method": IMPLICIT, "save_every": 1e-3}
-        assert float(simulate(model, **settings).angles["A"][0]) == 0.3
-        resting = simulate(model, start="equilibrium", **settings).angles["A"]
+        assert float(simulate(Simulation(model, **settings)).angles["A"][0]) == 0.3
+        resting = simulate(Simulation(model, start="equilibrium", **settings)).angles["A"]
         torque = 7850.0 * 1e-4 * 0.5 * 9.81 * 0.25
         np.testing.assert_allclose(50.0 * resting, torque * np.cos(resting), rtol=1e-6)
         # None of `assemble` still finds the equilibrium of what no drive holds.
@@ -149,9 +151,9 @@ class TestWithoutADrive:
         model = discretise(Mechanism(links, joints, driven_joint="A"))
         settings = {"duration": 2e-3, "method": IMPLICIT, "save_every": 1e-3}
         for drive in (MomentTable("A", [0.0, 1.0], [0.0, 0.0]), PrescribedRate("A", 0.5)):
-            run = simulate(model, drive=drive, **settings)
+            run = simulate(Simulation(model, drive=drive, **settings))
             assert float(run.angles["B"][0]) == pytest.approx(0.4, abs=1e-14)
-        settled = simulate(model, drive=drive, start="equilibrium", **settings)
+        settled = simulate(Simulation(model, drive=drive, start="equilibrium", **settings))
         assert float(settled.angles["B"][0]) == pytest.approx(np.pi / 2 - 0.2, abs=1e-9)
 
 
@@ -172,7 +174,7 @@ class TestWhatIsHeld:
         fixed = Joint("F", "base", "bar", kind="fixed", compliance=bushing)
         model = discretise(Mechanism([link("bar", 0.2)], [fixed]))
         assert model.topology.held_at_start == ()
-        run = simulate(model, drive=None, duration=1e-3, method=IMPLICIT, save_every=1e-3)
+        run = simulate(Simulation(model, drive=None, duration=1e-3, method=IMPLICIT, save_every=1e-3))
         assert int(run.status) == 0 and float(run.energy.kinetic[-1]) < 1e-18
 
     @pytest.mark.parametrize("kind", ["spherical", "free"])
@@ -183,7 +185,7 @@ class TestWhatIsHeld:
         mechanism = Mechanism([body], [Joint("S", "base", "bar", kind=kind, start=start)])
         turns = ("S.R_x", "S.R_y", "S.R_z")
         assert held(mechanism) == (turns if kind == "spherical" else ("S.T_x", "S.T_y", "S.T_z", *turns))
-        run = simulate(discretise(mechanism), drive=None, duration=2e-3, method=Method("rk4", step=1e-3))
+        run = simulate(Simulation(discretise(mechanism), drive=None, duration=2e-3, method=RungeKutta4(step=1e-3)))
         assert int(run.status) == 0
         np.testing.assert_allclose(run.angles["S"][0], start[-3:], rtol=0, atol=1e-12)
         if kind == "free":
@@ -256,7 +258,7 @@ class TestRates:
     def test_others_follow(self):
         """Rates of a falling four-bar by the rate of its crank: those of the closure equations, at every joint."""
         model = discretise(falling(rate=2.0))
-        run = simulate(model, drive=None, duration=0.02, method=Method("rk4", step=1e-3), save_every=1e-3)
+        run = simulate(Simulation(model, drive=None, duration=0.02, method=RungeKutta4(step=1e-3), save_every=1e-3))
         assert int(run.status) == 0 and float(run.energy_balance_error) < 1e-9
         prepared = integration.prepare(model, assembly_errors(model), None, None)
         rates = np.asarray(prepared.state.velocity.joints)
@@ -280,7 +282,7 @@ class TestRates:
         """Quasi-static: the whole bar turns about the hinge, with the change of its sag."""
         joint = Joint("A", "base", "bar", angle=0.0, rate="60 rpm")
         model = discretise(Mechanism([link("bar", 0.5, 4)], [joint]))
-        run = simulate(model, drive=None, duration=1e-3, method=IMPLICIT, save_every=1e-3)
+        run = simulate(Simulation(model, drive=None, duration=1e-3, method=IMPLICIT, save_every=1e-3))
         inertia = 7850.0 * 1e-4 * 0.5**3 / 3.0
         assert float(run.energy.kinetic[0]) == pytest.approx(0.5 * inertia * (2.0 * np.pi) ** 2, rel=1e-2)
 
@@ -289,14 +291,14 @@ class TestRates:
         rates = ["1 m/s", 0, "2 m/s", "60 rpm", 0, 1.0]
         free = Joint("F", "base", "ball", kind="free", start=[0, 0, 1.0, 0, 0, 0], rates=rates)
         model = discretise(Mechanism([body], [free]))
-        run = simulate(model, drive=None, duration=0.2, method=Method("rk4", step=0.1), save_every=0.1)
+        run = simulate(Simulation(model, drive=None, duration=0.2, method=RungeKutta4(step=0.1), save_every=0.1))
         t = np.asarray(run.times)
         expected = np.stack([t, 0.0 * t, 1.0 + 2.0 * t - 0.5 * 9.81 * t**2], axis=1)
         np.testing.assert_allclose(run.displacements["F"], expected, rtol=0, atol=1e-12)
         assert float(run.energy.kinetic[0]) == pytest.approx(0.25 * 5.0 + 0.5e-3 * (4.0 * np.pi**2 + 1.0))
         slide = Joint("G", "base", "ball", kind="prismatic", displacement=0.1, speed="0.5 m/s")
         model = discretise(Mechanism([body], [slide]))
-        run = simulate(model, drive=None, duration=0.2, method=Method("rk4", step=0.1), save_every=0.1)
+        run = simulate(Simulation(model, drive=None, duration=0.2, method=RungeKutta4(step=0.1), save_every=0.1))
         np.testing.assert_allclose(run.displacements["G"], 0.1 + 0.5 * t, rtol=0, atol=1e-12)
 
     def test_beside_a_moment(self):
@@ -304,10 +306,10 @@ class TestRates:
         wheel = Link("wheel", 0.2, body=RigidBody(1.0, (0, 0, 0), (0.1, 0.2, 0.1)))
         model = discretise(Mechanism([wheel], [Joint("A", "base", "wheel", rate=3.0)], driven_joint="A"))
         drive = MomentTable("A", [0.0, 1.0], [0.4, 0.4])
-        run = simulate(model, drive=drive, duration=0.1, method=Method("rk4", step=0.05), save_every=0.05)
+        run = simulate(Simulation(model, drive=drive, duration=0.1, method=RungeKutta4(step=0.05), save_every=0.05))
         np.testing.assert_allclose(run.rate, 3.0 + 2.0 * np.asarray(run.times), rtol=1e-12)
         with pytest.raises(InputError, match=r"must not prescribe .* initial rate.*leave out the rate"):
-            simulate(model, drive=PrescribedRate("A", 1.0), duration=0.1, method=Method("rk4", step=0.05))
+            simulate(Simulation(model, drive=PrescribedRate("A", 1.0), duration=0.1, method=RungeKutta4(step=0.05)))
 
     def test_refused(self):
         joints = [dataclasses.replace(one, rate=1.0) if one.name in "AD" else one for one in falling().joints]
@@ -325,9 +327,13 @@ class TestRates:
         with pytest.raises(InputError, match='must be "as_given" where joints have initial rates'):
             dataclasses.replace(falling(rate=1.0), start="equilibrium")
         with pytest.raises(InputError, match='must be "as_given" where joints have initial rates'):
-            simulate(discretise(falling(rate=1.0)), drive=None, duration=0.1, method=IMPLICIT, start="equilibrium")
+            simulate(
+                Simulation(
+                    discretise(falling(rate=1.0)), drive=None, duration=0.1, method=IMPLICIT, start="equilibrium"
+                )
+            )
         with pytest.raises(InputError, match="did you mean `equilibrium`"):
-            simulate(discretise(falling()), drive=None, duration=0.1, method=IMPLICIT, start="equilibrum")
+            simulate(Simulation(discretise(falling()), drive=None, duration=0.1, method=IMPLICIT, start="equilibrum"))
 
 
 class TestWhyNot:
@@ -364,7 +370,9 @@ def ends(model, names, numbers):
     def function(values):
         errors = assembly_errors(model, dict(zip(names, values[: len(names)], strict=True)))
         wanted = design(model, dict(zip(numbers, values[len(names) :], strict=True)))
-        run = simulate(model, errors, drive=None, duration=1e-3, method=IMPLICIT, save_every=1e-3, design=wanted)
+        run = simulate(
+            Simulation(model, drive=None, duration=1e-3, method=IMPLICIT, save_every=1e-3, design=wanted), errors
+        )
         loads = [run.loads[name].force[-1] for name in model.joint_names]
         return jnp.concatenate([*loads, run.preload["D"].moment, jnp.stack([run.angles[name][-1] for name in "ABD"])])
 
@@ -412,7 +420,7 @@ def test_point_masses_hang_where_they_are_told():
     """A pendulum of a mass and a massless-looking rod on a universal joint: both angles are held."""
     bob = Link("bob", 0.4, body=RigidBody(0.01, (0.2, 0, 0), (1e-6, 1e-4, 1e-4)), point_masses=[PointMass(1.0, 0.4)])
     model = discretise(Mechanism([bob], [Joint("U", "base", "bob", kind="universal", start=(0.4, 0.2))]))
-    run = simulate(model, drive=None, duration=2e-3, method=Method("rk4", step=1e-3), save_every=1e-3)
+    run = simulate(Simulation(model, drive=None, duration=2e-3, method=RungeKutta4(step=1e-3), save_every=1e-3))
     np.testing.assert_allclose(run.angles["U"][0], [0.4, 0.2], atol=1e-14)
 
 

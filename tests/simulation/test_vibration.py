@@ -14,16 +14,18 @@ from rfem_jax import (
     InputError,
     Joint,
     Mechanism,
-    Method,
     MomentRamp,
     PointForce,
     PrescribedRate,
+    RungeKutta4,
+    Simulation,
     assembly_errors,
     check_step,
     discretise,
     largest_stable_step,
     simulate,
 )
+from rfem_jax.description.methods import named_method
 from rfem_jax.mechanics.dynamics import accelerations
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation
 from rfem_jax.mechanics.model import Coordinates, State
@@ -108,10 +110,10 @@ def test_limit_is_that_of_the_whole_linear_system(models, name, method):
     """Stable in all positions just below, unstable in one of them just above; Baumgarte's terms included, gravity
     not, for which some positions are unstable in truth."""
     model = eqx.tree_at(lambda m: m.gravity, models[name], jnp.zeros(3))
-    limit = largest_stable_step(model, Method(method, step=1e-6))
+    limit = largest_stable_step(model, named_method(method, step=1e-6))
 
     def growth(share):
-        trial = Method(method, step=share * limit)
+        trial = named_method(method, step=share * limit)
         gains = stabilisation_of(model, trial)
         return max(_dense_growth(trial, _jacobian(model, a, gains)) for a in stability._poses(model))
 
@@ -121,7 +123,7 @@ def test_limit_is_that_of_the_whole_linear_system(models, name, method):
 
 def test_closure_errors_count_when_the_step_cannot_follow_them(models):
     """Baumgarte's gains beyond the stability of the method: no step helps, they grow as it shrinks."""
-    strong = Method("rk4", step=1e-6, stabilisation=3.0)
+    strong = RungeKutta4(step=1e-6, stabilisation=3.0)
     assert largest_stable_step(models["alike"], strong) == 0.0
     with pytest.raises(InputError, match="reduce `stabilisation`"):
         check_step(models["alike"], strong)
@@ -131,7 +133,7 @@ def test_closure_errors_count_when_the_step_cannot_follow_them(models):
 def test_stiffest_mode_alone_finds_the_same_limit(models, held, monkeypatch):
     drive = PrescribedRate("A", 1.0) if held else None
     for name, tolerance in (("alike", 2e-3), ("coupled", 0.02)):
-        method = Method("rk4", step=1e-6)
+        method = RungeKutta4(step=1e-6)
         with monkeypatch.context() as patch:
             patch.setattr(vibration, "MOST_BODIES", 0)
             got = largest_stable_step(models[name], method, drive)
@@ -144,7 +146,7 @@ def test_memory_is_linear_in_the_rfes():
     for rfes in (100, 200):
         model = discretise(four_bar(rfes))
         tracemalloc.start()
-        largest_stable_step(model, Method("rk4", step=1e-9))
+        largest_stable_step(model, RungeKutta4(step=1e-9))
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
     assert peaks[1] < 2.5 * peaks[0]
@@ -176,7 +178,10 @@ def test_rigid_chain_by_an_implicit_method():
     )
     model, drive = discretise(mechanism), MomentRamp("A", 0.1, 0.05)
     settings = {"drive": drive, "duration": 0.1, "save_every": 0.1}
-    runs = [simulate(model, method=Method(name, step=1e-3), **settings) for name in ("generalised_alpha", "rk4")]
+    runs = [
+        simulate(Simulation(model, method=named_method(name, step=1e-3), **settings))
+        for name in ("generalised_alpha", "rk4")
+    ]
     assert [int(run.status) for run in runs] == [0, 0]
     assert abs(float(runs[1].angle[-1]) - 0.3) > 1e-3
     np.testing.assert_allclose(runs[0].angle[-1], runs[1].angle[-1], atol=1e-4)

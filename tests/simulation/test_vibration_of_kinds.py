@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from jax.flatten_util import ravel_pytree
 
-from rfem_jax import Method, assembly_errors, check_step, discretise, simulate
+from rfem_jax import RungeKutta4, Simulation, assembly_errors, check_step, discretise, simulate
 from rfem_jax.description.errors import InputError
 from rfem_jax.mechanics.dynamics import accelerations
 from rfem_jax.mechanics.inputs import DriveInput, Stabilisation
@@ -53,12 +53,12 @@ def test_eigenvalues_are_those_of_the_equations_of_motion(make):
 
 def test_a_step_beyond_the_stable_one_is_refused_and_diverges():
     model = discretise(loop_cut_by("prismatic"))
-    limit = check_step(model, Method("rk4", step=1e-7))
+    limit = check_step(model, RungeKutta4(step=1e-7))
     with pytest.raises(InputError, match="`step` must be at most"):
-        check_step(model, Method("rk4", step=1.05 * limit))
+        check_step(model, RungeKutta4(step=1.05 * limit))
 
     def status(step):
-        return int(simulate(model, drive=None, duration=400 * step, method=Method("rk4", step=step)).status)
+        return int(simulate(Simulation(model, drive=None, duration=400 * step, method=RungeKutta4(step=step))).status)
 
     assert status(0.9 * limit) == 0
     assert status(1.2 * limit) != 0

@@ -17,9 +17,10 @@ from rfem_jax import (
     Link,
     Material,
     Mechanism,
-    Method,
     MomentRamp,
     Rectangle,
+    RungeKutta4,
+    Simulation,
     assembly_errors,
     discretise,
     simulate,
@@ -306,12 +307,14 @@ def flexible_four_bar_runs():
 
     def simulated(model, errors):
         return simulate(
-            model,
+            Simulation(
+                model,
+                drive=MomentRamp("A", MOMENT, RISE),
+                duration=DURATION,
+                method=RungeKutta4(step=1e-5),
+                save_every=1e-3,
+            ),
             errors,
-            drive=MomentRamp("A", MOMENT, RISE),
-            duration=DURATION,
-            method=Method("rk4", step=1e-5),
-            save_every=1e-3,
         )
 
     results = eqx.filter_jit(eqx.filter_vmap(simulated))(*batch)

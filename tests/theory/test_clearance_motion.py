@@ -11,7 +11,22 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax import STATUS, Clearance, Joint, Mechanism, Method, MomentRamp, Problem, design, discretise, simulate
+from rfem_jax import (
+    STATUS,
+    Automatic,
+    Clearance,
+    Explicit,
+    GeneralisedAlpha,
+    Joint,
+    Mechanism,
+    MomentRamp,
+    Problem,
+    RungeKutta4,
+    Simulation,
+    design,
+    discretise,
+    simulate,
+)
 from rfem_jax.simulation.accuracy import choose_method
 from rfem_jax.simulation.solvers import contact_steps
 from rfem_jax.tolerancing.problems.linearisation import choose_mode
@@ -25,11 +40,14 @@ class TestSingleImpact:
         """Steps of half a contact lose a tenth of the speed, those of a fifth less than a hundredth; a slower pin has
         not touched the bush yet."""
         model, duration = guided(restitution=0.9), 8.2e-4
-        method = Method("generalised_alpha", step=duration / steps, contact_tolerance=0)
+        method = GeneralisedAlpha(step=duration / steps, contact_tolerance=0)
 
         def of_speed(speed):
-            run = simulate(model, drive=None, duration=duration, method=method, save_every=duration,
-                           start=thrown(model, speed))  # fmt: skip
+            run = simulate(
+                Simulation(
+                    model, drive=None, duration=duration, method=method, save_every=duration, start=thrown(model, speed)
+                )
+            )
             return run.status, run.energy.kinetic[-1], run.energy_balance_error
 
         statuses, kinetic, balances = jax.jit(jax.vmap(of_speed))(jnp.array([SPEED, 0.2]))
@@ -41,11 +59,14 @@ class TestSingleImpact:
     def test_steps_that_follow_contact_resolve_an_impact_within_one_of_them(self):
         """Any step gives the rebound; of a batch one sample hits, one hits later, one touches nothing."""
         model, duration = guided(restitution=0.9), 8.2e-4
-        method = Method("generalised_alpha", step=duration)
+        method = GeneralisedAlpha(step=duration)
 
         def of_speed(speed):
-            run = simulate(model, drive=None, duration=duration, method=method, save_every=duration,
-                           start=thrown(model, speed))  # fmt: skip
+            run = simulate(
+                Simulation(
+                    model, drive=None, duration=duration, method=method, save_every=duration, start=thrown(model, speed)
+                )
+            )
             return (
                 run.status,
                 run.energy.kinetic[-1],
@@ -72,25 +93,35 @@ class TestSingleImpact:
     def test_a_step_that_is_tried_too_often_is_told(self, monkeypatch):
         monkeypatch.setattr(contact_steps, "MOST_TRIALS", 3)
         model, duration = guided(restitution=0.9), 8.1e-4
-        method = Method("generalised_alpha", step=duration)
-        run = simulate(model, drive=None, duration=duration, method=method, save_every=duration, start=thrown(model))
+        method = GeneralisedAlpha(step=duration)
+        run = simulate(
+            Simulation(model, drive=None, duration=duration, method=method, save_every=duration, start=thrown(model))
+        )
         assert STATUS[int(run.status)].name == "steps_exhausted"
 
     @pytest.mark.long
     def test_no_step_is_chosen_where_impacts_are_chaotic(self):
         model, drive, _ = slider_crank(FAST)
         with pytest.raises(ValueError, match="after a few impacts motion is chaotic"):
-            choose_method(model, Method("auto"), drive, 0.008)
+            choose_method(model, Automatic(), drive, 0.008)
 
     @pytest.mark.long
     def test_adaptive_steps_follow_contacts_of_every_sample(self):
         """One sample has struck and left, one is in contact, one touches nothing."""
         model, duration = guided(damping=0.475), 8.2e-4
-        method = Method("dopri8", rtol=1e-8, atol=1e-10)
+        method = Explicit("dopri8", rtol=1e-8, atol=1e-10)
 
         def of_speed(speed):
-            run = simulate(model, drive=None, duration=duration, method=method, save_every=duration / 2,
-                           start=thrown(model, speed))  # fmt: skip
+            run = simulate(
+                Simulation(
+                    model,
+                    drive=None,
+                    duration=duration,
+                    method=method,
+                    save_every=duration / 2,
+                    start=thrown(model, speed),
+                )
+            )
             return run.status, run.energy.kinetic[-1], run.contacts["P"].penetration[-1, 0]
 
         speeds = jnp.array([SPEED, 0.28, 0.2])
@@ -105,9 +136,12 @@ class TestSingleImpact:
         model, duration = guided(restitution=0.9), 8.2e-4
 
         def error(tolerance):
-            method = Method("generalised_alpha", step=duration, contact_tolerance=tolerance)
-            run = simulate(model, drive=None, duration=duration, method=method, save_every=duration,
-                           start=thrown(model))  # fmt: skip
+            method = GeneralisedAlpha(step=duration, contact_tolerance=tolerance)
+            run = simulate(
+                Simulation(
+                    model, drive=None, duration=duration, method=method, save_every=duration, start=thrown(model)
+                )
+            )
             return abs(float(run.metrics.max_normal_force["P"]) / REFERENCE["impact_peak_force"] - 1.0)
 
         coarse, fine = error(0.2), error(2e-3)
@@ -116,7 +150,7 @@ class TestSingleImpact:
     def test_restitution_needs_a_method_with_a_memory(self):
         model = guided(restitution=0.9)
         with pytest.raises(ValueError, match='`method` must be "generalised_alpha" with `restitution`'):
-            simulate(model, drive=None, duration=1e-4, method=Method("rk4", step=1e-6), start=thrown(model))
+            simulate(Simulation(model, drive=None, duration=1e-4, method=RungeKutta4(step=1e-6), start=thrown(model)))
 
 
 def pendulum(clearance):
@@ -135,9 +169,12 @@ def pressed():
 
 def swing(model, duration=0.02, contact_tolerance=0.02, **settings):
     """Under a moment that grows."""
-    method = Method("generalised_alpha", step=1e-4, corrections=20, contact_tolerance=contact_tolerance)
-    return simulate(model, drive=MomentRamp("D", 0.4, 0.02), duration=duration, method=method, save_every=5e-4,
-                    **settings)  # fmt: skip
+    method = GeneralisedAlpha(step=1e-4, corrections=20, contact_tolerance=contact_tolerance)
+    return simulate(
+        Simulation(
+            model, drive=MomentRamp("D", 0.4, 0.02), duration=duration, method=method, save_every=5e-4, **settings
+        )
+    )
 
 
 @pytest.mark.long
@@ -176,8 +213,11 @@ def test_reverse_mode_through_whole_steps_with_contact(pressed):
 
 def test_a_problem_that_follows_contact_is_differentiated_forwards(pressed):
     def problem(tolerance, *metrics):
-        method = Method("generalised_alpha", step=1e-4, contact_tolerance=tolerance)
-        return Problem(pressed, MomentRamp("D", 0.4, 0.02), 1e-3, metrics or "D.rms_force", method)
+        method = GeneralisedAlpha(step=1e-4, contact_tolerance=tolerance)
+        return Problem(
+            Simulation(pressed, drive=MomentRamp("D", 0.4, 0.02), duration=1e-3, method=method),
+            metrics or "D.rms_force",
+        )
 
     assert choose_mode("auto", 100, 1, problem(0.02)) == "forward"
     assert choose_mode("auto", 100, 1, problem(0.0)) == "reverse"

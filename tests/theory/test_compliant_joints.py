@@ -16,15 +16,18 @@ import pytest
 
 from rfem_jax import (
     Compliance,
+    GeneralisedAlpha,
     GivenSection,
     InputError,
     Joint,
+    Leapfrog,
     Link,
     Mechanism,
-    Method,
     MomentRamp,
     PointMass,
     PrescribedRate,
+    RungeKutta4,
+    Simulation,
     assemble,
     assembly_errors,
     discretise,
@@ -144,10 +147,12 @@ class TestFourBarOnBushings:
             np.testing.assert_allclose(forward[:, n], derivative, rtol=1e-5)
 
     def test_in_motion(self, bushed):
-        method = Method("rk4", step=1e-5)
+        method = RungeKutta4(step=1e-5)
         assert largest_stable_step(bushed, method) > 4e-5
-        run = simulate(bushed, errors=assembly_errors(bushed, TILTED), drive=MomentRamp("A", 1.5, 0.1), duration=0.4,
-                       method=method, save_every=0.05)  # fmt: skip
+        run = simulate(
+            Simulation(bushed, drive=MomentRamp("A", 1.5, 0.1), duration=0.4, method=method, save_every=0.05),
+            errors=assembly_errors(bushed, TILTED),
+        )
         assert int(run.status) == 0
         for joint, (force, moment) in RMS.items():
             np.testing.assert_allclose(run.metrics.rms_force[joint], force, rtol=2e-6)
@@ -162,9 +167,9 @@ class TestFourBarOnBushings:
     def test_bearings_a_hundred_times_as_stiff_in_long_steps(self, bushed):
         """The largest stable step of an explicit method is 5e-6 s; four Newton increments a step are enough."""
         model = stiffer(bushed, 100.0)
-        assert largest_stable_step(model, Method("rk4", step=1e-6)) < 6e-6
-        method = Method("generalised_alpha", step=1e-3, corrections=4, spectral_radius=0.3)
-        run = simulate(model, drive=MomentRamp("A", 1.5, 0.1), duration=0.1, method=method, save_every=0.05)
+        assert largest_stable_step(model, RungeKutta4(step=1e-6)) < 6e-6
+        method = GeneralisedAlpha(step=1e-3, corrections=4, spectral_radius=0.3)
+        run = simulate(Simulation(model, drive=MomentRamp("A", 1.5, 0.1), duration=0.1, method=method, save_every=0.05))
         assert int(run.status) == 0 and float(run.solution_residual) < 1e-6
         assert float(run.rate[-1]) > 25.0 and float(run.momentum_balance_error) < 1e-6
         # The links move as with ideal joints: the coupler keeps its length.
@@ -260,7 +265,7 @@ class TestSprings:
         np.testing.assert_allclose(values.real + 1j * np.abs(values.imag), expected, rtol=1e-6)
         undamped = Compliance(radial=1e8)
         model = self.block(Joint("S", "base", "block", kind="spherical", compliance=undamped))
-        limit = largest_stable_step(model, Method("leapfrog", step=1e-6))
+        limit = largest_stable_step(model, Leapfrog(step=1e-6))
         np.testing.assert_allclose(limit, 2.0 / np.sqrt(1e8 / 0.5), rtol=5e-3)
 
     @pytest.mark.parametrize("cut", ["F", "H"])
@@ -308,8 +313,8 @@ class TestDrives:
         bearing = Compliance(radial=1e5, axial=1e5, radial_damping=60.0)
         made = Mechanism(self.ARM, [Joint("A", "base", "arm", compliance=bearing)], driven_joint="A", gravity=(0, 0, 0))
         model = discretise(made)
-        method = Method("rk4", step=2e-5)
-        run = simulate(model, drive=PrescribedRate("A", 20.0), duration=0.1, method=method, save_every=0.05)
+        method = RungeKutta4(step=2e-5)
+        run = simulate(Simulation(model, drive=PrescribedRate("A", 20.0), duration=0.1, method=method, save_every=0.05))
         assert int(run.status) == 0
         np.testing.assert_allclose(run.angle, 20.0 * np.asarray(run.times), rtol=1e-9)
         force = 0.157 * 20.0**2 * 0.1 / (1.0 - 0.157 * 20.0**2 / 1e5)
@@ -320,7 +325,7 @@ class TestDrives:
         joints = [Joint("A", "base", "arm", compliance=Compliance(tilt=1e4))]
         model = discretise(Mechanism(self.ARM, joints, driven_joint="A"))
         with pytest.raises(InputError, match="must not prescribe the angle of joint `A` because its tilt is sprung"):
-            simulate(model, drive=PrescribedRate("A", 1.0), duration=0.1, method=Method("rk4", step=1e-4))
+            simulate(Simulation(model, drive=PrescribedRate("A", 1.0), duration=0.1, method=RungeKutta4(step=1e-4)))
 
 
 @pytest.mark.long
@@ -333,13 +338,13 @@ def test_derivatives_of_a_motion_with_respect_to_error_and_stiffness():
               compliance=Compliance(T_x=2e4, T_y=1e4, T_y_damping=20.0)),
     ]  # fmt: skip
     model = discretise(Mechanism(TestDrives.ARM, joints, driven_joint="A"))
-    method = Method("generalised_alpha", step=1e-3, tolerance=1e-12, corrections=12)
+    method = GeneralisedAlpha(step=1e-3, tolerance=1e-12, corrections=12)
 
     def end(values):
         errors = assembly_errors(model, {"A.delta_z": values[0]})
         made = eqx.tree_at(lambda m: [m.springs["C.T_y"].stiffness, m.springs["A.tilt"].stiffness],
                            model, [values[1], values[2]])  # fmt: skip
-        run = simulate(made, errors=errors, drive=None, duration=0.01, method=method, save_every=0.01)
+        run = simulate(Simulation(made, drive=None, duration=0.01, method=method, save_every=0.01), errors=errors)
         return jnp.stack([run.metrics.mean_square_moment["A"], run.metrics.mean_square_force["C"]])
 
     at = jnp.asarray([5e-3, 1e4, 50.0])

@@ -15,12 +15,13 @@ from rfem_jax import (
     Joint,
     Link,
     Mechanism,
-    Method,
     MomentFunction,
+    Simulation,
     State,
     discretise,
     simulate,
 )
+from rfem_jax.description.methods import named_method
 from rfem_jax.simulation.stability import eigenvalues
 
 STEPS = (2e-3, 1e-3, 5e-4)
@@ -51,12 +52,14 @@ def runs(request, model):
 
     def simulated(step):
         return simulate(
-            model,
-            drive=drive,
-            duration=0.4,
-            method=Method(request.param, step=step),
-            save_every=0.1,
-            start=start,
+            Simulation(
+                model,
+                drive=drive,
+                duration=0.4,
+                method=named_method(request.param, step=step),
+                save_every=0.1,
+                start=start,
+            )
         )
 
     return ORDERS[request.param], [jax.tree.map(np.asarray, simulated(step)) for step in STEPS]

@@ -16,13 +16,14 @@ from rfem_jax import (
     Joint,
     Link,
     Mechanism,
-    Method,
     PointForce,
     PointMass,
     PointMoment,
     PrescribedRate,
     Problem,
     Rectangle,
+    RungeKutta4,
+    Simulation,
     Tube,
     design,
     discretise,
@@ -54,7 +55,7 @@ def cantilever(elements="linear", force=FORCE, torque=TORQUE, rfes=3):
 
 
 def problem_of(model):
-    return Problem(model, STILL, 1e-7, METRICS, Method("rk4", step=1e-7))
+    return Problem(Simulation(model, drive=STILL, duration=1e-7, method=RungeKutta4(step=1e-7)), METRICS)
 
 
 def expected(length=LENGTH, force=FORCE, torque=TORQUE, m=2, width=WIDTH, height=HEIGHT):
@@ -126,7 +127,7 @@ def test_derivatives_by_the_length_are_those_of_the_closed_forms_in_both_modes(b
 def test_derivatives_by_the_section_of_a_design_are_those_of_the_closed_forms_in_both_modes():
     model = cantilever()
     asked = ("bar.max_stress", "bar.end_deflection", "mass")
-    problem = Problem(model, STILL, 1e-7, asked, Method("rk4", step=1e-7))
+    problem = Problem(Simulation(model, drive=STILL, duration=1e-7, method=RungeKutta4(step=1e-7)), asked)
 
     def values(section):
         named = {"bar.section.width": section[0], "bar.section.height": section[1]}
@@ -172,8 +173,10 @@ def test_the_tension_of_a_turning_bar_is_that_of_its_mass_farther_out():
     rate, mass = 40.0, 0.2
     bar = Link("bar", LENGTH, SLENDER, STEEL, rigid=True, point_masses=(PointMass(mass, LENGTH),))
     model = discretise(Mechanism([bar], [Joint("A", "base", "bar")], (0, 0, 0), driven_joint="A"))
-    drive, method = PrescribedRate("A", rate), Method("rk4", step=1e-5)
-    run = evaluated(lambda: simulate(model, drive=drive, duration=1e-5, method=method, record="bar.sections"))()
+    drive, method = PrescribedRate("A", rate), RungeKutta4(step=1e-5)
+    run = evaluated(
+        lambda: simulate(Simulation(model, drive=drive, duration=1e-5, method=method), record="bar.sections")
+    )()
     sections = run.recorded["bar.sections"]
     x = np.asarray(sections.place)
     tension = rate**2 * (STEEL.density * WIDTH * HEIGHT * (LENGTH**2 - x**2) / 2 + mass * LENGTH)
@@ -229,7 +232,7 @@ def test_a_section_of_given_stiffnesses_needs_its_edge_for_stresses():
     bar = Link("bar", LENGTH, GivenSection(*GIVEN), rfes=2)
     model = discretise(Mechanism([bar], [Joint("A", "base", "bar")], driven_joint="A"))
     with pytest.raises(InputError, match="`bar.peak_stress` is not: the edge of its section is not known"):
-        Problem(model, STILL, 1e-4, "bar.peak_stress", Method("rk4", step=1e-6))
+        Problem(Simulation(model, drive=STILL, duration=1e-4, method=RungeKutta4(step=1e-6)), "bar.peak_stress")
 
 
 def bearing_run(force, rate, times, rolling="ball"):
@@ -284,7 +287,12 @@ def test_the_loads_of_a_crank_s_bearing_and_its_power():
     joint = Joint("A", "base", "bar", bearing=bearing)
     model = discretise(Mechanism([bar], [joint], (0, 0, -gravity), driven_joint="A"))
     names = ("A.peak_drive_power", "peak_drive_power", "A.bearing_damage", "A.equivalent_load")
-    problem = Problem(model, PrescribedRate("A", rate), 0.1, names, Method("rk4", step=1e-3), save_every=1e-3)
+    problem = Problem(
+        Simulation(
+            model, drive=PrescribedRate("A", rate), duration=0.1, method=RungeKutta4(step=1e-3), save_every=1e-3
+        ),
+        names,
+    )
     values = evaluated(lambda: problem({})[0])()
     own = STEEL.density * WIDTH * HEIGHT * 0.2
     angle = rate * np.linspace(0.0, 0.1, 101)
@@ -296,4 +304,7 @@ def test_the_loads_of_a_crank_s_bearing_and_its_power():
     inertial = rate**2 * 0.2 * (mass + own / 2)
     assert abs(load - (mass + own) * gravity) < inertial
     with pytest.raises(InputError, match="`A.friction_loss` is not: it has no friction"):
-        Problem(model, PrescribedRate("A", rate), 0.1, "A.friction_loss", Method("rk4", step=1e-3))
+        Problem(
+            Simulation(model, drive=PrescribedRate("A", rate), duration=0.1, method=RungeKutta4(step=1e-3)),
+            "A.friction_loss",
+        )

@@ -8,21 +8,25 @@ import numpy as np
 import pytest
 
 from rfem_jax import (
+    Automatic,
     ForceFunction,
     ForceRamp,
     ForceTable,
+    GeneralisedAlpha,
     GivenSection,
     InputError,
     Joint,
     JointSpring,
+    Leapfrog,
     Link,
     Mechanism,
-    Method,
     MomentFunction,
     PointMass,
     PrescribedFunction,
     PrescribedRate,
     PrescribedSpeed,
+    RungeKutta4,
+    Simulation,
     assemble,
     assembly_errors,
     check_step,
@@ -35,7 +39,7 @@ from rfem_jax.simulation.stability import eigenvalues
 from tests.mechanisms import link
 
 NO_MASS = GivenSection(1e6, 1e6, 1e6, 1e2, 1e2, 1e2, 1e-9, 1e-15, 1e-15, 1e-15)
-EXPLICIT, IMPLICIT = Method("rk4", step=1e-4), Method("generalised_alpha", step=1e-4, tolerance=1e-10)
+EXPLICIT, IMPLICIT = RungeKutta4(step=1e-4), GeneralisedAlpha(step=1e-4, tolerance=1e-10)
 
 
 def body(name, mass, centre=(0.0, 0.0, 0.0), inertia=(1e-4, 1e-4, 1e-4), length=0.1):
@@ -52,11 +56,11 @@ class TestForceOnASlide:
         return discretise(Mechanism([body("block", 0.5)], [joint], driven_joint="G"))
 
     @pytest.mark.parametrize(
-        ("method", "accuracy"), [(Method("leapfrog", step=1e-5), 1e-8), (IMPLICIT, 1e-6)], ids=["leapfrog", "implicit"]
+        ("method", "accuracy"), [(Leapfrog(step=1e-5), 1e-8), (IMPLICIT, 1e-6)], ids=["leapfrog", "implicit"]
     )
     def test_motion_load_and_work(self, method, accuracy):
         drive = ForceRamp("G", "6 N", "50 ms")
-        run = simulate(self.model(), drive=drive, duration=0.1, method=method, save_every=0.01)
+        run = simulate(Simulation(self.model(), drive=drive, duration=0.1, method=method, save_every=0.01))
         assert int(run.status) == 0
         t = np.asarray(run.times)
         rising, speed = np.minimum(t, self.RISE), 0.5 * self.FORCE * self.RISE / self.MASS
@@ -108,13 +112,13 @@ def slide(angle):
     return CRANK * jnp.cos(angle) + jnp.sqrt(ROD**2 - height**2)
 
 
-SETTINGS = {"duration": 8e-3, "method": Method("rk4", step=5e-5), "save_every": 1e-3}
+SETTINGS = {"duration": 8e-3, "method": RungeKutta4(step=5e-5), "save_every": 1e-3}
 
 
 @pytest.fixture(scope="module")
 def by_crank():
     """The slider-crank with a crank that turns at a constant rate, which has its test among the kinds of joints."""
-    return simulate(slider_crank("A", -0.9), drive=PrescribedRate("A", RATE), **SETTINGS)
+    return simulate(Simulation(slider_crank("A", -0.9), drive=PrescribedRate("A", RATE), **SETTINGS))
 
 
 class TestSliderCrank:
@@ -129,7 +133,7 @@ class TestSliderCrank:
         """The slider moves as the crank at a constant rate makes it move, from its start rate on."""
         model = slider_crank("G", self.START)
         drive = PrescribedFunction("G", lambda t: slide(self.START + RATE * t) - slide(self.START))
-        run = simulate(model, drive=drive, **SETTINGS)
+        run = simulate(Simulation(model, drive=drive, **SETTINGS))
         assert int(run.status) == 0
         np.testing.assert_allclose(run.angles["A"], self.START + RATE * np.asarray(run.times), rtol=0, atol=1e-8)
         # Both drives do the same work: F x' = M omega.
@@ -148,7 +152,7 @@ class TestSliderCrank:
         # The slide follows from the crank, so that assembly holds the crank alone.
         assert topology.drive_labels == ("A", "G") and (topology.held, topology.dependent) == ((0,), (1,))
         drives = [ForceTable("G", [0, 3e-3, 3e-3, 1.0], [-50.0, 100.0, 20.0, 20.0]), PrescribedRate("A", RATE)]
-        run = simulate(model, drive=drives, **SETTINGS)
+        run = simulate(Simulation(model, drive=drives, **SETTINGS))
         assert int(run.status) == 0
         times = np.asarray(run.times)
         force = np.where(times <= 3e-3 + 1e-9, -50.0 + 150.0 * times / 3e-3, 20.0)
@@ -239,7 +243,7 @@ class TestArm:
         ("drives", "method"), [([SLIDE, ROTATION], EXPLICIT), ([ROTATION, PUSH], IMPLICIT)], ids=["prescribed", "mixed"]
     )
     def test_motion_and_forces(self, drives, method):
-        run = simulate(Arm.model(), drive=drives, duration=0.1, method=method, save_every=0.02)
+        run = simulate(Simulation(Arm.model(), drive=drives, duration=0.1, method=method, save_every=0.02))
         assert int(run.status) == 0
         times = jnp.asarray(run.times)
         accuracy = 1e-9 if method is EXPLICIT else 1e-5
@@ -259,8 +263,9 @@ class TestArm:
 
         def end(values):
             drives = [PrescribedRate("R", values[0], 0.01), ForceRamp("P", values[1], 0.016)]
-            run = simulate(Arm.model(), drive=drives, duration=0.02, save_every=5e-3,
-                           method=Method("rk4", step=1e-3))  # fmt: skip
+            run = simulate(
+                Simulation(Arm.model(), drive=drives, duration=0.02, save_every=5e-3, method=RungeKutta4(step=1e-3))
+            )
             return jnp.stack([run.displacements["P"][-1], run.metrics.mean_square_moment["R"], run.energy.work[-1]])
 
         at = jnp.asarray([3.0, 20.0])
@@ -272,7 +277,7 @@ class TestArm:
     def test_auto_and_the_largest_step(self):
         drives = [ROTATION, PUSH]
         assert check_step(Arm.model(), EXPLICIT, drives) > EXPLICIT.step
-        assert choose_method(Arm.model(), Method("auto", accuracy=0.05), drives, 0.02).step <= 0.02
+        assert choose_method(Arm.model(), Automatic(accuracy=0.05), drives, 0.02).step <= 0.02
 
 
 class TestVibration:

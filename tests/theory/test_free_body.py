@@ -10,7 +10,22 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from rfem_jax import Coordinates, GivenSection, Joint, Link, Mechanism, Method, PointMass, State, discretise, simulate
+from rfem_jax import (
+    Coordinates,
+    Explicit,
+    GeneralisedAlpha,
+    GivenSection,
+    Joint,
+    Leapfrog,
+    Link,
+    Mechanism,
+    PointMass,
+    RungeKutta4,
+    Simulation,
+    State,
+    discretise,
+    simulate,
+)
 
 AXIAL, ACROSS, MASS, CENTRE = 2e-4, 5e-4, 0.4, np.array([0.03, 0.0, 0.0])
 START, SPIN, VELOCITY = Rotation.from_euler("xyz", [0.3, -0.4, 1.1]), np.array([9.0, 14.0, -5.0]), [0.2, -0.1, 0.3]
@@ -34,7 +49,7 @@ def tumbling():
     start = State(model.start_coordinates(), rates)
 
     def run(method):
-        return simulate(model, drive=None, duration=DURATION, method=method, save_every=0.05, start=start)
+        return simulate(Simulation(model, drive=None, duration=DURATION, method=method, save_every=0.05, start=start))
 
     return run
 
@@ -62,10 +77,10 @@ def errors(run):
 @pytest.mark.parametrize(
     ("method", "turned", "moved"),
     [
-        (Method("rk4", step=1e-3), 1e-7, 1e-8),
-        (Method("tsit5", rtol=1e-10, atol=1e-12), 1e-7, 1e-8),
-        (Method("leapfrog", step=1e-4), 1e-4, 1e-5),
-        (Method("generalised_alpha", step=2e-4, tolerance=1e-11), 5e-4, 5e-5),
+        (RungeKutta4(step=1e-3), 1e-7, 1e-8),
+        (Explicit("tsit5", rtol=1e-10, atol=1e-12), 1e-7, 1e-8),
+        (Leapfrog(step=1e-4), 1e-4, 1e-5),
+        (GeneralisedAlpha(step=2e-4, tolerance=1e-11), 5e-4, 5e-5),
     ],
     ids=lambda value: getattr(value, "name", ""),
 )
@@ -79,5 +94,5 @@ def test_every_method_follows_the_closed_form(tumbling, method, turned, moved):
 
 
 def test_the_implicit_method_has_order_two_on_the_rotations(tumbling):
-    coarse, fine = (errors(tumbling(Method("generalised_alpha", step=h, tolerance=1e-11)))[0] for h in (1e-3, 5e-4))
+    coarse, fine = (errors(tumbling(GeneralisedAlpha(step=h, tolerance=1e-11)))[0] for h in (1e-3, 5e-4))
     assert 3.5 < coarse / fine < 4.5

@@ -9,17 +9,19 @@ import pytest
 
 from rfem_jax import (
     Compliance,
+    GeneralisedAlpha,
     GivenSection,
     InputError,
     Joint,
     JointFriction,
     Link,
     Mechanism,
-    Method,
     MomentRamp,
     PointForce,
     PointMass,
     PrescribedRate,
+    RungeKutta4,
+    Simulation,
     State,
     assembly_errors,
     check_step,
@@ -33,7 +35,7 @@ from rfem_jax.simulation.stability import eigenvalues, largest_stable_step
 from tests.mechanisms import four_bar
 
 NO_MASS = GivenSection(1e6, 1e6, 1e6, 1e2, 1e2, 1e2, 1e-9, 1e-15, 1e-15, 1e-15)
-RK4, IMPLICIT = Method("rk4", step=2e-3), Method("generalised_alpha", step=1e-2)
+RK4, IMPLICIT = RungeKutta4(step=2e-3), GeneralisedAlpha(step=1e-2)
 in_tree_or_cut = pytest.mark.parametrize("cut", [False, True], ids=["tree", "cut"])
 
 
@@ -84,7 +86,7 @@ class TestFlywheel:
 
             made = eqx.tree_at(numbers, model, (jnp.asarray(constant), jnp.asarray(viscous)))
             start = with_rates(made, R_y=30.0)
-            return simulate(made, drive=None, start=start, duration=4.0, method=method, save_every=0.5)
+            return simulate(Simulation(made, drive=None, start=start, duration=4.0, method=method, save_every=0.5))
 
         run = run_down(self.CONSTANT, self.VISCOUS)
         assert int(run.status) == 0
@@ -123,7 +125,7 @@ class TestFlywheel:
         )
         model = discretise(Mechanism([wheel], [joint], driven_joint="G", forces=[friction], gravity=(0.0, 0.0, 0.0)))
         settings = {"duration": 0.2, "method": RK4, "save_every": 0.1, "start": with_rates(model)}
-        run = simulate(model, drive=PrescribedRate("G", 3.0), **settings)
+        run = simulate(Simulation(model, drive=PrescribedRate("G", 3.0), **settings))
         np.testing.assert_allclose(run.loads["G"].moment[:, 1], 0.0, atol=1e-9)
         np.testing.assert_allclose(run.drive_moment, self.CONSTANT + 3.0 * self.VISCOUS, rtol=1e-9)
         assert float(run.energy_balance_error) < 1e-9
@@ -147,7 +149,7 @@ class TestRotorOnSprings:
         sunk = start.position.joints.at[2 if cut else 1].set(-self.MASS * 9.81 / self.STIFFNESS)
         rates = start.velocity.joints.at[4 if cut else 2].set(30.0)
         start = State(Coordinates(sunk, start.position.elastic), Coordinates(rates, start.velocity.elastic))
-        run = simulate(model, drive=None, start=start, duration=0.2, method=IMPLICIT, save_every=0.1)
+        run = simulate(Simulation(model, drive=None, start=start, duration=0.2, method=IMPLICIT, save_every=0.1))
         assert int(run.status) == 0
         moment = self.COEFFICIENT * self.RADIUS * self.MASS * 9.81
         np.testing.assert_allclose(run.loads["G"].moment[:, 1], -moment, rtol=1e-6)
@@ -173,11 +175,11 @@ class TestInclinedGuide:
         friction = JointFriction("shoe", "G", coefficient=self.COEFFICIENT, length=self.LENGTH, sliding_rate=1e-3)
         model = one_body(block, "prismatic", cut, friction, slope=self.SLOPE, gravity=(0.0, 0.0, -9.81))
         start = with_rates(model, T_x=self.START)
-        method = Method("generalised_alpha", step=5e-3, tolerance=1e-10, corrections=12)
+        method = GeneralisedAlpha(step=5e-3, tolerance=1e-10, corrections=12)
 
         def run_with(coefficient):
             made = eqx.tree_at(lambda m: m.friction["shoe"].load.arm, model, coefficient)
-            return simulate(made, drive=None, start=start, duration=0.2, method=method, save_every=0.1)
+            return simulate(Simulation(made, drive=None, start=start, duration=0.2, method=method, save_every=0.1))
 
         at = jnp.asarray(self.COEFFICIENT)
         run, change = jax.jvp(run_with, (at,), (jnp.ones_like(at),))
@@ -210,8 +212,8 @@ class TestFromRest:
 
     def run(self, model, step=STEP):
         """The run, and the path at the start, after 0.05 s and after 0.1 s."""
-        settings = {"duration": 0.1, "method": Method("generalised_alpha", step=step), "save_every": 0.05}
-        run = simulate(model, drive=None, start=with_rates(model), **settings)
+        settings = {"duration": 0.1, "method": GeneralisedAlpha(step=step), "save_every": 0.05}
+        run = simulate(Simulation(model, drive=None, start=with_rates(model), **settings))
         return run, (run.displacements["F"][:, 0] if model.topology.n_cuts else run.displacements["G"])
 
     @in_tree_or_cut
@@ -323,9 +325,9 @@ class TestPendulum:
 
             made = eqx.tree_at(of, model, tuple(numbers))
             start = with_rates(made, R_y=-6.0)
-            method = Method("generalised_alpha", step=1e-3, tolerance=1e-12, corrections=12)
+            method = GeneralisedAlpha(step=1e-3, tolerance=1e-12, corrections=12)
             settings = {"duration": self.DURATION, "method": method, "save_every": self.DURATION / 4}
-            run = simulate(made, drive=None, start=start, **settings)
+            run = simulate(Simulation(made, drive=None, start=start, **settings))
             ends = run.angles["G"][-1], run.energy.kinetic[-1], run.friction_losses["pin"][-1]
             return jnp.stack(ends), run
 
@@ -387,11 +389,11 @@ class TestRigidFourBar:
     CONSTANT = tuple({"constant": moment} for moment in (0.02, 0.015, 0.01, 0.025))
     BY_LOAD = tuple({"coefficient": 0.2, "radius": radius} for radius in (0.01, 0.008, 0.008, 0.012))
     CASES = (
-        (CONSTANT, Method("rk4", step=2e-4), 0.880259905526,
+        (CONSTANT, RungeKutta4(step=2e-4), 0.880259905526,
          (-0.0383052124112, 0.0245472510902, 0.0135144454577, 0.0406363613692),
          ((-6.07870589179, 9.501162168), (-2.8262689845, 5.47319642097), (1.37677666529, 0.35334165761),
           (0.639359094959, 2.14037586253))),
-        (BY_LOAD, Method("generalised_alpha", step=1e-4), 0.829052708512,
+        (BY_LOAD, GeneralisedAlpha(step=1e-4), 0.829052708512,
          (-0.038216677004, 0.0181900330853, 0.00542771470714, 0.0205514629332),
          ((-5.87417850309, 8.48074856104), (-2.82055430467, 4.69697563853), (1.31838638036, 0.28056722108),
           (0.431645617853, 2.01209565947))),
@@ -400,7 +402,7 @@ class TestRigidFourBar:
     @pytest.mark.parametrize("by_hinge, method, angle, moments, forces", CASES, ids=["constant", "by_load"])
     def test_against_given_values(self, by_hinge, method, angle, moments, forces):
         model, start = self.model(by_hinge)
-        run = simulate(model, drive=None, start=start, duration=0.1, method=method, save_every=0.05)
+        run = simulate(Simulation(model, drive=None, start=start, duration=0.1, method=method, save_every=0.05))
         assert int(run.status) == 0
         np.testing.assert_allclose(run.angles["A"][-1], angle, rtol=1e-6)
         found = [run.loads[joint].moment[-1, 1] for joint in "ABCD"]
@@ -420,9 +422,9 @@ class TestRigidFourBar:
     def test_explicit_methods_are_refused(self):
         model, start = self.model(self.BY_LOAD)
         with pytest.raises(InputError, match="`method` must be .generalised_alpha. .*`at_A`.* 'rk4'"):
-            simulate(model, drive=None, start=start, duration=0.1, method=Method("rk4", step=1e-4))
+            simulate(Simulation(model, drive=None, start=start, duration=0.1, method=RungeKutta4(step=1e-4)))
         with pytest.raises(InputError, match="generalised_alpha"):
-            check_step(model, Method("rk4", step=1e-4))
+            check_step(model, RungeKutta4(step=1e-4))
 
 
 def test_flexible_four_bar_with_errors():
@@ -431,8 +433,10 @@ def test_flexible_four_bar_with_errors():
     forces = [JointFriction(f"at_{joint}", joint, coefficient=0.15, radius=r, sliding_rate=0.5) for joint, r in radii]
     model = discretise(four_bar(rfes=5, forces=forces), elements="geometrically_exact")
     errors = assembly_errors(model, {"D.delta_x": "0.5 deg", "D.delta_z": "0.5 deg", "D.d_y": "0.5 mm"})
-    method = Method("generalised_alpha", step=5e-4)
-    run = simulate(model, errors, drive=MomentRamp("A", 1.5, 0.1), duration=0.1, method=method, save_every=0.1)
+    method = GeneralisedAlpha(step=5e-4)
+    run = simulate(
+        Simulation(model, drive=MomentRamp("A", 1.5, 0.1), duration=0.1, method=method, save_every=0.1), errors
+    )
     assert int(run.status) == 0
     np.testing.assert_allclose(
         run.loads["A"].force[0], [2.24231096587, 37.6212367122, 0.0770126865668], rtol=0, atol=4e-6

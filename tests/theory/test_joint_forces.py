@@ -7,16 +7,19 @@ import numpy as np
 import pytest
 
 from rfem_jax import (
+    GeneralisedAlpha,
     GivenSection,
     Joint,
     JointForceFunction,
     JointForceTable,
     JointSpring,
+    Leapfrog,
     Link,
     Mechanism,
-    Method,
     PointMass,
     PrescribedRate,
+    RungeKutta4,
+    Simulation,
     assemble,
     assembly_errors,
     discretise,
@@ -30,7 +33,7 @@ from tests.mechanisms import four_bar, link
 
 NO_MASS = GivenSection(1e6, 1e6, 1e6, 1e2, 1e2, 1e2, 1e-9, 1e-15, 1e-15, 1e-15)
 MASS, STIFFNESS, DAMPING, REST, PRELOAD, START = 0.5, 80.0, 2.5, 0.1, 3.0, 0.24
-METHODS = (Method("rk4", step=1e-4), Method("leapfrog", step=2e-5), Method("generalised_alpha", step=1e-4))
+METHODS = (RungeKutta4(step=1e-4), Leapfrog(step=2e-5), GeneralisedAlpha(step=1e-4))
 by_name = pytest.mark.parametrize("method", METHODS, ids=lambda method: method.name)
 
 
@@ -45,7 +48,9 @@ def slider(*forces, gravity=(0.0, 0.0, -9.81)):
 
 def released(model, **settings):
     """Motion from the description's start, at rest."""
-    return simulate(model, drive=None, start=loads.static_state(model.topology, model.start_coordinates()), **settings)
+    return simulate(
+        Simulation(model, drive=None, start=loads.static_state(model.topology, model.start_coordinates()), **settings)
+    )
 
 
 SPRING = JointSpring("coil", "G", stiffness="80 N/m", damping=DAMPING, rest="100 mm", preload=PRELOAD)
@@ -99,13 +104,13 @@ class TestOscillator:
         expected = -decay + 1j * np.sqrt(STIFFNESS / MASS - decay**2)
         np.testing.assert_allclose(np.sort_complex(eigenvalues(model))[-1], expected, rtol=1e-6)
         stiff = slider(JointSpring("coil", "G", stiffness=1e8))
-        limit = largest_stable_step(stiff, Method("leapfrog", step=1e-6))
+        limit = largest_stable_step(stiff, Leapfrog(step=1e-6))
         np.testing.assert_allclose(limit, 2.0 / np.sqrt(1e8 / MASS), rtol=5e-3)
 
     def test_a_stiff_spring_in_long_steps(self):
         """A period is 0.4 steps: without its tangent in the iteration matrix, Newton's method would fail."""
         spring = JointSpring("coil", "G", stiffness=1e8, rest=START, preload=50.0)
-        run = released(slider(spring), duration=0.05, method=Method("generalised_alpha", step=1e-3), save_every=0.01)
+        run = released(slider(spring), duration=0.05, method=GeneralisedAlpha(step=1e-3), save_every=0.01)
         assert int(run.status) == 0
         np.testing.assert_allclose(run.displacements["G"], START, rtol=0, atol=2 * 50.0 / 1e8)
 
@@ -204,7 +209,7 @@ def test_a_prescribed_drive_works_against_the_spring():
                           gravity=(0.0, 0.0, 0.0), forces=[spring])  # fmt: skip
     model = discretise(mechanism)
     for method in METHODS[::2]:
-        run = simulate(model, drive=PrescribedRate("A", 3.0), duration=0.2, method=method, save_every=0.1)
+        run = simulate(Simulation(model, drive=PrescribedRate("A", 3.0), duration=0.2, method=method, save_every=0.1))
         # At a constant rate the joint carries no moment about its axis: the drive holds the spring.
         np.testing.assert_allclose(run.loads["A"].moment[:, 1], 0.0, atol=1e-9)
         np.testing.assert_allclose(run.drive_moment, 4.0 * 3.0 * run.times + 0.2 * 3.0, rtol=1e-9)

@@ -10,14 +10,18 @@ import numpy as np
 import pytest
 
 from rfem_jax import (
+    Explicit,
+    GeneralisedAlpha,
     Joint,
+    Leapfrog,
     Link,
     Material,
     Mechanism,
-    Method,
     MomentRamp,
     PrescribedRate,
     Rectangle,
+    RungeKutta4,
+    Simulation,
     assemble,
     assembly_errors,
     describe,
@@ -59,8 +63,16 @@ class TestSliderCrank:
 
         def loads(values):
             errors = assembly_errors(model, {name: values[i] for i, name in enumerate(names)})
-            run = simulate(model, errors, drive=PrescribedRate("A", 60.0), duration=2e-3,
-                           method=Method("rk4", step=1e-4), save_every=1e-3)  # fmt: skip
+            run = simulate(
+                Simulation(
+                    model,
+                    drive=PrescribedRate("A", 60.0),
+                    duration=2e-3,
+                    method=RungeKutta4(step=1e-4),
+                    save_every=1e-3,
+                ),
+                errors,
+            )
             return jnp.stack([run.metrics.mean_square_force["G"], run.metrics.mean_square_moment["C"]])
 
         at = jnp.asarray([2e-3, 1e-4, -2e-4, 3e-3])
@@ -71,19 +83,19 @@ class TestSliderCrank:
         differences = ((moved[:4] - moved[4:]) / (2.0 * step)).T
         np.testing.assert_allclose(forward, differences, rtol=1e-5, atol=1e-5 * np.abs(forward).max())
 
-    @pytest.mark.parametrize("method", [Method("leapfrog", step=2e-5), Method("tsit5", rtol=1e-9, atol=1e-11),
-                                        Method("generalised_alpha", step=1e-4, tolerance=1e-10)],
+    @pytest.mark.parametrize("method", [Leapfrog(step=2e-5), Explicit("tsit5", rtol=1e-9, atol=1e-11),
+                                        GeneralisedAlpha(step=1e-4, tolerance=1e-10)],
                              ids=lambda method: method.name)  # fmt: skip
     def test_every_method_follows_the_same_motion(self, method):
         """Under a moment; against Runge and Kutta's with a small step."""
         model, drive = slider_crank(), MomentRamp("A", 2.0, 0.02)
 
         def end(method):
-            run = simulate(model, drive=drive, duration=0.02, method=method, save_every=0.005)
+            run = simulate(Simulation(model, drive=drive, duration=0.02, method=method, save_every=0.005))
             assert int(run.status) == 0
             return float(run.displacements["G"][-1]), float(run.energy_balance_error)
 
-        (slide, _), (found, balance) = end(Method("rk4", step=5e-5)), end(method)
+        (slide, _), (found, balance) = end(RungeKutta4(step=5e-5)), end(method)
         assert abs(slide - 0.2597498) > 1e-3
         np.testing.assert_allclose(found, slide, rtol=0, atol=2e-7)
         assert balance < 1e-3
@@ -93,10 +105,10 @@ class TestChain:
     """Universal, planar, fixed and spherical joints one behind the other, let go with random rates."""
 
     METHODS = (
-        Method("rk4", step=1e-4),
-        Method("leapfrog", step=1e-5),
-        Method("tsit5", rtol=1e-9, atol=1e-11),
-        Method("generalised_alpha", step=5e-5, tolerance=1e-10),
+        RungeKutta4(step=1e-4),
+        Leapfrog(step=1e-5),
+        Explicit("tsit5", rtol=1e-9, atol=1e-11),
+        GeneralisedAlpha(step=5e-5, tolerance=1e-10),
     )
 
     def test_every_method_follows_the_same_motion(self):
@@ -107,7 +119,7 @@ class TestChain:
         model = discretise(Mechanism(links, joints))
         start = State(model.start_coordinates(), random_state(model, np.random.default_rng(3)).velocity)
         runs = [
-            simulate(model, start=start, drive=None, duration=5e-3, method=method, save_every=5e-3)
+            simulate(Simulation(model, start=start, drive=None, duration=5e-3, method=method, save_every=5e-3))
             for method in self.METHODS
         ]
         assert [int(run.status) for run in runs] == [0, 0, 0, 0]
@@ -177,8 +189,12 @@ class TestPlanarAndFixed:
 
         def ends(values):
             errors = assembly_errors(model, dict(zip(names, values)))
-            run = simulate(model, errors, drive=None, duration=SLID, method=Method("rk4", step=SLID / 2.0),
-                           save_every=SLID, start=start)  # fmt: skip
+            run = simulate(
+                Simulation(
+                    model, drive=None, duration=SLID, method=RungeKutta4(step=SLID / 2.0), save_every=SLID, start=start
+                ),
+                errors,
+            )
             loads = [getattr(run.loads[joint], key)[-1] for joint in "LF" for key in ("force", "moment")]
             found = jnp.concatenate([run.displacements["L"][-1], *loads])
             return found, found
@@ -238,9 +254,10 @@ class TestUniversal:
 
         def load(values):
             errors = assembly_errors(model, {name: values[i] for i, name in enumerate(names)})
-            method = Method("generalised_alpha", step=1e-3, tolerance=1e-8)
+            method = GeneralisedAlpha(step=1e-3, tolerance=1e-8)
             run = simulate(
-                model, errors, drive=PrescribedRate("A", 25.0), duration=5e-3, method=method, save_every=5e-3
+                Simulation(model, drive=PrescribedRate("A", 25.0), duration=5e-3, method=method, save_every=5e-3),
+                errors,
             )
             return run.metrics.mean_square_force["D"]
 

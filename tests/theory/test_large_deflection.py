@@ -22,9 +22,10 @@ from rfem_jax import (
     Joint,
     Link,
     Mechanism,
-    Method,
     PointMass,
     PrescribedRate,
+    RungeKutta4,
+    Simulation,
     assemble,
     assembly_errors,
     discretise,
@@ -225,12 +226,14 @@ def test_a_run_out_of_range_says_so(elements, name):
     beam, clamp = Link("beam", 0.5, section, rfes=4), Joint("A", "base", "beam", angle=-0.4)
     model = discretise(Mechanism([beam], [clamp], driven_joint="A", elements=elements))
     run = simulate(
-        model,
-        drive=PrescribedRate("A", 0.0),
-        duration=0.4,
-        method=Method("rk4", step=2e-4),
-        save_every=0.02,
-        start=static_state(model.topology, model.start_coordinates()),
+        Simulation(
+            model,
+            drive=PrescribedRate("A", 0.0),
+            duration=0.4,
+            method=RungeKutta4(step=2e-4),
+            save_every=0.02,
+            start=static_state(model.topology, model.start_coordinates()),
+        )
     )
     assert STATUS[int(run.status)].name == name
     if elements == "geometrically_exact":

@@ -10,13 +10,24 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax import Joint, Mechanism, Method, PointForce, Problem, assembly_errors, discretise, simulate
+from rfem_jax import (
+    GeneralisedAlpha,
+    Joint,
+    Mechanism,
+    PointForce,
+    Problem,
+    RungeKutta4,
+    Simulation,
+    assembly_errors,
+    discretise,
+    simulate,
+)
 from rfem_jax.mechanics.loads import static_state
 from tests.mechanisms import chain_of_kinds, link
 
 LENGTH, MASS, G = 0.3, 7850.0 * 0.01**2 * 0.3, 9.81
 PULSE, DURATION = 300.0, 0.1
-HELD = Method("rk4", step=1e-3)
+HELD = RungeKutta4(step=1e-3)
 TIMES = (0.0, 0.03, 0.035, 0.04, DURATION)
 
 
@@ -34,7 +45,10 @@ def clamped_bar():
 @pytest.fixture(scope="module")
 def clamp():
     kinds = ("max_force", "max_moment", "peak_force", "peak_moment")
-    return Problem(discretise(clamped_bar()), None, DURATION, [f"W.{kind}" for kind in kinds], HELD, save_every=1e-3)
+    return Problem(
+        Simulation(discretise(clamped_bar()), drive=None, duration=DURATION, method=HELD, save_every=1e-3),
+        [f"W.{kind}" for kind in kinds],
+    )
 
 
 def test_the_largest_loads_of_a_clamp_are_those_at_the_top_of_a_pulse(clamp):
@@ -65,7 +79,7 @@ def test_derivatives_of_a_maximum_are_those_of_its_instant(clamp):
 KINDS_WITHOUT_AXIS = "U", "F"
 
 
-@pytest.mark.parametrize("method", [Method("rk4", step=1e-4), Method("generalised_alpha", step=1e-4, steps_per_row=2)])
+@pytest.mark.parametrize("method", [RungeKutta4(step=1e-4), GeneralisedAlpha(step=1e-4, steps_per_row=2)])
 def test_largest_loads_of_all_kinds_are_those_of_every_step(method):
     """Joints of all kinds, fixed and universal ones too, which have no axis; saved seldom and at every step."""
     chain = chain_of_kinds()
@@ -74,8 +88,8 @@ def test_largest_loads_of_all_kinds_are_those_of_every_step(method):
     errors = assembly_errors(model, {"A.delta_x": 0.01, "F.d_x": 1e-3})
     start = static_state(model.topology, model.start_coordinates())
     settings = {"drive": None, "duration": 2e-3, "method": method, "start": start}
-    seldom = simulate(model, errors, save_every=1e-3, **settings)
-    often = simulate(model, errors, save_every=method.step, **settings)
+    seldom = simulate(Simulation(model, save_every=1e-3, **settings), errors)
+    often = simulate(Simulation(model, save_every=method.step, **settings), errors)
     for name, load in often.loads.items():
         for what in ("force", "moment"):
             largest = np.linalg.norm(np.asarray(getattr(load, what)), axis=1).max()

@@ -8,14 +8,15 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 from rfem_jax import (
+    GeneralisedAlpha,
     GivenSection,
     Joint,
     Link,
     Mechanism,
-    Method,
     PointForce,
     PointMoment,
     Problem,
+    Simulation,
     Tolerances,
     Uniform,
     assemble,
@@ -100,12 +101,12 @@ def test_no_error():
 def test_runs_say_so():
     """Of a batch, too; a run within 2 % has no remark."""
     model = cantilever(at_tip(0.0, 0.0, 0.6))
-    method = Method("generalised_alpha", step=1e-4)
+    method = GeneralisedAlpha(step=1e-4)
 
     def run(share):
         weaker = jax.tree.map(lambda x: x, model)
         errors = assembly_errors(weaker, {"beam.length": share})
-        return simulate(weaker, errors, drive=None, duration=1e-4, method=method, save_every=1e-4)
+        return simulate(Simulation(weaker, drive=None, duration=1e-4, method=method, save_every=1e-4), errors)
 
     runs = jax.vmap(run)(jnp.array([0.0, -0.4]))
     assert np.all(np.asarray(runs.status) == 0)
@@ -119,7 +120,10 @@ def test_runs_say_so():
 def test_samples_are_counted():
     """Of a Monte Carlo study over the length of a cantilever, beside the metric that is asked for."""
     model = cantilever(at_tip(0.0, 0.0, 0.3))
-    problem = Problem(model, None, 1e-4, "F.rms_moment", Method("generalised_alpha", step=1e-4), save_every=1e-4)
+    problem = Problem(
+        Simulation(model, drive=None, duration=1e-4, method=GeneralisedAlpha(step=1e-4), save_every=1e-4),
+        "F.rms_moment",
+    )
     result = monte_carlo(problem, Tolerances({"beam.length": Uniform(0.4)}), 32, jax.random.key(3), batch=16)
     assert result.metrics == ("F.rms_moment",) and result.good == 32
     angles = 0.5 * 0.3 * (1.0 + result.errors[:, 0]) ** 2

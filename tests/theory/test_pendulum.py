@@ -20,8 +20,9 @@ from rfem_jax import (
     Joint,
     Link,
     Mechanism,
-    Method,
     PointMass,
+    RungeKutta4,
+    Simulation,
     State,
     assembly_errors,
     discretise,
@@ -89,12 +90,7 @@ def single():
 
     def simulated(start):
         return simulate(
-            model,
-            drive=None,
-            duration=0.6,
-            method=Method("rk4", step=1e-4),
-            save_every=0.02,
-            start=start,
+            Simulation(model, drive=None, duration=0.6, method=RungeKutta4(step=1e-4), save_every=0.02, start=start)
         )
 
     starts = stacked([start_state([lowest + a], [r]) for a, r in SINGLE_STARTS])
@@ -196,13 +192,15 @@ def double():
 
     def simulated(model, errors):
         return simulate(
-            model,
+            Simulation(
+                model,
+                drive=None,
+                duration=0.4,
+                method=RungeKutta4(step=1e-4),
+                save_every=0.02,
+                start=start_state(ANGLES, RATES),
+            ),
             errors,
-            drive=None,
-            duration=0.4,
-            method=Method("rk4", step=1e-4),
-            save_every=0.02,
-            start=start_state(ANGLES, RATES),
         )
 
     runs = eqx.filter_jit(eqx.filter_vmap(simulated))(stacked(models), stacked(errors))
@@ -368,13 +366,15 @@ def test_twist_of_a_link_turns_the_frame_at_its_end_and_nothing_else():
     loads = []
     for model, error in zip(models, errors):
         run = simulate(
-            model,
+            Simulation(
+                model,
+                drive=None,
+                duration=0.02,
+                method=RungeKutta4(step=1e-3),
+                save_every=0.01,
+                start=start_state(ANGLES, RATES),
+            ),
             assembly_errors(model, error),
-            drive=None,
-            duration=0.02,
-            method=Method("rk4", step=1e-3),
-            save_every=0.01,
-            start=start_state(ANGLES, RATES),
         )
         loads.append(np.concatenate([*run.loads["A"], *run.loads["B"]], axis=1))
     twisted, straight, turned, middle_twisted, middle = loads

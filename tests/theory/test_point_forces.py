@@ -7,16 +7,19 @@ import numpy as np
 import pytest
 
 from rfem_jax import (
+    GeneralisedAlpha,
     GivenSection,
     Joint,
+    Leapfrog,
     Link,
     Mechanism,
-    Method,
     PointForce,
     PointMass,
     PointMoment,
     PointSpring,
     PointSpringFunction,
+    RungeKutta4,
+    Simulation,
     assemble,
     assembly_errors,
     discretise,
@@ -29,7 +32,7 @@ from tests.mechanisms import link
 NO_MASS = GivenSection(1e6, 1e6, 1e6, 1e2, 1e2, 1e2, 1e-9, 1e-15, 1e-15, 1e-15)
 MASS, STIFFNESS, DAMPING, FREE, PRELOAD, START = 0.5, 80.0, 2.5, 0.6, 3.0, 0.24
 AWAY = 0.5  # from the base's point to the zero of the guide
-RK4, ALPHA = Method("rk4", step=2e-4), Method("generalised_alpha", step=1e-4)
+RK4, ALPHA = RungeKutta4(step=2e-4), GeneralisedAlpha(step=1e-4)
 
 
 def body(name, mass, centre=(0.0, 0.0, 0.0), inertia=(1e-4, 1e-4, 1e-4), length=0.1):
@@ -45,7 +48,9 @@ def sliders(*forces, starts=(START,), gravity=(0.0, 0.0, -9.81)):
 
 def released(model, **settings):
     """Motion from the description's start, at rest."""
-    return simulate(model, drive=None, start=loads.static_state(model.topology, model.start_coordinates()), **settings)
+    return simulate(
+        Simulation(model, drive=None, start=loads.static_state(model.topology, model.start_coordinates()), **settings)
+    )
 
 
 SPRING = PointSpring("coil", ["base", "one"], [(-AWAY, 0.0, 0.0), 0.0], "80 N/m", DAMPING, "600 mm", PRELOAD)
@@ -106,7 +111,7 @@ class TestOscillator:
         expected = -decay + 1j * np.sqrt(STIFFNESS / MASS - decay**2)
         np.testing.assert_allclose(np.sort_complex(eigenvalues(sliders(at_rest)))[-1], expected, rtol=1e-6)
         stiff = sliders(PointSpring("coil", SPRING.links, SPRING.points, 1e8, free_length=AWAY + START))
-        limit = largest_stable_step(stiff, Method("leapfrog", step=1e-6))
+        limit = largest_stable_step(stiff, Leapfrog(step=1e-6))
         np.testing.assert_allclose(limit, 2.0 / np.sqrt(1e8 / MASS), rtol=5e-3)
 
     def test_a_flexible_link_on_a_spring(self):
@@ -146,7 +151,7 @@ class TestTwoBlocks:
         would fail.  The blocks move as one under the force."""
         stiff = PointSpring("rod", ["one", "two"], [0.0, (0.0, 0.0, 0.1)], 1e8, free_length=np.hypot(0.2, 0.1))
         model = sliders(stiff, PointForce("pull", "two", 0.0, (3.0, 0.0, 0.0)), starts=(0.0, 0.2))
-        method = Method("generalised_alpha", step=1e-3)
+        method = GeneralisedAlpha(step=1e-3)
         run = released(model, duration=0.05, method=method, save_every=0.01)
         assert int(run.status) == 0
         assert float(run.solution_residual) < 1e-3
@@ -218,7 +223,7 @@ class TestTime:
 
         def end(values):
             moved = eqx.tree_at(numbers, model, (*values[:4], model.frame_forces["push"].value.values * values[4]))
-            run = released(moved, duration=0.12, method=Method("generalised_alpha", step=1e-3), save_every=0.06)
+            run = released(moved, duration=0.12, method=GeneralisedAlpha(step=1e-3), save_every=0.06)
             return jnp.stack([run.displacements["Gone"][-1], run.metrics.mean_square_moment["Gone"]])
 
         at = jnp.asarray([STIFFNESS, DAMPING, FREE, PRELOAD, 1.0])

@@ -9,7 +9,7 @@ import jax
 import numpy as np
 import pytest
 
-from rfem_jax import Method, MomentRamp, PrescribedRate, assemble, assembly_errors, simulate
+from rfem_jax import MomentRamp, PrescribedRate, RungeKutta4, Simulation, assemble, assembly_errors, simulate
 
 MOMENT, RISE, DURATION = 1.5, 0.1, 0.14
 CUTS = ("C", "B", "D")
@@ -21,11 +21,13 @@ def released(request, four_bar):
     """The cut, and the run from rest under the moment ramp."""
     model = four_bar(request.param)
     run = simulate(
-        model,
-        drive=MomentRamp("A", MOMENT, RISE),
-        duration=DURATION,
-        method=Method("rk4", step=1e-4),
-        save_every=0.01,
+        Simulation(
+            model,
+            drive=MomentRamp("A", MOMENT, RISE),
+            duration=DURATION,
+            method=RungeKutta4(step=1e-4),
+            save_every=0.01,
+        )
     )
     return request.param, jax.tree.map(np.asarray, run)
 
@@ -103,11 +105,13 @@ def test_static_start_holds_the_crank(released, exact_four_bar, four_bar_loads):
 def test_prescribed_crank(four_bar, exact_four_bar, four_bar_loads, rise_time):
     """The angle is what was asked for, the drive's moment what Newton and Euler need for it."""
     run = simulate(
-        four_bar("C"),
-        drive=PrescribedRate("A", RATE, rise_time),
-        duration=TURNING,
-        method=Method("rk4", step=2e-4),
-        save_every=0.01,
+        Simulation(
+            four_bar("C"),
+            drive=PrescribedRate("A", RATE, rise_time),
+            duration=TURNING,
+            method=RungeKutta4(step=2e-4),
+            save_every=0.01,
+        )
     )
     t = np.asarray(run.times)
     x = t / rise_time if rise_time else np.full_like(t, 2.0)
@@ -163,12 +167,14 @@ def test_flexible_loop_with_errors_moves_the_same_wherever_it_is_cut(four_bar):
         runs[cut] = jax.tree.map(
             np.asarray,
             simulate(
-                model,
+                Simulation(
+                    model,
+                    drive=MomentRamp("A", MOMENT, 0.02),
+                    duration=0.03,
+                    method=RungeKutta4(step=2e-5),
+                    save_every=1e-3,
+                ),
                 assembly_errors(model, RELATED),
-                drive=MomentRamp("A", MOMENT, 0.02),
-                duration=0.03,
-                method=Method("rk4", step=2e-5),
-                save_every=1e-3,
             ),
         )
         assert runs[cut].status == 0

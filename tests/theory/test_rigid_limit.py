@@ -13,8 +13,9 @@ from rfem_jax import (
     Joint,
     Link,
     Mechanism,
-    Method,
     PointMass,
+    RungeKutta4,
+    Simulation,
     State,
     discretise,
     simulate,
@@ -95,12 +96,7 @@ def tripods():
         elastic = jnp.zeros((6, model.topology.n_rfes))
         start = State(Coordinates(jnp.array([0.5, 0.8]), elastic), Coordinates(jnp.zeros(2), elastic))
         return simulate(
-            model,
-            drive=None,
-            duration=0.3,
-            method=Method("rk4", step=5e-5),
-            save_every=0.01,
-            start=start,
+            Simulation(model, drive=None, duration=0.3, method=RungeKutta4(step=5e-5), save_every=0.01, start=start)
         )
 
     flexible = jax.tree.map(lambda *x: jnp.stack(x), chain(4.0, 3), chain(4.0 * STIFFER, 3))

@@ -15,7 +15,16 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from rfem_jax import Method, PrescribedRate, assembly_errors, describe, discretise, load_study, simulate
+from rfem_jax import (
+    PrescribedRate,
+    RungeKutta4,
+    Simulation,
+    assembly_errors,
+    describe,
+    discretise,
+    load_study,
+    simulate,
+)
 from rfem_jax.report.overview import study_text
 
 STUDY = Path(__file__).parents[2] / "studies" / "spatial_linkage" / "study.toml"
@@ -57,12 +66,14 @@ def test_output_angle_without_and_with_errors(study):
 
     def angles(values):
         run = simulate(
-            model,
+            Simulation(
+                model,
+                drive=PrescribedRate("A", RATE),
+                duration=DURATION,
+                method=RungeKutta4(step=1e-3),
+                save_every=DURATION / 20,
+            ),
             assembly_errors(model, dict(zip(names, values, strict=True))),
-            drive=PrescribedRate("A", RATE),
-            duration=DURATION,
-            method=Method("rk4", step=1e-3),
-            save_every=DURATION / 20,
         )
         return run.angle, run.angles["D"], run.status
 

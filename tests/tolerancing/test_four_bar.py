@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 
 from rfem_jax import (
-    Method,
     MomentRamp,
     Normal,
     Problem,
     Reciprocal,
+    RungeKutta4,
     Tolerances,
     Uniform,
     allocate,
@@ -40,7 +40,7 @@ class Counted(Problem):
 @pytest.fixture(scope="module")
 def problem():
     model = discretise(four_bar(3))
-    return Counted(model, MomentRamp("A", 1.5, 2.5e-4), 5e-4, METRICS, Method("rk4", step=2.5e-5), 2.5e-4)
+    return Counted(model, MomentRamp("A", 1.5, 2.5e-4), 5e-4, METRICS, RungeKutta4(step=2.5e-5), 2.5e-4)
 
 
 @pytest.fixture(scope="module")

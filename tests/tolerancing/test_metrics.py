@@ -7,7 +7,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax import Compliance, Joint, Mechanism, Method, PrescribedRate, Problem, discretise, sensitivity
+from rfem_jax import (
+    Compliance,
+    Joint,
+    Mechanism,
+    PrescribedRate,
+    Problem,
+    RungeKutta4,
+    Simulation,
+    discretise,
+    sensitivity,
+)
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.metric_catalogue import JOINT_METRICS, RUN_METRICS
 from rfem_jax.tolerancing.problems import metrics
@@ -98,11 +108,11 @@ def test_only_joints_with_a_coordinate_have_a_motion():
     model = discretise(
         Mechanism([link("arm", 0.3), link("hand", 0.3)], [guide, Joint("B", "arm", "hand", kind="universal")])
     )
-    settings = {"drive": None, "duration": 1e-3, "method": Method("rk4", step=1e-6)}
-    assert Problem(model, metrics=("A.end_displacement", "A.displacement_range"), **settings).metrics[0].unit == "m"
+    settings = {"drive": None, "duration": 1e-3, "method": RungeKutta4(step=1e-6)}
+    assert Problem(Simulation(model, **settings), ("A.end_displacement", "A.displacement_range")).metrics[0].unit == "m"
     for name in ("A.end_angle", "B.end_angle"):
         with pytest.raises(InputError, match="`metrics` must be of joints that have them"):
-            Problem(model, metrics=(name,), **settings)
+            Problem(Simulation(model, **settings), (name,))
 
 
 @pytest.fixture
@@ -127,7 +137,12 @@ RATE, DURATION = 3.0, 4e-4
 
 
 def build(model, names):
-    return Problem(model, PrescribedRate("A", RATE), DURATION, names, Method("rk4", step=2e-5), 2e-4)
+    return Problem(
+        Simulation(
+            model, drive=PrescribedRate("A", RATE), duration=DURATION, method=RungeKutta4(step=2e-5), save_every=2e-4
+        ),
+        names,
+    )
 
 
 def test_a_registered_metric_runs_through_a_problem_and_sensitivities_to_their_table(registered, pendulum):

@@ -7,8 +7,22 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax import ForceRamp, InputError, Joint, Mechanism, Method, MomentRamp, assembly_errors, discretise, simulate
+from rfem_jax import (
+    Automatic,
+    ForceRamp,
+    GeneralisedAlpha,
+    InputError,
+    Joint,
+    Mechanism,
+    MomentRamp,
+    RungeKutta4,
+    Simulation,
+    assembly_errors,
+    discretise,
+    simulate,
+)
 from rfem_jax.compilation import program
+from rfem_jax.description.methods import named_method
 from rfem_jax.simulation.accuracy import choose_method
 from rfem_jax.simulation.integration import grid_for, simulate_steps
 from rfem_jax.simulation.time_grid import of_any_step
@@ -54,8 +68,8 @@ def traced(monkeypatch, tmp_path):
 
 @pytest.fixture
 def problem():
-    model, method = discretise(arm()), Method("generalised_alpha", step=2e-3)
-    return Problem(model, DRIVE, DURATION, "A.mean_square_moment", method)
+    model, method = discretise(arm()), GeneralisedAlpha(step=2e-3)
+    return Problem(Simulation(model, drive=DRIVE, duration=DURATION, method=method), "A.mean_square_moment")
 
 
 def test_sensitivities_with_a_finer_step(traced, problem):
@@ -79,7 +93,12 @@ def test_values_after_an_expansion(traced, problem):
 
 def stepped(step, save_every=4e-3, method="generalised_alpha"):
     model = discretise(arm())
-    return Problem(model, DRIVE, DURATION, "A.mean_square_moment", Method(method, step=step), save_every)
+    return Problem(
+        Simulation(
+            model, drive=DRIVE, duration=DURATION, method=named_method(method, step=step), save_every=save_every
+        ),
+        "A.mean_square_moment",
+    )
 
 
 def test_one_program_serves_all_steps(traced):
@@ -110,9 +129,9 @@ def of(problem):
 
 def test_one_program_has_the_gradients_of_all_metrics(traced):
     """In reverse mode, at zero error, too."""
-    model, method = discretise(arm()), Method("generalised_alpha", step=2e-3)
+    model, method = discretise(arm()), GeneralisedAlpha(step=2e-3)
     asked, tilts = ("A.mean_square_moment", "A.mean_square_force"), [[0.0], [0.01]]
-    problem = Problem(model, DRIVE, DURATION, asked, method)
+    problem = Problem(Simulation(model, drive=DRIVE, duration=DURATION, method=method), asked)
     values, gradients, _ = linearise_points(problem, tuple(WIDTHS), {}, tilts, mode="reverse")
     for i in range(2):
         same, gradient, _ = linearise_points(problem, tuple(WIDTHS), {}, tilts, metric=i, mode="reverse")
@@ -126,10 +145,10 @@ def test_one_program_has_the_gradients_of_all_metrics(traced):
 
 def test_the_angle_is_of_no_slide():
     block = Mechanism([link("block", 0.1)], [Joint("P", "base", "block", kind="prismatic")], driven_joint="P")
-    given = discretise(block), ForceRamp("P", 5.0, 0.01), DURATION
-    method = Method("generalised_alpha", step=2e-3)
+    method, drive = GeneralisedAlpha(step=2e-3), ForceRamp("P", 5.0, 0.01)
+    simulation = Simulation(discretise(block), drive=drive, duration=DURATION, method=method)
     with pytest.raises(InputError, match="moves `P` along an axis"):
-        Problem(*given, "angle_error", method)
+        Problem(simulation, "angle_error")
 
 
 def test_a_program_of_simulations_serves_all_steps(traced):
@@ -137,14 +156,14 @@ def test_a_program_of_simulations_serves_all_steps(traced):
     links = [link("crank", 0.12), link("coupler", 0.3, 2), link("rocker", 0.3)]
     model, forces = discretise(dataclasses.replace(four_bar(), links=links)), []
     for step in (2e-3, 1e-3):
-        method = Method("generalised_alpha", step=step)
+        method = GeneralisedAlpha(step=step)
         shared, grid, steps = of_any_step(method, *grid_for(DRIVE, DURATION, method, 4e-3, model))
         run = simulate_steps(model, assembly_errors(model), DRIVE, grid, shared, steps)
         assert int(run.status) == 0
         forces.append(float(run.metrics.rms_force["A"]))
     assert traced == ["_simulate"]
     assert 1e-6 < abs(forces[1] / forces[0] - 1.0) < 0.1
-    alone = simulate(model, drive=DRIVE, duration=DURATION, method=method, save_every=4e-3)
+    alone = simulate(Simulation(model, drive=DRIVE, duration=DURATION, method=method, save_every=4e-3))
     np.testing.assert_allclose(alone.metrics.rms_force["A"], forces[1], rtol=1e-9)
 
 
@@ -168,12 +187,12 @@ def test_programs_of_cases_serve_any_step():
     """What they are kept by is the same for two steps of an implicit method, whose number is traced."""
     taken = []
     for step in (4e-4, 3e-4):
-        method = Method("generalised_alpha", step=step)
+        method = GeneralisedAlpha(step=step)
         grid, steps = grid_for(None, 0.01, method, 1e-3)
         taken.append((steps, *of_any_step(method, grid, steps)))
     (few, first, _, traced), (more, second, *_) = taken
     assert few < more and first == second and int(traced) == few and isinstance(traced, jax.Array)
-    explicit = Method("rk4", step=1e-4)
+    explicit = RungeKutta4(step=1e-4)
     assert of_any_step(explicit, grid, 10) == (explicit, grid, 10)
 
 
@@ -185,5 +204,5 @@ def test_a_problem_is_shown_in_a_line(problem):
 
 def test_trials_of_auto(traced):
     jax.clear_caches()
-    assert choose_method(discretise(arm()), Method("auto"), DRIVE, DURATION).step > 0.0
+    assert choose_method(discretise(arm()), Automatic(), DRIVE, DURATION).step > 0.0
     assert [traced.count(name) for name in ("prepare_trials", "loads_of_trials")] == [1, 1]

@@ -116,15 +116,19 @@ def _cycles(study: Study, tolerance: float, most: int) -> dict[str, Cycle]:
     from rfem_jax.description.metric_catalogue import records_for
     from rfem_jax.mechanics.model_with_errors import assembly_errors
     from rfem_jax.simulation.cycle import steady_cycle
+    from rfem_jax.simulation.specification import Simulation
 
     model, drive, cycles = discretise_study(study), study.drives[0], {}
     assert isinstance(drive, PrescribedRate), "_of_one_revolution has seen to it"
     for case in study.cases:
         announce(f"Finding the cycle of case {case.name}")
         cycle = steady_cycle(
-            model, assembly_errors(model, case.errors), drive=drive, method=study.method,
-            save_every=study.save_every, tolerance=tolerance, most=most, record=records_for(study.metrics),
-        )  # fmt: skip
+            Simulation(model, drive=drive, method=study.method, save_every=study.save_every),
+            assembly_errors(model, case.errors),
+            tolerance=tolerance,
+            most=most,
+            record=records_for(study.metrics),
+        )
         cycles[case.name] = replace(cycle, run=jax.tree.map(np.asarray, cycle.run))
         state = "repeats" if cycle.converged else "does not yet repeat"
         note(f"Case {case.name} {state} after {cycle.revolutions} revolutions, to {cycle.residual:.1e}.")

@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 from jax.typing import ArrayLike
 
 from rfem_jax.description.study import Study
-from rfem_jax.mechanics.designs import model_of_study
 from rfem_jax.mechanics.model import Model
+from rfem_jax.simulation import Simulation
 from rfem_jax.tolerancing.problems.simulated_problem import Problem
 
 
@@ -19,7 +19,5 @@ def build_problem(
     model: Model | None = None,
     trials: Mapping[str, ArrayLike] | None = None,
 ) -> Problem:
-    """The study's mechanism, drive and method as a function of its errors; `trials` as those of `Problem`."""
-    model = model_of_study(study) if model is None else model
-    settings = {"save_every": study.save_every, "trials": trials}
-    return Problem(model, study.designed_drive, study.duration, metrics, study.method, **settings)
+    """The study's mechanism, drive and method as a function of its errors; `trials` as those of `Simulation`."""
+    return Problem(Simulation.of(study, model=model, trials=trials), metrics)

@@ -9,26 +9,21 @@ Place in the pipeline: explicit, generalised_alpha -> **catalogue** -> stepping.
 diffrax's own explicit solvers are taken by their names.
 """
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any, Protocol, runtime_checkable
 
 import diffrax
 from jaxtyping import Array, Float, PyTree
 
-from rfem_jax.description.methods import (
-    DiffraxMethod,
-    FixedStepMethod,
-    GeneralisedAlphaMethod,
-    Method,
-    add_method_class,
-)
+from rfem_jax.description.methods import Explicit, GeneralisedAlpha, Leapfrog, Method, RungeKutta4, add_method_class
 from rfem_jax.mechanics.inputs import DriveInput
 from rfem_jax.mechanics.model import State
 from rfem_jax.mechanics.model_with_errors import ModelWithErrors
 from rfem_jax.simulation.equations import Conditions, Scalar, Trajectory
 from rfem_jax.simulation.observation import Instant
-from rfem_jax.simulation.solvers.explicit import Leapfrog, PeakTracking, RungeKutta4
-from rfem_jax.simulation.solvers.generalised_alpha import GeneralisedAlpha, MadeJump, StepState
+from rfem_jax.simulation.solvers.explicit import LeapfrogSolver, PeakTracking, RungeKutta4Solver
+from rfem_jax.simulation.solvers.generalised_alpha import GeneralisedAlphaSolver, MadeJump, StepState
 
 
 @runtime_checkable
@@ -82,31 +77,32 @@ _DIFFRAX = {
     "ralston": diffrax.Ralston,
 }
 _MAKERS: dict[type[Method], Callable[[Any], diffrax.AbstractSolver]] = {
-    FixedStepMethod: lambda method: RungeKutta4() if method.name == "rk4" else Leapfrog(),
-    GeneralisedAlphaMethod: GeneralisedAlpha,
-    # With "bounded" loops over the stages all transforms apply, in forward and reverse mode.
-    DiffraxMethod: lambda method: _DIFFRAX[method.name](scan_kind="bounded"),
+    RungeKutta4: lambda method: RungeKutta4Solver(),
+    Leapfrog: lambda method: LeapfrogSolver(),
+    GeneralisedAlpha: GeneralisedAlphaSolver,
+    Explicit: lambda method: _of_diffrax(method.solver),
 }
 
 
 def register_method(kind: type[Method], make_solver: Callable[[Any], diffrax.AbstractSolver]) -> None:
-    """Add a class of integration methods. From then on its names are known in `Method` and in study files.
+    """Add a class of integration methods. From then on its name is known in study files.
 
-        @dataclass(frozen=True)
-        class Kutta(FixedStepMethod):
+        @dataclass(frozen=True, kw_only=True)
+        class Kutta(FixedStep):
             names: ClassVar[tuple[str, ...]] = ("kutta3",)
 
         register_method(Kutta, lambda method: KuttaSolver())
-        run = simulate(model, errors, method=Method("kutta3", step=1e-5), ...)
+        run = simulate(model, errors, method=Kutta(step=1e-5), ...)
 
     Programs of such a method are compiled in every process: nothing is known of its source.
 
-    **Arguments:** `kind`: a frozen dataclass derived from `Method` (or from a class of methods) whose `names` are its
-    own; its other fields are the settings. `make_solver`: from a method of this class to its diffrax solver. An
-    explicit one advances a `Trajectory`, and its dense information holds the increments h f of its stages, first
-    stage first, as "k" (all Runge-Kutta methods of diffrax that derive from `diffrax.AbstractERK` do). An implicit one
-    (`implicit = True` in the class) is an `IntervalSolver`. Steps of an explicit method are checked for stability
-    only if it derives from `diffrax.AbstractERK`.
+    **Arguments:** `kind`: a frozen dataclass derived from `Method` (or from a class of methods) whose one name in
+    `names` is its own; its other fields are settings, made by `description.methods.setting`. `make_solver`: from a
+    method of this class to its diffrax solver. An explicit one advances a `Trajectory`, and its dense information
+    holds the increments h f of its stages, first stage first, as "k" (all Runge-Kutta methods of diffrax that derive
+    from `diffrax.AbstractERK` do; these need no class: `Explicit(solver, step=...)`). An implicit one
+    (`implicit = True` in the class) is an `IntervalSolver`. Steps of an explicit method are checked for stability only
+    if it derives from `diffrax.AbstractERK`.
 
     **Raises:** `InputError` for a class that is not of this form, or a name that is known already.
     """
@@ -118,6 +114,13 @@ def observed_solver(method: Method) -> IntervalSolver:
     """The solver that integrates trajectory and maxima of forces by a method."""
     solver = make_solver(method)
     return solver if isinstance(solver, IntervalSolver) else PeakTracking(solver)
+
+
+def _of_diffrax(solver: str | diffrax.AbstractSolver) -> diffrax.AbstractSolver:
+    """The solver of a name, or the given one, with "bounded" loops over the stages: with these all transforms apply, in
+    forward and reverse mode."""
+    made = _DIFFRAX[solver]() if isinstance(solver, str) else solver
+    return dataclasses.replace(made, scan_kind="bounded") if hasattr(made, "scan_kind") else made
 
 
 def make_solver(method: Method) -> diffrax.AbstractSolver:

@@ -2,8 +2,8 @@
 
 Place in the pipeline: equations, observation -> **explicit** -> catalogue.
 
-    RungeKutta4    the classical method with a fixed step, that of the paper
-    Leapfrog       one right-hand side a step
+    RungeKutta4Solver    the classical method with a fixed step, that of the paper
+    LeapfrogSolver       one right-hand side a step
     PeakTracking   wraps any explicit solver and keeps maxima of the joint forces, outside of the error control
 """
 
@@ -31,7 +31,7 @@ class StageInterpolation(diffrax.LocalLinearInterpolation):
     k: PyTree
 
 
-class RungeKutta4(diffrax.AbstractSolver):
+class RungeKutta4Solver(diffrax.AbstractSolver):
     """Classical Runge-Kutta method of order 4 with a fixed step.
 
     The four stages are one loop around one right-hand side: the program is a quarter as long as with four
@@ -78,7 +78,7 @@ class RungeKutta4(diffrax.AbstractSolver):
         return terms.vf(t0, y0, args)
 
 
-class Leapfrog(diffrax.AbstractSolver):
+class LeapfrogSolver(diffrax.AbstractSolver):
     """Drift-kick-drift with one right-hand side a step, order 2 (theory (3.13)).
 
     For a state with `position`, `velocity` and `integrals`:

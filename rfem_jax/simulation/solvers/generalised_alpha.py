@@ -45,7 +45,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, PyTree
 
 from rfem_jax.description.errors import InputError
-from rfem_jax.description.methods import GeneralisedAlphaMethod, Method
+from rfem_jax.description.methods import GeneralisedAlpha, Method
 from rfem_jax.kernels import kernel
 from rfem_jax.mechanics import loads
 from rfem_jax.mechanics.bush_contacts import contact_losses, contact_memory, remembers, with_memory
@@ -112,12 +112,12 @@ MadeJump = bool | Bool[Array | np.ndarray, ""]
 StepState = tuple[Trajectory, Float[Array, "4 joints"]]
 
 
-class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
+class GeneralisedAlphaSolver(diffrax.AbstractSolver[Memory]):
     """The method as a diffrax solver of the equations of motion.
 
     It reads the mechanism itself instead of the vector field of its terms, so it solves these equations only:
 
-        diffrax.diffeqsolve(terms, GeneralisedAlpha(method), t0, t1, h, y0, args=conditions, ...)
+        diffrax.diffeqsolve(terms, GeneralisedAlphaSolver(method), t0, t1, h, y0, args=conditions, ...)
 
     with y0 = (`Trajectory`, squared maxima (2, joints) so far of axial and normal forces), args = `Conditions`
     of one phase of the drive, terms = `diffrax.ODETerm(stepping.vector_field)`.  One call integrates between two
@@ -148,7 +148,7 @@ class GeneralisedAlpha(diffrax.AbstractSolver[Memory]):
     contact_tolerance: float = eqx.field(static=True)
 
     def __init__(self, method: Method):
-        if not isinstance(method, GeneralisedAlphaMethod):
+        if not isinstance(method, GeneralisedAlpha):
             raise InputError(f'Argument `method` must be "generalised_alpha", but is {method.name!r}.')
         radius = method.spectral_radius
         self.alpha_m = (2.0 * radius - 1.0) / (radius + 1.0)

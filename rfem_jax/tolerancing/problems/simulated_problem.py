@@ -5,6 +5,7 @@ The only place where tolerance studies meet the mechanics.
 """
 
 import functools
+import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any
@@ -22,7 +23,7 @@ from rfem_jax.description.drive_numbers import drive_number_unit
 from rfem_jax.description.driven_motions import Drive
 from rfem_jax.description.error_catalogue import error_unit
 from rfem_jax.description.errors import InputError
-from rfem_jax.description.methods import GeneralisedAlphaMethod, Method
+from rfem_jax.description.methods import GeneralisedAlpha, Method
 from rfem_jax.description.metric_catalogue import kind_and_owner, only_at_start
 from rfem_jax.description.metric_subjects import JointSubject, LinkSubject, MetricSubjects, require_metric
 from rfem_jax.description.precision import require_float64
@@ -30,13 +31,13 @@ from rfem_jax.mechanics.designs import Design, NamedValue, parameters
 from rfem_jax.mechanics.model import Model
 from rfem_jax.mechanics.model_with_errors import AssemblyErrors, assembly_errors
 from rfem_jax.mechanics.status import PAST_LIMIT, STATUS
-from rfem_jax.simulation.accuracy import choose_method
 from rfem_jax.simulation.conclusion import run_of
 from rfem_jax.simulation.driving import design_with, drive_numbers, drive_of_design, require_driven
 from rfem_jax.simulation.integration import conclude, grid_for, integrated, simulate_steps
 from rfem_jax.simulation.locking import FAILED_IN_MOTION, DriveLimit, drive_limit
 from rfem_jax.simulation.records import require_records
 from rfem_jax.simulation.run import RESIDUAL_LIMIT, of_model
+from rfem_jax.simulation.specification import Simulation
 from rfem_jax.simulation.stepping import contact_tolerance_of
 from rfem_jax.simulation.time_grid import TimeGrid, longest_interval, of_any_step
 from rfem_jax.tolerancing.checks import check_distinct, check_known, error_value
@@ -60,17 +61,13 @@ class Problem(eqx.Module):
     (`benchmarks/gradients.py` measures both).
 
     Args:
-        model: from `discretise`.
-        drive: a given or prescribed drive, a list of them, or None.
-        duration: [s].
+        simulation: what is simulated; `save_every` is also the interval of the balances and checkpoints, and of the
+            times that p-norms see; deviations of parameters are from the values of its `design`.
         metrics: `Metric`s with functions, or names ("A.rms_force", "end_energy"; see `register_metric`).
-        method: a `Method`.
-        save_every: [s], interval of the balances and checkpoints, and of the times that p-norms see.
-        design: from `rfem_jax.design`; deviations of parameters are from its values.
-        trials: {error name: its values (n,)} of n assemblies by which the method "auto" chooses its step, such as
-            `first_samples` gives; None, or where none of its steps is accurate for these: the perfect one, to whose
-            small loads errors are largest, and one with all joints tilted and shifted.
-    Raises: InputError for unknown and repeated metrics, metrics without a function and of joints that do not exist.
+        further, former: arguments of an earlier version, Problem(model, drive, duration, metrics, method, ...), which
+            warns.
+    Raises: InputError for unknown and repeated metrics, metrics without a function and of joints that do not exist, and
+        for a simulation that starts from a `State`.
     """
 
     model: Model
@@ -84,22 +81,31 @@ class Problem(eqx.Module):
 
     def __init__(
         self,
-        model: Model,
-        drive: Drive,
-        duration: float | int,
-        metrics: str | Metric | Iterable[str | Metric],
-        method: Method,
-        save_every: float | int | None = None,
-        design: Design | None = None,
-        trials: Mapping[str, ArrayLike] | None = None,
+        simulation: Simulation | Model,
+        metrics: str | Metric | Iterable[str | Metric] = (),
+        *further: Any,
+        **former: Any,
     ):
-        self.model, self.drive, self.design, self.steps = model, drive, design, None
+        if isinstance(simulation, Model):
+            simulation, metrics = _of_former_arguments(simulation, metrics, further, former)
+        elif further or former:
+            raise InputError(
+                "Arguments of a problem must be a simulation and metrics, but there are others; what else it needs, "
+                "such as drive, duration and method, are arguments of `Simulation`."
+            )
+        if simulation.start is not None:
+            raise InputError(
+                "Argument `start` of a problem's simulation must be a word, but is a State, which no errors change; "
+                'leave it out, or give "as_given" or "equilibrium".'
+            )
+        model = simulation.model
+        self.model, self.drive, self.design, self.steps = model, simulation.drive, simulation.design, None
         metrics = (metrics,) if isinstance(metrics, (str, Metric)) else metrics
         self.metrics = tuple(_known_metric(model, m) for m in metrics)
         check_distinct((m.name for m in self.metrics), "metrics")
         _check_angle(model, self.metrics)
-        self.duration, self.save_every = float(duration), None if save_every is None else float(save_every)
-        self.method = choose_method(model, method, drive, self.duration, trials, self.save_every)
+        self.duration, self.save_every = simulation.require_duration(), simulation.save_every
+        self.method = simulation.method
 
     # `jax.jit(problem)` keys its cache by the function's identity.
     def __hash__(self) -> int:
@@ -214,8 +220,9 @@ class Problem(eqx.Module):
         return self._changed(metrics=list(named.values())), (LINEAR_ERROR,)
 
     def _changed(self, **settings: Any) -> "Problem":
-        kept = ("metrics", "method", "save_every", "design")
-        return Problem(self.model, self.drive, self.duration, **{name: getattr(self, name) for name in kept} | settings)
+        metrics = settings.pop("metrics", self.metrics)
+        kept = {name: getattr(self, name) for name in ("drive", "duration", "method", "save_every", "design")}
+        return Problem(Simulation(self.model, **(kept | settings)), metrics)
 
     def of_any_step(self) -> "Problem":
         """The same problem in the form that shares its programs with those of other steps; not for reverse mode."""
@@ -304,6 +311,22 @@ def _values_of_numbers(metrics, model, errors, drive, grid, method, steps):
     return {m.name: jnp.asarray(m(run)) for m in metrics}, run.status
 
 
+def _of_former_arguments(
+    model: Model, drive: Any, further: tuple, former: dict[str, Any]
+) -> tuple[Simulation, str | Metric | Iterable[str | Metric]]:
+    """Simulation and metrics of a call as in an earlier version, which warns."""
+    names = ("drive", "duration", "metrics", "method", "save_every", "design", "trials")
+    given = {**dict(zip(names, (drive, *further))), **former}
+    metrics = given.pop("metrics")
+    warnings.warn(
+        "`Problem` takes a simulation: write Problem(Simulation(model, drive=..., duration=..., method=...), metrics), "
+        "which a later version needs.",
+        DeprecationWarning,
+        stacklevel=3,
+    )
+    return Simulation(model, **given), metrics
+
+
 def _records_of(metrics: Iterable[Metric]) -> tuple[str, ...]:
     """What runs record beside their loads, because a metric reads it."""
     return tuple(dict.fromkeys(name for one in metrics for name in one.records))
@@ -357,6 +380,6 @@ def finer_method(method: Method, contacts: bool = True) -> Method:
     if method.step is None:
         return replace(method, **{name: 0.1 * getattr(method, name) for name in ("rtol", "atol")})
     finer = replace(method, step=0.5 * method.step)
-    if isinstance(finer, GeneralisedAlphaMethod) and contacts:
+    if isinstance(finer, GeneralisedAlpha) and contacts:
         finer = replace(finer, contact_tolerance=0.25 * finer.contact_tolerance)
     return finer

@@ -1,0 +1,158 @@
+"""What is simulated: a mechanism under its drives over a time, and the method of integration.
+
+Place in the pipeline: model, drive, method -> **Simulation** -> simulate, steady_cycle, Problem.
+"""
+
+import warnings
+from collections.abc import Mapping
+from typing import Any
+
+import equinox as eqx
+import jax
+from jax.core import Tracer
+from jax.typing import ArrayLike
+
+from rfem_jax.description.driven_motions import Drive
+from rfem_jax.description.errors import InputError, suggestion
+from rfem_jax.description.methods import Automatic, Method
+from rfem_jax.description.precision import require_float64
+from rfem_jax.description.study import Study
+from rfem_jax.mechanics.designs import Design, model_of_study
+from rfem_jax.mechanics.model import Model, State
+from rfem_jax.mechanics.statics.assembly import with_start
+from rfem_jax.simulation.accuracy import choose_method
+from rfem_jax.simulation.driving import require_driven
+
+
+class Simulation(eqx.Module):
+    """A mechanism under its drives over a time, with a method of integration.
+
+        simulation = Simulation(model, drive=MomentRamp("A", 1.0, 0.1), duration=0.5)
+        run = simulate(simulation, assembly_errors(model, {"D.delta_x": 1e-3}))
+
+    `dataclasses.replace(simulation, duration=1.0)` makes another one. Numbers of the model, of the drives, of the start
+    and of the design may be traced, with a method whose step is given.
+
+    Args:
+        model: from `discretise`.
+        drive: a moment or force on the model's driven joint, its prescribed motion, a list of such drives on as many
+            driven motions, or None.
+        duration: [s]; None for a steady cycle, which lasts a revolution.
+        method: `Automatic`, which is replaced here by the method and the step that keep its accuracy, or another one
+            with its step: `GeneralisedAlpha`, `RungeKutta4`, `Leapfrog`, `Explicit`.
+        save_every: [s], interval of saved times (None: 500 intervals).
+        start: "as_given", with all freedoms at the start values of the joints and at their initial rates, flexible
+            links settled, or "equilibrium", in which freedoms that no drive holds have settled, too (None: as the
+            mechanism says, "as_given" unless it says another); or a `State`, which replaces the static assembly (the
+            preload is then unknown, NaN).
+        design: from `rfem_jax.design`, other values for numbers of the model and its drives.
+        trials: {error name: its values (n,)} of n assemblies by which `Automatic` chooses the step, such as
+            `first_samples` gives; None, or where none of its steps is accurate for these: the perfect one, to whose
+            small loads errors are largest, and one with all joints tilted and shifted.
+    Raises:
+        InputError: arguments that cannot be used, such as a drive of another joint than the driven one.
+    """
+
+    model: Model
+    drive: Drive
+    duration: float | None = eqx.field(static=True)
+    method: Method = eqx.field(static=True)
+    save_every: float | None = eqx.field(static=True)
+    start: State | None
+    design: Design | None
+
+    def __init__(
+        self,
+        model: Model,
+        *,
+        drive: Drive,
+        duration: float | int | None = None,
+        method: Method | None = None,
+        save_every: float | int | None = None,
+        start: State | str | None = None,
+        design: Design | None = None,
+        trials: Mapping[str, ArrayLike] | None = None,
+    ):
+        require_float64()
+        if not isinstance(model, Model):
+            raise InputError(
+                f"Argument `model` of a simulation must be a Model, but is {type(model).__name__}; make it by "
+                "discretise(mechanism)."
+            )
+        if method is not None and not isinstance(method, Method):
+            raise InputError(
+                f"Argument `method` of a simulation must be a method such as RungeKutta4(step=1e-5), but is {method!r}."
+            )
+        require_driven(model, drive)
+        if isinstance(start, str):
+            model, start = with_start(model, start), None
+        self.model, self.drive, self.start, self.design = model, drive, start, design
+        self.duration = None if duration is None else float(duration)
+        self.save_every = None if save_every is None else float(save_every)
+        method = Automatic() if method is None else method
+        if isinstance(method, Automatic) and any(isinstance(x, Tracer) for x in jax.tree.leaves((model, drive))):
+            raise InputError(
+                "Argument `method` of a simulation must have a step where numbers of its model or drive are traced, "
+                "but is Automatic, which tries steps; make the simulation outside of jax.jit and of derivatives."
+            )
+        self.method = choose_method(model, method, drive, self.duration, trials, self.save_every)
+
+    @classmethod
+    def of(cls, study: Study, **changes: Any) -> "Simulation":
+        """The simulation of a study, without the errors of its cases.
+
+        **Arguments:** `changes`: arguments that take the place of the study's, such as `method=`, `duration=`.
+
+        **Raises:** `InputError` as the class.
+        """
+        settings = {
+            "drive": study.designed_drive,
+            "duration": study.duration,
+            "method": study.method,
+            "save_every": study.save_every,
+        }
+        return cls(changes.pop("model", None) or model_of_study(study), **(settings | changes))
+
+    def require_duration(self) -> float:
+        """The duration [s]. Raises InputError where there is none."""
+        if self.duration is None:
+            raise InputError(
+                "Argument `duration` of a simulation must be given, but is missing; add the time to simulate [s]."
+            )
+        return self.duration
+
+    # Short: JAX shows it in messages, and all of a model takes longer than a simulation.
+    def __repr__(self) -> str:
+        step = "" if self.method.step is None else f" with steps of {self.method.step:g} s"
+        time = "" if self.duration is None else f" over {self.duration:g} s"
+        return f"<Simulation of {', '.join(self.model.topology.links)}{time} by {self.method.name}{step}>"
+
+
+def simulation_of_call(function: str, given: Simulation | Model, former: dict[str, Any]) -> Simulation:
+    """The simulation that a function was given; of a model with the arguments of an earlier version, which warns.
+
+    **Arguments:** `former`: arguments by names that the function does not have.
+
+    **Raises:** `InputError` for names that are not known, or of a simulation beside one.
+    """
+    of_simulation = ("drive", "duration", "method", "save_every", "start", "design", "trials")
+    if isinstance(given, Model) and set(former) <= set(of_simulation):
+        arguments = ", ".join(f"{name}=..." for name in former)
+        warnings.warn(
+            f"`{function}` takes a simulation: write {function}(Simulation(model, {arguments}), ...), which a later "
+            "version needs.",
+            DeprecationWarning,
+            stacklevel=3,
+        )
+        return Simulation(given, **former)
+    for name in former:
+        raise InputError(
+            f"Argument `{name}` must be one of `{function}`, but is not; "
+            + ("give it to `Simulation`." if name in of_simulation else suggestion(name, of_simulation))
+        )
+    if not isinstance(given, Simulation):
+        raise InputError(
+            f"Argument `simulation` of `{function}` must be a Simulation, but is {type(given).__name__}; make it by "
+            "Simulation(model, drive=..., duration=...)."
+        )
+    return given

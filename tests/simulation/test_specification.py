@@ -1,0 +1,136 @@
+"""What is simulated: `Simulation`, its refusals, and calls of the version before."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from rfem_jax import (
+    Automatic,
+    GeneralisedAlpha,
+    InputError,
+    MomentRamp,
+    PrescribedRate,
+    Problem,
+    RungeKutta4,
+    Simulation,
+    assemble,
+    assembly_errors,
+    cycle_run,
+    design,
+    discretise,
+    load_study,
+    simulate,
+    steady_cycle,
+)
+from rfem_jax.simulation.accuracy import choose_method
+from tests.description.conftest import _refused as refused
+from tests.mechanisms import four_bar
+from tests.programs.conftest import PENDULUM
+
+METHOD = GeneralisedAlpha(step=1e-3)
+
+
+@pytest.fixture(scope="module")
+def model():
+    return discretise(four_bar(2))
+
+
+@pytest.fixture(scope="module")
+def simulation(model):
+    return Simulation(model, drive=MomentRamp("A", 1.5, 0.01), duration=0.01, method=METHOD, save_every=1e-3)
+
+
+def test_the_method_is_chosen_where_none_is_given(model):
+    drive = MomentRamp("A", 1.5, 0.01)
+    chosen = Simulation(model, drive=drive, duration=0.05)
+    assert chosen.method == choose_method(model, Automatic(), drive, 0.05)
+    assert chosen.method.step is not None
+    assert "by generalised_alpha with steps of" in repr(chosen)
+    assert dataclasses.replace(chosen, duration=0.02).method == chosen.method
+    assert dataclasses.replace(chosen, method=METHOD).method == METHOD
+
+
+def test_a_start_in_words_belongs_to_the_model(model):
+    settled = Simulation(model, drive=MomentRamp("A", 1.5, 0.01), duration=0.01, method=METHOD, start="equilibrium")
+    assert settled.start is None and settled.model.topology.settles and not model.topology.settles
+
+
+def test_the_simulation_of_a_study(tmp_path):
+    (tmp_path / "study.toml").write_text(PENDULUM, encoding="utf-8")
+    study = load_study(tmp_path / "study.toml")
+    simulation = Simulation.of(study, method=METHOD, duration=0.02)
+    assert simulation.drive == study.drive and simulation.save_every == study.save_every
+    assert simulation.method == METHOD and simulation.duration == 0.02
+    model = discretise(study.mechanism)
+    assert Simulation.of(study, model=model, method=METHOD).model is model
+
+
+def test_numbers_of_the_drive_and_of_the_design_are_traced(model, simulation):
+    def moment(height, peak):
+        changed = dataclasses.replace(
+            simulation, drive=MomentRamp("A", peak, 0.01), design=design(model, {"coupler.section.height": height})
+        )
+        return simulate(changed).metrics.mean_square_force["A"]
+
+    slopes = jax.jit(jax.jacfwd(moment, (0, 1)))(0.008, 1.5)
+    for number, slope in enumerate(slopes):
+        step = np.eye(2)[number] * np.array([8e-6, 1.5e-3])
+        low, high = (moment(*(np.array([0.008, 1.5]) + sign * step)) for sign in (-1.0, 1.0))
+        np.testing.assert_allclose(slope, (high - low) / (2.0 * step[number]), rtol=1e-4)
+
+
+def test_what_is_wrong_is_said(model, simulation):
+    drive = MomentRamp("A", 1.5, 0.01)
+    with refused("`model`", "Mechanism", "discretise"):
+        Simulation(four_bar(2), drive=drive, duration=0.01)
+    with refused("`method`", "RungeKutta4(step=1e-5)", "'rk4'"):
+        Simulation(model, drive=drive, duration=0.01, method="rk4")
+    with refused("`drive`", "driven joint"):
+        Simulation(model, drive=MomentRamp("B", 1.5, 0.01), duration=0.01)
+    with refused("`duration`", "missing"):
+        simulate(Simulation(model, drive=drive, method=METHOD))
+    with refused("`start`", "as_given"):
+        Simulation(model, drive=drive, duration=0.01, start="at rest")
+    with refused("`duration`", "`simulate`", "`Simulation`"):
+        simulate(simulation, duration=0.2)
+    with refused("`recrod`", "`simulate`"):
+        simulate(simulation, recrod="A.turning")
+    with refused("`simulation`", "Mechanism"):
+        simulate(four_bar(2))
+    with refused("simulation and metrics"):
+        Problem(simulation, "A.rms_force", method=METHOD)
+    state = assemble(model, assembly_errors(model)).state
+    with refused("`start`", "State"):
+        Problem(dataclasses.replace(simulation, start=state), "A.rms_force")
+    with pytest.raises(InputError, match="`method` of a simulation must have a step"):
+        jax.jit(lambda model: simulate(Simulation(model, drive=drive, duration=0.01)).status)(model)
+
+
+def test_calls_of_the_version_before_work_and_warn(model, simulation):
+    settings = {"duration": 0.01, "method": METHOD, "save_every": 1e-3}
+    drive, errors = simulation.drive, assembly_errors(model, {"D.delta_x": 1e-3})
+    with pytest.warns(DeprecationWarning, match=r"simulate\(Simulation\(model, drive=..., duration=..."):
+        former = simulate(model, errors, drive=drive, **settings)
+    now = simulate(simulation, errors)
+    np.testing.assert_array_equal(former.loads.force, now.loads.force)
+    with pytest.warns(DeprecationWarning, match=r"Problem\(Simulation\("):
+        problem = Problem(model, drive, 0.01, "A.rms_force", METHOD, save_every=1e-3)
+    values, _ = problem({"D.delta_x": 1e-3})
+    assert values == Problem(simulation, "A.rms_force")({"D.delta_x": 1e-3})[0]
+
+
+@pytest.mark.slow
+def test_cycles_of_the_version_before_work_and_warn(model):
+    drive = PrescribedRate("A", 6.0)
+    cycling = Simulation(model, drive=drive, method=RungeKutta4(step=2e-5), save_every=0.1)
+    now = steady_cycle(cycling, most=2)
+    with pytest.warns(DeprecationWarning, match="steady_cycle"):
+        former = steady_cycle(model, drive=drive, method=cycling.method, save_every=0.1, most=2)
+    assert former.residual == now.residual
+    run = cycle_run(now, cycling)
+    with pytest.warns(DeprecationWarning, match="cycle_run"):
+        again = cycle_run(now, model, drive=drive, method=cycling.method, save_every=0.1)
+    np.testing.assert_array_equal(jnp.asarray(run.angle), again.angle)
