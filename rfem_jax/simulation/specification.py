@@ -81,7 +81,8 @@ class Simulation(eqx.Module):
             )
         if method is not None and not isinstance(method, Method):
             raise InputError(
-                f"Argument `method` of a simulation must be a method such as RungeKutta4(step=1e-5), but is {method!r}."
+                f"Argument `method` of a simulation must be an object, but is {method!r}; write for example "
+                "RungeKutta4(step=1e-5)."
             )
         require_driven(model, drive)
         if isinstance(start, str):

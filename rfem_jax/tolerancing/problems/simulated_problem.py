@@ -90,8 +90,8 @@ class Problem(eqx.Module):
             simulation, metrics = _of_former_arguments(simulation, metrics, further, former)
         elif further or former:
             raise InputError(
-                "Arguments of a problem must be a simulation and metrics, but there are others; what else it needs, "
-                "such as drive, duration and method, are arguments of `Simulation`."
+                "Arguments of a problem must be a simulation and metrics, but there are others; give drive, duration, "
+                "method and the like to `Simulation`."
             )
         if simulation.start is not None:
             raise InputError(
