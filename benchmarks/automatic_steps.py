@@ -1,6 +1,7 @@
 """The step that "auto" chooses by samples of the tolerances: how accurate other samples are, and what one takes.
 
     python benchmarks/automatic_steps.py [--accuracies 1e-2 1e-3] [--samples 64] [--batches 1 16 64] [--exudyn N]
+                                         [--without avx512]
     python benchmarks/automatic_steps.py --batches 4096 65536 --exudyn 8        where JAX finds a GPU
 
 On the shipped Monte Carlo study.  "auto" sees the first eight samples, errors are those of others: the largest
@@ -9,6 +10,7 @@ extrapolated).  Times are those of the processor, on a GPU those of the clock, s
 medians of five runs.  Exudyn (extra `bench`), with its fastest settings, takes for N of these samples the longest of
 `--exudyn-steps` with which none is farther than the accuracy from its own result with steps of `--exudyn-fine`: its
 elements are geometrically exact, the study's are linear, and what this changes is no error of a step.
+`--without`: beginnings of the names of features that the processor is taken not to have.
 """
 
 import argparse
@@ -37,6 +39,7 @@ from rfem_jax import (  # noqa: E402
     first_samples,
     load_study,
 )
+from rfem_jax.kernels import machine_code  # noqa: E402
 
 STUDY = load_study(Path(__file__).parents[1] / "studies" / "monte_carlo" / "study.toml")
 TOLERANCES = Tolerances.of(STUDY)
@@ -118,7 +121,10 @@ def main() -> None:
     parser.add_argument("--exudyn", type=int, default=0, help="samples of Exudyn")
     parser.add_argument("--exudyn-steps", type=float, nargs="+", default=[5e-3, 2.5e-3, 2e-3, 1e-3, 5e-4], help="s")
     parser.add_argument("--exudyn-fine", type=float, default=5e-5, help="s, step of its converged result")
+    parser.add_argument("--without", nargs="+", default=[], help="beginnings of features of the processor")
     options = parser.parse_args()
+    if options.without:
+        machine_code.leave_out_features(*options.without)
     model, others = discretise(STUDY.mechanism), first_samples(TOLERANCES, jax.random.key(2), options.samples)
     coarse, fine = (
         loads(

@@ -15,6 +15,7 @@ except ImportError:  # everything runs by XLA then
 
 # Machine code outlives every program that calls it: engines are never freed.
 _ENGINES: list[Any] = []
+_LEFT_OUT: list[str] = []
 
 
 def is_available() -> bool:
@@ -22,10 +23,20 @@ def is_available() -> bool:
     return llvm is not None
 
 
+def leave_out_features(*beginnings: str) -> None:
+    """Compile for a processor without the features whose names begin so ("avx512"), to compare; before all kernels."""
+    _LEFT_OUT[:] = beginnings
+    for function in (_features, _target_machine, processor):
+        function.cache_clear()
+
+
 @cache
 def _features() -> Any:
     assert llvm is not None
-    return llvm.get_host_cpu_features()
+    found = llvm.get_host_cpu_features()
+    for name in found:
+        found[name] = found[name] and not name.startswith(tuple(_LEFT_OUT))
+    return found
 
 
 @cache

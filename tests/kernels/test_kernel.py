@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from rfem_jax.kernels import expand_primitive, expecting, is_available, kernel, registry
+from tests.processes import in_a_new_process
 
 pytestmark = pytest.mark.skipif(not is_available(), reason="llvmlite is not installed")
 
@@ -224,6 +225,25 @@ def test_thorough_and_fast_compilation_give_the_same_bits():
     thorough, quick = kernel(integrated)(*arguments), kernel(integrated, selection="fast")(*arguments)
     for a, b in zip(jax.tree.leaves(thorough), jax.tree.leaves(quick)):
         np.testing.assert_array_equal(a, b)
+
+
+BITS = """
+import hashlib, sys
+import jax
+jax.config.update("jax_enable_x64", True)
+import jax.numpy as jnp
+from rfem_jax.kernels import kernel, machine_code
+from tests.kernels.test_kernel import X, integrated
+machine_code.leave_out_features(*sys.argv[1:])
+found = jax.vmap(kernel(integrated, selection="fast"))(jnp.stack([X] * 5), jnp.linspace(0.0, 1.0, 5))
+print(machine_code.vector_width(), hashlib.sha256(b"".join(x.tobytes() for x in jax.tree.leaves(found))).hexdigest())
+"""
+
+
+def test_narrower_registers_give_the_same_bits():
+    width, bits = in_a_new_process(BITS).split()
+    narrow, same = in_a_new_process(BITS, "avx").split()
+    assert int(narrow) == 2 <= int(width) and bits == same
 
 
 def turns(x, rate):
