@@ -18,7 +18,6 @@ BESIDE = (
     "labelled_data",
     "lazy_names",
     "rich_text",
-    "stack_room",
     "text_layout",
     "usable_cores",
     "whole_files",

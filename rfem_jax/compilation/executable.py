@@ -3,11 +3,10 @@
 Place in the pipeline: kernels, stages -> **executable** -> program, which makes and runs it; `cache` keeps the bytes.
 """
 
-import gc
 import pickle
 import threading
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -21,7 +20,6 @@ from jaxlib.lapack import prepare_lapack_call
 from rfem_jax.compilation import keys
 from rfem_jax.compilation.stages import on_stage
 from rfem_jax.kernels import registry
-from rfem_jax.stack_room import with_room
 
 # In the text of programs that call LAPACK on the CPU.  JAX looks up LAPACK's functions when it lowers such a program;
 # before that, the addresses that a loaded program calls are null.
@@ -89,7 +87,6 @@ class WithinTransformation(Exception):
     """The function depends on a traced value that is not among its arguments."""
 
 
-@with_room
 def compiled(function: Callable, arrays: Sequence[ArrayLike], returned: list, kept: bool) -> Executable:
     """Trace and compile a function of arrays.
 
@@ -100,7 +97,7 @@ def compiled(function: Callable, arrays: Sequence[ArrayLike], returned: list, ke
     what = function.__name__.strip("_").replace("_", " ")
     once = ", once for all models of its kind" if kept else ""
     on_stage(f"Compiling the program {what!r}{once}")
-    with _without_collections(), registry.noting() as handlers:
+    with registry.noting() as handlers:
         traced = jax.jit(function).trace(*arrays)
         if len(traced.jaxpr.in_avals) > len(arrays):
             raise WithinTransformation
@@ -118,19 +115,6 @@ def unpack(content: bytes) -> Packed:
     if not isinstance(packed, Packed):
         raise TypeError("not a packed program")
     return packed
-
-
-@contextmanager
-def _without_collections() -> Iterator[None]:
-    """No garbage collection within the block: tracing makes millions of lasting objects, and searching them for
-    garbage takes a tenth of its time."""
-    wanted = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if wanted:
-            gc.enable()
 
 
 class _WithoutJaxsCache:

@@ -23,7 +23,6 @@ from jax.typing import ArrayLike
 from rfem_jax.compilation import keeping, keys
 from rfem_jax.compilation.executable import Executable, Place, WithinTransformation, compiled, unpack
 from rfem_jax.compilation.naming import NotRenamable, in_words, names_in
-from rfem_jax.stack_room import with_room
 
 # Settings on which tracing depends, for programs in memory; the key of a kept program has all settings.
 SETTINGS = (
@@ -82,7 +81,6 @@ class Program:
         self._by_names.add(jax.tree.structure((args, kwargs)))
         return result
 
-    @with_room
     def _within(self, args, kwargs) -> Any:
         """The result within another program."""
         return self._jitted(*args, **kwargs)

@@ -44,7 +44,6 @@ from rfem_jax.report.console import (
 )
 from rfem_jax.report.process import count_devices, require_platform, set_up_jax, sharing
 from rfem_jax.report.progress_line import ProgressLine, clear_lines, paint, print_document, say, speaking
-from rfem_jax.stack_room import with_room
 
 NOTHING_DONE = "nothing was done yet; start the same command again."
 
@@ -111,7 +110,6 @@ def _act(arguments: argparse.Namespace, line: ProgressLine) -> Answer:
         return command.act(arguments)
 
 
-@with_room
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command with the arguments `argv` (default: those of the process).
 
@@ -134,8 +132,6 @@ def run_process() -> int:
     end_early_by(partial(_end_at_once, None))
     code = main()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # all is done
-    # What is left is not looked through for garbage: half a second, for nothing.
-    gc.freeze()
     return code
 
 

@@ -1,12 +1,15 @@
 """A run: methods, the integration, loads, balances and metrics.
 
+    specification        what is simulated: mechanism, drive, time, method
+    simulating           one simulation: the function that users call
+    motion_equations     the equations of motion as a vector field, for solvers of one's own
     driving              which joint a drive acts on
     time_grid            intervals between saved times and jumps, divided into steps
     equations            the first-order system that is integrated
     stabilisation        Baumgarte's gains
     observation          what is recorded of an instant
     records              what is recorded beside it where a metric asks for it
-    batches, packing     arrays in the forms that JAX's transforms and XLA's loops need
+    batches              the same batch axes in functions with rules of their own
     implicit_step        one implicit step as a differentiable function
     generalised_alpha    the implicit method as a diffrax solver
     solvers              all methods as diffrax solvers
@@ -14,6 +17,7 @@
     recorded_steps       steps found before, for reverse mode of adaptive methods
     stepping             one interval by any method
     integration          prepare -> advance -> conclude
+    conclusion           what a simulation ends with, and its arrays by name
     locking              where a drive prescribes what the loops do not let it
     cases                all cases of a study as one batch
     vibration            modes of the perfect mechanism at rest, for limits of the step

@@ -1,6 +1,6 @@
 """Simulation of one mechanism with its errors: assembly, integration, loads, balances.
 
-Place in the pipeline: model, errors, drive, method -> **simulate** -> Run.
+Place in the pipeline: model, errors, drive, method -> **prepare, advance, conclude** -> conclusion -> Run.
 
     prepare   errors -> constants, start state, preload
     advance   the intervals of the time grid, by one compiled loop body (`stepping`)

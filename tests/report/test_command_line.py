@@ -4,13 +4,11 @@ import ast
 import io
 import json
 import os
-import signal
 import stat
 import subprocess
 import sys
 import time
 import tomllib
-from importlib.metadata import entry_points
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 
@@ -23,7 +21,7 @@ from rfem_jax.compilation import cache, keeping
 from rfem_jax.compilation.cache import user_cache_folder
 from rfem_jax.compilation.stages import listening, on_stage
 from rfem_jax.description import InputError
-from rfem_jax.report import command_line, console
+from rfem_jax.report import command_line
 from rfem_jax.report.command_line import build_parser, main
 from rfem_jax.report.commands.catalogue import all_commands
 from rfem_jax.report.process import count_devices, require_platform
@@ -253,7 +251,7 @@ def test_without_matplotlib_the_rest_is_written(packages, study_file, tmp_path, 
 
 
 COMMANDS = Path(rfem_jax.__file__).parent / "report" / "commands"
-LIGHT = {"report.annotations", "report.console", "report.process", "report.progress_line", "stack_room", "task_kinds"}
+LIGHT = {"report.annotations", "report.console", "report.process", "report.progress_line", "task_kinds"}
 LIGHT |= {"usable_cores"}
 LIGHT |= {f"report.commands.{path.stem}" for path in COMMANDS.glob("*.py") if path.stem != "__init__"}
 
@@ -442,23 +440,6 @@ def seen_on_a_terminal(text):
             shown = part + shown[len(part) :]
         lines.append(shown.rstrip())
     return lines
-
-
-@pytest.fixture
-def own_signals():
-    """What a process that is a command does with Ctrl-C is undone."""
-    before = signal.getsignal(signal.SIGINT)
-    yield
-    console.work_begins()
-    signal.signal(signal.SIGINT, before)
-
-
-def test_the_command_ends_without_looking_for_garbage(monkeypatch, own_signals):
-    asked = []
-    monkeypatch.setattr(command_line, "main", lambda: 3)
-    monkeypatch.setattr(command_line.gc, "freeze", lambda: asked.append("freeze"))
-    (script,) = entry_points(group="console_scripts", name="rfem-jax")
-    assert script.load()() == 3 and asked == ["freeze"]
 
 
 def test_a_check_loads_what_it_needs(tmp_path):
